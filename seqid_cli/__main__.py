@@ -29,6 +29,7 @@ def _run(argv: Sequence[str] | None) -> int:
         return _version()
     # Small matrices: a second BLAS thread costs many times what it gains, and changes last digits.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    os.environ.pop("SOURCE_DATE_EPOCH", None)  # a library fails to import where it is no number
     from seqid_cli.commands.app import run
 
     return run(arguments)

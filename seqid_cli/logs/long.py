@@ -22,7 +22,7 @@ from seqid_cli.logs.long_rows import MARGIN, Rows, Scan, UnevenError
 from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.raw import Array, BlockReader, Mask, Stream, TimeSource
 from seqid_cli.logs.read import ABSURD, with_torque
-from seqid_cli.logs.storage.files import check_log, storage_file, unchanged
+from seqid_cli.logs.storage.files import State, check_log, state_of, storage_file, unchanged
 from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
@@ -94,6 +94,7 @@ class LongLog:
     warnings: tuple[str, ...] = ()
     spool: Spool | None = field(default=None, repr=False, compare=False)
     bridges: tuple[Bridge, ...] = ()
+    state: State | None = None  # of the file at the first pass
 
     @property
     def rate_hz(self) -> float:
@@ -102,19 +103,26 @@ class LongLog:
 
     @property
     def sha256(self) -> str:
-        """Digest of the file."""
-        with self.file.open("rb") as file:
+        """Digest of the file. Raises InputError: it has changed since the first pass."""
+        with unchanged(self.file, self.state), self.file.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
 
     def blocks(self) -> Iterator[Block]:
-        """Pass over the samples of the base, a few ten thousand at a time."""
+        """Pass over the samples of the base, a few ten thousand at a time.
+
+        Raises InputError: the file has changed since the first pass.
+        """
         rows: Iterator[Rows]
         if self.spool is not None:
             rows = (Rows(*part) for part in self.spool.parts())
         else:
-            rows = _rows(self.file, self.format, self.robot, self.time_source)
+            rows = self._decoded()
         blocks = self._as_logged(rows) if self.exact else self._resampled(rows)
         return map(self._bridged, blocks) if self.bridges else blocks
+
+    def _decoded(self) -> Iterator[Rows]:
+        with unchanged(self.file, self.state):
+            yield from _rows(self.file, self.format, self.robot, self.time_source)
 
     def _bridged(self, block: Block) -> Block:
         block = replace(block, q=block.q.copy(), valid=block.valid.copy())
@@ -201,7 +209,8 @@ def open_long(
         return None
     scan, health, spool = Scan(), LongHealth(robot), Spool()
     try:
-        with unchanged(file):
+        state = state_of(file)
+        with unchanged(file, state):
             for rows in _rows(file, kind, robot, time_source, health):
                 scan.push(rows)
                 spool.push(rows.stamps, rows.values)
@@ -223,6 +232,7 @@ def open_long(
         partial=scan.partial,
         warnings=tuple(dict.fromkeys(warnings)),
         spool=spool if spool.complete else None,
+        state=state,
     )
 
 

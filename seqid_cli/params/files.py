@@ -3,6 +3,8 @@
 import contextlib
 import glob
 import os
+import re
+import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal
@@ -10,16 +12,22 @@ from typing import Literal
 from seqid_cli.errors import UsageError
 
 By = Literal["name", "folder"]  # what tells robots apart
+_STREAM = re.compile("-|/dev/std(out|err)|/(dev|proc/self)/fd/[0-9]+")  # may be a file, if piped
 
 
 def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
     """Find out before any work whether `path` can be written.
 
-    Raises UsageError: the folder is missing or not writable, `path` is a folder, or it is one of
-    `inputs`.
+    Raises UsageError: the folder is missing or takes no file of this name, `path` is a folder, or
+    it is one of `inputs`.
     """
+    with writing(path):
+        _check_output(path, inputs)
+
+
+def _check_output(path: Path, inputs: Iterable[Path]) -> None:
     folder = path.parent
-    if str(path) == "-":
+    if _STREAM.fullmatch(str(path)):
         raise UsageError("an output must be a file", hint="Use --json to print the result.")
     if not folder.is_dir():
         hint = f"Make it: mkdir -p {folder}"
@@ -36,6 +44,10 @@ def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
         if _same(path, source):
             hint = "Choose another output, the input is never overwritten."
             raise UsageError("is an input of this command", where=str(path), hint=hint)
+    if not _is_special(path):
+        trial = _temporary(_target(path))
+        trial.touch()
+        trial.unlink()
 
 
 @contextlib.contextmanager
@@ -64,9 +76,9 @@ def replacing(path: Path) -> Iterator[Path]:
     if _is_special(path):
         yield path
         return
-    target = path.resolve()
+    target = _target(path)
     _without_leftovers(target)
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    temporary = _temporary(target)
     try:
         yield temporary
         with writing(path):
@@ -78,9 +90,23 @@ def replacing(path: Path) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
+def _target(path: Path) -> Path:
+    return Path(os.path.realpath(path))  # `Path.resolve` fails at a link to itself
+
+
+def _temporary(target: Path) -> Path:
+    return target.with_name(f".{_short(target.name)}.{os.getpid()}.tmp")
+
+
+def _short(name: str, most: int = 200) -> str:
+    """A name that leaves room for more within the 255 bytes that file systems allow."""
+    raw = os.fsencode(name)
+    return name if len(raw) <= most else f"{zlib.crc32(raw):08x}"
+
+
 def _without_leftovers(target: Path) -> None:
     """Remove temporary files that killed runs left beside a file."""
-    for path in target.parent.glob(f".{glob.escape(target.name)}.*.tmp"):
+    for path in target.parent.glob(f".{glob.escape(_short(target.name))}.*.tmp"):
         process = path.suffixes[-2][1:]
         if process.isdecimal() and int(process) != os.getpid() and not process_runs(int(process)):
             with contextlib.suppress(OSError):
@@ -112,7 +138,7 @@ def _is_special(path: Path) -> bool:
 def _same(path: Path, other: Path) -> bool:
     if path.exists() and other.exists():
         return path.samefile(other)
-    return path.resolve() == other.resolve()
+    return _target(path) == _target(other)
 
 
 def _sync(path: Path) -> None:

@@ -58,6 +58,22 @@ def test_closed_streams_do_no_harm(closed: tuple[int, ...], tmp_path: Path) -> N
     assert made.stat().st_size > 1000
 
 
+@pytest.mark.parametrize("where", ["2>/dev/full", "2> >(exec true)"])
+def test_messages_that_nobody_can_get_cost_no_result(where: str, tmp_path: Path) -> None:
+    made = tmp_path / "f.json"
+    line = " ".join([*SEQID, "friction", str(FRICTION), *ROBOT, "-o", str(made), where])
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(["bash", "-c", line], env=environment, capture_output=True, timeout=60)
+    assert done.returncode == 0
+    assert b"joint_1" in done.stdout
+    assert made.stat().st_size > 1000
+
+
+def test_a_variable_for_builds_does_no_harm(tmp_path: Path) -> None:
+    code, _, err = ran("inspect", str(FRICTION), env={"SOURCE_DATE_EPOCH": "today"})
+    assert code == 0, err
+
+
 @pytest.mark.parametrize("env", [{}, {"LC_ALL": "C", "PYTHONUTF8": "0"}], ids=["utf-8", "ascii"])
 @pytest.mark.parametrize("name", ["gelenk_ö.parquet".encode(), b"log_\xff.parquet"])
 def test_a_name_of_any_bytes_is_read_and_written(

@@ -40,6 +40,7 @@ _RP = (*_R, "-p", _GOLDEN)
 _LOGS = {path.name: str(path) for path in SAMPLE.iterdir() if path.is_dir()}
 _CHANGED = tuple(str(SAMPLE / "changed" / f"{name}.parquet") for name in ("fourier", "held_out"))
 _A = ("-o", "{}/a.json")
+_APART = ("--between", "stribeck,quadratic_drag", "--joint", "joint_1")
 Line = tuple[str, ...]
 COMMANDS: dict[str, Line] = {  # {} is the folder for the output
     "init": ("init", _LOGS["friction"], "--force", "-o", "{}/a.toml"),
@@ -55,9 +56,15 @@ COMMANDS: dict[str, Line] = {  # {} is the folder for the output
     "refine": ("refine", _CHANGED[0], "--holdout", _CHANGED[1], *_RP, *_A),
     "payload": ("payload", _LOGS["validation"], *_RP, *_A),
     "plan": ("plan", "friction", *_R, *_A, "--trajectories", "{}/moves"),
-    "trend": ("trend", _GOLDEN, "{}/../later.json", *_A),
+    "plan discriminate": ("plan", "discriminate", *_APART, *_RP, *_A),
+    "trend": ("trend", _GOLDEN, "{}/../later.json", *_A, "--table", "{}/t.parquet"),
     "report": ("report", _GOLDEN, "-o", "{}/a.html"),
-    "export": ("export", _GOLDEN, *_R, "-o", "{}/a.urdf"),
+    "report, a fleet": ("report", _GOLDEN, "{}/../later.json", "--by", "name", "-o", "{}/a.html"),
+    "export, URDF": ("export", _GOLDEN, *_R, "-o", "{}/a.urdf"),
+    "export, MJCF": ("export", _GOLDEN, *_R, "-o", "{}/a.xml"),
+    "export, ROS 2": ("export", _GOLDEN, *_R, "-o", "{}/a.yaml"),
+    "export, C": ("export", _GOLDEN, *_R, "-o", "{}/a.h"),
+    "export, Python": ("export", _GOLDEN, *_R, "-o", "{}/a.py"),
     "run": ("run", str(SAMPLE), *_R, "-o", "{}"),
 }
 
@@ -86,7 +93,7 @@ class Forks:
         read, write = os.pipe()
         child = os.fork()
         if not child:
-            _count_events(write)
+            _count_events(write, target)
             return True
         os.close(write)
         with os.fdopen(read) as told:
@@ -101,7 +108,7 @@ class Forks:
                 return True
             killed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
             self.killed += killed
-            for rest in target.parent.glob(f".{target.name}.{child}.tmp"):
+            for rest in target.parent.glob(f".*.{child}.tmp"):
                 self.inside += 1
                 if left:  # the last is for the next run
                     rest.unlink()
@@ -128,15 +135,16 @@ class Forks:
             target.write_bytes(OLD)
 
 
-def _count_events(pipe: int) -> None:
+def _count_events(pipe: int, target: Path) -> None:
     """Tell between which calls and returns a file is written and gets its name."""
     count = first = 0
+    temporary = files._temporary(target)
 
-    def profile(frame: FrameType, event: str, called: object) -> None:
+    def profile(frame: FrameType, event: str, _: object) -> None:
         nonlocal count, first
         count += 1
         name = frame.f_code.co_name if event == "return" else ""
-        if first == 0 or called is open:  # Python's own; a library's is not seen
+        if not first and temporary.exists():
             first = count
         if name == "replace":
             sys.setprofile(None)

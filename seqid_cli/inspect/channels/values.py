@@ -117,8 +117,8 @@ def _refined(values: Array, step: float) -> float:
     for reach in np.geomspace(20.0, 1e7, 18) * step:
         near = span[span <= reach]
         count = np.rint(near / step)
-        if len(near) > 2:
-            step = float(count @ near / max(float(count @ count), 1.0))
+        if len(near) > 2 and count.any():  # all may lie within half a step
+            step = float(count @ near / (count @ count))
         if reach > span[-1]:
             break
     return step

@@ -174,8 +174,13 @@ def find_messages(data: Bytes, index: Sequence[Integers]) -> Contents:
     return found or walk(data, 0, len(data))
 
 
-def walk(data: Bytes, start: int, end: int, only: frozenset[int] | None = None) -> Contents:
-    """Find the records from `start` on, one after the other, as long as they are of a kind."""
+def walk(
+    data: Bytes, start: int, end: int, only: frozenset[int] | None = None, most: int = 100_000
+) -> Contents:
+    """Find the records from `start` on, one after the other, as long as they are of a kind.
+
+    `most`: records other than messages, after which it stops.
+    """
     view, unpack, size = data.data, RECORD.unpack_from, RECORD.size
     messages: list[int] = []
     others: list[Record] = []
@@ -183,7 +188,7 @@ def walk(data: Bytes, start: int, end: int, only: frozenset[int] | None = None) 
     while at + size <= end:
         opcode, length = unpack(view, at)
         after = at + size + length
-        if after > end or (only is not None and opcode not in only):
+        if after > end or (only is not None and opcode not in only) or len(others) > most:
             break
         if opcode == Opcode.MESSAGE and length >= MESSAGE_SIZE:
             messages.append(at)

@@ -45,6 +45,8 @@ _KEPT = frozenset((Opcode.CHUNK, Opcode.MESSAGE_INDEX))
 _LOOSE = frozenset((Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL))
 _TAIL = RECORD.size + 20 + len(MAGIC)  # the footer
 _DATA_END = RECORD.size + 4
+# Batches and definitions that any file may have, and its bytes for each one beyond.
+PIECES, PIECE_BYTES = 50_000, 50
 
 
 class Batch(NamedTuple):
@@ -85,6 +87,8 @@ class Scan:
     summary: Summary = field(default_factory=Summary)
     dropped: int = 0  # messages that the indexes of lost chunks name
     _unpacker: Unpacker = field(default_factory=Unpacker)
+    _size: int = 0
+    _pieces: int = 0
 
     def batches(self) -> Iterator[Batch]:
         """Yield the messages, those of one channel in one chunk together.
@@ -93,7 +97,7 @@ class Scan:
         noted in `losses`, and reading goes on behind it where that is possible.
         """
         with self.path.open("rb") as file:
-            size = file.seek(0, 2)
+            size = self._size = file.seek(0, 2)
             self.summary, checksum = read_summary(file, size)
             self.channels.update(self.summary.channels)
             self.schemas.update(self.summary.schemas)
@@ -113,6 +117,8 @@ class Scan:
                     yield from self._contents(data, record.loose)
                 elif record.opcode == Opcode.CHUNK:
                     chunk = record
+                if self._overdone():
+                    return
             if chunk is not None:
                 yield from self._chunk(chunk, index)
             if not walked.finished and not self.losses:
@@ -176,13 +182,17 @@ class Scan:
             self.losses[f"a chunk breaks off {left} bytes before its end"] += 1
 
     def _contents(self, data: Bytes, contents: Contents) -> Iterator[Batch]:
+        order = np.argsort(contents.channels, kind="stable")
+        turns = np.flatnonzero(np.diff(contents.channels[order])) + 1
+        self._pieces += len(contents.others) + len(turns) + 1
+        if self._overdone():
+            self.losses["more channels and definitions than any recording has"] += 1
+            return
         for opcode, start, end in contents.others:
             self._definition(opcode, data[start:end].tobytes())
-        left = contents.channels
-        while len(left):  # a file has few channels
-            number = int(left[0])
-            rows = np.flatnonzero(contents.channels == number)
-            left = left[left != number]
+        batches = np.split(order, turns) if len(order) else []
+        for rows in sorted(batches, key=lambda each: int(each[0])):  # in the order of the file
+            number = int(contents.channels[rows[0]])
             channel = self.channels.get(number)
             if channel is None:
                 what = f"a message belongs to channel {number}, which the file lacks"
@@ -193,6 +203,10 @@ class Scan:
                 payloads = Payloads(data, contents.starts[rows], contents.lengths[rows])
                 schema = self.schemas.get(channel.schema_id)
                 yield Batch(channel, schema, contents.log_ns[rows], payloads)
+
+    def _overdone(self) -> bool:
+        """Whether a few bytes of the file cost more work than any recording's."""
+        return self._pieces > PIECES + self._size // PIECE_BYTES
 
     def _definition(self, opcode: int, content: bytes) -> None:
         stream = ReadDataStream(BytesIO(content))

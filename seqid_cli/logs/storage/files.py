@@ -46,7 +46,6 @@ _OTHER_MAGIC = {
     b"version https://git-lfs": ("a Git LFS pointer, not the file", "Run `git lfs pull`."),
 }
 _HEAD = 4096
-_STATE = ("st_size", "st_mtime_ns", "st_ino")
 _OTHER = "is neither Parquet nor MCAP, no ROS bag and no CSV table"
 _NAME_IT = "Name the file itself, or write *.csv, if it is a log."
 _NOTES = (".toml", ".json", ".yaml", ".urdf", ".xml", ".md", ".py")
@@ -111,17 +110,29 @@ def storage_file(path: Path) -> Path:
     raise InputError(f"is a ROS 2 bag {what}", hint=hint, where=str(path))
 
 
+State = tuple[int, ...]
+
+
+def state_of(path: Path) -> State:
+    """What tells that a file is another one than before."""
+    now = path.stat()
+    return now.st_size, now.st_mtime_ns, now.st_ino
+
+
 @contextmanager
-def unchanged(path: Path) -> Iterator[None]:
+def unchanged(path: Path, before: State | None = None) -> Iterator[None]:
     """Read a log that nobody writes to meanwhile.
 
-    Raises InputError: it is another file than at first when the block ends. Raises OSError: it has
-    vanished.
+    `before`: its state when it was first read; None for that of now. Raises InputError: it is
+    another file than at first when the block ends, or has vanished.
     """
-    before = path.stat()
-    yield
-    after = path.stat()
-    if any(getattr(after, name) != getattr(before, name) for name in _STATE):
+    try:
+        first = before or state_of(path)
+        yield
+        same = state_of(path) == first
+    except FileNotFoundError as error:
+        raise InputError(f"cannot be read ({error})", where=str(path)) from error
+    if not same:
         hint = "Wait until it is recorded or copied, then run this again."
         raise InputError("changed while it was read", hint=hint, where=str(path))
 

@@ -64,6 +64,8 @@ def numbers(where: str, table: pa.Table, name: str) -> Array:
             message = f"column {name!r} holds {found.type}, not numbers"
             raise InputError(message, hint="Write it as float64 in SI units.", where=where)
         values: Array = pc.cast(found, pa.float64(), safe=False).to_numpy()
+    except MemoryError:
+        raise  # which is no fault of the column
     except ARROW_ERRORS as error:
         message = f"column {name!r} cannot be read ({' '.join(str(error).split())[:200]})"
         raise InputError(message, hint="Write it as float64 in SI units.", where=where) from error

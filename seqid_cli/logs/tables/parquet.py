@@ -207,6 +207,10 @@ def _length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
 def damaged(path: Path, error: BaseException) -> InputError:
     """Make the error for what Arrow could not read."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
+    if isinstance(error, MemoryError):
+        message = f"there is too little memory to read it ({reason})"
+        hint = "Give the process more, or split the log; a damaged file may ask for too much, too."
+        return InputError(message, hint=hint, where=str(path))
     message = f"the Parquet file is damaged or not readable ({reason})"
     hint = "Copy it again from the source, or leave this log out."
     return InputError(message, hint=hint, where=str(path))

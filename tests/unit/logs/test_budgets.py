@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +14,15 @@ import zstandard
 
 from seqid_cli.__main__ import main
 from seqid_cli.errors import ConfigError, InputError
-from seqid_cli.logs.mcap.chunks import CHUNK, SMALL, DamageError, Unpacker
+from seqid_cli.logs.mcap.chunks import CHUNK, RECORD, SMALL, DamageError, Unpacker
+from seqid_cli.logs.mcap.records import MAGIC, PIECES, Scan
 from seqid_cli.logs.tables.columns import ROOM, opened_table
+from seqid_cli.logs.tables.parquet import damaged
 from seqid_cli.robot.file import load_robot
+from tests import ROOT
+from tests.studies.fuzz.answers import answer
+
+SAMPLES = ROOT / "sample_logs"
 
 EMPTY = struct.pack("<BQ", 0x80, 0)  # a record of a kind of somebody's own
 
@@ -43,6 +50,43 @@ def test_chunks_of_a_recording_have_no_end(tmp_path: Path) -> None:
     noise = np.random.default_rng(0).normal(size=SMALL // 32).tobytes()
     unpacker, one = Unpacker(), chunk(noise)
     assert all(unpacker.unpack(one, True) == (noise, True) for _ in range(12))
+
+
+def record(opcode: int, content: bytes) -> bytes:
+    return RECORD.pack(opcode, len(content)) + content
+
+
+def channel(number: int) -> bytes:
+    topic = f"/topic_{number}".encode()
+    head = struct.pack("<HHI", number, 0, len(topic))
+    return record(4, head + topic + struct.pack("<I", 3) + b"cdr" + struct.pack("<I", 0))
+
+
+CHANNELS = b"".join(map(channel, range(1 << 16)))
+TURNS = b"".join(record(5, struct.pack("<HIQQ", n, 0, 0, 0)) for n in range(1 << 16))
+
+
+@pytest.mark.parametrize(
+    "raws",
+    [(CHANNELS, *[TURNS] * 8), [TURNS] * 8, [EMPTY * 100_000] * 20, [record(4, b"") * 90_000] * 20],
+    ids=["channels", "unknown channels", "foreign records", "definitions"],
+)
+def test_records_that_are_work_for_nothing_end_in_a_message(
+    raws: Sequence[bytes], tmp_path: Path
+) -> None:
+    path = tmp_path / "log.mcap"
+    path.write_bytes(MAGIC + record(1, bytes(8)) + b"".join(record(6, chunk(raw)) for raw in raws))
+    scan = Scan(path)
+    assert sum(len(batch.payloads) for batch in scan.batches()) < 3 * PIECES
+    assert any("more channels and definitions" in loss for loss in scan.losses)
+    robot = str(SAMPLES / "one_joint" / "robot.toml")
+    assert answer(["inspect", str(path), "-r", robot])[::2] == (2, "")
+
+
+def test_too_little_memory_is_not_told_as_damage(tmp_path: Path) -> None:
+    error = damaged(tmp_path / "log.parquet", pa.ArrowMemoryError("malloc of size 64 failed"))
+    assert "too little memory" in error.message
+    assert "malloc of size 64" in error.message
 
 
 @pytest.fixture

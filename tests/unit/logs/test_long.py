@@ -142,3 +142,26 @@ def test_an_even_log_is_surveyed_while_its_base_is_laid(
     assert len(passes) == (1 if even or room else 2)
     assert log.survey.cutoff(np.zeros(3)).hz > 0
     assert pq.read_metadata(path).num_rows == log.samples
+
+
+@pytest.mark.parametrize("spooled", [False, True])
+def test_a_log_that_changes_between_two_passes_is_refused(
+    spooled: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Neither mixed with what was read before nor told as what the result is made of."""
+    if not spooled:
+        monkeypatch.setattr(spool.Spool, "complete", False)
+    path = write(tmp_path / "log.parquet", np.arange(SAMPLES) / 100.0)
+    log = open_long(path, make_robot())
+    assert log is not None
+    log.sha256  # noqa: B018  # as it was
+    other = write(tmp_path / "other.parquet", np.arange(SAMPLES) / 100.0)
+    other.replace(path)
+    if not spooled:
+        with pytest.raises(InputError, match="changed while"):
+            joined(log)
+    with pytest.raises(InputError, match="changed while"):
+        log.sha256  # noqa: B018
+    path.unlink()
+    with pytest.raises(InputError, match="cannot be read"):
+        log.sha256  # noqa: B018

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from seqid_cli.errors import UsageError
+from seqid_cli.params import files
 from seqid_cli.params.files import check_output, replacing, write_text_atomic
 
 
@@ -81,8 +82,35 @@ def test_outputs_that_cannot_be_written(tmp_path: Path) -> None:
     assert missing.value.hint == f"Make it: mkdir -p {tmp_path / 'no'}"
     with pytest.raises(UsageError, match="is a folder"):
         check_output(tmp_path)
-    with pytest.raises(UsageError, match="must be a file"):
-        check_output(Path("-"))
+    for stream in ("-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/2"):
+        with pytest.raises(UsageError, match="must be a file"):
+            check_output(Path(stream))
+
+
+@pytest.mark.parametrize("length", [200, 249, 255])
+def test_every_name_that_the_file_system_takes_is_written(length: int, tmp_path: Path) -> None:
+    path = tmp_path / ("ö" * 50 + "n" * (length - 100))
+    left = tmp_path / files._temporary(path).name.replace(f".{os.getpid()}.", ".999999999.")
+    left.write_text("half")
+    write_text_atomic(path, "new")
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_cannot_be_written_is_said_before_any_work(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="cannot be written: File name too long"):
+        check_output(tmp_path / ("n" * 256))
+    with pytest.raises(UsageError, match="writ"):
+        check_output(Path("/proc/out.json"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_link_to_itself_is_replaced(tmp_path: Path) -> None:
+    path = tmp_path / "loop.json"
+    path.symlink_to(path)
+    check_output(path, [tmp_path / "in.json"])
+    write_text_atomic(path, "new")
+    assert path.read_text() == "new"
 
 
 def test_a_full_disk_is_a_message(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,6 @@ import pytest
 from seqid_cli.__main__ import main
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import rounds as deciding
-from seqid_cli.discover.refinement.left_out import Folds
 from seqid_cli.discover.refinement.rounds import Refinement
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.io import read_parameters, write_json_atomic
@@ -82,8 +81,6 @@ def test_held_out_logs_are_opened_after_the_last_decision(
 
     decide = deciding.refine
     monkeypatch.setattr(deciding, "refine", refine)
-    # Too short to decide: what is decided does not matter here, and takes a minute.
-    monkeypatch.setattr(Folds, "count", 1)
     assert call() == 0
     assert "fourier.parquet" in decided
     assert HELD_OUT not in decided
@@ -95,7 +92,6 @@ def test_held_out_logs_are_opened_after_the_last_decision(
 def test_a_held_out_log_that_cannot_be_read_is_only_found_out_then(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(Folds, "count", 1)
     assert call() == 2
     assert HELD_OUT in capsys.readouterr().err
     assert not (folder / "out.json").exists()

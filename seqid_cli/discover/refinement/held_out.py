@@ -1,9 +1,8 @@
 """Errors on samples that were not fitted, block by block of time, and how sure a gain is.
 
-A model is judged where joints slide, on blocks that it has not seen: blocks of the training logs
-that were left out (see `left_out`) where something is decided, the held-out logs where the result
-is told. With squared errors o_b before and n_b after in block b (Cochran, "Sampling Techniques",
-1977, section 6),
+A model is judged where joints slide: on the logs that it was fitted to, where its stages are to be
+identified anew, and on the held-out logs, where the result is told. With squared errors o_b before
+and n_b after in block b (Cochran, "Sampling Techniques", 1977, section 6),
 
     gain = 1 - r,   r = sum n / sum o,   se^2 = B / (B - 1) sum (n_b - r o_b)^2 / (sum o)^2.
 
@@ -22,6 +21,7 @@ import numpy as np
 from scipy.stats import t as student_t
 
 from seqid_cli.discover.noise.level import LEVEL
+from seqid_cli.discover.select.rows import weights_of
 from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, local_effects, predict
@@ -219,15 +219,27 @@ def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> 
     The samples of a joint within and those beyond the identified friction are each weighed by their
     mean squared error before: what extrapolation misses does not hide what an effect gains.
     """
+    old, new = _weighed(before, after, joints)
+    return gain_of(old, new) if old.any() else Gain(0.0, 0.0, 0.0)
+
+
+def doubt(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> float:
+    """Probability that nothing is gained, over drawn weights of the blocks, as selection has it."""
+    old, new = _weighed(before, after, joints)
+    return float(np.mean(weights_of(len(old)) @ (old - new) <= 0.0))
+
+
+def _weighed(
+    before: HeldOutError, after: HeldOutError, joints: Collection[int]
+) -> tuple[Array, Array]:
+    """Squared errors (B,) of two models, those within and beyond in units of the mean before."""
     chosen = sorted(joints)
     old = _within_and_beyond(before.squares, before.outside, chosen)
     new = _within_and_beyond(after.squares, after.outside, chosen)
     counts = _within_and_beyond(before.samples, before.outside_samples, chosen).sum(axis=0)
     total = old.sum(axis=0)
     weight = np.where(total > 0.0, counts / np.maximum(total, 1e-300), 0.0)
-    if not weight.any():
-        return Gain(0.0, 0.0, 0.0)
-    return gain_of(old @ weight, new @ weight)
+    return old @ weight, new @ weight
 
 
 def _within_and_beyond(every: Array, beyond: Array, joints: Sequence[int]) -> Array:

@@ -1,11 +1,12 @@
 """Refinement: add what a model lacks, as long as left-out blocks of time are predicted better.
 
-An investigation of the training logs names the effects that the model lacks, each beside all others
-(see `select`). They are tried one after the other, the largest gain first: model and effects are
-fitted anew under two accounts, that the effect was there all along, or that it came after the file
-was identified (see `reidentify`). Both are fitted without some blocks of the training logs, which
-they then predict. These blocks decide which account holds, and whether the effect is added at all.
-An effect that helps one joint at the expense of another is refused, with that reason.
+An investigation of the training logs names the effects that the model lacks, each beside all
+others, by how much better it predicts blocks that were left out (see `select`). They are taken one
+after the other, the largest gain first: model and effects are fitted anew, under two accounts where
+the file is of other logs: that the effect was there all along, or that it came after the file was
+identified (see `reidentify`). The errors on all logs, those of the earlier stages among them, tell
+which. An effect that does not help the model fitted anew, or helps one joint at the expense of
+another, is refused, with that reason.
 
 Held-out logs play no part in any of this: `refine` is not given them. What they say of the result
 is in `confirm`.
@@ -13,6 +14,7 @@ is in `confirm`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -22,8 +24,7 @@ from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.evidence import evidence_of
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refinement.held_out import LEAST_GAIN, Gain, gain, gain_of
-from seqid_cli.discover.refinement.left_out import FOLDS, STRETCH_S, Folds
+from seqid_cli.discover.refinement.held_out import LEAST_GAIN, Gain, doubt, gain
 from seqid_cli.discover.refinement.loop import Account, Loop, candidates_of_model, with_effects
 from seqid_cli.discover.refinement.material import Key, Material, Refitted, key_of
 from seqid_cli.discover.rivals import rivals_of
@@ -44,6 +45,7 @@ ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
 # Of its squared error a joint may lose where others gain: so much, or a share of what these gain.
 TOLERATED, EXCHANGE = 0.05, 0.2
+SAME = 0.01  # of an order or a frequency, by which two lines may differ and be one
 
 
 @dataclass(frozen=True)
@@ -100,15 +102,12 @@ def refine(
     known = fitted_effects(file.stages, robot, unexplained=True)
     bare = msgspec.structs.replace(file.stages, effects=None)
     start = Refitted(bare, tuple(known), _late(file, known, robot))
-    if Folds.of(training).count < 2:
-        said = (*notes, _too_short(training))
-        return Refinement(material, file.stages, (), (start,), start, said)
     found = _investigated(material, start)
     smooth = options.with_unexplained and bool(found.found.smooth)
     if not (found.found.effects or smooth):
         return Refinement(material, file.stages, (), (start,), start, notes)
     heard = replace(material, training=quiet(training, found.events)) if found.events else material
-    loop = Loop.begin(heard, start)
+    loop = Loop(heard, [start], start)
     _add_effects(loop, found)
     if options.with_unexplained:
         _add_smooth(loop, _investigated(material, loop.model) if loop.added else found)
@@ -120,15 +119,6 @@ def on_the_same_samples(options: DiscoverOptions, stages: Stages, robot: Robot) 
     """Options by which all models are judged where joints slide by the friction of these stages."""
     slowest = slides_from(TorqueModel.from_stages(stages, robot), options.motion)
     return replace(options, motion=replace(options.motion, slides_from=tuple(slowest.tolist())))
-
-
-def _too_short(training: Sequence[Recording]) -> str:
-    length = sum(float(log.t[-1] - log.t[0]) for log in training)
-    return (
-        f"the logs to fit are too short to leave blocks of them out ({length:.0f} s in all): "
-        f"nothing could be decided, so nothing was added; {FOLDS * STRETCH_S:.0f} s or more of one "
-        "log, or several logs, are needed"
-    )
 
 
 def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozenset[Key]:
@@ -145,31 +135,47 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
 
 def _investigated(material: Material, model: Refitted) -> Investigation:
     """Find what the model, with its effects, may lack: candidates that are tried, not reported."""
-    logs, stages, tried = material.now(model), model.stages, Options(improvement=LEAST_GAIN)
-    return investigate(logs, material.robot, stages, material.options, least=0.0, selection=tried)
+    logs, tried = material.now(model), Options(improvement=LEAST_GAIN)
+    stages, options = model.stages, material.options
+    return investigate(logs, material.robot, stages, options, least=0.0, selection=tried)
 
 
 def _add_effects(loop: Loop, found: Investigation) -> None:
-    """Try each effect that was found, and keep those that left-out blocks agree with."""
-    ordered = sorted(found.found.effects, key=lambda taken: -taken.one.predicted.total)
-    for number, taken in enumerate(ordered):
-        what = taken.term.what
-        step("trying effects on left-out blocks", number, len(ordered))
-        assert isinstance(what, Candidate)
-        if loop.added < loop.material.options.max_effects and not _had(loop, what):
-            _try(loop, what, found, taken)
+    """Try the effects that are found, the largest gain first.
+
+    After each that is added the rest are looked for anew: what the stages had taken in of it looks
+    like a second effect, until they are identified without it.
+    """
+    refused: list[Candidate] = []
+    while loop.added < loop.material.options.max_effects:
+        known = [*candidates_of_model(loop.model.effects), *refused]
+        left = [
+            taken
+            for taken in found.found.effects
+            if not any(_same(_what(taken), other) for other in known)
+        ]
+        if not left:
+            return
+        taken = max(left, key=lambda taken: taken.one.predicted.total)
+        step("trying effects", loop.added, loop.added + len(left))
+        if not _try(loop, found, taken):
+            refused.append(_what(taken))
+        elif len(left) > 1:
+            found = _investigated(loop.material, loop.model)
 
 
-def _had(loop: Loop, candidate: Candidate) -> bool:
-    """Whether the model has the very effect; a joint may have several ripples and lines."""
-    if candidate.effect.wide:
+def _what(taken: Taken) -> Candidate:
+    what = taken.term.what
+    assert isinstance(what, Candidate)
+    return what
+
+
+def _same(one: Candidate, other: Candidate) -> bool:
+    """Whether two are one effect; a joint may have several lines, and ripples of several orders."""
+    if one.key != other.key:
         return False
-    kinds = [s.name for s in candidate.effect.settings if not s.continuous]
-    return any(
-        known.key == candidate.key
-        and all(known.settings[kind] == candidate.settings[kind] for kind in kinds)
-        for known in candidates_of_model(loop.model.effects)
-    )
+    told = [s.name for s in one.effect.settings if one.effect.wide or not s.continuous]
+    return all(math.isclose(one.settings[s], other.settings[s], rel_tol=SAME) for s in told)
 
 
 def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Recording, ...]:
@@ -186,62 +192,72 @@ def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Record
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the left-out blocks say of one effect more."""
+    """What the model fitted anew with one effect more says of it, at the effect's joints."""
 
-    change: Gain  # at the joints of the effect
-    whole: Gain
+    change: Gain  # of the squared error
+    doubt: float  # probability that nothing is gained
     losing: tuple[int, ...]  # joints that lose more than is tolerated
 
     @property
+    def gains(self) -> bool:
+        """Whether it gains enough, and not by chance."""
+        return self.change.value >= LEAST_GAIN and self.doubt <= Options.doubt
+
+    @property
     def accepted(self) -> bool:
-        """Whether they are predicted better."""
-        return self.change.certain and self.whole.value > 0.0 and not self.losing
+        """Whether it is worth it."""
+        return self.gains and not self.losing
 
 
-def _try(loop: Loop, candidate: Candidate, found: Investigation, taken: Taken) -> None:
-    """Fit the models of the folds with one effect more; keep it if left-out blocks agree."""
-    tried: list[tuple[Account, Outcome]] = []
-    for account in map(loop.fitted, _accounts(loop, candidate)):
-        tried.append((account, _outcome(loop, account, taken.term.channels)))
-        if tried[-1][1].accepted:
-            break
-    account, outcome = tried[-1] if tried[-1][1].accepted else tried[0]
-    told = _shown(loop, _told(loop, candidate, account, outcome), found, taken)
+def _try(loop: Loop, found: Investigation, taken: Taken) -> bool:
+    """Fit the model with one effect more; keep it if that helps."""
+    candidate = _what(taken)
+    account = _account(loop, found, candidate)
+    outcome = _outcome(loop, account, taken.term.channels)
+    told = _shown(loop, _told(loop, taken, account, outcome), found, taken)
     if outcome.accepted:
         loop.accept(told, account)
     else:
         loop.rounds.append(told)
+    return outcome.accepted
 
 
-def _accounts(loop: Loop, candidate: Candidate) -> list[Account]:
-    """The accounts of one effect more, the one first that explains the logs of all stages better.
+def _account(loop: Loop, found: Investigation, candidate: Candidate) -> Account:
+    """Whether an effect was there all along, or came late.
 
-    A first look decides which. What is in the logs that the file was identified from was there all
-    along.
+    What is in the logs that the file was identified from was there all along. Else the account
+    holds that explains the logs of all stages better. Where those of the file are not at hand, it
+    was there all along if the selection had to let the base leave the file.
     """
     every, late = (*candidates_of_model(loop.model.effects), candidate), loop.model.late
-    early = Account(every, late, kept=False)
+    early = Account(loop, every, late, kept=False)
+    after = Account(loop, every, late | {candidate.key}, kept=True)
     if loop.material.known:
-        return [early]
-    after = Account(every, late | {candidate.key}, kept=True)
-    looks = [loop.fitted(account, folds=1) for account in (early, after)]
-    before, then = map(loop.error_everywhere, looks)
-    change = gain(before, then, range(loop.material.robot.n))
-    return looks[::-1] if change.value > 0.0 else looks
+        return early
+    if not loop.logs_before:
+        return early if found.model.hold.doubt(found.ground.n) else after
+    change = gain(early.everywhere, after.everywhere, range(loop.material.robot.n))
+    return after if change.value > 0.0 else early
 
 
 def _outcome(loop: Loop, account: Account, channels: frozenset[int]) -> Outcome:
-    before, after = loop.error_of(loop.best), loop.error_of(account)
-    n = loop.material.robot.n
-    change = gain(before, after, [j for j in channels if j < n])
+    before, after, n = loop.error_of(account.without), account.error, loop.material.robot.n
+    own = [j for j in channels if j < n]
+    change = gain(before, after, own)
     tolerated = max(TOLERATED, EXCHANGE * change.value)
     each = [gain(before, after, [j]) for j in range(n)]
     losing = tuple(j for j, g in enumerate(each) if g.loses and g.value < -tolerated)
-    return Outcome(change, gain(before, after, range(n)), losing)
+    return Outcome(change, doubt(before, after, own), losing)
 
 
-def _told(loop: Loop, candidate: Candidate, account: Account, outcome: Outcome) -> RefinementRound:
-    names, change = loop.material.robot.joint_names, outcome.change
+def _predicted(taken: Taken) -> Gain:
+    """Share of the squared error on blocks that were left out, which the selection went by."""
+    told = taken.one.predicted
+    return Gain(told.share, *told.interval)
+
+
+def _told(loop: Loop, taken: Taken, account: Account, outcome: Outcome) -> RefinementRound:
+    names, candidate, change = loop.material.robot.joint_names, _what(taken), _predicted(taken)
     return RefinementRound(
         effect=candidate.effect.name,
         joint=None if candidate.joint is None else names[candidate.joint],
@@ -263,17 +279,14 @@ def _shown(
 
 def _reason(names: Sequence[str], candidate: Candidate, account: Account, outcome: Outcome) -> str:
     """Why an effect was refused, or when one that was added came."""
-    change = outcome.change
     if outcome.accepted:
         return LATE if candidate.key in account.late else ALL_ALONG
-    if candidate.effect.wide and abs(change.value) < LEAST_GAIN:
+    if candidate.effect.wide and abs(outcome.change.value) < LEAST_GAIN:
         return "lies above the low-pass, where the model is not judged"
-    if outcome.losing and change.certain:
+    if outcome.gains:
         lost = ", ".join(names[j] for j in outcome.losing)
-        return f"predicts {lost} worse on left-out blocks"
-    if not change.limits:
-        return "the logs are too short to tell: a single block of time is left out"
-    return "does not certainly predict left-out blocks better"
+        return f"the model identified anew with it predicts {lost} worse"
+    return "the model identified anew with it is not certainly better"
 
 
 def _add_smooth(loop: Loop, found: Investigation) -> None:
@@ -289,9 +302,8 @@ def _add_smooth(loop: Loop, found: Investigation) -> None:
 
 
 def _told_smooth(loop: Loop, taken: Taken) -> RefinementRound:
-    told, joint = taken.one.predicted, taken.term.joint
+    joint, change = taken.term.joint, _predicted(taken)
     assert joint is not None
-    change = gain_of(told.rows + 2.0 * told.density, told.rows)
     return RefinementRound(
         effect="unexplained",
         joint=loop.material.robot.joint_names[joint],

@@ -122,7 +122,17 @@ class Predicted:
         By the density, which knows what other blocks do not tell of a block; squared errors of
         blocks that were left out do not.
         """
-        return 2.0 * self.total / (2.0 * max(self.total, 0.0) + max(float(self.rows.sum()), 1.0))
+        return float(self._share_of(self.total))
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """95 % interval of that share, over drawn weights of the blocks."""
+        low, high = np.quantile(self._share_of(self.drawn), (0.025, 0.975))
+        return float(low), float(high)
+
+    def _share_of(self, gain: float | Array) -> Array:
+        rows = max(float(self.rows.sum()), 1.0)
+        return np.asarray(2.0 * np.asarray(gain) / (2.0 * np.maximum(gain, 0.0) + rows))
 
 
 @lru_cache

@@ -222,7 +222,7 @@ class Effect(abc.ABC):
         """Return the grid's values of each setting; the default `grid` is their product."""
         return {}
 
-    def reached(self, settings: Settings, *, points: int = 5) -> Grid:
+    def reached(self, settings: Settings, *, points: int = 15) -> Grid:
         """Yield settings at which a search from a grid's may end, `points` to every interval."""
         yield dict(settings)
         for one in self.settings:

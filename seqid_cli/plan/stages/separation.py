@@ -76,7 +76,7 @@ class Question:
 
 
 def _settings(
-    effect: Effect, joint: int | None, scenes: Sequence[Scene], *, true: int = 6, rival: int = 24
+    effect: Effect, joint: int | None, scenes: Sequence[Scene], *, true: int = 6, rival: int = 32
 ) -> list[list[dict[str, float]]]:
     """Plausible settings, of the grid and what is reached of it; shapes are sought in white noise.
 

@@ -189,7 +189,8 @@ def test_a_rival_has_the_settings_that_a_diagnosis_may_refine(
     assert min(exponents) == 0.3
     assert max(exponents) == 4.0
     assert not any(1.8 < x < 2.2 for x in exponents)  # those go by the other's name
-    assert any(1.5 <= x <= 1.8 for x in exponents)
+    assert any(1.65 <= x <= 1.8 for x in exponents)
+    assert any(2.2 <= x <= 2.3 for x in exponents)
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def test_a_search_ends_within_what_is_reached_from_the_grid() -> None:
     assert max(reached) == pytest.approx(2.5 * reached[0])
     assert min(reached) == pytest.approx(reached[0] / 2.5)
     assert min(reached) < tuner.tuned(tried).candidate.settings["stribeck_speed"] < max(reached)
-    exponents = CATALOGUE["nonlinear_viscous"].reached({"exponent": 3.0})
+    exponents = CATALOGUE["nonlinear_viscous"].reached({"exponent": 3.0}, points=5)
     assert [one["exponent"] for one in exponents] == [3.0, 1.5, 2.125, 2.75, 3.375, 4.0]
     twist = {"trial_stiffness": 1e3, "encoder_side": 0.0, "damping_ratio": 0.15}
     ratios = {one["damping_ratio"] for one in CATALOGUE["joint_elasticity"].reached(twist)}

@@ -1,6 +1,6 @@
 """Checks of a parameter file beyond its types: shapes, ranges, names that refer to each other."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params import schema
@@ -72,6 +72,7 @@ def _rigid(key: str, stage: schema.RigidStage, joints: Sequence[str]) -> Iterabl
         yield from _known(f"{key}.parameters", parameter.joint, joints)
     if stage.covariance and not _has_shape(stage.covariance, count, count):
         yield f"{key}.covariance", f"must be square with {count} rows, one per parameter"
+    yield from _errors(f"{key}.rmse", stage.rmse)
     for joint, moves in stage.torque_constant_moves.items():
         yield from _known(f"{key}.torque_constant_moves", joint, joints)
         if len(moves) != count:
@@ -116,6 +117,8 @@ def _closed_loop(key: str, loop: schema.ClosedLoop, joints: Sequence[str]) -> It
     for name in ("before", "after", "noise_floor", "noise_floor_interval", "gain_interval"):
         for joint in getattr(loop, name):
             yield from _known(f"{key}.{name}", joint, joints)
+    for name, shown in (("before", loop.before), ("after", loop.after)):
+        yield from _errors(f"{key}.{name}", {joint: each.rmse for joint, each in shown.items()})
     for name in ("gain_interval", "noise_floor_interval"):
         for joint, interval in getattr(loop, name).items():
             yield from _interval(f"{key}.{name}.{joint}", interval)
@@ -131,6 +134,12 @@ def _evidence(key: str, shown: EvidenceEntry, joints: Sequence[str]) -> Iterable
 def _interval(key: str, interval: Sequence[float]) -> Iterable[_Problem]:
     if interval and (len(interval) != 2 or interval[0] > interval[1]):
         yield key, "must be two numbers, the smaller one first"
+
+
+def _errors(key: str, errors: Mapping[str, float | None]) -> Iterable[_Problem]:
+    for joint, error in errors.items():
+        if error is not None and error < 0.0:
+            yield f"{key}.{joint}", f"an RMS error must not be negative, is {error}"
 
 
 def _parameters(key: str, parameters: Sequence[schema.Parameter]) -> Iterable[_Problem]:

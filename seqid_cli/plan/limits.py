@@ -92,8 +92,12 @@ class _Found:
     torque: float
 
     @classmethod
-    def of(cls, robot: Robot, j: int, *, needed: bool) -> _Found:
-        """Join both sources; a joint that need not move may lack its limits."""
+    def of(cls, robot: Robot, j: int, *, needed: bool, slowest_s: float = 600.0) -> _Found:
+        """Join both sources; a joint that need not move may lack its limits.
+
+        `slowest_s`: time for the whole range at the speed limit: plans of slower joints would take
+        days, and gigabytes.
+        """
         joint = robot.joints[j]
         urdf = joint.urdf
         ranges = [joint.position_limits, _range_of(urdf)]
@@ -110,6 +114,11 @@ class _Found:
             )
             hint = "Correct position_limits in the robot file."
             raise ConfigError(f"{message} exclude each other", where=str(robot.source), hint=hint)
+        if needed and upper - lower > slowest_s * speed:
+            unit = "m/s" if joint.prismatic else "rad/s"
+            message = f"joint {joint.name!r} crosses its range in {(upper - lower) / speed:.3g} s"
+            hint = f"Correct its limit of {speed:g} {unit}; up to {slowest_s:g} s are planned."
+            raise ConfigError(message, where=str(robot.source), hint=hint)
         if not needed and lower > upper:
             lower = upper = 0.0
         return cls(lower, upper, 0.0 if math.isinf(speed) else speed, torque)

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.writer import Writer
 
 from seqid_cli.__main__ import main
 from seqid_cli.commands.screen.render import Screen
@@ -67,3 +68,21 @@ def test_a_file_s_name_does_not_reach_the_terminal(
         assert not STEERING.search(shown.out + shown.err)
     assert main(["friction", str(log) + "x", "-r", str(SAMPLES / "robot.toml")]) == 2
     assert not STEERING.search(capsys.readouterr().err)
+
+
+def test_a_topic_s_name_does_not_reach_the_terminal(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "log.mcap"
+    with log.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema(EVIL, "ros2msg", b"float64 x")
+        channel = writer.register_channel(f"/{EVIL}", "cdr", schema)
+        writer.add_message(channel, 0, b"", 0)
+        writer.finish()
+    for more in ([], ["--json"], ["-r", str(SAMPLES / "robot.toml")]):
+        assert main(["inspect", str(log), *more]) == 2
+        shown = capsys.readouterr()
+        assert "owned" in shown.err
+        assert not STEERING.search(shown.out + shown.err)

@@ -53,6 +53,25 @@ def test_a_process_that_dies_in_the_middle_keeps_the_old_file(tmp_path: Path) ->
     assert path.read_text() == "old"
 
 
+def test_two_writers_never_tear_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "out.json"
+    path.write_text("a" * 100_000)
+    program = (
+        "import sys\n"
+        "from pathlib import Path\n"
+        "from seqid_cli.params.files import write_text_atomic\n"
+        "for _ in range(60):\n"
+        "    write_text_atomic(Path(sys.argv[1]), sys.argv[2] * 100_000)\n"
+    )
+    writers = [subprocess.Popen([sys.executable, "-c", program, str(path), name]) for name in "ab"]
+    while any(writer.poll() is None for writer in writers):
+        content = path.read_text()
+        assert len(content) == 100_000
+        assert len(set(content)) == 1
+    assert [writer.returncode for writer in writers] == [0, 0]
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_a_link_stays_a_link(tmp_path: Path) -> None:
     (tmp_path / "real.json").write_text("old")
     (tmp_path / "link.json").symlink_to(tmp_path / "real.json")

@@ -69,11 +69,9 @@ def test_the_gain_and_what_the_rival_leaves_are_those_of_least_squares(
     assert negative > 0
 
 
-def _separation(
-    belief: Belief, options: PlanOptions, scenes: Sequence[Scene], size: float = 1.0
-) -> Separation:
+def _separation(belief: Belief, options: PlanOptions, scenes: Sequence[Scene]) -> Separation:
     effects, joint = asked(belief.robot, options)
-    return separation_of(belief, Question.of(effects, joint, scenes), scenes, size)
+    return separation_of(belief, Question.of(effects, joint, scenes), scenes, 1.0)
 
 
 def test_power_is_what_the_diagnosis_asks() -> None:
@@ -146,7 +144,9 @@ def test_chosen_moves_beat_random_ones(belief: Belief, stages: Stages) -> None:
     pool = pool_of(belief, 1, OPTIONS)
     many = len(planned.moves)
     scenes = scenes_of(belief, stages, [*planned.moves, *pool])
-    found = _separation(belief, OPTIONS, scenes, planned.stage.separation.size)
+    effects, joint = asked(belief.robot, OPTIONS)
+    question = Question.of(effects, joint, scenes[many :: len(pool) // 12])  # as the plan asks
+    found = separation_of(belief, question, scenes, planned.stage.separation.size)
     rng = np.random.default_rng(0)
     sets = [many + rng.choice(len(pool), many, replace=False) for _ in range(300)]
     chance = [float(found.value(found.of[s].sum(axis=0))) for s in sets]

@@ -176,9 +176,9 @@ def _invoke(arguments: Sequence[str]) -> int:
 def _report(name: str, problem: SeqidError, arguments: Sequence[str]) -> None:
     if "--debug" in arguments:
         traceback.print_exception(problem)
-    sys.stderr.write(visible(f"{name}: error: {problem}\n"))
+    sys.stderr.write(visible(f"{name}: error: {_cut(str(problem))}\n"))
     if problem.hint:
-        sys.stderr.write(visible(f"  hint: {problem.hint}\n"))
+        sys.stderr.write(visible(f"  hint: {_cut(problem.hint)}\n"))
     _report_json(
         arguments,
         code=problem.exit_code,
@@ -186,6 +186,12 @@ def _report(name: str, problem: SeqidError, arguments: Sequence[str]) -> None:
         hint=problem.hint,
         where=problem.where,
     )
+
+
+def _cut(text: str, most: int = 4000) -> str:
+    """A text without its middle where it is long: names from files have any length."""
+    half = most // 2
+    return text if len(text) <= most else f"{text[:half]} ... {text[-half:]}"
 
 
 def _report_bug(name: str, error: Exception, arguments: Sequence[str]) -> int:

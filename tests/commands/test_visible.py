@@ -86,3 +86,10 @@ def test_a_topic_s_name_does_not_reach_the_terminal(
         shown = capsys.readouterr()
         assert "owned" in shown.err
         assert not STEERING.search(shown.out + shown.err)
+
+
+def test_a_long_name_does_not_fill_the_screen(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["inspect", "x" * 100_000]) == 2
+    said = capsys.readouterr().err
+    assert len(said) < 10_000
+    assert "error" in said

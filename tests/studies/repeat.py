@@ -53,6 +53,8 @@ def lines(rig: Path, out: Path, way: Way) -> Iterator[list[str]]:
     folders = ("friction", "gravity", "imu", "inertia", "validation", "validation")
     for stage, folder in zip(stages, folders, strict=True):
         logs = sorted(map(str, (rig / folder).glob("*.*")), reverse=way.reverse)
+        if stage == "gravity" and not logs:  # it has nothing to identify there
+            logs = sorted(map(str, (rig / "friction").glob("*.*")), reverse=way.reverse)
         if not logs:
             continue
         made = out / f"{stage}.json"

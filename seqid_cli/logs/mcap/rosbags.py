@@ -4,27 +4,34 @@ Their messages are the same as those of an MCAP file, so a bag is read in two st
 states and IMU messages in it are copied to a temporary MCAP file, and that is read.
 """
 
+import bz2
 import importlib
+import re
+import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import lz4.frame
 import msgspec
 import zstandard
 from mcap.writer import CompressionType, Writer
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap import reader
+from seqid_cli.logs.mcap.chunks import allowed
 from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.storage.temporary import room_for_copies, temporary_folder
 from seqid_cli.robot.types import Robot
 
 _KEPT = ("sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu", "control_msgs/msg/DynamicJointState")
 _ROSBAG1 = b"#ROSBAG V2.0"
-_ZSTD = b"\x28\xb5\x2f\xfd"
+_ZSTD, _LZ4 = b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18"
+_COMPUTED = re.compile(r"\bAS\s*\(", re.IGNORECASE)  # a generated column
 _MESSAGE_LIMIT = 1 << 24  # bytes of one unpacked message
+_CHUNK_LIMIT = 1 << 28  # bytes of one unpacked chunk of a ROS 1 bag; recorders write about 1 MB
 _SHOWN = 12
 _REMEDY = {
     "rosbag1": "Run `rosbag reindex FILE`, or copy it again from the source.",
@@ -163,6 +170,7 @@ def _opened(path: Path, open_bag: _Open) -> Iterator[_Bag]:
 @contextmanager
 def _rosbag2(path: Path) -> Iterator[_Bag]:
     storage = _module("rosbags.rosbag2.storage_sqlite3", path)
+    _check_tables(path)
     reader = storage.Sqlite3Reader(path.absolute())
     reader.open()
     try:
@@ -183,6 +191,8 @@ def _rosbag2(path: Path) -> Iterator[_Bag]:
 def _rosbag1(path: Path) -> Iterator[_Bag]:
     typesys = _module("rosbags.typesys", path)
     with _module("rosbags.rosbag1", path).Reader(path.absolute()) as reader:
+        for place, one in reader.chunks.items():
+            reader.chunks[place] = one._replace(decompressor=_bounded(one.decompressor))
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         topics = tuple(Topic(c.id, c.topic, c.msgtype, c.msgcount) for c in reader.connections)
         kept = [c for c in reader.connections if c.msgtype in _KEPT[:2]]
@@ -193,6 +203,34 @@ def _rosbag1(path: Path) -> Iterator[_Bag]:
                 yield connection.id, time_ns, bytes(store.ros1_to_cdr(data, kind))
 
         yield _Bag(topics, messages)
+
+
+def _check_tables(path: Path) -> None:
+    """Raise where a database computes what it seems to hold, at any cost: recorders do not."""
+    address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+    with closing(sqlite3.connect(address, uri=True)) as database:
+        for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
+            if kind in ("view", "trigger") or _COMPUTED.search(str(text)):
+                raise ValueError(f"it holds a {kind} that computes values")
+
+
+def _bounded(usual: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
+    """A decompressor of a chunk that stops where no recording would have so much in it."""
+
+    def unpack(data: bytes) -> bytes:
+        limit = min(allowed(len(data)), _CHUNK_LIMIT)
+        if data[:3] == b"BZh":
+            made: Any = bz2.BZ2Decompressor()
+        elif data[:4] == _LZ4:
+            made = lz4.frame.LZ4FrameDecompressor()
+        else:
+            return usual(data)
+        unpacked = bytes(made.decompress(data, limit))
+        if not made.eof:
+            raise ValueError(f"a chunk of {len(data)} bytes is cut or unpacks to over {limit}")
+        return unpacked
+
+    return unpack
 
 
 def _unpacked(messages: Iterator[tuple[Any, int, bytes]]) -> Iterator[_Message]:

@@ -194,12 +194,22 @@ def opened_table(path: Path, **options: object) -> pq.ParquetFile:
     Raises InputError: a few bytes of it stand for more values than any log has.
     """
     file = pq.ParquetFile(readable(path), **options)
-    size, room = path.stat().st_size, 8 * file.metadata.num_rows * file.metadata.num_columns
+    size, room = path.stat().st_size, 8 * _values(file)
     if room > ROOM + MOST_TIMES * size:
         message = f"its {size} bytes unpack to {room}, {room // size} times as many"
         hint = "No recording repeats itself like that: copy it again, or leave it out."
         raise InputError(message, hint=hint, where=str(path))
     return file
+
+
+def _values(file: pq.ParquetFile) -> int:
+    """Values in all columns, those in lists counted one by one."""
+    about, schema = file.metadata, file.schema
+    columns = range(about.num_columns)
+    lists = [k for k in columns if schema.column(k).max_repetition_level]
+    groups = [about.row_group(k) for k in range(about.num_row_groups)] if lists else []
+    listed = sum(group.column(k).num_values for group in groups for k in lists)
+    return int(about.num_rows * (about.num_columns - len(lists)) + listed)
 
 
 def readable(path: Path) -> Path | BinaryIO:

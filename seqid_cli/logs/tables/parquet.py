@@ -18,6 +18,9 @@ from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
 
 _ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
+_TEXTS = (
+    pa.types.is_string, pa.types.is_large_string, pa.types.is_binary, pa.types.is_large_binary,
+)  # fmt: skip
 BLOCK_ROWS = 65_536
 _LONGEST = 256  # elements of a list column that can be one number per joint
 
@@ -105,6 +108,7 @@ def read_tables(
     pool = _pool()
     try:
         with _opened(path, pool if rows else pa.default_memory_pool()) as file:
+            _refuse_texts(path, file, columns)
             if rows is None:
                 yield file.read(columns=list(columns))
                 return
@@ -117,6 +121,18 @@ def read_tables(
                 pool.release_unused()  # or it keeps some row groups' worth
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
+
+
+def _refuse_texts(path: Path, file: pq.ParquetFile, columns: Sequence[str]) -> None:
+    """Refuse a column of texts before it is read: each of them may be of any size."""
+    for name in set(columns) & set(file.schema_arrow.names):
+        kind = file.schema_arrow.field(name).type
+        if pa.types.is_dictionary(kind):
+            kind = kind.value_type
+        if any(is_text(kind) for is_text in _TEXTS):
+            message = f"column {name!r} holds {kind}, not numbers"
+            hint = "Write it as float64 in SI units, time in seconds or as a timestamp."
+            raise InputError(message, hint=hint, where=str(path))
 
 
 def _pool() -> pa.MemoryPool:

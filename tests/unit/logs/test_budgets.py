@@ -17,7 +17,7 @@ from seqid_cli.errors import ConfigError, InputError
 from seqid_cli.logs.mcap.chunks import CHUNK, RECORD, SMALL, DamageError, Unpacker
 from seqid_cli.logs.mcap.records import MAGIC, PIECES, Scan
 from seqid_cli.logs.tables.columns import ROOM, opened_table
-from seqid_cli.logs.tables.parquet import damaged
+from seqid_cli.logs.tables.parquet import damaged, read_tables
 from seqid_cli.robot.file import load_robot
 from tests import ROOT
 from tests.studies.fuzz.answers import answer
@@ -108,6 +108,28 @@ def test_a_table_of_one_value_is_refused(
     said = capsys.readouterr().err
     assert str(repeated) in said
     assert "bug" not in said
+
+
+def test_lists_of_one_value_are_refused(tmp_path: Path) -> None:
+    values, rows = pa.array(np.zeros(ROOM // 4, np.int8)), 100
+    offsets = pa.array(np.linspace(0, len(values), rows + 1).astype(np.int32))
+    lists = pa.ListArray.from_arrays(offsets, values)
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table({"time": np.arange(float(rows)), "position": lists}), path)
+    with pytest.raises(InputError, match="times as many"):
+        opened_table(path)
+
+
+@pytest.mark.parametrize("plain", [True, False])
+def test_texts_are_refused_before_they_are_read(
+    plain: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texts = pa.DictionaryArray.from_arrays(pa.array(np.zeros(1000, np.int8)), pa.array(["x" * 9]))
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table({"time": texts}), path, store_schema=not plain)
+    monkeypatch.setattr(pq.ParquetFile, "read", None)
+    with pytest.raises(InputError, match="'time' holds string"):
+        next(read_tables(path, ["time"], rows=None))
 
 
 @pytest.mark.parametrize("text", [".".join("a" * 1000) + " = 1", f"[{' . '.join('a' * 1000)}]"])

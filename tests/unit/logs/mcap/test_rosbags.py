@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import bz2
 import sqlite3
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import lz4.frame
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer as Bag1Writer
@@ -16,6 +18,8 @@ from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs.mcap.chunks import allowed
+from seqid_cli.logs.mcap.rosbags import _bounded
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import expand
@@ -200,6 +204,39 @@ def test_sqlite_file_that_is_no_bag(tmp_path: Path) -> None:
     base.close()
     with pytest.raises(InputError, match="missing tables"):
         read_recording(path, make_robot())
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "CREATE VIEW more AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) "
+        "SELECT x FROM c",
+        "CREATE TABLE more(a INTEGER, b BLOB GENERATED ALWAYS AS (zeroblob(900000000)))",
+        "CREATE TRIGGER more AFTER INSERT ON messages BEGIN DELETE FROM topics; END",
+    ],
+    ids=["view", "column", "trigger"],
+)
+def test_a_database_that_computes_is_refused(text: str, tmp_path: Path) -> None:
+    path = storage(rosbag2_sqlite(tmp_path / "bag", DATA))
+    assert isinstance(outcome(path), Recording)
+    with sqlite3.connect(path) as database:
+        database.execute(text)
+    database.close()
+    found = outcome(path)
+    assert isinstance(found, InputError)
+    assert "computes values" in found.message
+
+
+@pytest.mark.parametrize("pack", [bz2.compress, lz4.frame.compress], ids=["bz2", "lz4"])
+def test_a_chunk_that_unpacks_to_gigabytes_is_refused(pack: Callable[[bytes], bytes]) -> None:
+    def usual(_: bytes) -> bytes:
+        raise AssertionError
+
+    unpack = _bounded(usual)
+    assert unpack(pack(b"sound" * 1000)) == b"sound" * 1000
+    bomb = pack(bytes(allowed(0) + (1 << 22))) if pack is bz2.compress else pack(bytes(300 << 20))
+    with pytest.raises(ValueError, match="unpacks to over"):
+        unpack(bomb)
 
 
 def test_journal_of_a_recorder_that_was_killed_is_told(tmp_path: Path) -> None:

@@ -293,7 +293,7 @@ class _Walk:
                 if opcode == Opcode.CHUNK and recovery.cut_chunk(self.file, at, self.size):
                     self.losses[f"the file breaks off in a record at byte {at} of {self.size}"] += 1
                     self.file.seek(at + RECORD.size)
-                    yield _Record(opcode, self.file.read(), False)
+                    yield _Record(opcode, self.file.read(recovery.LARGEST), False)
                     return
                 found = min((chunk for chunk in self.chunks if chunk > at), default=None)
                 if found is None:

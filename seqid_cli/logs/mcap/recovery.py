@@ -21,6 +21,10 @@ _LEAST = {
     Opcode.METADATA_INDEX: 20,
 }
 _KNOWN = frozenset(Opcode)
+LARGEST = 1 << 30  # bytes of a record that is held in memory; recorders write about 1 MB
+_HELD = frozenset(
+    (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX)
+)
 _PRIVATE = 0x80  # opcodes from here on belong to applications
 
 
@@ -35,7 +39,7 @@ def plausible(file: BinaryIO, at: int, size: int) -> bool:
         return False
     opcode, length = RECORD.unpack_from(head)
     after = at + RECORD.size + length
-    if after > size or not opcode:
+    if after > size or not opcode or (opcode in _HELD and length > LARGEST):
         return False
     if opcode in _KNOWN:
         return _sound(opcode, length, head[RECORD.size :])

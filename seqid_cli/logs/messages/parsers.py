@@ -43,6 +43,7 @@ _QUALIFIED = {
     "Quaternion": "geometry_msgs/Quaternion",
     "Vector3": "geometry_msgs/Vector3",
 }
+LONGEST = 1 << 18  # bytes of a message definition; those of joint states have some hundred
 _NO_JSON = re.compile(rb"(?<=[\[:,\s])(?:NaN|-?Infinity)(?=\s*[,\]}])")
 
 
@@ -109,6 +110,8 @@ _TYPES: dict[Kind, type[msgspec.Struct]] = {
 
 def decoder(encoding: str, schema: Schema | None, kind: Kind, names: NameMap) -> Decode | None:
     """Make a decoder for the messages of a channel; None where there is none for them."""
+    if schema is not None and len(schema.data) > LONGEST:
+        return None
     if encoding == "cdr" and is_usual(schema, kind):
         return cdr.decoder(kind, names)
     parse: fields.Parse | None = None

@@ -11,11 +11,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import zstandard
+from mcap.records import Schema
 
 from seqid_cli.__main__ import main
 from seqid_cli.errors import ConfigError, InputError
 from seqid_cli.logs.mcap.chunks import CHUNK, RECORD, SMALL, DamageError, Unpacker
 from seqid_cli.logs.mcap.records import MAGIC, PIECES, Scan
+from seqid_cli.logs.messages import parsers
+from seqid_cli.logs.messages.batch import NameMap
+from seqid_cli.logs.messages.parsers import LONGEST
 from seqid_cli.logs.tables.columns import ROOM, opened_table
 from seqid_cli.logs.tables.parquet import damaged, read_tables
 from seqid_cli.robot.file import load_robot
@@ -81,6 +85,28 @@ def test_records_that_are_work_for_nothing_end_in_a_message(
     assert any("more channels and definitions" in loss for loss in scan.losses)
     robot = str(SAMPLES / "one_joint" / "robot.toml")
     assert answer(["inspect", str(path), "-r", robot])[::2] == (2, "")
+
+
+@pytest.mark.parametrize("opcode", [0, 5, 6])
+def test_a_hole_of_terabytes_is_not_read(opcode: int, tmp_path: Path) -> None:
+    """A file of a few bytes on disk: nothing, a message or a chunk that reaches to its end."""
+    path, size = tmp_path / "log.mcap", 1 << 42
+    head = MAGIC + record(1, bytes(8))
+    length = size - len(head) - RECORD.size
+    begin = RECORD.pack(opcode, length) + CHUNK.pack(0, 1, 9, 0, 0) + struct.pack("<Q", length - 40)
+    with path.open("wb") as file:
+        file.write(head + begin)
+        file.truncate(size)
+    scan = Scan(path)
+    assert not list(scan.batches())
+    assert any("breaks off" in loss for loss in scan.losses)
+
+
+def test_a_definition_of_megabytes_is_not_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(parsers, "is_usual", None)
+    monkeypatch.setattr(parsers, "schema_parser", None)
+    schema = Schema(1, b"float64 x\n" * LONGEST, "ros2msg", "sensor_msgs/msg/JointState")
+    assert parsers.decoder("cdr", schema, "joint_state", NameMap(())) is None
 
 
 def test_too_little_memory_is_not_told_as_damage(tmp_path: Path) -> None:

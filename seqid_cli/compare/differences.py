@@ -32,6 +32,7 @@ from seqid_cli.params.schema import (
     EffectOfJoint,
     FrictionJoint,
     FrictionStage,
+    ImuCalibration,
     ImuStage,
     Parameter,
     ParameterFile,
@@ -231,8 +232,7 @@ def _imus(a: ImuStage, b: ImuStage, rule: Rule) -> Iterator[Difference]:
             yield missing("imu", name, there=name in a.imus)
             continue
         one, other = a.imus[name], b.imus[name]
-        turn = np.array(one.rotation).T @ np.array(other.rotation)
-        angle = math.atan2(float(np.linalg.norm(turn - turn.T)) / math.sqrt(8.0), _cosine(turn))
+        angle, remark = _angle_between(one, other)
         yield judged(
             "imu",
             f"{name} rotation",
@@ -242,12 +242,29 @@ def _imus(a: ImuStage, b: ImuStage, rule: Rule) -> Iterator[Difference]:
             (one.std_error_deg, other.std_error_deg),
             rule,
             least=math.degrees(1.0),
-            remark="angle between the two mountings",
+            remark=remark,
         )
 
 
-def _cosine(turn: Array) -> float:
-    return 0.5 * (float(np.trace(turn)) - 1.0)
+def _angle_between(
+    one: ImuCalibration, other: ImuCalibration, *, unknown_deg: float = 30.0
+) -> tuple[float, str]:
+    """Angle between two mountings [rad], and what it is.
+
+    The angle about one axis of the link may not be determined, `unknown_deg` being a standard error
+    that says so: any value does, and it plays no part.
+    """
+    turn = np.array(other.rotation) @ np.array(one.rotation).T  # in the link's frame
+    errors = [each.std_errors_deg for each in (one, other) if len(each.std_errors_deg) == 3]
+    free = [k for k in range(3) if any(each[k] > unknown_deg for each in errors)]
+    if len(free) == 1:
+        k = free[0]
+        across = math.hypot(*np.delete(turn[:, k], k))
+        remark = f"angle between the link's {'xyz'[k]} in the two; about it neither is determined"
+        return math.atan2(across, float(turn[k, k])), remark
+    cosine = 0.5 * (float(np.trace(turn)) - 1.0)
+    angle = math.atan2(float(np.linalg.norm(turn - turn.T)) / math.sqrt(8.0), cosine)
+    return angle, "angle between the two mountings"
 
 
 def _effects(

@@ -112,9 +112,9 @@ def check_urdf(urdf: UrdfText) -> None:
     """
     root = urdf.root
     links = [link.get("name", "") for link in root.findall("link")]
-    parents: dict[str, str] = {}
     for joint in root.findall("joint"):
-        _check_joint(joint, links, parents, str(urdf.path))
+        _check_joint(joint, links, str(urdf.path))
+    parents = check_parents(urdf)
     twice = next((name for name in links if links.count(name) > 1), None)
     if twice is not None:
         raise _refused(urdf, f"two links are named {twice!r}", "Rename or remove one of them.")
@@ -126,20 +126,28 @@ def check_urdf(urdf: UrdfText) -> None:
         raise _refused(urdf, f"it has {found}", "All links must hang in one tree from one root.")
 
 
-def _check_joint(
-    joint: ElementTree.Element, links: list[str], parents: dict[str, str], where: str
-) -> None:
+def check_parents(urdf: UrdfText) -> dict[str, str]:
+    """Return the joint that moves each link.
+
+    Raises ConfigError: a link has two, of which a reader of URDFs may drop one without a word.
+    """
+    parents: dict[str, str] = {}
+    for joint in urdf.root.findall("joint"):
+        name, child = joint.get("name", ""), _link(joint, "child")
+        if child in parents:
+            message = f"link {child!r} is the child of two joints, {parents[child]!r} and {name!r}"
+            hint = "Links must form a tree: cut loops open, and model the closing joint apart."
+            raise _refused(urdf, message, hint)
+        parents[child] = name
+    return parents
+
+
+def _check_joint(joint: ElementTree.Element, links: list[str], where: str) -> None:
     name = joint.get("name", "")
     for which in ("parent", "child"):
         if _link(joint, which) not in links:
             text = f"joint {name!r}: its {which} link {_link(joint, which)!r} is not in the URDF"
             raise ConfigError(text, where=where, hint="Add the link, or correct its name.")
-    child = _link(joint, "child")
-    if child in parents:
-        text = f"link {child!r} is the child of two joints, {parents[child]!r} and {name!r}"
-        hint = "Links must form a tree: cut loops open, and model the closing joint apart."
-        raise ConfigError(text, where=where, hint=hint)
-    parents[child] = name
     for tag, keys in _NUMBERS.items():
         element = joint.find(tag)
         for key in keys if element is not None else ():

@@ -12,7 +12,7 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.robot.placement import tidy_axis, tidy_position, tidy_rotation
 from seqid_cli.robot.toml.checks import LARGEST, LEAST_AXIS
 from seqid_cli.robot.types import Array, Chain
-from seqid_cli.robot.urdf.joints import readable
+from seqid_cli.robot.urdf.joints import check_parents, readable
 from seqid_cli.robot.urdf.text import UrdfText
 
 
@@ -26,6 +26,7 @@ def chain_from_urdf(
     Raises ConfigError: where the URDF is inconsistent, or `names` is not a serial chain in this
     order.
     """
+    check_parents(urdf)
     model = _reduced(_parsed(urdf), names)
     _check_chain(model, names, urdf, source)
     axes, prismatic = _axes(model)

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from seqid_cli.compare.differences import compare
 from seqid_cli.compare.rule import Comparison, Rule
@@ -127,6 +128,22 @@ def test_mountings_are_compared_by_their_angle(degrees: float, different: bool) 
     assert bool(found.changed) == different
     angle = next(item for item in found.differences if item.stage == "imu")
     assert angle.b == pytest.approx(degrees)
+
+
+@pytest.mark.parametrize(("tilt", "different"), [(0.0, False), (3.0, True)])
+def test_an_angle_that_is_not_determined_plays_no_part(tilt: float, different: bool) -> None:
+    """About the axis of the only joint before an IMU: two installations choose any value."""
+    a, b = inertia_file(), inertia_file()
+    assert a.stages.imu is not None
+    assert b.stages.imu is not None
+    one, other = (file.stages.imu.imus["imu_a"] for file in (a, b) if file.stages.imu)
+    one.std_errors_deg, other.std_errors_deg = [0.01, 0.01, 140.0], [0.01, 0.01, 140.0]
+    turn = Rotation.from_euler("xz", (tilt, 143.0), degrees=True).as_matrix()
+    other.rotation = (turn @ np.array(one.rotation)).tolist()
+    found = compared(a, b)
+    assert bool(found.changed) == different
+    angle = next(item for item in found.differences if item.stage == "imu")
+    assert angle.b == pytest.approx(tilt, abs=1e-6)
 
 
 def test_effects_are_compared_by_name_joint_parameters_and_settings() -> None:

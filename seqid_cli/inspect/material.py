@@ -129,5 +129,4 @@ def _on_true_time(joints: Stream, recording: Recording) -> Stream:
     """With the time that lost samples took, and the holes filled, where the reader did so."""
     if not recording.health.mended:
         return joints
-    nothing = np.zeros(len(joints), np.bool_)
-    return with_losses(joints, mended(joints).losses, nothing)[0]
+    return with_losses(joints, mended(joints).losses)[0]

@@ -307,7 +307,7 @@ def _alike_mended(clock: Tidy, repair: Mended) -> Tidy:
     """With the joints' lost samples put right where both share their stamps."""
     if not np.array_equal(clock.stream.stamp_ns, repair.stamps):
         return clock
-    stream, _ = with_losses(clock.stream, repair.losses, np.zeros(len(clock.stream), np.bool_))
+    stream, _ = with_losses(clock.stream, repair.losses)
     return replace(clock, stream=stream)
 
 

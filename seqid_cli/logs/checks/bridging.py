@@ -25,15 +25,14 @@ class Losses:
         return len(self.rows)
 
 
-def with_losses(stream: Stream, losses: Losses, bridged: Mask) -> tuple[Stream, Mask]:
+def with_losses(stream: Stream, losses: Losses) -> tuple[Stream, Mask]:
     """Move the stamps behind losses and fill the holes.
 
-    `stream`: also one of another quantity with the same stamps. `bridged` (M,): samples that were
-    not measured anyway. Returns (M',): the stream with the samples that fill holes, and which
-    samples were not measured.
+    `stream`: also one of another quantity with the same stamps. Returns: the stream with the
+    samples that fill holes, and which of its samples (M',) these are.
     """
     if not len(losses):
-        return stream, bridged
+        return stream, np.zeros(len(stream), np.bool_)
     shift = np.zeros(len(stream), np.int64)
     shift[losses.rows + 1] = np.rint(losses.seconds * 1e9).astype(np.int64)
     stamps = stream.stamp_ns + np.cumsum(shift)
@@ -49,7 +48,7 @@ def with_losses(stream: Stream, losses: Losses, bridged: Mask) -> tuple[Stream, 
     order = np.argsort(joined, kind="stable")
     channels = {n: np.concatenate([part[n] for part in parts])[order] for n in stream.channels}
     made = np.ones(len(joined), np.bool_)
-    made[: len(stream)] = bridged
+    made[: len(stream)] = False
     return replace(stream, stamp_ns=joined[order], channels=channels), made[order]
 
 

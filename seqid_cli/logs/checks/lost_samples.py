@@ -106,9 +106,8 @@ def mended(joints: Stream, criteria: LossCriteria = LOSSES) -> Mended:
     `joints`: in the order of time, with `position` (M, n), and `velocity` (M, n) where it was
     logged. Returns: with the stream itself where nothing is wrong.
     """
-    intact = np.zeros(len(joints), np.bool_)
     nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
-    as_it_is = Mended(joints, intact, nothing, joints.stamp_ns)
+    as_it_is = Mended(joints, np.zeros(len(joints), np.bool_), nothing, joints.stamp_ns)
     t, q, dq = _motion(joints)
     if len(t) < 4 * criteria.around or not np.isfinite(q).all():
         return as_it_is
@@ -118,7 +117,7 @@ def mended(joints: Stream, criteria: LossCriteria = LOSSES) -> Mended:
     losses = _all_losses(_Motion(t, q, dq, criteria), steps)
     if not len(losses):
         return as_it_is
-    stream, bridged = with_losses(joints, losses, intact)
+    stream, bridged = with_losses(joints, losses)
     return Mended(stream, bridged, losses, joints.stamp_ns)
 
 

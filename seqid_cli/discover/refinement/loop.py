@@ -45,12 +45,12 @@ class Account:
         loop = self.loop
         return loop.model if self.kept or loop.added else loop.anew
 
-    @cached_property
+    @property
     def error(self) -> HeldOutError:
         """Squared errors on the logs that are fitted."""
         return self.loop.error_of(self.model)
 
-    @cached_property
+    @property
     def everywhere(self) -> HeldOutError:
         """The same, beside those on the logs of earlier stages: they tell when effects came."""
         return joined([self.error, self.loop.error_before(self.model)])
@@ -68,6 +68,7 @@ class Loop:
     steps: list[Refitted]
     without: Refitted
     rounds: list[RefinementRound] = field(default_factory=list)
+    _errors: dict[Refitted, HeldOutError] = field(default_factory=dict)
 
     @property
     def model(self) -> Refitted:
@@ -93,9 +94,11 @@ class Loop:
 
     def error_of(self, model: Refitted) -> HeldOutError:
         """Squared errors of a model on the logs that are fitted."""
-        material, stages = self.material, with_effects(model, self.material.robot)
-        options = material.options.motion
-        return held_out_error(material.training, material.robot, stages, options=options)
+        if model not in self._errors:
+            logs, robot = self.material.training, self.material.robot
+            stages, motion = with_effects(model, robot), self.material.options.motion
+            self._errors[model] = held_out_error(logs, robot, stages, options=motion)
+        return self._errors[model]
 
     @cached_property
     def logs_before(self) -> list[Recording]:

@@ -21,7 +21,7 @@ from seqid_cli.typing import Mask
 Key = tuple[str, int | None]  # name of an effect, and its joint
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Refitted:
     """A model with effects: the stages without them, the effects, and which of these came late."""
 

@@ -15,6 +15,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.discover.noise.level import LEVEL
 from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF
 
 Array = NDArray[np.float64]
@@ -127,7 +128,7 @@ class Predicted:
     @property
     def interval(self) -> tuple[float, float]:
         """95 % interval of that share, over drawn weights of the blocks."""
-        low, high = np.quantile(self._share_of(self.drawn), (0.025, 0.975))
+        low, high = np.quantile(self._share_of(self.drawn), (0.5 - LEVEL / 2, 0.5 + LEVEL / 2))
         return float(low), float(high)
 
     def _share_of(self, gain: float | Array) -> Array:

@@ -13,7 +13,7 @@ from tests.studies.faults import COMMANDS, torment
     ("name", "files"),
     [
         ("friction", 1),
-        ("trend", 1),
+        ("trend", 2),
         pytest.param("predict", 2, marks=pytest.mark.slow),
         pytest.param("predict, MCAP", 2, marks=pytest.mark.slow),
         pytest.param("run", 8, marks=pytest.mark.slow),

@@ -19,7 +19,12 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
-from seqid_cli.robot.base_parameters import base_parameters, base_regressor, standard_names
+from seqid_cli.robot.base_parameters import (
+    base_parameters,
+    base_regressor,
+    standard_names,
+    standard_regressor,
+)
 from seqid_cli.robot.types import Robot
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import six_joint
@@ -108,14 +113,17 @@ def test_the_rigid_torque_is_the_plants(robot: Robot, motion: Motion, coupling: 
 def test_prediction_is_the_regressor_times_the_parameters(
     robot: Robot, motion: Motion, coupling: str
 ) -> None:
-    """H pi of Eq. 4, filtered once, plus friction, filtered twice."""
+    """H pi of Eq. 4, filtered once, plus friction, filtered twice; rotors' coupling is apart."""
     own = stages(robot, coupling)
     model = TorqueModel.from_stages(own, robot)
-    basis = base_parameters(robot, rotor=range(6), coupling=model.coupling)
+    basis = base_parameters(robot, rotor=range(6))
     arm = six_joint().arm
     phi = np.concatenate([arm.phi.ravel(), arm.rotor_inertia])
-    H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)
-    rigid = motion.filtered(H) @ (basis.expression @ phi)
+    state = (motion.q, motion.dq, motion.ddq)
+    H = base_regressor(robot, basis, *state)
+    coupled = standard_regressor(robot, *state, coupling=model.coupling)
+    coupled -= standard_regressor(robot, *state, coupling="diagonal")
+    rigid = motion.filtered(H) @ (basis.expression @ phi) + motion.filtered(coupled) @ phi
     friction = sampled_friction(friction_surfaces(own, robot), motion)
     expected = rigid + motion.filtered(motion.filtered(friction))
     np.testing.assert_allclose(model.predict(motion), expected, atol=1e-8)

@@ -1,4 +1,4 @@
-"""Robots over time, and robots of a fleet beside each other: what changed beyond its error."""
+"""Robots over time: what changed beyond its error."""
 
 from seqid_cli.trend.functions import trend
 from seqid_cli.trend.options import TrendOptions

@@ -24,12 +24,12 @@ from seqid_cli.commands.screen.layout import format_table
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.scale.executors import cores, processes
-from seqid_cli.trend.fleet import Fleet, judge_fleet
 from tests.plants.experiments import Trial, friction_trials, inertia_trials
 from tests.plants.friction import SurfaceFriction
 from tests.plants.rigs import two_joint
 from tests.plants.robotfile import robot_toml
 from tests.plants.simulate import Plant, simulate
+from tests.studies.fleet_comparison import Fleet, judge_fleet
 from tests.unit.logs.writers import write_parquet
 
 SEED = 20260301

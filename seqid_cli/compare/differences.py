@@ -46,7 +46,7 @@ _POSITIONS, _SPEEDS = 13, 12  # points at which friction surfaces are compared, 
 _KINDS = ("parameter", "prediction", "diagnosis")
 
 
-def compare(a: Source, b: Source, *, rule: Rule) -> Comparison:
+def compare(a: Source[Document], b: Source[Document], *, rule: Rule) -> Comparison:
     """Compare two parameter, prediction or diagnosis files.
 
     Parameters
@@ -95,7 +95,7 @@ def _kind(content: Document) -> str:
     return content.schema.removeprefix("seqid/").partition("@")[0]
 
 
-def _same_robot(a: Source, b: Source) -> None:
+def _same_robot(a: Source[Document], b: Source[Document]) -> None:
     mine, theirs = b.content.robot, a.content.robot
     if (mine.name, mine.joints) != (theirs.name, theirs.joints):
         raise ConfigError(

@@ -4,9 +4,8 @@ import hashlib
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import msgspec
 
@@ -18,7 +17,7 @@ from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA, DiagnosisFile
 from seqid_cli.params.results.payload import PAYLOAD_SCHEMA, PayloadFile
 from seqid_cli.params.results.plan import PLAN_SCHEMA, PlanFile
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
-from seqid_cli.params.results.trend import TREND_SCHEMA, SeriesEntry, TrendFile
+from seqid_cli.params.results.trend import TREND_SCHEMA, TrendFile
 from seqid_cli.params.schema import SCHEMA, ParameterFile
 
 if TYPE_CHECKING:
@@ -29,6 +28,7 @@ Json = dict[str, object]
 Migration = Callable[[Json], Json]
 Result = PredictionFile | DiagnosisFile | PayloadFile | PlanFile
 Document = ParameterFile | Result
+D = TypeVar("D", bound=Document, covariant=True)
 
 PARAMS_VERSION = 1
 # From each older version: the function that turns it into the next. Version 1 is the oldest.
@@ -39,13 +39,24 @@ _RESULTS: Mapping[str, type[Result]] = {
     PAYLOAD_SCHEMA: PayloadFile,
     PLAN_SCHEMA: PlanFile,
 }
+_PARAMETER_HINT = "-p takes a JSON file that seqid wrote with -o."
 _RESULT_HINT = "Name JSON files that seqid wrote with -o."
+_UPGRADE = "Upgrade seqid: pip install --upgrade seqid."
 _MAX_BYTES = 256 * 1024 * 1024
 _NAME = re.compile(r"seqid/(?P<kind>[a-z_]+)@(?P<version>[1-9][0-9]{0,5})")
 _BYTE = re.compile(r"\(byte (\d+)\)")
 # 1e30 and more: no result has such numbers, and their squares and products overflow.
 _HUGE = re.compile(rb"(?<=[\s:,\[])-?(?:[0-9.]+[eE]\+?(?:[3-9][0-9]|[0-9]{3,})|[0-9]{31,})")
 _PLACE = re.compile(r"^(?P<what>.*) - at `(?P<key>.*)`$")
+
+
+@dataclass(frozen=True)
+class Source(Generic[D]):
+    """A document and the file that it came from: its path as given and its SHA-256."""
+
+    path: str
+    sha256: str
+    content: D
 
 
 def read_parameters(
@@ -56,33 +67,97 @@ def read_parameters(
 ) -> ParameterFile:
     """Read one parameter file strictly.
 
-    Raises ConfigError: the file is missing, is no JSON, is another kind of document, is newer than
-    `version`, or does not follow the schema. The message names the line or the key.
+    Raises
+    ------
+    ConfigError
+        The file is missing, is no JSON, is another kind of document, is newer than `version`, or
+        does not follow the schema. The message names the line or the key.
     """
-    where = str(path)
-    data = read_bytes(path)
-    document = parse_document(data, where)
-    return _parameters(data, document, where, version, migrations)
+    data, document = _opened(path, _PARAMETER_HINT)
+    name = _schema_of(document, "not a parameter file", str(path), _PARAMETER_HINT)
+    if name["kind"] != "params":
+        message = f"is a {name['kind']} file ({name[0]}), not a parameter file"
+        hint = f"Give the parameters that the {name['kind']} used."
+        raise ConfigError(message, where=str(path), hint=hint)
+    return _parameters(data, document, int(name["version"]), str(path), version, migrations)
 
 
 def _parameters(
-    data: bytes, document: Json, where: str, version: int, migrations: Mapping[int, Migration]
+    data: bytes,
+    document: Json,
+    found: int,
+    where: str,
+    version: int = PARAMS_VERSION,
+    migrations: Mapping[int, Migration] = PARAMS_MIGRATIONS,
 ) -> ParameterFile:
-    found = _version(document, where, version)
+    """Decode a parameter file; one of an older version is brought up to date step by step."""
+    if found > version:
+        newest = f"seqid/params@{version}"
+        message = f"is of the newer version seqid/params@{found}; this seqid reads up to {newest}"
+        raise ConfigError(message, where=where, hint=_UPGRADE)
     try:
-        if found < version:
-            data = _migrated(document, found, where, version, migrations)
-        file = msgspec.json.decode(data, type=ParameterFile)
-    except (msgspec.ValidationError, RecursionError) as error:
-        raise _schema_error(error, where) from error
+        for current in range(found, version):
+            document = migrations[current](document)
+            data = msgspec.json.encode(document)
+    except (LookupError, TypeError, ValueError, RecursionError) as error:
+        message = f"is of the old version seqid/params@{found} and cannot be brought up to date"
+        raise ConfigError(message, where=where, hint="Identify again from the logs.") from error
+    file = _decoded(data, ParameterFile, "parameters", where)
     check_consistency(file, where)
     return file
+
+
+def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
+    """Read parameter files and results about one robot, in the order given.
+
+    Raises
+    ------
+    ConfigError
+        One is missing, is no JSON, is no document of these kinds, is newer than this version
+        knows, or does not follow its schema. The message names the file and the key.
+    """
+    return [_read(path) for path in paths]
+
+
+def _read(path: Path) -> Source[Document]:
+    where = str(path)
+    data, document = _opened(path, _RESULT_HINT)
+    sha256 = hashlib.sha256(data).hexdigest()
+    name = _schema_of(document, "no result", where, _RESULT_HINT)
+    kind = name["kind"]
+    if kind == "params":
+        return Source(where, sha256, _parameters(data, document, int(name["version"]), where))
+    if name[0] in _RESULTS:
+        return Source(where, sha256, _decoded(data, _RESULTS[name[0]], kind, where))
+    known = [known for known in _RESULTS if known.startswith(f"seqid/{kind}@")]
+    message = f"is of the version {name[0]}; this seqid reads {', '.join(known)}"
+    if not known:
+        kinds = ", ".join(schema.split("@")[0] for schema in (SCHEMA, *_RESULTS))
+        message = f"is a {kind} file ({name[0]}); what can be read here: {kinds}"
+    raise ConfigError(message, where=where, hint=_UPGRADE if known else "Leave it out.")
+
+
+def read_trend(path: Path) -> TrendFile | None:
+    """Read a trend; None where the document is another one.
+
+    Raises
+    ------
+    ConfigError
+        It is missing, is no JSON, does not follow its schema, or a series is torn.
+    """
+    data, document = _opened(path, _RESULT_HINT)
+    if document.get("schema") != TREND_SCHEMA:
+        return None
+    return _decoded(data, TrendFile, "trend", str(path))
 
 
 def check_robot(file: ParameterFile, robot: "Robot", *, where: str = "") -> tuple[str, ...]:
     """Compare the robot of a parameter file with the robot file in use; returns warnings.
 
-    Raises ConfigError: the joints differ: these are parameters of another robot.
+    Raises
+    ------
+    ConfigError
+        The joints differ: these are parameters of another robot.
     """
     mine, theirs = list(robot.joint_names), file.robot.joints
     if mine != theirs:
@@ -99,32 +174,32 @@ def check_robot(file: ParameterFile, robot: "Robot", *, where: str = "") -> tupl
 def write_json_atomic(path: Path, document: object, *, inputs: Iterable[Path] = ()) -> None:
     """Write a document as JSON in one step, with 12 significant digits.
 
-    Raises UsageError: `path` cannot be written or is one of `inputs`. Raises ValueError: a number
-    is not finite (a bug); nothing is written.
+    Raises
+    ------
+    UsageError
+        `path` cannot be written or is one of `inputs`.
+    ValueError
+        A number is not finite (a bug); nothing is written.
     """
     write_text_atomic(path, encode(document), inputs=inputs)
 
 
 def file_sha256(path: Path) -> str:
     """SHA-256 of a small file's content."""
-    return hashlib.sha256(read_bytes(path)).hexdigest()
+    return hashlib.sha256(_bytes(path)).hexdigest()
 
 
-def read_bytes(path: Path) -> bytes:
-    """Read a JSON file whole.
-
-    Raises ConfigError: it is missing, no regular file, unreadable, or far too large to be one of
-    ours.
-    """
+def _bytes(path: Path, hint: str = "Check the path given with -p.") -> bytes:
+    """Read a JSON file whole: a regular one that is not far too large to be one of ours."""
     where = str(path)
     try:
         if not path.is_file():
             what = "is not a file" if path.exists() else "does not exist"
-            raise ConfigError(what, where=where, hint="Check the path given with -p.")
+            raise ConfigError(what, where=where, hint=hint)
         size = path.stat().st_size
         if size > _MAX_BYTES:
             message = f"has {size} bytes, the limit is {_MAX_BYTES}"
-            raise ConfigError(message, where=where, hint="-p takes a parameter file, not a log.")
+            raise ConfigError(message, where=where, hint=hint)
         return path.read_bytes()
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else str(error)
@@ -132,16 +207,13 @@ def read_bytes(path: Path) -> bytes:
         raise ConfigError(message, where=where, hint="Check the path and the rights.") from error
 
 
-def parse_document(data: bytes, where: str) -> Json:
-    """Read the content of the file `where` as one JSON object.
-
-    Raises ConfigError: it is not a JSON object; the message gives line and column.
-    """
-    hint = "-p takes a JSON file that seqid wrote."
+def _opened(path: Path, hint: str) -> tuple[bytes, Json]:
+    """Read a file as one JSON object; an error of its syntax has line and column."""
+    where, data = str(path), _bytes(path, hint)
     try:
         document = msgspec.json.decode(data, type=dict[str, object])
     except msgspec.ValidationError as error:
-        raise ConfigError(_without_key(error), where=where, hint=hint) from error
+        raise ConfigError(str(error).partition(" - at `")[0], where=where, hint=hint) from error
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         message = f"is not valid JSON: {_syntax(error, data)}"
         raise ConfigError(message, where=where, hint=hint) from error
@@ -150,7 +222,7 @@ def parse_document(data: bytes, where: str) -> Json:
         line = data.count(b"\n", 0, huge.start()) + 1
         message = f"holds the number {huge[0][:20].decode()} at line {line}, beyond 1e30"
         raise ConfigError(message, where=where, hint="Run the command again that wrote it.")
-    return document
+    return data, document
 
 
 def _syntax(error: Exception, data: bytes) -> str:
@@ -166,137 +238,22 @@ def _syntax(error: Exception, data: bytes) -> str:
     return f"{_BYTE.sub('', text).strip()} at line {line}, column {column}"
 
 
-def _without_key(error: Exception) -> str:
-    match = _PLACE.match(str(error))
-    return match.group("what") if match else str(error)
-
-
-def _schema_error(error: Exception, where: str) -> ConfigError:
-    hint = "A parameter file is not made to be edited: run the stage again that wrote it."
-    if isinstance(error, RecursionError):
-        return ConfigError("is nested too deeply", where=where, hint=hint)
-    match = _PLACE.match(str(error))
-    if match is None:
-        return ConfigError(str(error), where=where, hint=hint)
-    return ConfigError(f"{match.group('key')}: {match.group('what')}", where=where, hint=hint)
-
-
-def _version(document: Json, where: str, newest: int) -> int:
+def _schema_of(document: Json, what: str, where: str, hint: str) -> re.Match[str]:
     name = document.get("schema")
     match = _NAME.fullmatch(name) if isinstance(name, str) else None
     if match is None:
-        message = "is not a parameter file: `schema` is " + (
-            "missing" if name is None else repr(name)[:60]
-        )
-        raise ConfigError(message, where=where, hint="-p takes a file that a stage wrote with -o.")
-    kind, version = match.group("kind"), int(match.group("version"))
-    if kind != "params":
-        message = f"is a {kind} file ({name}), not a parameter file"
-        raise ConfigError(message, where=where, hint=f"Give the parameters that the {kind} used.")
-    if version > newest:
-        message = f"is of the newer version {name}; this seqid reads up to seqid/params@{newest}"
-        raise ConfigError(message, where=where, hint="Upgrade seqid: pip install --upgrade seqid.")
-    return version
-
-
-def _migrated(
-    document: Json, found: int, where: str, version: int, steps: Mapping[int, Migration]
-) -> bytes:
-    """Bring a document of an older version up to date, one step at a time."""
-    try:
-        for current in range(found, version):
-            document = steps[current](document)
-        return msgspec.json.encode(document)
-    except (LookupError, TypeError, ValueError) as error:
-        message = f"is of the old version seqid/params@{found} and cannot be brought up to date"
-        raise ConfigError(message, where=where, hint="Identify again from the logs.") from error
-
-
-@dataclass(frozen=True)
-class Source:
-    """A document and the file that it came from: its path as given and its SHA-256."""
-
-    path: str
-    sha256: str
-    content: Document
-
-
-def read_any(paths: Sequence[Path]) -> list[Source]:
-    """Read parameter files and results about one robot, in the order given.
-
-    Raises ConfigError: one is missing, is no JSON, is no document of these kinds, is newer than
-    this version knows, or does not follow its schema. The message names the file and the key.
-    """
-    return [_read(path) for path in paths]
-
-
-def read_trend(path: Path) -> TrendFile | None:
-    """Read a trend; None where the document is another one.
-
-    Raises ConfigError: it is missing, is no JSON, does not follow its schema, or a series is torn.
-    """
-    data, document = _opened(path)
-    if document.get("schema") != TREND_SCHEMA:
-        return None
-    found = _decoded(data, TrendFile, "trend", str(path))
-    for k, series in enumerate(found.series):
-        if not _dated(series):
-            message = f"$.series[{k}]: dates, values and std_errors must be of one length, as dates"
-            hint = "Run seqid trend again."
-            raise ConfigError(message, where=str(path), hint=hint)
-    return found
-
-
-def _dated(series: SeriesEntry) -> bool:
-    try:
-        times = [datetime.fromisoformat(date).timestamp() for date in series.dates]
-    except (ValueError, OverflowError):
-        return False
-    return 0 < len(times) == len(series.values) == len(series.std_errors)
-
-
-def _opened(path: Path) -> tuple[bytes, Json]:
-    where = str(path)
-    try:
-        data = read_bytes(path)
-        return data, parse_document(data, where)
-    except ConfigError as error:
-        raise ConfigError(error.message, where=where, hint=_RESULT_HINT) from error
+        found = "missing" if name is None else repr(name)[:60]
+        raise ConfigError(f"is {what}: `schema` is {found}", where=where, hint=hint)
+    return match
 
 
 def _decoded(data: bytes, form: type[T], kind: str, where: str) -> T:
-    """Decode a result that is of a known kind."""
+    """Decode a document that is of a known kind."""
     try:
         return msgspec.json.decode(data, type=form)
     except (msgspec.ValidationError, RecursionError) as error:
+        match = _PLACE.match(str(error))
+        text = f"{match['key']}: {match['what']}" if match else str(error)
+        message = "is nested too deeply" if isinstance(error, RecursionError) else text
         hint = f"The file was edited or damaged: run the command that wrote the {kind} again."
-        raise ConfigError(str(error), where=where, hint=hint) from error
-
-
-def _read(path: Path) -> Source:
-    where = str(path)
-    data, document = _opened(path)
-    sha256 = hashlib.sha256(data).hexdigest()
-    name = document.get("schema")
-    match = _NAME.fullmatch(name) if isinstance(name, str) else None
-    if match is None:
-        what = "missing" if name is None else repr(name)[:60]
-        raise ConfigError(f"is no result: `schema` is {what}", where=where, hint=_RESULT_HINT)
-    if match["kind"] == "params":
-        file = _parameters(data, document, where, PARAMS_VERSION, PARAMS_MIGRATIONS)
-        return Source(where, sha256, file)
-    return Source(where, sha256, _result(data, match, where))
-
-
-def _result(data: bytes, match: re.Match[str], where: str) -> Result:
-    name, kind = match.group(), match["kind"]
-    if name in _RESULTS:
-        return _decoded(data, _RESULTS[name], kind, where)
-    known = [known for known in _RESULTS if known.startswith(f"seqid/{kind}@")]
-    if not known:
-        kinds = ", ".join(schema.split("@")[0] for schema in (SCHEMA, *_RESULTS))
-        message = f"is a {kind} file ({name}); what can be read here: {kinds}"
-        raise ConfigError(message, where=where, hint="Leave it out.")
-    message = f"is of the version {name}; this seqid reads {known[0]}"
-    hint = "Upgrade seqid: pip install --upgrade seqid."
-    raise ConfigError(message, where=where, hint=hint)
+        raise ConfigError(message, where=where, hint=hint) from error

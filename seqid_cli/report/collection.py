@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.document import join, present
 from seqid_cli.params.evidence_schema import EvidenceEntry
-from seqid_cli.params.io import Result, Source
+from seqid_cli.params.io import Document, Result, Source
 from seqid_cli.params.results.diagnosis import DiagnosisFile, ResidualEntry
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlanFile
@@ -20,14 +20,27 @@ from seqid_cli.report.words import short_path
 
 Kind = Literal["identified", "refined", "simultaneous"]
 KINDS: tuple[Kind, ...] = ("refined", "identified", "simultaneous")
-_MOST_JOINTS = 200
-Given = tuple[Source, ParameterFile]
 WRITTEN_BY: Mapping[type, str] = {
     PredictionFile: "predict",
     DiagnosisFile: "diagnose",
     PayloadFile: "payload",
     PlanFile: "plan",
 }
+_MOST_JOINTS = 200
+_EDITED = "The file was edited or damaged: run the command again that wrote it."
+Sources = Sequence[Source[Document]]
+Parameters = Source[ParameterFile]
+Prediction = Source[PredictionFile]
+D = TypeVar("D", bound=Document)
+
+
+@dataclass(frozen=True)
+class Place:
+    """A joint, and the units of its torque and position: of a revolute or prismatic one."""
+
+    joint: str
+    torque_unit: str = "N m"
+    position_unit: str = "rad"
 
 
 @dataclass(frozen=True)
@@ -38,36 +51,18 @@ class Model:
     """
 
     kind: Kind
-    sources: tuple[tuple[str, str], ...]  # path, SHA-256; the one that holds most comes last
+    sources: tuple[Parameters, ...]  # the one that holds most comes last
     file: ParameterFile
 
     @property
     def path(self) -> str:
         """The file that holds most of it."""
-        return self.sources[-1][0]
+        return self.sources[-1].path
 
     @property
     def stages(self) -> Stages:
         """What was identified."""
         return self.file.stages
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """A prediction and the file it came from."""
-
-    path: str
-    sha256: str
-    file: PredictionFile
-
-
-@dataclass(frozen=True)
-class Diagnosed:
-    """A diagnosis and the file it came from."""
-
-    path: str
-    sha256: str
-    file: DiagnosisFile
 
 
 @dataclass(frozen=True)
@@ -78,12 +73,12 @@ class Collection:
     """
 
     robot: RobotId
-    sources: tuple[Source, ...]
+    sources: tuple[Source[Document], ...]
     models: tuple[Model, ...]
     predictions: tuple[Prediction, ...]
-    diagnoses: tuple[Diagnosed, ...]
-    payloads: tuple[PayloadFile, ...]
-    plans: tuple[PlanFile, ...]
+    diagnoses: tuple[Source[DiagnosisFile], ...]
+    payloads: tuple[Source[PayloadFile], ...]
+    plans: tuple[Source[PlanFile], ...]
     warnings: tuple[str, ...]
 
     @property
@@ -91,22 +86,25 @@ class Collection:
         """The model that the report shows, if a parameter file was given."""
         return self.models[0] if self.models else None
 
-    def units(self, joint: str) -> tuple[str, str]:
-        """Return the units of a joint's torque and position: of a revolute or prismatic one."""
+    def place(self, joint: str) -> Place:
+        """Return a joint with its units."""
         for model in self.models:
             friction = model.stages.friction
             if friction is not None and joint in friction.joints:
                 unit = friction.joints[joint].unit
-                return unit, "m" if unit == "N" else "rad"
-        return "N m", "rad"
+                return Place(joint, unit, "m" if unit == "N" else "rad")
+        return Place(joint)
+
+    @property
+    def torque_units(self) -> dict[str, str]:
+        """The unit of each joint's torque."""
+        return {name: self.place(name).torque_unit for name in self.robot.joints}
 
     def residual(self, prediction: Prediction, joint: str) -> ResidualEntry | None:
         """Return a joint's residual from a diagnosis of the prediction's own logs."""
-        logs = {log.sha256 for log in prediction.file.logs}
-        for item in self.diagnoses:
-            if {log.sha256 for log in item.file.inputs} == logs and joint in item.file.joints:
-                return item.file.joints[joint]
-        return None
+        logs = {log.sha256 for log in prediction.content.logs}
+        own = (d.content for d in self.diagnoses if {x.sha256 for x in d.content.inputs} == logs)
+        return next((file.joints[joint] for file in own if joint in file.joints), None)
 
     def noise_floor(self, prediction: Prediction, joint: str) -> float | None:
         """Return a joint's noise floor from a diagnosis of the prediction's own logs, N m or N."""
@@ -115,8 +113,8 @@ class Collection:
 
     def model_of(self, prediction: Prediction) -> Model | None:
         """Return the model that a prediction was made with, if its file was given."""
-        used = {item.sha256 for item in prediction.file.parameters}
-        known = (model for model in self.models if used & {sha for _, sha in model.sources})
+        used = {item.sha256 for item in prediction.content.parameters}
+        known = (model for model in self.models if used & {s.sha256 for s in model.sources})
         return next(known, None)
 
     @property
@@ -127,7 +125,7 @@ class Collection:
 
     def label(self, prediction: Prediction) -> str:
         """Return the file of a prediction's model, and which is before and after refinement."""
-        paths = [item.path for item in prediction.file.parameters[-1:]] or [prediction.path]
+        paths = [item.path for item in prediction.content.parameters[-1:]] or [prediction.path]
         kinds = [model.kind for p in self.predictions if (model := self.model_of(p))]
         model = self.model_of(prediction)
         name = short_path(paths[0])
@@ -140,15 +138,19 @@ class Collection:
 
         Where the parameter files it was made with were not given, those of all models count.
         """
-        used = {item.sha256 for item in prediction.file.parameters}
-        files = [
-            item.content
-            for item in self.sources
-            if isinstance(item.content, ParameterFile) and item.sha256 in used
-        ]
-        return frozenset().union(
-            *(_learned_from(file) for file in files or [model.file for model in self.models])
-        )
+        used = {item.sha256 for item in prediction.content.parameters}
+        own = [s.content for s in of_kind(self.sources, ParameterFile) if s.sha256 in used]
+        files = own or [model.file for model in self.models]
+        return frozenset().union(*map(_learned_from, files))
+
+
+def of_kind(documents: Iterable[Source[Document]], kind: type[D]) -> tuple[Source[D], ...]:
+    """Return the documents of one kind."""
+    return tuple(
+        Source(item.path, item.sha256, item.content)
+        for item in documents
+        if isinstance(item.content, kind)
+    )
 
 
 def _learned_from(file: ParameterFile) -> set[str]:
@@ -156,12 +158,15 @@ def _learned_from(file: ParameterFile) -> set[str]:
     return {log.sha256 for log in file.inputs} - {log.sha256 for log in held_out}
 
 
-def collect(documents: Sequence[Source]) -> Collection:
+def collect(documents: Sources) -> Collection:
     """Sort documents and make sure that they are about one robot and agree.
 
-    Raises ConfigError: there are none, they are about two robots, a document names joints that its
-    robot has not, or a result was made with a parameter file that has changed since. The message
-    names the files.
+    Raises
+    ------
+    ConfigError
+        There are none, they are about two robots, a document names joints that its robot has not,
+        or a result was made with a parameter file that has changed since. The message names the
+        files.
     """
     if not documents:
         hint = "Name the JSON files that the stages wrote."
@@ -171,32 +176,23 @@ def collect(documents: Sequence[Source]) -> Collection:
     for item in unique:
         _check_names(item)
     _check_stale(unique)
-    models = tuple(_models(unique))
-    predictions = tuple(
-        Prediction(item.path, item.sha256, item.content)
-        for item in unique
-        if isinstance(item.content, PredictionFile)
-    )
+    models = tuple(_models(of_kind(unique, ParameterFile)))
     found = Collection(
         robot=robot,
         sources=unique,
         models=models,
-        predictions=predictions,
-        diagnoses=tuple(
-            Diagnosed(item.path, item.sha256, item.content)
-            for item in unique
-            if isinstance(item.content, DiagnosisFile)
-        ),
-        payloads=tuple(item.content for item in unique if isinstance(item.content, PayloadFile)),
-        plans=tuple(item.content for item in unique if isinstance(item.content, PlanFile)),
+        predictions=of_kind(unique, PredictionFile),
+        diagnoses=of_kind(unique, DiagnosisFile),
+        payloads=of_kind(unique, PayloadFile),
+        plans=of_kind(unique, PlanFile),
         warnings=tuple(_warnings(unique)),
     )
     ranks = {id(model): rank for rank, model in enumerate(models)}
-    best = sorted(predictions, key=lambda p: ranks.get(id(found.model_of(p)), len(models)))
+    best = sorted(found.predictions, key=lambda p: ranks.get(id(found.model_of(p)), len(models)))
     return replace(found, predictions=tuple(best))
 
 
-def _one_robot(documents: Sequence[Source]) -> RobotId:
+def _one_robot(documents: Sources) -> RobotId:
     first = documents[0]
     mine = first.content.robot
     for item in documents[1:]:
@@ -207,79 +203,71 @@ def _one_robot(documents: Sequence[Source]) -> RobotId:
                 f"but {first.path} about {mine.name!r} ({', '.join(mine.joints)})"
             )
             raise ConfigError(message, where=item.path, hint="Report on one robot at a time.")
-    if (
-        not mine.joints
-        or len(mine.joints) > _MOST_JOINTS
-        or len(set(mine.joints)) < len(mine.joints)
-    ):
+    if not 0 < len(mine.joints) == len(set(mine.joints)) <= _MOST_JOINTS:
         message = f"$.robot.joints: must name 1 to {_MOST_JOINTS} joints, each once"
         raise ConfigError(message, where=first.path, hint="Run the command again that wrote it.")
     return mine
 
 
-def _check_names(item: Source) -> None:
+def _check_names(item: Source[Document]) -> None:
     content, joints = item.content, set(item.content.robot.joints)
-    hint = "The file was edited or damaged: run the command again that wrote it."
     for key, name in _named(content):
         if name not in joints:
             message = f"{key}: joint {name!r} is none of the robot's: {', '.join(sorted(joints))}"
-            raise ConfigError(message, where=item.path, hint=hint)
-    if not isinstance(content, DiagnosisFile):
-        return
+            raise ConfigError(message, where=item.path, hint=_EDITED)
     for place, shown in _shown(content):
         if not shown.whole:
             message = f"{place}: x, count, before and after must be of one length"
-            raise ConfigError(message, where=item.path, hint=hint)
+            raise ConfigError(message, where=item.path, hint=_EDITED)
 
 
-def _shown(content: DiagnosisFile) -> Iterable[tuple[str, EvidenceEntry]]:
-    for key in ("findings", "unexplained"):
+def _shown(content: Document) -> Iterator[tuple[str, EvidenceEntry]]:
+    for key in ("findings", "unexplained") if isinstance(content, DiagnosisFile) else ():
         for place, part in enumerate(getattr(content, key)):
             if part.evidence is not None:
                 yield f"$.{key}[{place}].evidence", part.evidence
 
 
-def _named(content: object) -> Iterable[tuple[str, str]]:
-    if isinstance(content, PredictionFile):
+def _named(content: Document) -> Iterator[tuple[str, str]]:
+    """Names of joints in a result, and where."""
+    if isinstance(content, PredictionFile | DiagnosisFile):
         yield from (("$.joints", name) for name in content.joints)
+    if isinstance(content, PredictionFile):
         for place, log in enumerate(content.logs):
             yield from ((f"$.logs[{place}].joints", name) for name in log.joints)
     if isinstance(content, DiagnosisFile):
-        yield from (("$.joints", name) for name in content.joints)
         yield from (("$.unexplained", part.joint) for part in content.unexplained)
-        for item in content.findings:
-            if item.joint is not None:
-                yield "$.findings", item.joint
+        yield from (("$.findings", x.joint) for x in content.findings if x.joint is not None)
         for key, shown in _shown(content):
             yield from ((key, name) for name in (shown.joint, shown.of))
 
 
-def _check_stale(documents: Sequence[Source]) -> None:
-    """Refuse a result whose parameter file was given too, but has changed since."""
-    given = {
-        Path(item.path).resolve(): item
-        for item in documents
-        if isinstance(item.content, ParameterFile)
-    }
-    hashes = {item.sha256 for item in given.values()}
+def made_with(documents: Sources) -> Iterator[tuple[Source[Document], FileId]]:
+    """Yield the results, each with every parameter file that it was made with."""
     for item in documents:
-        if isinstance(item.content, ParameterFile):
-            continue
-        for used in models_of(item.content):
-            now = given.get(Path(used.path).resolve())
-            if now is not None and used.sha256 not in hashes:
-                kind = WRITTEN_BY[type(item.content)]
-                message = (
-                    f"was made with {used.path} as it was before (sha256 {used.sha256[:12]}); "
-                    f"{now.path} has changed since (now {now.sha256[:12]})"
-                )
-                hint = f"Run seqid {kind} again, or leave {item.path} out."
-                raise ConfigError(message, where=item.path, hint=hint)
+        if not isinstance(item.content, ParameterFile):
+            yield from ((item, used) for used in models_of(item.content))
 
 
 def models_of(content: Result) -> list[FileId]:
-    """The parameter files that a result was made with."""
+    """Return the parameter files that a result was made with."""
     return content.models if isinstance(content, PayloadFile) else content.parameters
+
+
+def _check_stale(documents: Sources) -> None:
+    """Refuse a result whose parameter file was given too, but has changed since."""
+    given = {Path(s.path).resolve(): s for s in of_kind(documents, ParameterFile)}
+    hashes = {item.sha256 for item in given.values()}
+    for item, used in made_with(documents):
+        now = given.get(Path(used.path).resolve())
+        if now is not None and used.sha256 not in hashes:
+            message = (
+                f"was made with {used.path} as it was before (sha256 {used.sha256[:12]}); "
+                f"{now.path} has changed since (now {now.sha256[:12]})"
+            )
+            kind = WRITTEN_BY[type(item.content)]
+            hint = f"Run seqid {kind} again, or leave {item.path} out."
+            raise ConfigError(message, where=item.path, hint=hint)
 
 
 def _kind(file: ParameterFile) -> Kind:
@@ -290,20 +278,17 @@ def _kind(file: ParameterFile) -> Kind:
     return "simultaneous" if "simultaneous" in methods else "identified"
 
 
-def _models(documents: Sequence[Source]) -> Iterable[Model]:
-    files = [(item, item.content) for item in documents if isinstance(item.content, ParameterFile)]
+def _models(files: Sequence[Parameters]) -> Iterator[Model]:
     for kind in KINDS:
-        mine = [(item, file) for item, file in files if _kind(file) == kind]
-        for branch in _branches(mine):
-            joined = join([(item.path, file) for item, file in branch])
-            yield Model(kind, tuple((item.path, item.sha256) for item, _ in branch), joined)
+        for branch in _branches([item for item in files if _kind(item.content) == kind]):
+            yield Model(kind, tuple(branch), join([(item.path, item.content) for item in branch]))
 
 
-def _branches(files: Sequence[Given]) -> list[list[Given]]:
+def _branches(files: Sequence[Parameters]) -> list[list[Parameters]]:
     """Files that agree on all their stages, together; in each the one that holds most is last."""
-    branches: list[list[Given]] = []
-    for given in sorted(files, key=lambda pair: -len(present(pair[1].stages))):
-        agreeing = (b for b in branches if all(_agree(given[1], file) for _, file in b))
+    branches: list[list[Parameters]] = []
+    for given in sorted(files, key=lambda item: -len(present(item.content.stages))):
+        agreeing = (b for b in branches if all(_agree(given.content, x.content) for x in b))
         branch = next(agreeing, None)
         if branch is None:
             branches.append([given])
@@ -319,19 +304,15 @@ def _agree(one: ParameterFile, other: ParameterFile) -> bool:
     return same and all(loop == loops[0] for loop in loops)
 
 
-def _warnings(documents: Sequence[Source]) -> Iterable[str]:
+def _warnings(documents: Sources) -> Iterator[str]:
     hashes: dict[str, str] = {}
     for item in documents:
         hashes.setdefault(item.content.robot.sha256, item.path)
     if len(hashes) > 1:
         yield f"the robot file changed between these results: {', '.join(hashes.values())}"
     given = {item.sha256 for item in documents}
-    if not any(isinstance(item.content, ParameterFile) for item in documents):
-        return
-    for item in documents:
-        if isinstance(item.content, ParameterFile):
-            continue
-        for used in models_of(item.content):
+    if of_kind(documents, ParameterFile):
+        for item, used in made_with(documents):
             if used.sha256 not in given:
                 yield (
                     f"{item.path} was made with {used.path} (sha256 {used.sha256[:12]}), "

@@ -9,14 +9,11 @@ from typing import TYPE_CHECKING
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.given import PathLike, Paths, listed, optional, warn
 from seqid_cli.params.files import By, check_output, robot_names, write_text_atomic
-from seqid_cli.params.io import Source, read_any, read_trend
+from seqid_cli.params.io import read_any, read_trend
 from seqid_cli.params.results.report import ReportFile, ReportPoint, ReportSection
 
 if TYPE_CHECKING:
-    from seqid_cli.report.judgement import Judgement
-    from seqid_cli.report.views import Section
-
-_MAGIC = b"PAR1"
+    from seqid_cli.report.page import Page
 
 
 def report(
@@ -42,92 +39,71 @@ def report(
         Instead of the robot's name.
     by : {"name", "folder"}, optional
         A page about many robots, told apart by their names or by the folders of their files.
+
+    Raises
+    ------
+    SeqidError
+        Where the command would exit with 2.
     """
     target = Path(output)
     documents, tables = _sorted([Path(path) for path in listed(files)], optional(torques))
     inputs = [*documents, *tables]
     check_output(target, inputs)
-    if len(documents) == 1 and (found := read_trend(documents[0])) is not None:
-        from seqid_cli.report.trend import trend_page
-
-        page = trend_page(found, title=title)
-        return _page_of_many(page, ", ".join(found.robots), documents, target)
-    sources = read_any(documents)
-    if by is not None:
-        robots = _by_robot(sources, tables, by)
-        from seqid_cli.report.fleet import fleet_page
-
-        return _page_of_many(fleet_page(robots, title=title), ", ".join(robots), documents, target)
-    from seqid_cli.report.make import make_report
-
-    made = make_report(sources, torques=tables, title=title)
-    write_text_atomic(target, made.html, inputs=inputs)
-    for warning in made.collection.warnings:
+    page = _page(documents, tables, title, by)
+    html, judgement = page.html, page.judgement
+    write_text_atomic(target, html, inputs=inputs)
+    for warning in page.warnings:
         warn(warning)
-    judgement = made.judgement
     return ReportFile(
         output=str(target),
-        robot=made.collection.robot.name,
+        robot=page.robot,
         verdict=judgement.level,
         sentence=judgement.sentence,
-        points=_points(judgement),
-        sections=[ReportSection(id=name, complete=all_) for name, all_ in made.sections.items()],
-        files=[item.path for item in made.collection.sources],
-        torques=", ".join(made.torques) or None,
-        bytes=len(made.html.encode()),
-    )
-
-
-def _by_robot(
-    sources: Sequence[Source], torques: Sequence[Path], by: By
-) -> dict[str, list[Source]]:
-    if torques:
-        hint = "Leave the torque files out, or make a page for each robot."
-        message = "torques over time are drawn on the page of one robot"
-        raise UsageError(message, hint=hint, where=str(torques[0]))
-    robots: dict[str, list[Source]] = {}
-    names = robot_names([(item.path, item.content.robot.name) for item in sources], by)
-    for name, item in zip(names, sources, strict=True):
-        robots.setdefault(name, []).append(item)
-    return robots
-
-
-def _page_of_many(
-    page: tuple[str, Judgement, list[Section]], robots: str, files: Sequence[Path], target: Path
-) -> ReportFile:
-    """Write a page about many robots or dates."""
-    html, judgement, sections = page
-    write_text_atomic(target, html, inputs=files)
-    return ReportFile(
-        output=str(target),
-        robot=robots,
-        verdict=judgement.level,
-        sentence=judgement.sentence,
-        points=_points(judgement),
-        sections=[ReportSection(id=section.id, complete=True) for section in sections],
-        files=list(map(str, files)),
-        torques=None,
+        points=[ReportPoint(weight=p.weight, text=p.text, where=p.where) for p in judgement.points],
+        sections=[ReportSection(id=own.id, complete=own.complete) for own in page.sections],
+        files=list(page.files),
+        torques=", ".join(page.torques) or None,
         bytes=len(html.encode()),
     )
 
 
-def _points(judgement: Judgement) -> list[ReportPoint]:
-    return [ReportPoint(weight=p.weight, text=p.text, where=p.where) for p in judgement.points]
+def _page(documents: Sequence[Path], torques: Sequence[Path], title: str, by: By | None) -> Page:
+    """Return a page about one robot, many, or what changed over time."""
+    if len(documents) == 1 and (trend := read_trend(documents[0])) is not None:
+        from seqid_cli.report.trend import trend_page
+
+        return trend_page(trend, str(documents[0]), title=title)
+    sources = read_any(documents)
+    if by is None:
+        from seqid_cli.report.make import make_report
+
+        return make_report(sources, torques=torques, title=title)
+    if torques:
+        hint = "Leave the torque files out, or make a page for each robot."
+        message = "torques over time are drawn on the page of one robot"
+        raise UsageError(message, hint=hint, where=str(torques[0]))
+    from seqid_cli.report.fleet import fleet_page
+
+    names = robot_names([(item.path, item.content.robot.name) for item in sources], by)
+    robots = {
+        name: [item for item, own in zip(sources, names, strict=True) if own == name]
+        for name in dict.fromkeys(names)
+    }
+    return fleet_page(robots, title=title)
 
 
 def _sorted(files: Sequence[Path], torques: Path | None) -> tuple[list[Path], list[Path]]:
     """Separate the torque tables from the documents, by their first bytes or names."""
     tables = [path for path in files if path.suffix == ".parquet" or _is_parquet(path)]
     documents = [path for path in files if path not in tables]
-    given = list(dict.fromkeys([*tables, *([torques] if torques else [])]))
     if not documents:
         raise UsageError("no JSON file given", hint="Name the files that the stages wrote.")
-    return documents, given
+    return documents, list(dict.fromkeys([*tables, *([torques] if torques else [])]))
 
 
 def _is_parquet(path: Path) -> bool:
     try:
         with path.open("rb") as file:
-            return file.read(len(_MAGIC)) == _MAGIC
+            return file.read(4) == b"PAR1"
     except (OSError, ValueError):
         return False  # whoever reads it says what is wrong with it

@@ -10,7 +10,7 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.results.diagnosis_words import beyond_noise, nothing_found
 from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
-from seqid_cli.report.collection import Collection, Diagnosed, Model, Prediction
+from seqid_cli.report.collection import Collection, Model, Prediction
 from seqid_cli.report.words import (
     command,
     effect_at,
@@ -96,7 +96,7 @@ def judge(collection: Collection) -> Judgement:
 
 def _new_logs(collection: Collection, prediction: Prediction) -> list[str]:
     trained = collection.trained_on(prediction)
-    counted = [log for log in prediction.file.logs if log.sha256 not in trained]
+    counted = [log for log in prediction.content.logs if log.sha256 not in trained]
     judged = any(
         error.relative_rmse is not None for log in counted for error in log.joints.values()
     )
@@ -106,8 +106,8 @@ def _new_logs(collection: Collection, prediction: Prediction) -> list[str]:
 def _errors(collection: Collection, item: Prediction) -> dict[str, float]:
     """Return each joint's relative error; on the new logs alone where others are among them."""
     new = set(_new_logs(collection, item))
-    logs = [log.joints for log in item.file.logs if log.path in new]
-    parts = [item.file.joints] if len(logs) == len(item.file.logs) else logs
+    logs = [log.joints for log in item.content.logs if log.path in new]
+    parts = [item.content.joints] if len(logs) == len(item.content.logs) else logs
     found: dict[str, float] = {}
     for joints in parts:
         for name, error in joints.items():
@@ -136,7 +136,7 @@ def _sentence(
         )
     logs = {path for item in independent for path in _new_logs(collection, item)}
     name, share = worst
-    made = sorted({file_name(p.path) for item in independent for p in item.file.parameters})
+    made = sorted({file_name(p.path) for item in independent for p in item.content.parameters})
     reach = "every joint" if len(collection.robot.joints) > 1 else "the joint"
     said = (
         f"On {plural(len(logs), 'log')} that it was not identified from, the model "
@@ -152,26 +152,27 @@ def _sentence(
 def _prediction_points(
     collection: Collection, independent: list[Prediction], *, far: float = 2.0
 ) -> Iterator[Point]:
+    diagnose = f"seqid diagnose {_tail(collection)}"
     for item in collection.judged:
-        call = "seqid diagnose " + _tail(collection)
-        yield from _poor(item.file.verdicts, "the prediction", item.path, call)
-        still = [n for n, error in item.file.joints.items() if not error.samples]
+        file, new = item.content, _new_logs(collection, item)
+        yield from _poor(file.verdicts, "the prediction", item.path, diagnose)
+        still = [n for n, error in file.joints.items() if not error.samples]
         if still:
             text = f"{listed(still)} never slides in these logs and is not judged"
             yield Point("open", text, item.path, "Predict logs in which every joint moves.")
-        for name, error in item.file.joints.items():
+        for name, error in file.joints.items():
             floor = collection.noise_floor(item, name)
             if floor and error.rmse is not None and error.rmse > far * floor:
                 times = number(error.rmse / floor, 2)
                 text = f"{name}: the RMS error is {times} times the noise floor of the same logs"
-                yield Point("open", text, item.path, command="seqid diagnose " + _tail(collection))
+                yield Point("open", text, item.path, command=diagnose)
         if item not in independent:
             text = "the prediction is on logs that the model was identified from"
             yield Point("open", text, item.path, "Predict logs that no stage has read.")
-        elif (old := len(item.file.logs) - len(_new_logs(collection, item))) > 0:
+        elif len(new) < len(file.logs):
             text = (
-                f"{old} of the {plural(len(item.file.logs), 'log')} predicted had been used to "
-                "identify the model; the first line counts the others"
+                f"{len(file.logs) - len(new)} of the {plural(len(file.logs), 'log')} predicted had "
+                "been used to identify the model; the first line counts the others"
             )
             yield Point("open", text, item.path)
     if not collection.predictions:
@@ -246,32 +247,28 @@ def _missing_stages(collection: Collection) -> Iterator[Point]:
 
 
 def _diagnosis_points(collection: Collection) -> Iterator[Point]:
+    known = known_effects(collection)
+    refine = f"seqid refine LOG... --holdout {_tail(collection)} -o refined.json"
     for item in collection.diagnoses:
-        yield from _poor(item.file.verdicts, "the diagnosis", item.path)
-        yield from _found(item, collection)
-        if item.file.verdict == "nothing_missing" and _leaves_more(item.file):
-            yield Point("open", nothing_found(item.file), item.path)
-        for part in item.file.unexplained:
+        file = item.content
+        yield from _poor(file.verdicts, "the diagnosis", item.path)
+        for finding in file.findings:
+            if (finding.effect, finding.joint) not in known:
+                text = (
+                    f"the model lacks {effect_at(finding.effect, finding.joint)} "
+                    f"(confidence {percent(finding.confidence, 0)}, "
+                    f"explains {percent(finding.explains, 0)} of the residual above the noise)"
+                )
+                yield Point("open", text, item.path, command=refine)
+        if file.verdict == "nothing_missing" and _leaves_more(file):
+            yield Point("open", nothing_found(file), item.path)
+        for part in file.unexplained:
             on = listed([name.replace("_", " ") for name in part.depends_on])
             text = (
                 f"{part.joint}: {percent(part.share, 0)} of the residual above the noise depends "
                 f"on {on or 'nothing that was logged'}, but fits no known effect"
             )
             yield Point("open", text, item.path)
-
-
-def _found(item: Diagnosed, collection: Collection) -> Iterator[Point]:
-    known = known_effects(collection)
-    for finding in item.file.findings:
-        if (finding.effect, finding.joint) in known:
-            continue
-        text = (
-            f"the model lacks {effect_at(finding.effect, finding.joint)} "
-            f"(confidence {percent(finding.confidence, 0)}, "
-            f"explains {percent(finding.explains, 0)} of the residual above the noise)"
-        )
-        call = f"seqid refine LOG... --holdout {_tail(collection)} -o refined.json"
-        yield Point("open", text, item.path, command=call)
 
 
 def known_effects(collection: Collection) -> frozenset[tuple[str, str | None]]:
@@ -290,32 +287,22 @@ def _support(collection: Collection, independent: list[Prediction]) -> Iterator[
             logs = plural(len(_new_logs(collection, item)), "new log")
             span = f"{percent(min(shares))} to {percent(max(shares))}"
             yield f"Torque predicted on {logs} with an RMS error of {span} of the RMS torque."
-    model = collection.model
-    if model is not None:
-        yield from _supporting_stages(model)
-    for diagnosis in collection.diagnoses:
-        yield from _supporting_diagnosis(diagnosis.file, diagnosis.path)
-    yield from _closed_loop(collection)
-
-
-def _supporting_stages(model: Model) -> Iterator[str]:
-    stages = model.stages
+    stages = collection.model.stages if collection.model else Stages()
     if stages.friction is not None and all(v.good for v in stages.friction.verdicts):
         count = plural(len(stages.friction.joints), "joint")
         yield f"Friction of {count} holds at speeds that were left out of the fit."
     for name, stage in (("Gravity", stages.gravity), ("Inertia", stages.inertia)):
         if stage is not None and stage.parameters and not stage.not_excited:
-            condition = number(stage.condition)
             yield (
                 f"{name}: all {plural(len(stage.parameters), 'parameter')} of the stage determined "
-                f"by the logs (condition {condition})."
+                f"by the logs (condition {number(stage.condition)})."
             )
-
-
-def _supporting_diagnosis(file: DiagnosisFile, path: str) -> Iterator[str]:
-    if file.verdict == "nothing_missing" and not _leaves_more(file):
-        logs = plural(len(file.inputs), "log")
-        yield f"What {logs} leave of the torque is noise: nothing is missing ({short_path(path)})."
+    for diagnosis in collection.diagnoses:
+        file, path = diagnosis.content, short_path(diagnosis.path)
+        if file.verdict == "nothing_missing" and not _leaves_more(file):
+            logs = plural(len(file.inputs), "log")
+            yield f"What {logs} leave of the torque is noise: nothing is missing ({path})."
+    yield from _closed_loop(collection)
 
 
 def _leaves_more(file: DiagnosisFile) -> bool:

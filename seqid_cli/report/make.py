@@ -3,47 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from seqid_cli.errors import UsageError
-from seqid_cli.params.io import Source
+from seqid_cli.params.io import Document, Source
 from seqid_cli.report.collection import Collection, collect
-from seqid_cli.report.judgement import Judgement, judge
-from seqid_cli.report.page import render
+from seqid_cli.report.judgement import judge
+from seqid_cli.report.page import Page
 from seqid_cli.report.sections.diagnosis import diagnosis
 from seqid_cli.report.sections.friction import friction
 from seqid_cli.report.sections.imu import imu
 from seqid_cli.report.sections.loop import closed_loop
 from seqid_cli.report.sections.overview import overview
 from seqid_cli.report.sections.parameters import parameters
-from seqid_cli.report.sections.payload import payload
 from seqid_cli.report.sections.pipeline import pipeline
-from seqid_cli.report.sections.plan import plan
+from seqid_cli.report.sections.results import payload, plan
 from seqid_cli.report.sections.torque import torque
 from seqid_cli.report.torques import TorqueTable, find_torques
 from seqid_cli.report.words import plural
 
 
-@dataclass(frozen=True)
-class Report:
-    """A finished page, its verdict and its sections.
-
-    `sections` maps the id of each section to whether all its data were given; `torques` are the
-    torque files that were used.
-    """
-
-    html: str
-    collection: Collection
-    judgement: Judgement
-    sections: dict[str, bool]
-    torques: tuple[str, ...]
-
-
 def make_report(
-    documents: Sequence[Source], *, torques: Sequence[Path] = (), title: str = ""
-) -> Report:
-    """Make the report: one self-contained HTML text, its verdict and its sections.
+    documents: Sequence[Source[Document]], *, torques: Sequence[Path] = (), title: str = ""
+) -> Page:
+    """Make the report: one self-contained page, its verdict and its sections.
 
     Parameters
     ----------
@@ -65,7 +48,7 @@ def make_report(
     collection = collect(documents)
     tables, notes = open_torques(torques, collection)
     judgement = judge(collection)
-    made = [
+    sections = [
         overview(collection, judgement),
         pipeline(collection, tables),
         torque(collection, tables, notes),
@@ -77,15 +60,17 @@ def make_report(
         payload(collection),
         plan(collection),
     ]
-    sections = [section for section in made if section is not None]
     robot = collection.robot
-    about = [plural(len(robot.joints), "joint"), f"robot file {robot.sha256[:12]}"]
-    html = render(title or robot.name, about, judgement, sections)
-    whole = {
-        section.id: not section.absent and not any(group.absent for group in section.groups)
-        for section in sections
-    }
-    return Report(html, collection, judgement, whole, tuple(table.path for table in tables))
+    return Page(
+        title or robot.name,
+        [plural(len(robot.joints), "joint"), f"robot file {robot.sha256[:12]}"],
+        judgement,
+        [section for section in sections if section is not None],
+        robot.name,
+        [item.path for item in collection.sources],
+        torques=[table.path for table in tables],
+        warnings=collection.warnings,
+    )
 
 
 def open_torques(

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from importlib.resources import files
 
 import jinja2
@@ -17,55 +18,51 @@ from seqid_cli import __version__
 from seqid_cli.params.document import now
 from seqid_cli.report.judgement import Judgement
 from seqid_cli.report.views import Section
+from seqid_cli.report.words import unit_text
 
 
-def render(
-    title: str,
-    about: Sequence[str],
-    judgement: Judgement,
-    sections: Sequence[Section],
-    *,
-    subject: str = "Dynamic model",
-) -> str:
-    """Return the page; `about` are facts under its title, `subject` says what it is about."""
-    folder = files("seqid_cli.report") / "templates"
-    style, script = (
-        (folder / name).read_text(encoding="utf-8") for name in ("style.css", "script.js")
-    )
-    page: str = (
-        _environment()
-        .get_template("report.html.j2")
-        .render(
-            title=title,
-            about=about,
-            subject=subject,
-            judgement=judgement,
-            sections=sections,
-            style=style,
-            script=script,
-            policy=_policy(style, script),
-            version=__version__,
-            created=now(),
+@dataclass(frozen=True)
+class Page:
+    """The content of a page.
+
+    `about` are facts under its title, `subject` says what it is about; `robot`, `files` and
+    `torques` name what it was made of, `warnings` files that fit, but not perfectly.
+    """
+
+    title: str
+    about: Sequence[str]
+    judgement: Judgement
+    sections: Sequence[Section]
+    robot: str
+    files: Sequence[str]
+    subject: str = "Dynamic model"
+    torques: Sequence[str] = ()
+    warnings: Sequence[str] = ()
+
+    @property
+    def html(self) -> str:
+        """The page as one text."""
+        style, script = resource("style.css"), resource("script.js")
+        policy = (
+            f"default-src 'none'; style-src '{_source(style)}'; script-src '{_source(script)}'; "
+            "img-src data:; base-uri 'none'; form-action 'none'"
         )
-    )
-    return page
+        environment = jinja2.Environment(
+            loader=jinja2.PackageLoader("seqid_cli.report", "templates"),
+            autoescape=True,
+            undefined=jinja2.StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+        )
+        environment.filters["unit"] = unit_text
+        made = {"style": style, "script": script, "policy": policy, "created": now()}
+        template = environment.get_template("report.html.j2")
+        return str(template.render(page=self, version=__version__, **made))
 
 
-def _environment() -> jinja2.Environment:
-    return jinja2.Environment(
-        loader=jinja2.PackageLoader("seqid_cli.report", "templates"),
-        autoescape=True,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-
-
-def _policy(style: str, script: str) -> str:
-    return (
-        f"default-src 'none'; style-src '{_source(style)}'; script-src '{_source(script)}'; "
-        "img-src data:; base-uri 'none'; form-action 'none'"
-    )
+def resource(name: str) -> str:
+    """Return a file of the templates as text."""
+    return (files("seqid_cli.report") / "templates" / name).read_text(encoding="utf-8")
 
 
 def _source(text: str) -> str:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from html import escape
-from importlib.resources import files as resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,14 +36,11 @@ class Drawing:
 
     def _repr_html_(self) -> str:
         """Return the figures in a frame of their own, with the report's style."""
-        style = (resources("seqid_cli.report") / "templates" / "style.css").read_text(
-            encoding="utf-8"
-        )
-        page = f"<style>{style} figure{{max-width:{_WIDTH}px}}</style>" + "".join(
-            map(_figure, self.figures)
-        )
-        height = _HEIGHT * len(self.figures)
-        frame = f'width="100%" height="{height}" style="border:0"'
+        from seqid_cli.report.page import resource
+
+        style = f"<style>{resource('style.css')} figure{{max-width:{_WIDTH}px}}</style>"
+        page = style + "".join(map(_figure, self.figures))
+        frame = f'width="100%" height="{_HEIGHT * len(self.figures)}" style="border:0"'
         return f'<iframe srcdoc="{escape(page)}" {frame}></iframe>'
 
 
@@ -57,13 +53,12 @@ def plot_friction(file: ParameterFile, joint: str) -> Drawing:
         The file has no friction of this joint.
     """
     from seqid_cli.report.figures.friction import FIGURES
-    from seqid_cli.report.figures.torque import Place
 
     known = file.stages.friction.joints if file.stages.friction else {}
     if joint not in known:
         names = ", ".join(known) or "none"
         raise UsageError(f"no friction of {joint!r} is in this file", hint=f"It has: {names}.")
-    place = Place(joint, *_collection(file).units(joint))
+    place = _collection(file).place(joint)
     return Drawing(tuple(draw(known[joint], place) for draw in FIGURES))
 
 
@@ -72,8 +67,8 @@ def plot_evidence(file: DiagnosisFile) -> Drawing:
     from seqid_cli.report.figures.evidence import evidence_figure
 
     collection = _collection(file)
-    shown = [item.evidence for item in file.findings] + [p.evidence for p in file.unexplained]
-    figures = (evidence_figure(evidence, collection) for evidence in shown if evidence)
+    shown = [x.evidence for x in file.findings] + [x.evidence for x in file.unexplained]
+    figures = (evidence_figure(evidence, collection) for evidence in shown)
     return Drawing(tuple(figure for figure in figures if figure is not None))
 
 
@@ -117,9 +112,8 @@ def _collection(file: ParameterFile | DiagnosisFile) -> Collection:
 
 
 def _figure(figure: Figure) -> str:
-    keys = "".join(_key(key.style, key.text) for key in figure.legend)
+    keys = "".join(
+        f'<span><span class="key {key.style}"></span>{escape(key.text)} </span>'
+        for key in figure.legend
+    )
     return f"<figure><figcaption>{escape(figure.title)}</figcaption>{figure.drawing}{keys}</figure>"
-
-
-def _key(style: str, text: str) -> str:
-    return f'<span><span class="key {style}"></span>{escape(text)} </span>'

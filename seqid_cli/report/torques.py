@@ -87,40 +87,34 @@ class TorqueTable:
     def series(self, joint: str) -> list[Series]:
         """Read one joint, log by log.
 
-        Raises InputError: time is not finite or goes back, or a value is infinite.
+        Raises
+        ------
+        InputError
+            Time is not finite or goes back, or a value is infinite.
         """
-        names = ["t", *(f"{joint}.{kind}" for kind in _KINDS)]
-        names += [f"{joint}.{kind}" for kind in _MOTION if f"{joint}.{kind}" in self.columns]
-        names += [f"{joint}.{kind}" for kind in _REST if f"{joint}.{kind}" in self.columns]
-        names += [name for name in ("used", f"{joint}.sliding") if name in self.columns]
-        table = _read(Path(self.path), names)
-        values = {name: _numbers(table, name, self.path) for name in names}
-        return [self._one(joint, log, rows, values) for log, rows in self.rows.items()]
+        own = {kind: f"{joint}.{kind}" for kind in (*_KINDS, *_MOTION, *_REST, "sliding")}
+        own = {"t": "t", "used": "used", **own}
+        there = {kind: name for kind, name in own.items() if name in self.columns}
+        table = _read(Path(self.path), list(there.values()))
+        values = {kind: _numbers(table, name, self.path) for kind, name in there.items()}
+        return [
+            self._one(log, {kind: value[rows] for kind, value in values.items()})
+            for log, rows in self.rows.items()
+        ]
 
-    def _one(self, joint: str, log: str, rows: slice, values: Mapping[str, Array]) -> Series:
-        t = values["t"][rows]
+    def _one(self, log: str, own: Mapping[str, Array]) -> Series:
+        t, torque = own["t"], own["torque"]
         if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0.0):
             message = f"t is missing or goes back in {log}"
             raise InputError(message, where=self.path, hint="Run seqid predict again.")
-        own = {kind: values.get(f"{joint}.{kind}") for kind in (*_KINDS, *_REST, *_MOTION)}
-        cut = {kind: None if value is None else value[rows] for kind, value in own.items()}
-        torque, predicted, residual = (cut[kind] for kind in _KINDS)
-        assert torque is not None
-        assert predicted is not None
-        assert residual is not None
-        used, sliding = (
-            values[name][rows] > 0.0 if name in values else np.ones(len(t), dtype=np.bool_)
-            for name in ("used", f"{joint}.sliding")
-        )
-        unknown = np.full(len(t), np.nan)
-        low, high = (unknown if cut[kind] is None else cut[kind] for kind in _REST)
-        assert low is not None
-        assert high is not None
+        low, high = (own.get(kind, np.full(len(t), np.nan)) for kind in _REST)
+        used, sliding = (own.get(name, np.ones(len(t))) > 0.0 for name in ("used", "sliding"))
         # NaN bounds, where the joint slides, leave the residual as it is.
         nearest = np.fmin(np.fmax(torque, low), high)
-        residual = np.where(np.isnan(low) | np.isnan(torque), residual, torque - nearest)
-        motion = (cut["position"], cut["velocity"])
-        return Series(log, t, torque, predicted, residual, used, sliding, low, high, *motion)
+        known = np.isnan(low) | np.isnan(torque)
+        residual = np.where(known, own["residual"], torque - nearest)
+        motion = [own.get(kind) for kind in _MOTION]
+        return Series(log, t, torque, own["predicted"], residual, used, sliding, low, high, *motion)
 
 
 def find_torques(prediction: Prediction, collection: Collection) -> TorqueTable | None:
@@ -213,12 +207,12 @@ def _whose(
     if not predictions:
         return None
     mine = {log: part.stop - part.start for log, part in rows.items()}
-    same = [p for p in predictions if mine == {log.path: log.samples for log in p.file.logs}]
+    same = [p for p in predictions if mine == {log.path: log.samples for log in p.content.logs}]
     if not same:
         raise _other_logs(mine, predictions, where)
     made = (file.schema_arrow.metadata or {}).get(PARAMETERS.encode(), b"").decode().split()
     for prediction in same:  # without the entry any model may
-        if not made or set(made) == {item.sha256 for item in prediction.file.parameters}:
+        if not made or set(made) == {item.sha256 for item in prediction.content.parameters}:
             return prediction
     message = f"is of another model than {', '.join(p.path for p in same)}"
     hint = "Run seqid predict again with both -o and --torques."
@@ -228,7 +222,7 @@ def _whose(
 def _other_logs(
     mine: Mapping[str, int], predictions: Sequence[Prediction], where: str
 ) -> InputError:
-    logs = {log.path: log.samples for item in predictions for log in item.file.logs}
+    logs = {log.path: log.samples for item in predictions for log in item.content.logs}
     names = ", ".join(item.path for item in predictions)
     odd = next((log for log in mine if mine[log] != logs.get(log)), None)
     if odd is None:

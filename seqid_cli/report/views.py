@@ -2,42 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 from markupsafe import Markup
 
-from seqid_cli.params.results.tables import WORDS, Values
+from seqid_cli.params.results.tables import Head, Values, heads, values
 from seqid_cli.params.schema import Verdict
-from seqid_cli.report.words import effect_words, number, percent, short_path, unit_text
-
-Cell = str | Markup
-
-
-@dataclass(frozen=True)
-class Column:
-    """A column of a table; `numeric` ones are set to the right."""
-
-    title: str
-    numeric: bool = False
-    unit: str = ""
-
-
-def texts(*titles: str) -> list[Column]:
-    """Return columns of text."""
-    return [Column(title) for title in titles]
-
-
-def numbers(*titles: str, unit: str = "") -> list[Column]:
-    """Return columns of numbers in one unit."""
-    return [Column(title, numeric=True, unit=unit) for title in titles]
-
-
-VALUE_COLUMNS = [
-    *texts("parameter"),
-    *numbers("value", "std error", "95 % interval"),
-    *texts("unit"),
-]
+from seqid_cli.report.judgement import Judgement
+from seqid_cli.report.words import (
+    DASH,
+    effect_words,
+    interval,
+    number,
+    percent,
+    short_path,
+    unit_text,
+    with_error,
+)
 
 
 @dataclass(frozen=True)
@@ -45,18 +28,44 @@ class Table:
     """Rows of finished text; `caption` names them, `style` is the class of the table."""
 
     caption: str
-    columns: Sequence[Column]
-    rows: Sequence[Sequence[Cell]]
+    heads: Sequence[Head]
+    rows: Sequence[Sequence[str]]
     note: str = ""
     folded: bool = False
     style: str = ""
 
 
-def table_of(caption: str, found: Values, note: str = "", *, folded: bool = False) -> Table:
+def table_of(caption: str, found: Values, note: str = "", **more: Any) -> Table:
     """Return values as a table of the page."""
-    columns = [Column(h.title, h.kind not in WORDS, unit_text(h.unit)) for h in found.heads]
     cells = found.cells(number, percent, effect=effect_words, path=short_path)
-    return Table(caption, columns, cells, note, folded)
+    return Table(caption, found.heads, cells, note, **more)
+
+
+def table(
+    caption: str,
+    titles: str,
+    kinds: str,
+    rows: Iterable[Sequence[Any]],
+    note: str = "",
+    *,
+    style: str = "",
+    **names: str,
+) -> Table:
+    """Return rows of values under `heads` as a table of the page."""
+    return table_of(caption, values(titles, kinds, rows, **names), note, style=style)
+
+
+VALUE_HEADS = heads(
+    "parameter | value | std error | 95 % interval | unit", "text number number number text"
+)
+
+
+def value_row(name: str, value: float | None, error: float | None, unit: str) -> tuple[str, ...]:
+    """Return the cells of an estimate under `VALUE_HEADS`; without an error it is fixed."""
+    if value is None or error is None:
+        return name, "not determined", DASH, DASH, unit_text(unit)
+    texts = with_error(value, error) if error > 0.0 else (number(value), "fixed")
+    return name, *texts, interval(value, error), unit_text(unit)
 
 
 @dataclass(frozen=True)
@@ -98,19 +107,18 @@ class Group:
     badge: str = ""  # good, poor, open, or nothing
     badge_text: str = ""
     facts: Sequence[tuple[str, str]] = ()
-    figures: Sequence[Figure] = ()
+    figures: Sequence[Figure | None] = ()
     tables: Sequence[Table] = ()  # those without rows are left out
     notes: Sequence[str] = ()
     absent: Sequence[Absent] = ()
     unfolded: bool = False  # tables stand open
 
 
-def badge(verdicts: Sequence[Verdict]) -> tuple[str, str]:
-    """Return the badge of some verdicts and its text: nothing without any."""
+def badge(verdicts: Sequence[Verdict]) -> str:
+    """Return the badge of some verdicts: nothing without any."""
     if not verdicts:
-        return "", ""
-    state = "good" if all(verdict.good for verdict in verdicts) else "poor"
-    return state, state
+        return ""
+    return "good" if all(verdict.good for verdict in verdicts) else "poor"
 
 
 def badge_text(state: str, text: str) -> Markup:
@@ -118,17 +126,26 @@ def badge_text(state: str, text: str) -> Markup:
     return Markup('<span class="badge {}">{}</span>').format(state or "none", text)
 
 
+def reasons(verdicts: Sequence[Verdict]) -> str:
+    """Return why verdicts are what they are."""
+    return "; ".join(verdict.reason for verdict in verdicts if verdict.reason)
+
+
 @dataclass(frozen=True)
 class Section:
-    """A part of the page; `template` renders what `data` holds beyond the groups."""
+    """A part of the page; `judgement` and the table `glance` stand at the head of the first."""
 
     id: str
     title: str
     lead: str = ""
     groups: Sequence[Group] = ()
     tables: Sequence[Table] = ()
-    figures: Sequence[Figure] = ()
     absent: Sequence[Absent] = ()
     notes: Sequence[str] = ()
-    template: str = ""
-    data: dict[str, object] = field(default_factory=dict)
+    judgement: Judgement | None = None
+    glance: Table | None = None
+
+    @property
+    def complete(self) -> bool:
+        """Whether all its data were given."""
+        return not self.absent and not any(group.absent for group in self.groups)

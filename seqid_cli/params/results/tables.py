@@ -1,8 +1,9 @@
 """Results as tables of values: the screen and the report write them with the same heads."""
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from seqid_cli.params.evidence_schema import RivalEntry
 from seqid_cli.params.results.diagnosis import EventEntry, HiddenEntry, ResidualEntry
@@ -11,23 +12,33 @@ from seqid_cli.params.results.plan import PlannedMove, PlannedStage
 from seqid_cli.params.results.trend import ChangeEntry
 from seqid_cli.params.schema import ClosedLoop, RefinementRound
 
-Kind = Literal["text", "effect", "path", "count", "number", "share", "limits", "shares"]
-WORDS = ("text", "effect", "path")
+_WORDS = ("text", "effect", "path")
+_HEAD = re.compile(r"(?P<title>.*?)(?: \[(?P<unit>.*)\])?")
+_KIND = re.compile(r"(?P<kind>[a-z]+)(?P<digits>[0-9]*)")
 
 
 @dataclass(frozen=True)
 class Head:
-    """What a column holds: words, numbers, shares of one, or both limits of an interval of them."""
+    """A column's title and unit, and what it holds.
+
+    `kind` is text, effect, path, count, number, share (of one), or limits, shares (both ends of an
+    interval of them); `digits` are those of its numbers.
+    """
 
     title: str
-    kind: Kind = "number"
+    kind: str
     unit: str = ""
     digits: int = 3
+
+    @property
+    def numeric(self) -> bool:
+        """Whether it is set to the right."""
+        return self.kind not in _WORDS
 
 
 @dataclass(frozen=True)
 class Values:
-    """Rows of values, None where there is none, under their heads."""
+    """Rows of values, None where there is none, under their heads; text stays as it is."""
 
     heads: Sequence[Head]
     rows: Sequence[Sequence[Any]]
@@ -43,26 +54,42 @@ class Values:
         def cell(head: Head, value: Any) -> str:
             if value is None:
                 return number(None, head.digits)
-            if head.kind in ("number", "share"):
-                return number(value, head.digits) if head.kind == "number" else percent(value)
-            if head.kind in ("limits", "shares"):
-                ends = [
-                    number(x, head.digits) if head.kind == "limits" else percent(x) for x in value
-                ]
-                return " to ".join(ends) or number(None, head.digits)
-            return words.get(head.kind, str)(value)
+            if head.kind in words:
+                return words[head.kind](value)
+            if isinstance(value, str) or head.kind in ("text", "count"):
+                return value if isinstance(value, str) else str(value)
+            write = percent if head.kind.startswith("share") else lambda x: number(x, head.digits)
+            if head.kind.endswith("s"):
+                return " to ".join(map(write, value)) or number(None, head.digits)
+            return write(value)
 
         pairs = (zip(self.heads, row, strict=True) for row in self.rows)
         return [tuple(cell(head, value) for head, value in row) for row in pairs]
 
 
-def texts(*titles: str) -> list[Head]:
-    """Return heads of columns of text."""
-    return [Head(title, "text") for title in titles]
+def heads(titles: str, kinds: str, **names: str) -> list[Head]:
+    """Return heads by their titles and units, "speed [rad/s] | RMS error [{unit}]".
+
+    `kinds` are those of `Head`, each with its digits where they are not three: "text number4".
+    `names` stand for the words in braces: whatever comes from a file.
+    """
+    found = []
+    for title, kind in zip(titles.split(" | "), kinds.split(), strict=True):
+        head, form = _HEAD.fullmatch(title), _KIND.fullmatch(kind)
+        assert head is not None
+        assert form is not None
+        name, unit = (text.format(**names) for text in (head["title"], head["unit"] or ""))
+        found.append(Head(name, form["kind"], unit, int(form["digits"] or 3)))
+    return found
 
 
-def _torque_unit(units: Iterable[str]) -> str:
-    return " or ".join(dict.fromkeys(units)) or "N m"
+def values(titles: str, kinds: str, rows: Iterable[Sequence[Any]], **names: str) -> Values:
+    """Return rows under `heads`."""
+    return Values(heads(titles, kinds, **names), list(rows))
+
+
+def _torque_unit(units: Mapping[str, str], joints: Iterable[str]) -> str:
+    return " or ".join(dict.fromkeys(units.get(name, "N m") for name in joints)) or "N m"
 
 
 def loop_errors(loop: ClosedLoop, units: Mapping[str, str] = {}) -> Values:
@@ -71,61 +98,31 @@ def loop_errors(loop: ClosedLoop, units: Mapping[str, str] = {}) -> Values:
     Outside is beyond the positions and speeds at which friction was identified. `units`: of the
     joints' torques, where they are not N m.
     """
-    unit = _torque_unit(units.get(name, "N m") for name in loop.before)
-    heads = [
-        *texts("joint"),
-        *(Head(title, unit=unit) for title in ("before", "after", "noise floor")),
-        Head("its 95 % interval", "limits"),
-        Head("variance less by", "share"),
-        Head("95 % interval", "shares"),
-        Head("outside", "share"),
-        Head("before there", unit=unit),
-        Head("after there", unit=unit),
-    ]
     rows = []
-    for name, error in loop.before.items():
-        new = loop.after.get(name)
-        rows.append(
-            (
-                name,
-                error.rmse,
-                None if new is None else new.rmse,
-                loop.noise_floor.get(name),
-                loop.noise_floor_interval.get(name, ()),
-                None if new is None or not error.rmse else 1.0 - (new.rmse / error.rmse) ** 2,
-                loop.gain_interval.get(name, ()),
-                error.share_outside,
-                error.rmse_outside,
-                None if new is None else new.rmse_outside,
-            )
-        )
-    return Values(heads, rows)
+    for name, old in loop.before.items():
+        new, floor = loop.after.get(name), loop.noise_floor_interval.get(name, ())
+        less = None if new is None or not old.rmse else 1.0 - (new.rmse / old.rmse) ** 2
+        after, there = (None, None) if new is None else (new.rmse, new.rmse_outside)
+        errors = (name, old.rmse, after, loop.noise_floor.get(name), floor)
+        gain = loop.gain_interval.get(name, ())
+        rows.append((*errors, less, gain, old.share_outside, old.rmse_outside, there))
+    return values(
+        "joint | before [{unit}] | after [{unit}] | noise floor [{unit}] | its 95 % interval | "
+        "variance less by | 95 % interval | outside | before there [{unit}] | after there [{unit}]",
+        "text number number number limits share shares share number number",
+        rows,
+        unit=_torque_unit(units, loop.before),
+    )
 
 
 def rounds(loop: ClosedLoop) -> Values:
     """Effects that were tried in a refinement, and what became of them."""
-    heads = [
-        Head("effect", "effect"),
-        *texts("joint"),
-        Head("gain left out", "share"),
-        Head("95 % interval", "shares"),
-        Head("gain held out", "share"),
-        Head("95 % interval", "shares"),
-        *texts("outcome"),
-    ]
-    rows = [
-        (
-            item.effect,
-            item.joint or "whole arm",
-            item.training_gain,
-            item.training_interval,
-            item.held_out_gain,
-            item.interval,
-            _outcome(item),
-        )
-        for item in (*loop.rounds, *loop.refused)
-    ]
-    return Values(heads, rows)
+    rows = []
+    for x in (*loop.rounds, *loop.refused):
+        gains = (x.training_gain, x.training_interval, x.held_out_gain, x.interval)
+        rows.append((x.effect, x.joint or "whole arm", *gains, _outcome(x)))
+    titles = "effect | joint | gain left out | 95 % interval | gain held out | 95 % interval"
+    return values(f"{titles} | outcome", "effect text share shares share shares text", rows)
 
 
 def _outcome(item: RefinementRound) -> str:
@@ -137,106 +134,63 @@ def _outcome(item: RefinementRound) -> str:
 
 def rivals(tried: Sequence[RivalEntry], title: str = "tried") -> Values:
     """Terms that were tried, each with the reason why it was not taken."""
-    heads = [
-        Head(title, "effect"),
-        *texts("joint"),
-        Head("gain, nats", "count"),
-        *texts("why it was not taken"),
-    ]
     rows = [(x.effect, x.joint or "whole arm", f"{x.log_gain:.0f}", x.why_not) for x in tried]
-    return Values(heads, rows)
+    titles = "{title} | joint | gain, nats | why it was not taken"
+    return values(titles, "effect text count text", rows, title=title)
 
 
 def joint_residuals(joints: Mapping[str, ResidualEntry], units: Mapping[str, str] = {}) -> Values:
     """What a model leaves of some joints' torque, against the noise floor."""
-    unit = _torque_unit(units.get(name, "N m") for name in joints)
-    heads = [
-        *texts("joint"),
-        Head("RMSE", unit=unit),
-        Head("noise floor", unit=unit),
-        Head("95 % interval", "limits"),
-        Head("ratio"),
-        Head("with findings", unit=unit),
-        *texts("white"),
-    ]
-    rows = [
-        (
-            name,
-            joint.rmse,
-            joint.noise_floor,
-            joint.noise_floor_interval,
-            joint.rmse / joint.noise_floor
-            if joint.rmse is not None and joint.noise_floor
-            else None,
-            joint.rmse_explained,
-            "yes" if joint.white else "no",
-        )
-        for name, joint in joints.items()
-    ]
-    return Values(heads, rows)
+    rows = []
+    for name, x in joints.items():
+        times = x.rmse / x.noise_floor if x.rmse is not None and x.noise_floor else None
+        floor = (x.noise_floor, x.noise_floor_interval)
+        rows.append((name, x.rmse, *floor, times, x.rmse_explained, "yes" if x.white else "no"))
+    return values(
+        "joint | RMSE [{unit}] | noise floor [{unit}] | 95 % interval | ratio | "
+        "with findings [{unit}] | white",
+        "text number number limits number number text",
+        rows,
+        unit=_torque_unit(units, joints),
+    )
 
 
 def events(pushed: Sequence[EventEntry]) -> Values:
     """Times in which something pushed the arm."""
-    times = (Head(title, "count", "s") for title in ("from", "to"))
-    heads = [Head("pushed in log", "path"), *times, *texts("joints")]
     rows = [(x.log, f"{x.start:.2f}", f"{x.end:.2f}", ", ".join(x.joints)) for x in pushed]
-    return Values(heads, rows)
+    return values("pushed in log | from [s] | to [s] | joints", "path count count text", rows)
 
 
 def hidden(effects: Sequence[HiddenEntry]) -> Values:
     """Effects that the motions of the logs cannot show."""
-    heads = [Head("hidden from these motions", "effect"), *texts("joint"), Head("visible", "share")]
-    return Values(heads, [(x.effect, x.joint or "whole arm", x.visible) for x in effects])
+    rows = [(x.effect, x.joint or "whole arm", x.visible) for x in effects]
+    return values("hidden from these motions | joint | visible", "effect text share", rows)
 
 
 def payload_joints(file: PayloadFile) -> Values:
     """Torque error of each joint without and with the load, where it slides."""
-    heads = [
-        *texts("joint"),
-        Head("RMSE without", unit="N m"),
-        Head("with", unit="N m"),
-        Head("of the torque", "share"),
-        Head("friction differs by", "share"),
-    ]
     rows = [(n, x.before, x.after, x.relative, x.friction_change) for n, x in file.joints.items()]
-    return Values(heads, rows)
+    titles = "joint | RMSE without [N m] | with [N m] | of the torque | friction differs by"
+    return values(titles, "text number number share share", rows)
 
 
 def moves(planned: Sequence[PlannedMove]) -> Values:
     """Moves of a plan."""
-    heads = [*texts("move", "joints"), Head("seconds"), Head("of torque limit", "share")]
     rows = [(x.name, " ".join(x.joints), x.duration_s, x.torque_share) for x in planned]
-    return Values(heads, rows)
+    return values("move | joints | seconds | of torque limit", "text text number share", rows)
 
 
 def planned_errors(stage: PlannedStage) -> Values:
     """Standard errors that the moves of a stage will give."""
-    heads = [*texts("parameter"), Head("value now"), Head("std error then"), *texts("unit")]
-    return Values(heads, [(x.name, x.value, x.std_error, x.unit) for x in stage.parameters])
+    rows = [(x.name, x.value, x.std_error, x.unit) for x in stage.parameters]
+    return values("parameter | value now | std error then | unit", "text number number text", rows)
 
 
 def changes(entries: Sequence[ChangeEntry]) -> Values:
     """What changed over time, in the order given."""
-    heads = [
-        *texts("robot", "joint", "quantity", "how", "since"),
-        Head("before", digits=4),
-        Head("after", digits=4),
-        Head("change", "share"),
-        Head("sigmas"),
-    ]
-    rows = [
-        (
-            entry.robot,
-            entry.joint or None,
-            f"{entry.stage} {entry.name}",
-            entry.kind,
-            entry.since[:10],
-            entry.before,
-            entry.after,
-            entry.relative,
-            entry.sigmas,
-        )
-        for entry in entries
-    ]
-    return Values(heads, rows)
+    rows = []
+    for x in entries:
+        what = (x.robot, x.joint or None, f"{x.stage} {x.name}", x.kind, x.since[:10])
+        rows.append((*what, x.before, x.after, x.relative, x.sigmas))
+    titles = "robot | joint | quantity | how | since | before | after | change | sigmas"
+    return values(titles, "text text text text text number4 number4 share number", rows)

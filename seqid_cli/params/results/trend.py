@@ -1,5 +1,7 @@
 """What changed over time, `seqid/trend@1`."""
 
+from datetime import datetime
+
 from seqid_cli.params.base import Document, Struct
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import Tool
@@ -24,6 +26,14 @@ class SeriesEntry(QuantityEntry, kw_only=True):
     values: list[float]
     std_errors: list[float]
     temperatures: list[float] = []
+
+    def __post_init__(self) -> None:
+        try:
+            times = [datetime.fromisoformat(date).timestamp() for date in self.dates]
+        except (ValueError, OverflowError):
+            times = []
+        if not 0 < len(times) == len(self.values) == len(self.std_errors):
+            raise ValueError("dates, values and std_errors must be of one length, as dates")
 
 
 class ChangeEntry(QuantityEntry, kw_only=True):

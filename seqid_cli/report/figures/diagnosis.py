@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from seqid_cli.params.results.diagnosis import DiagnosisFile, EventEntry
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.figures.row_chart import RowChart
+from seqid_cli.report.figures.chart import RowChart
 from seqid_cli.report.views import Figure, Key
 from seqid_cli.report.words import file_name, number, plural
 
@@ -28,13 +28,12 @@ def against_floor(file: DiagnosisFile, collection: Collection) -> Figure | None:
     for row, (rmse, explained) in enumerate(shown.values()):
         chart.bar(row, 0.0, rmse, "bar")
         if file.findings and explained:
-            chart.dot(row, explained, "after")
+            chart.dots(row, [explained])
     chart.mark(1.0, "floor")
     text = "; ".join(f"{name}: {number(rmse)}" for name, (rmse, _) in shown.items())
     legend = [Key("bar", "residual"), Key("floor", "noise floor")]
     legend += [Key("after", "with the findings")] if file.findings else []
-    title = "Residual against the noise floor"
-    return Figure(title, chart.render(title, f"{text}, times the floor."), legend, wide=True)
+    return chart.figure("Residual against the noise floor", f"{text}, times the floor.", legend)
 
 
 def timeline(events: Sequence[EventEntry]) -> Figure | None:
@@ -48,6 +47,5 @@ def timeline(events: Sequence[EventEntry]) -> Figure | None:
         for event in [event for event in events if event.log == log][:_MOST_EVENTS]:
             tooltip = f"{event.start:.2f} to {event.end:.2f} s: {', '.join(event.joints)}"
             chart.bar(row, event.start, event.end, "span event", tooltip)
-    title = "Events: something pushed the arm"
     text = f"{plural(len(events), 'event')} in {plural(len(logs), 'log')}; the table lists them."
-    return Figure(title, chart.render(title, text), [Key("event", "pushed")], wide=True)
+    return chart.figure("Events: something pushed the arm", text, [Key("event", "pushed")])

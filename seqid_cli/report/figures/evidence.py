@@ -4,69 +4,56 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis_words import over_words
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.figures.chart import Box, Panel, drawing
+from seqid_cli.report.figures.chart import small_figure, small_panel
 from seqid_cli.report.figures.svg import padded
-from seqid_cli.report.figures.torque import SMALL
-from seqid_cli.report.views import Figure, Key, Table, numbers, table_of
-from seqid_cli.report.words import number, unit_text
+from seqid_cli.report.views import Figure, Key, Table, table, table_of
+from seqid_cli.report.words import unit_text
 
 
 def evidence_figure(
-    shown: EvidenceEntry, collection: Collection, what: str = "Residual"
+    shown: EvidenceEntry | None, collection: Collection, what: str = "Residual"
 ) -> Figure | None:
     """Draw a joint's residual over the effect's quantity, before and after it is taken off."""
-    if len(shown.x) < 2 or not min(shown.x) < max(shown.x):
+    if shown is None or len(shown.x) < 2 or not min(shown.x) < max(shown.x):
         return None
-    unit = unit_text(collection.units(shown.joint)[0])
-    quantity, x_unit = over_words(shown), unit_text(shown.unit)
-    sided = " times direction" if shown.sided else ""
-    curves = [("residual", "faint", "before", shown.before, shown.before_spread)]
+    unit = unit_text(collection.place(shown.joint).torque_unit)
+    quantity, sided = over_words(shown), " times direction" if shown.sided else ""
+    none = [None] * len(shown.x)
+    curves = {"before": ("residual", "faint", shown.before, shown.before_spread)}
     if shown.after:
-        curves.append(("predicted", "cut0", "after", shown.after, shown.after_spread))
-    edges = [
-        y + s * d for *_, ys, ds in curves for y, d in zip(ys, ds, strict=True) for s in (-1, 1)
-    ]
-    panel = Panel(
-        Box(62, 26, SMALL - 74, 150),
+        curves["after"] = ("predicted", "cut0", shown.after, shown.after_spread)
+    edges = {name: (np.subtract(y, d), np.add(y, d)) for name, (*_, y, d) in curves.items()}
+    ends = np.concatenate([np.zeros(1), *(edge for both in edges.values() for edge in both)])
+    panel = small_panel(
+        (quantity, unit_text(shown.unit)),
         (min(shown.x), max(shown.x)),
-        padded(min(0.0, *edges), max(0.0, *edges)),
-        x_title=f"{quantity}, {x_unit}" if x_unit else quantity,
-        y_title=f"residual{sided}, {unit}",
-        x_ticks=4,
-        hover=f"{quantity}|{x_unit}",
+        f"residual{sided}, {unit}",
+        padded(float(ends.min()), float(ends.max())),
     )
-    for _, band, _, ys, ds in curves:
-        low, high = (
-            [(x, y + s * d) for x, y, d in zip(shown.x, ys, ds, strict=True)] for s in (-1, 1)
-        )
-        panel.band(low, high, band)
-    for line, _, name, ys, _ in curves:
-        panel.line(zip(shown.x, ys, strict=True), line, name=name, unit=unit)
+    for name, (_, band, *_) in curves.items():
+        panel.band(shown.x, *edges[name], band)
+    for name, (line, _, y, _) in curves.items():
+        panel.line(shown.x, y, line, name=name, unit=unit)
     title = f"{what} of {shown.joint} over {quantity}"
     text = "Means of bins, in bands of one standard deviation, on blocks left out of the fit."
-    legend = [Key(line, f"{name} it is taken off") for line, _, name, *_ in curves]
-    svg = drawing(SMALL, 220, title, text, [panel])
-    return Figure(title, svg, legend, _bins(shown, title, quantity, unit), text)
-
-
-def _bins(shown: EvidenceEntry, title: str, quantity: str, unit: str) -> Table:
-    heads = (
-        *numbers(quantity, unit=unit_text(shown.unit)),
-        *numbers("samples"),
-        *numbers("before", "spread", "after", "spread", unit=unit),
+    legend = [Key(line, f"{name} it is taken off") for name, (line, *_) in curves.items()]
+    after = (shown.after or none, shown.after_spread or none)
+    bins = table(
+        title,
+        "{quantity} [{x}] | samples | before [{y}] | spread [{y}] | after [{y}] | spread [{y}]",
+        "number count number number number number",
+        zip(shown.x, shown.count, shown.before, shown.before_spread, *after, strict=True),
+        quantity=quantity,
+        x=shown.unit,
+        y=unit,
     )
-    none = [float("nan")] * len(shown.x)
-    after, spread = shown.after or none, shown.after_spread or none
-    values = zip(shown.before, shown.before_spread, after, spread, strict=True)
-    rows = [
-        (number(x), str(count), *map(number, some))
-        for x, count, some in zip(shown.x, shown.count, values, strict=True)
-    ]
-    return Table(title, heads, rows)
+    return small_figure(panel, title, text, legend, bins, note=text)
 
 
 def rivals_table(title: str, tried: Sequence[RivalEntry]) -> Table:

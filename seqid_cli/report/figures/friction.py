@@ -7,18 +7,19 @@ from collections.abc import Sequence
 import numpy as np
 
 from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.params.results.tables import Head, Values
 from seqid_cli.params.schema import FrictionJoint
-from seqid_cli.report.figures.chart import Box, Panel, drawing
+from seqid_cli.report.collection import Place
+from seqid_cli.report.figures.chart import small_figure, small_panel
 from seqid_cli.report.figures.svg import line, padded
-from seqid_cli.report.figures.torque import SMALL, Place
-from seqid_cli.report.views import Figure, Key, Table, numbers
+from seqid_cli.report.views import Figure, Key, Table, table, table_of
 from seqid_cli.report.words import Z95, number, unit_text
 from seqid_cli.robot.types import Array
 
 _CELLS = (22, 11)  # of the surface: along position, along speed in either direction
 _COLOURS = 12
 _CURVE = 81
-_TURN, _LIFT = np.radians(36.0), np.radians(28.0)
+_HEIGHT = 178.0
 
 
 def drawable(joint: FrictionJoint) -> bool:
@@ -43,21 +44,20 @@ def surface_figure(joint: FrictionJoint, place: Place) -> Figure:
     torques = [surface.torque(*grid).reshape(len(q), -1) for grid in grids]
     low, high = min(map(np.min, torques)), max(map(np.max, torques))
     x_unit, unit = unit_text(place.position_unit), unit_text(place.torque_unit)
-    panel = Panel(
-        Box(62, 26, SMALL - 74, 178),
+    panel = small_panel(
+        ("position", x_unit),
         padded(q[0], q[-1], 0.0),
+        f"velocity, {x_unit}/s",
         padded(-speed[-1], speed[-1], 0.0),
-        x_title=f"position, {x_unit}",
-        y_title=f"velocity, {x_unit}/s",
-        x_ticks=4,
+        height=_HEIGHT,
+        read=False,
     )
     for v, torque in zip(halves, torques, strict=True):
         middle = 0.25 * (torque[1:, 1:] + torque[1:, :-1] + torque[:-1, 1:] + torque[:-1, :-1])
         share = (middle - low) / ((high - low) or 1.0)
         shades = np.minimum((share * _COLOURS).astype(int), _COLOURS - 1)
         for (i, k), shade in np.ndenumerate(shades):
-            below, above = ([(x, y) for x in q[i : i + 2]] for y in v[k : k + 2])
-            panel.band(below, above, f"heat h{shade}")
+            panel.band(q[i : i + 2], v[[k, k]], v[[k + 1, k + 1]], f"heat h{shade}")
     title = f"Friction of {place.joint} over position and velocity"
     text = (
         f"Map of friction torque from {number(low)} to {number(high)} {place.torque_unit}, "
@@ -66,21 +66,20 @@ def surface_figure(joint: FrictionJoint, place: Place) -> Figure:
     )
     marks = [(k, low + k / (_COLOURS - 1) * (high - low)) for k in (0, 4, 7, _COLOURS - 1)]
     legend = [Key(f"heat h{k}", f"{number(at, 2)} {unit}") for k, at in marks]
-    svg = drawing(SMALL, 248, title, text, [panel])
-    table = _table(surface, q, speed, place, title)
-    return Figure("Over position and velocity", svg, legend, table)
+    values = _grid(surface, q, speed, place, title)
+    return small_figure(panel, title, text, legend, values, name="Over position and velocity")
 
 
-def _table(surface: FrictionSurface, q: Array, speed: Array, place: Place, title: str) -> Table:
+def _grid(surface: FrictionSurface, q: Array, speed: Array, place: Place, title: str) -> Table:
     some_q, some_v = np.linspace(q[0], q[-1], 5), np.linspace(speed[0], speed[-1], 5)
-    unit = unit_text(place.position_unit)
-    heads = numbers(*(f"at {number(at)}" for at in some_q), unit=unit)
+    unit = place.position_unit
+    heads = [Head("velocity", "number", f"{unit}/s")]
+    heads += [Head(f"at {number(at)}", "number", unit) for at in some_q]
     rows = [
-        (number(at), *map(number, surface.torque(some_q, np.full(len(some_q), at))))
-        for at in (*(-some_v[::-1]), *some_v)
+        (at, *surface.torque(some_q, np.full(len(some_q), at)).tolist())
+        for at in (*(-some_v[::-1]).tolist(), *some_v.tolist())
     ]
-    columns = (*numbers("velocity", unit=f"{unit}/s"), *heads)
-    return Table(f"{title}, {unit_text(place.torque_unit)}", columns, rows)
+    return table_of(f"{title}, {unit_text(place.torque_unit)}", Values(heads, rows))
 
 
 def over_velocity(joint: FrictionJoint, place: Place) -> Figure:
@@ -112,50 +111,38 @@ def _cuts(
     every = np.concatenate([np.concatenate([y - e, y + e]) for *_, y, e in curves])
     unit, length = unit_text(place.torque_unit), unit_text(place.position_unit)
     x_unit, cut_unit = (f"{length}/s", length) if along else (length, f"{length}/s")
-    names = [f"{at:g}".replace("-", "\u2212") for at in cuts]
-    panel = Panel(
-        Box(62, 26, SMALL - 74, 178),
+    names = [f"at {at:g} {cut_unit}".replace("-", "\u2212") for at in cuts]
+    panel = small_panel(
+        (over, x_unit),
         padded(float(pieces[0][0]), float(pieces[-1][-1]), 0.02),
+        f"friction, {unit}",
         padded(float(every.min()), float(every.max())),
-        x_title=f"{over}, {x_unit}",
-        y_title=f"friction, {unit}",
-        x_ticks=4,
-        hover=f"{over}|{x_unit}",
+        height=_HEIGHT,
     )
     for _, k, x, y, e in curves:
-        panel.band(_points(x, y - e), _points(x, y + e), f"cut{k}")
+        panel.band(x, y - e, y + e, f"cut{k}")
     for _, k, x, y, _ in curves:
-        panel.line(_points(x, y), f"cut{k}", name=f"at {names[k]} {cut_unit}", unit=unit)
+        panel.line(x, y, f"cut{k}", name=names[k], unit=unit)
     bottom, speeds = panel.box.bottom, [item.speed for item in joint.speeds] if along else []
     for speed in (*speeds, *(-speed for speed in speeds)):
         panel.add(line("rug", panel.x(speed), bottom, panel.x(speed), bottom - 6))
     title = f"Friction of {place.joint} over {over}"
-    text = "Three cuts through the surface with 95 % intervals."
-    legend = [Key(f"cut{k}", f"at {name} {cut_unit}") for k, name in enumerate(names)]
-    note = "Small marks below: the speeds that were recorded." if speeds else ""
-    svg = drawing(SMALL, 248, title, text, [panel])
-    table = _cut_table(curves, f"{title}, {unit}", over, x_unit, cut_unit)
-    return Figure(f"Over {over}", svg, legend, table, note)
-
-
-def _cut_table(
-    curves: Sequence[tuple[float, int, Array, Array, Array]],
-    title: str,
-    over: str,
-    x_unit: str,
-    cut_unit: str,
-) -> Table:
-    columns = (
-        *numbers("cut at", unit=cut_unit),
-        *numbers(over, unit=x_unit),
-        *numbers("friction", "95 % half-width"),
-    )
     rows = [
-        (number(at), number(float(x[i])), number(float(y[i])), number(float(e[i]), 2))
+        (at, float(x[i]), float(y[i]), float(e[i]))
         for at, _, x, y, e in curves
         for i in np.linspace(0, len(x) - 1, 5).astype(int)
     ]
-    return Table(title, columns, rows)
+    titles = "cut at [{cut}] | {over} [{unit}] | friction | 95 % half-width"
+    kinds, own = "number number number number2", {"cut": cut_unit, "over": over, "unit": x_unit}
+    return small_figure(
+        panel,
+        title,
+        "Three cuts through the surface with 95 % intervals.",
+        [Key(f"cut{k}", name) for k, name in enumerate(names)],
+        table(f"{title}, {unit}", titles, kinds, rows, **own),
+        name=f"Over {over}",
+        note="Small marks below: the speeds that were recorded." if speeds else "",
+    )
 
 
 def _round(value: float, span: float) -> float:
@@ -164,10 +151,6 @@ def _round(value: float, span: float) -> float:
         return value
     decimals = max(0, 2 - int(np.floor(np.log10(span)))) if span < 1e6 else 0
     return round(value, decimals) + 0.0  # never minus zero
-
-
-def _points(x: Array, y: Array) -> list[tuple[float, float]]:
-    return list(zip(x.tolist(), y.tolist(), strict=True))
 
 
 FIGURES = (surface_figure, over_velocity, over_position)  # of each joint

@@ -58,11 +58,6 @@ def label(x: float, y: float, text: str, anchor: str = "start", style: str = "")
     return element("text", attributes, text)
 
 
-def joined(parts: Iterable[str]) -> Markup:
-    """Return elements one after the other."""
-    return Markup("").join(parts)
-
-
 def points_text(points: Iterable[Point]) -> str:
     """Return coordinates as the `points` of a polyline, to a tenth of a unit."""
     return " ".join(f"{_short(x)},{_short(y)}" for x, y in points)

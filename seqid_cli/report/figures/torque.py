@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,31 +15,28 @@ from seqid_cli.model.effects.spectral_lines import (
     amplitude,
     strongest_lines,
 )
-from seqid_cli.report.figures.chart import Box, Panel, drawing
+from seqid_cli.report.collection import Place
+from seqid_cli.report.figures.chart import (
+    WIDE,
+    Panel,
+    drawing,
+    small_figure,
+    small_panel,
+    wide_box,
+)
 from seqid_cli.report.figures.downsample import extremes, pieces
-from seqid_cli.report.figures.svg import Point, padded
+from seqid_cli.report.figures.svg import padded
 from seqid_cli.report.torques import Series
-from seqid_cli.report.views import Figure, Key, Table, numbers
+from seqid_cli.report.views import Figure, Key, Table, table
 from seqid_cli.report.words import number, plural, short_path, unit_text
 from seqid_cli.robot.types import Array
 
 Mask = NDArray[np.bool_]
 Event = tuple[float, float]
 
-WIDE, SMALL = 580.0, 372.0
-_LEFT, _RIGHT = 62.0, 12.0
 _ROWS = 20  # of the tables of time series
 _BINS = 40
 _OTHERS = 3  # colours of models beside the best
-
-
-@dataclass(frozen=True)
-class Place:
-    """The joint of a torque, and its units."""
-
-    joint: str
-    torque_unit: str
-    position_unit: str
 
 
 def over_time(
@@ -65,8 +61,7 @@ def over_time(
     for piece in pieces(t, rests):
         low, high = series.low[piece], series.high[piece]
         kept = np.union1d(*(extremes(t[piece], bound, columns) for bound in (low, high)))
-        at = t[piece][kept]
-        torque.band(_points(at, low[kept]), _points(at, high[kept]), "faint")
+        torque.band(t[piece][kept], low[kept], high[kept], "faint")
     names = list(models) if len(models) > 1 else ["predicted"]
     styles = ["predicted", *(f"other{k % _OTHERS}" for k in range(len(models) - 1))]
     drawn = [(torque, series, series.torque, "measured", "measured")]
@@ -79,7 +74,7 @@ def over_time(
         at = whose.t - whose.t[0]
         for piece in pieces(at, _known(whose)):
             kept = extremes(at[piece], values[piece], columns)
-            panel.line(_points(at[piece][kept], values[piece][kept]), style, name=label, unit=unit)
+            panel.line(at[piece][kept], values[piece][kept], style, name=label, unit=unit)
     title = f"{place.joint}, {name}"
     text = _described(series, shown, place.torque_unit)
     svg = drawing(WIDE, 348, f"Torque of {title} over time", text, [torque, residual])
@@ -92,40 +87,24 @@ def over_time(
 
 def _panels(models: Mapping[str, Series], t: Array, shown: Mask, unit: str) -> tuple[Panel, Panel]:
     """Return the frames for the torque and, below, for the residual."""
-    end = float(t[-1]) if len(t) > 1 and t[-1] > 0 else 1.0
+    span = (0.0, float(t[-1]) if len(t) > 1 and t[-1] > 0 else 1.0)
     series = next(iter(models.values()))
     drawn = [series.torque[_known(series)], series.low, series.high]
     drawn += [one.predicted[_known(one)] for one in models.values()]
     left = [series.residual[shown]]
     left += [one.residual[_known(one) & one.used & one.sliding] for one in models.values()]
     both = np.concatenate(drawn)
-    torque = Panel(
-        Box(_LEFT, 26, WIDE - _LEFT - _RIGHT, 164),
-        (0.0, end),
-        _limits(both[np.isfinite(both)]),
-        y_title=f"torque, {unit}",
-        show_x=False,
-        hover="t|s",
-    )
-    residual = Panel(
-        Box(_LEFT, 220, WIDE - _LEFT - _RIGHT, 84),
-        (0.0, end),
-        _limits(np.concatenate(left), zero=True),
-        x_title="time, s",
-        y_title=f"residual, {unit}",
-        y_ticks=3,
-        hover="t|s",
-    )
+    limits = _limits(both[np.isfinite(both)])
+    title, below = f"torque, {unit}", f"residual, {unit}"
+    torque = Panel(wide_box(26, 164), span, limits, y_title=title, show_x=False, hover="t|s")
+    limits = _limits(np.concatenate(left), zero=True)
+    residual = Panel(wide_box(220, 84), span, limits, "time, s", below, y_ticks=3, hover="t|s")
     return torque, residual
 
 
 def _known(series: Series) -> Mask:
     good = np.isfinite(series.torque) & np.isfinite(series.predicted)
     return good & np.isfinite(series.residual)
-
-
-def _points(x: Array, y: Array) -> list[Point]:
-    return list(zip(x.tolist(), y.tolist(), strict=True))
 
 
 def _limits(values: Array, *, zero: bool = False) -> tuple[float, float]:
@@ -154,8 +133,6 @@ def _described(series: Series, shown: Mask, unit: str) -> str:
 
 
 def _time_table(t: Array, series: Series, good: Mask, unit: str, title: str) -> Table:
-    heads = ("measured, least", "most", "predicted, least", "most", "residual RMS", "largest")
-    columns = (*numbers("from", unit="s"), *numbers(*heads, unit=unit))
     rows = []
     edges = np.linspace(0.0, float(t[-1]), min(_ROWS, len(t)) + 1)
     starts = np.searchsorted(t, edges[:-1])
@@ -166,53 +143,50 @@ def _time_table(t: Array, series: Series, good: Mask, unit: str, title: str) -> 
         measured, predicted, rest = (
             values[a:b][keep] for values in (series.torque, series.predicted, series.residual)
         )
-        ends = (measured.min(), measured.max(), predicted.min(), predicted.max())
+        ends = [end() for x in (measured, predicted) for end in (x.min, x.max)]
         left = (np.sqrt(np.mean(rest**2)), np.abs(rest).max())
-        rows.append((f"{at:.2f}", *(number(float(value)) for value in (*ends, *left))))
-    return Table(f"Torque of {title}", columns, rows)
+        rows.append((f"{at:.2f}", *map(float, (*ends, *left))))
+    heads = "from [s] | measured, least [{u}] | most [{u}] | predicted, least [{u}] | most [{u}]"
+    heads += " | residual RMS [{u}] | largest [{u}]"
+    kinds = "count number number number number number number"
+    return table(f"Torque of {title}", heads, kinds, rows, u=unit)
 
 
 def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str) -> Figure | None:
     """Draw the spread of the residual over position or velocity; None where it is not known."""
-    pairs = [(getattr(s, quantity), s.residual, s.used & s.sliding) for s in logs]
+    known = [(getattr(s, quantity), s.residual, s.used & s.sliding) for s in logs]
     kept = [
-        (x[m], r[m])
-        for x, r, used in pairs
+        np.array([x[m], r[m]])
+        for x, r, used in known
         if x is not None
         for m in [used & np.isfinite(x) & np.isfinite(r)]
     ]
-    if not kept or not sum(len(x) for x, _ in kept):
-        return None
-    x, r = np.concatenate([k[0] for k in kept]), np.concatenate([k[1] for k in kept])
-    bins = _binned(x, r)
+    x, r = np.concatenate([np.zeros((2, 0)), *kept], axis=1)
+    bins = _binned(x, r) if len(x) else []
     if not bins:
         return None
-    span = padded(float(x.min()), float(x.max()), 0.02)
-    panel = Panel(
-        Box(_LEFT, 26, SMALL - _LEFT - _RIGHT, 150),
-        span,
-        _limits(r, zero=True),
-        x_title=f"{quantity}, {unit_text(unit)}",
-        y_title=f"residual, {unit_text(place.torque_unit)}",
-        x_ticks=4,
-        hover=f"{quantity}|{unit_text(unit)}",
-    )
-    panel.band([(b[0], b[1]) for b in bins], [(b[0], b[5]) for b in bins], "faint")
-    panel.band([(b[0], b[2]) for b in bins], [(b[0], b[4]) for b in bins], "residual")
     torque_unit = unit_text(place.torque_unit)
-    panel.line([(b[0], b[3]) for b in bins], "residual", name="median", unit=torque_unit)
+    panel = small_panel(
+        (quantity, unit_text(unit)),
+        padded(float(x.min()), float(x.max()), 0.02),
+        f"residual, {torque_unit}",
+        _limits(r, zero=True),
+    )
+    centre, least, low, middle, high, most = zip(*bins, strict=True)
+    panel.band(centre, least, most, "faint")
+    panel.band(centre, low, high, "residual")
+    panel.line(centre, middle, "residual", name="median", unit=torque_unit)
     title = f"Residual of {place.joint} over {quantity}"
     text = (
         f"Median, 90 % range and extremes of the residual in {plural(len(bins), 'bin')} of "
-        f"{quantity}. The median lies between {number(min(b[3] for b in bins))} and "
-        f"{number(max(b[3] for b in bins))} {place.torque_unit}."
+        f"{quantity}. The median lies between {number(min(middle))} and "
+        f"{number(max(middle))} {place.torque_unit}."
     )
-    svg = drawing(SMALL, 220, title, text, [panel])
     legend = [Key("residual", "median"), Key("band-residual", "90 %"), Key("faint", "extremes")]
-    heads = ("least", "5 %", "median", "95 %", "most")
-    columns = (*numbers(quantity, unit=unit_text(unit)), *numbers(*heads, unit=torque_unit))
-    rows = [tuple(number(value) for value in row) for row in bins]
-    return Figure(f"Residual over {quantity}", svg, legend, Table(title, columns, rows))
+    heads = "{over} [{x}] | least [{y}] | 5 % [{y}] | median [{y}] | 95 % [{y}] | most [{y}]"
+    own = {"over": quantity, "x": unit, "y": torque_unit}
+    values = table(title, heads, "number number number number number number", bins, **own)
+    return small_figure(panel, title, text, legend, values, name=f"Residual over {quantity}")
 
 
 def _binned(
@@ -249,36 +223,41 @@ def spectrum(
     if np.count_nonzero(inside) < 8:
         return None
     f, density = f[inside], density[inside]
-    lines = certain_lines(signals, float(top))
-    unit = place.torque_unit
-    panel = Panel(
-        Box(_LEFT, 26, SMALL - _LEFT - _RIGHT, 150),
+    lines = sorted(certain_lines(signals, float(top)))
+    unit = f"{unit_text(place.torque_unit)}/\u221aHz"
+    panel = small_panel(
+        ("frequency", "Hz"),
         (0.0, float(top)),
+        f"residual, {unit}",
         (10 ** np.floor(np.log10(density.min())), 10 ** np.ceil(np.log10(density.max()))),
-        x_title="frequency, Hz",
-        y_title=f"residual, {unit_text(unit)}/\u221aHz",
         y_log=True,
         x_ticks=5,
-        hover="f|Hz",
     )
-    for line in sorted(lines):
+    panel.hover = "f|Hz"
+    for line in lines:
         panel.upright(line, "line-mark")
     if cutoff_hz is not None and cutoff_hz < top:
         panel.upright(cutoff_hz, "limit", "cut-off")
     kept = extremes(f, np.log10(density), columns)
-    panel.line(
-        _points(f[kept], density[kept]),
-        "residual",
-        name="density",
-        unit=f"{unit_text(unit)}/\u221aHz",
+    panel.line(f[kept], density[kept], "residual", name="density", unit=unit)
+    found = ", ".join(f"{line:.2f} Hz" for line in lines)
+    rows = [(f"{line:.3f}", amplitude(longest, line)) for line in lines]
+    return small_figure(
+        panel,
+        f"Spectrum of the residual of {place.joint}",
+        f"Lines that stand out: {found or 'no line'}.",
+        [Key("residual", "density"), *([Key("line-mark", "line")] if lines else [])],
+        table(
+            f"Lines in the residual of {place.joint}",
+            "frequency [Hz] | amplitude [{unit}]",
+            "count number",
+            rows,
+            "" if rows else "No frequency stands out of its neighbourhood.",
+            unit=place.torque_unit,
+        ),
+        name="Spectrum of the residual",
+        note=f"Lines: {found}" if lines else "No line stands out.",
     )
-    found = ", ".join(f"{line:.2f} Hz" for line in sorted(lines)) or "no line"
-    title = f"Spectrum of the residual of {place.joint}"
-    svg = drawing(SMALL, 220, title, f"Lines that stand out: {found}.", [panel])
-    legend = [Key("residual", "density"), *([Key("line-mark", "line")] if lines else [])]
-    table = _lines_table(signals, lines, place)
-    note = f"Lines: {found}" if lines else "No line stands out."
-    return Figure("Spectrum of the residual", svg, legend, table, note)
 
 
 def certain_lines(
@@ -326,14 +305,3 @@ def _density(signal: Signal) -> tuple[Array, Array]:
     length = min(len(signal.values), max(256, len(signal.values) // 4))
     f, power = welch(signal.values, fs=signal.rate_hz, nperseg=length, detrend="constant")
     return np.asarray(f, dtype=np.float64), np.sqrt(np.asarray(power, dtype=np.float64))
-
-
-def _lines_table(signals: Sequence[Signal], lines: Sequence[float], place: Place) -> Table:
-    columns = (
-        *numbers("frequency", unit="Hz"),
-        *numbers("amplitude", unit=unit_text(place.torque_unit)),
-    )
-    longest = max(signals, key=lambda signal: signal.length_s)
-    rows = [(f"{line:.3f}", number(amplitude(longest, line))) for line in sorted(lines)]
-    note = "" if rows else "No frequency stands out of its neighbourhood."
-    return Table(f"Lines in the residual of {place.joint}", columns, rows, note)

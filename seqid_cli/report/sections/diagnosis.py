@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
+from seqid_cli.params.io import Source
 from seqid_cli.params.results import tables
-from seqid_cli.params.results.diagnosis import (
-    FindingEntry,
-    UnexplainedPart,
-)
+from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
 from seqid_cli.params.results.diagnosis_words import beyond_noise
-from seqid_cli.report.collection import Collection, Diagnosed
+from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.diagnosis import against_floor, timeline
 from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
 from seqid_cli.report.judgement import known_effects
 from seqid_cli.report.sections.parameters import value_rows
-from seqid_cli.report.views import (
-    VALUE_COLUMNS,
-    Absent,
-    Group,
-    Section,
-    Table,
-    table_of,
-)
+from seqid_cli.report.views import VALUE_HEADS, Absent, Group, Section, Table, table_of
 from seqid_cli.report.words import (
     command,
     effect_at,
@@ -43,12 +32,10 @@ _VERDICTS = {
 
 def diagnosis(collection: Collection) -> Section:
     """Return the section on effects that the model lacks."""
-    title = "Diagnosis: what the model lacks"
+    title, model = "Diagnosis: what the model lacks", collection.model
     if not collection.diagnoses:
-        model = collection.model
-        path = model.path if model else "inertia.json"
         start = ["seqid", "diagnose", "LOG...", "-r", "robot.toml", "-p"]
-        call = command(*start, path, "-o", "diagnosis.json")
+        call = command(*start, model.path if model else "inertia.json", "-o", "diagnosis.json")
         text = "No diagnosis is among the files given."
         return Section("diagnosis", title, absent=[Absent(text, call)])
     lead = (
@@ -56,43 +43,47 @@ def diagnosis(collection: Collection) -> Section:
         "predicts it on held-out data. Confidence is a probability; the share explained is of the "
         "residual's variance above the noise floor."
     )
-    groups = [
-        group
-        for place, item in enumerate(collection.diagnoses)
-        for group in (_group(place, item, collection), *_findings(place, item, collection))
-    ]
+    groups = []
+    for place, item in enumerate(collection.diagnoses, start=1):
+        groups.append(_group(f"diagnosis-{place}", item, collection))
+        for k, finding in enumerate(item.content.findings, start=1):
+            groups.append(_finding(f"finding-{place}-{k}", finding, collection))
     return Section("diagnosis", title, lead, groups)
 
 
-def _group(place: int, item: Diagnosed, collection: Collection) -> Group:
-    file = item.file
+def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Group:
+    file, known = item.content, known_effects(collection)
     badge, text = _VERDICTS[file.verdict]
     if file.verdict == "nothing_missing" and any(map(beyond_noise, file.joints.values())):
         badge, text = "open", "no effect was found, but more than noise is left"
-    known = known_effects(collection)
     if file.findings and all((f.effect, f.joint) in known for f in file.findings):
         badge, text = "good", "found, and in the refined model"
-    figures = [
-        figure
-        for part in file.unexplained
-        if part.evidence
-        and (figure := evidence_figure(part.evidence, collection, "Unexplained torque"))
-    ]
-    floor = against_floor(file, collection)
-    pushed = timeline(file.events)
     left_out = len(file.events) - _MOST_EVENTS
     more = f"and {left_out} more" if left_out > 0 else ""
-    units = {name: collection.units(name)[0] for name in collection.robot.joints}
+    unexplained = [
+        f"{part.joint}: {percent(part.share, 0)} of the residual above the noise floor depends on "
+        f"{listed([name.replace('_', ' ') for name in part.depends_on]) or 'nothing logged'}."
+        for part in file.unexplained
+    ]
     return Group(
-        f"diagnosis-{place + 1}",
+        key,
         short_path(item.path),
         lead=f"{plural(len(file.inputs), 'log')}: "
         + listed([short_path(log.path) for log in file.inputs]),
         badge=badge,
         badge_text=text,
-        figures=[*figures, *([floor] if floor else []), *([pushed] if pushed else [])],
+        figures=[
+            *(
+                evidence_figure(x.evidence, collection, "Unexplained torque")
+                for x in file.unexplained
+            ),
+            against_floor(file, collection),
+            timeline(file.events),
+        ],
         tables=[
-            table_of("Residual per joint", tables.joint_residuals(file.joints, units)),
+            table_of(
+                "Residual per joint", tables.joint_residuals(file.joints, collection.torque_units)
+            ),
             *(
                 rivals_table(f"Tried for what is unexplained at {part.joint}", part.rivals)
                 for part in file.unexplained
@@ -101,22 +92,13 @@ def _group(place: int, item: Diagnosed, collection: Collection) -> Group:
             table_of("Events", tables.events(file.events[:_MOST_EVENTS]), more),
             table_of("Effects that these motions cannot show", tables.hidden(file.hidden)),
         ],
-        notes=[*_unexplained(file.unexplained), *file.notes],
+        notes=[*unexplained, *file.notes],
     )
 
 
-def _findings(place: int, item: Diagnosed, collection: Collection) -> list[Group]:
-    known = known_effects(collection)
-    return [
-        _finding(f"finding-{place + 1}-{k + 1}", one, (one.effect, one.joint) in known, collection)
-        for k, one in enumerate(item.file.findings)
-    ]
-
-
-def _finding(key: str, item: FindingEntry, known: bool, collection: Collection) -> Group:
+def _finding(key: str, item: FindingEntry, collection: Collection) -> Group:
     title = effect_at(item.effect, item.joint or "the whole arm")
-    figure = evidence_figure(item.evidence, collection) if item.evidence else None
-    rows = value_rows(item)
+    known, rows = (item.effect, item.joint) in known_effects(collection), value_rows(item)
     notes = [] if rows else ["These logs do not determine its parameters."]
     if item.confusable_with:
         others = listed([effect_words(name) for name in item.confusable_with], 12)
@@ -135,9 +117,9 @@ def _finding(key: str, item: FindingEntry, known: bool, collection: Collection) 
             ("confidence", percent(item.confidence, 0)),
             ("explains", percent(item.explains, 0)),
         ],
-        figures=[figure] if figure else [],
+        figures=[evidence_figure(item.evidence, collection)],
         tables=[
-            Table(f"Parameters of {title}", VALUE_COLUMNS, rows),
+            Table(f"Parameters of {title}", VALUE_HEADS, rows),
             rivals_table("Tried in its place", item.rivals),
         ],
         notes=[*notes, *([item.note] if item.note else [])],
@@ -150,11 +132,3 @@ def _about(effect: str) -> str:
 
     known = CATALOGUE.get(effect)
     return (known.__doc__ or "").strip().partition("\n")[0] if known else ""
-
-
-def _unexplained(parts: Sequence[UnexplainedPart]) -> list[str]:
-    return [
-        f"{part.joint}: {percent(part.share, 0)} of the residual above the noise floor depends on "
-        f"{listed([name.replace('_', ' ') for name in part.depends_on]) or 'nothing logged'}."
-        for part in parts
-    ]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from seqid_cli.params.schema import ImuCalibration, RigidStage, Verdict
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.views import Absent, Group, Section, Table, badge, numbers, texts
+from seqid_cli.report.views import Absent, Group, Section, Table, badge, reasons, table
 from seqid_cli.report.words import number, short_path, with_error
 
 _CALL = "seqid imu-calib LOG... -r robot.toml -p gravity.json -o imu.json"
@@ -37,7 +37,6 @@ def imu(collection: Collection) -> Section:
 
 
 def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdict]) -> Group:
-    state, text = badge(verdicts)
     facts = [("std error", f"{number(item.std_error_deg, 2)}\u00b0")]
     facts.append(("configurations", str(item.configurations)))
     if item.axis_rmse_deg is not None:
@@ -46,46 +45,44 @@ def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdi
         facts.append(("noise", f"{number(item.noise_density)} rad/s\u00b2/\u221aHz"))
     if item.time_offset_s:
         facts.append(("clock offset", f"{number(1e3 * item.time_offset_s)} ms"))
+    references = [
+        (joint, *with_error(x.gain, x.gain_std_error), *_fixed((x.axis + [0.0] * 3)[:3], 3))
+        for joint, x in item.references.items()
+    ]
+    titles, kinds = (
+        "joint | gain | std error | axis x | y | z",
+        "text count count count count count",
+    )
     return Group(
         f"imu-{place + 1}",
         name,
-        lead="; ".join(verdict.reason for verdict in verdicts if verdict.reason),
-        badge=state,
-        badge_text=text,
+        lead=reasons(verdicts),
+        badge=badge(verdicts),
+        badge_text=badge(verdicts),
         facts=facts,
-        tables=[_rotation(name, item), _references(name, item)],
+        tables=[
+            _rotation(name, item),
+            table(f"Joint axes as {name} sees them", titles, kinds, references),
+        ],
         notes=[f"Not determined: {what}" for what in item.not_determined],
     )
 
 
 def _rotation(name: str, item: ImuCalibration) -> Table:
-    axes = ("x", "y", "z")
-    columns = (
-        *texts("link axis"),
-        *numbers(*(f"IMU {axis}" for axis in axes)),
-        *numbers("std error", unit="\u00b0"),
-    )
     errors = item.std_errors_deg if len(item.std_errors_deg) == 3 else [item.std_error_deg] * 3
     rows = [
-        (axis, *(f"{value:.4f}".replace("-", "\u2212") for value in row), number(error, 2))
-        for axis, row, error in zip(axes, item.rotation, errors, strict=True)
+        (axis, *_fixed(row, 4), error)
+        for axis, row, error in zip("xyz", item.rotation, errors, strict=True)
     ]
-    return Table(f"Rotation of {name}", columns, rows, _turn(item))
-
-
-def _turn(item: ImuCalibration) -> str:
     trace = sum(item.rotation[i][i] for i in range(3))
     angle = math.degrees(math.acos(min(max((trace - 1.0) / 2.0, -1.0), 1.0)))
-    return f"Turned by {angle:.1f}\u00b0 in all."
+    titles = "link axis | IMU x | IMU y | IMU z | std error [\u00b0]"
+    note = f"Turned by {angle:.1f}\u00b0 in all."
+    return table(f"Rotation of {name}", titles, "text count count count number2", rows, note)
 
 
-def _references(name: str, item: ImuCalibration) -> Table:
-    columns = (*texts("joint"), *numbers("gain", "std error", "axis x", "y", "z"))
-    rows = []
-    for joint, reference in item.references.items():
-        axis = [f"{value:.3f}".replace("-", "\u2212") for value in (reference.axis + [0.0] * 3)[:3]]
-        rows.append((joint, *with_error(reference.gain, reference.gain_std_error), *axis))
-    return Table(f"Joint axes as {name} sees them", columns, rows)
+def _fixed(values: Sequence[float], decimals: int) -> list[str]:
+    return [f"{value:.{decimals}f}".replace("-", "\u2212") for value in values]
 
 
 def _warnings(stage: RigidStage) -> list[str]:
@@ -98,20 +95,13 @@ def _warnings(stage: RigidStage) -> list[str]:
 
 
 def _motion(stage: RigidStage) -> Table:
-    columns = (
-        *texts("log", "motion from", "IMUs", "joint"),
-        *numbers("std error of acceleration", "by encoders alone", unit="rad/s\u00b2"),
-    )
-    rows = [
-        (
-            short_path(use.log) if place == 0 else "",
-            use.source if place == 0 else "",
-            ", ".join(use.imus) if place == 0 else "",
-            joint,
-            number(error, 2),
-            number(use.encoder_error.get(joint), 2),
-        )
-        for use in stage.motion_use
-        for place, (joint, error) in enumerate(use.acceleration_error.items())
-    ]
-    return Table("Where the motion of the inertia logs came from", columns, rows)
+    rows = []
+    for use in stage.motion_use:
+        what = (short_path(use.log), use.source, ", ".join(use.imus))
+        for joint, error in use.acceleration_error.items():
+            rows.append((*what, joint, error, use.encoder_error.get(joint)))
+            what = ("", "", "")  # is said once
+    titles = "log | motion from | IMUs | joint | std error of acceleration [rad/s^2]"
+    titles += " | by encoders alone [rad/s^2]"
+    kinds = "text text text text number2 number2"
+    return table("Where the motion of the inertia logs came from", titles, kinds, rows)

@@ -8,56 +8,42 @@ from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.chart import drawing
 from seqid_cli.report.figures.svg import rect
 from seqid_cli.report.judgement import Judgement
-from seqid_cli.report.views import Section, Table, badge_text, numbers, texts
+from seqid_cli.report.views import Section, Table, badge, badge_text, table
 from seqid_cli.report.words import number, percent, short_path, unit_text
 
 
 def overview(collection: Collection, judgement: Judgement) -> Section:
     """Return the section with the verdict."""
-    data: dict[str, object] = {"judgement": judgement, "table": _glance(collection)}
-    return Section("verdict", "Verdict", template="verdict.html.j2", data=data)
+    return Section("verdict", "Verdict", judgement=judgement, glance=_glance(collection))
 
 
 def _glance(collection: Collection) -> Table | None:
     if not collection.predictions:
         return None
     used = collection.predictions[0]
-    made = ", ".join(short_path(item.path) for item in used.file.parameters)
+    made = ", ".join(short_path(item.path) for item in used.content.parameters)
     caption = f"Predicted torque, joint by joint ({short_path(used.path)}, made with {made})"
-    errors, verdicts = used.file.joints, {v.joint: v for v in used.file.verdicts}
+    errors, rows = used.content.joints, []
     largest = max([0.01, *(error.relative_rmse or 0.0 for error in errors.values())])
-    rows = []
     for place, name in enumerate(collection.robot.joints):
         if name not in errors:
             continue
-        share, verdict = errors[name].relative_rmse, verdicts.get(name)
-        state = "" if verdict is None else ("good" if verdict.good else "poor")
+        unit = unit_text(collection.place(name).torque_unit)
+        error, floor = errors[name], collection.noise_floor(used, name)
+        share = error.relative_rmse
+        state = badge([verdict for verdict in used.content.verdicts if verdict.joint == name])
         rows.append(
             (
                 Markup('<a href="#torque-{}">{}</a>').format(place + 1, name),
-                _with_unit(errors[name].rmse, collection, name),
-                percent(share),
+                None if error.rmse is None else f"{number(error.rmse)} {unit}",
+                share,
                 "" if share is None else _bar(name, share, largest, state),
-                _with_unit(collection.noise_floor(used, name), collection, name),
+                None if floor is None else f"{number(floor)} {unit}",
                 badge_text(state, state or "not judged"),
             )
         )
-    columns = (
-        *texts("joint"),
-        *numbers("RMS error", "of RMS torque"),
-        *texts("drawn"),
-        *numbers("noise floor"),
-        *texts("verdict"),
-    )
-    return Table(caption, columns, rows, style="glance")
-
-
-def _with_unit(value: float | None, collection: Collection, joint: str) -> str:
-    return (
-        number(None)
-        if value is None
-        else f"{number(value)} {unit_text(collection.units(joint)[0])}"
-    )
+    titles = "joint | RMS error | of RMS torque | drawn | noise floor | verdict"
+    return table(caption, titles, "text number share text number text", rows, style="glance")
 
 
 def _bar(name: str, share: float, largest: float, state: str) -> Markup:

@@ -8,24 +8,27 @@ from markupsafe import Markup
 
 from seqid_cli.model.effects.units import setting_units
 from seqid_cli.params.results.diagnosis import FindingEntry
+from seqid_cli.params.results.tables import Head, Values, heads
 from seqid_cli.params.schema import EffectOfJoint, Parameter, RigidStage
 from seqid_cli.report.collection import Collection, Model
 from seqid_cli.report.figures.chart import drawing
 from seqid_cli.report.figures.svg import Scale, circle, line
 from seqid_cli.report.views import (
-    VALUE_COLUMNS,
+    VALUE_HEADS,
     Absent,
-    Cell,
     Group,
     Section,
     Table,
     badge,
-    numbers,
-    texts,
+    table,
+    table_of,
+    value_row,
 )
 from seqid_cli.report.words import (
+    DASH,
     Z95,
     effect_at,
+    effect_words,
     expression,
     interval,
     listed,
@@ -53,11 +56,10 @@ _LEAD = (
 
 def parameters(collection: Collection) -> Section:
     """Return the section on gravity, inertia and effects."""
-    title = "Parameters"
     model = collection.model
     if model is None:
         absent = Absent("No parameter file is among the files given.", _MADE_BY["inertia"])
-        return Section("parameters", title, absent=[absent])
+        return Section("parameters", "Parameters", absent=[absent])
     groups, absent_stages = [], []
     for name in _TITLES:
         stage = getattr(model.stages, name)
@@ -68,14 +70,15 @@ def parameters(collection: Collection) -> Section:
             absent_stages.append(Absent(text, _MADE_BY[name]))
     if model.stages.effects:
         groups.append(_effects(model.stages.effects))
-    return Section("parameters", title, _LEAD, groups, absent=absent_stages)
+    return Section("parameters", "Parameters", _LEAD, groups, absent=absent_stages)
 
 
 def _rigid(name: str, stage: RigidStage, collection: Collection) -> Group:
-    facts = []
+    facts, own = [], stage.verdicts
     if stage.parameters:
+        whole = f" of {stage.structural_rank}" if stage.structural_rank else ""
         facts = [
-            ("rank", _rank(stage)),
+            ("rank", f"{stage.rank}{whole}"),
             ("condition", number(stage.condition)),
             ("method", stage.method),
             *([("cut-off", f"{number(stage.cutoff_hz)} Hz")] if stage.cutoff_hz else []),
@@ -83,25 +86,25 @@ def _rigid(name: str, stage: RigidStage, collection: Collection) -> Group:
     notes = list(stage.notes)
     if stage.not_excited:
         notes.insert(0, f"Not determined by these logs: {listed(stage.not_excited, 40)}.")
-    mine = stage.verdicts
-    state, text = badge(mine) if stage.parameters else ("", "nothing to identify")
+    state = badge(own) if stage.parameters else ""
+    reasons, units = {v.joint: v.reason for v in own}, collection.torque_units
+    fit = table(
+        f"{_TITLES[name]}: error of the fit per joint",
+        "joint | RMS error | unit | verdict",
+        "text number text text",
+        [(n, x, unit_text(units.get(n, "N m")), reasons.get(n, "")) for n, x in stage.rmse.items()],
+    )
     return Group(
         f"{name}-parameters",
         _TITLES[name],
-        lead="; ".join(v.reason for v in mine if not v.joint and not v.good),
+        lead="; ".join(v.reason for v in own if not v.joint and not v.good),
         badge=state,
-        badge_text=text,
+        badge_text=state if stage.parameters else "nothing to identify",
         facts=facts,
-        tables=[_table(name, stage, collection.models[1:]), _per_joint(name, stage, collection)],
+        tables=[_table(name, stage, collection.models[1:]), fit],
         notes=notes,
         unfolded=True,
     )
-
-
-def _rank(stage: RigidStage) -> str:
-    if stage.structural_rank:
-        return f"{stage.rank} of {stage.structural_rank}"
-    return str(stage.rank)
 
 
 def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
@@ -113,11 +116,10 @@ def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
     earlier = [(model, known) for model, known in earlier if _differs(stage, known)]
     alone = stage.encoder_std_errors
     columns = [
-        *texts("parameter"),
-        *numbers("value", "std error", "95 % interval"),
-        *texts("unit", "interval beside zero", "stands for"),
-        *(numbers("std error, encoders alone") if alone else ()),
-        *numbers(*(f"in {short_path(model.path)}" for model, _ in earlier)),
+        *VALUE_HEADS,
+        *heads("interval beside zero | stands for", "text text"),
+        *(heads("std error, encoders alone", "number2") if alone else ()),
+        *(Head(f"in {short_path(model.path)}", "number") for model, _ in earlier),
     ]
     rows = [
         (
@@ -127,7 +129,7 @@ def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
             unit_text(item.unit),
             _glyph(item),
             _FORMULA.format(expression(item.terms, item.expression or item.name)),
-            *([number(alone.get(item.name), 2)] if alone else []),
+            *([alone.get(item.name)] if alone else []),
             *(_value_in(known, item.name) for _, known in earlier),
         )
         for item in stage.parameters
@@ -139,7 +141,7 @@ def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
             f"{plural(len(unclear), 'interval')} of {len(stage.parameters)} "
             f"{'holds' if len(unclear) == 1 else 'hold'} zero: {listed(unclear, 12)}."
         )
-    return Table(f"{_TITLES[name]}: base parameters", columns, rows, note)
+    return table_of(f"{_TITLES[name]}: base parameters", Values(columns, rows), note)
 
 
 def _differs(stage: RigidStage, known: Mapping[str, Parameter]) -> bool:
@@ -149,16 +151,16 @@ def _differs(stage: RigidStage, known: Mapping[str, Parameter]) -> bool:
     )
 
 
-def _value_in(known: Mapping[str, Parameter], name: str) -> str:
+def _value_in(known: Mapping[str, Parameter], name: str) -> str | None:
     item = known.get(name)
-    return number(None) if item is None else with_error(item.value, item.std_error)[0]
+    return None if item is None else with_error(item.value, item.std_error)[0]
 
 
-def _glyph(item: Parameter) -> Cell:
+def _glyph(item: Parameter) -> Markup:
     """Draw an interval beside zero, as large as its row, so that size and sign can be compared."""
-    reach = abs(item.value) + Z95 * item.std_error
-    scale = Scale(-reach, reach, 3.0, 117.0)
-    low, high = item.value - Z95 * item.std_error, item.value + Z95 * item.std_error
+    half = Z95 * item.std_error
+    low, high = item.value - half, item.value + half
+    scale = Scale(-abs(item.value) - half, abs(item.value) + half, 3.0, 117.0)
     style = "unclear" if low <= 0.0 <= high else "clear"
     zero, middle = scale(0.0), scale(item.value)
     marks = [
@@ -168,19 +170,7 @@ def _glyph(item: Parameter) -> Cell:
         circle(f"point {style}", middle, 8, 3),
     ]
     text = f"{number(low)} to {number(high)} {item.unit}, drawn beside zero"
-    return drawing(
-        120, 16, f"Interval of {item.name}", text, [Markup("").join(marks)], style="glyph"
-    )
-
-
-def _per_joint(name: str, stage: RigidStage, collection: Collection) -> Table:
-    reasons = {verdict.joint: verdict.reason for verdict in stage.verdicts}
-    columns = (*texts("joint"), *numbers("RMS error"), *texts("unit", "verdict"))
-    rows = [
-        (joint, number(rmse), unit_text(collection.units(joint)[0]), reasons.get(joint, ""))
-        for joint, rmse in stage.rmse.items()
-    ]
-    return Table(f"{_TITLES[name]}: error of the fit per joint", columns, rows)
+    return drawing(120, 16, f"Interval of {item.name}", text, marks, style="glyph")
 
 
 def _effects(effects: Sequence[EffectOfJoint]) -> Group:
@@ -189,27 +179,18 @@ def _effects(effects: Sequence[EffectOfJoint]) -> Group:
         for item in effects
         for row in value_rows(item)
     ]
-    columns = (*texts("effect"), *VALUE_COLUMNS)
+    columns = (*heads("effect", "text"), *VALUE_HEADS)
     table = Table("Effects that refinement added", columns, rows)
     return Group("effects", "Effects", tables=[table])
 
 
 def value_rows(item: EffectOfJoint | FindingEntry) -> list[tuple[str, ...]]:
-    """Return the rows of an effect's parameters and settings, for `VALUE_COLUMNS`."""
-    rows: list[tuple[str, ...]] = []
-    for value in item.parameters:
-        known = value.std_error > 0.0
-        texts = with_error(value.value, value.std_error) if known else _exact(value.value)
-        span = interval(value.value, value.std_error)
-        rows.append((value.name.replace("_", " "), *texts, span, unit_text(value.unit)))
-    named, units = {value.name for value in item.parameters}, setting_units(item.effect)
+    """Return the rows of an effect's parameters and settings, under `VALUE_HEADS`."""
+    rows = [value_row(effect_words(x.name), x.value, x.std_error, x.unit) for x in item.parameters]
+    named, units = {x.name for x in item.parameters}, setting_units(item.effect)
     for name, setting in item.settings.items():
         if name not in named:
             text = number(setting) if isinstance(setting, float) else str(setting)
             unit = unit_text(units.get(name, ""))
-            rows.append((name.replace("_", " "), text, "fixed", number(None), unit))
+            rows.append((effect_words(name), text, "fixed", DASH, unit))
     return rows
-
-
-def _exact(value: float) -> tuple[str, str]:
-    return number(value), "fixed"

@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 from seqid_cli.params.document import present
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.schema import InputLog, ParameterFile
-from seqid_cli.report.collection import WRITTEN_BY, Collection, Model, models_of
+from seqid_cli.report.collection import WRITTEN_BY, Collection, Model, models_of, of_kind
 from seqid_cli.report.judgement import stage_verdicts
 from seqid_cli.report.torques import TorqueTable
-from seqid_cli.report.views import Cell, Group, Section, Table, badge_text, numbers, texts
+from seqid_cli.report.views import Group, Section, Table, badge, badge_text, table
 from seqid_cli.report.words import effect_at, file_name, listed, plural
 
 _COMMANDS = {
@@ -25,8 +25,8 @@ _MOST_LOGS = 500
 
 def pipeline(collection: Collection, tables: Sequence[TorqueTable]) -> Section:
     """Return the section on files and commands."""
-    columns = texts("command", "read", "wrote", "verdict")
-    steps = Table("Commands in their order", columns, list(_steps(collection, tables)))
+    titles, rows = "command | read | wrote | verdict", _steps(collection, tables)
+    steps = table("Commands in their order", titles, "text text text text", rows)
     return Section(
         "pipeline",
         "Pipeline and files",
@@ -37,90 +37,77 @@ def pipeline(collection: Collection, tables: Sequence[TorqueTable]) -> Section:
     )
 
 
-def _steps(collection: Collection, tables: Sequence[TorqueTable]) -> Iterator[Sequence[Cell]]:
-    model = collection.model
-    if model is not None:
-        yield from _stage_steps(collection, model)
-    if not collection.predictions:
-        yield _step("predict")
+def _steps(collection: Collection, tables: Sequence[TorqueTable]) -> Iterator[Sequence[str]]:
+    if collection.model is not None:
+        yield from _stage_steps(collection, collection.model)
     for prediction in collection.predictions:
-        good = all(verdict.good for verdict in prediction.file.verdicts)
-        state = "good" if good else "poor"
+        state = badge(prediction.content.verdicts) or "good"
         torques = [table.path for table in tables if table.prediction == prediction]
         made = ", ".join(map(file_name, (prediction.path, *torques)))
-        yield _step("predict", _logs_text(prediction.file.inputs), made, state, state)
-    if not collection.diagnoses:
-        yield _step("diagnose")
+        yield _step("predict", prediction.content.inputs, made, state, state)
+    if not collection.predictions:
+        yield _step("predict")
     for item in collection.diagnoses:
-        found = item.file.verdict
+        found = item.content.verdict
         state = "good" if found == "nothing_missing" else "open"
         text = found.replace("_", " ")
-        yield _step("diagnose", _logs_text(item.file.inputs), file_name(item.path), state, text)
-    yield from _refine_steps(collection)
+        yield _step("diagnose", item.content.inputs, file_name(item.path), state, text)
+    if not collection.diagnoses:
+        yield _step("diagnose")
+    for model in collection.models:
+        if model.kind == "refined":
+            logs = [x for x in model.file.inputs if _COMMANDS.get(x.stage, "refine") == "refine"]
+            effects = [effect_at(x.effect, x.joint) for x in model.stages.effects or []]
+            loop = model.file.closed_loop
+            state = "poor" if loop is not None and loop.verdict == "poor" else "good"
+            text = listed(effects) or "nothing added"
+            yield _step("refine", logs, file_name(model.path), state, text)
 
 
 def _step(
-    name: str, reads: str = "", writes: str = "", state: str = "", text: str = "not given"
-) -> Sequence[Cell]:
+    name: str,
+    logs: Sequence[InputLog] = (),
+    writes: str = "",
+    state: str = "",
+    text: str = "not given",
+) -> Sequence[str]:
+    samples = _thousands(sum(log.samples for log in logs))
+    reads = f"{plural(len(logs), 'log')}, {samples} samples" if logs else ""
     return f"seqid {name}", reads, writes, badge_text(state, text)
 
 
-def _stage_steps(collection: Collection, model: Model) -> Iterator[Sequence[Cell]]:
+def _stage_steps(collection: Collection, model: Model) -> Iterator[Sequence[str]]:
     if model.kind == "simultaneous":
-        reads = _logs_text(model.file.inputs)
         state = _state("inertia", model)
-        yield _step("simultaneous", reads, file_name(model.path), *state)
+        yield _step("simultaneous", model.file.inputs, file_name(model.path), *state)
         return
     for name in ("friction", "gravity", "imu", "inertia"):
-        stage = getattr(model.stages, name)
-        if stage is None:
+        if getattr(model.stages, name) is None:
             yield _step(_COMMANDS[name])
             continue
         logs = [log for log in model.file.inputs if log.stage == name]
         made = _first_file(collection, name) or model.path
-        state = _state(name, model)
-        yield _step(_COMMANDS[name], _logs_text(logs), file_name(made), *state)
-
-
-def _refine_steps(collection: Collection) -> Iterator[Sequence[Cell]]:
-    for model in collection.models:
-        if model.kind != "refined":
-            continue
-        effects = model.stages.effects or []
-        logs = [
-            log for log in model.file.inputs if log.stage not in _COMMANDS or log.stage == "effects"
-        ]
-        text = listed([effect_at(item.effect, item.joint) for item in effects]) or "nothing added"
-        loop = model.file.closed_loop
-        state = "poor" if loop is not None and loop.verdict == "poor" else "good"
-        yield _step("refine", _logs_text(logs), file_name(model.path), state, text)
+        yield _step(_COMMANDS[name], logs, file_name(made), *_state(name, model))
 
 
 def _first_file(collection: Collection, stage: str) -> str:
     """Return the file that a stage was made in: the file with the fewest stages that holds it."""
     holding = [
-        (len(present(item.content.stages)), place, item.path)
-        for place, item in enumerate(collection.sources)
-        if isinstance(item.content, ParameterFile)
-        and getattr(item.content.stages, stage) is not None
+        item
+        for item in of_kind(collection.sources, ParameterFile)
+        if getattr(item.content.stages, stage) is not None
     ]
-    return min(holding)[2] if holding else ""
+    first = min(holding, key=lambda item: len(present(item.content.stages)), default=None)
+    return first.path if first else ""
 
 
 def _state(name: str, model: Model) -> tuple[str, str]:
     """Return the verdict on a stage as its badge and its text."""
     if getattr(getattr(model.stages, name), "parameters", None) == []:
         return "", "nothing to identify"
-    mine = [verdict for stage, verdict in stage_verdicts(model.stages) if stage == name]
-    state = "good" if all(verdict.good for verdict in mine) else "poor"
+    own = [verdict for stage, verdict in stage_verdicts(model.stages) if stage == name]
+    state = badge(own) or "good"
     return state, state
-
-
-def _logs_text(logs: Sequence[InputLog]) -> str:
-    if not logs:
-        return ""
-    samples = _thousands(sum(log.samples for log in logs))
-    return f"{plural(len(logs), 'log')}, {samples} samples"
 
 
 def _thousands(count: int) -> str:
@@ -128,24 +115,22 @@ def _thousands(count: int) -> str:
 
 
 def _files(collection: Collection) -> Table:
-    columns = texts("file", "kind", "holds", "written", "by", "SHA-256")
     rows = []
     for item in collection.sources:
         content = item.content
-        kind = content.schema.removeprefix("seqid/")
         if isinstance(content, ParameterFile):
             holds = ", ".join(present(content.stages))
         else:
-            holds = "of " + ", ".join(
-                f"{file_name(used.path)} {used.sha256[:12]}" for used in models_of(content)
-            )
-        made = f"{content.tool.name} {content.tool.version}"
+            used = [f"{file_name(x.path)} {x.sha256[:12]}" for x in models_of(content)]
+            holds = f"of {', '.join(used)}"
+        kind, tool = content.schema.removeprefix("seqid/"), content.tool
+        made = f"{tool.name} {tool.version}"
         rows.append((item.path, kind, holds, content.created, made, item.sha256))
-    return Table("The files of this report", columns, rows)
+    titles = "file | kind | holds | written | by | SHA-256"
+    return table("The files of this report", titles, "text text text text text text", rows)
 
 
 def _logs(collection: Collection) -> Table:
-    columns = (*texts("read by", "log"), *numbers("samples"), *texts("SHA-256"))
     found: dict[tuple[str, str, str], InputLog] = {}
     for item in collection.sources:
         content = item.content
@@ -156,8 +141,7 @@ def _logs(collection: Collection) -> Table:
         if isinstance(content, ParameterFile) and content.closed_loop is not None:
             for log in content.closed_loop.held_out:
                 found.setdefault(("refine, held out", log.sha256, log.path), log)
-    rows = [
-        (by, log.path, _thousands(log.samples), log.sha256) for (by, _, _), log in found.items()
-    ]
+    rows = [(by, x.path, _thousands(x.samples), x.sha256) for (by, *_), x in found.items()]
     note = f"and {len(rows) - _MOST_LOGS} more" if len(rows) > _MOST_LOGS else ""
-    return Table("The logs behind them", columns, rows[:_MOST_LOGS], note)
+    titles, kinds = "read by | log | samples | SHA-256", "text text count text"
+    return table("The logs behind them", titles, kinds, rows[:_MOST_LOGS], note)

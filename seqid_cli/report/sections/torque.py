@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from seqid_cli.report.collection import Collection, Prediction
-from seqid_cli.report.figures.torque import Event, Place, over_quantity, over_time, spectrum
+from seqid_cli.params.results.tables import Head, Values, heads
+from seqid_cli.report.collection import Collection, Place, Prediction
+from seqid_cli.report.figures.torque import Event, over_quantity, over_time, spectrum
 from seqid_cli.report.torques import Series, TorqueTable
-from seqid_cli.report.views import Absent, Figure, Group, Section, Table, badge, numbers, texts
+from seqid_cli.report.views import Absent, Figure, Group, Section, Table, badge, table, table_of
 from seqid_cli.report.words import command, limits, number, percent, plural, short_path, unit_text
 
 _MOST_LOGS = 3  # with a figure each; the tables hold all
@@ -20,41 +21,43 @@ def torque(
     collection: Collection, tables: Sequence[TorqueTable], found: Sequence[str] = ()
 ) -> Section:
     """Return the section on predicted torque; `found` says which torques were found."""
-    absent = []
+    lacking = []
     if not collection.predictions:
-        text = "How large the errors are is not known without a prediction."
-        absent.append(Absent(text, _predict(collection)))
+        lacking.append("How large the errors are is not known without a prediction.")
     if not tables:
-        text = "The torques over time are not in the files given."
-        absent.append(Absent(text, _predict(collection)))
+        lacking.append("The torques over time are not in the files given.")
     joints = tables[0].joints if tables else ()
     figures = len(joints) * min(len(tables[0].rows), _MOST_LOGS) if tables else 0
     lines = max(figures * (4 + 2 * len(tables)), 1)
     columns = max(_COLUMNS[0], min(_COLUMNS[1], _BUDGET // lines))
+    files = [item.content for item in collection.predictions]
     groups = [
         _joint(collection, tables, name, columns)
         for name in collection.robot.joints
-        if name in joints or any(name in p.file.joints for p in collection.predictions)
+        if name in joints or any(name in file.joints for file in files)
     ]
     lead = (
         "Measured torque against what the model predicts, both low-passed alike. Errors are over "
         "samples in which the joint slides. At rest friction holds whatever balances, within an "
         "interval; there the residual that is drawn is the distance to it."
     )
-    notes = [
-        f"{short_path(log.path)}: {note}"
-        for item in collection.predictions
-        for log in item.file.logs
-        for note in log.notes
-    ]
-    notes += [note for item in collection.predictions for note in item.file.notes]
-    beside = [_side_by_side(collection)] if len(collection.predictions) > 1 else []
-    title = "Torque, joint by joint"
-    return Section("torque", title, lead, [*beside, *groups], absent=absent, notes=[*notes, *found])
+    logs = [log for file in files for log in file.logs]
+    return Section(
+        "torque",
+        "Torque, joint by joint",
+        lead,
+        [*([_side_by_side(collection)] if len(files) > 1 else []), *groups],
+        absent=[Absent(text, _predict(collection)) for text in lacking],
+        notes=[
+            *(f"{short_path(log.path)}: {note}" for log in logs for note in log.notes),
+            *(note for file in files for note in file.notes),
+            *found,
+        ],
+    )
 
 
 def _predict(collection: Collection) -> str:
-    logs = [log.path for item in collection.predictions[:1] for log in item.file.logs]
+    logs = [log.path for item in collection.predictions[:1] for log in item.content.logs]
     model = ("-p", collection.model.path if collection.model else "inertia.json")
     written = ("-o", "prediction.json", "--torques", "torques.parquet")
     shown = logs if 0 < len(logs) <= 4 else ["LOG..."]
@@ -63,28 +66,25 @@ def _predict(collection: Collection) -> str:
 
 def _side_by_side(collection: Collection) -> Group:
     """Errors of the models on the logs that all of them predict."""
-    logs = [{log.sha256 for log in item.file.logs} for item in collection.predictions]
-    common = frozenset.intersection(*map(frozenset, logs))
-    models = map(collection.label, collection.predictions)
-    columns = (*texts("joint", "unit"), *numbers(*models))
+    logs = [frozenset(log.sha256 for log in p.content.logs) for p in collection.predictions]
+    common = frozenset.intersection(*logs)
+    columns = heads("joint | unit", "text text")
+    columns += [Head(collection.label(p), "number") for p in collection.predictions]
     rows = [
-        (
-            name,
-            unit_text(collection.units(name)[0]),
-            *(_error_on(item, name, common) for item in collection.predictions),
-        )
-        for name in collection.robot.joints
+        (name, unit_text(unit), *(_error_on(p, name, common) for p in collection.predictions))
+        for name, unit in collection.torque_units.items()
     ]
     note = f"RMS error, and its share of the RMS torque, on the {plural(len(common), 'log')} that "
-    table = Table("Error of each model", columns, rows, f"{note}all of them predict.")
-    return Group("torque-models", "Models side by side", tables=[table], unfolded=True)
+    found = Values(columns, rows)
+    shown = table_of("Error of each model", found, f"{note}all of them predict.")
+    return Group("torque-models", "Models side by side", tables=[shown], unfolded=True)
 
 
-def _error_on(item: Prediction, name: str, logs: frozenset[str]) -> str:
-    errors = [log.joints[name] for log in item.file.logs if log.sha256 in logs]
+def _error_on(item: Prediction, name: str, logs: frozenset[str]) -> str | None:
+    errors = [log.joints[name] for log in item.content.logs if log.sha256 in logs]
     known = [(e.samples, e.rmse, e.relative_rmse) for e in errors if e.rmse and e.relative_rmse]
     if not known:
-        return number(None)
+        return None
     count = sum(samples for samples, *_ in known)
     error = math.sqrt(sum(n * rmse**2 for n, rmse, _ in known) / count)
     size = math.sqrt(sum(n * (rmse / share) ** 2 for n, rmse, share in known) / count)
@@ -92,11 +92,11 @@ def _error_on(item: Prediction, name: str, logs: frozenset[str]) -> str:
 
 
 def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str, columns: int) -> Group:
-    place = Place(name, *collection.units(name))
+    place = collection.place(name)
     series, drawn = over_logs(collection, tables, name, columns)
     figures: list[Figure | None] = [*drawn]
-    absent = []
-    cutoffs = [log.cutoff_hz for item in collection.predictions for log in item.file.logs]
+    absent, notes = [], []
+    cutoffs = [log.cutoff_hz for item in collection.predictions for log in item.content.logs]
     if series:
         figures += [
             over_quantity(series, place, "position", place.position_unit),
@@ -106,10 +106,8 @@ def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str, col
         if series[0].position is None:
             text = "The torque file holds no position and velocity: write it anew."
             absent.append(Absent(text, _predict(collection)))
-    verdicts = [v for p in collection.judged for v in p.file.verdicts if v.joint == name]
-    state, text = badge(verdicts)
-    bad = [verdict.reason for verdict in verdicts if not verdict.good]
-    notes = []
+    verdicts = [v for p in collection.judged for v in p.content.verdicts if v.joint == name]
+    state, bad = badge(verdicts), [verdict.reason for verdict in verdicts if not verdict.good]
     if len(drawn) < len(series):
         notes.append(f"Shown: the {len(drawn)} of {len(series)} logs with the largest errors.")
     return Group(
@@ -117,10 +115,10 @@ def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str, col
         name,
         joint=name,
         badge=state,
-        badge_text=f"{text}: {bad[0]}" if bad else text,
-        facts=_facts(collection, name, place),
-        figures=[figure for figure in figures if figure],
-        tables=[_errors(collection, name, place)],
+        badge_text=f"{state}: {bad[0]}" if bad else state,
+        facts=_facts(collection, place),
+        figures=figures,
+        tables=[_errors(collection, place)],
         notes=notes,
         absent=absent,
     )
@@ -141,7 +139,7 @@ def over_logs(
         if name in table.joints
     }
     series = list(next(iter(models.values()), {}).values())
-    place = Place(name, *collection.units(name))
+    place = collection.place(name)
     figures = [
         over_time(
             {label: logs[log.log] for label, logs in models.items() if log.log in logs},
@@ -158,7 +156,7 @@ def _worst(series: Sequence[Series], predictions: Sequence[Prediction], name: st
     errors = {
         log.path: error.relative_rmse or 0.0
         for item in predictions[::-1]  # the best model's errors last, which stay
-        for log in item.file.logs
+        for log in item.content.logs
         if (error := log.joints.get(name)) is not None
     }
     worst = sorted(series, key=lambda item: -errors.get(item.log, 0.0))[:_MOST_LOGS]
@@ -170,16 +168,15 @@ def _events(collection: Collection, log: str, joint: str) -> list[Event]:
     return [
         (event.start, event.end)
         for item in collection.diagnoses
-        for event in item.file.events
+        for event in item.content.events
         if event.log == log and joint in event.joints
     ]
 
 
-def _facts(collection: Collection, name: str, place: Place) -> list[tuple[str, str]]:
-    unit = unit_text(place.torque_unit)
-    facts = []
+def _facts(collection: Collection, place: Place) -> list[tuple[str, str]]:
+    unit, facts = unit_text(place.torque_unit), []
     for item in collection.predictions[:1]:
-        error = item.file.joints.get(name)
+        error = item.content.joints.get(place.joint)
         if error is not None:
             facts += [
                 ("RMS error", f"{number(error.rmse)} {unit}"),
@@ -187,41 +184,25 @@ def _facts(collection: Collection, name: str, place: Place) -> list[tuple[str, s
                 ("largest error", f"{number(error.max_abs)} {unit}"),
                 ("slides in", f"{percent(error.share_sliding)} of the samples"),
             ]
-        entry = collection.residual(item, name)
+        entry = collection.residual(item, place.joint)
         if entry is not None and entry.noise_floor is not None:
             facts.append(("noise floor", f"{number(entry.noise_floor)} {unit}"))
             facts.append(("its 95 % interval", f"{limits(entry.noise_floor_interval)} {unit}"))
     return facts
 
 
-def _errors(collection: Collection, name: str, place: Place) -> Table:
-    unit = unit_text(place.torque_unit)
-    several = len(collection.predictions) > 1
-    columns = (
-        *texts("log"),
-        *(texts("model") if several else ()),
-        *numbers("RMS error", unit=unit),
-        *numbers("relative", unit="of RMS torque"),
-        *numbers("largest", unit=unit),
-        *numbers("samples"),
-        *numbers("slides in", unit="of samples"),
-        *numbers("with rests", unit=unit),
-        *numbers("cut-off", unit="Hz"),
-    )
-    rows = [
-        (
-            short_path(log.path),
-            *([collection.label(item)] if several else []),
-            number(error.rmse),
-            percent(error.relative_rmse),
-            number(error.max_abs),
-            str(error.samples),
-            percent(error.share_sliding),
-            number(error.rmse_all),
-            number(log.cutoff_hz),
-        )
-        for item in collection.predictions
-        for log in item.file.logs
-        if (error := log.joints.get(name)) is not None
-    ]
-    return Table(f"Errors of {name}, {plural(len(rows), 'log')}", columns, rows)
+def _errors(collection: Collection, place: Place) -> Table:
+    several, rows = len(collection.predictions) > 1, []
+    for item in collection.predictions:
+        for log in item.content.logs:
+            x = log.joints.get(place.joint)
+            if x is not None:
+                whose = (short_path(log.path), *([collection.label(item)] if several else []))
+                errors = (x.rmse, x.relative_rmse, x.max_abs, x.samples, x.share_sliding)
+                rows.append((*whose, *errors, x.rmse_all, log.cutoff_hz))
+    titles = "log | model" if several else "log"
+    titles += " | RMS error [{unit}] | of RMS torque | largest [{unit}] | samples | slides in"
+    kinds = f"text {'text ' * several}number share number count share number number"
+    caption = f"Errors of {place.joint}, {plural(len(rows), 'log')}"
+    titles += " | with rests [{unit}] | cut-off [Hz]"
+    return table(caption, titles, kinds, rows, unit=place.torque_unit)

@@ -35,7 +35,7 @@ LINE_HZ = 7.0
 SPIKE = 0.9  # N m, in one sample of the elbow
 
 
-def source(path: str, content: Document) -> Source:
+def source(path: str, content: Document) -> Source[Document]:
     """Return a document as if it had been read."""
     return Source(path, hashlib.sha256(encode(content).encode()).hexdigest(), content)
 
@@ -88,19 +88,19 @@ def clean_diagnosis() -> DiagnosisFile:
     return file
 
 
-def made_with(prediction: PredictionFile, parameters: Source) -> PredictionFile:
+def made_with(prediction: PredictionFile, parameters: Source[Document]) -> PredictionFile:
     """Return the prediction as made with a parameter file."""
     prediction.parameters = [FileId(path=parameters.path, sha256=parameters.sha256)]
     return prediction
 
 
-def good_documents() -> list[Source]:
+def good_documents() -> list[Source[Document]]:
     """Return parameters and a prediction of new logs with nothing against them."""
     parameters = source("inertia.json", inertia_file())
     return [parameters, source("prediction.json", made_with(prediction_file(), parameters))]
 
 
-def all_documents() -> list[Source]:
+def all_documents() -> list[Source[Document]]:
     """Return one document of every kind, of which a refined file shows every section."""
     refined: ParameterFile = full_file()
     return [
@@ -158,7 +158,7 @@ def write_torques(
     return path
 
 
-def write_documents(folder: Path, documents: Sequence[Source]) -> list[str]:
+def write_documents(folder: Path, documents: Sequence[Source[Document]]) -> list[str]:
     """Write documents as files; a prediction keeps the hash of what it was made with."""
     for item in documents:
         (folder / item.path).write_text(encode(item.content), encoding="utf-8")

@@ -6,7 +6,7 @@ import pytest
 
 from seqid_cli.errors import ConfigError, SeqidError
 from seqid_cli.params.encode import encode
-from seqid_cli.params.io import Source, read_any
+from seqid_cli.params.io import Document, Source, read_any
 from seqid_cli.params.results.prediction import FileId, PredictionFile
 from seqid_cli.params.schema import Verdict
 from seqid_cli.report.collection import collect
@@ -35,7 +35,7 @@ def test_stages_of_one_branch_join_and_the_refined_model_leads() -> None:
     found = collect(documents)
     assert [model.kind for model in found.models] == ["refined", "identified"]
     assert found.models[1].path == "inertia.json"
-    assert found.models[1].sources[0][0] == "friction.json"
+    assert found.models[1].sources[0].path == "friction.json"
     assert [item.path for item in found.predictions] == ["prediction.json"]
     assert [item.path for item in found.diagnoses] == ["diagnosis.json"]
 
@@ -71,7 +71,7 @@ def test_files_that_disagree_on_a_stage_are_models_of_their_own() -> None:
         file.stages.friction.joints["elbow"].rmse = 0.7
     files = {"inertia.json": inertia_file(), "other.json": other, "friction.json": rest}
     models = collect([source(path, file) for path, file in files.items()]).models
-    assert [[path for path, _ in model.sources] for model in models] == [
+    assert [[item.path for item in model.sources] for model in models] == [
         ["inertia.json"],
         ["friction.json", "other.json"],
     ]
@@ -85,7 +85,7 @@ def test_refined_files_of_different_outcome_are_models_of_their_own() -> None:
     assert [model.path for model in models] == ["refined.json", "other.json"]
 
 
-def before_and_after() -> list[Source]:
+def before_and_after() -> list[Source[Document]]:
     """Return both models with a prediction each; the one of before is given first, and poor."""
     documents = all_documents()
     before = made_with(prediction_file(shares=(0.02, 0.5)), documents[0])

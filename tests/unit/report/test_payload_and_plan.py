@@ -99,7 +99,7 @@ def test_a_payload_has_a_section_with_its_settings() -> None:
     used = FileId(path=parameters.path, sha256=parameters.sha256)
     extra = [source("payload.json", payload_file(used)), source("plan.json", plan_file())]
     made = make_report([parameters, prediction, *extra])
-    assert [name for name in made.sections if name in ("payload", "plan")] == ["payload", "plan"]
+    assert [section.id for section in made.sections][-2:] == ["payload", "plan"]
     for text in ("2.345", "not determined", "set_payload(2.345", "of joint elbow"):
         assert text in made.html
     for text in ("pair_1", "0.0375", "9 of 10", "62.5", "torque over its limit"):
@@ -107,7 +107,8 @@ def test_a_payload_has_a_section_with_its_settings() -> None:
 
 
 def test_without_them_there_is_no_such_section() -> None:
-    assert not {"payload", "plan"} & make_report(good_documents()).sections.keys()
+    sections = make_report(good_documents()).sections
+    assert not {"payload", "plan"} & {section.id for section in sections}
 
 
 def test_a_payload_of_an_older_model_is_refused() -> None:

@@ -12,7 +12,7 @@ from scipy.signal import lfilter
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.model.effects.spectral_lines import Signal
 from seqid_cli.params.encode import encode
-from seqid_cli.params.io import Source
+from seqid_cli.params.io import Document, Source
 from seqid_cli.report.collection import collect
 from seqid_cli.report.figures.torque import (
     Place,
@@ -173,16 +173,16 @@ def test_other_tables_are_refused(tmp_path: Path, columns: dict[str, list[object
 def test_the_table_beside_the_prediction_is_found_if_it_fits(tmp_path: Path) -> None:
     parameters, prediction = good_documents()
     documents = [parameters, source(str(tmp_path / "prediction.json"), prediction.content)]
-    assert make_report(documents).torques == ()
+    assert make_report(documents).torques == []
     write_torques(tmp_path / "torques.parquet")
-    assert make_report(documents).torques == (str(tmp_path / "torques.parquet"),)
+    assert make_report(documents).torques == [str(tmp_path / "torques.parquet")]
     write_torques(tmp_path / "torques.parquet", logs=LOGS[:1])
-    assert make_report(documents).torques == ()
+    assert make_report(documents).torques == []
     shutil.copy(__file__, tmp_path / "torques.parquet")
-    assert make_report(documents).torques == ()
+    assert make_report(documents).torques == []
 
 
-def of_two_models(folder: Path, *, told: bool = True) -> tuple[list[Source], list[Path]]:
+def of_two_models(folder: Path, *, told: bool = True) -> tuple[list[Source[Document]], list[Path]]:
     """Return predictions before and after refinement, and their torques, the worse first."""
     parameters, _, _, refined = all_documents()
     documents, torques = [parameters, refined], []
@@ -199,7 +199,7 @@ def of_two_models(folder: Path, *, told: bool = True) -> tuple[list[Source], lis
 def test_torques_of_two_models_share_a_plot(tmp_path: Path) -> None:
     documents, torques = of_two_models(tmp_path)
     report = make_report(documents, torques=torques)
-    assert report.torques == tuple(map(str, reversed(torques)))  # the refined one's first
+    assert report.torques == list(map(str, reversed(torques)))  # the refined one's first
     drawn = report.html.split("<title>Torque of elbow, validation/a.parquet")[1].split("</svg>")[0]
     for name in ("measured", "after: refined.json", "before: inertia.json"):
         assert f'data-name="{name}"' in drawn
@@ -212,8 +212,9 @@ def test_torques_beside_are_found_by_their_model(tmp_path: Path) -> None:
     documents, (before, _) = of_two_models(tmp_path)
     before.rename(tmp_path / "torques.parquet")
     report = make_report(documents)
-    assert report.torques == (str(tmp_path / "torques.parquet"),)
-    assert report.collection.model_of(report.collection.predictions[1]) is not None
+    assert report.torques == [str(tmp_path / "torques.parquet")]
+    collection = collect(documents)
+    assert collection.model_of(collection.predictions[1]) is not None
 
 
 def test_torques_of_another_model_are_refused(tmp_path: Path) -> None:

@@ -18,7 +18,17 @@ from seqid_cli.robot.types import Imu, Joint, Robot
 # Words for each quantity, joined and in lower case; those of one letter count only beside a number.
 WORDS: Mapping[str, tuple[str, ...]] = {
     "position": ("position", "positions", "pos", "q", "angle", "theta", "measq", "winkel"),
-    "velocity": ("velocity", "velocities", "vel", "qd", "dq", "qdot", "speed", "geschwindigkeit"),
+    "velocity": (
+        "velocity",
+        "velocities",
+        "vel",
+        "qd",
+        "dq",
+        "qdot",
+        "speed",
+        "geschwindigkeit",
+        "drehzahl",
+    ),
     "current": ("current", "currents", "cur", "amps", "i", "iq", "strom"),
     "torque": ("torque", "torques", "tau", "effort", "efforts", "tauj", "moment", "drehmoment"),
     "load": ("load",),
@@ -56,7 +66,7 @@ def guess(survey: Survey) -> Guess:
     """Guess joints, channels and IMUs of a log from the names in it."""
     names = survey.columns or [channel.name for channel in survey.channels]
     imus = _imus(names)
-    if survey.format == "mcap":
+    if not survey.columns:
         return Guess(survey.joints, {}, imus)
     patterns, joints = guess_channels(names)
     defaults = tuple(n.removesuffix(".position") for n in names if n.endswith(".position"))
@@ -170,7 +180,16 @@ def _words(text: str) -> list[str]:
 
 
 def _letters(text: str) -> list[str]:
-    return [word.lower() for word in re.split(r"[^A-Za-z]+|(?<=[a-z])(?=[A-Z])", text) if word]
+    words = re.split(r"[^A-Za-z]+|(?<=[a-z])(?=[A-Z])", text)
+    return [part for word in words if word for part in _parts(word.lower())]
+
+
+def _parts(word: str, *, shortest: int = 3) -> list[str]:
+    """Part a compound (`istposition`, `motorstrom`): a word beside a quantity, and the quantity."""
+    for beside in COMMANDED | MEASURED:
+        if len(beside) >= shortest and word.startswith(beside) and word[len(beside) :] in _QUANTITY:
+            return [beside, word[len(beside) :]]
+    return [word]
 
 
 def _quantity(words: list[str]) -> str:

@@ -133,7 +133,8 @@ def _guessed(
             raise InputError(
                 "no joint positions were found by the names in it: "
                 + (", ".join(channel.name for channel in surveyed.channels[:12]) or "nothing"),
-                hint="Give a robot file with -r, its [channels] naming the columns.",
+                hint="Write the robot file by hand, its [channels] naming the column of each joint "
+                'in chain order (position = ["...", "..."], current = [...]), and give it with -r.',
             )
         alone = stand_in(guessed, source=path)
         data = read_log(path, alone, modelled=False, time_source=time_source)

@@ -86,7 +86,7 @@ def propose(
     joints = _driven(joints, drives)
     names = tuple(joint.name for joint in joints)
     effort = next((joint.effort for joint in seen.values() if joint.effort), "")
-    if surveyed.format == "mcap" and effort:
+    if not surveyed.columns and effort:
         effort = "effort"
     log_names = tuple(log_name for log_name, _ in found)
     channels, unread = _channels(surveyed, guessed, log_names, names)
@@ -218,7 +218,7 @@ def _channels(
 ) -> tuple[dict[str, Columns], tuple[str, ...]]:
     """Return `[channels]` that the log needs, and names that they cannot express."""
     # `joints` are the names in the robot file of those that the log calls `log`.
-    if surveyed.format == "mcap":
+    if not surveyed.columns:
         renamed = ", ".join(f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b)
         text = f"the log's joints have other names: rename them in a copy of the URDF ({renamed})"
         return {}, (text,) if renamed else ()

@@ -18,6 +18,7 @@ from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.toml.schema import Columns
 from tests.commands.conftest import Rig
 from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
+from tests.unit.logs.format_writers import Data, Write, rosbag1, rosbag2_mcap, rosbag2_sqlite
 
 URDF = SAMPLES / "six_joint" / "six_joint.urdf"
 LOG = SAMPLES / "six_joint" / "validation" / "fourier_1.parquet"
@@ -243,6 +244,19 @@ def test_imus_and_the_meaning_of_effort_are_left_to_be_said(rig: Rig) -> None:
     assert tomllib.loads(text)["schema"] == "seqid/robot@1"
 
 
+@pytest.mark.parametrize("write", [rosbag1, rosbag2_sqlite, rosbag2_mcap])
+def test_a_bag_needs_no_names_of_columns(rig: Rig, write: Write) -> None:
+    t = np.arange(0.0, 2.0, 0.01)
+    q = np.sin(np.outer(t, np.arange(1.0, 7.0)))
+    log = write(rig.folder / "log", Data(t, tuple(SIX), q, q, q, q))
+    shutil.copy(URDF, rig.folder / "arm.urdf")
+    done = rig.run("init", log.name, "--urdf", "arm.urdf", "-o", "new.toml")
+    assert done.code == 0, done.err
+    assert "whether effort is torque" in done.err
+    assert load_robot(rig.folder / "new.toml").joint_names == SIX
+    assert tomllib.loads((rig.folder / "new.toml").read_text())["channels"] == {}
+
+
 def test_match_names_pairs_the_nearest_one_to_one() -> None:
     urdf = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "joint_1", "joint_2"]
     log = ["ShoulderPan", "elbow", "shoulder_lift", "Joint2"]
@@ -283,6 +297,10 @@ def test_match_names_pairs_the_nearest_one_to_one() -> None:
         (["time", "q1", "q2", "i1", "i2"], {"position": "q{index}", "current": "i{index}"}, 2),
         (["Zeit [s]", "Winkel Achse 1 [°]", "Winkel Achse 2 [°]", "Strom 1 [A]", "Strom 2 [A]"],
          {"position": "Winkel Achse {index} [°]", "current": "Strom {index} [A]"}, 2),
+        (["Zeit [ms]", *(f"{w} A{k} [x]" for w in ("Istposition", "Sollposition", "Istdrehzahl",
+             "Motorstrom") for k in (1, 2))],
+         {"position": "Istposition A{index} [x]", "velocity": "Istdrehzahl A{index} [x]",
+          "current": "Motorstrom A{index} [x]"}, 2),
         (["time", "q2", "i2"], {"position": "q2", "current": "i2"}, 1),
         (["time", "q2", "q3", "i1", "i2", "i3"],
          {"position": ("q2", "q3"), "current": ("i2", "i3")}, 2),

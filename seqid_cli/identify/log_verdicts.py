@@ -49,4 +49,5 @@ def _text(alike: Sequence[InspectionFinding]) -> str:
     logs = list(dict.fromkeys(finding.log for finding in alike))
     more = f" and {len(logs) - 1} more log{'s' if len(logs) > 2 else ''}" if len(logs) > 1 else ""
     channel = f"{first.channel} " if first.channel else ""
-    return f"[{first.code}] {logs[0]}{more}: {channel}{first.message}"
+    said = first.message.removeprefix(f"{first.joint}: ")
+    return f"[{first.code}] {logs[0]}{more}: {channel}{said}"

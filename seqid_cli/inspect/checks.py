@@ -42,7 +42,6 @@ SPOIL = frozenset(
         "position_in_degrees",
         "position_in_mm",
         "position_motor_side",
-        "position_wraps",
         "position_spikes",
         "position_jump",
         "position_frozen",

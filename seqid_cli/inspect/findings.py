@@ -22,7 +22,6 @@ ERRORS: Mapping[str, str] = {
     "rad.",
     "position_in_mm": "Convert to m.",
     "position_motor_side": "Log the joint's position, or divide by the gear ratio.",
-    "position_wraps": "Unwrap it, or log the multi-turn position.",
     "position_spikes": "Look at cable and driver of the encoder; remove these samples.",
     "position_jump": "Look for lost counts or a zero that was set while recording; split the log "
     "there.",
@@ -81,6 +80,7 @@ WARNINGS: Mapping[str, str] = {
     "time_resolution": "Write time as float64 or as a timestamp column.",
     "header_clock": "Synchronise the clocks (chrony, PTP); stamps of all topics must be from one "
     "clock.",
+    "position_wraps": "Log the multi-turn position where the joint can turn more than once.",
     "position_limits": "Check the encoder's zero, the unit, the order of the joints, and "
     "position_limits.",
     "channel_held": "Log at the rate of the measurement: each value is delayed by up to a group.",

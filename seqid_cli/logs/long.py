@@ -27,6 +27,7 @@ from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
 from seqid_cli.logs.timebase import Base, resample
+from seqid_cli.logs.turns import wraps
 from seqid_cli.robot.types import Robot
 
 READERS: dict[str, BlockReader] = {"parquet": parquet.read_blocks, "mcap": reader.read_blocks}
@@ -263,7 +264,8 @@ def _rows(
         steps = np.diff(joints.stamp_ns, prepend=joints.stamp_ns[:1] if last is None else last)
         if (steps[last is None :] <= 0).any():
             raise UnevenError
-        if suspicious(joints):  # to be put right as a whole
+        if suspicious(joints) or wraps(joints.channels["position"], robot):
+            # to be put right as a whole
             raise UnevenError
         last = joints.stamp_ns[-1:]
         yield Rows(joints.stamp_ns, values.T, raw.partial, raw.warnings)

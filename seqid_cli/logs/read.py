@@ -27,6 +27,7 @@ from seqid_cli.logs.storage.files import check_log, storage_file, unchanged
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.timebase import JITTER_LIMIT, Base, make_base, overlap, resample
+from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 
@@ -115,7 +116,12 @@ def _read(path: Path, robot: Robot, time_source: TimeSource) -> tuple[Recording,
 def read_whole(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> RawLog:
     """Read a file of a format as one block; see `BlockReader`."""
     (raw,) = READERS[kind](path, robot, time_source, rows=None)
-    return raw
+    joints, found = in_turns(raw.joints, robot)
+    said = [
+        f"{name}: position wraps by whole turns {count} times; it is made to run on"
+        for name, count in found.items()
+    ]
+    return replace(raw, joints=joints, warnings=(*raw.warnings, *said))
 
 
 @dataclass(frozen=True)

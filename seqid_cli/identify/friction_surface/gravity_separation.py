@@ -111,7 +111,7 @@ def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
     Returns: groups without a forward/backward pair are left out and counted in `unpaired`.
     """
     groups = configurations(trials)
-    loaded = gravity_columns(robot, joint, trials[0].configuration, trials[0].q).shape[1] > 0
+    loaded = any(len(own.T) for own in _of_groups(robot, joint, groups))
     paired = [(group, sums) for group in groups if (sums := half_sums(group))]
     if not loaded and len(paired) < len(groups):
         return GravityFit([_unloaded(robot, group) for group in groups], 0, False, 0.0)
@@ -122,18 +122,16 @@ def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
     system = _system(robot, joint, paired)
     share, directional = _asymmetry(system, friction)
     plain, errors, _ = _solve(system, extended=directional)
-    width = system.columns.shape[1] // len(paired)
     fitted = [
-        GravityGroup(
-            robot,
-            group[0].configuration,
-            group,
-            plain[i * width : (i + 1) * width],
-            errors[i * width : (i + 1) * width],
-        )
-        for i, (group, _) in enumerate(paired)
+        GravityGroup(robot, group[0].configuration, group, plain[own], errors[own])
+        for (group, _), own in zip(paired, system.of_group, strict=True)
     ]
     return GravityFit(fitted, unpaired, directional, share)
+
+
+def _of_groups(robot: Robot, joint: int, groups: list[list[Trial]]) -> list[Array]:
+    """Gravity columns (1, 0 to 2) of each configuration."""
+    return [gravity_columns(robot, joint, g[0].configuration, np.zeros(1)) for g in groups]
 
 
 def _unloaded(robot: Robot, group: list[Trial]) -> GravityGroup:
@@ -157,9 +155,13 @@ def _friction_scale(paired: Paired) -> float:
 
 @dataclass(frozen=True)
 class _System:
-    """Half-sums `y` by gravity `columns` and direction-dependent `extra`, weighted by `root`."""
+    """Half-sums `y` by gravity `columns` and direction-dependent `extra`, weighted by `root`.
+
+    `of_group` are the columns of each configuration: none where gravity does not load the joint.
+    """
 
     columns: Array
+    of_group: list[slice]
     extra: Array
     y: Array
     root: Array
@@ -172,15 +174,16 @@ def _system(robot: Robot, joint: int, paired: Paired, *, enough_pairs: int = 8) 
     pairs = sum(len(sums) for _, sums in paired)
     fastest = max(item.speed for _, sums in paired for item in sums)
     count = 0
-    for i, (group, sums) in enumerate(paired):
+    ends = np.cumsum([len(a.T) for a in _of_groups(robot, joint, [group for group, _ in paired])])
+    of_group = [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+    for (group, sums), own in zip(paired, of_group, strict=True):
         for item in sums:
-            a = gravity_columns(robot, joint, group[0].configuration, item.q)
-            wide = np.zeros((len(item.q), a.shape[1] * len(paired)))
-            wide[:, i * a.shape[1] : (i + 1) * a.shape[1]] = a
+            wide = np.zeros((len(item.q), ends[-1]))
+            wide[:, own] = gravity_columns(robot, joint, group[0].configuration, item.q)
             rows.append(wide)
             slope = np.full(len(item.q), item.speed / fastest)
             # The gravity force of a prismatic joint is itself an offset.
-            offset = [] if robot.chain.prismatic[joint] and a.shape[1] else [np.ones_like(slope)]
+            offset = [] if robot.chain.prismatic[joint] and ends[-1] else [np.ones_like(slope)]
             extra.append(np.column_stack([*offset, slope]))
             right.append(item.tau)
             root.append(np.full(len(item.q), np.sqrt(item.weight)))
@@ -190,6 +193,7 @@ def _system(robot: Robot, joint: int, paired: Paired, *, enough_pairs: int = 8) 
             count += parts
     return _System(
         np.vstack(rows),
+        of_group,
         np.vstack(extra),
         np.concatenate(right),
         np.concatenate(root),

@@ -118,7 +118,7 @@ def _inertia_of(
         ):
             if not len(q):
                 continue
-            a = gravity_columns(robot, trial.joint, trial.configuration, q)
+            a = gravity_columns(robot, trial.joint, group[0].configuration, q)
             rows.append(np.column_stack([ddq, a]) * np.sqrt(weight))
             right.append((tau - surface.torque(q, dq)) * np.sqrt(weight))
             cluster.append(np.full(len(q), number))

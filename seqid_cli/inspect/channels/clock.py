@@ -25,6 +25,7 @@ _SAID: tuple[tuple[str, str], ...] = (
     (r"cannot resolve less than", "time_resolution"),
     (r"are infinite or beyond", "values_absurd"),
     (r"last line has no end", "salvaged"),
+    (r"position wraps by whole turns", "position_wraps"),
     (r"looks like mA", "current_in_ma"),
     (r"looks like an echo", "torque_echo"),
     (r"cannot be turned into torque", "drive_data_missing"),

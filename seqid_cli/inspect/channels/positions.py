@@ -34,7 +34,7 @@ class Break:
 
 
 def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
-    """Find wraps, freezes, spikes and jumps of every joint.
+    """Find freezes, spikes and jumps of every joint.
 
     `t` (M,): time of the joint samples [s]. `position` (M, n): as logged [rad; m where prismatic],
     NaN where missing.
@@ -182,18 +182,9 @@ def _speed(data: LogData, j: int, *, max_ratio: float = 2.0) -> Iterator[Inspect
 def _breaks(
     joint: Joint, t: Array, q: Array, step: float
 ) -> Iterator[tuple[InspectionFinding, Rows]]:
-    """Find wraps, freezes, spikes and jumps, each with the samples that are wrong."""
-    dt, d = np.diff(t), np.diff(q)
-    usual = float(np.median(dt))
+    """Find freezes, spikes and jumps, each with the samples that are wrong."""
+    usual = float(np.median(np.diff(t)))
     if usual <= 0.0:
-        return
-    turn = 2.0 * np.pi
-    turns = np.rint(d / turn)
-    wraps = (turns != 0) & (np.abs(d - turns * turn) < 0.05 * turn) & (dt < 2.5 * usual)
-    if not joint.prismatic and wraps.any() and usual < 0.25:
-        at = float(t[int(np.argmax(wraps))])
-        text = f"changes by whole turns {int(wraps.sum())} times, first at {at:.3f} s"
-        yield found("position_wraps", text, joint=joint.name, channel="position"), NONE
         return
     large = _least_jump(q, step, usual)
     frozen = _frozen(t, q, large)

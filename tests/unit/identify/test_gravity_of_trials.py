@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -11,7 +13,11 @@ from seqid_cli.identify.friction_surface.gravity_separation import (
     fit_gravity,
     gravity_columns,
 )
+from seqid_cli.identify.friction_surface.ramps import without_acceleration
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
+from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction_basis import Scaling
+from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.small import arm_6r
 
@@ -124,3 +130,38 @@ def test_a_joint_along_gravity_has_no_p_xi(robot: Robot) -> None:
         assert fit.groups[0].p_xi.shape == (0,)
         assert not fit.directional
         assert fit.unpaired == 0
+
+
+def test_a_wrist_that_stands_along_gravity_in_some_postures_only(robot: Robot) -> None:
+    joint, rng = 4, np.random.default_rng(2)
+    upright, tilted = CONFIGURATIONS
+    turned = forward(robot.chain, upright[None]).R[0, joint] @ robot.chain.axis[joint]
+    mounted = replace(robot, gravity=9.81 * turned)
+    count = upright.copy()
+    count[3] += 1e-4  # an encoder's step off: gravity has a part that is none to speak of
+    trials = []
+    for configuration in (upright, count, tilted):
+        for speed in SPEEDS:
+            for direction in (1, -1):
+                q = np.linspace(-2, 2, SLICES)[::direction]
+                columns = gravity_columns(mounted, joint, configuration, q)
+                tau = columns @ P_XI[0][: len(columns.T)] + direction * (3.0 + 0.5 * speed)
+                tau += 0.05 * rng.standard_normal(SLICES)
+                trials.append(trial(joint, direction * speed, q, tau, configuration))
+    ramps = Ramps(trials[0].q, trials[0].dq, 0.1 * trials[0].q, trials[0].tau, 20.0)
+    for given in (trials, trials[::-1]):
+        fit = fit_gravity(mounted, joint, given)
+        alone, other = sorted(fit.groups, key=lambda group: len(group.trials), reverse=True)
+        assert len(alone.trials) == 2 * len(other.trials)
+        np.testing.assert_allclose(other.p_xi, P_XI[0], atol=0.02)
+        assert np.abs(alone.torque(trials[0].q)).max() < 0.1
+        flat = surface_of(trials[0].q)
+        steady = without_acceleration(mounted, [replace(t, ramps=ramps) for t in given], flat)
+        assert [len(group.trials) for group in steady] == [len(g.trials) for g in fit.groups]
+
+
+def surface_of(q: Array) -> FrictionSurface:
+    """Friction of 3 N m and 0.5 N m s/rad."""
+    linear = np.array([[3.0 + 0.5 * SPEEDS.mean(), 0.5 * np.ptp(SPEEDS) / 2]])
+    scaling = Scaling((float(q.min()), float(q.max())), (float(SPEEDS[0]), float(SPEEDS[-1])))
+    return FrictionSurface(scaling, 0.01, linear, linear, np.zeros((2, 2)), directional=False)

@@ -110,8 +110,8 @@ def jump(name: str, size: float) -> Plant:
 
 def wrapped(name: str) -> Plant:
     def plant(columns: Columns, rng: np.random.Generator) -> None:
-        q = columns[name] + np.pi - np.median(columns[name])
-        columns[name] = (q + np.pi) % (2 * np.pi) - np.pi
+        start = np.median(columns[name])
+        columns[name] = (columns[name] - start) % (2 * np.pi) + start
 
     return plant
 

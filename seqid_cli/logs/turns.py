@@ -1,0 +1,61 @@
+"""Whole turns that encoders of one turn lose, put back."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from seqid_cli.logs.raw import Array, Stream
+from seqid_cli.robot.types import Joint, Robot
+
+TURN = 2.0 * np.pi
+
+
+def in_turns(stream: Stream, robot: Robot, *, slack: float = 0.05) -> tuple[Stream, dict[str, int]]:
+    """Let the positions of revolute joints run on where they wrap, within the joints' limits.
+
+    `slack`: share of a turn by which a step may differ from whole ones. A log that lies within the
+    limits (within half a turn, where there are none) only with a turn more or less is moved by it:
+    a wrap that lies before it. Returns: the stream, the same one where nothing wraps; how often
+    each joint wraps.
+    """
+    position = stream.channels["position"]
+    columns: list[Array] = []
+    found: dict[str, int] = {}
+    for joint, q in zip(robot.joints, position.T, strict=True):
+        run, times = (q, 0) if joint.prismatic else _unwrapped(q, slack)
+        columns.append(run if joint.prismatic else run + TURN * _turns_off(run, joint))
+        if times:
+            found[joint.name] = times
+    moved = np.column_stack(columns)
+    if np.array_equal(moved, position, equal_nan=True):
+        return stream, found
+    return replace(stream, channels={**stream.channels, "position": moved}), found
+
+
+def wraps(q: Array, robot: Robot, *, slack: float = 0.05) -> bool:
+    """Tell whether `in_turns` might change consecutive positions (M, n)."""
+    return any(
+        not joint.prismatic and (_unwrapped(q[:, j], slack)[1] or _turns_off(q[:, j], joint))
+        for j, joint in enumerate(robot.joints)
+    )
+
+
+def _unwrapped(q: Array, slack: float) -> tuple[Array, int]:
+    there = np.flatnonzero(np.isfinite(q))
+    d = np.diff(q[there]) / TURN
+    turns = np.where(np.abs(d - np.rint(d)) < slack, np.rint(d), 0.0)
+    if not turns.any():
+        return q, 0
+    run = q.copy()
+    run[there[1:]] -= TURN * np.cumsum(turns)
+    return run, int(np.count_nonzero(turns))
+
+
+def _turns_off(q: Array, joint: Joint) -> int:
+    """Turns (-1, 0 or 1) that bring all positions within the limits."""
+    low, high = joint.position_limits or (-np.pi, np.pi)
+    least, most = np.nanmin(q, initial=np.inf), np.nanmax(q, initial=-np.inf)
+    if least > most or (low <= least and most <= high):
+        return 0
+    fits = [k for k in (-1, 1) if low <= least + TURN * k and most + TURN * k <= high]
+    return fits[0] if fits else 0

@@ -1,0 +1,83 @@
+"""Encoders of one turn: positions run on, within the joints' limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from seqid_cli.logs.long import open_long
+from seqid_cli.logs.raw import Array, Stream
+from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.turns import in_turns
+from seqid_cli.robot.types import Robot
+from tests.unit.logs.format_writers import Data, Write, csv_own, mcap_cdr, parquet, rosbag2_sqlite
+from tests.unit.logs.test_formats import ONE, robot
+
+TURN = 2.0 * np.pi
+T = np.arange(0.0, 20.0, 0.01)
+LIMITS = [(-3.0, 3.0), (-0.5, 6.0), None]
+
+
+def data(q: Array) -> Data:
+    column = q[:, None]
+    return Data(
+        T, robot(ONE).joint_names, column, np.gradient(column, 0.01, axis=0), column, column
+    )
+
+
+def limited(limits: tuple[float, float] | None, *, prismatic: bool = False) -> Robot:
+    arm = robot(ONE)
+    joint = replace(arm.joints[0], position_limits=limits, prismatic=prismatic)
+    return replace(arm, joints=(joint,))
+
+
+@pytest.mark.parametrize("write", [parquet, csv_own, mcap_cdr, rosbag2_sqlite])
+@pytest.mark.parametrize("limits", LIMITS)
+def test_a_position_that_wraps_runs_on_within_the_limits(
+    tmp_path: Path, write: Write, limits: tuple[float, float] | None
+) -> None:
+    middle = sum(limits) / 2 if limits else 0.0
+    q = middle - 2.0 * np.cos(T)
+    log = write(tmp_path / "log", data(q % TURN))
+    read = read_recording(log, limited(limits))
+    np.testing.assert_allclose(read.q[:, 0], q, atol=1e-12)
+    wraps = np.count_nonzero(np.diff(q // TURN))
+    assert wraps == 0 or any(f"wraps by whole turns {wraps}" in w for w in read.health.warnings)
+    if write in (parquet, mcap_cdr):
+        long = open_long(log, limited(limits))
+        assert (long is None) == (not np.array_equal(q % TURN, q))
+
+
+@pytest.mark.parametrize("limits", LIMITS)
+def test_a_log_without_a_wrap_is_moved_by_the_turn_before_it(
+    tmp_path: Path, limits: tuple[float, float] | None
+) -> None:
+    q = (sum(limits) / 2 if limits else 0.0) - 1.5 + np.sin(T)
+    for lost in (-TURN, TURN):
+        log = parquet(tmp_path / "log", data(q + lost))
+        np.testing.assert_allclose(read_recording(log, limited(limits)).q[:, 0], q, atol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [1.0, 180.0 / np.pi])
+def test_other_positions_stay_as_they_are(tmp_path: Path, factor: float) -> None:
+    q = factor * 2.9 * np.sin(T)
+    arm = limited((-3.0, 3.0))
+    log = parquet(tmp_path / "log", data(q))
+    assert np.array_equal(read_recording(log, arm).q[:, 0], q)
+    sliding = limited((-3.0, 3.0), prismatic=True)
+    log = parquet(tmp_path / "slides", data(q % TURN))
+    assert np.array_equal(read_recording(log, sliding).q[:, 0], q % TURN)
+
+
+def test_missing_values_stay_missing() -> None:
+    q = (2.0 * np.sin(T) % TURN)[:, None]
+    q[100:103] = np.nan
+    stream = Stream("joints", np.rint(T * 1e9).astype(np.int64), {"position": q})
+    moved, found = in_turns(stream, limited((-3.0, 3.0)))
+    there = np.isfinite(q[:, 0])
+    np.testing.assert_allclose(moved.channels["position"][there, 0], 2.0 * np.sin(T)[there])
+    assert np.array_equal(np.isfinite(moved.channels["position"]), np.isfinite(q))
+    assert found == {robot(ONE).joint_names[0]: int(np.count_nonzero(np.diff(np.sin(T) < 0)))}

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from seqid_cli.params.results.diagnosis import DiagnosisFile
-from seqid_cli.params.results.diagnosis_words import beyond_noise, nothing_found
+from seqid_cli.params.results.diagnosis_words import beyond_noise, nothing_found, times_noise
 from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
 from seqid_cli.report.collection import Collection, Model, Prediction
@@ -149,9 +149,7 @@ def _sentence(
     return said + "."
 
 
-def _prediction_points(
-    collection: Collection, independent: list[Prediction], *, far: float = 2.0
-) -> Iterator[Point]:
+def _prediction_points(collection: Collection, independent: list[Prediction]) -> Iterator[Point]:
     diagnose = f"seqid diagnose {_tail(collection)}"
     for item in collection.judged:
         file, new = item.content, _new_logs(collection, item)
@@ -161,10 +159,9 @@ def _prediction_points(
             text = f"{listed(still)} never slides in these logs and is not judged"
             yield Point("open", text, item.path, "Predict logs in which every joint moves.")
         for name, error in file.joints.items():
-            floor = collection.noise_floor(item, name)
-            if floor and error.rmse is not None and error.rmse > far * floor:
-                times = number(error.rmse / floor, 2)
-                text = f"{name}: the RMS error is {times} times the noise floor of the same logs"
+            entry = collection.residual(item, name)
+            if entry is not None and (times := times_noise(entry, error.rmse)):
+                text = f"{name}: the RMS error on the same logs is {times}"
                 yield Point("open", text, item.path, command=diagnose)
         if item not in independent:
             text = "the prediction is on logs that the model was identified from"

@@ -325,7 +325,8 @@ def test_long_lists_are_for_those_who_ask(rig: Rig, library: Library) -> None:
         ),
         (
             structs.replace(NOTHING, joints={"elbow": structs.replace(QUIET, white=False)}),
-            "No effect was found, but not all that is left is noise (elbow: not white).",
+            "No effect was found. What is left is no larger than slow noise may be, but it is not"
+            " white (elbow).",
             None,
         ),
         (

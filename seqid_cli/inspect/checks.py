@@ -109,7 +109,8 @@ def without(data: LogData, breaks: Sequence[Break]) -> LogData:
         position[each.rows, each.joint] = np.nan
     joints = replace(data.joints, channels={**data.joints.channels, "position": position})
     recording = without_values(data.recording, data.raw, data.robot, joints)
-    again = log_data(recording, data.raw, data.robot, modelled=data.modelled)
+    modelled, begun = data.modelled, data.begun_ns
+    again = log_data(recording, data.raw, data.robot, modelled=modelled, begun_ns=begun)
     return replace(again, joints=joints)
 
 

@@ -8,19 +8,11 @@ from typing import Any, NamedTuple
 from msgspec import structs
 
 from seqid_cli.errors import InputError
-from seqid_cli.inspect.checks import check
 from seqid_cli.inspect.findings import found, located, verdict_of
 from seqid_cli.inspect.guess import guess, stand_in
 from seqid_cli.inspect.imu.readings import layout_findings
-from seqid_cli.inspect.material import LogData, read_log
-from seqid_cli.inspect.moves import (
-    imu_summaries,
-    joint_summaries,
-    moves_of,
-    serves,
-    stretches_of,
-    together,
-)
+from seqid_cli.inspect.material import read_log
+from seqid_cli.inspect.parts import Gathered
 from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.raw import TimeSource
@@ -95,13 +87,13 @@ def inspect_log(
     names = [channel.name for channel in surveyed.channels]
     problem: InputError | None = None
     if robot is not None:
+        missing, findings = missing_imus(robot, surveyed)
         try:
-            data = read_log(path, robot, modelled=True, time_source=time_source)
+            found_in = _read(path, robot, surveyed, findings, time_source, modelled=True)
         except InputError as error:
             problem = error
         else:
-            missing, findings = missing_imus(robot, surveyed)
-            return _with(_report(path, surveyed, data, findings), channels=names, missing=missing)
+            return _with(found_in, channels=names, missing=missing)
     return _with(_guessed(path, surveyed, robot, problem, time_source), channels=names)
 
 
@@ -137,43 +129,30 @@ def _guessed(
                 'in chain order (position = ["...", "..."], current = [...]), and give it with -r.',
             )
         alone = stand_in(guessed, source=path)
-        data = read_log(path, alone, modelled=False, time_source=time_source)
+        found_in = _read(path, alone, surveyed, findings, time_source, modelled=False)
     except InputError as error:
         kept = [f for f in findings if f.joint]
         unreadable = _unreadable(path, problem or error, surveyed.format, kept)
         return _with(unreadable, missing=missing)
-    return _with(_report(path, surveyed, data, findings), missing=missing)
+    return _with(found_in, missing=missing)
 
 
-def _report(
-    path: Path, surveyed: Survey, data: LogData, found_before: list[InspectionFinding]
+def _read(
+    path: Path,
+    robot: Robot,
+    surveyed: Survey,
+    before: Sequence[InspectionFinding],
+    time_source: TimeSource,
+    *,
+    modelled: bool,
 ) -> Inspected:
-    recording = data.recording
-    checked = check(data)
-    stretches = stretches_of(data)
-    health = recording.health
-    findings = located((*found_before, *checked.findings), path)
-    log = InspectedLog(
-        path=str(path),
-        sha256=recording.sha256,
-        format=surveyed.format,
-        verdict=verdict_of(findings),
-        samples=len(recording.t),
-        seconds=float(recording.t[-1]),
-        rate_hz=health.rate_hz,
-        jitter=health.jitter,
-        gaps=[list(gap) for gap in health.gaps],
-        non_monotonic=health.non_monotonic,
-        duplicates=health.duplicates,
-        log_minus_header_s=health.log_minus_header_s,
-        joints=joint_summaries(data),
-        imus=imu_summaries(data, checked.following),
-        moves=moves_of(data, stretches),
-        moving_together=list(together(data)),
-        serves=list(serves(data, stretches)) if data.modelled else [],
-        partial=recording.partial,
-    )
-    return Inspected(log, findings)
+    """Inspect a log that the robot fits, part by part."""
+    gathered = Gathered(robot, modelled)
+    clock, failed = time_source, gathered.failed
+    for data in read_log(path, robot, modelled=modelled, time_source=clock, failed=failed):
+        gathered.push(data)
+        del data  # it is large, and the next one comes
+    return Inspected(*gathered.log(path, surveyed.format, before))
 
 
 def _unreadable(

@@ -1,6 +1,6 @@
 """One log as the checks see it: samples as they were logged, and on one time base."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,8 +13,9 @@ from seqid_cli.errors import SeqidError
 from seqid_cli.logs.checks.bridging import with_losses
 from seqid_cli.logs.checks.lost_samples import mended
 from seqid_cli.logs.clocks import tidy
+from seqid_cli.logs.pieces import Failed, read_parts
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
-from seqid_cli.logs.read import read_both, without_absurd
+from seqid_cli.logs.read import without_absurd
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion, encoder_resolution, estimate_motion
 from seqid_cli.motion.options import MotionOptions
@@ -43,7 +44,8 @@ class LogData:
 
     `joints` holds the joint samples in the order of time, `moving` (N, n) says where each joint
     moves on the recording's time base. `modelled` is False where the robot is only guessed from
-    the log, so that nothing may be concluded from its geometry.
+    the log, so that nothing may be concluded from its geometry. `begun_ns` is the stamp of the
+    log's first sample, from which times are told; None where that is the first of these.
     """
 
     robot: Robot
@@ -53,6 +55,7 @@ class LogData:
     recording: Recording
     step: Array  # (n,) rad, what counts as more than encoder noise
     moving: Mask
+    begun_ns: int | None = None
 
     @cached_property
     def motion(self) -> Motion | None:
@@ -61,9 +64,10 @@ class LogData:
 
     @property
     def t(self) -> Array:
-        """Seconds of the joint samples since the first, (M,)."""
+        """Seconds of the joint samples since the log's first, (M,)."""
         stamps = self.joints.stamp_ns
-        seconds: Array = (stamps - stamps[0]).astype(np.float64) * 1e-9
+        begun = stamps[0] if self.begun_ns is None else self.begun_ns
+        seconds: Array = (stamps - begun).astype(np.float64) * 1e-9
         return seconds
 
     def effort(self) -> tuple[str, Array] | None:
@@ -88,16 +92,35 @@ class LogData:
         return here
 
 
-def read_log(path: Path, robot: Robot, *, modelled: bool, time_source: TimeSource) -> LogData:
-    """Read a log for inspection.
+def read_log(
+    path: Path,
+    robot: Robot,
+    *,
+    modelled: bool,
+    time_source: TimeSource,
+    failed: Failed | None = None,
+) -> Iterator[LogData]:
+    """Read a log for inspection, part by part; a short one is one part.
 
-    Raises InputError: it cannot be read, or lacks what the robot file promises.
+    `failed`: told of parts of no use. Raises InputError: it cannot be read, or lacks what the robot
+    file promises.
     """
-    recording, raw = read_both(path, robot, time_source=time_source)
-    return log_data(recording, raw, robot, modelled=modelled)
+    begun = None
+    for recording, raw in read_parts(path, robot, time_source=time_source, failed=failed):
+        data = log_data(recording, raw, robot, modelled=modelled, begun_ns=begun)
+        begun = int(data.joints.stamp_ns[0]) if begun is None else begun
+        yield data
+        del recording, raw, data  # they are large, and the next ones come
 
 
-def log_data(recording: Recording, raw: RawLog, robot: Robot, *, modelled: bool) -> LogData:
+def log_data(
+    recording: Recording,
+    raw: RawLog,
+    robot: Robot,
+    *,
+    modelled: bool,
+    begun_ns: int | None = None,
+) -> LogData:
     """Prepare a log that was read for the checks."""
     step = noise_step(recording.q, encoder_resolution(robot))
     return LogData(
@@ -108,6 +131,7 @@ def log_data(recording: Recording, raw: RawLog, robot: Robot, *, modelled: bool)
         recording=recording,
         step=step,
         moving=moving_mask(recording.q, recording.rate_hz, step),
+        begun_ns=begun_ns,
     )
 
 

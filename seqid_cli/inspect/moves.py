@@ -8,10 +8,10 @@ from seqid_cli.inspect.channels.positions import top_speeds
 from seqid_cli.inspect.channels.values import lattice
 from seqid_cli.inspect.imu.motion import Following
 from seqid_cli.inspect.imu.readings import rest_rows
-from seqid_cli.inspect.material import LogData
+from seqid_cli.inspect.material import LogData, Mask
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
 from seqid_cli.params.results.inspection import InspectedImu, InspectedJoint, InspectedMoves
-from seqid_cli.robot.types import Array
+from seqid_cli.robot.types import Array, Robot
 
 
 def stretches_of(data: LogData) -> list[Stretch]:
@@ -82,10 +82,10 @@ def imu_summaries(data: LogData, following: Sequence[Following]) -> list[Inspect
     return result
 
 
-def moves_of(data: LogData, stretches: list[Stretch]) -> list[InspectedMoves]:
+def moves_of(robot: Robot, stretches: Sequence[Stretch]) -> list[InspectedMoves]:
     """Summarise the constant-velocity stretches of each joint."""
     result = []
-    for j, name in enumerate(data.robot.joint_names):
+    for j, name in enumerate(robot.joint_names):
         mine = [s for s in stretches if s.joint == j]
         if mine:
             speeds = [abs(s.velocity) for s in mine]
@@ -113,34 +113,48 @@ def _postures(stretches: list[Stretch], joint: int, *, same: float = 0.03) -> li
     return found
 
 
-def together(data: LogData, *, min_share: float = 0.1) -> tuple[str, ...]:
-    """Return the joints that move at the same time as others for a fair share of the time."""
-    several = data.moving.sum(axis=1) >= 2
-    busy = max(int(data.moving.any(axis=1).sum()), 1)
-    share = (data.moving & several[:, None]).sum(axis=0) / busy
-    return tuple(
-        name for name, part in zip(data.robot.joint_names, share, strict=True) if part > min_share
-    )
+def together(moving: Mask) -> Array:
+    """Count the samples at which each joint moves with others, and at which any moves, (n + 1,)."""
+    several = moving.sum(axis=1) >= 2
+    with_others = (moving & several[:, None]).sum(axis=0)
+    return np.append(with_others, moving.any(axis=1).sum()).astype(np.float64)
 
 
-def serves(data: LogData, stretches: list[Stretch], *, min_speeds: int = 3) -> tuple[str, ...]:
-    """Return the stages that a log serves."""
+def moving_together(robot: Robot, counts: Array, *, min_share: float = 0.1) -> tuple[str, ...]:
+    """Return the joints that move with others for a fair share of the time, by `together`."""
+    share = counts[:-1] / max(counts[-1], 1.0)
+    names = zip(robot.joint_names, share, strict=True)
+    return tuple(name for name, part in names if part > min_share)
+
+
+def serves(
+    robot: Robot,
+    stretches: Sequence[Stretch],
+    moving: Sequence[bool],
+    several: Sequence[str],
+    *,
+    torque: bool,
+    imus: bool,
+    min_speeds: int = 3,
+) -> tuple[str, ...]:
+    """Return the stages that a log serves.
+
+    `moving`: which joints move. `several`: those that move with others. `torque`, `imus`: whether
+    the log has them.
+    """
     stages: list[str] = []
-    torque = data.recording.tau is not None
-    for j in range(data.robot.n):
+    for j in range(robot.n):
         mine = [s for s in stretches if s.joint == j]
         ways = {np.sign(s.velocity) for s in mine}
         if not torque or len(ways) < 2:
             continue
         if _speeds(mine) >= min_speeds:
             stages.append("friction")
-        if _gravity_acts(data) and (len(_postures(mine, j)) > 1 or _is_slow(data, j, mine)):
+        if robot.gravity.any() and (len(_postures(mine, j)) > 1 or _is_slow(robot, j, mine)):
             stages.append("gravity")
-    if data.recording.accelerometers or data.recording.gyros:
-        moving = [j for j in range(data.robot.n) if data.moves(j)]
-        if len(moving) == 1:
-            stages.append("imu-calib")
-    if torque and (len(together(data)) >= 2 or (data.robot.n == 1 and data.moves(0))):
+    if imus and sum(moving) == 1:
+        stages.append("imu-calib")
+    if torque and (len(several) >= 2 or (robot.n == 1 and moving[0])):
         stages.append("inertia")
     return tuple(dict.fromkeys(stages))
 
@@ -153,10 +167,6 @@ def _speeds(stretches: list[Stretch], *, different: float = 1.25) -> int:
     return count
 
 
-def _is_slow(data: LogData, j: int, stretches: list[Stretch], *, max_share: float = 0.25) -> bool:
-    limit = data.robot.joints[j].velocity_limit or 1.0
+def _is_slow(robot: Robot, j: int, stretches: list[Stretch], *, max_share: float = 0.25) -> bool:
+    limit = robot.joints[j].velocity_limit or 1.0
     return max(abs(s.velocity) for s in stretches) < max_share * limit
-
-
-def _gravity_acts(data: LogData) -> bool:
-    return bool(data.robot.gravity.any())

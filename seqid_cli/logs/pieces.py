@@ -2,24 +2,28 @@
 
 A log that is held is cut; one that is too long for that is passed over once more, and only the rows
 of the pieces are kept. A piece holds all that the log has: temperatures and IMUs as well.
+`read_parts` reads a whole log in consecutive pieces.
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.long import READERS, LongLog
+from seqid_cli.logs.long import READERS, LongLog, likely_rows
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
 from seqid_cli.logs.read import assemble, read_both
 from seqid_cli.logs.recording import Array, Recording, Whole
+from seqid_cli.logs.storage.files import check_log, storage_file, unchanged
 from seqid_cli.robot.types import Robot
 
 Range = tuple[float, float]  # s since the log's first sample
 Sound = Callable[[Recording, RawLog], Recording]
+Failed = Callable[[InputError, Stream], None]  # given the joint samples as well
 
 
 def whole_of(log: Recording | LongLog) -> Whole:
@@ -144,10 +148,7 @@ class _Gathered:
                 self.imus.setdefault(name, []).append(near)
 
     def raw(self) -> RawLog:
-        imus = {
-            name: tuple(_joined(one) for one in zip(*parts, strict=True))
-            for name, parts in self.imus.items()
-        }
+        imus = {name: _side_by_side(parts) for name, parts in self.imus.items()}
         return RawLog(_joined(self.joints), imus, prefer_current=self.prefer_current)
 
 
@@ -156,6 +157,12 @@ def _between(stream: Stream, first: int, last: int) -> Stream:
     if not len(stamps) or stamps[0] > last or stamps[-1] < first:
         return stream.take(slice(0, 0))
     return stream.take((stamps >= first) & (stamps <= last))
+
+
+def _side_by_side(parts: Sequence[tuple[Stream, ...]]) -> tuple[Stream, ...]:
+    """Consecutive parts of an IMU's streams, from where all of them are there."""
+    most = max(map(len, parts))
+    return tuple(_joined(one) for one in zip(*(p for p in parts if len(p) == most), strict=True))
 
 
 def _joined(parts: Sequence[Stream]) -> Stream:
@@ -192,3 +199,89 @@ def _assembled(
         health=replace(found.health, gaps=(), warnings=()),
         whole=whole,
     )
+
+
+def read_parts(
+    path: Path,
+    robot: Robot,
+    *,
+    time_source: TimeSource = "header",
+    most_values: int = 4_000_000,
+    overlap_s: float = 1.0,
+    failed: Failed | None = None,
+) -> Iterator[tuple[Recording, RawLog]]:
+    """Read a log part by part, in memory that does not grow with its length.
+
+    `path`, `robot`, `time_source`: as for `read_recording`. `most_values`: values, samples times
+    channels, that a part holds, about; a log of fewer is one part, read as by `read_both`.
+    `overlap_s`: time at the end of a part that the next one begins with, so that nothing falls
+    between them. `failed`: told of a part that is of no use, for others to be read. Raises
+    InputError: as `read_both`.
+    """
+    kind, file = check_log(path), storage_file(path)
+    width = 3 * robot.n + sum(len(imu.positions) + 3 * imu.gyro for imu in robot.imus)
+    if kind not in READERS or likely_rows(path) * width <= most_values:
+        yield read_both(path, robot, time_source=time_source)
+        return
+    try:
+        with unchanged(file):
+            with file.open("rb") as opened:
+                digest = hashlib.file_digest(opened, "sha256").hexdigest()
+            blocks = READERS[kind](file, robot, time_source)
+            for raw in _parts(blocks, most_values, int(overlap_s * 1e9)):
+                try:
+                    recording = assemble(path, kind, digest, raw, robot)
+                except InputError as error:
+                    if failed is None:
+                        raise
+                    failed(error, raw.joints)
+                    continue
+                yield recording, raw
+                del raw, recording  # they are large, and the next ones come
+    except OSError as error:
+        raise InputError(f"cannot be read ({error})", where=str(path)) from error
+
+
+def _parts(blocks: Iterable[RawLog], most: int, overlap_ns: int) -> Iterator[RawLog]:
+    """Put blocks together to parts of `most` values; the last has half to one and a half."""
+    held: list[RawLog] = []
+    ready = 0  # blocks that are enough for a part
+    size = 0
+    for block in blocks:
+        held.append(block)
+        size += _size(block)
+        ready = len(held) if size >= most and not ready else ready
+        if size >= 1.5 * most and ready < len(held):
+            part = _following(held[:ready])
+            held = [_end(part, overlap_ns), *held[ready:]]
+            ready, size = 0, sum(map(_size, held))
+            yield part
+            del part
+    yield _following(held)
+
+
+def _size(raw: RawLog) -> int:
+    streams = (raw.joints, *(stream for streams in raw.imus.values() for stream in streams))
+    return sum(values.size for stream in streams for values in stream.channels.values())
+
+
+def _following(blocks: Sequence[RawLog]) -> RawLog:
+    """Consecutive blocks as one."""
+    imus: dict[str, list[tuple[Stream, ...]]] = {}
+    for block in blocks:
+        for name, streams in block.imus.items():
+            imus.setdefault(name, []).append(streams)
+    return replace(
+        blocks[-1],
+        joints=_joined([block.joints for block in blocks]),
+        imus={name: _side_by_side(parts) for name, parts in imus.items()},
+        warnings=tuple(dict.fromkeys(text for block in blocks for text in block.warnings)),
+    )
+
+
+def _end(raw: RawLog, length_ns: int) -> RawLog:
+    """The end of a block, without what was said of it."""
+    last = int(raw.joints.stamp_ns[-1])
+    cut = partial(_between, first=last - length_ns, last=last)
+    imus = {name: tuple(map(cut, streams)) for name, streams in raw.imus.items()}
+    return replace(raw, joints=cut(raw.joints), imus=imus, warnings=(), partial="")

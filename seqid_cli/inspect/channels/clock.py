@@ -1,7 +1,7 @@
 """Time: units, rate, gaps, stamps, holes of single channels, and the reader's warnings."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -66,14 +66,8 @@ def clock_findings(
             f"the sample interval scatters by {percent(health.jitter, 0)} of its median"
             + (f", with {len(health.gaps)} gaps" if health.gaps else ""),
         )
-    elif gaps := _gaps(data):
-        worst = max(gaps, key=lambda gap: gap[1] - gap[0])
-        lost = sum(end - start for start, end in gaps)
-        yield found(
-            "clock_gap",
-            f"{len(gaps)} gaps, {lost:.3g} s in all, the longest from {worst[0]:.3f} to "
-            f"{worst[1]:.3f} s",
-        )
+    elif gaps := gaps_of(data):
+        yield gap_finding(gaps)
     delay = health.log_minus_header_s
     if delay is not None and not min_delay_s <= delay <= max_delay_s:
         yield found("header_clock", f"messages are logged {delay:.6g} s after their header stamp")
@@ -85,7 +79,18 @@ def clock_findings(
             yield finding
 
 
-def _gaps(data: LogData) -> list[tuple[float, float]]:
+def gap_finding(gaps: Sequence[tuple[float, float]]) -> InspectionFinding:
+    """Tell the gaps of a log, first and last moment of each [s]."""
+    worst = max(gaps, key=lambda gap: gap[1] - gap[0])
+    lost = sum(end - start for start, end in gaps)
+    return found(
+        "clock_gap",
+        f"{len(gaps)} gaps, {lost:.3g} s in all, the longest from {worst[0]:.3f} to "
+        f"{worst[1]:.3f} s",
+    )
+
+
+def gaps_of(data: LogData) -> list[tuple[float, float]]:
     """Gaps without a row; holes of single channels are another matter (`hole_findings`)."""
     if not data.recording.health.gaps:
         return []

@@ -42,8 +42,8 @@ def read_blocks(
     logged. `rows`: messages in a block, of all topics together; a block holds a little more. None
     for the whole log as one block. Yields: the next part of every topic, in the order of the file;
     streams of topics that have nothing in it are empty. A quantity that no sample of a block has is
-    left out of it. The last block says in `partial` what a damaged file lost; the delay of logging
-    is told of a whole log only. Whether a topic has header stamps is decided by its first block.
+    left out of it. The last block says in `partial` what a damaged file lost. Whether a topic has
+    header stamps is decided by its first block.
     Raises InputError: no joint states, none of the robot's joints in them, or nothing readable:
     what only the whole file can tell, after the last block.
     """
@@ -55,7 +55,7 @@ def read_blocks(
             log.check_joints()
         imus = {imu.name: log.imu_topics(imu, whole=last) for imu in robot.imus}
         partial = log.partial() if last else ""
-        raw = streams.raw_log(log.joint_topic, samples, imus, partial, whole=rows is None)
+        raw = streams.raw_log(log.joint_topic, samples, imus, partial)
         positions = positions or any_finite(raw.joints.channels["position"])
         if last and not positions:
             raise _no_joints(path, log.names)

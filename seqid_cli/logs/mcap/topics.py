@@ -81,13 +81,8 @@ class Streams:
         samples: Mapping[str, Samples],
         imus: Mapping[str, list[str]],
         partial: str = "",
-        *,
-        whole: bool = True,
     ) -> RawLog:
-        """Make a log of samples by topic; `imus` are the topics of the IMUs that are there.
-
-        Only a whole log tells the delay from header stamps to log times.
-        """
+        """Make a log of samples by topic; `imus` are the topics of the IMUs that are there."""
         joints = samples[joint_topic]
         stream = self._joints(joint_topic, joints)
         found = {
@@ -96,7 +91,7 @@ class Streams:
             if imus.get(imu.name)
         }
         warnings, self.warnings = tuple(self.warnings), []
-        delay = joints.log_minus_header_s() if whole else None
+        delay = joints.log_minus_header_s()
         return RawLog(stream, found, partial, warnings, log_minus_header_s=delay)
 
     def _joints(self, topic: str, samples: Samples) -> Stream:

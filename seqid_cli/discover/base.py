@@ -89,20 +89,29 @@ class Base:
     def deviation(self, theta_rigid: Array, theta_friction: Sequence[Array]) -> list[Array]:
         """Torque (N, n) N m of the base's deviations at every sample of each data set."""
         rigid = theta_rigid.astype(np.float32)
-        result = []
-        for whole in self.whole:
-            own = [f @ c for f, c in zip(whole.friction, theta_friction, strict=True)]
-            result.append((whole.H @ rigid).astype(np.float64) + np.stack(own, axis=1))
-        return result
+        return [
+            (whole.H @ rigid).astype(np.float64) + whole.friction(theta_friction)
+            for whole in self.whole
+        ]
 
 
 @dataclass(frozen=True)
 class Whole:
-    """Base columns of one data set at all of its samples: H (N, n, b), friction[j] (N, k_j)."""
+    """Base of one data set at all of its samples; columns of friction are made as they are used."""
 
-    H: NDArray[np.float32]
-    friction: tuple[Array, ...]
+    H: NDArray[np.float32]  # (N, n, b)
+    scene: Scene
+    stage: FrictionStage | None
     residual: Array  # (N, n) N m, of the file's model
+
+    def friction(self, theta: Sequence[Array], *, tile: int = 8192) -> Array:
+        """Torque (N, n) N m of each joint's free friction with coefficients (k_j,), low-passed."""
+        torque = np.empty_like(self.residual)
+        for j, own in enumerate(theta):
+            for low in range(0, len(torque), tile):
+                part = slice(low, low + tile)
+                torque[part, j] = friction_columns(self.scene, self.stage, j, part) @ own
+        return self.scene.motion.filtered(torque, times=2)
 
 
 def base_of(rows: Rows, stages: Stages) -> Base:
@@ -123,11 +132,11 @@ def base_of(rows: Rows, stages: Stages) -> Base:
         for scene, motion in zip(rows.scenes, motions, strict=True)
     ]
     left = [residual_of(scene) for scene in rows.scenes]
-    friction = [
-        [friction_columns(scene, stages.friction, j) for j in range(robot.n)]
-        for scene in rows.scenes
+    law = stages.friction
+    own = [
+        rows.columns(({j: friction_columns(scene, law, j)} for scene in rows.scenes), 2)[j]
+        for j in range(robot.n)
     ]
-    own = [rows.torque(j, [per_scene[j] for per_scene in friction]) for j in range(robot.n)]
     y = tuple(rows.torque(j, [r[:, j] for r in left]) for j in range(robot.n))
     return Base(
         basis=basis,
@@ -141,8 +150,8 @@ def base_of(rows: Rows, stages: Stages) -> Base:
             for j in range(robot.n)
         ),
         whole=tuple(
-            Whole(h.astype(np.float32), tuple(f), r)
-            for h, f, r in zip(H, friction, left, strict=True)
+            Whole(h.astype(np.float32), scene, law, r)
+            for h, scene, r in zip(H, rows.scenes, left, strict=True)
         ),
         start=np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in y]),
     )
@@ -164,15 +173,20 @@ def residual_of(scene: Scene) -> Array:
     return left
 
 
-def friction_columns(scene: Scene, stage: FrictionStage | None, joint: int) -> Array:
-    """Free friction of one joint: the terms of its surface, or Coulomb, viscous (and offset)."""
+def friction_columns(
+    scene: Scene, stage: FrictionStage | None, joint: int, part: slice = slice(None)
+) -> Array:
+    """Free friction of one joint: the terms of its surface, or Coulomb, viscous (and offset).
+
+    Of some samples of a data set, not low-passed.
+    """
     surface = scene.model.surfaces[joint]
     if surface is None or stage is None:
-        columns = _simple(scene, joint, 2)
-    else:
-        terms = _simple_terms(stage, scene.robot.joint_names[joint])
-        columns = _simple(scene, joint, terms) if terms else _surface(scene, surface, joint)
-    return scene.motion.filtered(columns, times=2)
+        return _simple(scene, joint, 2, part)
+    terms = _simple_terms(stage, scene.robot.joint_names[joint])
+    if terms:
+        return _simple(scene, joint, terms, part)
+    return _surface(scene, surface, joint, part)
 
 
 def _simple_terms(stage: FrictionStage, name: str) -> int:
@@ -180,15 +194,15 @@ def _simple_terms(stage: FrictionStage, name: str) -> int:
     return len(stage.joints[name].parameters)
 
 
-def _simple(scene: Scene, joint: int, terms: int) -> Array:
-    v, sign = scene.motion.dq[:, joint], scene.sign[:, joint]
+def _simple(scene: Scene, joint: int, terms: int, part: slice) -> Array:
+    v, sign = scene.motion.dq[part, joint], scene.sign[part, joint]
     return np.stack([sign, v, np.ones_like(v)], axis=1)[:, :terms]
 
 
-def _surface(scene: Scene, surface: FrictionSurface, joint: int) -> Array:
+def _surface(scene: Scene, surface: FrictionSurface, joint: int, part: slice) -> Array:
     """Terms of the surface, and a drag beyond the fastest speed at which it was identified."""
-    v = scene.motion.dq[:, joint]
-    columns = surface.columns(scene.motion.q[:, joint], v)[:, : surface.entries]
+    v = scene.motion.dq[part, joint]
+    columns = surface.columns(scene.motion.q[part, joint], v)[:, : surface.entries]
     beyond = surface.scaling.faster(v) * np.sign(v)
     return np.column_stack([columns, beyond])
 

@@ -32,11 +32,13 @@ from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
-# What is held of logs, in samples times joints, if every second counts as PER_SECOND samples more
-# than it has: a search takes half a kB for each sample of each joint at the log's own rate, and
-# more than that for each second at the rate of the cut-off. Beside 0.3 GiB for the program that is
-# 0.6 GiB at 1 kHz and 1.3 GiB at 125 Hz (seven joints, measured).
-MOST_VALUES = 1_350_000
+# What is held of logs, in samples times joints, if an arm counts as ARM joints more than it has, a
+# channel of an IMU as CHANNEL of one, and every second as PER_SECOND samples more: a search takes
+# half a kB for each of these at the log's own rate, and more than that for each second at the rate
+# of the cut-off. Beside 0.3 GiB for the program that is 0.6 GiB at 1 kHz and 1.3 GiB at 125 Hz
+# (seven joints, measured).
+MOST_VALUES = 1_740_000
+ARM, CHANNEL = 2.0, 0.125
 PER_SECOND = 350
 PASSED_OVER = 50_000  # samples from which on a log that does not fit is not held even once
 MOST_PLACES = 6  # excerpts about places that stand out
@@ -106,7 +108,8 @@ def take_excerpts(
     InputError
         If a log cannot be read or carries neither torque nor current.
     """
-    most = most_values / robot.n
+    channels = sum(len(imu.positions) + 3 * imu.gyro for imu in robot.imus)
+    most = most_values / (robot.n + ARM + CHANNEL * channels)
     if isinstance(recordings, LogSet) and sum(map(_likely, recordings.logs)) > most:
         surveys = tuple(recordings.mapped(_Surveyor(robot, stages, options)))
         if sum(_size(one.samples, one.rate_hz) for one in surveys) <= most:

@@ -11,7 +11,7 @@ folds, which are left out in turn: whatever is said to help must help where it w
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -108,7 +108,7 @@ class Rows:
             result.append(found)
         return result
 
-    def columns(self, per_scene: Sequence[Mapping[int, Array]], passes: int) -> dict[int, Array]:
+    def columns(self, per_scene: Iterable[Mapping[int, Array]], passes: int) -> dict[int, Array]:
         """Low-pass an effect's columns, log by log, and keep the rows of each joint."""
         rows: dict[int, list[Array]] = {}
         for number, columns in enumerate(per_scene):

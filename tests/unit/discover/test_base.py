@@ -113,7 +113,8 @@ def test_friction_of_a_surface_has_its_terms_and_a_drag_beyond(scenes: list[Scen
     beyond = (np.abs(motion.dq[:, 0]) - held) * np.sign(motion.dq[:, 0])
     law = (COULOMB[0] + VISCOUS[0] * held) * sign + (VISCOUS[0] + 0.7) * beyond
     own = motion.filtered(law, times=2)
-    found = base.whole[0].friction[0] @ np.array([COULOMB[0] + half, half, 0.7])
+    coefficients = np.array([COULOMB[0] + half, half, 0.7])
+    found = base.whole[0].friction([coefficients, coefficients])[:, 0]
     np.testing.assert_allclose(found, own, atol=1e-9)
 
 

@@ -7,14 +7,17 @@ import resource
 import shutil
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from seqid_cli.__main__ import main
-from seqid_cli.logs import read
+from seqid_cli.discover.excerpts import excerpts
+from seqid_cli.logs import pieces, read
 from tests import ROOT
+from tests.studies.soak import write_log
 
 SAMPLES = ROOT / "sample_logs" / "one_joint"
 ROBOT = ("-r", str(SAMPLES / "robot.toml"))
@@ -84,3 +87,31 @@ def test_a_gibibyte_and_64_files_are_enough(tmp_path: Path) -> None:
         text=True,
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
+@pytest.mark.parametrize("command", ["inspect", "diagnose"])
+def test_memory_does_not_grow_with_the_log(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parts, taken = pieces.read_parts.__kwdefaults__, excerpts.take_excerpts.__kwdefaults__
+    assert parts is not None
+    assert taken is not None
+    monkeypatch.setitem(parts, "most_values", 300_000)
+    monkeypatch.setitem(taken, "most_values", 120_000)
+    monkeypatch.setattr(excerpts, "PASSED_OVER", 1000)
+    model = () if command == "inspect" else ("-p", str(SAMPLES / "golden.json"))
+
+    def peak(minutes: float) -> int:
+        log, out = tmp_path / f"{minutes}.parquet", tmp_path / "out.json"
+        write_log(log, minutes / 60.0)
+        line = [command, str(log), *ROBOT, *model, "-o", str(out)]
+        assert main(line) == 0  # what is made once is there
+        tracemalloc.start()
+        assert main(line) == 0
+        held = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return held
+
+    assert peak(2.0) < 1.2 * peak(1.0)

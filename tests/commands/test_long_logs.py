@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
 
 PUSHED = 66.0
-MOST = 136_000
+MOST = 238_000
 
 
 def file_of(case: LongCase) -> ParameterFile:
@@ -105,7 +105,7 @@ def fitted_and_found(case: LongCase, folder: Path) -> tuple[Excerpts, EarlierLog
 def test_trials_beyond_what_is_held_are_left_aside(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(earlier_logs, "MOST_OF_TRIALS", MOST // 2)
+    monkeypatch.setattr(earlier_logs, "MOST_OF_TRIALS", 68_000)
     case = long_case()
     fitted, found = fitted_and_found(case, tmp_path)
     earlier = read_earlier(inputs_of(case, tmp_path), found, fitted, InertiaOptions())

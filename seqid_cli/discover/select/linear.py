@@ -243,7 +243,8 @@ class Linear:
         crossed = _Crossed.of(terms, self.size, blocks)
         for c, (index, B) in enumerate(self._own):
             for k, here in enumerate(self.rows.at[c]):
-                crossed.add(k, c, index, B[here], self._y[c][here], self._root[c][here], here)
+                some = B[here], self._y[c][here], self._root[c][here]
+                crossed.add(k, c, index, *some, here.start)
         every = [one.evidence for one in self._given(self._whole, terms, crossed)]
         alone = [one.evidence for one in self._given(self._without_file, terms, crossed)]
         density = np.zeros((len(terms), blocks))
@@ -292,21 +293,31 @@ class _Crossed:
         B: Array,
         y: Array,
         root: Array,
-        at: slice = slice(None),
+        begin: int = 0,
+        *,
+        tile: int = 8192,
     ) -> None:
-        """Add the products of some weighted rows."""
+        """Add the products of weighted rows, of which `begin` is the number of the first.
+
+        Some rows at a time: those of all terms together take much memory.
+        """
         here = [i for i, term in enumerate(self.terms) if channel in term.columns]
-        if not here or not len(y):
+        if not here:
             return
-        X = np.hstack([self.terms[i].columns[channel][at] for i in here]) * root[:, None]
         columns = np.concatenate([np.arange(self.where[i].start, self.where[i].stop) for i in here])
-        self.C[block][np.ix_(index, columns)] += B.T @ X
-        self.d[block, columns] += X.T @ y
-        first = 0
-        for i in here:
-            part = X[:, first : first + self.terms[i].size]
-            self.D[i][block] += part.T @ part
-            first += part.shape[1]
+        square = np.ix_(index, columns)
+        for low in range(0, len(y), tile):
+            own = slice(low, low + tile)
+            at = slice(begin + low, begin + min(low + tile, len(y)))
+            wide = [self.terms[i].columns[channel][at] for i in here]
+            X = np.hstack(wide) * root[own, None]
+            self.C[block][square] += B[own].T @ X
+            self.d[block, columns] += X.T @ y[own]
+            first = 0
+            for i in here:
+                part = X[:, first : first + self.terms[i].size]
+                self.D[i][block] += part.T @ part
+                first += part.shape[1]
 
 
 def _factored(A: Array, scale: Array) -> tuple[Array, bool]:

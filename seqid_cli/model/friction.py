@@ -127,8 +127,15 @@ class FrictionSurface:
             return np.hstack([basis * sign, extension * sign])
         return np.hstack([part * way / 2 for part in (basis, extension) for way in _ways(sign)])
 
-    def torque(self, q: Array, v: Array) -> Array:
+    def torque(self, q: Array, v: Array, *, tile: int = 8192) -> Array:
         """Friction torque (N,) N m at positions q (N,) and velocities v (N,)."""
+        result = np.empty(len(q))
+        for low in range(0, len(q), tile):  # a hundred terms of all samples would take much memory
+            part = slice(low, low + tile)
+            result[part] = self._torque(q[part], v[part])
+        return result
+
+    def _torque(self, q: Array, v: Array) -> Array:
         if self.directional:
             return np.asarray(self.columns(q, v) @ self.coefficients)
         basis = self.scaling.basis(q, v, *self.orders)

@@ -1,12 +1,14 @@
 """A robot file proposed from logs and a URDF."""
 
 import difflib
+import json
 import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from msgspec import structs
 
 from seqid_cli.errors import InputError, SeqidError, UsageError
@@ -126,19 +128,24 @@ def _unit(findings: Sequence[InspectionFinding], *, degrees: bool) -> dict[str, 
     return {"unit": "deg"} if found else {}
 
 
-def with_gravity(content: str, path: Path, logs: Sequence[Path], *, most: int = 8) -> str:
+def with_gravity(
+    content: str, path: Path, logs: Sequence[Path], *, most: int = 8, apart: float = 0.1
+) -> str:
     """Write gravity into a robot file as its first logs tell it.
 
-    The same text where they do not, or where the file at `path` still lacks something.
+    The same text where they do not, or where the file at `path` still lacks something. `apart`:
+    share of gravity by which the logs may differ; their median is written.
     """
     try:
         report = inspect_logs(logs[:most], load_robot(path))
     except SeqidError:
         return content
-    told = {said[1] for f in report.findings if (said := GRAVITY.match(f.message))}
-    if len(told) != 1:
+    told = [said[1] for f in report.findings if (said := GRAVITY.match(f.message))]
+    each = np.array([json.loads(text) for text in told])
+    if not told or np.ptp(each, axis=0).max() > apart * np.linalg.norm(each[0]):
         return content
-    line = f"gravity = {told.pop()}  # m/s^2 in the base frame, as the logs tell"
+    middle = [float(f"{x:.3g}") + 0.0 for x in np.median(each, axis=0)]
+    line = f"gravity = {middle}  # m/s^2 in the base frame, as the logs tell"
     return re.sub(r"(?m)^gravity = .*$", line, content)
 
 

@@ -193,12 +193,13 @@ def test_urdfs_that_nobody_can_use_are_refused_in_one_message(
     assert not (rig.folder / "new.toml").exists()
 
 
-def test_gravity_is_written_as_the_logs_tell_it(rig: Rig) -> None:
-    """The base frame of the URDF lies on its side: a quarter turn about x, as of a wall."""
+@pytest.mark.parametrize("turn", [np.pi / 2, 0.7])
+def test_gravity_is_written_as_the_logs_tell_it(rig: Rig, turn: float) -> None:
+    """The base frame of the URDF is turned about x: by a quarter, as of a wall, or slanted."""
     log = log_with(rig.folder, {})
     text = (rig.folder / "arm.urdf").read_text()
     first = text.index('<joint name="shoulder_pan"')
-    turned = re.sub(r'rpy="[^"]*"', 'rpy="1.5707963267948966 0 0"', text[first:], count=1)
+    turned = re.sub(r'rpy="[^"]*"', f'rpy="{turn} 0 0"', text[first:], count=1)
     (rig.folder / "arm.urdf").write_text(text[:first] + turned)
     constants = "0.122,0.12,0.118,0.104,0.101,0.103"
     words = ("--torque-constant", constants, "--gear-ratio", "101", "-o", "new.toml")
@@ -206,7 +207,8 @@ def test_gravity_is_written_as_the_logs_tell_it(rig: Rig) -> None:
     assert done.code == 0, done.err
     assert "the logs tell the mounting" in done.err
     robot = load_robot(rig.folder / "new.toml")
-    np.testing.assert_allclose(robot.gravity, [0.0, 9.81, 0.0], atol=0.01)
+    gravity = 9.81 * np.array([0.0, np.sin(turn), -np.cos(turn)])
+    np.testing.assert_allclose(robot.gravity, gravity, atol=0.01 if turn > 1.0 else 0.1)
     assert [joint.torque_constant for joint in robot.joints] == [*map(float, constants.split(","))]
     assert robot.name == "six_joint"
     found = json.loads(rig.run("inspect", log, "-r", "new.toml", "--json").out)

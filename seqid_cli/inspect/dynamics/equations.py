@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize
 
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, units_of
 from seqid_cli.inspect.dynamics.friction import Sample, joint_columns, position_columns
@@ -118,27 +119,72 @@ def _mounting(
     other: Mended | None,
     *,
     free: float = np.inf,
+    few_rows: int = 250,
 ) -> Mended | None:
-    """Find the base's axis along which gravity acts, where that mends a fit best; else other."""
+    """Find the direction in which gravity acts, where that mends a fit best; else other."""
     # Gravity turned round fits as well with parameters of the other sign: the inertials of a URDF
-    # decide, or both are named. Columns that are new are held to `free` as in `_mending`.
+    # decide, or both are named. Columns that are new are held to `free` as in `_mending`. A base's
+    # axis is taken where no slanted direction does clearly better.
     strength = float(np.linalg.norm(robot.gravity))
-    tried = []
-    for axis in np.vstack([np.eye(3), -np.eye(3)]) if strength else ():
-        turned = replace(robot, gravity=strength * axis)
-        own = replace(sample, basis=base_parameters(turned, rotor=[]))
-        nominal = _nominal_error(turned, own).error if robot.nominal is not None else 0.0
-        after = measure(turned, own)
-        error = after.error if after.error <= _limit(before, after, free) else np.inf
-        tried.append((error, nominal, turned.gravity))
-    best = min((error for error, *_ in tried), default=np.inf)
+    if not strength:
+        return other
+    axes = strength * np.vstack([np.eye(3), -np.eye(3)])
+    fits = [(measure(*_turned(robot, sample, g)), g) for g in axes]
+    start = min(fits, key=lambda fit: fit[0].error)[1]
+    slant = _slanted(robot, _thinned(sample, few_rows), start, measure)
+    slanted = [(measure(*_turned(robot, sample, g)), g) for g in (slant, -slant)]
+    mended = [
+        [fit for fit in some if fit[0].error <= _limit(before, fit[0], free)]
+        for some in (fits, slanted)
+    ]
+    axis, least = (min((fit[0].error for fit in some), default=np.inf) for some in mended)
+    best = least if least < BETTER * axis else axis
     if not np.isfinite(best) or (other is not None and best > BETTER * other.error):
         return other
-    alike = sorted((row for row in tried if row[0] < best / BETTER), key=lambda row: row[1])
+    alike = [g for after, g in mended[int(best == least)] if after.error < best / BETTER]
+    if robot.nominal is not None:
+        alike.sort(key=lambda g: _nominal_error(*_turned(robot, sample, g)).error)
     told = alike[: 1 if robot.nominal is not None else 2]
-    text = " or ".join(str([float(f"{x:.4g}") + 0.0 for x in row[2]]) for row in told)
+    text = " or ".join(str([float(f"{x:.3g}") + 0.0 for x in g]) for g in told)
     fall = f"falls from {percent(before.error)} to {percent(best)}"
     return Mended(found("gravity_direction", MOUNTED.format(text, fall)), best)
+
+
+def _turned(robot: Robot, sample: Sample, gravity: Array) -> tuple[Robot, Sample]:
+    """Mount a robot otherwise."""
+    turned = replace(robot, gravity=gravity)
+    return turned, replace(sample, basis=base_parameters(turned, rotor=[]))
+
+
+def _slanted(
+    robot: Robot,
+    sample: Sample,
+    start: Array,
+    measure: Callable[[Robot, Sample], Left],
+    *,
+    reach: float = 0.5,
+    precise: float = 2e-3,
+    evaluations: int = 60,
+) -> Array:
+    """Gravity (3,) m/s^2 that fits best; a search from `start`, `reach` rad wide at first."""
+    strength, across = np.linalg.norm(start), np.linalg.svd(start[None])[2][1:]
+
+    def gravity(x: Array) -> Array:
+        turned = start + strength * (x @ across)
+        return np.asarray(turned * strength / np.linalg.norm(turned))
+
+    best = minimize(  # type: ignore[call-overload]
+        lambda x: measure(*_turned(robot, sample, gravity(x))).error,
+        np.zeros(2),
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": reach * np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
+            "xatol": precise,
+            "fatol": np.inf,
+            "maxfev": evaluations,
+        },
+    )
+    return gravity(best.x)
 
 
 def _limit(

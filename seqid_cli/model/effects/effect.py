@@ -268,9 +268,7 @@ class Effect(abc.ABC):
 
     def lacking(self, robot: Robot, joint: Joint) -> str:
         """Return why the parameters do not follow from what is found; empty where they do."""
-        if not self.apart or joint is None or robot.joints[joint].rotor_inertia is not None:
-            return ""
-        if f"Ia_{joint + 1}" in free_basis(robot).names:
+        if not self.apart or joint is None or not rotor_hidden(robot, joint):
             return ""
         return (
             "no motion tells the rotor's inertia from the link's here, and the parameters take the "
@@ -281,3 +279,9 @@ class Effect(abc.ABC):
         """Return whether coefficients c (k,) are physical; the default asks their bounds."""
         specs = self.coefficients(settings)
         return all(spec.low <= x <= spec.high for spec, x in zip(specs, c, strict=True))
+
+
+def rotor_hidden(robot: Robot, joint: int) -> bool:
+    """Whether neither the robot file nor any motion tells a rotor's inertia from the link's."""
+    known = robot.joints[joint].rotor_inertia is not None
+    return not known and f"Ia_{joint + 1}" not in free_basis(robot).names

@@ -4,8 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from seqid_cli.motion.imu.sensor import Mounting
 from seqid_cli.motion.smoother.encoder import EncoderView
-from seqid_cli.motion.smoother.terms import Mounting, spline_weights
+from seqid_cli.motion.smoother.terms import spline_weights
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index, Mask
 

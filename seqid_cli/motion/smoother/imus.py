@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import entries
+from seqid_cli.motion.imu.sensor import Mounting
 from seqid_cli.motion.smoother.chunk import Mounted
-from seqid_cli.motion.smoother.terms import Mounting
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import white_noise
@@ -41,14 +41,10 @@ def _axes(rows: Sequence[Sequence[float]], gains: Sequence[float | None], nomina
 def _mounted(imu: Imu, known: ImuCalibration, *, gyro: bool, rate_hz: float) -> Mounted:
     count = len(imu.axes)
     rates = 3 if gyro else 0
-    place = Mounting(
-        link=imu.after_joint,
-        positions=imu.positions,
-        axes=_axes(known.accelerometer_axes, known.accelerometer_scale, imu.axes),
-        R=np.array(known.rotation),
-        lever=entries(known.lever, 3, 0.0),
-        gyro=_axes(known.gyro_axes, known.gyro_scale, np.eye(3)) if gyro else None,
-    )
+    axes = _axes(known.accelerometer_axes, known.accelerometer_scale, imu.axes)
+    if gyro:
+        axes = np.vstack([axes, _axes(known.gyro_axes, known.gyro_scale, np.eye(3))])
+    R, lever = np.array(known.rotation), entries(known.lever, 3, 0.0)
     bias, density = (
         np.concatenate([entries(accelerometers, count, 0.0), entries(gyros, rates, 0.0)])
         for accelerometers, gyros in (
@@ -60,7 +56,7 @@ def _mounted(imu: Imu, known: ImuCalibration, *, gyro: bool, rate_hz: float) -> 
     nothing = np.zeros((0, count + rates))
     return Mounted(
         name=imu.name,
-        place=place,
+        place=Mounting(imu.after_joint, imu.positions, axes, R, lever),
         raw=nothing,
         live=nothing > 0,
         noise=np.maximum(density * np.sqrt(rate_hz / 2), LEAST_NOISE),
@@ -116,7 +112,7 @@ def _prior(
 def read(x: Mounted, recording: Recording, own: slice) -> Mounted:
     """Give an IMU its readings of one stretch of the log."""
     parts = [recording.accelerometers[x.name][own]]
-    if x.place.gyro is not None:
+    if x.place.channels > len(x.place.positions):
         parts.append(recording.gyros[x.name][own])
     raw = np.hstack(parts)
     live: Mask = np.isfinite(raw) & recording.valid[own, None]
@@ -168,14 +164,11 @@ def moved(x: Mounted, change: Array) -> Mounted:
     channels = x.place.channels
     ends = channels + np.array([0, 3, 6, 7])
     bias, lever, turn, late, axes = np.split(change, ends)
-    by_channel = axes.reshape(-1, 3)
-    count, gyro = len(x.place.axes), x.place.gyro
     place = replace(
         x.place,
         lever=x.place.lever + lever,
         R=x.place.R @ Rotation.from_rotvec(turn).as_matrix(),
-        axes=x.place.axes + by_channel[:count],
-        gyro=None if gyro is None else gyro + by_channel[count:],
+        axes=x.place.axes + axes.reshape(-1, 3),
     )
     away, turns = x.away + change, slice(channels + 3, channels + 6)
     before, after = Rotation.from_rotvec(x.away[turns]), Rotation.from_rotvec(turn)
@@ -189,7 +182,7 @@ def handed_on(x: Mounted, covariance: Array, *, forget: float = 1.5) -> Mounted:
     `covariance` (g, g): of its constants, by this stretch.
     """
     channels = x.place.channels
-    rates = channels - len(x.place.axes)
+    rates = channels - len(x.place.positions)
     drift = np.zeros(len(covariance))
     drift[:channels] = np.repeat([BIAS_DRIFT, GYRO_BIAS_DRIFT], [channels - rates, rates])
     drift[channels + 6] = 0.1 * DELAY_DRIFT_S

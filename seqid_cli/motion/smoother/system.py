@@ -5,6 +5,7 @@ from typing import Literal
 
 import numpy as np
 
+from seqid_cli.motion.imu.sensor import link_slopes, link_state
 from seqid_cli.motion.smoother import terms
 from seqid_cli.motion.smoother.chunk import Chunk, Mounted, jerk_of, mean_motion, sampled
 from seqid_cli.typing import Array, Index, Mask
@@ -74,12 +75,17 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
     count = np.add.reduceat(seen, starts)
     mean = np.add.reduceat(seen * np.arange(m), starts) / np.maximum(count, 1.0)
     amid = np.where(count > 0, mean.astype(int), np.minimum(starts + size // 2, m - 1))
-    q, dq, ddq = mean_motion(chunk, c[:, :head], x.fraction, amid)
-    rate = _rate(chunk, c[:, :head], x.fraction)
-    chain = chunk.robot.chain
-    state = terms.chain_state(chain, chunk.robot.gravity, q, dq, ddq)
-    rows = terms.imu_rows(chain, state, dq, x.place)
-    return Cells(rows.by_motion, rows.by_constants(np.moveaxis(rate, 2, 0), gains=gains))
+    motion = mean_motion(chunk, c[:, :head], x.fraction, amid)
+    state = link_state(chunk.robot, x.place.link, motion)
+    slopes = link_slopes(chunk.robot, x.place.link, motion)
+    by_motion = x.place.by_motion(state, slopes)
+    seen, lever, turn = x.place.by_place(state)
+    late = -np.einsum("nkdm,dmn->nk", by_motion, _rate(chunk, c[:, :head], x.fraction))
+    channels = np.eye(x.place.channels)
+    own = np.einsum("kl,nka->nkla", channels, seen @ x.place.R if gains else seen[..., :0])
+    bias = np.broadcast_to(channels, (len(seen), *channels.shape))
+    parts = [bias, lever, turn @ x.place.R, late[:, :, None], own.reshape(*late.shape, -1)]
+    return Cells(by_motion, np.concatenate(parts, axis=2))
 
 
 def _rate(chunk: Chunk, c: Array, fraction: float) -> Array:
@@ -258,5 +264,4 @@ def misfit(x: Mounted, told: Array) -> Array:
 def predicted(chunk: Chunk, c: Array, x: Mounted) -> Array:
     """An IMU's readings (M, K), its bias included."""
     motion = mean_motion(chunk, c[:, : x.joints], x.fraction)
-    own = terms.felt_by(chunk.robot.chain, chunk.robot.gravity, motion, x.place)
-    return terms.readings(x.place, own) + x.bias
+    return np.asarray(link_state(chunk.robot, x.place.link, motion) @ x.place.matrix.T + x.bias)

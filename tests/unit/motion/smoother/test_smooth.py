@@ -13,6 +13,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.imu.link_acceleration import best_motion
+from seqid_cli.motion.imu.sensor import Mounting, link_slopes, link_state
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.smoother.chunk import Chunk
@@ -21,14 +22,7 @@ from seqid_cli.motion.smoother.imus import mounted_imus, read
 from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.motion.smoother.solve import probed_covariance, solved
 from seqid_cli.motion.smoother.system import linearised, normal_equations
-from seqid_cli.motion.smoother.terms import (
-    Jerk,
-    Mounting,
-    chain_state,
-    felt,
-    imu_rows,
-    readings,
-)
+from seqid_cli.motion.smoother.terms import Jerk
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.kinematics import link_motion
 from seqid_cli.robot.types import Robot
@@ -253,40 +247,42 @@ def test_a_slower_log_is_smoothed_on_finer_knots() -> None:
 
 
 def test_readings_and_their_derivatives() -> None:
-    """Readings are those of the package's kinematics; Jacobians those of differences."""
+    """Readings are those of the package's kinematics; derivatives those of differences."""
     rng = np.random.default_rng(0)
     chain = random_model(rng, [False, True, False, False])[1]
-    x = rng.normal(size=(3, 4, 5))
     gravity, lever, link = np.array([0.3, -1.0, -9.7]), rng.normal(size=3), 2
-    turn = Rotation.random(random_state=1)
-    imu = Mounting(
-        link, rng.normal(size=(5, 3)), rng.normal(size=(5, 3)), turn.as_matrix(), lever, np.eye(3)
-    )
+    robot = replace(scene("two").robot, chain=chain, gravity=gravity)
+    x, turn = rng.normal(size=(3, 4, 5)), Rotation.random(random_state=1)
+    axes = np.vstack([rng.normal(size=(5, 3)), np.eye(3)])
+    imu = Mounting(link, rng.normal(size=(5, 3)), axes, turn.as_matrix(), lever)
 
     def value(x: Array, lever: Array, turn: Rotation) -> Array:
         place = replace(imu, lever=lever, R=turn.as_matrix())
-        return readings(place, felt(chain_state(chain, gravity, *x), place))
+        return np.asarray(link_state(robot, link, x) @ place.matrix.T)
 
     motion = link_motion(chain, gravity, *x)
     R = turn.as_matrix()
     points = lever + imu.positions @ R.T
     force = motion.a[link][:, None] + np.einsum("abn,kb->akn", motion.H[link], points)
-    expected = np.einsum("ka,akn->nk", imu.axes @ R.T, force)
+    expected = np.einsum("ka,akn->nk", axes[:5] @ R.T, force)
     got = value(x, lever, turn)
     np.testing.assert_allclose(got[:, :5], expected, atol=1e-10)
     np.testing.assert_allclose(got[:, 5:], motion.w[link].T @ R, atol=1e-10)
 
-    rows = imu_rows(chain, chain_state(chain, gravity, *x[:, :3]), x[1, :3], imu)
+    state = link_state(robot, link, x)
+    by_motion = imu.by_motion(state, link_slopes(robot, link, x))
+    seen, by_lever, by_turn = imu.by_place(state)
+    np.testing.assert_allclose(np.einsum("nka,ka->nk", seen @ R, axes), got, atol=1e-10)
     step = 1e-6
     for d in range(3):
         for j in range(3):
             change = np.zeros_like(x)
             change[d, j] = step
             slope = (value(x + change, lever, turn) - value(x - change, lever, turn)) / 2 / step
-            np.testing.assert_allclose(rows.by_motion[:, :, d, j], slope, atol=1e-6)
+            np.testing.assert_allclose(by_motion[:, :, d, j], slope, atol=1e-6)
     for k, change in enumerate(step * np.eye(3)):
         slope = (value(x, lever + change, turn) - value(x, lever - change, turn)) / 2 / step
-        np.testing.assert_allclose(rows.by_mounting[:, :, k], slope, atol=1e-6)
-        ahead, back = (turn * Rotation.from_rotvec(sign * change) for sign in (1, -1))
+        np.testing.assert_allclose(by_lever[:, :, k], slope, atol=1e-6)
+        ahead, back = (Rotation.from_rotvec(sign * change) * turn for sign in (1, -1))
         slope = (value(x, lever, ahead) - value(x, lever, back)) / 2 / step
-        np.testing.assert_allclose(rows.by_mounting[:, :, 3 + k], slope, atol=1e-6)
+        np.testing.assert_allclose(by_turn[:, :, k], slope, atol=1e-6)

@@ -15,13 +15,12 @@ from scipy.spatial.transform import Rotation
 from seqid_cli.identify.imu_calibration.segments import Segment
 from seqid_cli.identify.imu_calibration.sensor_model import (
     Constants,
-    channels_of,
     first_constants,
-    link_state,
-    matrix_of,
+    nominal_axes,
 )
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
+from seqid_cli.motion.imu.sensor import Mounting, link_state
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array
 
@@ -83,11 +82,10 @@ def _table(segment: Segment, robot: Robot, imu: Imu, *, lowest_hz: float = 3.0) 
     """Regressors (N, 16) from the encoders alone, smooth enough to differentiate."""
     rate = 1.0 / segment.spacing
     hz = float(min(segment.cutoff_hz, max(lowest_hz, segment.encoder_hz)))
-    q = Lowpass(hz, rate)(segment.q)
-    dq, ddq = differentiate(q, rate)
-    still = [j for j in range(robot.n) if j not in segment.moving]
-    dq[:, still], ddq[:, still] = 0.0, 0.0
-    x = link_state(robot, imu.after_joint, q, dq, ddq)
+    q = Lowpass(hz, rate)(segment.motion[0].T)
+    motion = np.stack([q, *differentiate(q, rate)]).transpose(0, 2, 1)
+    motion[1:, [j for j in range(robot.n) if j not in segment.moving]] = 0.0
+    x = link_state(robot, imu.after_joint, motion)
     return np.hstack([x, np.ones((len(x), 1))])
 
 
@@ -130,7 +128,6 @@ def _mounting(
 ) -> tuple[float, Constants]:
     """Least squares for turn and lever on the sums, from one start; biases follow."""
     # `hold` of the readings' noise over m holds the lever.
-    axes, places, _ = channels_of(imu)
     xx, xy, yy = sums
     samples = max(float(xx[-1, -1]), 1.0)
     x_mean, y_mean = xx[-1, :-1] / samples, xy[-1] / samples
@@ -141,16 +138,17 @@ def _mounting(
     target = (vector[:, kept] / np.sqrt(value[kept])).T @ centred
     size = np.sqrt(np.maximum(yy / samples - y_mean**2, 1e-6))
 
-    def matrix(step: Array) -> Array:
+    nominal, axes = first_constants(imu), nominal_axes(imu)
+
+    def placed(step: Array) -> Mounting:
         turned = Rotation.from_rotvec(step[:3]).as_matrix() @ R
-        return matrix_of(axes @ turned.T, step[3:] + places[: len(imu.axes)] @ turned.T)
+        return Mounting(imu.after_joint, imu.positions, axes, turned, step[3:])
 
     def off(step: Array) -> Array:
-        misfit = (root @ matrix(step).T - target) / size
+        misfit = (root @ placed(step).matrix.T - target) / size
         return np.concatenate([misfit.ravel(), hold * step[3:]])
 
     result = least_squares(off, np.zeros(6), method="lm", max_nfev=evaluations)
-    found = Rotation.from_rotvec(result.x[:3]).as_matrix() @ R
-    bias = y_mean - matrix(result.x) @ x_mean
-    nominal = first_constants(imu)
-    return float(result.cost), replace(nominal, R=found, lever=result.x[3:], bias=bias)
+    found = placed(result.x)
+    bias = y_mean - found.matrix @ x_mean
+    return float(result.cost), replace(nominal, R=found.R, lever=found.lever, bias=bias)

@@ -7,33 +7,35 @@ left per segment is a small dense system in the constants and in what belongs to
 a change of each bias and the offsets of the locked joints.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from seqid_cli.identify.imu_calibration import sensor_model
-from seqid_cli.identify.imu_calibration.segments import REACH, EncoderRows, Segment
+from seqid_cli.identify.imu_calibration.segments import REACH, Segment
+from seqid_cli.identify.imu_calibration.sensor_model import Constants, design, mounted
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import FIRST, SECOND
+from seqid_cli.motion.imu.sensor import link_slopes, link_state
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Index, Mask
 
 WIDTH = 2 * REACH + 1
-THIRD = np.array([-1.0, 3.0, -3.0, 1.0])
 ROBUST = 4.685  # Tukey's constant, 95 % efficient on normal noise
 WEIGHED = 1.0 - 6.0 / ROBUST**2 + 15.0 / ROBUST**4  # what his weights leave of its mean square
 
 
 @dataclass(frozen=True)
 class Local:
-    """What is a segment's own: `trajectory` (N + 2 REACH, m), `bias` (C,), `offset` (locked,)."""
+    """What is a segment's own: `trajectory` (N + 2 REACH, m), `own` (C + locked,).
+
+    These are changes of the biases, then offsets of the locked joints.
+    """
 
     trajectory: Array
-    bias: Array
-    offset: Array
+    own: Array
 
 
 @dataclass(frozen=True)
@@ -41,8 +43,8 @@ class Sizes:
     """What a residual is made of.
 
     `noise` (G,) are factors on the variance that raw readings show of theirs, one for each kind of
-    sensor (`kinds_of`), `deflection` (n,) the standard deviation of the accelerations by which the
-    joints before the IMU deflect, rad/s^2 of a node.
+    sensor (accelerometers, gyro), `deflection` (n,) the standard deviation of the accelerations by
+    which the joints before the IMU deflect, rad/s^2 of a node.
     """
 
     noise: Array
@@ -70,18 +72,16 @@ class Linearised:
     """A segment about one point: residual `r` (N, C), `J` and border `G`, all whitened.
 
     `J` (N, C, 3, m) is in q, dq, ddq of the moving joints. The border (N, C, b) is in the
-    constants, then bias changes, then offsets. `used` says which readings count, `weights` (N, C)
-    are robust. `deflection` has rows of the residual, `jolts` of the raw readings' roughness over
-    the root of their number at a node; `jerk_residual` is (N + 2 REACH - 3, m).
+    constants, then in `Local.own`. `off` (M,) is the residual of the segment's rows, `weights`
+    (N, C) are robust, zero where a reading does not count. `deflection` has rows of the residual,
+    `jolts` of the raw readings' roughness over the root of their number at a node.
     """
 
     segment: Segment
     r: Array
-    used: Mask
     J: Array
     G: Array
-    encoder_residuals: tuple[Array, ...]
-    jerk_residual: Array
+    off: Array
     outliers: Mask
     weights: Array
     deflection: Rows
@@ -101,52 +101,48 @@ class Reduced:
     back: Array
     free: Array
 
+    def followed(self, moves: Array) -> Array:
+        """What moves (cells, k) of the trajectory make of the readings, (N, C, k)."""
+        linear, segment = self.linear, self.linear.segment
+        shape = segment.samples + 2 * REACH, len(segment.moving), moves.shape[1]
+        flat = _at_samples(segment, moves.reshape(shape))
+        flat = flat.reshape(segment.samples, 3 * shape[1], shape[2])
+        return np.asarray(linear.J.reshape(*linear.r.shape, 3 * shape[1]) @ flat)
 
-def stencils(spacing: float) -> Array:
+
+def _stencils(segment: Segment) -> Array:
     """Weights (3, 9) of nine nodes in q, dq and ddq at the middle one."""
+    spacing = segment.spacing
     return np.stack([np.eye(WIDTH)[REACH], FIRST / spacing, SECOND / spacing**2])
 
 
-def _taps(segment: Segment) -> Iterator[tuple[slice, int, float]]:
-    """Nodes, derivative and weight of all terms of `stencils`."""
-    weights = stencils(segment.spacing)
-    for o, kind in zip(*np.nonzero(weights.T), strict=True):
-        yield slice(o, o + segment.samples), int(kind), float(weights[kind, o])
-
-
-def at_samples(segment: Segment, nodes: Array) -> Array:
+def _at_samples(segment: Segment, nodes: Array) -> Array:
     """q, dq, ddq (N, 3, ...) at the samples from values at the nodes (N + 2 REACH, ...)."""
     out = np.zeros((segment.samples, 3, *nodes.shape[1:]))
-    for where, kind, weight in _taps(segment):
-        out[:, kind] += weight * nodes[where]
+    weights = _stencils(segment)
+    for kind, o in zip(*np.nonzero(weights), strict=True):
+        out[:, kind] += weights[kind, o] * nodes[o : o + segment.samples]
     return out
 
 
-def joints_of(segment: Segment, local: Local) -> tuple[Array, Array, Array]:
-    """Motion (N, n) of all joints: the trajectory, and locked joints with their offsets."""
-    q, dq, ddq = segment.q.copy(), segment.dq.copy(), segment.ddq.copy()
-    moving = list(segment.moving)
-    x = at_samples(segment, local.trajectory)
-    q[:, moving], dq[:, moving], ddq[:, moving] = x[:, 0], x[:, 1], x[:, 2]
-    q[:, list(segment.locked)] += local.offset
-    return q, dq, ddq
-
-
 def residual(
-    segment: Segment, robot: Robot, imu: Imu, constants: sensor_model.Constants, local: Local
-) -> tuple[Array, Mask, Array]:
-    """Readings minus prediction (N, C), which of them count, and the link's motion (N, 15)."""
-    x = sensor_model.link_state(robot, imu.after_joint, *joints_of(segment, local))
+    segment: Segment, robot: Robot, imu: Imu, constants: Constants, local: Local
+) -> tuple[Array, Mask, Array, Array]:
+    """Readings minus prediction (N, C), which count, the joints' motion and the link's (N, 15)."""
+    motion, count = segment.motion.copy(), len(constants.bias)
+    motion[:, list(segment.moving)] = _at_samples(segment, local.trajectory).transpose(1, 2, 0)
+    motion[0, list(segment.locked)] += local.own[count:, None]
+    x = link_state(robot, imu.after_joint, motion)
     y, good = segment.readings.at(segment.t + constants.delay)
-    r = y - sensor_model.predicted(sensor_model.mounted(imu, constants), x) - local.bias
-    return r, good, x
+    told = x @ mounted(imu, constants).matrix.T + constants.bias + local.own[:count]
+    return y - told, good, motion, x
 
 
 def linearise(
     segment: Segment,
     robot: Robot,
     imu: Imu,
-    constants: sensor_model.Constants,
+    constants: Constants,
     local: Local,
     sigma: Array,
     sizes: Sizes | None = None,
@@ -157,19 +153,14 @@ def linearise(
     `sigma` (C,) is the noise of a residual, for robust weights; without `sizes` the noise is that
     of raw readings, and joints are moved by jolts alone.
     """
-    r, good, x = residual(segment, robot, imu, constants, local)
-    motion, channels = joints_of(segment, local), sensor_model.mounted(imu, constants)
-    A, c = channels.matrix, r.shape[1]
-
-    def slopes(joints: tuple[int, ...], kind: int) -> Array:
-        return A @ sensor_model.link_state_slopes(robot, imu.after_joint, motion, joints, kind)
-
-    J = np.stack([slopes(segment.moving, kind) for kind in range(3)], axis=2)
-    dy = np.gradient(sensor_model.predicted(channels, x), segment.spacing, axis=0)
-    own = np.broadcast_to(np.eye(c), (len(r), c, c))
-    G = np.concatenate(
-        [sensor_model.design(channels, x, dy), own, slopes(segment.locked, 0)], axis=2
-    )
+    r, good, motion, x = residual(segment, robot, imu, constants, local)
+    place = mounted(imu, constants)
+    slopes = place.by_motion(x, link_slopes(robot, imu.after_joint, motion))
+    J = slopes[..., list(segment.moving)]
+    dy = np.gradient(x @ place.matrix.T, segment.spacing, axis=0)
+    bias = np.broadcast_to(np.eye(r.shape[1]), (*r.shape, r.shape[1]))
+    offsets = slopes[:, :, 0, list(segment.locked)]
+    G = np.concatenate([design(imu, constants, x, dy), bias, offsets], axis=2)
     u = r / (ROBUST * sigma)
     outliers = good & (np.abs(u) >= 1.0)
     if weights is None:
@@ -177,8 +168,8 @@ def linearise(
     weights = np.where(good, weights, 0.0)
     # As much as all the raw samples that a node stands for.
     plain = np.sqrt(weights * segment.share / np.maximum(segment.readings.noise, 1e-6) ** 2)
-    by_ddq = plain[:, :, None] * slopes(tuple(range(imu.after_joint + 1)), 2)
-    kinds = kinds_of(imu)
+    by_ddq = plain[:, :, None] * slopes[:, :, 2]
+    kinds = kinds_of(imu, r.shape[1])
     if sizes is None:
         root, scaled = plain, plain[:, :, None] * J[:, :, 2] * _jolt(segment, J[:, :, 2])
     else:
@@ -193,14 +184,9 @@ def linearise(
     return Linearised(
         segment=segment,
         r=whiten(r[:, :, None])[:, :, 0],
-        used=weights > 0,
-        J=whiten(J.reshape(*r.shape, -1)).reshape(J.shape),
+        J=whiten(J.reshape(*r.shape, 3 * J.shape[3])).reshape(J.shape),
         G=whiten(G),
-        encoder_residuals=tuple(
-            rows.value - np.sum(rows.weights * _gathered(rows, local.trajectory[:, j]), axis=1)
-            for j, rows in enumerate(segment.encoders)
-        ),
-        jerk_residual=-np.diff(local.trajectory, 3, axis=0) / segment.spacing**3,
+        off=segment.value - segment.rows @ local.trajectory.ravel(),
         outliers=outliers,
         weights=weights,
         deflection=_rows(by_ddq, plain * r, counts[0], kinds, band),
@@ -208,10 +194,9 @@ def linearise(
     )
 
 
-def kinds_of(imu: Imu) -> Index:
+def kinds_of(imu: Imu, channels: int) -> Index:
     """Kind (C,) of every channel's sensor: 0 for accelerometers, 1 for the gyro."""
-    axes, _, accelerometers = sensor_model.channels_of(imu)
-    return np.asarray(np.arange(len(axes)) >= accelerometers, dtype=np.intp)
+    return np.asarray(np.arange(channels) >= len(imu.axes), dtype=np.intp)
 
 
 @lru_cache(maxsize=64)
@@ -259,10 +244,6 @@ def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
     return whiten
 
 
-def _gathered(rows: EncoderRows, nodes: Array) -> Array:
-    return np.asarray(nodes[rows.at[:, None] + np.arange(4)])
-
-
 def reduced(linear: Linearised) -> Reduced:
     """Eliminate the trajectory."""
     segment, J, G = linear.segment, linear.J, linear.G
@@ -273,13 +254,14 @@ def reduced(linear: Linearised) -> Reduced:
         return Reduced(linear, S, g, np.zeros((0, b)), np.zeros(0))
     J3 = np.moveaxis(J.reshape(*J.shape[:2], -1), 1, 2)  # (N, 3 m, C)
     cross = J3 @ np.concatenate([G, linear.r[:, :, None]], axis=2)
-    # Transpose of `at_samples`: (N, 3, ...) to (N + 2 REACH, ...).
+    # Transpose of `_at_samples`: (N, 3, ...) to (N + 2 REACH, ...).
     values = cross.reshape(len(G), 3, m, b + 1)
-    out = np.zeros((segment.samples + 2 * REACH, *values.shape[2:]))
-    for where, kind, weight in _taps(segment):
-        out[where] += weight * values[:, kind]
+    out = np.zeros((segment.samples + 2 * REACH, m, b + 1))
+    weights = _stencils(segment)
+    for kind, o in zip(*np.nonzero(weights), strict=True):
+        out[o : o + segment.samples] += weights[kind, o] * values[:, kind]
     right = out.reshape(-1, b + 1)
-    right[:, b] += _own_gradient(linear).ravel()
+    right[:, b] += segment.rows.T @ (segment.information * linear.off)
     factor = cholesky_banded(_band(linear), lower=True, check_finite=False)
     solved = cho_solve_banded((factor, True), right, check_finite=False)
     both = right[:, :b].T @ solved
@@ -291,9 +273,8 @@ def _band(linear: Linearised) -> Array:
     segment, J = linear.segment, linear.J
     m, n = len(segment.moving), segment.samples
     JJ = np.einsum("ncdi,ncej->nijde", J, J, optimize=True)
-    weights = stencils(segment.spacing)
-    nodes = n + 2 * REACH
-    band = np.zeros((WIDTH * m, nodes * m))
+    weights = _stencils(segment)
+    band = np.zeros((WIDTH * m, (n + 2 * REACH) * m))
     for o in range(WIDTH):
         for p in range(o + 1):
             block = np.einsum("nijde,d,e->nij", JJ, weights[:, o], weights[:, p])
@@ -302,43 +283,5 @@ def _band(linear: Linearised) -> Array:
                     row = (o - p) * m + i - j
                     if row >= 0:
                         band[row, p * m + j : (p + n) * m + j : m] += block[:, i, j]
-    for j, rows in enumerate(segment.encoders):
-        third = THIRD / segment.spacing**3 / segment.jerk[j]
-        for a in range(4):
-            for c in range(a + 1):
-                value = rows.information * rows.weights[:, a] * rows.weights[:, c]
-                np.add.at(band[(a - c) * m], (rows.at + c) * m + j, value)
-                span = slice(c * m + j, (c + nodes - 3) * m + j, m)
-                band[(a - c) * m, span] += third[a] * third[c]
+    band[: 4 * m] += segment.band
     return band
-
-
-def _own_gradient(linear: Linearised) -> Array:
-    """What encoders and jerk pull on the trajectory, (N + 2 REACH, m)."""
-    segment = linear.segment
-    out = np.zeros((segment.samples + 2 * REACH, len(segment.moving)))
-    pull = linear.jerk_residual / segment.jerk**2
-    for a in range(4):
-        for j, rows in enumerate(segment.encoders):
-            off = rows.information * rows.weights[:, a] * linear.encoder_residuals[j]
-            np.add.at(out[:, j], rows.at + a, off)
-        out[a : a + len(pull)] += THIRD[a] / segment.spacing**3 * pull
-    return out
-
-
-def effective(reduction: Reduced) -> tuple[Array, tuple[Array, ...], Array]:
-    """Columns left of the border once the trajectory has followed it.
-
-    Of the readings (N, C, b), of each joint's encoder rows (M, b) and of the jerk
-    (N + 2 REACH - 3, m, b).
-    """
-    linear, segment = reduction.linear, reduction.linear.segment
-    m, b = len(segment.moving), linear.G.shape[2]
-    back = reduction.back.reshape(segment.samples + 2 * REACH, m, b)
-    moved = at_samples(segment, back).reshape(segment.samples, 3 * m, b)
-    readings = linear.G - linear.J.reshape(*linear.r.shape, -1) @ moved
-    encoders = tuple(
-        -np.einsum("ra,rab->rb", rows.weights, _gathered(rows, back[:, j]))
-        for j, rows in enumerate(segment.encoders)
-    )
-    return readings, encoders, -np.diff(back, 3, axis=0) / segment.spacing**3

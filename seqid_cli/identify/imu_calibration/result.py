@@ -11,6 +11,7 @@ from seqid_cli.identify.imu_calibration.segments import Segment
 from seqid_cli.identify.imu_calibration.solve import Fit
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.imu.link_acceleration import axes_in_link
+from seqid_cli.motion.imu.sensor import MOTION
 from seqid_cli.params.schema import AxisReference, ImuCalibration, JointDeflection, Verdict
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Mask
@@ -88,16 +89,15 @@ def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
     # That joint's unit acceleration reads a (C,) at accelerometers; with da = D dc of the
     # constants, all channels together take it by a'da / a'a too large.
     axis = robot.chain.axis[imu.after_joint]
-    x = np.zeros((1, sensor_model.MOTION))
+    x = np.zeros((1, MOTION))
     if robot.chain.prismatic[imu.after_joint]:
         x[0, :3] = axis
     else:
         x[0, 3:12] = np.cross(np.eye(3), axis).ravel()  # rows of the matrix dw x
-    channels = sensor_model.mounted(imu, fit.constants)
-    k = channels.accelerometers
-    a = (channels.matrix @ x[0])[:k]
-    slope = a @ sensor_model.design(channels, x, np.zeros((1, len(channels.axes))))[0, :k]
-    slope[7 : 7 + len(channels.axes)] = 0.0  # a bias is no acceleration
+    constants, k, c = fit.constants, len(imu.axes), len(fit.constants.bias)
+    a = (sensor_model.mounted(imu, constants).matrix @ x[0])[:k]
+    slope = a @ sensor_model.design(imu, constants, x, np.zeros((1, c)))[0, :k]
+    slope[7 : 7 + c] = 0.0  # a bias is no acceleration
     slope /= max(float(a @ a), 1e-300)
     return float(np.sqrt(slope @ fit.covariance @ slope))
 
@@ -121,8 +121,7 @@ def _known(
     max_tilt_deg: float = 0.25,
 ) -> _Known:
     """Which constants are known: standard errors up to so many m/s^2, rad/s, 1 and degrees."""
-    axes, _, k = sensor_model.channels_of(imu)
-    c, sigma = len(axes), np.sqrt(np.diag(fit.covariance))
+    k, c, sigma = len(imu.axes), len(fit.constants.bias), np.sqrt(np.diag(fit.covariance))
     bias, gain = sigma[7 : 7 + c], sigma[7 + c : 7 + 2 * c]
     tilt = np.degrees(np.sqrt(np.mean(sigma[7 + 2 * c :].reshape(c, 2) ** 2, axis=1)))
     tilt_prior = np.degrees(fit.prior[7 + 2 * c :: 2])
@@ -139,7 +138,7 @@ def _add_sensors(
     calibration: ImuCalibration, imu: Imu, fit: Fit, known: _Known, noise: Array
 ) -> None:
     """Write the channels' own constants into a calibration."""
-    axes, constants = sensor_model.channels_of(imu)[0], fit.constants
+    axes, constants = sensor_model.nominal_axes(imu), fit.constants
     turned = np.where(known.known["axis"][:, None], sensor_model.tilted(axes, constants.tilt), axes)
     values = {"bias": constants.bias, "scale": np.exp(constants.log_gain)}
     for sensor, own in known.sensors.items():

@@ -9,9 +9,11 @@ up to an unknown constant within the encoder's step.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+from scipy.sparse import coo_array, csr_array, diags_array
 
 from seqid_cli.identify.imu_calibration.readings import Readings, readings_of
 from seqid_cli.logs.recording import Recording
@@ -25,41 +27,33 @@ from seqid_cli.typing import Array, Index, Mask
 
 REACH = SIDE  # nodes that a derivative takes
 NODES_PER_CUTOFF = 6.0
+THIRD = np.array([-1.0, 3.0, -3.0, 1.0])
 
-
-@dataclass(frozen=True)
-class EncoderRows:
-    """Measurements of one joint: at node `at` + 0..3 with `weights` (M, 4), `value` rad, 1/rad^2.
-
-    Only rows with information are kept.
-    """
-
-    at: Index
-    weights: Array
-    value: Array
-    information: Array
+Measured = tuple[Index, Array, Array, Array]  # first of four nodes, weights, value, information
 
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of one log on nodes `t` (N,) s; arrays of moving joints have REACH nodes more.
+    """A stretch of one log on nodes `t` (N,) s.
 
-    `q`, `dq`, `ddq` (N, n) are of all joints, those of `moving` to be replaced by the unknowns,
-    which start at `start` (N + 2 REACH, m). `locked` joints are those at rest whose encoder leaves
-    their position open by `offset_sigma` rad. `share` raw samples make a node; the differentiated
-    encoder is trusted below `encoder_hz`.
+    `motion` (3, n, N) are q, dq, ddq of all joints; those of the m `moving` ones are to be replaced
+    by the unknowns, positions at N + 2 REACH nodes that start at `start`. Row by row `rows` times
+    them, node by node, is the measured `value` (M,), by an encoder or by a loose prior on the jerk,
+    known to `information` (M,); `at` (M,) is the node. `locked` joints are those at rest whose
+    encoder leaves their position open by `offset_sigma` rad. `share` raw samples make a node; the
+    differentiated encoder is trusted below `encoder_hz`.
     """
 
     log: int
     t: Array
     spacing: float
-    q: Array
-    dq: Array
-    ddq: Array
+    motion: Array
     moving: tuple[int, ...]
     start: Array
-    encoders: tuple[EncoderRows, ...]
-    jerk: Array  # (m,) rad/s^3
+    rows: csr_array
+    value: Array
+    information: Array
+    at: Index
     locked: tuple[int, ...]
     offset_sigma: Array
     readings: Readings
@@ -76,6 +70,15 @@ class Segment:
     def channels(self) -> int:
         """Number of channels."""
         return int(self.readings.values.shape[1])
+
+    @cached_property
+    def band(self) -> Array:
+        """Lower band (4 m, cells) of the information that the rows hold."""
+        normal = self.rows.T @ diags_array(self.information) @ self.rows
+        band = np.zeros((4 * len(self.moving), normal.shape[0]))
+        for k, lower in enumerate(band):
+            lower[: len(lower) - k] = normal.diagonal(-k)
+        return band
 
 
 def thinned(segments: list[Segment], *, max_nodes: int = 60_000) -> list[Segment]:
@@ -104,35 +107,11 @@ def segments_of(
     steps = np.where(steps > 0, steps, encoder_step(recording.q))
     joints = range(imu.after_joint + 1)
     views = [encoder_view(recording.q[:, j], float(steps[j])) for j in joints]
-    smooth = lowpass(recording.q, recording.valid)
-    source = _Source(
-        recording=recording,
-        motion=motion,
-        smooth=smooth,
-        speed=differentiate(smooth, recording.rate_hz, recording.valid)[0],
-        views=views,
-        readings=readings_of(recording, imu, lowpass),
-        lowpass=lowpass,
-        log=log,
-    )
+    source = _Log(log, recording, motion, lowpass, views, readings_of(recording, imu, lowpass))
     # Ends that feel the filter's own ends are not used.
     usable = shrink(recording.valid, lowpass.settling // 2)
-    pieces = [_segment(source, own) for own in _pieces(usable, recording.rate_hz)]
+    pieces = [source.segment(own) for own in _pieces(usable, recording.rate_hz)]
     return [piece for piece in pieces if piece is not None]
-
-
-@dataclass(frozen=True)
-class _Source:
-    """A log and what is computed from it once; a view for each joint before the IMU."""
-
-    recording: Recording
-    motion: Motion
-    smooth: Array
-    speed: Array
-    views: list[EncoderView]
-    readings: Readings
-    lowpass: Lowpass
-    log: int
 
 
 def _pieces(
@@ -146,42 +125,115 @@ def _pieces(
                 yield slice(int(a), int(b))
 
 
-def _segment(source: _Source, own: slice, *, min_offset: float = 1e-4) -> Segment | None:
-    """One stretch; offsets of locked joints below `min_offset` rad are worth no unknown."""
-    recording, rate, views = source.recording, source.recording.rate_hz, source.views
-    every = max(1, int(rate / (NODES_PER_CUTOFF * source.lowpass.cutoff_hz)))
-    nodes = np.arange(own.start + REACH * every, own.stop - REACH * every, every)
-    if len(nodes) < 4 * REACH:
-        return None
-    wide = np.arange(nodes[0] - REACH * every, nodes[-1] + REACH * every + 1, every)
-    moves: Mask = np.any(source.motion.moving[own], axis=0)
-    moving = tuple(j for j, view in enumerate(views) if moves[j] or _hunts(view, rate, own))
-    resting = tuple(j for j in range(len(views)) if j not in moving)
-    q = source.smooth[nodes].copy()
-    dq, ddq = np.zeros_like(q), np.zeros_like(q)
-    for j in resting:
-        still = _locked_motion(recording.q[:, j], recording, views[j])
-        q[:, j], dq[:, j], ddq[:, j] = (x[nodes] for x in still)
-    off = {j: float(np.sqrt(views[j].step ** 2 / 12 + views[j].white)) for j in resting}
-    locked = tuple(j for j in resting if off[j] > min_offset)
-    return Segment(
-        log=source.log,
-        t=recording.t[nodes],
-        spacing=every / rate,
-        q=q,
-        dq=dq,
-        ddq=ddq,
-        moving=moving,
-        start=source.smooth[wide][:, list(moving)],
-        encoders=tuple(_encoder_rows(source, j, wide, own) for j in moving),
-        jerk=np.full(len(moving), _jerk(source.motion.ddq[own], rate)),
-        locked=locked,
-        offset_sigma=np.array([off[j] for j in locked]),
-        readings=source.readings,
-        share=float(every),
-        cutoff_hz=source.lowpass.cutoff_hz,
-        encoder_hz=source.motion.cutoff.hz,
-    )
+@dataclass(frozen=True)
+class _Log:
+    """A log and what is computed from it once; a view for each joint before the IMU."""
+
+    number: int
+    recording: Recording
+    motion: Motion
+    lowpass: Lowpass
+    views: list[EncoderView]
+    readings: Readings
+
+    @cached_property
+    def smooth(self) -> Array:
+        """Positions (N, n) after the low-pass."""
+        return self.lowpass(self.recording.q, self.recording.valid)
+
+    @cached_property
+    def speed(self) -> Array:
+        """Their rate of change (N, n)."""
+        return differentiate(self.smooth, self.recording.rate_hz, self.recording.valid)[0]
+
+    def segment(self, own: slice, *, min_offset: float = 1e-4) -> Segment | None:
+        """One stretch; offsets of locked joints below `min_offset` rad are worth no unknown."""
+        rate, views = self.recording.rate_hz, self.views
+        every = max(1, int(rate / (NODES_PER_CUTOFF * self.lowpass.cutoff_hz)))
+        nodes = np.arange(own.start + REACH * every, own.stop - REACH * every, every)
+        if len(nodes) < 4 * REACH:
+            return None
+        wide = np.arange(nodes[0] - REACH * every, nodes[-1] + REACH * every + 1, every)
+        moves: Mask = np.any(self.motion.moving[own], axis=0)
+        moving = [j for j, view in enumerate(views) if moves[j] or _hunts(view, rate, own)]
+        resting = [j for j in range(len(views)) if j not in moving]
+        motion = np.zeros((3, self.smooth.shape[1], len(nodes)))
+        motion[0] = self.smooth[nodes].T
+        for j in resting:
+            motion[:, j] = self._at_rest(j)[:, nodes]
+        off = {j: float(np.sqrt(views[j].step ** 2 / 12 + views[j].white)) for j in resting}
+        locked = tuple(j for j in resting if off[j] > min_offset)
+        jerk, third = _jerk(self.motion.ddq[own], rate), THIRD * (rate / every) ** 3
+        at = np.arange(len(wide) - 3)
+        smooth = at, np.tile(third, (len(at), 1)), np.zeros(len(at)), np.full(len(at), jerk**-2)
+        parts: list[Measured] = [
+            each for j in moving for each in (self._measured(j, wide, own), smooth)
+        ]
+        return Segment(
+            self.number,
+            self.recording.t[nodes],
+            every / rate,
+            motion,
+            tuple(moving),
+            self.smooth[wide][:, moving],
+            *_stacked(parts, len(wide), len(moving)),
+            locked,
+            np.array([off[j] for j in locked]),
+            self.readings,
+            float(every),
+            self.lowpass.cutoff_hz,
+            self.motion.cutoff.hz,
+        )
+
+    def _at_rest(self, j: int) -> Array:
+        """What a locked joint does (3, N): no more than its encoder shows of it without noise."""
+        rate, q, valid = self.recording.rate_hz, self.recording.q[:, j], self.recording.valid
+        hz = min(_still_hz(self.views[j], rate), rate / NODES_PER_CUTOFF)
+        lowpass = Lowpass(hz or 1.0, rate)
+        if not hz or len(q) <= 4 * lowpass.settling:
+            return np.outer([1.0, 0.0, 0.0], np.full(len(q), np.mean(q[valid])))
+        smooth = lowpass(q, valid)
+        return np.stack([smooth, *differentiate(smooth, rate, valid)])
+
+    def _measured(self, j: int, wide: Index, own: slice, *, repeated: float = 2.0) -> Measured:
+        """Rows of a moving joint: a coarse encoder by its edges, a fine one by low-passed codes.
+
+        Swings that repeat themselves repeat their quantisation errors, so many times.
+        """
+        rate, view = self.recording.rate_hz, self.views[j]
+        strongest = float(np.max(np.abs(self.motion.ddq[own, j])))
+        # What the low-pass takes off a jump of the acceleration.
+        rounding = strongest / (2 * np.pi * self.lowpass.cutoff_hz) ** 2
+        every, count = int(wide[1] - wide[0]), len(wide)
+        if view.step / np.sqrt(12) < rounding or not np.isfinite(view.edge).any():
+            # One row per node, as good as all the samples it stands for, if their codes differ.
+            variance = max(view.step**2 / 12 + view.white, 1e-16)
+            slow = np.abs(self.speed[wide, j]) / rate * every < view.step
+            alike = np.where(slow, np.maximum(view.dwell[wide], 1.0), 1.0)
+            at = np.clip(np.arange(count) - 1, 0, count - 4)
+            weights = np.eye(4)[np.arange(count) - at]
+            return at, weights, self.smooth[wide, j], every / (variance * alike)
+        samples, edges = view.weights(self.speed[:, j], 1.0 / rate)
+        index = np.arange(len(view.q), dtype=np.float64)
+        places = np.concatenate([index, index + 0.5])
+        information = np.concatenate([samples, edges]) / repeated
+        information = information / (1.0 + information * (0.1 * rounding) ** 2)
+        value = np.concatenate([view.q, view.edges])
+        kept = (information > 0) & (places >= wide[0]) & (places <= wide[-1])
+        u = (places[kept] - wide[0]) / every
+        at = np.clip(np.floor(u).astype(np.intp) - 1, 0, count - 4)
+        return at, _lagrange(u - at), value[kept], information[kept]
+
+
+def _stacked(parts: list[Measured], nodes: int, m: int) -> tuple[csr_array, Array, Array, Index]:
+    """Rows, values, information and nodes of measurements, two parts for each moving joint."""
+    joint = np.repeat(np.arange(len(parts)) // 2, [len(part[0]) for part in parts])
+    none = np.zeros(0, dtype=np.intp), np.zeros((0, 4)), np.zeros(0), np.zeros(0)
+    at, weights, value, information = (np.concatenate(x) for x in zip(none, *parts, strict=True))
+    columns = (at[:, None] + np.arange(4)) * m + joint[:, None]
+    place = np.repeat(np.arange(len(at)), 4), columns.ravel()
+    rows = csr_array(coo_array((weights.ravel(), place), shape=(len(at), nodes * m)))
+    return rows, value, information, np.clip(at + 1 - REACH, 0, nodes - 2 * REACH - 1)
 
 
 def _jerk(ddq: Array, rate_hz: float, *, slack: float = 3.0) -> float:
@@ -207,55 +259,7 @@ def _still_hz(
     return hz if hz >= lowest_hz else 0.0
 
 
-def _locked_motion(q: Array, recording: Recording, view: EncoderView) -> tuple[Array, ...]:
-    """What a locked joint does: no more than its encoder shows of it without its noise."""
-    rate = recording.rate_hz
-    hz = min(_still_hz(view, rate), rate / NODES_PER_CUTOFF)
-    lowpass = Lowpass(hz or 1.0, rate)
-    if not hz or len(q) <= 4 * lowpass.settling:
-        mean = np.full(len(q), float(np.mean(q[recording.valid])))
-        return mean, np.zeros(len(q)), np.zeros(len(q))
-    smooth = lowpass(q, recording.valid)
-    return smooth, *differentiate(smooth, rate, recording.valid)
-
-
-def _encoder_rows(
-    source: _Source, j: int, wide: Index, own: slice, *, repeated: float = 2.0
-) -> EncoderRows:
-    """Rows of one moving joint; a coarse encoder by its edges, a fine one by what is low-passed."""
-    # Swings that repeat themselves repeat their quantisation errors, so many times.
-    rate, view = source.recording.rate_hz, source.views[j]
-    strongest = float(np.max(np.abs(source.motion.ddq[own, j])))
-    # What the low-pass takes off a jump of the acceleration.
-    rounding = strongest / (2 * np.pi * source.lowpass.cutoff_hz) ** 2
-    if view.step / np.sqrt(12) < rounding or not np.isfinite(view.edge).any():
-        return _fine_rows(source.smooth[wide, j], source.speed[wide, j], view, wide, rate)
-    samples, edges = view.weights(source.speed[:, j], 1.0 / rate)
-    index = np.arange(len(view.q), dtype=np.float64)
-    places = np.concatenate([index, index + 0.5])
-    information = np.concatenate([samples, edges]) / repeated
-    information = information / (1.0 + information * (0.1 * rounding) ** 2)
-    value = np.concatenate([view.q, view.edges])
-    kept = (information > 0) & (places >= wide[0]) & (places <= wide[-1])
-    u = (places[kept] - wide[0]) / (wide[1] - wide[0])
-    at = np.clip(np.floor(u).astype(np.intp) - 1, 0, len(wide) - 4)
-    return EncoderRows(at, lagrange(u - at), value[kept], information[kept])
-
-
-def _fine_rows(
-    smooth: Array, speed: Array, view: EncoderView, wide: Index, rate_hz: float
-) -> EncoderRows:
-    """One row per node, as good as all the samples that it stands for, if their codes differ."""
-    every, count = int(wide[1] - wide[0]), len(wide)
-    variance = max(view.step**2 / 12 + view.white, 1e-16)
-    slow = np.abs(speed) / rate_hz * every < view.step
-    alike = np.where(slow, np.maximum(view.dwell[wide], 1.0), 1.0)
-    at = np.clip(np.arange(count) - 1, 0, count - 4)
-    weights = np.eye(4)[np.arange(count) - at]
-    return EncoderRows(at, weights, smooth, every / (variance * alike))
-
-
-def lagrange(u: Array) -> Array:
+def _lagrange(u: Array) -> Array:
     """Weights (M, 4) of a cubic through nodes 0..3 at `u` (M,)."""
     a, b, c, d = u, u - 1, u - 2, u - 3
     return np.column_stack([-b * c * d / 6, a * c * d / 2, -a * b * d / 2, a * b * c / 6])

@@ -25,25 +25,20 @@ from seqid_cli.identify.imu_calibration.normal_equations import (
     Local,
     Reduced,
     Sizes,
-    at_samples,
-    effective,
     kinds_of,
     linearise,
     reduced,
     residual,
 )
-from seqid_cli.identify.imu_calibration.segments import REACH, Segment
+from seqid_cli.identify.imu_calibration.segments import Segment
 from seqid_cli.identify.imu_calibration.sensor_model import (
     FEW,
     Constants,
     Widths,
-    channels_of,
     first_widths,
     gauge_information,
     next_width,
-    own_precision,
     prior_of,
-    values_of,
 )
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import PER_MEDIAN
@@ -82,14 +77,20 @@ class _State:
     @classmethod
     def first(cls, segments: list[Segment], robot: Robot, imu: Imu, start: Constants) -> "_State":
         count = len(start.bias)
-        locals_ = [Local(s.start, np.zeros(count), np.zeros(len(s.locked))) for s in segments]
+        locals_ = [Local(s.start, np.zeros(count + len(s.locked))) for s in segments]
         return cls(segments, robot, imu, start, locals_, first_widths(count))
+
+    @property
+    def prior(self) -> Array:
+        """Information (p, p) of the priors on the constants."""
+        prior = prior_of(self.widths)
+        return np.diag(prior**-2.0) + gauge_information(self.imu, len(prior))
 
     def noise_scale(self) -> Array:
         """Robust standard deviation (C,) of the low-passed residuals."""
         parts = []
         for segment, own in zip(self.segments, self.locals_, strict=True):
-            r, good, _ = residual(segment, self.robot, self.imu, self.constants, own)
+            r, good, *_ = residual(segment, self.robot, self.imu, self.constants, own)
             parts.append(np.where(good, r, np.nan))
         scale = PER_MEDIAN * np.nanmedian(np.abs(np.concatenate(parts)), axis=0)
         return np.asarray(np.maximum(np.nan_to_num(scale, nan=1.0), 1e-6))
@@ -105,13 +106,7 @@ class _State:
         ]
 
     def moved(
-        self,
-        step: Array,
-        share: float,
-        reductions: list[Reduced],
-        inner: "list[_Inner]",
-        *,
-        max_factor: float = 10.0,
+        self, step: Array, share: float, inner: "list[_Inner]", *, max_factor: float = 10.0
     ) -> "_State":
         """The state after a step of the constants.
 
@@ -125,10 +120,7 @@ class _State:
                 "the order of the joints (seqid inspect LOG... -r ROBOT).",
                 where=self.imu.name,
             )
-        locals_ = [
-            _moved(own, r, step, i, share)
-            for own, r, i in zip(self.locals_, reductions, inner, strict=True)
-        ]
+        locals_ = [i.moved(own, step, share) for own, i in zip(self.locals_, inner, strict=True)]
         return replace(self, constants=constants, locals_=locals_)
 
 
@@ -168,10 +160,10 @@ def _fitted(
         if number == freeze:  # weights that jump to and fro would keep the fit from settling
             fixed = [r.linear.weights for r in reductions]
         step, information, inner = _solve(reductions, state)
-        covariance = _inverse(information)
+        covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         change = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
         share = 1.0 if sizes is None or number < freeze else 0.5  # whole ones may jump to and fro
-        state = state.moved(share * _limited(step), share, reductions, inner)
+        state = state.moved(share * _limited(step), share, inner)
         state = replace(state, widths=_renewed(state, covariance, inner))
         if sizes is not None:
             sizes = renewed([r.linear for r in reductions], sizes)
@@ -179,8 +171,9 @@ def _fitted(
             break
     reductions = state.reductions(state.noise_scale(), sizes, None)
     linear = [r.linear for r in reductions]
-    kinds, joints = kinds_of(state.imu).max() + 1, state.imu.after_joint + 1
-    sizes = renewed(linear, sizes or Sizes(np.ones(kinds), np.full(joints, first_size)))
+    kinds = kinds_of(state.imu, len(state.constants.bias)).max() + 1
+    first = Sizes(np.ones(kinds), np.full(state.imu.after_joint + 1, first_size))
+    sizes = renewed(linear, sizes or first)
     fit = _finished(reductions, state, converged=change < settled)
     return replace(fit, deflections=deflections(linear, sizes)), sizes
 
@@ -189,38 +182,56 @@ def _fitted(
 class _Inner:
     """How a segment's own border follows the constants: own = free - follow @ step."""
 
+    reduced: Reduced
     free: Array
     follow: Array
     covariance: Array
+    precision: Array  # of the priors on it
+
+    @classmethod
+    def of(cls, r: Reduced, own: Local, widths: Widths) -> "_Inner":
+        p = 7 + 4 * len(widths.drift)
+        precision = np.concatenate([widths.drift, r.linear.segment.offset_sigma]) ** -2.0
+        cover = np.asarray(np.linalg.inv(r.S[p:, p:] + np.diag(precision)), dtype=np.float64)
+        free = cover @ (r.g[p:] - precision * own.own)
+        return cls(r, free, cover @ r.S[p:, :p], cover, precision)
 
     def through(self, columns: Array) -> Array:
         """Columns (..., b) of the border in the constants alone, (..., p)."""
         p = self.follow.shape[1]
         return np.asarray(columns[..., :p] - columns[..., p:] @ self.follow)
 
+    @property
+    def information(self) -> Array:
+        """What the segment says of the constants, (p, p)."""
+        return self.through(self.reduced.S[: self.follow.shape[1]])
+
+    def readings(self) -> Array:
+        """Columns (N, C, p) of the readings in the constants, all else following them."""
+        r = self.reduced
+        return self.through(r.linear.G - r.followed(r.back))
+
+    def moved(self, own: Local, step: Array, share: float) -> Local:
+        """What is the segment's own after a step of the constants."""
+        change = share * self.free - self.follow @ step
+        moved = share * self.reduced.free - self.reduced.back @ np.concatenate([step, change])
+        return Local(own.trajectory + moved.reshape(own.trajectory.shape), own.own + change)
+
 
 def _solve(reductions: list[Reduced], state: _State) -> tuple[Array, Array, list[_Inner]]:
     """Step (p,), information (p, p), and the segments' own borders."""
-    widths = state.widths
-    prior = prior_of(widths)
-    p = len(prior)
-    information = np.diag(prior**-2.0) + gauge_information(state.imu, len(widths.gain), p)
-    gradient = -values_of(state.constants) / prior**2
+    information = state.prior
+    gradient = -state.constants.values / prior_of(state.widths) ** 2
     inner = []
     for r, own in zip(reductions, state.locals_, strict=True):
-        weights = own_precision(r.linear.segment, widths)
-        gl = r.g[p:] - weights * np.concatenate([own.bias, own.offset])
-        cover = _inverse(r.S[p:, p:] + np.diag(weights))
-        inner.append(_Inner(cover @ gl, cover @ r.S[p:, :p], cover))
-        information = information + inner[-1].through(r.S[:p])
+        inner.append(_Inner.of(r, own, state.widths))
+        information = information + inner[-1].information
+        p = len(gradient)
+        gl = r.g[p:] - inner[-1].precision * own.own
         gradient = gradient + r.g[:p] - inner[-1].follow.T @ gl
     information = 0.5 * (information + information.T)
     step = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
     return step, information, inner
-
-
-def _inverse(matrix: Array) -> Array:
-    return np.asarray(np.linalg.inv(matrix), dtype=np.float64)
 
 
 def _limited(step: Array, *, max_turn: float = 0.3) -> Array:
@@ -228,107 +239,79 @@ def _limited(step: Array, *, max_turn: float = 0.3) -> Array:
     return step * min(1.0, max_turn / max(turn, 1e-12))
 
 
-def _moved(own: Local, reduction: Reduced, step: Array, inner: _Inner, share: float) -> Local:
-    change = share * inner.free - inner.follow @ step
-    moved = share * reduction.free - reduction.back @ np.concatenate([step, change])
-    c = len(own.bias)
-    trajectory = own.trajectory + moved.reshape(own.trajectory.shape)
-    return Local(trajectory, own.bias + change[:c], own.offset + change[c:])
-
-
 def _renewed(state: _State, covariance: Array, inner: list[_Inner]) -> Widths:
     """Widths of the priors, per kind of sensor."""
-    constants, locals_, widths = state.constants, state.locals_, state.widths
-    c, k = len(constants.bias), channels_of(state.imu)[2]
+    constants, widths, c = state.constants, state.widths, len(state.constants.bias)
     gain_open, tilt_open = np.split(np.diag(covariance)[7 + c :], [c])
-    drift = np.array([own.bias for own in locals_])
+    drift = np.array([own.own[:c] for own in state.locals_])
     drift_open = np.array([np.diag(i.covariance)[:c] for i in inner])
-    for own in (slice(0, k), slice(k, c)):
-        size = own.stop - own.start
+    for own in (slice(0, len(state.imu.axes)), slice(len(state.imu.axes), c)):
+        size = len(constants.bias[own])
         if size >= FEW:
             gains = constants.log_gain[own], gain_open[own], widths.gain[own]
             widths.gain[own] = next_width(*gains)
             tilts = constants.tilt[own], tilt_open.reshape(c, 2)[own], widths.tilt[own][:, None]
             widths.tilt[own] = next_width(*tilts)
-        if size and len(locals_) > 1:
+        if size and len(drift) > 1:
             widths.drift[own] = next_width(drift[:, own], drift_open[:, own], widths.drift[own])
     return widths
 
 
 def _finished(reductions: list[Reduced], state: _State, *, converged: bool) -> Fit:
     _, information, inner = _solve(reductions, state)
-    model = _inverse(information)
-    blocks, own_share = [], np.zeros_like(model)
-    for r, i in zip(reductions, inner, strict=True):
-        blocks.append(_scores(r, i))
-        precision = own_precision(r.linear.segment, state.widths)
-        own_share += i.follow.T @ (precision[:, None] * i.follow)
+    own = sum((i.follow.T * i.precision) @ i.follow for i in inner)
+    scores = np.concatenate([_scores(i) for i in inner])
     return Fit(
         constants=state.constants,
-        covariance=_widened(model, np.concatenate(blocks), own_share, state.widths, state.imu),
+        covariance=_widened(np.asarray(np.linalg.inv(information)), scores, state.prior + own),
         prior=prior_of(state.widths),
-        kept=sum(int(r.linear.used.sum()) for r in reductions),
+        kept=sum(int((r.linear.weights > 0).sum()) for r in reductions),
         outliers=sum(int(r.linear.outliers.sum()) for r in reductions),
         converged=converged,
-        holdout=_left_out(reductions, inner, information),
+        holdout=_left_out(inner, information),
     )
 
 
-def _scores(
-    reduction: Reduced, inner: _Inner, *, block_s: float = 0.25, block_periods: float = 4.0
-) -> Array:
+def _scores(inner: _Inner, *, block_s: float = 0.25, block_periods: float = 4.0) -> Array:
     """Scores (blocks, p) of a segment."""
-    linear, segment = reduction.linear, reduction.linear.segment
-    readings, encoders, jerk = effective(reduction)
+    linear, segment = inner.reduced.linear, inner.reduced.linear.segment
     length = max(block_s, block_periods / segment.cutoff_hz)
     block = (np.arange(segment.samples) * segment.spacing / length).astype(int)
     out = np.zeros((block[-1] + 1, inner.follow.shape[1]))
-    np.add.at(out, block, np.einsum("nc,ncp->np", linear.r, inner.through(readings)))
-    parts = zip(segment.encoders, encoders, linear.encoder_residuals, strict=True)
-    for rows, columns, off in parts:
-        at = np.clip(rows.at + 1 - 4, 0, segment.samples - 1)
-        pull = (rows.information * off)[:, None] * inner.through(columns)
-        np.add.at(out, block[at], pull)
-    at = np.clip(np.arange(len(jerk)) - 2, 0, segment.samples - 1)
-    pull = linear.jerk_residual / segment.jerk**2
-    np.add.at(out, block[at], np.einsum("nm,nmp->np", pull, inner.through(jerk)))
+    np.add.at(out, block, np.einsum("nc,ncp->np", linear.r, inner.readings()))
+    rows = inner.through(-(segment.rows @ inner.reduced.back))
+    np.add.at(out, block[segment.at], (segment.information * linear.off)[:, None] * rows)
     return out
 
 
-def _widened(model: Array, scores: Array, own: Array, widths: Widths, imu: Imu) -> Array:
+def _widened(model: Array, scores: Array, prior: Array) -> Array:
     """The model's covariance, each standard error at least that of the scores' own variance."""
     count = len(scores)
     share = count / max(count - 5.0, 0.5 * count)
-    gauge = gauge_information(imu, len(widths.gain), len(model))
-    omega = share * scores.T @ scores + own + np.diag(prior_of(widths) ** -2.0) + gauge
-    seen = model @ omega @ model
+    seen = model @ (share * scores.T @ scores + prior) @ model
     factor = np.sqrt(np.maximum(np.diag(seen) / np.diag(model), 1.0))
     return np.asarray(model * np.outer(factor, factor))
 
 
-def _left_out(reductions: list[Reduced], inner: list[_Inner], information: Array) -> float | None:
+def _left_out(inner: list[_Inner], information: Array) -> float | None:
     """RMS of what each log reads beyond the prediction by all the others, over the fit's own."""
     # Both are whitened residuals after each log's own trajectory; one means that the constants
     # carry over to a log that they have not seen. What only one log shows cannot be predicted by
     # the others and does not count.
-    logs = {r.linear.segment.log for r in reductions}
+    logs = sorted({i.reduced.linear.segment.log for i in inner})
     if len(logs) < 2:
         return None
-    p = len(information)
-    total, before = 0.0, 0.0
-    for log in sorted(logs):
-        pairs = zip(reductions, inner, strict=True)
-        members = [(r, i) for r, i in pairs if r.linear.segment.log == log]
-        S, g = np.zeros((p, p)), np.zeros(p)
-        for r, i in members:
-            S += i.through(r.S[:p])
-            g += r.g[:p] - i.follow.T @ r.g[p:]
+    p, total, before = len(information), 0.0, 0.0
+    for log in logs:
+        members = [i for i in inner if i.reduced.linear.segment.log == log]
+        S = sum((i.information for i in members), np.zeros((p, p)))
+        g = sum((i.reduced.g[:p] - i.follow.T @ i.reduced.g[p:] for i in members), np.zeros(p))
         step = -without(information, S, g)
-        for r, i in members:
-            linear = r.linear
-            moved = (linear.J.reshape(*linear.r.shape, -1) @ _followed(r))[..., 0]
-            settled = linear.r - moved
-            total += float(np.sum((settled - i.through(effective(r)[0]) @ step) ** 2))
+        for i in members:
+            # What the trajectory still moves at rest constants is nothing at the minimum.
+            r = i.reduced
+            settled = r.linear.r - r.followed(r.free[:, None])[..., 0]
+            total += float(np.sum((settled - i.readings() @ step) ** 2))
             before += float(np.sum(settled**2))
     return float(np.sqrt(total / max(before, 1e-12)))
 
@@ -345,10 +328,3 @@ def without(information: Array, own: Array, gradient: Array, *, min_others: floa
     along = directions.T @ np.linalg.solve(factor, gradient)
     along = np.where(others > min_others, along / np.maximum(others, min_others), 0.0)
     return np.asarray(np.linalg.solve(factor.T, directions @ along), dtype=np.float64)
-
-
-def _followed(reduction: Reduced) -> Array:
-    """What the trajectory still moves at rest constants: (N, 3 m, 1), zero at the minimum."""
-    segment = reduction.linear.segment
-    free = reduction.free.reshape(segment.samples + 2 * REACH, len(segment.moving))
-    return at_samples(segment, free).reshape(segment.samples, -1, 1)

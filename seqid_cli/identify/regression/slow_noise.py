@@ -17,7 +17,7 @@ parameters take away is allowed for. Rows divided by V's root are generalised le
 """
 
 import contextlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,24 +45,11 @@ class Rows:
     log: Index
 
 
-@dataclass(frozen=True)
-class Whitener:
-    """Roots of V, log by log: `rows` (M,) of each, and its lower factor (M, M)."""
-
-    parts: tuple[tuple[Index, Array], ...]
-
-    def __call__(self, values: Array) -> Array:
-        """Rows (N, ...) whose errors are independent and of unit variance."""
-        white = np.empty_like(values)
-        for rows, root in self.parts:
-            white[rows] = solve_triangular(root, values[rows], lower=True)
-        return white
-
-
-def whitener_of(rows: Rows) -> Whitener:
+def whitener_of(rows: Rows) -> Callable[[Array], Array]:
     """Fit the strengths of the noise of one joint's rows.
 
-    `rows`: the parameters' columns are taken out of the errors; more rows than columns.
+    `rows`: the parameters' columns are taken out of the errors; more rows than columns. Returns:
+    makes rows (N, ...) of such whose errors are independent and of unit variance.
     """
     shapes = [_shapes(rows, at) for at in _by_log(rows)]
     # Independent of any strength: the scale of what is left.
@@ -77,7 +64,15 @@ def whitener_of(rows: Rows) -> Whitener:
 
     best = minimize(cost, np.zeros(3), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.02})
     strengths = _strengths(best.x, white, typical)
-    return Whitener(tuple((at, _root(shape, strengths)) for at, *shape in shapes))
+    roots = [(at, _root(shape, strengths)) for at, *shape in shapes]
+
+    def white_rows(values: Array) -> Array:
+        white = np.empty_like(values)
+        for own, root in roots:
+            white[own] = solve_triangular(root, values[own], lower=True)
+        return white
+
+    return white_rows
 
 
 _Shape = tuple[Index, Array, Array, Array]

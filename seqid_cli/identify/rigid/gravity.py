@@ -6,7 +6,6 @@ with the direction while gravity does not, so trials in both directions keep it 
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
@@ -91,24 +90,35 @@ class GravityRows:
 
     def add_joint(self, trials: list[Trial], joints: list[Accumulator]) -> None:
         """Add the trials of one joint, the torque of what acceleration is left taken off."""
-        surface = self.surfaces[trials[0].joint] if trials else None
+        j = trials[0].joint if trials else 0
+        surface = self.surfaces[j]
         if surface is None:
             self.skipped += [self.robot.joint_names[trial.joint] for trial in trials]
             return
         groups = without_acceleration(self.robot, trials, surface)
-        parts = [
-            part
-            for number, group in enumerate(groups)
-            for trial in group.trials
-            if (part := self._rows(trial, surface, number)) is not None
-        ]
-        if not parts:
+        own = [(trial, k) for k, group in enumerate(groups) for trial in group.trials]
+        parts = [self._rows(trial, surface, [n, trial.log, k]) for n, (trial, k) in enumerate(own)]
+        table = np.vstack([part for part in parts if part is not None] or [np.zeros((0, 1))])
+        if not len(table):
             return
-        self.used += len(parts)
-        self._add_white(trials[0].joint, parts, [g.std_error for g in groups], joints)
+        H, y = table[:, : self.size], table[:, -7]
+        t, weight, seconds = table[:, -6:-3].T
+        trial, log, group = table[:, -3:].T.astype(np.intp)
+        white = whitener_of(Rows(H, y, t, weight, seconds, trial, log))(table[:, :-6])
+        H, F, accelerated, y = np.split(white, [self.size, -2, -1], axis=1)
+        for number in np.unique(trial):  # each is a block
+            self.used += 1
+            for k, joint in enumerate(joints):
+                kept = (trial == number) & (k == j)
+                joint.add(H[kept], y[kept, 0])
+        self._cross[j] = H.T @ F
+        for k, each in enumerate(groups):
+            self._accelerated.append(
+                (j, each.std_error * (H.T @ (accelerated[:, 0] * (group == k))))
+            )
 
-    def _rows(self, trial: Trial, surface: FrictionSurface, group: int) -> "_TrialRows | None":
-        """Rows of one trial, where friction is known."""
+    def _rows(self, trial: Trial, surface: FrictionSurface, about: list[int]) -> Array | None:
+        """Rows of one trial: H, F, acceleration, torque, time, samples, length, `about`."""
         v = np.full(len(trial.q), trial.velocity)
         inside = ~surface.outside(trial.q, v)
         count = int(inside.sum()) // GROUP
@@ -119,28 +129,12 @@ class GravityRows:
         H = base_regressor(self.robot, self.basis, q, zero, zero)[:, trial.joint, : self.size]
         F = surface.columns(trial.q[inside], v[inside])
         y = trial.tau[inside] - surface.torque(trial.q[inside], v[inside])
-        wide = np.column_stack([H, F, trial.ddq[inside], trial.t[inside], y])
+        wide = np.column_stack([H, F, trial.ddq[inside], y, trial.t[inside]])
         means = np.stack([part.mean(axis=0) for part in np.array_split(wide, count)])
-        return _TrialRows(means, float(inside.sum()) / count, trial, group)
-
-    def _add_white(
-        self, j: int, parts: "list[_TrialRows]", errors: list[float], joints: list[Accumulator]
-    ) -> None:
-        """Whiten the rows of one joint; each trial is a block."""
-        rows = _joined(parts, self.size)
-        values = np.vstack([part.values for part in parts])
-        white = whitener_of(rows)(np.delete(values, -2, axis=1))
-        H, F = white[:, : self.size], white[:, self.size : -2]
-        for number in range(len(parts)):
-            own = rows.trial == number
-            for k, joint in enumerate(joints):
-                kept = own if k == j else np.zeros_like(own)
-                joint.add(H[kept], white[kept, -1])
-        self._cross[j] = H.T @ F
-        group = np.array([part.group for part in parts])[rows.trial]
-        for number, error in enumerate(errors):
-            own = group == number
-            self._accelerated.append((j, error * (H[own].T @ white[own, -2])))
+        slices = float(inside.sum()) / count
+        return np.column_stack(
+            [means, np.tile([slices * trial.weight, slices * trial.seconds, *about], (count, 1))]
+        )
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
         """How the parameters move with the coefficients of each joint's friction."""
@@ -153,34 +147,6 @@ class GravityRows:
         """Covariance of what is not known of the trials' own acceleration (see `ramps`)."""
         moves = [solution.bread @ c / solution.sigma[j] ** 2 for j, c in self._accelerated]
         return sum((np.outer(move, move) for move in moves), np.zeros_like(solution.bread))
-
-
-@dataclass(frozen=True)
-class _TrialRows:
-    """Columns of H, F, acceleration, time and torque (M, p + K + 3), means of so many slices."""
-
-    values: Array
-    slices: float
-    trial: Trial
-    group: int
-
-
-def _joined(parts: list[_TrialRows], size: int) -> Rows:
-    values = np.vstack([part.values for part in parts])
-    count = [len(part.values) for part in parts]
-
-    def each(numbers: list[float]) -> Array:
-        return np.repeat(np.array(numbers, dtype=np.float64), count)
-
-    return Rows(
-        H=values[:, :size],
-        y=values[:, -1],
-        t=values[:, -2],
-        weight=each([part.slices * part.trial.weight for part in parts]),
-        seconds=each([part.slices * part.trial.seconds for part in parts]),
-        trial=np.repeat(np.arange(len(parts)), count),
-        log=np.repeat(np.array([part.trial.log for part in parts]), count),
-    )
 
 
 def _stage(

@@ -20,7 +20,7 @@ from seqid_cli.identify.log_set import reduced
 from seqid_cli.identify.motion_use import source_text
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import cutoff_note
-from seqid_cli.identify.regression.least_squares import Accumulator, Solution
+from seqid_cli.identify.regression.least_squares import Solution
 from seqid_cli.identify.regression.streaming import open_if_long, streams
 from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
 from seqid_cli.identify.rigid.excitation import missing_pairs
@@ -80,17 +80,14 @@ def identify_inertia(
     by_encoder = replace(options, source="encoder", motion=alone)
     others = InertiaEquations(robot, basis, stages, by_encoder) if compare else None
     logs = cast("Iterable[Recording]", recordings)  # whoever reduces them does not look inside
-    whole = reduced(logs, InertiaRowsOf(equations, others), _all)
-    if whole is None or not any(joint.samples for joint in whole.own.joints):
+    parts = reduced(logs, InertiaRowsOf(equations, others), _all)
+    own, *near, encoder = parts or (None, None)
+    if own is None or not any(joint.samples for joint in own.joints):
         raise QualityError("no joint with known friction moves in these logs")
-    near = {
-        factor: equations.with_rows(rows)
-        for factor, rows in zip(options.neighbours, whole.near, strict=True)
-        if rows is not None
-    }
-    stage = _stage(equations.with_rows(whole.own), near)
-    if others and whole.encoder and any(use.source != "encoder" for use in stage.motion_use):
-        stage = _compared(stage, _stage(others.with_rows(whole.encoder), {}))
+    known = zip(options.neighbours, near, strict=True)
+    stage = _stage(equations, own, {factor: rows for factor, rows in known if rows is not None})
+    if others and encoder and any(use.source != "encoder" for use in stage.motion_use):
+        stage = _compared(stage, _stage(others, encoder, {}))
     return stage
 
 
@@ -108,21 +105,12 @@ def _compared(stage: RigidStage, encoders: RigidStage) -> RigidStage:
     )
 
 
-@dataclass(frozen=True)
-class AllRows:
-    """Rows as they are used, at neighbouring cut-offs, and by the encoders alone."""
-
-    own: InertiaRows
-    near: tuple[InertiaRows | None, ...]
-    encoder: InertiaRows | None
+AllRows = tuple[InertiaRows | None, ...]  # as used, at neighbouring cut-offs, by the encoders
 
 
 @dataclass(frozen=True)
 class InertiaRowsOf:
-    """The reduced equations of one log, and those by its encoders alone where they are asked for.
-
-    Both equations must be without rows; they carry what was worked out once for all logs.
-    """
+    """The reduced equations of one log, and those by its encoders where they are asked for."""
 
     equations: InertiaEquations
     others: InertiaEquations | None
@@ -141,7 +129,7 @@ class InertiaRowsOf:
         near: tuple[InertiaRows | None, ...] = (None,) * len(factors)
         if isinstance(recording, Recording):
             near = tuple(self._near(recording, own.cutoffs[0] * factor) for factor in factors)
-        return AllRows(own, near, self.others.rows_of(recording) if self.others else None)
+        return own, *near, self.others.rows_of(recording) if self.others else None
 
     def _near(self, recording: Recording, cutoff_hz: float) -> InertiaRows | None:
         """Rows at another cut-off; None where the log is too short or too slow for it."""
@@ -151,40 +139,31 @@ class InertiaRowsOf:
 
 
 def _all(first: AllRows, second: AllRows) -> AllRows:
-    near = zip(first.near, second.near, strict=True)
-    return AllRows(
-        first.own + second.own,
-        tuple(_both(*pair) for pair in near),
-        _both(first.encoder, second.encoder),
-    )
+    return tuple(or_none(operator.add)(*pair) for pair in zip(first, second, strict=True))
 
 
-_both = or_none(operator.add)
-
-
-def _stage(equations: InertiaEquations, near: Mapping[float, InertiaEquations]) -> RigidStage:
+def _stage(
+    equations: InertiaEquations, rows: InertiaRows, near: Mapping[float, InertiaRows]
+) -> RigidStage:
     """Solve, decide on the rotor coupling, and describe the result."""
     # `near` holds the rows at multiples of the cut-off, to see what depends on it.
-    nothing = Coupling.none(equations.basis.size)
-    coupling = decide([equations, *near.values()]) if equations.rotors.any() else nothing
-    fixed = equations.with_coupling(float(coupling.used))
-    solution, posterior = equations.solved(fixed)
+    coupling = decide(equations, [rows, *near.values()])
+    share = float(coupling.used)
+    solution, posterior = equations.solved(rows, share)
     posterior = posterior.with_error(coupling.errors)
-    there = {
-        factor: other.solved(other.with_coupling(float(coupling.used)))
-        for factor, other in near.items()
-    }
+    there = {factor: equations.solved(other, share) for factor, other in near.items()}
     check = cutoff_check((solution, posterior), there, equations.surfaces)
-    posterior = posterior.with_error(check.errors).with_error(equations.imu_moves(solution.theta))
-    stage = _described(equations, solution, posterior, fixed, coupling)
+    moves = equations.imu_moves(rows, solution.theta)
+    posterior = posterior.with_error(check.errors).with_error(moves)
+    stage = _described(equations, rows, solution, posterior, coupling)
     return with_cutoff_check(stage, check, equations.basis)
 
 
 def _described(
     equations: InertiaEquations,
+    rows: InertiaRows,
     solution: Solution,
     posterior: Posterior,
-    joints: list[Accumulator],
     coupling: Coupling,
 ) -> RigidStage:
     """The stage, with the parameters that the gravity stage does not have."""
@@ -194,6 +173,7 @@ def _described(
     stage = rigid_stage(robot, basis, solution, posterior, own, equations.rotors)
     missing = stage.not_excited
     pairs = missing_pairs(robot, basis, solution.left_open) if missing else []
+    moved, cutoff = [j for j in range(robot.n) if rows.joints[j].samples], np.median(rows.cutoffs)
     # Say which parameters the logs leave open, and which moves would determine them.
     notes = ["not excited by these logs: " + "; ".join(missing)] if missing else []
     if pairs:
@@ -201,40 +181,28 @@ def _described(
         notes.append(f"moving these joints together as well would give full rank: {text}")
     return msgspec.structs.replace(
         stage,
-        rmse={
-            name: float(solution.sigma[j])
-            for j, name in enumerate(robot.joint_names)
-            if joints[j].samples
+        rmse={robot.joint_names[j]: float(solution.sigma[j]) for j in moved},
+        # N m/sqrt(Hz) of each joint as the parameters feel it, slow noise included.
+        noise_density={
+            robot.joint_names[j]: float(
+                np.sqrt(solution.designs[j] / NOISE_BANDWIDTH / cutoff) * solution.sigma[j]
+            )
+            for j in moved
         },
-        noise_density=_noise_density(equations, solution),
         rotor_coupling="gyroscopic" if coupling.used else "diagonal",
-        motion={use.log: source_text(use) for use in equations.rows.uses},
-        motion_use=equations.rows.uses,
+        motion={use.log: source_text(use) for use in rows.uses},
+        motion_use=rows.uses,
         missing_pairs=pairs,
-        cutoff_hz=float(np.median(equations.rows.cutoffs)),
-        verdicts=_verdicts(equations, solution, joints),
-        notes=[
-            cutoff_note(equations.rows.cutoffs, equations.options.motion),
-            *notes,
-            *coupling.notes,
-        ],
+        cutoff_hz=float(cutoff),
+        verdicts=_verdicts(equations, rows, solution),
+        notes=[cutoff_note(rows.cutoffs, equations.options.motion), *notes, *coupling.notes],
     )
-
-
-def _noise_density(equations: InertiaEquations, solution: Solution) -> dict[str, float]:
-    """Noise N m/sqrt(Hz) of each joint as the parameters feel it, slow noise included."""
-    white = solution.sigma**2 / (NOISE_BANDWIDTH * np.median(equations.rows.cutoffs))
-    return {
-        name: float(np.sqrt(solution.designs[j] * white[j]))
-        for j, name in enumerate(equations.robot.joint_names)
-        if equations.joints[j].samples
-    }
 
 
 def _verdicts(
     equations: InertiaEquations,
+    rows: InertiaRows,
     solution: Solution,
-    joints: list[Accumulator],
     *,
     poor_share: float = 0.15,
     poor_condition: float = 1000.0,
@@ -244,12 +212,13 @@ def _verdicts(
     # the condition number of their scaled equations is `poor_condition` or more.
     verdicts = []
     for j, name in enumerate(equations.robot.joint_names):
-        if not joints[j].samples:
+        samples = rows.joints[j].samples
+        if not samples:
             reason = "does not move in these logs, or its friction is not known"
             verdicts.append(Verdict(joint=name, good=False, reason=reason))
             continue
-        left = float(solution.sigma[j]), float(equations.rows.torque_squares[j]), joints[j].samples
-        share, reason = residual_share(*left)
+        squares = float(rows.torque_squares[j])
+        share, reason = residual_share(float(solution.sigma[j]), squares, samples)
         verdicts.append(Verdict(joint=name, good=share < poor_share, reason=reason))
     size = equations.basis.size
     good = solution.rank == size and solution.condition < poor_condition

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -117,9 +118,9 @@ def test_the_command_passes_over_long_logs(
     passed: list[Path] = []
     pass_over = inertia_equations.pass_over
 
-    def spy(log: SurveyedLog, equations: inertia_equations.InertiaEquations) -> object:
+    def spy(log: SurveyedLog, *to: Any) -> object:
         passed.extend([log.path] if isinstance(log, SurveyedLog) else [])
-        return pass_over(log, equations)
+        return pass_over(log, *to)
 
     monkeypatch.setattr("seqid_cli.identify.rigid.inertia_equations.pass_over", spy)
     results = []

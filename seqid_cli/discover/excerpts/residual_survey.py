@@ -129,7 +129,7 @@ def _parts(
     if not isinstance(log, SurveyedLog):
         return predict([log], robot, stages, options=options, unexplained=True)
     effects = [x for x in fitted_effects(stages, robot, unexplained=True) if x.local]
-    return LongPrediction.of(log, model, stages, options, effects).parts()
+    return LongPrediction.of(log, model, stages, options, effects)
 
 
 def _strongest(places: Iterable[Interval]) -> tuple[Interval, ...]:

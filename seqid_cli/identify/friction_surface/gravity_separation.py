@@ -113,18 +113,21 @@ def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
     groups = configurations(trials)
     loaded = any(len(own.T) for own in _of_groups(robot, joint, groups))
     paired = [(group, sums) for group in groups if (sums := half_sums(group))]
-    if not loaded and len(paired) < len(groups):
-        return GravityFit([_unloaded(robot, group) for group in groups], 0, False, 0.0)
+    if not loaded and len(paired) < len(groups):  # nothing to remove, no twin needed
+        none = np.zeros(0)
+        free = [GravityGroup(robot, group[0].configuration, group, none, none) for group in groups]
+        return GravityFit(free, 0, False, 0.0)
     unpaired = len(trials) - sum(len(group) for group, _ in paired)
     if not paired:
         return GravityFit([], unpaired, False, 0.0)
-    friction = _friction_scale(paired)
-    system = _system(robot, joint, paired)
-    share, directional = _asymmetry(system, friction)
-    plain, errors, _ = _solve(system, extended=directional)
+    columns, extra, y, root, block, of_group = _system(robot, joint, paired)
+    both = np.hstack([columns, extra])
+    plain, extended = (_solved(each, y, root, block) for each in (columns, both))
+    share, directional = _asymmetry(plain, extended, extra, _friction_scale(paired))
+    p_xi, errors, _ = extended if directional else plain
     fitted = [
-        GravityGroup(robot, group[0].configuration, group, plain[own], errors[own])
-        for (group, _), own in zip(paired, system.of_group, strict=True)
+        GravityGroup(robot, group[0].configuration, group, p_xi[own], errors[own])
+        for (group, _), own in zip(paired, of_group, strict=True)
     ]
     return GravityFit(fitted, unpaired, directional, share)
 
@@ -132,11 +135,6 @@ def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
 def _of_groups(robot: Robot, joint: int, groups: list[list[Trial]]) -> list[Array]:
     """Gravity columns (1, 0 to 2) of each configuration."""
     return [gravity_columns(robot, joint, g[0].configuration, np.zeros(1)) for g in groups]
-
-
-def _unloaded(robot: Robot, group: list[Trial]) -> GravityGroup:
-    """Trials of a joint that gravity does not load: nothing to remove, no twin needed."""
-    return GravityGroup(robot, group[0].configuration, group, np.zeros(0), np.zeros(0))
 
 
 Paired = list[tuple[list[Trial], list[HalfSums]]]
@@ -153,23 +151,17 @@ def _friction_scale(paired: Paired) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-@dataclass(frozen=True)
-class _System:
-    """Half-sums `y` by gravity `columns` and direction-dependent `extra`, weighted by `root`.
+Solved = tuple[Array, Array, float]  # solution, its standard errors, squares left
 
-    `of_group` are the columns of each configuration: none where gravity does not load the joint.
+
+def _system(
+    robot: Robot, joint: int, paired: Paired, *, enough_pairs: int = 8
+) -> tuple[Array, Array, Array, Array, Index, list[slice]]:
+    """Half-sums stacked: gravity columns per configuration, offset and slope over the speed.
+
+    Then the half-sums, their weights' roots, the blocks that share errors, and the columns of each
+    configuration: none where gravity does not load the joint.
     """
-
-    columns: Array
-    of_group: list[slice]
-    extra: Array
-    y: Array
-    root: Array
-    block: Index
-
-
-def _system(robot: Robot, joint: int, paired: Paired, *, enough_pairs: int = 8) -> _System:
-    """Stack the half-sums: gravity columns per configuration, offset and slope over the speed."""
     rows, extra, right, root, block = [], [], [], [], []
     pairs = sum(len(sums) for _, sums in paired)
     fastest = max(item.speed for _, sums in paired for item in sums)
@@ -191,14 +183,8 @@ def _system(robot: Robot, joint: int, paired: Paired, *, enough_pairs: int = 8) 
             parts = 1 if pairs >= enough_pairs else 4
             block.append(count + np.arange(len(item.q)) * parts // len(item.q))
             count += parts
-    return _System(
-        np.vstack(rows),
-        of_group,
-        np.vstack(extra),
-        np.concatenate(right),
-        np.concatenate(root),
-        np.concatenate(block),
-    )
+    y, weights, blocks = (np.concatenate(part) for part in (right, root, block))
+    return np.vstack(rows), np.vstack(extra), y, weights, blocks, of_group
 
 
 @dataclass(frozen=True)
@@ -225,29 +211,28 @@ class Clustered:
         return cls(theta, left, bread, scores @ bread)
 
 
-def _solve(system: _System, *, extended: bool) -> tuple[Array, Array, float]:
-    """Weighted least squares: solution, standard errors robust within blocks, squares left."""
-    columns = system.columns
-    if extended:
-        columns = np.hstack([columns, system.extra])
+def _solved(columns: Array, y: Array, root: Array, block: Index) -> Solved:
+    """Weighted least squares with standard errors that are robust within blocks."""
     if columns.shape[1] == 0:
-        return np.zeros(0), np.zeros(0), float(np.sum((system.root * system.y) ** 2))
-    A, y = columns * system.root[:, None], system.y * system.root
-    found = Clustered.of(A, y, system.block)
+        return np.zeros(0), np.zeros(0), float(np.sum((root * y) ** 2))
+    found = Clustered.of(columns * root[:, None], y * root, block)
     blocks = len(found.moves)
-    variance = np.sum(found.moves**2, axis=0) * blocks / max(blocks - A.shape[1], 1)
+    variance = np.sum(found.moves**2, axis=0) * blocks / max(blocks - columns.shape[1], 1)
     return found.theta, np.sqrt(variance), float(found.left @ found.left)
 
 
 def _asymmetry(
-    system: _System, friction: float, *, min_share: float = 0.02, min_sigma: float = 6.0
+    plain: Solved,
+    extended: Solved,
+    extra: Array,
+    friction: float,
+    *,
+    min_share: float = 0.02,
+    min_sigma: float = 6.0,
 ) -> tuple[float, bool]:
     """Share of friction that depends on direction, and whether it is large and significant."""
-    size = system.columns.shape[1]
-    solution, errors, left_both = _solve(system, extended=True)
-    _, _, left_plain = _solve(system, extended=False)
-    offset = system.extra @ solution[size:]
-    share = float(np.sqrt(np.mean(offset**2)) / max(friction, 1e-12))
-    sigma = np.abs(solution[size:]) / np.maximum(errors[size:], 1e-300)
-    helps = left_both < 0.97 * left_plain
+    solution, errors = (values[len(plain[0]) :] for values in extended[:2])
+    share = float(np.sqrt(np.mean((extra @ solution) ** 2)) / max(friction, 1e-12))
+    sigma = np.abs(solution) / np.maximum(errors, 1e-300)
+    helps = extended[2] < 0.97 * plain[2]
     return share, bool(share > min_share and sigma.max() > min_sigma and helps)

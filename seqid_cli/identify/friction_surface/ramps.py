@@ -48,16 +48,19 @@ def without_acceleration(
     """
     groups = configurations(list(trials))
     found = [_inertia_of(robot, group, surface) for group in groups]
-    inflation = _inflation([one for one in found if one is not None])
-    known = [one.value for one in found if one is not None]
-    usual = float(np.sqrt(np.mean(np.square(known)))) if known else 0.0
+    known = np.array([one for one in found if one is not None]).reshape(-1, 4)
+    value, white, robust, count = known.T
+    usual = float(np.sqrt(np.mean(value**2))) if len(known) else 0.0
+    # How many times the variance is that of white noise, by all configurations: few trials by
+    # themselves do not show what they share.
+    inflation = max(float(count @ robust / (count @ white)), 1.0) if (white > 0).any() else 1.0
     result = []
     for group, own in zip(groups, found, strict=True):
-        value = 0.0 if own is None else max(own.value, 0.0)
-        error = usual if own is None else own.error(inflation)
-        largest = error if known else _as_friction(group)
-        steady = [replace(_steady(t, value, surface), inertia_error=largest) for t in group]
-        result.append(SteadyGroup(steady, value, error))
+        inertia = 0.0 if own is None else max(own[0], 0.0)
+        error = usual if own is None else float(np.sqrt(max(own[2], own[1] * inflation)))
+        largest = error if len(known) else _as_friction(group)
+        steady = [replace(_steady(t, inertia, surface), inertia_error=largest) for t in group]
+        result.append(SteadyGroup(steady, inertia, error))
     return result
 
 
@@ -83,30 +86,13 @@ def _steady(
     return replace(trial, tau=tau[kept], **steady)
 
 
-@dataclass(frozen=True)
-class _Inertia:
-    """d_kk of one configuration, its variance for white noise and that robust within trials."""
-
-    value: float
-    white: float
-    robust: float
-    trials: int
-
-    def error(self, inflation: float) -> float:
-        """Standard error; few trials by themselves do not show what they share."""
-        return float(np.sqrt(max(self.robust, self.white * inflation)))
-
-
-def _inflation(found: Sequence[_Inertia]) -> float:
-    """How many times the variance is that of white noise, by all configurations."""
-    white = sum(one.trials * one.white for one in found)
-    return max(sum(one.trials * one.robust for one in found) / white, 1.0) if white > 0 else 1.0
-
-
 def _inertia_of(
     robot: Robot, group: list[Trial], surface: FrictionSurface, *, min_windows: int = 6
-) -> _Inertia | None:
-    """d_kk of one configuration; None where its ramps do not determine it."""
+) -> tuple[float, float, float, int] | None:
+    """d_kk of one configuration, None where its ramps do not determine it.
+
+    Its variance for white noise follows, that robust within trials, and the number of these.
+    """
     ramps = [_within(trial.ramps, surface) for trial in group]
     if sum(len(part.q) for part in ramps) < min_windows:
         return None
@@ -126,7 +112,7 @@ def _inertia_of(
     count, spare = len(found.moves), len(found.left) - len(found.theta)
     robust = count / max(count - 1, 1) * float(np.sum(found.moves[:, 0] ** 2))
     white = float(found.left @ found.left) / max(spare, 1) * float(found.bread[0, 0])
-    return _Inertia(float(found.theta[0]), white, robust, count)
+    return float(found.theta[0]), white, robust, count
 
 
 def _within(ramps: Ramps, surface: FrictionSurface) -> Ramps:

@@ -86,14 +86,13 @@ def identify_friction(
             verdicts.append(Verdict(joint=joint.name, good=False, reason=reason))
             continue
         try:
-            fit = _identify_joint(robot, j, own, options)
+            joints[joint.name], verdict, said = _identify_joint(robot, j, own, options)
         except UnpairedError as error:
             verdicts.append(Verdict(joint=joint.name, good=False, reason=error.message))
             last = error
             continue
-        joints[joint.name] = fit.joint
-        verdicts.append(fit.verdict)
-        notes += fit.notes
+        verdicts.append(verdict)
+        notes += said
     if not joints and last is not None:
         raise last
     notes += constants_note(robot)

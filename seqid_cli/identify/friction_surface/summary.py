@@ -133,13 +133,7 @@ class Fit:
         return [item for own, _ in self.parts for item in own]
 
 
-@dataclass(frozen=True)
-class JointFit:
-    """One joint's part of the stage."""
-
-    joint: FrictionJoint
-    verdict: Verdict
-    notes: list[str]
+JointFit = tuple[FrictionJoint, Verdict, list[str]]  # with notes
 
 
 def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOptions) -> JointFit:
@@ -187,7 +181,7 @@ def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOp
     for level in joint.speeds:
         level.std_error = float(np.hypot(level.std_error, error * level.friction))
     notes = _notes(name, joint, gravity.asymmetry, unpaired)
-    return JointFit(joint, verdict, notes)
+    return joint, verdict, notes
 
 
 def _temperature(gravity: GravityFit) -> float | None:

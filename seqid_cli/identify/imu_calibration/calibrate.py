@@ -8,9 +8,11 @@ distance apart, or a single one that is not vertical, settle the angle about the
 leave open is named and never written as a number.
 """
 
+import operator
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +26,6 @@ from seqid_cli.identify.imu_calibration.segments import (
     segments_of,
     thinned,
 )
-from seqid_cli.identify.imu_calibration.sensor_model import first_constants
 from seqid_cli.identify.imu_calibration.solve import fit_constants
 from seqid_cli.identify.log_set import reduced
 from seqid_cli.logs.recording import Recording
@@ -34,20 +35,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage, Verdict
 from seqid_cli.robot.types import Imu, Robot
 
-
-@dataclass
-class Gathered:
-    """What some logs hold of one IMU; `densities` [rad/s^2/sqrt(Hz)] of its acceleration."""
-
-    segments: list[Segment] = field(default_factory=list)
-    pairs: list[Pair] = field(default_factory=list)
-    densities: list[float] = field(default_factory=list)
-
-    def __add__(self, other: "Gathered") -> "Gathered":
-        names = ("segments", "pairs", "densities")
-        return Gathered(*(getattr(self, name) + getattr(other, name) for name in names))
-
-
+Gathered = tuple[list[Segment], list[Pair], list[float]]  # of one IMU; [rad/s^2/sqrt(Hz)]
 Found = tuple[dict[str, Gathered], list[float]]  # of every IMU; cut-off [Hz] of each log
 
 
@@ -80,7 +68,7 @@ def calibrate_imus(
             "the robot file has no [[imu]]", hint="describe the IMU in it", where=str(robot.source)
         )
     found, cutoffs = reduced(recordings, partial(_gathered, robot, options), _both) or ({}, [])
-    moved = [name for name, own in found.items() if any(s.moving for s in own.segments)]
+    moved = [name for name, own in found.items() if any(s.moving for s in own[0])]
     if not moved:
         message = "no log moves a joint before an IMU with its readings recorded"
         hint = "rotate the first joint back and forth with the others locked in several postures"
@@ -101,30 +89,36 @@ def calibrate_imus(
 
 def _both(first: Found, second: Found) -> Found:
     """What two parts of the logs hold."""
-    return {name: own + second[0][name] for name, own in first[0].items()}, first[1] + second[1]
+    own: dict[str, Any] = {
+        name: tuple(map(operator.add, mine, second[0][name])) for name, mine in first[0].items()
+    }
+    return own, first[1] + second[1]
 
 
 def _gathered(robot: Robot, options: MotionOptions, recording: Recording, number: int) -> Found:
     """What one log holds of every IMU."""
-    found = {imu.name: Gathered() for imu in robot.imus}
+    found: dict[str, Gathered] = {imu.name: ([], [], []) for imu in robot.imus}
     motion = estimate_motion(recording, robot, options)
     cutoff_hz = calibration_cutoff(motion, options.cutoff_hz)
     for imu in robot.imus:
         if imu.name not in recording.accelerometers:
             continue
-        own, seen = found[imu.name], replace(imu, gyro=imu.gyro and imu.name in recording.gyros)
-        own.segments = segments_of(recording, robot, seen, motion, log=number, cutoff_hz=cutoff_hz)
+        seen = replace(imu, gyro=imu.gyro and imu.name in recording.gyros)
+        own = segments_of(recording, robot, seen, motion, log=number, cutoff_hz=cutoff_hz)
+        pairs: list[Pair] = []
+        density = 0.0
         if layout(seen).acceleration or seen.gyro:
-            own.pairs, density = axis_pairs(recording, robot, seen, motion)
-            own.densities = [density] if own.pairs else []
+            pairs, density = axis_pairs(recording, robot, seen, motion)
+        found[imu.name] = own, pairs, [density] if pairs else []
     return found, [cutoff_hz]
 
 
 def _calibrated(robot: Robot, imu: Imu, gathered: Gathered) -> tuple[ImuCalibration, bool]:
-    most = max(segment.channels for segment in gathered.segments)
-    segments = thinned([s for s in gathered.segments if s.channels == most])
+    every, pairs, densities = gathered
+    most = max(segment.channels for segment in every)
+    segments = thinned([s for s in every if s.channels == most])
     imu = replace(imu, gyro=most > len(imu.axes))
-    guess = fit_rotation(gathered.pairs) if gathered.pairs else first_constants(imu).R
+    guess = fit_rotation(pairs) if pairs else np.eye(3)
     fit = fit_constants(segments, robot, imu, starting_constants(segments, robot, imu, guess))
-    density = float(np.median(gathered.densities)) if gathered.densities else None
-    return calibration_of(robot, imu, fit, segments, gathered.pairs, density), fit.converged
+    density = float(np.median(densities)) if densities else None
+    return calibration_of(robot, imu, fit, segments, pairs, density), fit.converged

@@ -17,23 +17,14 @@ same likelihood of the raw readings' roughness, near the Nyquist rate, gives the
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from seqid_cli.identify.imu_calibration.normal_equations import Linearised, Rows, Sizes
+from seqid_cli.params.schema import JointDeflection
 from seqid_cli.typing import Array
 
 SIGNIFICANT = 5.0  # standard deviations of a deflection's likelihood beyond the jolts'
-
-
-@dataclass(frozen=True)
-class Deflection:
-    """Of one joint: RMS rad/s^2 below the cut-off, and its standard deviations above jolts."""
-
-    joint: int
-    acceleration: float
-    significance: float
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
@@ -85,8 +76,8 @@ def _over(values: Array, noise: Array) -> Array:
 
 
 def deflections(
-    linear: Sequence[Linearised], sizes: Sizes, *, beyond: float = 1.5
-) -> tuple[Deflection, ...]:
+    linear: Sequence[Linearised], sizes: Sizes, names: Sequence[str], *, beyond: float = 1.5
+) -> list[JointDeflection]:
     """Every joint's deflection, by the likelihood that it is more than `beyond` times the jolts."""
     rows, share = joined([x.deflection for x in linear]), [x.deflection.share[0] for x in linear]
     jolts = likeliest(joined([x.jolts for x in linear]), sizes).deflection
@@ -96,9 +87,9 @@ def deflections(
         without = sizes.deflection.copy()
         without[joint] = min(size, beyond * jolts[joint])
         gain = max(best - log_likelihood(rows, Sizes(sizes.noise, without)), 0.0)
-        rms = float(size * np.sqrt(float(np.mean(share))))
-        found.append(Deflection(joint, rms, float(np.sqrt(2 * gain))))
-    return tuple(found)
+        rms, sigma = float(size * np.sqrt(float(np.mean(share)))), float(np.sqrt(2 * gain))
+        found.append(JointDeflection(joint=names[joint], acceleration=rms, significance=sigma))
+    return found
 
 
 def log_likelihood(rows: Rows, sizes: Sizes) -> float:

@@ -1,6 +1,6 @@
 """From the fit of an IMU's constants to the parameter file: numbers where the logs give them."""
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -38,16 +38,20 @@ def calibration_of(
     lever = _lever_known(sigma[3:6], about)
     delay_error = float(np.hypot(sigma[6], sampling * segments[0].readings.period))
     delay_known = delay_error < max_delay_error_s
-    known = _known(imu, fit)
+    missing = _missing(about, lever)
+    fields, open_channels = _of_sensors(imu, fit, segments)
+    missing += open_channels
+    if not delay_known:
+        missing.append("the clock offset to the encoders is not determined")
     off = np.array([np.linalg.norm(constants.R @ p.imu - p.link) for p in pairs])
-    calibration = ImuCalibration(
+    return ImuCalibration(
         rotation=constants.R.tolist(),
         std_error_deg=worst,
         std_errors_deg=np.degrees(np.minimum(sigma[:3], np.pi)).tolist(),
         configurations=len(pairs) or len({s.log for s in segments if s.moving}),
         condition=_condition(pairs) if pairs else 0.0,
         references=_references(pairs, robot.joint_names),
-        not_determined=_missing(about, lever, known, delay_known=delay_known),
+        not_determined=missing,
         axis_rmse_deg=float(np.degrees(np.sqrt(np.mean(off**2)))) if pairs else None,
         noise_density=density,
         time_offset_s=constants.delay if delay_known else 0.0,
@@ -58,17 +62,32 @@ def calibration_of(
         samples=fit.kept,
         outliers=fit.outliers,
         holdout=fit.holdout,
-        deflections=[
-            JointDeflection(
-                joint=robot.joint_names[d.joint],
-                acceleration=d.acceleration,
-                significance=d.significance,
-            )
-            for d in fit.deflections
-        ],
+        deflections=list(fit.deflections),
+        **fields,
     )
-    _add_sensors(calibration, imu, fit, known, _densities(segments))
-    return calibration
+
+
+def _of_sensors(imu: Imu, fit: Fit, segments: list[Segment]) -> tuple[dict[str, Any], list[str]]:
+    """Entries of a calibration about its channels, and in words what is left open."""
+    # One-sided noise densities from the raw readings' white noise per sample.
+    found = [s.readings.noise * np.sqrt(2 * s.readings.period) for s in segments]
+    noise, nominal = np.median(found, axis=0), sensor_model.nominal_axes(imu)
+    k, fields, missing = len(imu.axes), {}, []
+    for sensor, own in (("accelerometer", slice(k)), ("gyro", slice(k, None))):
+        fields[f"{sensor}_noise"] = noise[own].tolist()
+        for kind, (value, error, known) in _channels(imu, fit).items():
+            there = known[own]
+            if kind == "axis":
+                axes = np.where(there[:, None], value[own], nominal[own])
+                fields[f"{sensor}_axes"] = axes.tolist()
+                fields[f"{sensor}_tilt_std_errors_deg"] = _listed(error[own], there)
+            else:
+                fields[f"{sensor}_{kind}"] = _listed(value[own], there)
+                fields[f"{sensor}_{kind}_std_errors"] = _listed(error[own], there)
+            if not there.all():
+                count = int((~there).sum())
+                missing.append(f"the {kind} of {count} {sensor} channel(s) is not determined")
+    return fields, missing
 
 
 def _condition(pairs: list[Pair]) -> float:
@@ -102,16 +121,7 @@ def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
     return float(np.sqrt(slope @ fit.covariance @ slope))
 
 
-@dataclass(frozen=True)
-class _Known:
-    """Standard errors (C,) of biases, gains and tilts (degrees), and which are `known`, by kind."""
-
-    errors: dict[str, Array]
-    known: dict[str, Mask]
-    sensors: dict[str, slice]
-
-
-def _known(
+def _channels(
     imu: Imu,
     fit: Fit,
     *,
@@ -119,38 +129,29 @@ def _known(
     max_rate: float = 0.02,
     max_gain: float = 0.005,
     max_tilt_deg: float = 0.25,
-) -> _Known:
-    """Which constants are known: standard errors up to so many m/s^2, rad/s, 1 and degrees."""
-    k, c, sigma = len(imu.axes), len(fit.constants.bias), np.sqrt(np.diag(fit.covariance))
-    bias, gain = sigma[7 : 7 + c], sigma[7 + c : 7 + 2 * c]
-    tilt = np.degrees(np.sqrt(np.mean(sigma[7 + 2 * c :].reshape(c, 2) ** 2, axis=1)))
-    tilt_prior = np.degrees(fit.prior[7 + 2 * c :: 2])
-    known = {
-        "bias": bias < np.where(np.arange(c) < k, max_bias, max_rate),
-        "scale": (gain < max_gain) & _beyond_prior(gain, fit.prior[7 + c : 7 + 2 * c], k),
-        "axis": (tilt < max_tilt_deg) & _beyond_prior(tilt, tilt_prior, k),
+    max_share: float = 0.5,
+) -> dict[str, tuple[Array, Array, Mask]]:
+    """Values of biases, gains and axes, their standard errors (C,), and which are known.
+
+    Those are, whose standard errors are up to so many m/s^2, rad/s, 1 and degrees.
+    """
+    constants, k, c = fit.constants, len(imu.axes), len(fit.constants.bias)
+    accelerometers = np.arange(c) < k
+
+    def told(error: Array, prior: Array, limit: float) -> Mask:
+        # The logs show more than a prior of fixed width did; widths of many sensors are found.
+        own = accelerometers & (k >= sensor_model.FEW)
+        return np.asarray((error < limit) & (own | (error < max_share * prior)))
+
+    bias, gain, tilt = np.split(np.sqrt(np.diag(fit.covariance))[7:], [c, 2 * c])
+    tilt = np.degrees(np.sqrt(np.mean(tilt.reshape(c, 2) ** 2, axis=1)))
+    _, gain_prior, tilt_prior = np.split(fit.prior[7:], [c, 2 * c])
+    axes = sensor_model.tilted(sensor_model.nominal_axes(imu), constants.tilt)
+    return {
+        "bias": (constants.bias, bias, bias < np.where(accelerometers, max_bias, max_rate)),
+        "scale": (np.exp(constants.log_gain), gain, told(gain, gain_prior, max_gain)),
+        "axis": (axes, tilt, told(tilt, np.degrees(tilt_prior[::2]), max_tilt_deg)),
     }
-    sensors = {"accelerometer": slice(0, k), "gyro": slice(k, None)}
-    return _Known({"bias": bias, "scale": gain, "axis": tilt}, known, sensors)
-
-
-def _add_sensors(
-    calibration: ImuCalibration, imu: Imu, fit: Fit, known: _Known, noise: Array
-) -> None:
-    """Write the channels' own constants into a calibration."""
-    axes, constants = sensor_model.nominal_axes(imu), fit.constants
-    turned = np.where(known.known["axis"][:, None], sensor_model.tilted(axes, constants.tilt), axes)
-    values = {"bias": constants.bias, "scale": np.exp(constants.log_gain)}
-    for sensor, own in known.sensors.items():
-        found: dict[str, object] = {"axes": turned[own].tolist(), "noise": noise[own].tolist()}
-        for kind, error in known.errors.items():
-            there = known.known[kind][own]
-            errors = "tilt_std_errors_deg" if kind == "axis" else f"{kind}_std_errors"
-            found[errors] = _listed(error[own], there)
-            if kind in values:
-                found[kind] = _listed(values[kind][own], there)
-        for key, value in found.items():
-            setattr(calibration, f"{sensor}_{key}", value)
 
 
 def _open_direction(covariance: Array, *, max_deg: float = 5.0) -> tuple[Array | None, float]:
@@ -173,28 +174,12 @@ def _lever_known(sigma: Array, about: Array | None, *, max_error_m: float = 0.02
     return known & near
 
 
-def _beyond_prior(
-    sigma: Array, prior: Array, accelerometers: int, *, max_share: float = 0.5
-) -> Mask:
-    """Whether the logs show more than a prior of fixed width did; widths of many are found."""
-    found = np.zeros(len(sigma), dtype=bool)
-    if accelerometers >= sensor_model.FEW:
-        found[:accelerometers] = True
-    return found | (sigma < max_share * prior)
-
-
 def _listed(values: Array, known: Mask) -> list[float | None]:
     return [float(v) if k else None for v, k in zip(values, known, strict=True)]
 
 
-def _densities(segments: list[Segment]) -> Array:
-    """One-sided noise densities (C,) from the raw readings' white noise per sample."""
-    found = [s.readings.noise * np.sqrt(2 * s.readings.period) for s in segments]
-    return np.asarray(np.median(found, axis=0))
-
-
-def _missing(about: Array | None, lever: Mask, known: _Known, *, delay_known: bool) -> list[str]:
-    """Say in words what the logs leave open."""
+def _missing(about: Array | None, lever: Mask) -> list[str]:
+    """Say in words what the logs leave open of the mounting."""
     missing = []
     if about is not None:
         axis = ", ".join(f"{abs(x) if abs(x) < 5e-3 else x:.2f}" for x in about)
@@ -202,13 +187,6 @@ def _missing(about: Array | None, lever: Mask, known: _Known, *, delay_known: bo
     if not lever.all():
         names = " and ".join(n for n, there in zip("xyz", lever, strict=True) if not there)
         missing.append(f"the lever along the link's {names} is not determined")
-    for sensor, own in known.sensors.items():
-        for kind, there in known.known.items():
-            count = int((~there[own]).sum())
-            if count:
-                missing.append(f"the {kind} of {count} {sensor} channel(s) is not determined")
-    if not delay_known:
-        missing.append("the clock offset to the encoders is not determined")
     return missing
 
 

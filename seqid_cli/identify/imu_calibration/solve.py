@@ -15,12 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seqid_cli.errors import QualityError
-from seqid_cli.identify.imu_calibration.deflection import (
-    SIGNIFICANT,
-    Deflection,
-    deflections,
-    renewed,
-)
+from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT, deflections, renewed
 from seqid_cli.identify.imu_calibration.normal_equations import (
     Local,
     Reduced,
@@ -40,6 +35,7 @@ from seqid_cli.identify.imu_calibration.sensor_model import (
     next_width,
     prior_of,
 )
+from seqid_cli.params.schema import JointDeflection
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array
@@ -60,7 +56,7 @@ class Fit:
     outliers: int
     converged: bool
     holdout: float | None
-    deflections: tuple[Deflection, ...] = ()
+    deflections: Sequence[JointDeflection] = ()
 
 
 @dataclass(frozen=True)
@@ -175,7 +171,7 @@ def _fitted(
     first = Sizes(np.ones(kinds), np.full(state.imu.after_joint + 1, first_size))
     sizes = renewed(linear, sizes or first)
     fit = _finished(reductions, state, converged=change < settled)
-    return replace(fit, deflections=deflections(linear, sizes)), sizes
+    return replace(fit, deflections=deflections(linear, sizes, state.robot.joint_names)), sizes
 
 
 @dataclass(frozen=True)

@@ -198,8 +198,7 @@ class _PredictionOf:
         motion = best_motion(log, self.model.robot, self.stages.imu, encoder, source=source)
         slowest = slides_from(self.model, self.options)
         part = predicted(self.model, self.effects, slowest, motion, log, slice(None))
-        counts = _Counts.none(self.model.robot.n).plus(part, motion)
-        return [_described(part, self.model, self.stages, motion, counts)]
+        return list(_described([(part, motion)], self.model, self.stages))
 
 
 @dataclass(frozen=True)
@@ -237,29 +236,23 @@ class LongPrediction:
         return {**self.__dict__, "log": replace(self.log, spool=None)}
 
     def __iter__(self) -> Iterator[LogPrediction]:
-        return self.parts()
-
-    def parts(self) -> Iterator[LogPrediction]:
-        """Yield the log's samples in order.
+        """Yield the log's parts in order.
 
         Raises InputError: the file can no longer be read, or no stretch of it is long enough to
         filter.
         """
+        return _described(self._parts(), self.model, self.stages)
+
+    def _parts(self) -> "Iterator[tuple[LogPrediction, Motion]]":
         lowpass = self.plan.lowpass
         margin = 2 * (lowpass.memory + lowpass.settling)
-        counts = _Counts.none(self.model.robot.n)
         with self._file() as log:
             blocks = motion_blocks(log.blocks(), self.plan)
             cut = overlapping(blocks, max(self.rows, 2 * margin), margin)
             for number, (motion, start, stop) in enumerate(cut):
                 part = self._part(motion, slice(start, stop))
-                counts = counts.plus(part, motion)
                 ends = bool(part.t[-1] * log.rate_hz > log.samples - 1.5)
-                if ends and not counts.used:
-                    raise too_short(log.path, self.plan.cutoff.hz)
-                if ends:
-                    part = _described(part, self.model, self.stages, motion, counts)
-                yield replace(part, part=number, last=ends)
+                yield replace(part, part=number, last=ends), motion
 
     @contextlib.contextmanager
     def _file(self) -> Iterator[SurveyedLog]:
@@ -325,33 +318,23 @@ def predicted(
     )
 
 
-@dataclass(frozen=True)
-class _Counts:
-    """Of a log so far: samples (n,) that slide, that are `outside` too, joints that move."""
-
-    sliding: Array
-    outside: Array
-    moving: Mask
-    used: bool  # any sample counts
-
-    @classmethod
-    def none(cls, n: int) -> "_Counts":
-        return cls(np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool), False)
-
-    def plus(self, part: LogPrediction, motion: Motion) -> "_Counts":
-        assert part.outside is not None
-        return _Counts(
-            self.sliding + part.sliding.sum(axis=0),
-            self.outside + part.outside.sum(axis=0),
-            self.moving | motion.moving.any(axis=0),
-            self.used or bool(part.used.any()),
-        )
-
-
 def _described(
-    part: LogPrediction, model: TorqueModel, stages: Stages, motion: Motion, counts: _Counts
-) -> LogPrediction:
-    """The last part of a log, with its notes and where its motion is from."""
-    share = counts.outside / np.maximum(counts.sliding, 1.0)
-    use = motion_use(part.path, model.robot, replace(motion, moving=counts.moving[None]))
-    return replace(part, notes=tuple(notes_on(model, stages, share)), motion=use)
+    parts: Iterable[tuple[LogPrediction, Motion]], model: TorqueModel, stages: Stages
+) -> Iterator[LogPrediction]:
+    """The parts of a log, the last with its notes and where its motion is from."""
+    n, used = model.robot.n, False
+    slides, outside, moving = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
+    for part, motion in parts:
+        assert part.outside is not None
+        slides += part.sliding.sum(axis=0)
+        outside += part.outside.sum(axis=0)
+        moving |= motion.moving.any(axis=0)
+        used |= bool(part.used.any())
+        if not part.last:
+            yield part
+            continue
+        if not used:
+            raise too_short(part.path, part.cutoff_hz)
+        share = outside / np.maximum(slides, 1.0)
+        use = motion_use(part.path, model.robot, replace(motion, moving=moving[None]))
+        yield replace(part, notes=tuple(notes_on(model, stages, share)), motion=use)

@@ -72,7 +72,7 @@ def passed_over(path: Path, robot: Robot, stages: Stages) -> Iterator[LogPredict
     log = open_surveyed(path, robot)
     assert log is not None
     model, effects = TorqueModel.from_stages(stages, robot), fitted_effects(stages, robot)
-    return LongPrediction.of(log, model, stages, OPTIONS, effects).parts()
+    return iter(LongPrediction.of(log, model, stages, OPTIONS, effects))
 
 
 @pytest.mark.parametrize("way", [held, passed_over])

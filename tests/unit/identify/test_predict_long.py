@@ -100,7 +100,7 @@ def test_the_parts_are_the_held_log(
 ) -> None:
     options = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=cutoff))
     path = folder / "log.parquet"
-    parts = list(long_of(path, robot, stages, options).parts())
+    parts = list(long_of(path, robot, stages, options))
     assert len(parts) >= 3
     assert_same(parts, held_of(path, robot, stages, options))
 
@@ -157,6 +157,6 @@ def test_it_can_be_sent_elsewhere(folder: Path, robot: Robot, stages: Stages) ->
     long = long_of(path, robot, stages, options)
     sent = pickle.dumps(long)
     assert len(sent) < 100_000
-    parts = list(pickle.loads(sent).parts())
-    for part, other in zip(parts, long.parts(), strict=True):
+    parts = list(pickle.loads(sent))
+    for part, other in zip(parts, long, strict=True):
         np.testing.assert_array_equal(part.predicted, other.predicted)

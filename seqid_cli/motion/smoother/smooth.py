@@ -158,11 +158,9 @@ def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[Solution
 
 def _with_covariance(shared: Solution, last: Solution) -> tuple[Mounted, ...]:
     """IMUs as the next chunk is to take them; the clocks as the fine knots have them."""
-    found_here, found, start = np.linalg.inv(shared.schur), [], 0
-    for x, fine in zip(shared.chunk.imus, last.chunk.imus, strict=True):
-        taken = chosen(x, shared.constants)
-        own = slice(start, start + len(taken))
-        start += len(taken)
+    found_here, found = np.linalg.inv(shared.schur), []
+    slots = chosen(shared.chunk, shared.constants)
+    for (x, taken, own), fine in zip(slots, last.chunk.imus, strict=True):
         covariance: Array = np.asarray(np.linalg.inv(x.precision), dtype=np.float64)
         covariance[taken], covariance[:, taken] = 0.0, 0.0
         covariance[np.ix_(taken, taken)] = found_here[own, own]

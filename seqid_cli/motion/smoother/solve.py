@@ -191,13 +191,11 @@ def stepped(solution: Solution, normal: system.Normal) -> Solution:
         right = normal.corner_gradient - solution.border.T @ free
         constants: Array = np.asarray(np.linalg.solve(solution.schur, right), dtype=np.float64)
         free = free - solution.border @ constants
-        imus, start = [], 0
-        for x in chunk.imus:
-            taken = system.chosen(x, solution.constants)
-            change = np.zeros(len(x.away))
-            change[taken] = constants[start : start + len(taken)]
-            start += len(taken)
-            imus.append(moved(x, change))
+        imus = []
+        for x, taken, own in system.chosen(chunk, solution.constants):
+            moves = np.zeros(len(x.away))
+            moves[taken] = constants[own]
+            imus.append(moved(x, moves))
         chunk = replace(chunk, imus=tuple(imus))
     change = halved(solution.factor, free[:, None], transposed=True)
     return replace(solution, chunk=chunk, c=solution.c + change.reshape(-1, chunk.joints))

@@ -1,5 +1,6 @@
 """Normal equations of the motion smoother: encoders, jerk and IMUs along one stretch of a log."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -114,32 +115,6 @@ def _share(chunk: Chunk, x: Mounted) -> Array:
     return np.asarray(np.add.reduceat(x.seen.astype(float), chunk.cells) / count[:, None])
 
 
-def _columns(chunk: Chunk, x: Mounted, cells: Cells) -> Array:
-    """Information of one interval with readings in each cell."""
-    # (4, C, n, 4n): of the columns of a lower band that belong to the interval's four coefficients.
-    n, m, count = chunk.joints, x.joints, len(chunk.cells)
-    by_joint = np.zeros((count, len(x.noise), 4, n))
-    by_joint[..., :m] = cells.by_coefficients(chunk, x)
-    J = by_joint.reshape(count, -1, 4 * n)
-    H = (J * _share(chunk, x)[:, :, None]).transpose(0, 2, 1) @ J
-    columns = np.zeros((4, count, n, 4 * n))
-    for k in range(4 * n):
-        columns[k // n, :, k % n, : 4 * n - k] = H[:, k, k:]
-    return columns
-
-
-def _coupled(chunk: Chunk, cells: tuple[Cells, ...]) -> Array:
-    """Lower band (K, n, 4n) of what all IMUs say about the coefficients."""
-    n = chunk.joints
-    band = np.empty((chunk.intervals + 3, n * 4 * n))
-    parts = [
-        (_columns(chunk, x, own).reshape(4, len(chunk.cells), -1), x.there)
-        for x, own in zip(chunk.imus, cells, strict=True)
-    ]
-    _lay_out(chunk, parts, band)
-    return band.reshape(-1, n, 4 * n)
-
-
 def _lay_out(chunk: Chunk, parts: list[tuple[Array, Mask]], out: Array) -> None:
     """Fill `out` (..., K, V) with what intervals with readings add to their four coefficients."""
     # `parts` are pairs of (4, ..., C, V), the same throughout a cell, and whether (M,) there are
@@ -165,30 +140,6 @@ def _lay_out(chunk: Chunk, parts: list[tuple[Array, Mask]], out: Array) -> None:
             out[..., rows + b, :] += part[b][..., rows // size, :]
 
 
-def _constants(
-    chunk: Chunk, linear: tuple[Cells, ...], constants: Constants
-) -> tuple[Array, Array]:
-    """Border (Kn, g) and corner (g, g) of the constants that take part."""
-    used = [chosen(x, constants) for x in chunk.imus]
-    n, m, total = chunk.joints, chunk.intervals, sum(len(x) for x in used)
-    border = np.zeros((total, m + 3, n))
-    corner, start = np.zeros((total, total)), 0
-    for x, cells, taken in zip(chunk.imus, linear, used, strict=True):
-        count = len(taken)
-        own = slice(start, start + count)
-        start += count
-        share = _share(chunk, x)[:, :, None]
-        J = cells.by_coefficients(chunk, x)
-        G = cells.by_constants[:, :, taken] / x.spread[:, None]
-        flat = J.reshape(*J.shape[:2], -1).transpose(0, 2, 1)
-        each = (flat @ (share * G)).reshape(len(G), 4, x.joints, count).transpose(1, 3, 0, 2)
-        _lay_out(chunk, [(each, x.there)], border[own, :, : x.joints])
-        count_there = np.add.reduceat(x.there.astype(float), chunk.cells)[:, None, None]
-        corner[own, own] = np.tensordot(count_there * share * G, G, ([0, 1], [0, 1]))
-        corner[own, own] += x.precision[np.ix_(taken, taken)]
-    return border.reshape(total, (m + 3) * n).T, corner
-
-
 def normal_equations(
     chunk: Chunk,
     c: Array,
@@ -203,7 +154,7 @@ def normal_equations(
     `constants` are those of the IMUs that take part; `told` the readings expected at `c`, where
     they are known already.
     """
-    spacing, m = chunk.spacing, chunk.intervals
+    spacing, m, n, count = chunk.spacing, chunk.intervals, chunk.joints, len(chunk.cells)
     precision = jerk.precision
     own = np.diag(precision)
     between = (precision - np.diag(own)) / spacing**3
@@ -211,48 +162,61 @@ def normal_equations(
     pull = (jerk_of(c, spacing) / jerk.relative) @ between / jerk.relative
     for a in range(4):
         band.gradient[a : a + m] -= terms.JERK[a] * pull
-    lower = band.added_to(_coupled(chunk, linear))
+    slots = list(chosen(chunk, constants)) if linear else []
+    total = sum(len(taken) for _, taken, _ in slots)
+    border, corner, right = np.zeros((total, m + 3, n)), np.zeros((total, total)), np.zeros(total)
+    told = told or tuple(predicted(chunk, c, x) for x, *_ in slots)
+    columns = []
+    for (x, taken, at), cells, expected in zip(slots, linear, told, strict=True):
+        # Of the four coefficients of an interval, and of the constants.
+        W = np.zeros((count, len(x.noise), 4, n))
+        W[..., : x.joints] = cells.by_coefficients(chunk, x)
+        G = cells.by_constants[:, :, taken] / x.spread[:, None]
+        W = np.concatenate([W.reshape(count, -1, 4 * n), G], axis=2)
+        H = (W * _share(chunk, x)[:, :, None]).transpose(0, 2, 1) @ W
+        columns.append((_columns(H, n), x.there))
+        both = H[:, : 4 * n, 4 * n :].reshape(count, 4, n, -1).transpose(1, 3, 0, 2)
+        _lay_out(chunk, [(both, x.there)], border[at])
+        there = np.add.reduceat(x.there.astype(float), chunk.cells)
+        corner[at, at] = np.tensordot(there, H[:, 4 * n :, 4 * n :], 1)
+        corner[at, at] += x.precision[np.ix_(taken, taken)]
+        r = np.zeros((count * chunk.cell, len(x.noise)))
+        r[:m] = ((x.y - expected) / x.spread) * x.seen
+        r = r.reshape(count, chunk.cell, -1)
+        g = (r @ W[..., : 4 * n]).reshape(-1, 4, n)[:m]
+        for a in range(4):
+            band.gradient[a : a + m] += g[:, a]
+        right[at] = np.tensordot(r.sum(axis=1), G, 2) - (x.precision @ x.away)[taken]
+    flat = np.empty((m + 3, 4 * n * n))
+    _lay_out(chunk, columns, flat)
+    lower = band.added_to(flat.reshape(-1, n, 4 * n))
     terms.couple_jerks(lower, between / spacing**3, jerk.relative)
-    border, corner = np.zeros((c.size, 0)), np.zeros((0, 0))
-    right = []
-    if linear:
-        border, corner = _constants(chunk, linear, constants)
-        told = told or tuple(predicted(chunk, c, x) for x in chunk.imus)
-        for x, cells, expected in zip(chunk.imus, linear, told, strict=True):
-            right.append(_imu_gradient(chunk, x, cells, constants, expected, band))
-    return Normal(
-        lower.reshape(c.size, -1).T,
-        border,
-        corner,
-        band.gradient.ravel(),
-        np.concatenate(right) if right else np.zeros(0),
-    )
+    whole = lower.reshape(c.size, -1).T, border.reshape(total, c.size).T
+    return Normal(*whole, corner, band.gradient.ravel(), right)
 
 
-def chosen(x: Mounted, constants: Constants) -> Index:
-    """Which of an IMU's constants take part."""
-    channels = len(x.noise)
-    first = {"none": 0, "clock": channels + 6, "place": 0, "all": 0}[constants]
-    stop = {"none": 0, "clock": channels + 7, "place": channels + 7, "all": len(x.away)}[constants]
-    return np.arange(first, stop)
+def _columns(H: Array, n: int) -> Array:
+    """Columns (4, C, n * 4n) of a lower band that belong to an interval's four coefficients."""
+    columns = np.zeros((4, len(H), n, 4 * n))
+    for k in range(4 * n):
+        columns[k // n, :, k % n, : 4 * n - k] = H[:, k, k : 4 * n]
+    return columns.reshape(4, len(H), -1)
 
 
-def _imu_gradient(
-    chunk: Chunk, x: Mounted, cells: Cells, constants: Constants, told: Array, band: terms.Band
-) -> Array:
-    """Add an IMU's gradient to the coefficients'; return that of its constants."""
-    m, size = chunk.intervals, chunk.cell
-    J = cells.by_coefficients(chunk, x)
-    r = (x.y - told) / x.spread
-    if not x.seen.all():
-        r *= x.seen
-    own = np.pad(r, [(0, len(J) * size - m), (0, 0)]).reshape(len(J), -1, r.shape[1])
-    g = (own @ J.reshape(*J.shape[:2], -1)).reshape(-1, 4, x.joints)[:m]
-    for a in range(4):
-        band.gradient[a : a + m, : x.joints] += g[:, a]
-    taken = chosen(x, constants)
-    G = cells.by_constants[:, :, taken] / x.spread[:, None]
-    return np.asarray(np.tensordot(own.sum(axis=1), G, 2) - (x.precision @ x.away)[taken])
+def chosen(chunk: Chunk, constants: Constants) -> Iterator[tuple[Mounted, Index, slice]]:
+    """Each IMU, which of its constants take part, and where they are among all that do."""
+    start = 0
+    for x in chunk.imus:
+        channels = len(x.noise)
+        bounds = {
+            "none": (0, 0),
+            "clock": (channels + 6, channels + 7),
+            "place": (0, channels + 7),
+            "all": (0, len(x.away)),
+        }
+        taken = np.arange(*bounds[constants])
+        yield x, taken, slice(start, start + len(taken))
+        start += len(taken)
 
 
 def misfit(x: Mounted, told: Array) -> Array:

@@ -180,7 +180,7 @@ def normal_equations(
         there = np.add.reduceat(x.there.astype(float), chunk.cells)
         corner[at, at] = np.tensordot(there, H[:, 4 * n :, 4 * n :], 1)
         corner[at, at] += x.precision[np.ix_(taken, taken)]
-        r = np.zeros((count * chunk.cell, len(x.noise)))
+        r: Array = np.zeros((count * chunk.cell, len(x.noise)))
         r[:m] = ((x.y - expected) / x.spread) * x.seen
         r = r.reshape(count, chunk.cell, -1)
         g = (r @ W[..., : 4 * n]).reshape(-1, 4, n)[:m]

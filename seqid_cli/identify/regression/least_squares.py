@@ -32,18 +32,6 @@ def triangular(rows: Array) -> Array:
     return by_reflections(rows[:, :-1], rows[:, -1])
 
 
-def not_zero(H: Array, y: Array) -> Mask:
-    """Columns (p + 1,) of [H y] that are not all zero."""
-    alive = np.zeros(H.shape[1] + 1, dtype=np.bool_)
-    if len(y):
-        alive[:-1], alive[-1] = H[0] != 0.0, y.any()  # most show it in their first row
-        rest = np.flatnonzero(~alive[:-1])
-        if len(rest):
-            low, high = rest[0], rest[-1] + 1
-            alive[low:high] |= (H[:, low:high] != 0.0).any(axis=0)
-    return alive
-
-
 def by_reflections(
     H: Array, y: Array, where: Mask | None = None, *, strip_rows: int = 1024
 ) -> Array:
@@ -51,7 +39,11 @@ def by_reflections(
 
     Some columns may be zero. So many rows are taken at once: they stay in cache.
     """
-    alive = not_zero(H, y)
+    alive = np.append(H[0] != 0.0 if len(y) else np.zeros(H.shape[1], dtype=bool), y.any())
+    rest = np.flatnonzero(~alive[:-1])  # most columns show it in their first row
+    if len(rest):
+        low, high = rest[0], rest[-1] + 1
+        alive[low:high] |= (H[:, low:high] != 0.0).any(axis=0)
     chosen = np.flatnonzero(alive)
     inner = np.flatnonzero(alive[:-1])
     R = np.zeros((len(chosen), len(chosen)), order="F")
@@ -173,7 +165,8 @@ class Accumulator:
 
     def residual_rms(self, theta: Array) -> float:
         """RMS of H theta - y over all rows."""
-        return _residual_rms(self.total, self.samples, theta)
+        left = np.linalg.norm(self.total @ np.append(theta, -1.0))
+        return float(left / np.sqrt(max(self.samples, 1)))
 
 
 def _without(factors: Array, column: int, value: float) -> Array:
@@ -241,28 +234,23 @@ def solve(
     size = joints[0].size
     totals = [joint.total for joint in joints]
     used = [k for k, joint in enumerate(joints) if joint.samples > size // 4]
-    floors = [_floor(joint, R) for joint, R in zip(joints, totals, strict=True)]
-    sigma = np.maximum(floors, 1e-12)
-    theta = np.zeros(size)
+    sigma = np.maximum([_floor(joint) for joint in joints], 1e-12)
     for _ in range(iterations):
         scale = sigma / np.sqrt(independent)  # of the factor: what follows must use the same
         stack = [totals[k] / scale[k] for k in used]
         if prior is not None:
             stack.append(prior.factor)
         factor = triangular(np.vstack(stack)) if stack else np.zeros((size + 1, size + 1))
-        theta, basis, left_open, condition = _solve_scaled(factor)
-        left = [
-            _residual_rms(R, joint.samples, theta) for joint, R in zip(joints, totals, strict=True)
-        ]
-        sigma = np.maximum(left, 1e-12)
+        theta, basis, left_open, condition, determined = _solve_scaled(factor)
+        sigma = np.maximum([joint.residual_rms(theta) for joint in joints], 1e-12)
     rank = basis.shape[1]
     bread = basis @ basis.T
     moves, designs = _jackknife(joints, used, scale, theta, factor, bread)
-    covariance = spread_of(moves)
-    covariance += _prior_part(factor, [totals[k] / scale[k] for k in used], bread)
     # A direction in which the blocks happen to agree is not known better than white noise allows.
-    covariance += white_floor * bread
-    determined = _determined(factor, basis)
+    covariance = spread_of(moves) + white_floor * bread
+    if prior is not None:  # of unit variance: no residual to learn it from
+        own = prior.A @ bread
+        covariance += own.T @ own
     shares = np.zeros((len(joints), size))
     for k in used:
         shares[k] = bread @ (totals[k][:, :-1].T @ totals[k][:, -1]) / scale[k] ** 2
@@ -270,46 +258,30 @@ def solve(
     return Solution(*found, sigma, bread, left_open, moves, shares, designs)
 
 
-def _residual_rms(R: Array, samples: int, theta: Array) -> float:
-    """RMS of the residual of rows with the factor R of [H y]."""
-    return float(np.linalg.norm(R @ np.append(theta, -1.0)) / np.sqrt(max(samples, 1)))
-
-
-def _floor(joint: Accumulator, R: Array) -> float:
+def _floor(joint: Accumulator) -> float:
     """Residual RMS of this joint fitted by itself: the first weight."""
     # Not from R's last entry: where columns depend on each other, rounding decides what is left.
-    theta, basis, *_ = _solve_scaled(R)
-    left = np.linalg.norm(R @ np.append(theta, -1.0))
+    theta, basis, *_ = _solve_scaled(joint.total)
+    left = np.linalg.norm(joint.total @ np.append(theta, -1.0))
     return float(left / np.sqrt(max(joint.samples - basis.shape[1], 1)))
 
 
-def _solve_scaled(factor: Array) -> tuple[Array, Array, Array, float]:
-    """Smallest solution with scaled columns."""
-    # Also returns B with (H'H)^+ = B B' over what is excited, the directions that are not, and the
-    # condition.
+def _solve_scaled(factor: Array) -> tuple[Array, Array, Array, float, Mask]:
+    """Smallest solution with scaled columns.
+
+    Then B with (H'H)^+ = B B' over what is excited, the directions that are not, the condition, and
+    which parameters have no part in those directions.
+    """
     R, z = factor[:-1, :-1], factor[:-1, -1]
     scale = np.linalg.norm(R, axis=0)
     scale[scale < 1e-9 * scale.max(initial=1e-300)] = np.inf
     U, s, Vt = np.linalg.svd(R / scale)
     kept = s > RANK_TOLERANCE * s[0] if s[0] > 0 else np.zeros(len(s), dtype=bool)
     basis = (Vt[kept].T / s[kept]) / scale[:, None]
-    theta = basis @ (U[:, kept].T @ z)
     condition = float(s[kept][0] / s[kept][-1]) if kept.any() else 0.0
     left_open = Vt[~kept].T / np.where(np.isfinite(scale), scale, 1.0)[:, None]
-    return theta, basis, left_open, condition
-
-
-def _determined(factor: Array, basis: Array) -> Mask:
-    """Parameters without a part in the directions that are not excited."""
-    R = factor[:-1, :-1]
-    scale = np.linalg.norm(R, axis=0)
-    alive = scale > 1e-9 * scale.max(initial=1e-300)
-    if basis.shape[1] == 0:
-        return np.zeros(len(scale), dtype=bool)
-    scaled = basis * np.where(alive, scale, 0.0)[:, None]
-    Q, _ = np.linalg.qr(scaled)
-    inside = np.sum(Q**2, axis=1)
-    return np.asarray(alive & (inside > 1 - 1e-4))
+    determined: Mask = np.isfinite(scale) & (np.sum(Vt[kept] ** 2, axis=0) > 1 - 1e-4)
+    return basis @ (U[:, kept].T @ z), basis, left_open, condition, determined
 
 
 def _jackknife(
@@ -365,28 +337,10 @@ def _downdated(normal: Array, A: Array, bread: Array, s: Array) -> Array:
     try:
         moves = np.linalg.solve(np.eye(len(bread)) - bread @ A, plain[:, :, None])[:, :, 0]
     except np.linalg.LinAlgError:
-        moves = np.stack([_one_downdated(bread @ A[b], plain[b]) for b in range(len(A))])
+        moves = (np.linalg.pinv(np.eye(len(bread)) - bread @ A) @ plain[:, :, None])[:, :, 0]
     before, after = (np.einsum("bi,ij,bj->b", x, normal, x).clip(0.0) for x in (plain, moves))
     regular: Mask = np.sqrt(after) <= 4.0 * np.sqrt(before)
     return np.where(regular[:, None], moves, plain)
-
-
-def _one_downdated(share: Array, plain: Array) -> Array:
-    try:
-        return np.asarray(np.linalg.solve(np.eye(len(plain)) - share, plain), dtype=np.float64)
-    except np.linalg.LinAlgError:
-        return plain
-
-
-def _prior_part(factor: Array, totals: Sequence[Array], bread: Array) -> Array:
-    """The prior's own part: its rows have unit variance and leave no residual to learn it from."""
-    R = factor[:-1, :-1]
-    prior = R.T @ R
-    for total in totals:
-        R = total[:-1, :-1]
-        prior -= R.T @ R
-    part: Array = bread @ prior @ bread
-    return (part + part.T) / 2
 
 
 def whitened(covariance: Array) -> Array:

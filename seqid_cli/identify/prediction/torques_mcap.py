@@ -108,29 +108,19 @@ def _messages(
     torque: Array,
 ) -> NDArray[np.uint8]:
     """Return the messages (N, bytes) of one topic; arrays are (N, n), None an empty field."""
-    fields = [q, dq, torque]
-    head = _head(frame, joints)
-    chunks, gaps = [], []
-    size = len(head)
-    for values in fields:
-        gap = bytes(-size % 4) + struct.pack("<I", 0 if values is None else values.shape[1])
-        size += len(gap)
+    message, places = bytearray(_head(frame, joints)), []
+    for values in (q, dq, torque):
+        count = 0 if values is None else values.shape[1]
+        message += bytes(-len(message) % 4) + struct.pack("<I", count)
         if values is not None:
-            align = bytes(-(size - 4) % 8)  # counted from behind the encapsulation header
-            gap, size = gap + align, size + len(align) + 8 * values.shape[1]
-        gaps.append(gap)
-        chunks.append(values)
-    rows = np.empty((len(stamps), size), dtype=np.uint8)
-    rows[:, : len(head)] = np.frombuffer(head, dtype=np.uint8)
+            message += bytes(-(len(message) - 4) % 8)  # from behind the encapsulation header
+            places.append((len(message), values))
+            message += bytes(8 * count)
+    rows = np.tile(np.frombuffer(message, dtype=np.uint8), (len(stamps), 1))
     rows[:, 4:8] = _bytes((stamps // 10**9).astype("<i4")[:, None])
     rows[:, 8:12] = _bytes((stamps % 10**9).astype("<u4")[:, None])
-    at = len(head)
-    for gap, values in zip(gaps, chunks, strict=True):
-        rows[:, at : at + len(gap)] = np.frombuffer(gap, dtype=np.uint8)
-        at += len(gap)
-        if values is not None:
-            rows[:, at : at + 8 * values.shape[1]] = _bytes(values.astype("<f8"))
-            at += 8 * values.shape[1]
+    for at, values in places:
+        rows[:, at : at + 8 * values.shape[1]] = _bytes(values.astype("<f8"))
     return rows
 
 

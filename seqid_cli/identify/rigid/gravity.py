@@ -15,7 +15,7 @@ from seqid_cli.identify.friction_surface.ramps import without_acceleration
 from seqid_cli.identify.friction_surface.trials import Trial, by_joint, collect_trials
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
-from seqid_cli.identify.rigid.parameters import empty_stage, rigid_stage
+from seqid_cli.identify.rigid.parameters import rigid_stage
 from seqid_cli.identify.rigid.posterior import (
     Posterior,
     Sensitivity,
@@ -57,7 +57,8 @@ def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stag
     basis = base_parameters(robot, rotor=())
     size = int(basis.gravity.sum())
     if size == 0:
-        return empty_stage("gravity loads no joint of this robot: nothing to identify (Sec. 4.2)")
+        note = "gravity loads no joint of this robot: nothing to identify (Sec. 4.2)"
+        return RigidStage(parameters=[], condition=0.0, rank=0, notes=[note])
     joints = [Accumulator(size) for _ in range(robot.n)]
     cross = GravityRows(robot, basis, friction_surfaces(stages, robot))
     trials = collect_trials(recordings, robot)

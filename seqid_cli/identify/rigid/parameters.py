@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from seqid_cli.identify.regression.least_squares import Solution
-from seqid_cli.identify.rigid.posterior import Posterior, as_lists, as_matrices
+from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.params.schema import Parameter, RigidStage
 from seqid_cli.robot.base_parameters import Basis, standard_names
 from seqid_cli.robot.types import Robot
@@ -39,11 +39,6 @@ def representative_of(basis: Basis, theta: Array, rotors: Array) -> dict[str, fl
     return {name: float(x) for name, x in zip(names, phi, strict=True) if x != 0.0}
 
 
-def not_excited(basis: Basis, solution: Solution, candidates: Index) -> list[str]:
-    """Names of parameters among `candidates` that these data do not determine, with expressions."""
-    return [basis.expression_text(int(k)) for k in candidates if not solution.determined[int(k)]]
-
-
 def rigid_stage(
     robot: Robot, basis: Basis, solution: Solution, posterior: Posterior, own: Index, rotors: Array
 ) -> RigidStage:
@@ -62,9 +57,14 @@ def rigid_stage(
         structural_rank=basis.size,
         representative=representative_of(basis, theta, rotors),
         covariance=posterior.covariance[np.ix_(determined, determined)].tolist(),
-        friction_sensitivity=as_matrices(posterior.friction, determined, names),
-        torque_constant_moves=as_lists(posterior.constants, determined, names),
-        not_excited=not_excited(basis, solution, own),
+        friction_sensitivity={
+            name: posterior.friction[j][determined].tolist() if j in posterior.friction else []
+            for j, name in enumerate(names)
+        },
+        torque_constant_moves={
+            names[j]: move[determined].tolist() for j, move in posterior.constants.items()
+        },
+        not_excited=[basis.expression_text(int(k)) for k in own if not solution.determined[int(k)]],
     )
 
 
@@ -76,11 +76,6 @@ def residual_share(sigma: float, squares: float, samples: int) -> tuple[float, s
     """
     share = sigma / max(float(np.sqrt(squares / samples)), 1e-300)
     return share, f"leaves {percent(share)} of the torque ({sigma:.3g} N m)"
-
-
-def empty_stage(note: str, method: str = "sequential") -> RigidStage:
-    """A stage with nothing to identify on this robot, with a note."""
-    return RigidStage(parameters=[], condition=0.0, rank=0, method=method, notes=[note])
 
 
 def imu_moves(

@@ -30,9 +30,9 @@ import numpy as np
 
 from seqid_cli.identify.regression.least_squares import Prior, Solution, whitened
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.params.schema import Matrix, RigidStage
+from seqid_cli.params.schema import RigidStage
 from seqid_cli.robot.base_parameters import Basis, standard_names
-from seqid_cli.typing import Array, Index
+from seqid_cli.typing import Array
 
 Sensitivity = dict[int, Array]  # by joint: (p, K_j), change of parameters per coefficient of c_j
 
@@ -125,23 +125,6 @@ class Posterior:
     def with_error(self, directions: Array) -> "Posterior":
         """Add an error along directions (p, d), one standard deviation each."""
         return replace(self, covariance=self.covariance + directions @ directions.T)
-
-
-def as_matrices(
-    sensitivity: Mapping[int, Array], chosen: Index, names: Sequence[str]
-) -> dict[str, Matrix]:
-    """Sensitivities of the parameters `chosen` for the parameter file, every joint named."""
-    return {
-        name: sensitivity[j][chosen].tolist() if j in sensitivity else []
-        for j, name in enumerate(names)
-    }
-
-
-def as_lists(
-    moves: Mapping[int, Array], chosen: Index, names: Sequence[str]
-) -> dict[str, list[float]]:
-    """Moves of the parameters `chosen` for the parameter file."""
-    return {names[j]: move[chosen].tolist() for j, move in moves.items()}
 
 
 def gravity_prior(gravity: RigidStage | None, basis: Basis) -> Prior | None:

@@ -106,12 +106,12 @@ class SimultaneousEquations:
     """Accumulates [H, friction columns | tau] of every joint; `width` (n,) is the sign's."""
 
     def __init__(self, robot: Robot, basis: Basis, width: Array, *, offset: bool = False) -> None:
-        self.robot, self.basis = robot, basis
+        self.robot, self.basis, self.width = robot, basis, width
         self.terms = TERMS if offset else TERMS[:2]
         size = basis.size + len(self.terms) * robot.n
+        self.own = [slice(k, k + len(self.terms)) for k in range(basis.size, size, len(self.terms))]
         self.joints = [Accumulator(size) for _ in range(robot.n)]
         self._rotor_sums = np.zeros((robot.n, size))  # H' times the torque of known rotors
-        self.width = width
         self.fastest = np.zeros(robot.n)
         self.position = np.array([[np.inf, -np.inf]] * robot.n)
         self.torque_squares = np.zeros(robot.n)
@@ -122,14 +122,19 @@ class SimultaneousEquations:
         """Add the rows of one log."""
         assert motion.tau is not None
         self.uses.append(motion_use(path, self.robot, motion))
-        self._remember(motion)
         self.cutoffs.append(motion.cutoff.hz)
+        self.fastest = np.maximum(self.fastest, _speed(motion).max(axis=0))
+        low, high = motion.q.min(axis=0), motion.q.max(axis=0)
+        self.position[:, 0] = np.minimum(self.position[:, 0], low)
+        self.position[:, 1] = np.maximum(self.position[:, 1], high)
         usable = sliding(motion, SLIDES * self.width)
-        rotors = motion.filtered(
-            gear_ratios(self.robot) ** 2 * known_rotors(self.robot) * motion.ddq
-        )
+        reflected = gear_ratios(self.robot) ** 2 * known_rotors(self.robot)
+        rotors = motion.filtered(reflected * motion.ddq)
         y = motion.tau - rotors
-        friction = self._friction(motion)
+        # Of sign, velocity and offset, filtered like predicted friction.
+        sign = np.tanh(motion.dq / np.where(self.width > 0, self.width, 1.0))
+        columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
+        friction = motion.filtered(columns[:, :, : len(self.terms)], times=2)
         for rows in filtered_regressor(motion, self.robot, self.basis):
             part = rows.where
             for block in blocks(rows.motion.samples, rows.motion.rate_hz):
@@ -137,97 +142,36 @@ class SimultaneousEquations:
                     kept = usable[part][block, j]
                     wide = np.zeros((int(kept.sum()), joint.size))
                     wide[:, : self.basis.size] = rows.H[block, j][kept]
-                    wide[:, self._own(j)] = friction[part][block, j][kept]
+                    wide[:, self.own[j]] = friction[part][block, j][kept]
                     joint.add(wide, y[part][block, j][kept])
                     self._rotor_sums[j] += wide.T @ rotors[part][block, j][kept]
         self.torque_squares += np.sum(np.where(usable, motion.tau, 0.0) ** 2, axis=0)
 
-    def _own(self, j: int) -> slice:
-        start = self.basis.size + len(self.terms) * j
-        return slice(start, start + len(self.terms))
-
-    def _remember(self, motion: Motion) -> None:
-        """Ranges of motion."""
-        self.fastest = np.maximum(self.fastest, _speed(motion).max(axis=0))
-        low, high = motion.q.min(axis=0), motion.q.max(axis=0)
-        self.position[:, 0] = np.minimum(self.position[:, 0], low)
-        self.position[:, 1] = np.maximum(self.position[:, 1], high)
-
-    def _friction(self, motion: Motion) -> Array:
-        """Columns (N, n, 2 or 3) of sign, velocity, offset, filtered like predicted friction."""
-        safe = np.where(self.width > 0, self.width, 1.0)
-        sign = np.tanh(motion.dq / safe)
-        columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
-        return motion.filtered(columns[:, :, : len(self.terms)], times=2)
-
     def stages(self, options: MotionOptions) -> tuple[schema.FrictionStage, schema.RigidStage]:
         """Solve and describe the result."""
-        solution = solve(self.joints)
-        posterior = self._posterior(solution)
-        moved = [j for j in range(self.robot.n) if self.joints[j].samples]
-        friction = {self.robot.joint_names[j]: self._joint(j, solution, posterior) for j in moved}
-        named = " and ".join(", ".join(name for name, _ in self.terms).rsplit(", ", 1))
-        note = f"{named} friction from one least squares with the rigid body (Eq. 5-6)"
-        cutoff = float(np.median(self.cutoffs)) if self.cutoffs else None
-        filtering = cutoff_note(self.cutoffs, options)
-        stage = schema.FrictionStage(
-            joints=friction,
-            method="simultaneous",
-            cutoff_hz=cutoff,
-            notes=[note, filtering, *constants_note(self.robot)],
-        )
-        return stage, self._rigid(solution, posterior, cutoff)
-
-    def _posterior(self, solution: Solution) -> Posterior:
+        robot, solution = self.robot, solve(self.joints)
         known = {
             j: -solution.bread @ sums / solution.sigma[j] ** 2
             for j, sums in enumerate(self._rotor_sums)
         }
-        moves = constant_moves(solution, self.robot.torque_constant_errors, known)
-        return Posterior(solution.covariance, {}, moves)
-
-    def _joint(self, j: int, solution: Solution, posterior: Posterior) -> schema.FrictionJoint:
-        """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
-        own = self._own(j)
-        values = solution.theta[own]
-        fast = float(self.fastest[j])
-        ahead, back = surface_entries(fast, len(self.terms))
-        directional = len(self.terms) == len(TERMS)
-        both = np.vstack([ahead, back]) if directional else ahead
-        covariance = both @ solution.covariance[own, own] @ both.T
-        sigma = float(solution.sigma[j])
-        errors = np.sqrt(np.maximum(np.diag(posterior.stated)[own], 0.0))
-        return schema.FrictionJoint(
-            position_order=0,
-            velocity_order=1,
-            max_error=sigma / max(float(np.abs(values[0])), 1e-12),  # of Coulomb friction
-            rmse=sigma,
-            position_range=[float(x) for x in self.position[j]],
-            speed_range=[0.0, fast],
-            sign_width=max(float(self.width[j]), 1e-6),
-            directional=directional,
-            positive=[(ahead @ values).tolist()],
-            negative=[(back @ values).tolist()],
-            covariance=covariance.tolist(),
-            torque_constant_error=self.robot.joints[j].torque_constant_error,
-            speeds=[schema.SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
-            parameters=[
-                schema.Parameter(name=n, value=float(v), std_error=float(e), unit=u)
-                for (n, u), v, e in zip(self.terms, values, errors, strict=True)
-            ],
+        moves = constant_moves(solution, robot.torque_constant_errors, known)
+        posterior = Posterior(solution.covariance, {}, moves)
+        moved = [j for j in range(robot.n) if self.joints[j].samples]
+        named = " and ".join(", ".join(name for name, _ in self.terms).rsplit(", ", 1))
+        note = f"{named} friction from one least squares with the rigid body (Eq. 5-6)"
+        cutoff = float(np.median(self.cutoffs)) if self.cutoffs else None
+        friction = schema.FrictionStage(
+            joints={robot.joint_names[j]: self._joint(j, solution, posterior) for j in moved},
+            method="simultaneous",
+            cutoff_hz=cutoff,
+            notes=[note, cutoff_note(self.cutoffs, options), *constants_note(robot)],
         )
-
-    def _rigid(
-        self, solution: Solution, posterior: Posterior, cutoff: float | None
-    ) -> schema.RigidStage:
-        basis, robot = self.basis, self.robot
-        own = np.arange(basis.size)
-        stage = rigid_stage(robot, basis, solution, posterior, own, known_rotors(robot))
+        own, rotors = np.arange(self.basis.size), known_rotors(robot)
+        stage = rigid_stage(robot, self.basis, solution, posterior, own, rotors)
         missing = stage.not_excited
-        moved = sum(joint.samples > 0 for joint in self.joints)
-        return replace(
+        rigid = replace(
             stage,
-            rank=solution.rank - len(self.terms) * moved,
+            rank=solution.rank - len(self.terms) * len(moved),
             friction_sensitivity={},
             rmse=dict(zip(robot.joint_names, solution.sigma.tolist(), strict=True)),
             method="simultaneous",
@@ -236,6 +180,35 @@ class SimultaneousEquations:
             cutoff_hz=cutoff,
             verdicts=self._verdicts(solution, missing),
             notes=["not excited by these logs: " + "; ".join(missing)] if missing else [],
+        )
+        return friction, rigid
+
+    def _joint(self, j: int, solution: Solution, posterior: Posterior) -> schema.FrictionJoint:
+        """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
+        own, fast, sigma = self.own[j], float(self.fastest[j]), float(solution.sigma[j])
+        values = solution.theta[own]
+        ahead, back = surface_entries(fast, len(self.terms))
+        directional = len(self.terms) == len(TERMS)
+        both = np.vstack([ahead, back]) if directional else ahead
+        errors = np.sqrt(np.maximum(np.diag(posterior.stated)[own], 0.0))
+        return schema.FrictionJoint(
+            position_order=0,
+            velocity_order=1,
+            max_error=sigma / max(float(np.abs(values[0])), 1e-12),  # of Coulomb friction
+            rmse=sigma,
+            position_range=self.position[j].tolist(),
+            speed_range=[0.0, fast],
+            sign_width=max(float(self.width[j]), 1e-6),
+            directional=directional,
+            positive=[(ahead @ values).tolist()],
+            negative=[(back @ values).tolist()],
+            covariance=(both @ solution.covariance[own, own] @ both.T).tolist(),
+            torque_constant_error=self.robot.joints[j].torque_constant_error,
+            speeds=[schema.SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
+            parameters=[
+                schema.Parameter(name=n, value=float(v), std_error=float(e), unit=u)
+                for (n, u), v, e in zip(self.terms, values, errors, strict=True)
+            ],
         )
 
     def _verdicts(
@@ -250,13 +223,12 @@ class SimultaneousEquations:
         # So it is where Coulomb friction is negative by more than `clear_sigma` standard errors.
         verdicts = []
         for j, name in enumerate(self.robot.joint_names):
-            samples = self.joints[j].samples
+            samples, at = self.joints[j].samples, self.own[j].start
             if not samples:
                 verdicts.append(schema.Verdict(joint=name, good=False, reason="does not move"))
                 continue
             left = float(solution.sigma[j]), float(self.torque_squares[j]), samples
             share, reason = residual_share(*left)
-            at = self._own(j).start
             dry, error = float(solution.theta[at]), float(np.sqrt(solution.covariance[at, at]))
             drives = dry < -clear_sigma * error
             if drives:
@@ -264,8 +236,7 @@ class SimultaneousEquations:
             good = share < poor_share and not drives
             verdicts.append(schema.Verdict(joint=name, good=good, reason=reason))
         reason = f"condition {solution.condition:.3g}, {len(missing)} parameter(s) not excited"
-        verdicts.append(schema.Verdict(good=not missing, reason=reason))
-        return verdicts
+        return [*verdicts, schema.Verdict(good=not missing, reason=reason)]
 
 
 def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:

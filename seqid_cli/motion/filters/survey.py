@@ -5,8 +5,6 @@ come; which joints move follows from the largest travel over each time scale; an
 from the levels it was seen at. A short log is one block.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
 from scipy.fft import rfft
 from scipy.signal import get_window
@@ -175,17 +173,15 @@ class Survey:
         """
         step, joints = self._steps(resolution)
         highest = min(highest_hz, self.rate_hz / 8)
-        if len(joints):
-            own = bandwidth.highest_of(self._widest(joints), len(joints), self._seen / self.rate_hz)
-            highest = min(highest, own)
-        candidates = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)
-        score, bias = np.zeros(len(candidates)), np.zeros(len(candidates))
         floors = step**2 / 12 * 2 / self.rate_hz
-        for j, signal, noise, floor in self._powers(joints, step, candidates):
-            floors[j] = floor
-            score += np.log(signal) - bandwidth.KAPPA * noise / signal
-            bias = np.maximum(bias, noise / signal)
-        best = bandwidth.first_maximum(score) if len(joints) else len(candidates) // 2
+        if not len(joints):
+            middle = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)[60]
+            return bandwidth.Cutoff(float(middle), step, 0.0, True, floors)
+        own = bandwidth.highest_of(self._widest(joints), len(joints), self._seen / self.rate_hz)
+        highest = min(highest, own)
+        candidates = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)
+        score, bias, floors[joints] = self._scored(joints, step, candidates)
+        best = bandwidth.first_maximum(score)
         return bandwidth.Cutoff(float(candidates[best]), step, float(bias[best]), True, floors)
 
     def score(self, resolution: Array, cutoffs: Array) -> bandwidth.Score | None:
@@ -193,10 +189,7 @@ class Survey:
         step, joints = self._steps(resolution)
         if not len(joints):
             return None
-        values = np.zeros(len(cutoffs))
-        below = np.minimum(cutoffs, self.rate_hz / 2)
-        for _, signal, noise, _ in self._powers(joints, step, below):
-            values += np.log(signal) - bandwidth.KAPPA * noise / signal
+        values, *_ = self._scored(joints, step, np.minimum(cutoffs, self.rate_hz / 2))
         seconds = self._seen / self.rate_hz
         return bandwidth.Score(values, self._widest(joints), len(joints), seconds)
 
@@ -211,21 +204,17 @@ class Survey:
         density *= self.rate_hz**2
         return max(bandwidth.bandwidth_of(frequency, density[j], self.rate_hz) for j in joints)
 
-    def _powers(
-        self, joints: Index, step: Array, cutoffs: Array
-    ) -> Iterator[tuple[int, Array, Array, float]]:
-        """Joint, power of its acceleration and of the noise below each cut-off, noise density."""
-        if not len(joints):
-            return
+    def _scored(self, joints: Index, step: Array, cutoffs: Array) -> tuple[Array, Array, Array]:
+        """Score and bias of each cut-off (C,) by some joints, and these joints' noise densities."""
         frequency, density = self._second.density(self.rate_hz)
         density *= self.rate_hz**4
-        for j in joints:
-            yield (
-                int(j),
-                *bandwidth.acceleration_powers(
-                    frequency, density[j], self.rate_hz, step[j], cutoffs
-                ),
-            )
+        score, bias, floors = np.zeros(len(cutoffs)), np.zeros(len(cutoffs)), np.zeros(len(joints))
+        for k, j in enumerate(joints):
+            given = frequency, density[j], self.rate_hz, step[j], cutoffs
+            signal, noise, floors[k] = bandwidth.acceleration_powers(*given)
+            score += np.log(signal) - bandwidth.KAPPA * noise / signal
+            bias = np.maximum(bias, noise / signal)
+        return score, bias, floors
 
 
 def _lengths(

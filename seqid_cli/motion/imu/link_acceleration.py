@@ -76,12 +76,12 @@ def _from_imus(
     recording: Recording, robot: Robot, stage: ImuStage | None, motion: Motion
 ) -> Motion:
     moving = np.flatnonzero(motion.moving.any(axis=0))
-    there = list(_readings(recording, robot, stage, motion))
-    readings = [reading for reading in there if _healthy(reading, robot, motion, moving)]
-    names = tuple(reading.imu.name for reading in readings)
-    left_out = [reading.imu.name for reading in there if reading.imu.name not in names]
-    warnings = [*absent_imus(recording, robot, stage)]
-    warnings += [f"{name} is left out: it contradicts the encoders" for name in left_out]
+    readings, warnings = [], [*absent_imus(recording, robot, stage)]
+    for reading in _readings(recording, robot, stage, motion):
+        if _healthy(reading, robot, motion, moving):
+            readings.append(reading)
+        else:
+            warnings.append(f"{reading.imu.name} is left out: it contradicts the encoders")
     if not readings:
         raise _impossible("imu", recording, robot, stage, warnings)
     ddq, error = _solve(robot, motion, moving, readings)
@@ -89,7 +89,7 @@ def _from_imus(
         motion,
         ddq=ddq,
         source="imu",
-        imus=names,
+        imus=tuple(reading.imu.name for reading in readings),
         error=error,
         encoder_error=motion.acceleration_error,
         warnings=tuple(warnings),
@@ -124,7 +124,9 @@ def _readings(
         if gyro is None and not layout(imu).acceleration:
             continue
         reading = link_reading(imu, calibration, values, gyro, recording, motion)
-        yield unbiased(reading, robot, motion)
+        # Take off the bias: the encoders know the mean acceleration of a whole log well.
+        off = reading.dw - _predicted(robot, motion, imu.after_joint)
+        yield replace(reading, dw=reading.dw - off[motion.usable].mean(axis=0))
 
 
 def link_reading(
@@ -164,13 +166,6 @@ def _on_encoders_clock(
         return values
     t, valid = recording.t, recording.valid
     return np.column_stack([np.interp(t + offset, t[valid], v[valid]) for v in values.T])
-
-
-def unbiased(reading: LinkReading, robot: Robot, motion: Motion) -> LinkReading:
-    """Take off the sensor's bias: the encoders know the mean acceleration of a whole log well."""
-    expected = _predicted(robot, motion, reading.imu.after_joint)
-    bias = (reading.dw - expected)[motion.usable].mean(axis=0)
-    return replace(reading, dw=reading.dw - bias)
 
 
 def _gain(calibration: ImuCalibration) -> float:

@@ -30,13 +30,6 @@ class EncoderView:
         """Positions (N,) of the edges, zero where there are none."""
         return np.asarray(np.nan_to_num(self.edge))
 
-    def part(self, start: int, stop: int) -> "EncoderView":
-        """What lies between two places."""
-        own = slice(start, stop)
-        return replace(
-            self, q=self.q[own], edge=self.edge[own], dwell=self.dwell[own], known=self.known[own]
-        )
-
     def refined(self, stride: int) -> "EncoderView":
         """The same with `stride` places per sample; edges lie between samples."""
         edge = np.full(len(self.q) * stride, np.nan)

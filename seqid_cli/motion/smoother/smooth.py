@@ -10,7 +10,6 @@ towards it by expectation and maximisation; traces come from probing with random
 from the factor's rows behind some of the knots.
 """
 
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -76,45 +75,14 @@ def smoothed_motion(
         return _joined(recording, robot, stage, chunk_s)
 
 
-@dataclass(frozen=True)
-class _Part:
-    """One chunk's motion (N, 3, n) and covariance, and its IMUs with what it says of them."""
-
-    motion: Array
-    places: Index
-    covariance: Array
-    imus: tuple[Mounted, ...]
-    notes: tuple[str, ...]
+Part = tuple[Array, Index, Array, tuple[Mounted, ...], list[str]]
 
 
-def _parts(
-    recording: Recording,
-    robot: Robot,
-    imus: list[Mounted],
-    chunks: Iterable[slice],
-    *,
-    first_jerk: float = 1000.0,
-) -> Iterator[_Part]:
-    """Smooth one chunk after the other; each starts from the constants that the last has found."""
-    dt = 1.0 / recording.rate_hz
-    filled = [bridged(x, np.isfinite(x)) for x in recording.q.T]
-    step = encoder_resolution(robot)
-    step = np.where(step > 0, step, encoder_step(np.column_stack(filled)))
-    size = np.full(robot.n, first_jerk * np.sqrt(max(COARSE_S, dt) / FINE_S))
-    known = {x.name: x for x in imus}
-    for own in chunks:
-        views = tuple(
-            encoder_view(recording.q[own, j], float(step[j]), recording.valid[own])
-            for j in range(robot.n)
-        )
-        here = tuple(read(x, recording, own) for x in known.values())
-        part, size = _smoothed(Chunk(robot, views, dt, 1, here), size)
-        known |= {x.name: x for x in part.imus}
-        yield replace(part, notes=tuple(f"{own.start * dt:.1f} s: {x}" for x in part.notes))
+def _smoothed(chunk: Chunk, size: Array) -> tuple[Part, Array]:
+    """Constants on coarse knots, motion on fine ones; the jerk's size (n,) on the coarse.
 
-
-def _smoothed(chunk: Chunk, size: Array) -> tuple[_Part, Array]:
-    """Constants on coarse knots, motion on fine ones; the jerk's size (n,) on the coarse."""
+    Of a chunk come motion (N, 3, n), covariance at some places, its IMUs and what it says of them.
+    """
     coarse = _on_knots(chunk, COARSE_S if chunk.dt <= FINE_S else FINE_S).gathered()
     c, jerk = encoder_motion(coarse, size)
     coarse, notes = believed(coarse, c)
@@ -123,7 +91,7 @@ def _smoothed(chunk: Chunk, size: Array) -> tuple[_Part, Array]:
     motion = motion_at(last.chunk, last.c)[:: last.chunk.stride]
     known = *probed_covariance(last, shared), _with_covariance(shared, last)
     size = shared.jerk.size * np.sqrt(shared.chunk.spacing / coarse.spacing)
-    return _Part(motion, *known, tuple(notes + said)), size
+    return (motion, *known, notes + said), size
 
 
 def _refined(chunk: Chunk, shared: Solution) -> tuple[Chunk, Array, Jerk]:
@@ -183,33 +151,46 @@ def _joined(
     chunk_s: float,
     *,
     overlap_s: float = 0.5,
+    first_jerk: float = 1000.0,
 ) -> Smoothed:
-    """Lay the chunks side by side; each fades into the next over their overlap."""
+    """Smooth overlapping chunks of nearly the same length; each fades into the next.
+
+    Each starts from the constants that the last has found.
+    """
     samples, rate = len(recording.q), recording.rate_hz
-    imus = mounted_imus(recording, robot, stage)
-    # Overlapping chunks of nearly the same length.
+    filled = np.column_stack([bridged(x, np.isfinite(x)) for x in recording.q.T])
+    step = encoder_resolution(robot)
+    step = np.where(step > 0, step, encoder_step(filled))
+    size = np.full(robot.n, first_jerk * np.sqrt(max(COARSE_S, 1.0 / rate) / FINE_S))
+    known = {x.name: x for x in mounted_imus(recording, robot, stage)}
     lap = int(overlap_s * rate)
     edges = np.linspace(0, samples, max(1, round(samples / (chunk_s * rate))) + 1).astype(int)
     starts = np.maximum(edges[:-1] - lap, 0).tolist()
     stops = np.minimum(np.append(edges[1:-1], samples) + lap, samples).tolist()
-    chunks = [slice(a, b) for a, b in zip(starts, stops, strict=True)]
-    motion = np.zeros((samples, 3, robot.n))
-    places, covariance = [], []
-    notes: list[str] = []
-    found: dict[str, Mounted] = {}
-    for k, part in enumerate(_parts(recording, robot, imus, chunks)):
-        own = chunks[k]
-        rise = [own.start, chunks[k - 1].stop] if k else [-2, -1]
-        fall = [chunks[k + 1].start if k + 1 < len(chunks) else samples, own.stop]
-        t = np.arange(own.start, own.stop, dtype=float)
+    joined, used = np.zeros((samples, 3, robot.n)), set()
+    at, covariances, notes = [], [], []
+    for k, (start, stop) in enumerate(zip(starts, stops, strict=True)):
+        own = slice(start, stop)
+        views = tuple(
+            encoder_view(recording.q[own, j], float(step[j]), recording.valid[own])
+            for j in range(robot.n)
+        )
+        imus = tuple(read(x, recording, own) for x in known.values())
+        part, size = _smoothed(Chunk(robot, views, 1.0 / rate, 1, imus), size)
+        motion, places, covariance, found, said = part
+        known |= {x.name: x for x in found}
+        used |= {x.name for x in found}
+        notes += [f"{start / rate:.1f} s: {x}" for x in said]
+        rise = [start, stops[k - 1]] if k else [-2, -1]
+        fall = [starts[k + 1] if k + 1 < len(starts) else samples, stop]
+        t = np.arange(start, stop, dtype=float)
         share = np.interp(t, [*rise, *fall], [0.0, 1.0, 1.0, 0.0])
-        motion[own] += share[:, None, None] * part.motion
-        kept = share[part.places] >= 0.5
-        places.append(part.places[kept] + own.start)
-        covariance.append(part.covariance[kept])
-        notes += part.notes
-        found |= {x.name: x for x in part.imus}
-    q, dq, ddq = (np.ascontiguousarray(motion[:, d]) for d in range(3))
-    mounted = {x.name: found[x.name] for x in imus if x.name in found}
-    known = np.concatenate(places), np.concatenate(covariance), mounted
-    return Smoothed(q, dq, ddq, *known, tuple(notes))
+        joined[own] += share[:, None, None] * motion
+        kept = share[places] >= 0.5
+        at.append(places[kept] + start)
+        covariances.append(covariance[kept])
+    q, dq, ddq = (np.ascontiguousarray(joined[:, d]) for d in range(3))
+    mounted = {name: x for name, x in known.items() if name in used}
+    return Smoothed(
+        q, dq, ddq, np.concatenate(at), np.concatenate(covariances), mounted, tuple(notes)
+    )

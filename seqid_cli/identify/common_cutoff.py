@@ -55,36 +55,37 @@ class LogScore:
     smoothed: Score | None = None
 
 
-def score_of(
-    log: Recording | SurveyedLog,
+def _score_of(
+    given: Path | Recording,
     robot: Robot,
-    *,
-    imu: ImuStage | None = None,
-    source: str = "encoder",
+    imu: ImuStage | None,
+    source: str,
+    time_source: TimeSource,
 ) -> LogScore | None:
     """Score the cut-offs of one log; None where no joint moves.
 
-    `imu`: calibrations, to score the motion that they give. `source`: as of `best_motion`. Raises
-    SeqidError if the motion cannot be had from this source.
+    Raises SeqidError if the motion cannot be had from this source (see `best_motion`).
     """
-    resolution, rate = encoder_resolution(robot), log.rate_hz
-    found = survey_of(log).score(resolution, GRID)
-    if found is None:
-        return None
-    if isinstance(log, SurveyedLog):
-        return LogScore(found, min(HIGHEST_HZ, rate / 8))
-    highest = min(HIGHEST_HZ, rate / 8, highest_bridged(log))
-    return LogScore(found, highest, _smoothed(log, robot, imu, source))
-
-
-def _smoothed(log: Recording, robot: Robot, imu: ImuStage | None, source: str) -> Score | None:
-    """Score by the smoothed motion, where that will be used."""
-    if imu is None or not imu.imus or source == "encoder":
-        return None
-    encoder = estimate_motion(log, robot, MotionOptions())
-    if best_motion(log, robot, imu, encoder, source=source).source != "fused":
-        return None
-    return score_of_smoothed(log, robot, imu, encoder, GRID)
+    fuses = imu is not None and bool(imu.imus) and source != "encoder"
+    with contextlib.ExitStack() as stack:
+        log: Recording | SurveyedLog
+        if isinstance(given, Recording):
+            log = given
+        else:
+            file = Path(stack.enter_context(local_copy(given)))
+            long = None if fuses else open_if_long(file, robot, time_source=time_source)
+            log = long or read_recording(file, robot, time_source=time_source)
+        found, highest = survey_of(log).score(encoder_resolution(robot), GRID), log.rate_hz / 8
+        if found is None:
+            return None
+        if isinstance(log, SurveyedLog):
+            return LogScore(found, min(HIGHEST_HZ, highest))
+        smoothed = None
+        if fuses:
+            encoder = estimate_motion(log, robot, MotionOptions())
+            if best_motion(log, robot, imu, encoder, source=source).source == "fused":
+                smoothed = score_of_smoothed(log, robot, imu, encoder, GRID)
+        return LogScore(found, min(HIGHEST_HZ, highest, highest_bridged(log)), smoothed)
 
 
 def chosen_together(scores: Sequence[LogScore]) -> tuple[float, float]:
@@ -135,26 +136,13 @@ def identification_options(
     for given in logs:
         # Errors are reported when the log is read to be identified from.
         with contextlib.suppress(SeqidError):
-            own = _score_of_given(given, robot, imu, source, time_source)
+            own = _score_of(given, robot, imu, source, time_source)
             found += [own] if own is not None else []
     if not found:
         return MotionOptions()
     hz, alone = chosen_together(found)
     origin = f"chosen from all {len(logs)} logs together"
     return MotionOptions(hz, origin=origin, encoder_hz=alone)
-
-
-def _score_of_given(
-    log: Path | Recording, robot: Robot, imu: ImuStage | None, source: str, time_source: TimeSource
-) -> LogScore | None:
-    if isinstance(log, Recording):
-        return score_of(log, robot, imu=imu, source=source)
-    fuses = imu is not None and bool(imu.imus) and source != "encoder"
-    with local_copy(log) as copy:
-        file = Path(copy)
-        long = None if fuses else open_if_long(file, robot, time_source=time_source)
-        whole = long or read_recording(file, robot, time_source=time_source)
-        return score_of(whole, robot, imu=imu, source=source)
 
 
 def inherited(stages: Stages, cutoff_hz: float | None) -> MotionOptions:

@@ -90,8 +90,8 @@ class LogSet:
 
     def __iter__(self) -> Iterator[Recording]:
         self._next()
-        for item in self._items():
-            log, findings = _Task(self.robot, self.time_source, None, self.imus).read(item)
+        for given in self.logs:
+            log, findings = _Task(self.robot, self.time_source, None, self.imus).read(given)
             assert isinstance(log, Recording)
             self._done(replace(note_of(log), findings=findings))
             self._about_to_work(log)
@@ -148,8 +148,7 @@ class LogSet:
         # can.
         self._next()
         errors: list[Exception] = []
-        items = self._items()
-        for item, reply in zip(items, self._replies(part, items), strict=True):
+        for given, reply in zip(self.logs, self._replies(part), strict=True):
             error = reply.error
             if error is None:
                 found = reply.get()
@@ -159,32 +158,28 @@ class LogSet:
             if isinstance(error, UsageError | ConfigError) or not self.skip_failed:
                 raise error  # also where it is no matter of one log
             errors.append(error)
-            self._failed(str(item), error)
+            self._failed(_name(given), error)
             yield None
-        if items and len(errors) == len(items):
+        if errors and len(errors) == len(self.logs):
             first = errors[0]
             hint = first.hint if isinstance(first, SeqidError) else ""
-            raise InputError(f"none of the {len(items)} logs can be used: {first}", hint=hint)
+            raise InputError(f"none of the {len(errors)} logs can be used: {first}", hint=hint)
 
-    def _replies(
-        self, part: PartOf[Any, P], items: "Sequence[_Item]"
-    ) -> Iterator[Reply[tuple[LogNote, P]]]:
+    def _replies(self, part: PartOf[Any, P]) -> Iterator[Reply[tuple[LogNote, P]]]:
         task = _Task(self.robot, self.time_source, part, self.imus, Path.cwd())
+        items = list(enumerate(self.logs))
         if self.executor is not None:
             return ordered(self.executor, task, items)
 
-        def here(item: _Item) -> tuple[LogNote, P]:
-            return task.work(item, self._about_to_work)
+        def here(item: tuple[int, Path | Recording]) -> tuple[LogNote, P]:
+            return task(item, self._about_to_work)
 
         return (answer(here, i) if self.skip_failed else Reply(here(i)) for i in items)
-
-    def _items(self) -> "list[_Item]":
-        return [_Item(number, log) for number, log in enumerate(self.logs)]
 
     def _next(self) -> None:
         done = len(self.read) + len(self.left_out)
         if done < len(self.logs):
-            self.tell("reading", log=str(_Item(done, self.logs[done])))
+            self.tell("reading", log=_name(self.logs[done]))
 
     def _about_to_work(self, log: Recording | SurveyedLog) -> None:
         if self.before is not None and isinstance(log, Recording):
@@ -259,15 +254,8 @@ def note_of(log: Recording | SurveyedLog) -> LogNote:
     )
 
 
-@dataclass(frozen=True)
-class _Item:
-    """One log and its number."""
-
-    number: int
-    log: Path | Recording
-
-    def __str__(self) -> str:
-        return str(self.log.path if isinstance(self.log, Recording) else self.log)
+def _name(log: Path | Recording) -> str:
+    return str(log.path if isinstance(log, Recording) else log)
 
 
 @dataclass(frozen=True)
@@ -280,33 +268,31 @@ class _Task(Generic[P]):
     imus: bool
     folder: Path | None = None
 
-    def __call__(self, item: _Item) -> tuple[LogNote, P]:
-        """Work on one log.
+    def __call__(
+        self,
+        item: tuple[int, Path | Recording],
+        before: Callable[[Recording | SurveyedLog], None] | None = None,
+    ) -> tuple[LogNote, P]:
+        """Work on one log and its number; `before` hears of it before the long part, if here.
 
         Raises SeqidError: the log cannot be read or is of no use.
         """
-        return self.work(item, None)
-
-    def work(
-        self, item: _Item, before: Callable[[Recording | SurveyedLog], None] | None
-    ) -> tuple[LogNote, P]:
-        """Work on one log, of which someone in this process hears before the long part."""
+        number, given = item
         # Those that pass over a log read it again and again: a stored one's copy must last.
         with contextlib.ExitStack() as stack:
             file = None
-            if isinstance(item.log, Path):
-                file = stack.enter_context(local_copy(item.log))
-            log, findings = self.read(item, file)
+            if isinstance(given, Path):
+                file = stack.enter_context(local_copy(given))
+            log, findings = self.read(given, file)
             if before is not None:
                 before(log)
             assert self.part is not None
-            return replace(note_of(log), findings=findings), self.part(log, item.number)
+            return replace(note_of(log), findings=findings), self.part(log, number)
 
     def read(
-        self, item: _Item, file: Path | None = None
+        self, name: Path | Recording, file: Path | None = None
     ) -> tuple[Recording | SurveyedLog, tuple[InspectionFinding, ...]]:
         """Read and check one log, from a local copy where there is one."""
-        name = item.log
         if isinstance(name, Recording):
             return name, ()
         place = name if file is None else file

@@ -70,10 +70,11 @@ def fused_motion(
     apart = disagreement(encoder, encoder.lowpass(smoothed.ddq, recording.valid))
     if not apart.any():
         return replace(_filtered(recording, encoder, smoothed), warnings=warnings)
-    doubt = f"{', '.join(smoothed.imus)} and the encoder of {_names(robot, apart)} disagree"
-    if insist:
-        return replace(_filtered(recording, encoder, smoothed), warnings=(*warnings, doubt))
-    return replace(encoder, warnings=(*warnings, f"{doubt}: encoders alone are used"))
+    names = ", ".join(robot.joint_names[j] for j in np.flatnonzero(apart))
+    doubt = f"{', '.join(smoothed.imus)} and the encoder of {names} disagree"
+    if not insist:
+        return replace(encoder, warnings=(*warnings, f"{doubt}: encoders alone are used"))
+    return replace(_filtered(recording, encoder, smoothed), warnings=(*warnings, doubt))
 
 
 def score_of_smoothed(
@@ -116,10 +117,6 @@ def disagreement(
     size = np.sqrt(np.mean(encoder.ddq[used] ** 2, axis=0))
     limit = max_noise_ratio * encoder.cutoff.acceleration_noise + max_share * size
     return np.asarray(seen & ~(apart <= limit))
-
-
-def _names(robot: Robot, chosen: Mask) -> str:
-    return ", ".join(name for name, is_it in zip(robot.joint_names, chosen, strict=True) if is_it)
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,10 +167,6 @@ class _Found:
     notes: tuple[str, ...]
 
 
-def _smoothed(task: _Task, *, largest_kept: int = 100000) -> _Found:
-    return _kept(task) if task.recording.q.size <= largest_kept else _made(task)
-
-
 def _made(task: _Task) -> _Found:
     s = smoothed_motion(task.recording, task.robot, task.stage)
     imus = tuple(s.mounted)
@@ -198,9 +191,11 @@ def _silent(task: _Task, names: tuple[str, ...], *, mostly: float = 0.95) -> Ite
             yield f"{imu.name} reads in {percent(share, 0)} of the samples"
 
 
-@lru_cache(maxsize=32)
-def _kept(task: _Task) -> _Found:
-    return _made(task)
+_kept = lru_cache(maxsize=32)(_made)
+
+
+def _smoothed(task: _Task, *, largest_kept: int = 100000) -> _Found:
+    return _kept(task) if task.recording.q.size <= largest_kept else _made(task)
 
 
 def absent_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> Iterator[str]:

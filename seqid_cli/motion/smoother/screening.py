@@ -131,15 +131,18 @@ def located(
     return _fitted(chunk, c, _fitted(chunk, c, x, late), late + 1)
 
 
+def _placed(chunk: Chunk, x: Mounted, change: Array) -> Mounted:
+    """An IMU with its constants changed, its readings where the clock has them."""
+    return replace(chunk, imus=(moved(x, change),)).gathered().imus[0]
+
+
 def _fitted(chunk: Chunk, c: Array, x: Mounted, count: int) -> Mounted:
     """One step of least squares for the first `count` constants."""
-    r = _cell_means(chunk, x, x.y - predicted(chunk, c, x))
-    G, info = _design(chunk, c, x, r, count)
-    right = np.tensordot(r / _noise(x, r), G, 2) - (x.precision @ x.away)[:count]
+    r, noise, G, info = _design(chunk, c, x, count)
+    right = np.tensordot(r / noise, G, 2) - (x.precision @ x.away)[:count]
     change = np.zeros(len(x.away))
     change[:count] = np.linalg.solve(info, right)
-    x = moved(x, change)
-    return replace(chunk, imus=(x,)).gathered().imus[0]
+    return _placed(chunk, x, change)
 
 
 def _searched(
@@ -149,9 +152,7 @@ def _searched(
     # The encoders' motion errs over long stretches; few of the residuals are independent.
     h, late = chunk.spacing, x.place.channels + 6
     told = predicted(chunk, c, x)
-    r = _cell_means(chunk, x, x.y - told)
-    noise = _noise(x, r)
-    G, info = _design(chunk, c, x, r, late)
+    _, noise, G, info = _design(chunk, c, x, late)
     lags = range(-int(search_s / h), int(search_s / h) + 1)
     left = np.empty(len(lags))
     for i, lag in enumerate(lags):
@@ -164,9 +165,7 @@ def _searched(
     away = np.array(lags) * h + x.away[late]
     cost = 0.5 * independent * np.log(np.maximum(left, 1e-12))
     lag = lags[int(np.argmin(cost + 0.5 * x.precision[late, late] * away**2))]
-    change = np.zeros(len(x.away))
-    change[late] = lag * h
-    return replace(chunk, imus=(moved(x, change),)).gathered().imus[0]
+    return _placed(chunk, x, lag * h * np.eye(len(x.away))[late])
 
 
 def _later(values: Array, lag: int) -> Array:
@@ -183,17 +182,18 @@ def _cell_means(chunk: Chunk, x: Mounted, off: Array) -> Array:
     return np.asarray(np.add.reduceat(off * x.seen, chunk.cells) / np.maximum(count, 1.0))
 
 
-def _noise(x: Mounted, r: Array) -> Array:
-    """What to weigh cells of residuals `r` (C, K) with, (K,)."""
-    return np.asarray(np.maximum(x.spread, gaussian_spread(r)))
+def _design(chunk: Chunk, c: Array, x: Mounted, count: int) -> tuple[Array, Array, Array, Array]:
+    """Residuals (C, K) by cells, their noise (K,), whitened Jacobians in an IMU's first constants.
 
-
-def _design(chunk: Chunk, c: Array, x: Mounted, r: Array, count: int) -> tuple[Array, Array]:
-    """Whitened Jacobians (C, K, g) of an IMU's first constants, and their information (g, g)."""
+    Those are (C, K, g); their information (g, g) comes last.
+    """
+    r = _cell_means(chunk, x, x.y - predicted(chunk, c, x))
+    noise: Array = np.maximum(x.spread, gaussian_spread(r))
     G = jacobians(chunk, c, x, gains=False).by_constants[:, :, :count]
     there = np.add.reduceat(x.seen.astype(float), chunk.cells) > 0
-    G = G * there[:, :, None] / _noise(x, r)[:, None]
-    return G, np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]
+    G = G * there[:, :, None] / noise[:, None]
+    info = np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]
+    return r, noise, G, info
 
 
 def _contradiction(

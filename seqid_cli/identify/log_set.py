@@ -1,11 +1,11 @@
 """The logs of one call: read, checked, worked on one by one by whoever is asked to, accounted for.
 
 Parts of different logs are independent of each other, so an executor may make them. They are merged
-in one binary tree whose shape depends on the number of logs alone; the result is the same to the
-last bit, whoever made the parts.
+here in the order of the logs; the result is the same to the last bit, whoever made the parts.
 """
 
 import contextlib
+import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
@@ -15,7 +15,6 @@ from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_verdicts import as_note, notes_of_logs, verdicts_of_logs
-from seqid_cli.identify.tree import Tree, or_none
 from seqid_cli.inspect.findings import located
 from seqid_cli.inspect.progress import LogNote, Progress
 from seqid_cli.inspect.screening import read_screened, screened_long
@@ -97,13 +96,6 @@ class LogSet:
             self._about_to_work(log)
             yield log
             self._next()
-
-    def reduced(self, part: PartOf[Any, P], merge: Merge[P]) -> P | None:
-        """Merge the parts of all logs; see `reduced`."""
-        tree: Tree[P | None] = Tree(or_none(merge))
-        for found in self._parts(part):
-            tree.push(None if found is None else found[1])
-        return tree.root()
 
     def mapped(self, part: PartOf[Any, P]) -> Iterator[P]:
         """Yield the parts of all logs in their order."""
@@ -222,12 +214,9 @@ def reduced(logs: Iterable[L], part: PartOf[L, P], merge: Merge[P]) -> P | None:
     class, or a function, of a module. `merge`: from two neighbouring parts to one. Returns: none
     without logs.
     """
-    if isinstance(logs, LogSet):
-        return logs.reduced(part, merge)
-    tree: Tree[P] = Tree(merge)
-    for found in mapped(logs, part):
-        tree.push(found)
-    return tree.root()
+    parts = mapped(logs, part)
+    first = next(parts, None)
+    return None if first is None else functools.reduce(merge, parts, first)
 
 
 def mapped(logs: Iterable[L], part: PartOf[L, P]) -> Iterator[P]:

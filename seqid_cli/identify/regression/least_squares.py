@@ -16,6 +16,7 @@ small. The factors are made by Householder reflections (LAPACK's `dtpqrt`).
 """
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -128,21 +129,26 @@ class Accumulator:
         self._bound()
 
     def __add__(self, other: "Accumulator") -> "Accumulator":
-        span = max(self.span, other.span)
-        both = Accumulator(
-            self.size, self.blocks + other.blocks, self.rows + other.rows, span, span
-        )
+        first, second = copy(self), copy(other)
+        for own in (first, second):  # blocks of one length
+            while own.span < max(self.span, other.span):
+                own._halve()
+        blocks, rows = first.blocks + second.blocks, first.rows + second.rows
+        both = Accumulator(self.size, blocks, rows, first.span, first.span)
         both._bound()
         return both
 
     def _bound(self) -> None:
         """Merge neighbouring blocks where there are too many."""
         while len(self.blocks) > MOST_BLOCKS:
-            if len(self.blocks) % 2 == 0:
-                self.filled += self.span
-            self.blocks = merged_pairs(self.blocks)
-            self.rows = [sum(self.rows[i : i + 2]) for i in range(0, len(self.rows), 2)]
-            self.span *= 2
+            self._halve()
+
+    def _halve(self) -> None:
+        if len(self.blocks) % 2 == 0:
+            self.filled += self.span
+        self.blocks = merged_pairs(self.blocks)
+        self.rows = [sum(self.rows[i : i + 2]) for i in range(0, len(self.rows), 2)]
+        self.span *= 2
 
     @property
     def total(self) -> Array:

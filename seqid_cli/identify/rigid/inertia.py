@@ -6,7 +6,6 @@ asked whether the gyroscopic coupling to the link that carries the rotor is ther
 """
 
 import contextlib
-import operator
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +27,6 @@ from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, Inertia
 from seqid_cli.identify.rigid.parameters import residual_share, rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import Coupling, decide
-from seqid_cli.identify.tree import or_none
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.blocks import SurveyedLog
@@ -139,7 +137,8 @@ class InertiaRowsOf:
 
 
 def _all(first: AllRows, second: AllRows) -> AllRows:
-    return tuple(or_none(operator.add)(*pair) for pair in zip(first, second, strict=True))
+    pairs = zip(first, second, strict=True)
+    return tuple(a + b if a is not None and b is not None else a or b for a, b in pairs)
 
 
 def _stage(

@@ -16,17 +16,17 @@ import numpy as np
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.regression.equations import torque_motion
 from seqid_cli.identify.regression.streaming import chosen_cutoff, open_if_long, streams
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs.raw import TimeSource
-from seqid_cli.logs.recording import Health, Recording, torque_of
+from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel, friction_surfaces, sliding
 from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, motion_blocks, overlapping
-from seqid_cli.motion.imu.link_acceleration import best_motion
-from seqid_cli.motion.motion import Motion, estimate_motion, too_short
+from seqid_cli.motion.motion import Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot
@@ -192,10 +192,9 @@ class _PredictionOf:
         del number
         if isinstance(log, SurveyedLog):
             return LongPrediction.of(log, self.model, self.stages, self.options, self.effects)
-        torque_of(log)
-        encoder = estimate_motion(log, self.model.robot, self.options.motion)
-        source = self.options.source
-        motion = best_motion(log, self.model.robot, self.stages.imu, encoder, source=source)
+        every = replace(self.options.motion, samples_per_cutoff=float("inf"))
+        imu, source = self.stages.imu, self.options.source
+        motion = torque_motion(log, self.model.robot, every, imu=imu, source=source)
         slowest = slides_from(self.model, self.options)
         part = predicted(self.model, self.effects, slowest, motion, log, slice(None))
         return list(_described([(part, motion)], self.model, self.stages))

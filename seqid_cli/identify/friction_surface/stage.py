@@ -23,9 +23,9 @@ from seqid_cli.identify.friction_surface.summary import (
     DEFAULT_BETA,
     Fit,
     JointFit,
+    Part,
     constants_note,
-    joined,
-    left_out_errors,
+    errors_of,
     summarise,
 )
 from seqid_cli.identify.friction_surface.trials import Trial, by_joint, collect_trials, speed_levels
@@ -130,7 +130,7 @@ def _fit(
     fits = [fit for _, fit in parts]
 
     def accept(chosen: Orders) -> bool:
-        errors = joined([left_out_errors(own, fit, chosen) for own, fit in parts])
+        errors = errors_of(parts, chosen, unseen=True)
         return errors.meets(options.beta or DEFAULT_BETA)
 
     chosen = choose_orders(fits, *asked, accept=accept if options.beta else None)
@@ -145,7 +145,7 @@ def _fitted(
     velocity: int | None,
     *,
     rounds: int = 2,
-) -> list[tuple[list[SpeedData], SurfaceFit]]:
+) -> list[Part]:
     """Fit on the likeliest basis; slices that do not belong lose their weight round by round."""
     distances = [around_medians(own) for own in sets]
     for last in (*[False] * rounds, True):

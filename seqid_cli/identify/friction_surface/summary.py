@@ -65,41 +65,29 @@ class Errors:
         return Errors(self.u[own], self.error[own], self.friction[own], self.noise[own])
 
 
-def joined(parts: Sequence[Errors]) -> Errors:
-    """Errors of several surfaces."""
-    names = ("u", "error", "friction", "noise")
-    return Errors(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+Part = tuple[list[SpeedData], SurfaceFit]  # of both directions, or of one
 
 
-def fitted_errors(data: Sequence[SpeedData], fit: SurfaceFit, orders: Orders) -> Errors:
-    """Errors of the surface that has seen everything."""
-    D = fit.entries(orders)
-    return joined([_errors(data, fit, orders, u, D) for u in fit.reduced.levels])
+def errors_of(parts: Sequence[Part], orders: Orders, *, unseen: bool) -> Errors:
+    """Errors of surfaces of some orders that have seen everything.
 
-
-def left_out_errors(data: Sequence[SpeedData], fit: SurfaceFit, orders: Orders) -> Errors:
-    """Errors at inner speeds that a surface has not seen, and of the surface at both ends.
-
-    With three speeds or fewer nothing is left out.
+    If `unseen`, those at inner speeds are of surfaces that have not seen them. With three speeds or
+    fewer nothing is left out.
     """
-    levels = fit.reduced.levels
-    unseen = dict(fit.leaving_out(orders)) if len(levels) > 3 else {}
-    D = fit.entries(orders)
-    return joined([_errors(data, fit, orders, u, unseen.get(float(u), D)) for u in levels])
-
-
-def _errors(
-    data: Sequence[SpeedData], fit: SurfaceFit, orders: Orders, u: float, D: Array
-) -> Errors:
-    """Errors at one speed of the surface with entries D."""
-    phi = np.polynomial.chebyshev.chebvander(np.array([u]), orders.velocity)[0]
-    over_position = fit.reduced.scaling.over_position
-    own = [item for item, at in zip(data, fit.reduced.u, strict=True) if at == u]
-    parts = [
-        _grouped(item, over_position.values(item.q, orders.position) @ (D @ phi)) for item in own
-    ]
-    error, friction, noise = (np.concatenate(part) for part in zip(*parts, strict=True))
-    return Errors(np.full(len(error), u), error, friction, noise)
+    rows = []
+    for data, fit in parts:
+        levels, over_position = fit.reduced.levels, fit.reduced.scaling.over_position
+        left_out = dict(fit.leaving_out(orders)) if unseen and len(levels) > 3 else {}
+        phi = np.polynomial.chebyshev.chebvander(levels, orders.velocity)
+        whole = fit.entries(orders)
+        for u, own in zip(levels, phi, strict=True):
+            at_speed = left_out.get(float(u), whole) @ own
+            for item, at in zip(data, fit.reduced.u, strict=True):
+                if at == u:
+                    fitted = over_position.values(item.q, orders.position) @ at_speed
+                    error, friction, noise = _grouped(item, fitted)
+                    rows.append((np.full(len(error), u), error, friction, noise))
+    return Errors(*(np.concatenate(values) for values in zip(*rows, strict=True)))
 
 
 def _grouped(item: SpeedData, fitted: Array, *, group_size: int = 16) -> tuple[Array, Array, Array]:
@@ -123,7 +111,7 @@ class Fit:
     """One joint's friction data, freed of gravity, and the surface fitted to them."""
 
     gravity: GravityFit
-    parts: list[tuple[list[SpeedData], SurfaceFit]]  # of both directions, or of each
+    parts: list[Part]
     orders: Orders
     surface: FrictionSurface
 
@@ -139,8 +127,8 @@ JointFit = tuple[FrictionJoint, Verdict, list[str]]  # with notes
 def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOptions) -> JointFit:
     """Describe the fit of joint j; `unpaired` trials had no twin in the other direction."""
     surface, gravity = fit.surface, fit.gravity
-    fitted = joined([fitted_errors(*part, fit.orders) for part in fit.parts])
-    unseen = joined([left_out_errors(*part, fit.orders) for part in fit.parts])
+    fitted = errors_of(fit.parts, fit.orders, unseen=False)
+    unseen = errors_of(fit.parts, fit.orders, unseen=True)
     beta = options.beta or DEFAULT_BETA
     levels = _levels(fit, fitted, unseen)
     joint = FrictionJoint(

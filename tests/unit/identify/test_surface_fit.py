@@ -25,7 +25,7 @@ from seqid_cli.identify.friction_surface.reduction import (
     reduce_trials,
     weighted,
 )
-from seqid_cli.identify.friction_surface.summary import left_out_errors
+from seqid_cli.identify.friction_surface.summary import errors_of
 from seqid_cli.model.friction_basis import Scaling
 
 Array = NDArray[np.float64]
@@ -231,7 +231,8 @@ def test_orders_that_the_user_fixes_are_kept() -> None:
 def test_eq_11_holds_for_the_right_orders_and_fails_for_too_low_ones() -> None:
     data = data_of(COEFFICIENTS, np.random.default_rng(7), sizes=replace(WHITE, noise=0.05))
     (fit,), _ = fit_surfaces([reduce_trials(data, SCALING)])
-    good, poor = (left_out_errors(data, fit, Orders(m, l)) for m, l in ((3, 2), (0, 1)))
+    parts = [(data, fit)]
+    good, poor = (errors_of(parts, Orders(m, l), unseen=True) for m, l in ((3, 2), (0, 1)))
     assert good.meets(0.01)
     assert not poor.meets(0.1)
     assert good.rms < 0.01

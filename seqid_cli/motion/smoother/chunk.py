@@ -128,11 +128,6 @@ def _gathered(x: Mounted, chunk: Chunk) -> Mounted:
     return replace(x, y=y, seen=seen, fraction=fraction, every=chunk.every)
 
 
-def windows(c: Array) -> Array:
-    """Four coefficients (M, 4, n) of every interval."""
-    return np.stack([c[k : len(c) - 3 + k] for k in range(4)], axis=1)
-
-
 def motion_at(chunk: Chunk, c: Array) -> Array:
     """q, dq, ddq (N, 3, n) at the samples."""
     x = sampled(c, chunk.knots.reshape(-1, 4)).reshape(chunk.every, 3, -1, chunk.joints)
@@ -173,4 +168,4 @@ def resampled(chunk: Chunk, c: Array, other: Chunk) -> Array:
     k = np.clip(t.astype(int), 0, chunk.intervals - 1)
     weights = spline_weights(t - k, chunk.spacing)
     at = weights[:, 0] - h**2 / 6 * weights[:, 2]
-    return np.asarray(np.einsum("ka,kan->kn", at, windows(c)[k]))
+    return np.asarray(np.einsum("ka,kan->kn", at, c[k[:, None] + np.arange(4)]))

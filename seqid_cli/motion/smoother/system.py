@@ -38,8 +38,12 @@ class Normal:
     corner_gradient: Array
 
 
-def _encoder_terms(chunk: Chunk, c: Array, band: terms.Band) -> None:
-    """Add what the encoders' samples and edges say of the coefficients `c`."""
+def encoder_information(chunk: Chunk, c: Array, jerk: Array) -> terms.Band:
+    """What encoders and the size of the jerk say about the coefficients `c` (K, n).
+
+    `jerk` is (n,) or (M, n) rad/s^3.
+    """
+    band = terms.Band(chunk.intervals, chunk.joints)
     m, every, n = chunk.intervals, chunk.every, chunk.joints
     speed = sampled(c, chunk.knots[:, 1]).transpose(1, 0, 2).reshape(m * every, n)
     at_edges = terms.spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
@@ -53,15 +57,6 @@ def _encoder_terms(chunk: Chunk, c: Array, band: terms.Band) -> None:
             np.ascontiguousarray(v.reshape(m, every, n).transpose(1, 0, 2)) for v in (weight, seen)
         )
         band.add(B, w, w * (y - sampled(c, B)))
-
-
-def encoder_information(chunk: Chunk, c: Array, jerk: Array) -> terms.Band:
-    """What encoders and the size of the jerk say about the coefficients `c` (K, n).
-
-    `jerk` is (n,) or (M, n) rad/s^3.
-    """
-    band = terms.Band(chunk.intervals, chunk.joints)
-    _encoder_terms(chunk, c, band)
     weight = 1.0 / np.atleast_2d(jerk) ** 2
     pull = -jerk_of(c, chunk.spacing) * weight
     band.add(terms.JERK[None] / chunk.spacing**3, weight[None], pull[None])

@@ -138,7 +138,7 @@ def bound(c: Case, rig: Rig) -> Array:
     imus = []
     for x, array in zip(mounted_imus(c.recording, c.robot, c.stage), c.plant.imus, strict=True):
         noise = np.full(x.place.channels, np.hypot(array.noise, array.resolution / np.sqrt(12)))
-        noise[len(x.place.axes) :] = GYRO_NOISE
+        noise[len(x.place.positions) :] = GYRO_NOISE
         place = replace(x.place, R=array.rotation, lever=array.lever)
         taken = read(x, c.recording, slice(None))
         imus.append(replace(taken, place=place, noise=noise, delay=rig.fault.delay_s))

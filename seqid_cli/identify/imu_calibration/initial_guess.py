@@ -142,7 +142,7 @@ def _mounting(
 
     def placed(step: Array) -> Mounting:
         turned = Rotation.from_rotvec(step[:3]).as_matrix() @ R
-        return Mounting(imu.after_joint, imu.positions, axes, turned, step[3:])
+        return Mounting(imu.after_joint, imu.positions.reshape(-1, 3), axes, turned, step[3:])
 
     def off(step: Array) -> Array:
         misfit = (root @ placed(step).matrix.T - target) / size

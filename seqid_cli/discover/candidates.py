@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,6 +60,33 @@ class Candidate:
                 torque[:, joint] += shown[::every]
 
 
+@dataclass(frozen=True, eq=False)
+class Padded:
+    """Columns (M, k) with as many of zeros `behind` them, or before, that take no memory."""
+
+    columns: Array
+    behind: bool
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns, (M, 2 k)."""
+        return len(self.columns), 2 * self.columns.shape[1]
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    def __getitem__(self, at: slice) -> Array:
+        own = self.columns[at]
+        return np.hstack([own, np.zeros_like(own)] if self.behind else [np.zeros_like(own), own])
+
+    def __pow__(self, exponent: int) -> Array:
+        return np.asarray(self[:] ** exponent)
+
+    def __matmul__(self, theta: Array) -> Array:
+        k = self.columns.shape[1]
+        return np.asarray(self.columns @ (theta[:k] if self.behind else theta[k:]))
+
+
 class Stage:
     """Rows and data sets on which candidates are tried, with the columns made so far."""
 
@@ -104,10 +132,7 @@ class Stage:
         below = {c: X for c, X in both.items() if c < self.rows.n}
         if not any(np.any(X, axis=0).all() for X in below.values()):
             return {}
-        return {
-            c: np.hstack([X, np.zeros_like(X)] if c in below else [np.zeros_like(X), X])
-            for c, X in both.items()
-        }
+        return {c: cast(Array, Padded(X, c in below)) for c, X in both.items()}
 
     def _computed(self, candidates: Sequence[Candidate], passes: int) -> list[Channels]:
         """Columns of candidates that are low-passed alike, all in one go."""

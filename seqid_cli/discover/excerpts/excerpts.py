@@ -38,7 +38,7 @@ from seqid_cli.robot.types import Robot
 # of the cut-off. Beside 0.3 GiB for the program that is 0.6 GiB at 1 kHz and 1.3 GiB at 125 Hz
 # (seven joints, measured).
 MOST_VALUES = 1_740_000
-ARM, CHANNEL = 2.0, 0.125
+ARM, CHANNEL = 2.0, 0.36
 PER_SECOND = 350
 PASSED_OVER = 50_000  # samples from which on a log that does not fit is not held even once
 MOST_PLACES = 6  # excerpts about places that stand out

@@ -61,20 +61,26 @@ class Linear:
         self._y = [y * root for y, root in zip(rows.y, self._root, strict=True)]
         self._own = [self._of_channel(c) for c in range(len(rows.y))]
 
-    def _of_channel(self, channel: int) -> tuple[Index, Array]:
-        """Parameters (p_c,) that a channel knows, and its weighted columns (M_c, p_c)."""
+    def _of_channel(self, channel: int) -> tuple[Index, list[Array]]:
+        """Parameters (p_c,) that a channel knows, and its columns (M_c, .), part by part."""
         here = [
             (np.arange(where.start, where.stop), part.columns[channel])
             for part, where in zip(self.parts, self.where, strict=True)
             if channel in part.columns
         ]
         index = np.concatenate([np.zeros(0, dtype=np.intp), *(own for own, _ in here)])
-        B, first = np.empty((len(self.rows.y[channel]), len(index))), 0
-        for own, columns in here:
-            at = slice(first, first + len(own))
-            np.multiply(columns, self._root[channel][:, None], out=B[:, at])
-            first = at.stop
-        return index, B
+        return index, [columns for _, columns in here]
+
+    def _weighted(self, channel: int, at: slice = slice(None)) -> tuple[Array, Array]:
+        """Weighted columns (M, p_c) and torque (M,) of some rows of a channel."""
+        index, every = self._own[channel]
+        root, first = self._root[channel][at, None], 0
+        B = np.empty((len(root), len(index)))
+        for columns in every:
+            own = slice(first, first + columns.shape[1])
+            np.multiply(columns[at], root, out=B[:, own])
+            first = own.stop
+        return B, self._y[channel][at]
 
     @cached_property
     def prior(self) -> Array:
@@ -93,26 +99,19 @@ class Linear:
                 P[where, where] = part.precision - part.apart
         return P
 
-    @cached_property
-    def _products(self) -> tuple[Array, Array]:
-        """B'wB (blocks, p, p) and B'wy (blocks, p)."""
-        A = np.zeros((self.rows.blocks, self.size, self.size))
-        b = np.zeros((self.rows.blocks, self.size))
-        for (index, B), y, at in zip(self._own, self._y, self.rows.at, strict=True):
-            square = np.ix_(index, index)
-            for k, here in enumerate(at):
-                A[k][square] += B[here].T @ B[here]
-                b[k, index] += B[here].T @ y[here]
+    def _sums_of(self, rows: Sequence[slice]) -> tuple[Array, Array]:
+        """B'wB (p, p) and B'wy (p,) of some rows of every channel."""
+        A, b = np.zeros((self.size, self.size)), np.zeros(self.size)
+        for channel, ((index, _), at) in enumerate(zip(self._own, rows, strict=True)):
+            B, y = self._weighted(channel, at)
+            A[np.ix_(index, index)] += B.T @ B
+            b[index] += B.T @ y
         return A, b
 
     @cached_property
     def _sums(self) -> tuple[Array, Array]:
-        """B'wB (p, p) and B'wy (p,) of all blocks."""
-        A, b = np.zeros((self.size, self.size)), np.zeros(self.size)
-        for (index, B), y in zip(self._own, self._y, strict=True):
-            A[np.ix_(index, index)] += B.T @ B
-            b[index] += B.T @ y
-        return A, b
+        """The same of all rows."""
+        return self._sums_of([slice(None)] * len(self._own))
 
     @cached_property
     def _scale(self) -> Array:
@@ -139,7 +138,7 @@ class Linear:
         A, b = self._sums
         return [
             (factor, self._solved(factor, b - own_b))
-            for own_A, own_b in zip(*self._products, strict=True)
+            for own_A, own_b in map(self._sums_of, zip(*self.rows.at, strict=True))
             for factor in [self._factor(A - own_A)]
         ]
 
@@ -203,8 +202,8 @@ class Linear:
         ]
 
     def _left(self, channel: int, at: slice, theta: Array) -> Array:
-        index, B = self._own[channel]
-        left: Array = (self._y[channel][at] - B[at] @ theta[index]) / self._root[channel][at]
+        B, y = self._weighted(channel, at)
+        left: Array = (y - B @ theta[self._own[channel][0]]) / self._root[channel][at]
         return left
 
     def gained(self, terms: Sequence[Part]) -> list[Gained]:
@@ -213,8 +212,8 @@ class Linear:
         for first in range(0, len(terms), BATCH):
             some = terms[first : first + BATCH]
             crossed = _Crossed.of(some, self.size, 1)
-            for c, (index, B) in enumerate(self._own):
-                crossed.add(0, c, index, B, self._y[c], self._root[c])
+            for c, (index, _) in enumerate(self._own):
+                crossed.add(0, c, index, *self._weighted(c), self._root[c])
             found += self._given(self._whole, some, crossed)
         return found
 
@@ -241,10 +240,9 @@ class Linear:
             return []
         blocks = self.rows.blocks
         crossed = _Crossed.of(terms, self.size, blocks)
-        for c, (index, B) in enumerate(self._own):
+        for c, (index, _) in enumerate(self._own):
             for k, here in enumerate(self.rows.at[c]):
-                some = B[here], self._y[c][here], self._root[c][here]
-                crossed.add(k, c, index, *some, here.start)
+                crossed.add(k, c, index, *self._weighted(c, here), self._root[c][here], here.start)
         every = [one.evidence for one in self._given(self._whole, terms, crossed)]
         alone = [one.evidence for one in self._given(self._without_file, terms, crossed)]
         density = np.zeros((len(terms), blocks))

@@ -25,7 +25,7 @@ from tests.unit.discover.long_logs import LongCase, long_case
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
 OPTIONS = DiscoverOptions(max_effects=1)
-MOST = 430_000
+MOST = 429_760
 HUMP = ("stribeck", 1, 1.0)
 
 

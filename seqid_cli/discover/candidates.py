@@ -60,6 +60,9 @@ class Candidate:
                 torque[:, joint] += shown[::every]
 
 
+MOST_COLUMNS = 2_000_000  # candidates times samples that are worked out together: memory
+
+
 @dataclass(frozen=True, eq=False)
 class Padded:
     """Columns (M, k) with as many of zeros `behind` them, or before, that take no memory."""
@@ -107,11 +110,13 @@ class Stage:
         for key, candidate in missing.items():
             if candidate.effect.wide:
                 self._made[key] = self._wide(candidate)
+        longest = max(scene.samples for scene in self.scenes)
+        together = max(1, min(TOGETHER, MOST_COLUMNS // longest))
         for passes in (1, 2):
             narrow = [(k, c) for k, c in missing.items() if not c.effect.wide]
             some = {k: c for k, c in narrow if c.effect.passes == passes}
-            for first in range(0, len(some), TOGETHER):
-                part = list(some.items())[first : first + TOGETHER]
+            for first in range(0, len(some), together):
+                part = list(some.items())[first : first + together]
                 made = self._computed([c for _, c in part], passes)
                 self._made.update(zip([k for k, _ in part], made, strict=True))
         return [self._made[key] for key in keys]

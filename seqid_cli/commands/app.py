@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 EXIT_BUG = 70
 _NO_ROOM = ("cannot allocate memory", "failed to map segment")
 _BUG = "this is a bug in seqid"
+_LONGEST = 4000  # letters of a message: names from files have any length
 _HELP = "From recorded robot logs to a dynamic model that an engineer trusts."
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
@@ -135,26 +136,24 @@ def _guarded(arguments: Sequence[str]) -> int:
         return error.exit_code
     except ClickException as error:
         problem: SeqidError = UsageError(error.format_message(), hint=f"See {name} --help.")
+        return _report(name, problem, arguments)
     except SeqidError as error:
-        problem = error
+        return _report(name, error, arguments)
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write(f"{name}: interrupted\n")
         return EXIT_INTERRUPTED
     except Exception as error:  # the last resort: a bug must not look like a verdict
         if isinstance(error, OSError) and cannot_be_written(error):
             raise
-        if not _out_of_memory(error):
-            return _report_bug(name, error, arguments)
-        hint = "Give the process more of it, or fewer logs and --jobs 1."
-        problem = UsageError(f"there is too little memory ({error})", hint=hint)
-    _report(name, problem, arguments)
-    return problem.exit_code
-
-
-def _out_of_memory(error: Exception) -> bool:
-    """Tell whether arrays or libraries had no room."""
-    text = str(error).lower()
-    return isinstance(error, MemoryError) or any(sign in text for sign in _NO_ROOM)
+        text = str(error).lower()
+        if isinstance(error, MemoryError) or any(sign in text for sign in _NO_ROOM):
+            hint = "Give the process more of it, or fewer logs and --jobs 1."
+            problem = UsageError(f"there is too little memory ({error})", hint=hint)
+            return _report(name, problem, arguments)
+        hint = "Report it with the command line and the output of the same command with --debug."
+        problem = SeqidError(f"{_BUG}: {type(error).__name__}: {error}", hint=hint)
+        problem.__cause__ = error
+        return _report(name, problem, arguments, code=EXIT_BUG)
 
 
 def _invoke(arguments: Sequence[str]) -> int:
@@ -173,43 +172,24 @@ def _invoke(arguments: Sequence[str]) -> int:
         return request.exit_code
 
 
-def _report(name: str, problem: SeqidError, arguments: Sequence[str]) -> None:
+def _report(
+    name: str, problem: SeqidError, arguments: Sequence[str], *, code: int | None = None
+) -> int:
+    """Write an error as a message; returns its exit code."""
+    from seqid_cli.commands.screen.layout import shortened
+
     if "--debug" in arguments:
         traceback.print_exception(problem)
-    sys.stderr.write(visible(f"{name}: error: {_cut(str(problem))}\n"))
-    if problem.hint:
-        sys.stderr.write(visible(f"  hint: {_cut(problem.hint)}\n"))
-    _report_json(
-        arguments,
-        code=problem.exit_code,
-        message=problem.message,
-        hint=problem.hint,
-        where=problem.where,
-    )
-
-
-def _cut(text: str, most: int = 4000) -> str:
-    """A text without its middle where it is long: names from files have any length."""
-    half = most // 2
-    return text if len(text) <= most else f"{text[:half]} ... {text[-half:]}"
-
-
-def _report_bug(name: str, error: Exception, arguments: Sequence[str]) -> int:
-    message = f"{_BUG}: {type(error).__name__}: {error}"
-    hint = "Report it with the command line and the output of the same command with --debug."
-    if "--debug" in arguments:
-        traceback.print_exception(error)
-    sys.stderr.write(visible(f"{name}: error: {message}\n  hint: {hint}\n"))
-    _report_json(arguments, code=EXIT_BUG, message=message, hint=hint, where="")
-    return EXIT_BUG
-
-
-def _report_json(
-    arguments: Sequence[str], *, code: int, message: str, hint: str, where: str
-) -> None:
+    code = problem.exit_code if code is None else code
+    message, hint = (shortened(text, _LONGEST) for text in (str(problem), problem.hint))
+    sys.stderr.write(visible(f"{name}: error: {message}\n"))
+    if hint:
+        sys.stderr.write(visible(f"  hint: {hint}\n"))
     if "--json" in arguments:
-        error = {"code": code, "message": message, "hint": hint, "where": where}
+        where = {"hint": problem.hint, "where": problem.where}
+        error = {"code": code, "message": problem.message, **where}
         sys.stdout.write(json.dumps({"error": error}, indent=2) + "\n")
+    return code
 
 
 def _version_option() -> TyperOption:

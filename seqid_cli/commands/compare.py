@@ -10,8 +10,9 @@ from typing import Annotated, Literal
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
-from seqid_cli.commands.screen.render import Screen, number, percent, screen_of
+from seqid_cli.commands.screen.render import Screen, percent, screen_of
 from seqid_cli.params.results.comparison import ComparisonFile, Difference
+from seqid_cli.params.results.tables import values
 
 EXAMPLES = (
     "seqid compare sample_logs/two_joint/golden.json inertia.json",
@@ -87,8 +88,13 @@ def _show(screen: Screen, found: ComparisonFile) -> None:
     rest = [item for item in found.differences if not item.different]
     rest.sort(key=lambda item: -(item.relative or 0.0))
     shown = [*_changed(found), *(rest if screen.verbose else rest[:_SHOWN])]
-    columns = ("stage", "number", "joint", "first", "second", "std errors", "relative", "verdict")
-    screen.table(columns, [_row(item) for item in shown])
+    rows = []
+    for x in shown:
+        remark = f": {x.remark}" if x.remark else ""
+        verdict = f"changed{remark}" if x.different else "same"
+        rows.append((x.stage, x.name, x.joint or None, x.a, x.b, x.sigmas, x.relative, verdict))
+    titles = "stage | number | joint | first | second | std errors | relative | verdict"
+    screen.values(values(titles, "text text text number5 number5 number share text", rows))
     hidden = len(rest) - (len(shown) - found.changed)
     if hidden:
         screen.note(f"{hidden} more are unchanged (-v shows them)")
@@ -97,22 +103,6 @@ def _show(screen: Screen, found: ComparisonFile) -> None:
 
 def _changed(found: ComparisonFile) -> list[Difference]:
     return [item for item in found.differences if item.different]
-
-
-def _row(item: Difference) -> tuple[str, ...]:
-    verdict = "changed" if item.different else "same"
-    if item.remark and item.different:
-        verdict = f"changed: {item.remark}"
-    return (
-        item.stage,
-        item.name,
-        item.joint or "-",
-        number(item.a, 5),
-        number(item.b, 5),
-        number(item.sigmas),
-        percent(item.relative),
-        verdict,
-    )
 
 
 def _summary(found: ComparisonFile) -> str:
@@ -128,19 +118,14 @@ def _annotate(screen: Screen, found: ComparisonFile) -> None:
     for item in _changed(found):
         where = f" of {item.joint}" if item.joint else ""
         title = _property(f"seqid: {item.stage} {item.name}{where} changed")
-        text = _message(_sentence(item))
-        screen.result(f"::error file={_property(found.b)},title={title}::{text}")
+        text = item.remark
+        if item.a is not None and item.b is not None:
+            text = f"{item.a:.6g} became {item.b:.6g} {item.unit}".rstrip()
+            text += "" if item.sigmas is None else f", {item.sigmas:.1f} standard errors"
+            text += f", {percent(item.relative)} of its size"
+            text += f" ({item.remark})" if item.remark else ""
+        screen.result(f"::error file={_property(found.b)},title={title}::{_message(text)}")
     screen.result(f"::notice title=seqid compare::{_message(_summary(found))}")
-
-
-def _sentence(item: Difference) -> str:
-    if item.a is None or item.b is None:
-        return item.remark
-    text = f"{item.a:.6g} became {item.b:.6g} {item.unit}".rstrip()
-    if item.sigmas is not None:
-        text += f", {item.sigmas:.1f} standard errors"
-    text += f", {percent(item.relative)} of its size"
-    return f"{text} ({item.remark})" if item.remark else text
 
 
 def _message(text: str) -> str:

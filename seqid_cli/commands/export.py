@@ -9,9 +9,10 @@ import typer
 
 from seqid_cli.commands.job import exit_code, listening
 from seqid_cli.commands.options import RobotPath, Strict
-from seqid_cli.commands.screen.render import Screen, number, percent
+from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.export.formats import FORMATS
 from seqid_cli.params.results.export import ExportFile
+from seqid_cli.params.results.tables import values
 
 EXAMPLES = (
     "seqid export inertia.json -r sample_logs/six_joint/robot.toml -o six_joint.urdf",
@@ -53,31 +54,31 @@ def run(
 def _show(screen: Screen, file: ExportFile) -> None:
     rows = []
     for name, link in file.joints.items():
-        center = " ".join(number(x) for x in link.center_of_mass)
-        row, fit = (name, number(link.mass, 4), center, number(link.armature)), link.friction
-        friction = ("-", "-", "-")
+        center, fit = " ".join(number(x) for x in link.center_of_mass), link.friction
+        friction: tuple[float | None, ...] = (None, None, None)
         if fit is not None:
             share = fit.rms_misfit / fit.rms if fit.rms > 0.0 else 0.0
-            friction = (number(fit.coulomb), number(fit.viscous), percent(share))
-        rows.append((*row, *friction))
-    columns = ("joint", "mass kg", "centre of mass m", "armature", "Coulomb", "viscous", "misfit")
-    screen.table(columns, rows)
-    _show_deviations(screen, file)
+            friction = (fit.coulomb, fit.viscous, share)
+        rows.append((name, link.mass, center, link.armature, *friction))
+    titles = "joint | mass [kg] | centre of mass [m] | armature | Coulomb | viscous | misfit"
+    screen.values(values(titles, "text number4 text number number number share", rows))
+    if file.exact:
+        screen.result("the identified base parameters are met exactly by bodies that can exist")
+    else:
+        _show_deviations(screen, file)
     for note in file.notes:
         screen.note(f"note: {note}")
 
 
 def _show_deviations(screen: Screen, file: ExportFile) -> None:
-    if file.exact:
-        screen.result("the identified base parameters are met exactly by bodies that can exist")
-        return
     rows = [
-        (d.name, number(d.identified, 5), number(d.exported, 5), f"{d.std_errors:+.2f}", d.unit)
+        (d.name, d.identified, d.exported, f"{d.std_errors:+.2f}", d.unit)
         for d in file.base_parameters
         if d.std_errors is not None and abs(d.std_errors) >= 0.01
     ]
     screen.result("no body has the identified base parameters; the nearest ones are exported:")
-    screen.table(("parameter", "identified", "exported", "std errors", "unit"), rows)
+    titles = "parameter | identified | exported | std errors | unit"
+    screen.values(values(titles, "text number5 number5 text text", rows))
     if file.largest_deviation > MAX_STD_ERRORS:
         screen.warn(
             f"an exported base parameter is {file.largest_deviation:.1f} standard errors away from"

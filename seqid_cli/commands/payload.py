@@ -8,11 +8,10 @@ import typer
 
 from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import listening, tell_output
-from seqid_cli.commands.options import positive
-from seqid_cli.commands.screen.render import Screen, number
+from seqid_cli.commands.screen.render import Screen
 from seqid_cli.commands.screen.show import show_poor, verdict_text
 from seqid_cli.params.results import tables
-from seqid_cli.params.results.payload import Measured, PayloadFile
+from seqid_cli.params.results.payload import PayloadFile
 
 EXAMPLES = (
     "seqid payload sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
@@ -26,7 +25,7 @@ FrictionChange = Annotated[
     typer.Option(
         "--friction-change",
         metavar="SHARE",
-        callback=positive("number"),
+        callback=opt.positive("number"),
         help="Standard deviation by which friction may differ from the model's, as a share of it.",
     ),
 ]
@@ -69,9 +68,9 @@ def run(
 
 
 def _show(screen: Screen, file: PayloadFile) -> None:
-    body = file.payload
-    rows = [_row(name, own) for name, own in body.numbers()]
-    screen.table((f"payload, frame {body.frame}", "value", "std error", "unit"), rows)
+    rows = [(name, x.value, x.std_error, x.unit) for name, x in file.payload.numbers()]
+    titles, frame = "payload, frame {frame} | value | std error | unit", file.payload.frame
+    screen.values(tables.values(titles, "text number4 number2 text", rows, frame=frame))
     screen.values(tables.payload_joints(file))
     for where, text in file.settings.items():
         screen.result(f"{where}: {text}")
@@ -79,7 +78,3 @@ def _show(screen: Screen, file: PayloadFile) -> None:
     screen.result(f"payload: {verdict_text(file.verdicts, '')}")
     for note in file.notes:
         screen.remark(note)
-
-
-def _row(name: str, measured: Measured) -> tuple[str, ...]:
-    return name, number(measured.value, 4), number(measured.std_error, 2), measured.unit

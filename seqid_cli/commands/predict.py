@@ -9,10 +9,11 @@ import typer
 
 from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import listening, tell_output, workers
-from seqid_cli.commands.screen.render import Screen, number, percent
-from seqid_cli.commands.screen.show import verdict_text
+from seqid_cli.commands.screen.render import Screen, number
+from seqid_cli.commands.screen.show import show_verdicts, verdict_text
 from seqid_cli.commands.screen.show_motion import show_motion
 from seqid_cli.params.results.prediction import PredictionFile
+from seqid_cli.params.results.tables import values
 
 EXAMPLES = (
     "seqid predict sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
@@ -86,26 +87,15 @@ def run(
 
 
 def _show(screen: Screen, file: PredictionFile) -> None:
-    rows = [
-        (
-            name,
-            number(error.rmse),
-            percent(error.relative_rmse),
-            number(error.max_abs),
-            percent(error.share_sliding),
-            number(error.rmse_all),
-            verdict_text(file.verdicts, name) if error.samples else "not judged",
-        )
-        for name, error in file.joints.items()
-    ]
-    columns = ("joint", "RMSE N m", "relative", "largest N m", "slides in", "all N m", "verdict")
-    screen.table(columns, rows)
-    for name in dict.fromkeys(verdict.joint for verdict in file.verdicts):
-        if name not in file.joints:
-            screen.result(f"{name or 'prediction'}: {verdict_text(file.verdicts, name)}")
+    rows = []
+    for name, x in file.joints.items():
+        verdict = verdict_text(file.verdicts, name) if x.samples else "not judged"
+        errors = (x.rmse, x.relative_rmse, x.max_abs, x.share_sliding, x.rmse_all)
+        rows.append((name, *errors, verdict))
+    titles = "joint | RMSE [N m] | relative | largest [N m] | slides in | all [N m] | verdict"
+    screen.values(values(titles, "text number share number share number text", rows))
     notes = [*file.notes, *(f"{log.path}: {note}" for log in file.logs for note in log.notes)]
-    for note in notes:
-        screen.remark(note)
+    show_verdicts(screen, file.verdicts, "prediction", notes, shown=file.joints)
     show_motion(screen, [log.motion for log in file.logs if log.motion is not None])
     used = sorted({number(log.cutoff_hz) for log in file.logs})
     screen.note(f"cut-off: {', '.join(used)} Hz, {file.cutoff_origin} (--cutoff overrides)")

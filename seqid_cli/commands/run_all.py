@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED
 from seqid_cli.commands.options import Jobs, RobotPath
 from seqid_cli.commands.screen.render import Screen, screen_of
 from seqid_cli.errors import InputError, UsageError
@@ -23,7 +24,6 @@ EXAMPLES = (
 )
 STAGES = {"friction": "friction", "gravity": "gravity", "imu-calib": "imu", "inertia": "inertia"}
 FOLDERS = (*STAGES.values(), "validation")
-DONE, POOR, PARTIAL = 0, 1, 3
 
 Folder = Annotated[
     Path,
@@ -46,10 +46,10 @@ Force = Annotated[
 
 @dataclass(frozen=True)
 class Step:
-    """One command: what it reads, beside the result of the stage before, and what it writes."""
+    """One command with its arguments, the files that it `reads`, and what it writes."""
 
     command: str
-    reads: tuple[Path, ...]
+    reads: Sequence[Path]
     writes: Path
     arguments: Mapping[str, Any]
 
@@ -58,8 +58,9 @@ class Step:
         """Whether its result is newer than all that it is made of."""
         if not self.writes.is_file():
             return False
-        made = self.writes.stat().st_mtime_ns
-        return all(newest(path) < made for path in self.reads)
+        files = [file for path in self.reads for file in (path, *path.rglob("*")) if file.is_file()]
+        newest = max((file.stat().st_mtime_ns for file in files), default=0)
+        return newest < self.writes.stat().st_mtime_ns
 
 
 @dataclass(frozen=True)
@@ -91,27 +92,32 @@ def run(
     from seqid_cli.robot.file import load_robot
 
     screen = screen_of(context)
-    steps = steps_of(folder, robot, load_robot(robot), output, jobs)
-    _made(output)
+    steps = [*_steps(folder, robot, load_robot(robot), output, jobs)]
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as problem:
+        message = f"the folder cannot be made: {problem.strerror}"
+        raise UsageError(message, where=str(output), hint="Choose -o.") from None
     outcomes: list[Outcome] = []
     for step in steps:
         redone = any(not outcome.kept for outcome in outcomes)  # then what rests on it is old
-        outcome = _outcome(screen, step, force=force or redone)
-        outcomes.append(outcome)
-        if not outcome.good and not keep_going and step is not steps[-1]:
+        outcomes.append(_outcome(screen, step, force=force or redone))
+        if not outcomes[-1].good and not keep_going and step is not steps[-1]:
             screen.note(f"stopped at {step.command}: its verdict is poor (--keep-going goes on)")
             break
-    _show(screen, outcomes)
+    rows = [
+        (x.command, "good" if x.good else "poor", x.output, "kept" if x.kept else "made")
+        for x in outcomes
+    ]
+    screen.table(("step", "verdict", "file", ""), rows)
+    screen.document({"steps": [asdict(outcome) for outcome in outcomes]})
     if not all(outcome.good for outcome in outcomes):
-        return POOR
-    return PARTIAL if any(outcome.partial for outcome in outcomes) else DONE
+        return EXIT_UNTRUSTED
+    return EXIT_PARTIAL if any(outcome.partial for outcome in outcomes) else EXIT_DONE
 
 
-def steps_of(folder: Path, path: Path, robot: Robot, out: Path, jobs: int | None) -> list[Step]:
-    """Plan the commands for the logs that a folder has.
-
-    Raises InputError: it is no folder, or has no friction trials in it.
-    """
+def _steps(folder: Path, path: Path, robot: Robot, out: Path, jobs: int | None) -> Iterator[Step]:
+    """Plan the commands for the logs that a folder has; slow friction trials serve gravity too."""
     there = {name: folder / name for name in FOLDERS if (folder / name).is_dir()}
     if "friction" not in there:
         wrong = "is no folder" if not folder.is_dir() else "has no folder friction/"
@@ -123,67 +129,28 @@ def steps_of(folder: Path, path: Path, robot: Robot, out: Path, jobs: int | None
         )
     if not robot.imus:
         there.pop("imu", None)
-    return [*_stages(there, path, out, jobs), *_judging(there, path, out, jobs)]
+    made: list[Path] = []
 
+    def step(command: str, logs: Sequence[Path], writes: Path, **own: Any) -> Step:
+        before = made[-1:]
+        own |= {"parameters": before} if before else {}
+        arguments = {"logs": [*map(str, logs)], "robot": path, "output": writes, **own}
+        return Step(command, [*logs, path, *before], writes, arguments)
 
-def _stages(there: Mapping[str, Path], robot: Path, out: Path, jobs: int | None) -> Iterator[Step]:
-    """Stages in their order; slow trials of friction serve gravity as well."""
-    before: tuple[Path, ...] = ()
     for command, name in STAGES.items():
-        logs = [
-            there[k] for k in ((name, "friction") if name == "gravity" else (name,)) if k in there
-        ]
-        if not logs or (name == "inertia" and "inertia" not in there):
-            continue
-        own = {"parameters": list(before)} if before else {}
-        made = out / f"{name}.json"
-        yield _step(command, logs, robot, made, before, {**own, "jobs": jobs, "strict": True})
-        before = (made,)
-
-
-def _judging(there: Mapping[str, Path], robot: Path, out: Path, jobs: int | None) -> Iterator[Step]:
-    """Prediction, diagnosis and report, as far as there are logs for them."""
-    stages = [name for name in STAGES.values() if name in there or name == "gravity"]
-    files = [out / f"{name}.json" for name in stages]
-    tables: dict[str, Any] = {}
+        names = (name, "friction") if name == "gravity" else (name,)
+        logs = [there[own] for own in names if own in there]
+        if logs:
+            yield step(command, logs, out / f"{name}.json", jobs=jobs, strict=True)
+            made.append(out / f"{name}.json")
+    files, torques, tables = [*made], out / "torques.parquet", {}
     if {"validation", "inertia"} <= there.keys():
-        logs, before = [there["validation"]], (out / "inertia.json",)
-        torques = out / "torques.parquet"
-        own = {"parameters": list(before)}
-        more = {**own, "jobs": jobs, "torques": torques, "strict": True}
+        logs, files, tables = [there["validation"]], [*made], {"torques": torques}
         files += [out / "prediction.json", out / "diagnosis.json"]
-        yield _step("predict", logs, robot, files[-2], before, more)
-        yield _step("diagnose", logs, robot, files[-1], before, own)
-        tables = {"torques": torques}
-    report = {"files": list(files), "output": out / "report.html", **tables}
-    yield Step("report", tuple(files), out / "report.html", report)
-
-
-def _step(
-    command: str,
-    logs: Sequence[Path],
-    robot: Path,
-    made: Path,
-    before: tuple[Path, ...],
-    own: Mapping[str, Any],
-) -> Step:
-    arguments = {"logs": [str(log) for log in logs], "robot": robot, "output": made, **own}
-    return Step(command, (*logs, robot, *before), made, arguments)
-
-
-def newest(path: Path) -> int:
-    """When a file, or the newest file below a folder, was written last, ns."""
-    files = path.rglob("*") if path.is_dir() else [path]
-    return max((file.stat().st_mtime_ns for file in files if file.is_file()), default=0)
-
-
-def _made(output: Path) -> None:
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-    except OSError as problem:
-        raise UsageError(
-            f"the folder cannot be made: {problem.strerror}", where=str(output), hint="Choose -o."
-        ) from None
+        yield step("predict", logs, files[-2], jobs=jobs, torques=torques, strict=True)
+        yield step("diagnose", logs, files[-1])
+    page = out / "report.html"
+    yield Step("report", files, page, {"files": files, "output": page, **tables})
 
 
 def _outcome(screen: Screen, step: Step, *, force: bool) -> Outcome:
@@ -197,12 +164,10 @@ def _outcome(screen: Screen, step: Step, *, force: bool) -> Outcome:
     screen.note(f"--- {step.command}")
     from seqid_cli.commands.app import call
 
-    own = (
-        _Silent(step.command) if screen.json else replace(screen, command=step.command, said=set())
-    )
-    code = call(step.command, own, **step.arguments)
-    good = code != POOR
-    return Outcome(step.command, str(step.writes), good, kept=False, partial=code == PARTIAL)
+    own = replace(screen, command=step.command, said=set())
+    code = call(step.command, _Silent(step.command) if screen.json else own, **step.arguments)
+    good, partial = code != EXIT_UNTRUSTED, code == EXIT_PARTIAL
+    return Outcome(step.command, str(step.writes), good, kept=False, partial=partial)
 
 
 @dataclass(frozen=True)
@@ -228,18 +193,3 @@ def poor_of(path: Path) -> list[Verdict]:
     if isinstance(document, ParameterFile):
         document = getattr(document.stages, path.stem, None)
     return [verdict for verdict in getattr(document, "verdicts", []) if not verdict.good]
-
-
-def _show(screen: Screen, outcomes: Sequence[Outcome]) -> None:
-    """One line per step."""
-    rows = [
-        (
-            outcome.command,
-            "good" if outcome.good else "poor",
-            outcome.output,
-            "kept" if outcome.kept else "made",
-        )
-        for outcome in outcomes
-    ]
-    screen.table(("step", "verdict", "file", ""), rows)
-    screen.document({"steps": [asdict(outcome) for outcome in outcomes]})

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Sequence
 
 from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.commands.screen.show_motion import show_motion
+from seqid_cli.params.results.tables import values
 from seqid_cli.params.schema import FrictionStage, ImuStage, RigidStage, Stages, Verdict
 
 
@@ -23,82 +24,64 @@ def show_stages(screen: Screen, stages: Stages) -> None:
 
 def verdict_text(verdicts: Sequence[Verdict], joint: str) -> str:
     """Return `good`, or `poor` and why, or a dash where nothing was judged."""
-    mine = [verdict for verdict in verdicts if verdict.joint == joint]
-    reasons = [verdict.reason for verdict in mine if not verdict.good]
-    if reasons:
-        return "poor: " + "; ".join(reasons)
-    return "good" if mine else "-"
+    own = [verdict for verdict in verdicts if verdict.joint == joint]
+    reasons = [verdict.reason for verdict in own if not verdict.good]
+    return f"poor: {'; '.join(reasons)}" if reasons else "good" if own else "-"
 
 
 def show_poor(screen: Screen, verdicts: Sequence[Verdict], whole: str) -> None:
     """Print what is poor, of a document that has no line for every joint."""
-    for name in dict.fromkeys(verdict.joint for verdict in verdicts if not verdict.good):
-        screen.result(f"{name or whole}: {verdict_text(verdicts, name)}")
+    show_verdicts(screen, [verdict for verdict in verdicts if not verdict.good], whole)
+
+
+def show_verdicts(
+    screen: Screen,
+    verdicts: Sequence[Verdict],
+    whole: str,
+    notes: Sequence[str] = (),
+    *,
+    shown: Collection[str] = (),
+) -> None:
+    """Print the verdicts on other joints than those `shown`, or on the `whole`, and the notes."""
+    for name in dict.fromkeys(verdict.joint for verdict in verdicts):
+        if name not in shown:
+            screen.result(f"{name or whole}: {verdict_text(verdicts, name)}")
+    for note in notes:
+        screen.remark(note)
 
 
 def _friction(screen: Screen, stage: FrictionStage) -> None:
-    columns = ("joint", "orders", "RMS error N m", "held-out N m", "largest N m", "verdict")
-    rows = [
-        (
-            name,
-            f"({joint.position_order}, {joint.velocity_order})",
-            number(joint.rmse),
-            number(joint.held_out_rmse),
-            number(joint.max_abs_error),
-            verdict_text(stage.verdicts, name),
-        )
-        for name, joint in stage.joints.items()
-    ]
-    screen.table(columns, rows)
-    _remarks(screen, "friction", stage.verdicts, stage.notes, stage.joints)
+    rows = []
+    for name, x in stage.joints.items():
+        errors = (x.rmse, x.held_out_rmse, x.max_abs_error)
+        orders, verdict = (x.position_order, x.velocity_order), verdict_text(stage.verdicts, name)
+        rows.append((name, orders, *errors, verdict))
+    titles = "joint | orders | RMS error [N m] | held-out [N m] | largest [N m] | verdict"
+    screen.values(values(titles, "text text number number number text", rows))
+    show_verdicts(screen, stage.verdicts, "friction", stage.notes, shown=stage.joints)
 
 
 def _rigid(screen: Screen, name: str, stage: RigidStage) -> None:
     if not stage.parameters:
         screen.result(f"{name}: nothing to identify on this robot")
-    rows = [
-        (item.name, number(item.value, 5), number(item.std_error, 2), item.unit)
-        for item in stage.parameters
-    ]
-    screen.table(("parameter", "value", "std error", "unit"), rows)
+    rows = [(x.name, x.value, x.std_error, x.unit) for x in stage.parameters]
+    titles = "parameter | value | std error | unit"
+    screen.values(values(titles, "text number5 number2 text", rows))
     if stage.parameters:
         screen.result(f"{name}: rank {stage.rank}, condition {number(stage.condition)}")
     if stage.not_excited:
         screen.result(f"not excited by these logs: {', '.join(stage.not_excited)}")
-    joints = [
-        (joint, number(rmse), verdict_text(stage.verdicts, joint))
-        for joint, rmse in stage.rmse.items()
-    ]
-    screen.table(("joint", "RMS error N m", "verdict"), joints)
-    _remarks(screen, name, stage.verdicts, stage.notes, stage.rmse)
+    joints = [(joint, x, verdict_text(stage.verdicts, joint)) for joint, x in stage.rmse.items()]
+    screen.values(values("joint | RMS error [N m] | verdict", "text number text", joints))
+    show_verdicts(screen, stage.verdicts, name, stage.notes, shown=stage.rmse)
     show_motion(screen, stage.motion_use)
 
 
 def _imu(screen: Screen, stage: ImuStage) -> None:
-    columns = ("imu", "std error deg", "axis error deg", "configurations", "verdict")
-    rows = [
-        (
-            name,
-            number(imu.std_error_deg),
-            number(imu.axis_rmse_deg),
-            str(imu.configurations),
-            verdict_text(stage.verdicts, name),
-        )
-        for name, imu in stage.imus.items()
-    ]
-    screen.table(columns, rows)
-    _remarks(screen, "imu", stage.verdicts, stage.notes, stage.imus)
-
-
-def _remarks(
-    screen: Screen,
-    stage: str,
-    verdicts: Sequence[Verdict],
-    notes: Sequence[str],
-    shown: Mapping[str, object],
-) -> None:
-    for name in dict.fromkeys(verdict.joint for verdict in verdicts):
-        if name not in shown:
-            screen.result(f"{name or stage}: {verdict_text(verdicts, name)}")
-    for note in notes:
-        screen.remark(note)
+    rows = []
+    for name, x in stage.imus.items():
+        errors, verdict = (x.std_error_deg, x.axis_rmse_deg), verdict_text(stage.verdicts, name)
+        rows.append((name, *errors, x.configurations, verdict))
+    titles = "imu | std error deg | axis error deg | configurations | verdict"
+    screen.values(values(titles, "text number number count text", rows))
+    show_verdicts(screen, stage.verdicts, "imu", stage.notes, shown=stage.imus)

@@ -11,7 +11,7 @@ from seqid_cli.commands.screen.chart import text_chart
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor
 from seqid_cli.model.effects.units import setting_units
-from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis import (
     DiagnosisFile,
@@ -21,6 +21,7 @@ from seqid_cli.params.results.diagnosis import (
     UnexplainedPart,
 )
 from seqid_cli.params.results.diagnosis_words import nothing_found, over_words
+from seqid_cli.params.results.tables import values
 from seqid_cli.params.schema import EffectOfJoint
 
 _EVENTS_SHOWN = 10
@@ -42,7 +43,7 @@ def show_diagnosis(screen: Screen, file: DiagnosisFile, joint: str | None = None
     _unexplained(screen, parts, why=why)
     screen.values(tables.joint_residuals(joints))
     if joint is not None:
-        _tried(screen, joints[joint].tried, "tried beside that")
+        screen.values(tables.rivals(joints[joint].tried, "tried beside that"))
     _events(screen, [event for event in file.events if not joint or joint in event.joints])
     _hidden(screen, [item for item in file.hidden if not joint or item.joint in (joint, None)])
     for note in file.notes:
@@ -76,56 +77,46 @@ def effect_at(effect: str, joint: str | None) -> str:
 
 
 def _findings(screen: Screen, findings: Sequence[FindingEntry], *, why: bool) -> None:
-    columns = ("effect", "joint", "confidence", "explains", "parameters")
     rows = [
-        (
-            item.effect,
-            item.joint or "whole arm",
-            percent(item.confidence),
-            percent(item.explains),
-            parameters_text(item),
-        )
-        for item in findings
+        (x.effect, x.joint or "whole arm", x.confidence, x.explains, parameters_text(x))
+        for x in findings
     ]
-    screen.table(columns, rows)
+    titles = "effect | joint | confidence | explains | parameters"
+    screen.values(values(titles, "text text share share text", rows))
     for item in findings:
         name = effect_at(item.effect, item.joint)
         if item.confusable_with:
-            others = " or ".join(item.confusable_with)
-            screen.result(f"{name}{_name_alone(item)}: could also be {others}")
+            others, sure = " or ".join(item.confusable_with), item.name_confidence
+            alone = "" if sure is None else f" ({percent(sure)} by this name)"
+            screen.result(f"{name}{alone}: could also be {others}")
         if item.separate_by and (item.confusable_with or why):
             aim = "tell them apart" if item.confusable_with else "make sure"
             screen.result(f"  to {aim}, record: {item.separate_by}")
         if item.note:
             screen.note(f"note: {name}: {item.note}")
         if why:
+            nats = "" if item.log_gain is None else f" ({item.log_gain:.0f} nats)"
             share = f"{percent(item.gain)} of the squared error on blocks left out"
-            screen.result(f"{name}: takes away {share}{_nats(item.log_gain)}")
+            screen.result(f"{name}: takes away {share}{nats}")
             _shown(screen, item.evidence)
-            _tried(screen, item.rivals, f"tried for {name}")
-
-
-def _name_alone(item: FindingEntry) -> str:
-    sure = item.name_confidence
-    return "" if sure is None else f" ({percent(sure)} by this name)"
+            screen.values(tables.rivals(item.rivals, f"tried for {name}"))
 
 
 def parameters_text(item: FindingEntry | EffectOfJoint) -> str:
     """Return the parameters of an effect with their errors, and its settings."""
     if not item.parameters:
         return "not determined by these logs"
-    values = [
-        f"{value.name} {number(value.value)} +- {number(value.std_error, 2)}{_unit(value.unit)}"
-        for value in item.parameters
+    texts = [
+        f"{x.name} {number(x.value)} +- {number(x.std_error, 2)}{_unit(x.unit)}"
+        for x in item.parameters
     ]
-    named = {value.name for value in item.parameters}
-    units = setting_units(item.effect)
-    values += [
+    named, units = {x.name for x in item.parameters}, setting_units(item.effect)
+    texts += [
         f"{name} {value if isinstance(value, str) else number(value)}{_unit(units.get(name, ''))}"
         for name, value in item.settings.items()
         if name not in named
     ]
-    return ", ".join(values)
+    return ", ".join(texts)
 
 
 def _unit(unit: str) -> str:
@@ -133,21 +124,17 @@ def _unit(unit: str) -> str:
 
 
 def _unexplained(screen: Screen, parts: Sequence[UnexplainedPart], *, why: bool) -> None:
-    columns = ("joint", "unexplained, depends on", "share", "closest effect, share of its gain")
-    rows = [
-        (
-            part.joint,
-            _quantities(part.depends_on),
-            percent(part.share),
-            f"{part.closest.effect}, {percent(part.closest.share)}" if part.closest else "none",
-        )
-        for part in parts
-    ]
-    screen.table(columns, rows)
+    rows = []
+    for part in parts:
+        near = part.closest
+        closest = f"{near.effect}, {percent(near.share)}" if near else "none"
+        rows.append((part.joint, _quantities(part.depends_on), part.share, closest))
+    titles = "joint | unexplained, depends on | share | closest effect, share of its gain"
+    screen.values(values(titles, "text text share text", rows))
     for part in parts:
         _shown(screen, part.evidence)
         if why:
-            _tried(screen, part.rivals, "tried for what is unexplained")
+            screen.values(tables.rivals(part.rivals, "tried for what is unexplained"))
 
 
 def _shown(screen: Screen, shown: EvidenceEntry | None) -> None:
@@ -156,26 +143,13 @@ def _shown(screen: Screen, shown: EvidenceEntry | None) -> None:
         return
     sided = " times direction" if shown.sided else ""
     marks = ": * before, o after" if shown.after else ""
-    for line in text_chart(
-        shown.x,
-        shown.before,
-        shown.after,
-        x_label=f"{over_words(shown)}{_unit(shown.unit)}",
-        y_label=f"residual of {shown.joint}{sided} N m{marks}",
-    ):
+    label, unit = f"residual of {shown.joint}{sided} N m{marks}", _unit(shown.unit)
+    over = f"{over_words(shown)}{unit}"
+    for line in text_chart(shown.x, shown.before, shown.after, x_label=over, y_label=label):
         screen.result(line)
 
 
-def _tried(screen: Screen, rivals: Sequence[RivalEntry], title: str) -> None:
-    screen.values(tables.rivals(rivals, title))
-
-
-def _nats(gain: float | None) -> str:
-    return "" if gain is None else f" ({gain:.0f} nats)"
-
-
 def _quantities(names: Sequence[str]) -> str:
-    """Return quantities in words."""
     return ", ".join(names) or "nothing that was logged"
 
 

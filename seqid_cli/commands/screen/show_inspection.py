@@ -15,6 +15,7 @@ from seqid_cli.params.results.inspection import (
     InspectionFinding,
     PlannedPart,
 )
+from seqid_cli.params.results.tables import values
 
 _WORDS = {
     "good": "nothing wrong was found",
@@ -48,13 +49,15 @@ def show_inspection(screen: Screen, file: InspectionFile) -> None:
 
 def _planned(screen: Screen, parts: Sequence[PlannedPart]) -> None:
     """Print what is still to record of a plan."""
-    if not parts:
-        return
-    open_ = [part for part in parts if part.status != "recorded"]
-    columns = ("still to record", "stage", "status", "why", "log")
-    rows = [(p.move, p.stage, p.status, p.reason or "-", p.log or "-") for p in open_]
-    screen.table(columns, rows)
-    screen.result(f"plan: {len(parts) - len(open_)} of {len(parts)} moves are recorded")
+    rows = [
+        (p.move, p.stage, p.status, p.reason or None, p.log or None)
+        for p in parts
+        if p.status != "recorded"
+    ]
+    titles = "still to record | stage | status | why | log"
+    screen.values(values(titles, "text text text text text", rows))
+    if parts:
+        screen.result(f"plan: {len(parts) - len(rows)} of {len(parts)} moves are recorded")
 
 
 def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
@@ -62,7 +65,7 @@ def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
     if folder:
         screen.result(f"in {folder}:")
     uneven = any(log.gaps or log.jitter >= SHOWN_JITTER for log in logs)
-    columns = ["log", "verdict", "format", "s", "Hz", "moving", "serves"]
+    columns = ["log", "verdict", "format", "s", "Hz", "jitter", "gaps", "moving", "serves"]
     rows = [
         [
             log.path.removeprefix(folder),
@@ -70,20 +73,19 @@ def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
             log.format or "-",
             number(log.seconds, 4),
             number(log.rate_hz, 5),
+            percent(log.jitter),
+            str(len(log.gaps)),
             f"{sum(joint.moves for joint in log.joints)} of {len(log.joints)}",
             ", ".join(log.serves) or "-",
         ]
         for log in logs
     ]
-    if uneven:
-        columns[5:5] = ["jitter", "gaps"]
-        for row, log in zip(rows, logs, strict=True):
-            row[5:5] = [percent(log.jitter), str(len(log.gaps))]
     if len(rows) > _LISTED and not screen.verbose:
         rows = _alike(rows, logs)
-    if uneven and len({row[2] for row in rows}) == 1:  # the names tell it as well
-        rows, columns = [[*row[:2], *row[3:]] for row in rows], [*columns[:2], *columns[3:]]
-    screen.table(columns, [tuple(row) for row in rows])
+    names_tell = uneven and len({row[2] for row in rows}) == 1
+    left_out = {2} if names_tell else set() if uneven else {5, 6}
+    kept = [k for k in range(len(columns)) if k not in left_out]
+    screen.table([columns[k] for k in kept], [[row[k] for k in kept] for row in rows])
 
 
 def _alike(rows: Sequence[list[str]], logs: Sequence[InspectedLog]) -> list[list[str]]:
@@ -98,9 +100,8 @@ def _alike(rows: Sequence[list[str]], logs: Sequence[InspectedLog]) -> list[list
             row[0] += f" and {len(own) - 1} more"
             row[3] = number(sum(logs[k].seconds for k in own), 4)
             row[4] = number(statistics.median(logs[k].rate_hz for k in own), 4)
-        if len(row) > 7:
-            row[5] = percent(max(logs[k].jitter for k in own))
-            row[6] = str(sum(len(logs[k].gaps) for k in own))
+        row[5] = percent(max(logs[k].jitter for k in own))
+        row[6] = str(sum(len(logs[k].gaps) for k in own))
         found.append(row)
     return found
 
@@ -163,51 +164,26 @@ def _details(screen: Screen, log: InspectedLog) -> None:
     screen.result(f"\n{log.path}")
     if log.log_minus_header_s is not None:
         screen.result(f"logged {number(1e3 * log.log_minus_header_s)} ms after the header stamp")
-    columns = ("joint", "moves", "from", "to", "top speed", "encoder step", "effort", "RMS", "degC")
-    rows = [
-        (
-            joint.name,
-            "yes" if joint.moves else "no",
-            number(joint.low),
-            number(joint.high),
-            number(joint.top_speed) if joint.moves else "-",
-            number(joint.encoder_step),
-            joint.effort or "-",
-            number(joint.effort_rms),
-            f"{joint.temperature[0]:.0f} to {joint.temperature[1]:.0f}"
-            if joint.temperature
-            else "-",
-        )
-        for joint in log.joints
-    ]
-    screen.table(columns, rows)
-    moves = [
-        (
-            item.joint,
-            str(item.forward),
-            str(item.backward),
-            number(item.slowest),
-            number(item.fastest),
-            str(item.postures),
-        )
-        for item in log.moves
-    ]
-    screen.table(
-        ("constant velocity", "forward", "backward", "slowest", "fastest", "postures"), moves
-    )
+    joints = []
+    for x in log.joints:
+        motion = (x.low, x.high, x.top_speed if x.moves else None, x.encoder_step)
+        warmth = " to ".join(f"{end:.0f}" for end in x.temperature or ()) or None
+        effort = (x.effort or None, x.effort_rms)
+        joints.append((x.name, "yes" if x.moves else "no", *motion, *effort, warmth))
+    titles = "joint | moves | from | to | top speed | encoder step | effort | RMS | degC"
+    kinds = "text text number number number number text number text"
+    screen.values(values(titles, kinds, joints))
+    moves = [(x.joint, x.forward, x.backward, x.slowest, x.fastest, x.postures) for x in log.moves]
+    titles = "constant velocity | forward | backward | slowest | fastest | postures"
+    screen.values(values(titles, "text count count number number count", moves))
     if log.moving_together:
         screen.result(f"moving together: {', '.join(log.moving_together)}")
-    imus = [
-        (
-            imu.name,
-            str(imu.accelerometers),
-            "yes" if imu.gyro else "no",
-            number(imu.rate_hz, 5),
-            number(imu.rest_norm, 4),
-            number(1e3 * imu.delay_s if imu.delay_s is not None else None, 2),
-        )
-        for imu in log.imus
-    ]
-    screen.table(("imu", "accelerometers", "gyro", "Hz", "m/s^2 at rest", "delay ms"), imus)
+    imus = []
+    for imu in log.imus:
+        delay = None if imu.delay_s is None else number(1e3 * imu.delay_s, 2)
+        gyro = "yes" if imu.gyro else "no"
+        imus.append((imu.name, imu.accelerometers, gyro, imu.rate_hz, imu.rest_norm, delay))
+    titles = "imu | accelerometers | gyro | Hz | m/s^2 at rest | delay ms"
+    screen.values(values(titles, "text count text number5 number4 number", imus))
     for name, near in log.missing.items():
         screen.result(f"not in this log: {name}" + (f" (nearest: {near})" if near else ""))

@@ -17,8 +17,8 @@ from typer.core import TyperGroup, TyperOption
 
 from seqid_cli import __version__
 from seqid_cli.commands.options import screen_options
+from seqid_cli.commands.screen.layout import shortened, visible
 from seqid_cli.commands.screen.streams import cannot_be_written, give_up_output
-from seqid_cli.commands.screen.visible import visible
 from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
 
 if TYPE_CHECKING:
@@ -176,8 +176,6 @@ def _report(
     name: str, problem: SeqidError, arguments: Sequence[str], *, code: int | None = None
 ) -> int:
     """Write an error as a message; returns its exit code."""
-    from seqid_cli.commands.screen.layout import shortened
-
     if "--debug" in arguments:
         traceback.print_exception(problem)
     code = problem.exit_code if code is None else code

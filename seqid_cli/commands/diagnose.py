@@ -10,8 +10,8 @@ import typer
 from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import exit_code, listening, tell_output, tell_remedies
 from seqid_cli.commands.screen.render import Screen
+from seqid_cli.commands.screen.show import show_motion
 from seqid_cli.commands.screen.show_diagnosis import show_diagnosis
-from seqid_cli.commands.screen.show_motion import show_motion
 from seqid_cli.errors import UsageError
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 

@@ -7,8 +7,7 @@ from typing import Annotated
 import typer
 
 from seqid_cli.commands import options as opt
-from seqid_cli.commands.job import listening, workers
-from seqid_cli.commands.stages import show_stage
+from seqid_cli.commands.job import listening, show_stage, workers
 
 EXAMPLES = (
     "seqid friction sample_logs/six_joint/friction -r sample_logs/six_joint/robot.toml"

@@ -5,8 +5,7 @@ from __future__ import annotations
 import typer
 
 from seqid_cli.commands import options as opt
-from seqid_cli.commands.job import listening, workers
-from seqid_cli.commands.stages import show_stage
+from seqid_cli.commands.job import listening, show_stage, workers
 
 EXAMPLES = (
     "seqid gravity sample_logs/six_joint/gravity sample_logs/six_joint/friction"

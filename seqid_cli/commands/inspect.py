@@ -10,9 +10,9 @@ import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED, listening
 from seqid_cli.commands.options import Clock, Logs, Output
+from seqid_cli.commands.screen.layout import visible
 from seqid_cli.commands.screen.render import Screen
 from seqid_cli.commands.screen.show_inspection import show_inspection
-from seqid_cli.commands.screen.visible import visible
 from seqid_cli.params.results.inspection import InspectionFile
 
 EXAMPLES = (

@@ -14,8 +14,9 @@ import typer
 
 from seqid_cli.commands.screen.progress import ProgressLine
 from seqid_cli.commands.screen.render import Screen, screen_of
+from seqid_cli.commands.screen.show import show_stages
 from seqid_cli.errors import SeqidError, SeqidWarning, UsageError
-from seqid_cli.params.schema import Verdict
+from seqid_cli.params.schema import ParameterFile, Stages, Verdict
 from seqid_cli.working import heard_by
 
 if TYPE_CHECKING:
@@ -170,3 +171,28 @@ def tell_remedies(screen: Screen, findings: Sequence[InspectionFinding]) -> None
         "do: look at the reasons above and mend the logs or the robot file before going on"
         + ("" if findings else " (seqid inspect LOG... -r ROBOT looks closer)")
     )
+
+
+def show_stage(
+    told: Told,
+    file: ParameterFile,
+    names: Sequence[str],
+    *,
+    output: Path | None,
+    robot: Path,
+    strict: bool,
+    following: str,
+) -> int:
+    """Show new stages of a file; returns the exit code.
+
+    `told`: what listened to their identification. `names`: the new stages. `output`: where the file
+    went. `robot`: the robot file. `strict`: whether a poor verdict makes the exit code 1.
+    `following`: the command that comes next, with `{output}` and `{robot}` to fill in; it is not
+    proposed after a poor verdict.
+    """
+    stages = Stages(**{name: getattr(file.stages, name) for name in names})
+    told.screen.document(file)
+    show_stages(told.screen, stages)
+    verdicts = [v for name in names for v in getattr(stages, name).verdicts]
+    tell_output(told.screen, output, robot, "" if any_poor(verdicts) else following)
+    return told.ended(verdicts, strict=strict)

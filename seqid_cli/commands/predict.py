@@ -10,8 +10,7 @@ import typer
 from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import listening, tell_output, workers
 from seqid_cli.commands.screen.render import Screen, number
-from seqid_cli.commands.screen.show import show_verdicts, verdict_text
-from seqid_cli.commands.screen.show_motion import show_motion
+from seqid_cli.commands.screen.show import show_motion, show_verdicts, verdict_text
 from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.results.tables import values
 

@@ -8,8 +8,8 @@ import typer
 
 from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import exit_code, listening, tell_output, tell_remedies
-from seqid_cli.commands.screen.show_motion import show_motion
-from seqid_cli.commands.screen.show_refinement import show_refinement
+from seqid_cli.commands.screen.show import show_motion
+from seqid_cli.commands.screen.show_diagnosis import show_refinement
 
 EXAMPLES = (
     "seqid refine sample_logs/six_joint/changed/fourier.parquet"

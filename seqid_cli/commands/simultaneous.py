@@ -7,8 +7,7 @@ from typing import Annotated
 import typer
 
 from seqid_cli.commands import options as opt
-from seqid_cli.commands.job import listening
-from seqid_cli.commands.stages import show_stage
+from seqid_cli.commands.job import listening, show_stage
 
 Offset = Annotated[
     bool, typer.Option("--offset", help="Give each joint's friction a constant torque besides.")

@@ -10,10 +10,9 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
-import jinja2
 import numpy as np
 
-from seqid_cli.export.text import real, remarks
+from seqid_cli.export.text import real, rendered
 from seqid_cli.model.friction_basis import FADE
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Array
@@ -28,24 +27,12 @@ _KEYWORDS = frozenset({"auto", "double", "float", "int", "long", "short", "stati
 
 def c_header(model: ExportModel) -> str:
     """Return the header; its functions and macros start with the robot's name."""
-    return _rendered("arm.h.jinja", model)
+    return rendered("arm.h.jinja", model, **_content(model))
 
 
 def numpy_module(model: ExportModel) -> str:
     """Return the same as a Python module that needs numpy only."""
-    return _rendered("arm.py.jinja", model)
-
-
-def _rendered(template: str, model: ExportModel) -> str:
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("seqid_cli.export", "templates"),
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=False,
-    )
-    return environment.get_template(template).render(_content(model))
+    return rendered("arm.py.jinja", model, **_content(model))
 
 
 def _content(model: ExportModel) -> dict[str, object]:
@@ -54,7 +41,6 @@ def _content(model: ExportModel) -> dict[str, object]:
     observer = model.observer
     return {
         "name": identifier(robot.name),
-        "remarks": remarks(model),
         "joints": [
             {
                 "name": joint.name.encode("ascii", "replace").decode().replace("?", "."),

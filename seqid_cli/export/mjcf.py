@@ -8,54 +8,36 @@ own. Capsules along the links show the arm; they have no mass and touch nothing.
 
 from __future__ import annotations
 
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element, SubElement
-
 import numpy as np
 
 from seqid_cli.export.model import ExportModel
-from seqid_cli.export.text import real, reals, remarks
+from seqid_cli.export.text import real, reals, rendered
 from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.robot.types import Array
+
+_FULL = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # entries of an inertia in MuJoCo's order
 
 
 def mjcf_of_chain(model: ExportModel) -> str:
     """Return the arm as an MJCF document."""
-    root = Element("mujoco", model=model.robot.name)
-    text = "\n".join(f"    {line}" for line in remarks(model))
-    root.append(ElementTree.Comment(f"\n{text}\n  "))
-    SubElement(root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false")
-    SubElement(root, "option", gravity=reals(model.robot.gravity), integrator="implicitfast")
-    parent = SubElement(root, "worldbody")
-    for k in range(model.robot.n):
-        parent = _body(parent, model, k)
-    actuators = SubElement(root, "actuator")
-    for name in model.robot.joint_names:
-        SubElement(actuators, "motor", name=f"{name}_motor", joint=name)
-    ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+    bodies = [_body(model, k) for k in range(model.robot.n)]
+    return rendered("arm.xml.jinja", model, name=model.robot.name, bodies=bodies)
 
 
-def _body(parent: Element, model: ExportModel, k: int, *, min_length: float = 1e-3) -> Element:
-    chain, joint = model.robot.chain, model.robot.joints[k]
+def _body(model: ExportModel, k: int, *, min_length: float = 1e-3) -> dict[str, object]:
+    """The attributes of a body's elements; the next body lies in it."""
+    chain, solid = model.robot.chain, Body.of(model.bodies[k])
     axes = np.concatenate([chain.rotation[k][:, 0], chain.rotation[k][:, 1]])
-    body = SubElement(
-        parent, "body", name=f"{joint.name}_link", pos=reals(chain.position[k]), xyaxes=reals(axes)
-    )
-    _inertial(body, model.bodies[k])
-    body.append(Element("joint", _joint(model, k)))
-    if model.gaps[k] > 0.0 and model.armature[k] > 0.0:
-        body.append(Element("joint", _gap(model, k)))
-    if k + 1 < chain.n and float(np.linalg.norm(chain.position[k + 1])) > min_length:
-        _capsule(body, chain.position[k + 1])
-    return body
-
-
-def _inertial(body: Element, phi: Array) -> None:
-    solid = Body.of(phi)
-    index = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    full = reals(float(solid.inertia[i, j]) for i, j in index)
-    SubElement(body, "inertial", pos=reals(solid.center), mass=real(solid.mass), fullinertia=full)
+    name = f"{model.robot.joint_names[k]}_link"
+    inertial = {"pos": reals(solid.center), "mass": real(solid.mass)}
+    reach = chain.position[k + 1] if k + 1 < chain.n else np.zeros(3)
+    plays = model.gaps[k] > 0.0 and model.armature[k] > 0.0
+    return {
+        "place": {"name": name, "pos": reals(chain.position[k]), "xyaxes": reals(axes)},
+        "inertial": {**inertial, "fullinertia": reals(solid.inertia[_FULL])},
+        "joints": [_joint(model, k), *([_gap(model, k)] if plays else [])],
+        "capsule": _capsule(reach) if float(np.linalg.norm(reach)) > min_length else None,
+    }
 
 
 def _joint(model: ExportModel, k: int) -> dict[str, str]:
@@ -100,14 +82,12 @@ def _gap(model: ExportModel, k: int, *, share: float = 0.01) -> dict[str, str]:
     }
 
 
-def _capsule(body: Element, reach: Array, *, thickness: float = 0.1) -> None:
-    SubElement(
-        body,
-        "geom",
-        type="capsule",
-        fromto=reals([0.0, 0.0, 0.0, *reach]),
-        size=real(thickness * float(np.linalg.norm(reach))),
-        contype="0",
-        conaffinity="0",
-        mass="0",
-    )
+def _capsule(reach: Array, *, thickness: float = 0.1) -> dict[str, str]:
+    return {
+        "type": "capsule",
+        "fromto": reals([0.0, 0.0, 0.0, *reach]),
+        "size": real(thickness * float(np.linalg.norm(reach))),
+        "contype": "0",
+        "conaffinity": "0",
+        "mass": "0",
+    }

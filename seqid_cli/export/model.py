@@ -6,21 +6,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import nnls
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.effects import absorbed_effects
-from seqid_cli.export.friction_fit import simple_friction
 from seqid_cli.export.observer import Thresholds, largest_mass, thresholds
 from seqid_cli.export.urdf_tree import UrdfBody
 from seqid_cli.model.bodies.demand import Deviation, Identified, identified
 from seqid_cli.model.bodies.nearest import Expected, nearest_bodies
-from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.results.export import ExportedFriction
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.regressor import PER_LINK, Coupling
 from seqid_cli.robot.types import Array, Robot
+
+_POSITIONS, _SPEEDS = 41, 60
 
 
 @dataclass(frozen=True)
@@ -171,3 +173,28 @@ def _notes_on_friction(
                 "has no place in model files"
             )
     return notes
+
+
+def simple_friction(surface: FrictionSurface) -> ExportedFriction:
+    """Fit coulomb sign(v) + viscous v to a surface, uniformly over its positions and speeds.
+
+    Neither is negative. The offset is the mean part that does not flip with the direction, which
+    the two cannot say.
+    """
+    low, high = surface.scaling.speed
+    low = min(max(low, SLIDES * surface.sign_width), high)
+    speeds = np.linspace(low, high, _SPEEDS)
+    positions = np.linspace(*surface.scaling.position, _POSITIONS)
+    q, v = (x.ravel() for x in np.meshgrid(positions, np.concatenate([-speeds, speeds])))
+    tau = surface.torque(q, v)
+    columns = np.column_stack([np.sign(v), v])
+    fitted, _ = nnls(columns, tau)
+    misfit = tau - columns @ fitted
+    return ExportedFriction(
+        coulomb=float(fitted[0]),
+        viscous=float(fitted[1]),
+        offset=float(tau.mean()),
+        rms_misfit=float(np.sqrt(np.mean(misfit**2))),
+        rms=float(np.sqrt(np.mean(tau**2))),
+        speed_range=[float(low), float(high)],
+    )

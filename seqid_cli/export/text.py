@@ -1,8 +1,11 @@
-"""Numbers and remarks of model files, whatever their format."""
+"""Numbers and remarks of model files, and their templates."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable
+
+import jinja2
 
 from seqid_cli import __version__
 from seqid_cli.export.model import ExportModel
@@ -17,6 +20,26 @@ def real(value: float, *, digits: int = 15) -> str:
 def reals(values: Iterable[float]) -> str:
     """Return numbers with spaces between them."""
     return " ".join(real(value) for value in values)
+
+
+def rendered(template: str, model: ExportModel, **content: object) -> str:
+    """Fill in a template; names of a robot are written by `e` or `tojson_ascii` there."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("seqid_cli.export", "templates"),
+        undefined=jinja2.StrictUndefined,
+        keep_trailing_newline=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        autoescape=False,
+    )
+    environment.filters |= {
+        "real": real,
+        "spaced": reals,
+        "listed": lambda values: f"[{', '.join(map(real, values))}]",
+        "tojson_ascii": json.dumps,
+    }
+    own = {"joints": model.robot.joint_names, "gravity": model.robot.gravity, **content}
+    return environment.get_template(template).render(remarks=remarks(model), **own)
 
 
 def plain(text: str) -> str:

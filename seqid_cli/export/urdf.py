@@ -12,13 +12,15 @@ from collections.abc import Sequence
 from xml.dom import minidom
 from xml.dom.minidom import Comment, Document, Element, Text
 
+import numpy as np
 import pinocchio as pin
 
 from seqid_cli.export.model import ExportModel
-from seqid_cli.export.text import plain, real, reals, remarks
+from seqid_cli.export.text import plain, real, reals, remarks, rendered
 from seqid_cli.export.urdf_tree import UrdfBody
 from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.robot.base_parameters import gear_ratios
+from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Array, Joint
 
 _DRAKE = "http://drake.mit.edu"
@@ -54,36 +56,25 @@ def urdf_of_chain(model: ExportModel) -> str:
 
     Links are named after their joints, `<joint>_link`; the base is `base_link`.
     """
-    document = Document()
-    root = document.createElement("robot")
-    root.setAttribute("name", model.robot.name)
-    document.appendChild(root)
-    _add(document, root, "link", name="base_link")
-    parent = "base_link"
-    for k, joint in enumerate(model.robot.joints):
-        child = f"{joint.name}_link"
-        link = _add(document, root, "link", name=child)
-        _set_inertial(document, link, model.own[k])
-        element = _new_joint(document, root, model, k)
-        _add(document, element, "parent", link=parent)
-        _add(document, element, "child", link=child)
-        _set_joint(document, element, model, k)
-        _set_transmission(document, root, model, k)
-        parent = child
-    _add_control(document, root, model)
-    _head(document, root, model)
-    return _pretty(document)
-
-
-def _new_joint(document: Document, root: Element, model: ExportModel, k: int) -> Element:
-    joint, chain = model.robot.joints[k], model.robot.chain
-    kind = "prismatic" if joint.prismatic else "revolute" if joint.position_limits else "continuous"
-    element = _add(document, root, "joint", name=joint.name, type=kind)
-    rpy = pin.rpy.matrixToRpy(chain.rotation[k])
-    _add(document, element, "origin", xyz=reals(chain.position[k]), rpy=reals(rpy))
-    _add(document, element, "axis", xyz=reals(chain.axis[k]))
-    _add(document, element, "limit", 0, **_limits(joint, kind))
-    return element
+    joints, chain = model.robot.joints, model.robot.chain
+    links = ["base_link", *(f"{joint.name}_link" for joint in joints)]
+    moves = []
+    for k, joint in enumerate(joints):
+        turns = "revolute" if joint.position_limits else "continuous"
+        kind = "prismatic" if joint.prismatic else turns
+        own = {"name": joint.name, "type": kind}
+        rpy = pin.rpy.matrixToRpy(chain.rotation[k])
+        parts = {
+            "origin": {"xyz": reals(chain.position[k]), "rpy": reals(rpy)},
+            "axis": {"xyz": reals(chain.axis[k])},
+            "limit": _limits(joint, kind),
+            "parent": {"link": links[k]},
+            "child": {"link": links[k + 1]},
+        }
+        moves.append({"attributes": own, "parts": parts})
+    raw = rendered("arm.urdf.jinja", model, name=model.robot.name, links=links, moves=moves)
+    bodies = [UrdfBody(link, (), (), np.zeros(PER_LINK)) for link in links[1:]]
+    return edited_urdf(raw.encode(), bodies, model)
 
 
 def _limits(joint: Joint, kind: str, *, no_limit: float = 1000.0) -> dict[str, str]:
@@ -153,7 +144,7 @@ def _new_actuator(document: Document, root: Element, joint: str, ratio: float) -
     transmission.setAttribute("name", f"{joint}_transmission")
     _text_in(document, transmission, "type", "transmission_interface/SimpleTransmission", 2)
     of = _add(document, transmission, "joint", 2, name=joint)
-    _text_in(document, of, "hardwareInterface", "hardware_interface/EffortJointInterface")
+    _text_in(document, of, "hardwareInterface", "hardware_interface/EffortJointInterface", 3)
     actuator = _add(document, transmission, "actuator", 2, name=f"{joint}_motor")
     _text_in(document, actuator, "mechanicalReduction", real(ratio), 3)
     _place(document, root, transmission, 1)
@@ -222,8 +213,3 @@ def _text(document: Document) -> str:
         + "\n".join(node.toxml() for node in document.childNodes)
         + "\n"
     )
-
-
-def _pretty(document: Document) -> str:
-    pretty = document.toprettyxml(indent="  ", encoding="utf-8").decode()
-    return "\n".join(line for line in pretty.splitlines() if line.strip()) + "\n"

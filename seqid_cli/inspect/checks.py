@@ -97,7 +97,8 @@ def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
     sound = without(data, breaks)
     following = tuple(follow(sound)) if imus else ()
     findings = [*_findings(data, sound, breaks, following, imus=imus, quality=quality)]
-    return Checked(sound, tuple(_unique(findings)), following)
+    unique = {(f.code, f.joint, f.channel): f for f in reversed(findings)}
+    return Checked(sound, tuple(reversed(unique.values())), following)
 
 
 def without(data: LogData, breaks: Sequence[Break]) -> LogData:
@@ -215,7 +216,3 @@ def _one_cause(findings: list[InspectionFinding], rules: Rules) -> list[Inspecti
             if finding.joint in codes
         )
     ]
-
-
-def _unique(findings: Sequence[InspectionFinding]) -> list[InspectionFinding]:
-    return list({(f.code, f.joint, f.channel): f for f in reversed(findings)}.values())[::-1]

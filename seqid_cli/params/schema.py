@@ -21,6 +21,14 @@ class Tool(Struct, kw_only=True):
     version: str
 
 
+class Written(Document, kw_only=True):
+    """Base of the documents: their schema, when they were written and by what."""
+
+    schema: str
+    created: str
+    tool: Tool
+
+
 class RobotId(Struct, kw_only=True):
     """Which robot the file is about."""
 
@@ -372,12 +380,9 @@ class Stages(Struct, kw_only=True, omit_defaults=True):
     effects: list[EffectOfJoint] | None = None
 
 
-class ParameterFile(Document, kw_only=True, omit_defaults=True):
+class ParameterFile(Written, kw_only=True, omit_defaults=True):
     """The whole document."""
 
-    schema: str
-    created: str
-    tool: Tool
     robot: RobotId
     inputs: list[InputLog]
     stages: Stages

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 
 from seqid_cli.__main__ import main
+from seqid_cli.commands.screen.layout import visible, visible_cell
 from seqid_cli.commands.screen.render import Screen
-from seqid_cli.commands.screen.visible import visible, visible_cell
 from tests import ROOT
 
 SAMPLES = ROOT / "sample_logs" / "one_joint"

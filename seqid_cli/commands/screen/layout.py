@@ -1,8 +1,12 @@
-"""Text and tables that fit the screen: lines break at words, no number is cut."""
+"""Text and tables that fit the screen, whatever the names from logs and files in them hold.
+
+Lines break at words, no number is cut, and nothing steers the terminal.
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import textwrap
 from collections.abc import Callable, Sequence
@@ -13,6 +17,10 @@ Row = Sequence[str]
 GAP = "  "
 NARROWEST, NAME, SENTENCE = 40, 20, 12  # characters of a screen; of what gives way to numbers
 REASON = 2  # lines of a cell, beyond which a reason stands below
+# Controls but for tab and new line, marks that turn the direction of text, halves of characters.
+_STEERING = re.compile(
+    "[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u2069\ufeff\ud800-\udfff]"
+)
 
 
 def width_of(stream: TextIO) -> int | None:
@@ -138,3 +146,13 @@ def _wrapped(text: str, width: int, indent: str = "") -> list[str]:
         break_long_words=False,
         break_on_hyphens=False,
     )
+
+
+def visible(text: str) -> str:
+    """Return a text with such characters written out as JSON does, by their number."""
+    return _STEERING.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def visible_cell(text: str) -> str:
+    """Return a text that is one line of a table as well."""
+    return visible(text).replace("\n", "\\n").replace("\t", "\\t")

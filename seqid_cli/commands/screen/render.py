@@ -11,8 +11,14 @@ import typer
 
 from seqid_cli import shares
 from seqid_cli.commands.options import screen_flag
-from seqid_cli.commands.screen.layout import Row, folded, format_table, width_of
-from seqid_cli.commands.screen.visible import visible, visible_cell
+from seqid_cli.commands.screen.layout import (
+    Row,
+    folded,
+    format_table,
+    visible,
+    visible_cell,
+    width_of,
+)
 from seqid_cli.params.encode import encode
 from seqid_cli.params.results.tables import Values
 

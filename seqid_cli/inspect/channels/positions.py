@@ -43,19 +43,14 @@ def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
     for j, joint in enumerate(robot.joints):
         rows = np.flatnonzero(np.isfinite(position[:, j]))
         own_t, q = t[rows], position[rows, j]
-        if len(q) < 3 or _smooth(own_t, q):
+        if len(q) < 3:
+            continue
+        least = ALONE * _beyond_any_arm(float(np.median(np.diff(own_t))))
+        if np.abs(np.diff(q, 2)).max() < least:  # no two changes differ by as much as a break makes
             continue
         broken = _breaks(joint, own_t, q, lattice(q))
         breaks += [Break(j, finding, rows[wrong]) for finding, wrong in broken]
     return breaks
-
-
-def _smooth(t: Array, q: Array) -> bool:
-    """Whether no two changes of a position in a row differ by as much as any break makes."""
-    usual = float(np.median(np.diff(t)))
-    least = ALONE * _beyond_any_arm(usual)
-    bend = np.diff(q, 2)
-    return bool(max(bend.max(), -bend.min()) < least)
 
 
 def position_findings(data: LogData, breaks: Sequence[Break]) -> Iterator[InspectionFinding]:
@@ -68,7 +63,9 @@ def position_findings(data: LogData, breaks: Sequence[Break]) -> Iterator[Inspec
             yield unit
 
 
-def position_quality(data: LogData, broken: Container[str]) -> Iterator[InspectionFinding]:
+def position_quality(
+    data: LogData, broken: Container[str], *, max_ratio: float = 2.0
+) -> Iterator[InspectionFinding]:
     """Check how well positions are measured, but for the joints named in `broken`."""
     for j, joint in enumerate(data.robot.joints):
         column = data.joints.channels["position"][:, j]
@@ -83,7 +80,10 @@ def position_quality(data: LogData, broken: Container[str]) -> Iterator[Inspecti
         if size > 1 and data.moves(j):
             text = f"the position repeats each value {size} times"
             yield found("channel_held", text, joint=joint.name, channel="position")
-        yield from _speed(data, j)
+        top, limit = _top_speed(data, j), joint.velocity_limit
+        if limit is not None and top > max_ratio * limit:
+            text = f"reaches {top:.3g}, velocity_limit is {limit:.3g}"
+            yield found("speed_limit", text, joint=joint.name, channel="position")
 
 
 def _unit(
@@ -98,11 +98,16 @@ def _unit(
     q = column[np.isfinite(column)]
     if joint.position_limits is None or len(q) < 3:
         return None
-    margin = max(3.0 * data.step[j], min_outside * _span(joint.position_limits))
-    if _within(q, joint.position_limits, margin):
-        return None
     low, high = joint.position_limits
-    unit = "m" if joint.prismatic else "rad"
+    span, unit = high - low, "m" if joint.prismatic else "rad"
+    margin = max(3.0 * data.step[j], min_outside * span)
+
+    def within(factor: float) -> bool:
+        scaled = q / factor
+        return bool(scaled.min() >= low - margin and scaled.max() <= high + margin)
+
+    if within(1.0):
+        return None
     text = (
         f"runs from {q.min():.4g} to {q.max():.4g}, the limits are {low:.4g} to {high:.4g} {unit}"
     )
@@ -113,31 +118,15 @@ def _unit(
     )
     if joint.gear_ratio is not None and abs(joint.gear_ratio) > 3.0:
         choices.append(("position_motor_side", joint.gear_ratio))
-    if joint.encoder_resolution:
-        choices.sort(key=lambda choice: abs(np.log(_ratio(q, joint) / abs(choice[1]))))
+    if joint.encoder_resolution:  # how many times its declared step is the position's step?
+        ratio = max(lattice(q), 1e-12) / joint.encoder_resolution
+        choices.sort(key=lambda choice: abs(np.log(ratio / abs(choice[1]))))
     beyond = max(low - float(q.min()), float(q.max()) - high)
     for code, factor in choices:
-        fills = np.ptp(q) / abs(factor) >= min_outside * _span(joint.position_limits)
-        if (
-            beyond > _span(joint.position_limits)
-            and fills
-            and _within(q / factor, joint.position_limits, margin)
-        ):
+        fills = np.ptp(q) / abs(factor) >= min_outside * span
+        if beyond > span and fills and within(factor):
             return found(code, text, joint=joint.name, channel="position")
     return found("position_limits", text, joint=joint.name, channel="position")
-
-
-def _ratio(q: Array, joint: Joint) -> float:
-    """Return how many times its declared encoder step a position's step is."""
-    return max(lattice(q), 1e-12) / (joint.encoder_resolution or 1.0)
-
-
-def _within(q: Array, limits: tuple[float, float], margin: float) -> bool:
-    return bool(q.min() >= limits[0] - margin and q.max() <= limits[1] + margin)
-
-
-def _span(limits: tuple[float, float]) -> float:
-    return limits[1] - limits[0]
 
 
 def fast_in_degrees(data: LogData, *, max_speed: float = 20.0) -> Iterator[InspectionFinding]:
@@ -167,16 +156,6 @@ def _top_speed(data: LogData, j: int) -> float:
 def top_speeds(data: LogData) -> list[float]:
     """Return the top speed of each joint over 0.1 s, rad/s (m/s)."""
     return [_top_speed(data, j) for j in range(data.robot.n)]
-
-
-def _speed(data: LogData, j: int, *, max_ratio: float = 2.0) -> Iterator[InspectionFinding]:
-    joint = data.robot.joints[j]
-    if joint.velocity_limit is None:
-        return
-    top = _top_speed(data, j)
-    if top > max_ratio * joint.velocity_limit:
-        text = f"reaches {top:.3g}, velocity_limit is {joint.velocity_limit:.3g}"
-        yield found("speed_limit", text, joint=joint.name, channel="position")
 
 
 def _breaks(

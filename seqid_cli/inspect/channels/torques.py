@@ -11,7 +11,7 @@ from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
 
 
@@ -28,16 +28,14 @@ def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
                 yield found(code, text, joint=joint.name, channel=quantity)
     if quantity == "current":
         yield from _milliamperes(data, values)
-    elif data.modelled and _unclear(data.robot):
+        return
+    channels, joints = data.robot.channels, data.robot.joints
+    drives = any(joint.torque_constant is not None for joint in joints)
+    said = quantity == "current" or channels.effort == "torque" or channels.torque is not None
+    if data.modelled and drives and not said and largest_gravity(data.robot).max() < HEAVY:
+        # Neither the robot file nor the robot's weight tells torque from current.
         text = "could be torque or current: the robot file gives torque_constant, the log torque"
         yield found("effort_unclear", text, channel=quantity)
-
-
-def _unclear(robot: Robot) -> bool:
-    """Whether neither the robot file nor the robot's weight tells torque from current."""
-    drives = any(joint.torque_constant is not None for joint in robot.joints)
-    said = robot.channels.effort == "torque" or robot.channels.torque is not None
-    return drives and not said and float(largest_gravity(robot).max()) < HEAVY
 
 
 def _of_moving(data: LogData, j: int, column: Array) -> Iterator[tuple[str, str]]:

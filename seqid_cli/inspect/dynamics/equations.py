@@ -361,9 +361,12 @@ def _scale(
     weights: list[Weight],
     *,
     min_opposite: float = 0.25,  # of the expected gravity torque, in the opposite direction
+    small: float = 0.25,  # ratios to the expected gravity torque, beyond which a torque is off
+    large: float = 4.0,
 ) -> Iterator[InspectionFinding]:
     """Judge the size of the torque at the joints that carry weight."""
-    off = [w for w in weights if _is_off(w)]
+    ends = [(w, *w.limits()) for w in weights]
+    off = [w for w, low, high in ends if high < small or max(low, -high) > large]
     if not off:
         return
     thin = _thinned(sample)
@@ -381,12 +384,6 @@ def _scale(
         text = f"the torque is {w.ratio:.3g} +- {w.error:.1g} of the expected gravity torque"
         code = "axis_flipped" if w.limits()[1] < -min_opposite else _unit_code(data, w)
         yield found(code, text, joint=joint.name, channel=effort[0] if effort else "torque")
-
-
-def _is_off(weight: Weight, *, small: float = 0.25, large: float = 4.0) -> bool:
-    """Whether a torque is beyond these ratios to the expected gravity torque."""
-    low, high = weight.limits()
-    return high < small or max(low, -high) > large
 
 
 def _unit_code(data: LogData, weight: Weight) -> str:

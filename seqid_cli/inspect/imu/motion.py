@@ -16,7 +16,6 @@ from seqid_cli.inspect.imu.link_fit import FOLLOWS, SIGMAS, LinkFit, fit_link, s
 from seqid_cli.inspect.imu.readings import channel_name, odd_channel
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import GYRO
-from seqid_cli.motion.motion import Motion
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Imu
 from seqid_cli.shares import percent
@@ -63,12 +62,13 @@ def motion_findings(
     """Judge how the IMUs follow the encoders."""
     for item in following:
         name = item.imu.name
-        if item.fit.left > FOLLOWS:
-            yield _not_following(data, item)
-            continue
-        better = _better(data, item)
+        better, left = _better(data, item), item.fit.left
         if better is not None:
             yield better
+            continue
+        if left > FOLLOWS:
+            text = f"the motion of its link leaves {percent(left, 0)} of its variance unexplained"
+            yield found("imu_not_moving", text, joint=name)
             continue
         least = max(min_delay_s, min_delay_samples / data.recording.rate_hz)
         delay = item.fit.delay
@@ -110,7 +110,11 @@ def _better(
     name, own = item.imu.name, item.imu.after_joint
     values = (data.recording.gyros if item.gyro else data.recording.accelerometers)[name]
     names = data.robot.joint_names
-    turned = [(j, own, _reversed(motion, j)) for j in range(own + 1) if data.moves(j)]
+    turned = []
+    for j in (j for j in range(own + 1) if data.moves(j)):
+        sign = np.where(np.arange(data.robot.n) == j, -1.0, 1.0)
+        back = replace(motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign)
+        turned.append((j, own, back))
     tried = [(None, link, motion) for link in range(data.robot.n) if link != own]
     found_best: tuple[float, int | None, int] | None = None
     for joint, link, moved in (*tried, *turned):
@@ -126,19 +130,6 @@ def _better(
         return found("axis_flipped", text, joint=names[joint], channel="position")
     text = f"follows the link after {names[link]}, not the one after {names[own]}: {text}"
     return found("imu_wrong_link", text, joint=name)
-
-
-def _reversed(motion: Motion, j: int) -> Motion:
-    sign = np.where(np.arange(motion.q.shape[1]) == j, -1.0, 1.0)
-    return replace(motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign)
-
-
-def _not_following(data: LogData, item: Following) -> InspectionFinding:
-    better = _better(data, item)
-    if better is not None:
-        return better
-    text = f"the motion of its link leaves {percent(item.fit.left, 0)} of its variance unexplained"
-    return found("imu_not_moving", text, joint=item.imu.name)
 
 
 def _gyro(item: Following) -> Iterator[InspectionFinding]:
@@ -160,24 +151,22 @@ def _axes(
     data: LogData, item: Following, *, max_scale_error: float = 0.05
 ) -> Iterator[InspectionFinding]:
     """Judge the axes by the map of specific force, which must be a rotation behind the axes."""
-    if item.fit.map_error > MAPPED or item.fit.left > TELLS or _in_other_unit(item):
+    force = item.fit.map[:, :3]
+    size = float(np.linalg.svd(force, compute_uv=False)[0])
+    other_unit = not 0.5 < size / np.sqrt(max(len(item.imu.axes) / 3.0, 1.0)) < 2.0
+    if item.fit.map_error > MAPPED or item.fit.left > TELLS or other_unit:
         return
     gravity = float(np.linalg.norm(data.robot.gravity)) or 9.81
-    force = item.fit.map[:, :3]
     odd = odd_channel(item.imu, gravity * force.T, gravity)
     if odd is not None:
         yield odd
         return
     turned = np.linalg.pinv(item.imu.axes) @ force
-    size = np.linalg.svd(turned, compute_uv=False)
-    if np.linalg.det(turned) < 0.0 and size[2] > 0.7 * size[0]:
+    sizes = np.linalg.svd(turned, compute_uv=False)
+    scale, evenness = float(np.mean(sizes)), sizes[2] / sizes[0]
+    if np.linalg.det(turned) < 0.0 and evenness > 0.7:
         text = "its accelerometers fit the link's motion as a mirror image only"
         yield found("imu_left_handed", text, joint=item.imu.name)
-    elif abs(float(np.mean(size)) - 1.0) > max_scale_error and size[2] > 0.9 * size[0]:
-        text = f"reads {float(np.mean(size)):.3g} times the link's specific force"
+    elif abs(scale - 1.0) > max_scale_error and evenness > 0.9:
+        text = f"reads {scale:.3g} times the link's specific force"
         yield found("imu_gravity", text, joint=item.imu.name)
-
-
-def _in_other_unit(item: Following) -> bool:
-    size = float(np.linalg.svd(item.fit.map[:, :3], compute_uv=False)[0])
-    return not 0.5 < size / np.sqrt(max(len(item.imu.axes) / 3.0, 1.0)) < 2.0

@@ -71,18 +71,14 @@ def _channels(data: LogData, imu: Imu) -> Iterator[InspectionFinding]:
         stamps = stream.stamp_ns
         seconds = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
         for quantity, values in stream.channels.items():
-            live = [k for k in range(values.shape[1]) if _changes(values[:, k])]
+            present = [column[np.isfinite(column)] for column in values.T]
+            live = any(len(column) and np.ptp(column) > 0 for column in present)
             for k in range(values.shape[1]):
                 name = channel_name(imu, quantity, first[quantity] + k)
-                finding = _channel(imu, name, values[:, k], seconds, others=live != [])
+                finding = _channel(imu, name, values[:, k], seconds, others=live)
                 if finding is not None:
                     yield finding
             first[quantity] += values.shape[1]
-
-
-def _changes(values: Array) -> bool:
-    present = values[np.isfinite(values)]
-    return bool(len(present) and np.ptp(present) > 0)
 
 
 def _channel(
@@ -101,11 +97,11 @@ def _channel(
     least = max(stuck_samples, int(stuck_s / max(seconds, 1e-9)))
     # A channel that repeats itself all the time is slow or coarse, not stuck.
     lively = len(present) > 2 and np.mean(np.diff(present) != 0) > 0.3
-    stuck = [run for run in equal_runs(present, least) if lively or run.length == len(present)]
     stuck = [
         run
-        for run in stuck
-        if run.value not in (present.max(), present.min()) or run.length == len(present)
+        for run in equal_runs(present, least)
+        if run.length == len(present)
+        or (lively and run.value not in (present.max(), present.min()))
     ]
     if stuck and (others or lively):
         run = stuck[0]
@@ -131,21 +127,17 @@ def _at_rest(data: LogData, imu: Imu, values: Array) -> Iterator[InspectionFindi
     rest = rest_rows(data, values)
     if not data.modelled or not len(rest) or np.linalg.matrix_rank(imu.axes) < 3:
         return
-    if abs(gravity - STANDARD_GRAVITY) > 0.5 or _in_g(imu, rest):
+    norm = float(np.median(np.linalg.norm(rest @ np.linalg.pinv(imu.axes).T, axis=1)))
+    in_g = 0.8 < norm < 1.2 or 800.0 < norm < 1200.0
+    if abs(gravity - STANDARD_GRAVITY) > 0.5 or in_g:
         return
     odd = odd_channel(imu, rest, gravity)
     if odd is not None:
         yield odd
         return
-    norm = float(np.median(np.linalg.norm(rest @ np.linalg.pinv(imu.axes).T, axis=1)))
     if abs(norm / gravity - 1.0) > WRONG:
         text = f"reads {norm:.4g} m/s^2 at rest, gravity is {gravity:.4g}"
         yield found("imu_gravity", text, joint=imu.name)
-
-
-def _in_g(imu: Imu, rest: Array) -> bool:
-    norm = float(np.median(np.linalg.norm(rest @ np.linalg.pinv(imu.axes).T, axis=1)))
-    return 0.8 < norm < 1.2 or 800.0 < norm < 1200.0
 
 
 def odd_channel(
@@ -164,7 +156,7 @@ def odd_channel(
     if count <= 3:
         return None
     P = np.eye(count) - imu.axes @ np.linalg.pinv(imu.axes)
-    error = float(np.mean((rest @ P) ** 2)) * count
+    error = _disagreement(rest, P)
     if np.sqrt(error) < WRONG * gravity:
         return None
     tried: list[tuple[float, str, tuple[int, ...]]] = []
@@ -205,8 +197,7 @@ def odd_channel(
 
 
 def _disagreement(rest: Array, P: Array) -> float:
-    disagreeing: Array = rest @ P
-    squares: float = float(np.mean(disagreeing**2)) * float(rest.shape[1])
+    squares: float = float(np.mean((rest @ P) ** 2)) * float(rest.shape[1])
     return squares
 
 

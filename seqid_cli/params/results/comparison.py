@@ -1,7 +1,7 @@
 """The comparison, `seqid/comparison@1`: two results of one robot side by side."""
 
-from seqid_cli.params.base import Document, FrozenStruct
-from seqid_cli.params.schema import Tool
+from seqid_cli.params.base import FrozenStruct
+from seqid_cli.params.schema import Written
 
 COMPARISON_SCHEMA = "seqid/comparison@1"
 
@@ -34,12 +34,9 @@ class Difference(FrozenStruct, kw_only=True, frozen=True):
     remark: str = ""
 
 
-class ComparisonFile(Document, kw_only=True):
+class ComparisonFile(Written, kw_only=True):
     """The whole document; `changed` of the `compared` numbers did, `notes` do not count."""
 
-    schema: str
-    created: str
-    tool: Tool
     kind: str
     a: str
     b: str

@@ -2,10 +2,10 @@
 
 from typing import Literal
 
-from seqid_cli.params.base import Document, Struct
+from seqid_cli.params.base import Struct
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Tool, Verdict
+from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Verdict, Written
 
 DiagnosisVerdict = Literal["effect_found", "nothing_missing", "unexplained"]
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
@@ -120,16 +120,13 @@ class HiddenEntry(Struct, kw_only=True):
     visible: float
 
 
-class DiagnosisFile(Document, kw_only=True):
+class DiagnosisFile(Written, kw_only=True):
     """The whole document; `findings` are ordered, the most certain first.
 
     `verdicts` are poor where the logs are damaged or the model is of no arm that can be: what is
     found then may be that.
     """
 
-    schema: str
-    created: str
-    tool: Tool
     robot: RobotId
     inputs: list[InputLog]
     parameters: list[FileId]

@@ -1,8 +1,8 @@
 """The result of an export, `seqid/export@1`, beside the file itself."""
 
-from seqid_cli.params.base import Document, Struct
+from seqid_cli.params.base import Struct
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import RobotId, Tool
+from seqid_cli.params.schema import RobotId, Written
 
 EXPORT_SCHEMA = "seqid/export@1"
 
@@ -41,12 +41,9 @@ class ExportedLink(Struct, kw_only=True):
     friction: ExportedFriction | None
 
 
-class ExportFile(Document, kw_only=True):
+class ExportFile(Written, kw_only=True):
     """The whole document; `largest_deviation` is in standard errors."""
 
-    schema: str
-    created: str
-    tool: Tool
     robot: RobotId
     format: str
     path: str

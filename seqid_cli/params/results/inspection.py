@@ -2,8 +2,8 @@
 
 from typing import Literal
 
-from seqid_cli.params.base import Document, FrozenStruct, Struct
-from seqid_cli.params.schema import Tool
+from seqid_cli.params.base import FrozenStruct, Struct
+from seqid_cli.params.schema import Written
 
 INSPECTION_SCHEMA = "seqid/inspection@1"
 InspectionVerdict = Literal["good", "usable", "faulty", "unreadable"]
@@ -102,12 +102,9 @@ class PlannedPart(Struct, kw_only=True):
     share: float = 0.0
 
 
-class InspectionFile(Document, kw_only=True):
+class InspectionFile(Written, kw_only=True):
     """The whole document."""
 
-    schema: str
-    created: str
-    tool: Tool
     robot: str
     verdict: str
     logs: list[InspectedLog]

@@ -2,9 +2,9 @@
 
 import math
 
-from seqid_cli.params.base import Document, Struct
+from seqid_cli.params.base import Struct
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import RobotId, Tool, Verdict
+from seqid_cli.params.schema import RobotId, Verdict, Written
 
 PLAN_SCHEMA = "seqid/plan@1"
 HARMONICS = 5  # of a Fourier motion
@@ -164,12 +164,9 @@ class PlannedStage(Struct, kw_only=True):
     separation: EffectSeparation | None = None
 
 
-class PlanFile(Document, kw_only=True):
+class PlanFile(Written, kw_only=True):
     """The whole document. `noise_density` is the torque's, N m/sqrt(Hz), one-sided."""
 
-    schema: str
-    created: str
-    tool: Tool
     robot: RobotId
     what: str
     seed: int

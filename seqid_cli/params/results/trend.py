@@ -2,9 +2,9 @@
 
 from datetime import datetime
 
-from seqid_cli.params.base import Document, Struct
+from seqid_cli.params.base import Struct
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import Tool
+from seqid_cli.params.schema import Written
 
 TREND_SCHEMA = "seqid/trend@1"
 
@@ -56,16 +56,13 @@ class ChangeEntry(QuantityEntry, kw_only=True):
     relative: float | None = None
 
 
-class TrendFile(Document, kw_only=True):
+class TrendFile(Written, kw_only=True):
     """The whole document.
 
     `inflation` is, by stage, the factor by which values of one date after the other scatter beyond
     their standard errors; `limit` the sigmas from which a change is an `alarm`.
     """
 
-    schema: str
-    created: str
-    tool: Tool
     files: list[FileId]
     robots: list[str]
     alarm: bool

@@ -11,7 +11,7 @@ import pytest
 
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.export.formats import export, format_of
-from seqid_cli.export.friction_fit import simple_friction
+from seqid_cli.export.model import simple_friction
 from seqid_cli.export.text import plain, real
 from seqid_cli.export.urdf_tree import bodies_of_urdf
 from seqid_cli.model.bodies.consistent import Demand, consistent_links

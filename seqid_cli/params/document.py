@@ -68,21 +68,13 @@ def with_stage(
     Earlier stages and their inputs stay; a stage that is given again replaces the old one, and
     what had been identified from the old one (`stale_stages`) is dropped.
     """
-    new = present(
-        schema.Stages(friction=friction, gravity=gravity, imu=imu, inertia=inertia, effects=effects)
-    )
+    given = {"friction": friction, "gravity": gravity, "imu": imu, "inertia": inertia}
+    new = present(schema.Stages(**given, effects=effects))  # type: ignore[arg-type]
     gone = {*new, *stale_stages(previous, tuple(new))}
     old = present(previous.stages) if previous else {}
     kept = {name: stage for name, stage in old.items() if name not in gone}
     earlier = [log for log in previous.inputs if log.stage not in gone] if previous else []
-    return schema.ParameterFile(
-        schema=schema.SCHEMA,
-        created=created or now(),
-        tool=tool(),
-        robot=robot,
-        inputs=_unique([*earlier, *inputs]),
-        stages=_stages({**kept, **new}),
-    )
+    return _file(robot, [*earlier, *inputs], {**kept, **new}, created=created or now())
 
 
 def refined(
@@ -97,15 +89,28 @@ def refined(
     `stages` replace those of `previous`. All its inputs stay, because what was identified from
     them went into the refined stages; `inputs` are the logs that refinement read in addition.
     """
-    content = {**present(previous.stages), **present(stages)}
-    content.setdefault("effects", [])  # there even where nothing was added
+    # Effects are there even where nothing was added.
+    content = {"effects": [], **present(previous.stages), **present(stages)}
+    logs = [*previous.inputs, *inputs]
+    return _file(robot, logs, content, created=now(), closed_loop=closed_loop)
+
+
+def _file(
+    robot: schema.RobotId,
+    inputs: Sequence[schema.InputLog],
+    stages: Mapping[str, object],
+    *,
+    created: str,
+    closed_loop: schema.ClosedLoop | None = None,
+    written_by: schema.Tool | None = None,
+) -> schema.ParameterFile:
     return schema.ParameterFile(
         schema=schema.SCHEMA,
-        created=now(),
-        tool=tool(),
+        created=created,
+        tool=written_by or tool(),
         robot=robot,
-        inputs=_unique([*previous.inputs, *inputs]),
-        stages=_stages(content),
+        inputs=list({(log.stage, log.sha256, log.path): log for log in inputs}.values()),
+        stages=schema.Stages(**stages),  # type: ignore[arg-type]
         closed_loop=closed_loop,
     )
 
@@ -113,8 +118,10 @@ def refined(
 def join(files: Sequence[tuple[str, schema.ParameterFile]]) -> schema.ParameterFile:
     """Join parameter files of one robot, given with the names to use in messages.
 
-    Raises ConfigError: there are none, they are about different robots, or they disagree on a
-    stage.
+    Raises
+    ------
+    ConfigError
+        There are none, they are about different robots, or they disagree on a stage.
     """
     if not files:
         raise ConfigError("no parameter file given", hint="Name one with -p.")
@@ -122,43 +129,24 @@ def join(files: Sequence[tuple[str, schema.ParameterFile]]) -> schema.ParameterF
     stages: dict[str, object] = {}
     source: dict[str, str] = {}
     for name, file in files:
-        _same_robot(first_name, first, name, file)
+        mine, theirs = file.robot, first.robot
+        if (mine.name, mine.joints) != (theirs.name, theirs.joints):
+            message = (
+                f"is about robot {mine.name!r} ({', '.join(mine.joints)}), "
+                f"but {first_name} about {theirs.name!r} ({', '.join(theirs.joints)})"
+            )
+            raise ConfigError(message, where=name, hint="Join files of one robot only.")
         for stage, content in present(file.stages).items():
-            if stage in stages and stages[stage] != content:
+            if stages.setdefault(stage, content) != content:
                 message = f"its {stage} stage differs from that of {source[stage]}"
                 hint = "Give files of one branch, or redo one from the other's result."
                 raise ConfigError(message, where=name, hint=hint)
-            stages.setdefault(stage, content)
             source.setdefault(stage, name)
-    return schema.ParameterFile(
-        schema=first.schema,
+    return _file(
+        first.robot,
+        [log for _, file in files for log in file.inputs],
+        stages,
         created=max(file.created for _, file in files),
-        tool=first.tool,
-        robot=first.robot,
-        inputs=_unique([log for _, file in files for log in file.inputs]),
-        stages=_stages(stages),
         closed_loop=next((file.closed_loop for _, file in files if file.closed_loop), None),
+        written_by=first.tool,
     )
-
-
-def _same_robot(
-    first_name: str, first: schema.ParameterFile, name: str, file: schema.ParameterFile
-) -> None:
-    mine, theirs = file.robot, first.robot
-    if (mine.name, mine.joints) != (theirs.name, theirs.joints):
-        message = (
-            f"is about robot {mine.name!r} ({', '.join(mine.joints)}), "
-            f"but {first_name} about {theirs.name!r} ({', '.join(theirs.joints)})"
-        )
-        raise ConfigError(message, where=name, hint="Join files of one robot only.")
-
-
-def _unique(logs: Sequence[schema.InputLog]) -> list[schema.InputLog]:
-    return list({(log.stage, log.sha256, log.path): log for log in logs}.values())
-
-
-def _stages(content: Mapping[str, object]) -> schema.Stages:
-    stages = schema.Stages()
-    for name, stage in content.items():
-        setattr(stages, name, stage)
-    return stages

@@ -10,7 +10,7 @@ import numpy as np
 from seqid_cli.errors import InputError
 from seqid_cli.logs.contents import Survey
 from seqid_cli.logs.tables.naming_schemes import COMMANDED, MEASURED
-from seqid_cli.robot.placement import DhRow, chain_from_dh
+from seqid_cli.robot.kinematics import DhRow, chain_from_dh
 from seqid_cli.robot.toml.checks import MOST_JOINTS
 from seqid_cli.robot.toml.schema import Channels, Columns
 from seqid_cli.robot.types import Imu, Joint, Robot

@@ -6,8 +6,12 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from seqid_cli.params.results.diagnosis import DiagnosisFile
-from seqid_cli.params.results.diagnosis_words import beyond_noise, nothing_found, times_noise
+from seqid_cli.params.results.diagnosis import (
+    DiagnosisFile,
+    beyond_noise,
+    nothing_found,
+    times_noise,
+)
 from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
 from seqid_cli.report.collection import Collection, Model, Prediction

@@ -91,7 +91,7 @@ def _robot(read: ReadRobotFile, urdf: UrdfText | None) -> "Robot":
 
 def _chain_of(read: ReadRobotFile, urdf: UrdfText | None) -> "tuple[Chain, Array | None]":
     if urdf is None:
-        from seqid_cli.robot.placement import DhRow, chain_from_dh
+        from seqid_cli.robot.kinematics import DhRow, chain_from_dh
 
         entries = [(joint.dh, joint.prismatic) for joint in read.content.joint]
         rows = [DhRow(dh.alpha, dh.a, dh.d, dh.theta0, slides) for dh, slides in entries if dh]

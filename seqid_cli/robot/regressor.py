@@ -20,8 +20,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.robot.kinematics import cross, fill_motion_matrix, link_motion
-from seqid_cli.robot.placement import skew
+from seqid_cli.robot.kinematics import cross, fill_motion_matrix, link_motion, skew
 from seqid_cli.robot.types import Array, Chain
 
 PER_LINK = 10

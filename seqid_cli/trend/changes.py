@@ -21,13 +21,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import stats
 
+from seqid_cli.robot.types import Array
 from seqid_cli.robust import gaussian_spread
 from seqid_cli.trend.series import Series
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

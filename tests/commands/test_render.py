@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from seqid_cli.__main__ import main
-from seqid_cli.commands.screen.chart import text_chart
 from seqid_cli.commands.screen.layout import folded, format_table, shortened
 from seqid_cli.commands.screen.progress import ProgressLine
 from seqid_cli.commands.screen.render import number, percent
 from seqid_cli.commands.screen.show import verdict_text
+from seqid_cli.commands.screen.show_diagnosis import text_chart
 from seqid_cli.params.schema import Verdict
 from seqid_cli.working import heard_by, step
 from tests import ROOT

@@ -30,7 +30,7 @@ from scipy import stats
 from seqid_cli.errors import UsageError
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robust import gaussian_spread
-from seqid_cli.trend.quantities import Quantity, quantities, speeds_of
+from seqid_cli.trend.series import Quantity, quantities, speeds_of
 
 Array = NDArray[np.float64]
 

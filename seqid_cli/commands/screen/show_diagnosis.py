@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from seqid_cli.commands.screen.chart import text_chart
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor
 from seqid_cli.model.effects.units import setting_units
@@ -19,12 +18,14 @@ from seqid_cli.params.results.diagnosis import (
     FindingEntry,
     HiddenEntry,
     UnexplainedPart,
+    nothing_found,
+    over_words,
 )
-from seqid_cli.params.results.diagnosis_words import nothing_found, over_words
 from seqid_cli.params.results.tables import values
 from seqid_cli.params.schema import ClosedLoop, EffectOfJoint, RefinementRound
 
 _EVENTS_SHOWN = 10
+_COLUMNS, _ROWS = 56, 7  # of a chart
 
 
 def show_diagnosis(screen: Screen, file: DiagnosisFile, joint: str | None = None) -> None:
@@ -195,3 +196,50 @@ def show_refinement(screen: Screen, loop: ClosedLoop, effects: Sequence[EffectOf
 
 def _named(rounds: Sequence[RefinementRound]) -> str:
     return ", ".join(effect_at(item.effect, item.joint) for item in rounds)
+
+
+def text_chart(
+    x: Sequence[float],
+    y: Sequence[float],
+    after: Sequence[float] = (),
+    *,
+    x_label: str,
+    y_label: str,
+) -> list[str]:
+    """Draw y (`*`) and what it is `after` something (`o`) over x, with the ranges at the axes.
+
+    Nothing below two points. Points that fall into one column are averaged; x need not be even or
+    sorted.
+    """
+    if len(x) < 2 or min(x) == max(x):
+        return []
+    curves = [("o", _column_means(x, after))] if after else []
+    curves.append(("*", _column_means(x, y)))
+    every = [value for _, means in curves for value in means.values()]
+    low, high = min(every), max(every)
+    rows = [[" "] * _COLUMNS for _ in range(_ROWS)]
+    for mark, means in curves:
+        for column, value in means.items():
+            share = (value - low) / (high - low) if high > low else 0.5
+            rows[_ROWS - 1 - round(share * (_ROWS - 1))][column] = mark
+    labels = [number(high), *[""] * (_ROWS - 2), number(low)]
+    width = max(map(len, labels))
+    left, right = number(min(x)), number(max(x))
+    margin = " " * (width + 2)
+    return [
+        f"{margin}{y_label}",
+        *(
+            f"{label.rjust(width)} |{''.join(row)}".rstrip()
+            for label, row in zip(labels, rows, strict=True)
+        ),
+        f"{' ' * width} +{'-' * _COLUMNS}",
+        f"{margin}{left}{right.rjust(_COLUMNS - len(left))}  {x_label}",
+    ]
+
+
+def _column_means(x: Sequence[float], y: Sequence[float]) -> dict[int, float]:
+    left, span = min(x), max(x) - min(x)
+    columns: dict[int, list[float]] = {}
+    for at, value in zip(x, y, strict=True):
+        columns.setdefault(round((at - left) / span * (_COLUMNS - 1)), []).append(value)
+    return {column: sum(values) / len(values) for column, values in columns.items()}

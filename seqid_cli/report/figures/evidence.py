@@ -8,7 +8,7 @@ import numpy as np
 
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.results import tables
-from seqid_cli.params.results.diagnosis_words import over_words
+from seqid_cli.params.results.diagnosis import over_words
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.chart import small_figure, small_panel
 from seqid_cli.report.figures.svg import padded

@@ -6,8 +6,7 @@ from collections.abc import Sequence
 
 from seqid_cli.params.io import Source
 from seqid_cli.params.results import tables
-from seqid_cli.params.results.diagnosis import DiagnosisFile, EventEntry, FindingEntry
-from seqid_cli.params.results.diagnosis_words import beyond_noise
+from seqid_cli.params.results.diagnosis import DiagnosisFile, EventEntry, FindingEntry, beyond_noise
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.chart import RowChart
 from seqid_cli.report.figures.evidence import evidence_figure, rivals_table

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.robot.placement import tidy_axis, tidy_position, tidy_rotation
+from seqid_cli.robot.kinematics import tidy_axis, tidy_position, tidy_rotation
 from seqid_cli.robot.toml.checks import LARGEST, LEAST_AXIS
 from seqid_cli.robot.types import Array, Chain
 from seqid_cli.robot.urdf.joints import check_parents, readable

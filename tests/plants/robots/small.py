@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from seqid_cli.robot.placement import DhRow, chain_from_dh
+from seqid_cli.robot.kinematics import DhRow, chain_from_dh
 from seqid_cli.robot.types import Array, Chain, Joint, Robot
 
 HALF = float(np.pi / 2)

@@ -8,7 +8,7 @@ import numpy as np
 
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.robot.placement import DhRow, chain_from_dh
+from seqid_cli.robot.kinematics import DhRow, chain_from_dh
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.made import friction_joint
 from tests.plants.robots.small import random_inertia, robot_from_chain

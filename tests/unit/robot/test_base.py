@@ -12,7 +12,7 @@ from seqid_cli.robot.base_parameters import (
     standard_names,
     standard_regressor,
 )
-from seqid_cli.robot.placement import DhRow, chain_from_dh
+from seqid_cli.robot.kinematics import DhRow, chain_from_dh
 from seqid_cli.robot.regressor import gravity_regressor
 from seqid_cli.robot.types import Array, Robot
 from tests.plants.robots.small import (

@@ -7,12 +7,10 @@ import pinocchio as pin
 import pytest
 
 from seqid_cli.robot.kinematics import (
-    forward,
-    link_angular_motion,
-)
-from seqid_cli.robot.placement import (
     DhRow,
     chain_from_dh,
+    forward,
+    link_angular_motion,
     rotation_about,
     tidy_position,
     tidy_rotation,

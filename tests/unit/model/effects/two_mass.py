@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.motion import decimated
-from seqid_cli.robot.placement import DhRow, chain_from_dh
+from seqid_cli.robot.kinematics import DhRow, chain_from_dh
 from tests.plants.robots.small import robot_from_chain
 from tests.plants.robots.two_joint import SIGN_WIDTH, friction_surface
 from tests.unit.model.effects.scenes import motion_of

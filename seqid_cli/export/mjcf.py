@@ -18,7 +18,7 @@ from seqid_cli.robot.types import Array
 _FULL = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # entries of an inertia in MuJoCo's order
 
 
-def mjcf_of_chain(model: ExportModel) -> str:
+def mjcf(model: ExportModel) -> str:
     """Return the arm as an MJCF document."""
     bodies = [_body(model, k) for k in range(model.robot.n)]
     return rendered("arm.xml.jinja", model, name=model.robot.name, bodies=bodies)

@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.effects import absorbed_effects
 from seqid_cli.export.observer import Thresholds, largest_mass, thresholds
-from seqid_cli.export.urdf_tree import UrdfBody
+from seqid_cli.export.urdf_tree import UrdfBody, bodies_of_urdf
 from seqid_cli.model.bodies.demand import Deviation, Identified, identified
 from seqid_cli.model.bodies.nearest import Expected, nearest_bodies
 from seqid_cli.model.friction import SLIDES, FrictionSurface
@@ -21,6 +21,7 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.regressor import PER_LINK, Coupling
 from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.urdf.text import UrdfText, read_urdf_text
 
 _POSITIONS, _SPEEDS = 41, 60
 
@@ -35,10 +36,13 @@ class ExportModel:
     identified base parameters are met exactly. `from_cad`: whether a link's expected inertial came
     from the URDF. `springs` (n, 4): torque of a spring at each joint by powers of its position [N
     m, N m/rad ...]. `gaps` (n,): backlash of each joint [rad]. `observer`: when a momentum observer
-    raises an alarm. `notes`: what the reader of the file has to know.
+    raises an alarm. `notes`: what the reader of the file has to know. `urdf`: that of the robot,
+    and the `links` of it that belong to each joint; None where there is none.
     """
 
     robot: Robot
+    urdf: UrdfText | None
+    links: tuple[UrdfBody, ...]
     own: Array
     kept: Array
     rotor: Array
@@ -74,7 +78,6 @@ class ExportModel:
 def export_model(
     robot: Robot,
     stages: Stages,
-    bodies: tuple[UrdfBody, ...] | None = None,
     *,
     holds: frozenset[str] = frozenset(),
     errors: Mapping[str, float] | None = None,
@@ -82,18 +85,22 @@ def export_model(
     """Find physically consistent parameters of a whole arm.
 
     `stages`: whatever was identified. Without an inertia stage the URDF must say what is missing.
-    `bodies`: the links of the URDF that belong to each joint. `holds`: effects that the format has
-    a place for. `errors`: RMS error of the torque of each joint [N m] on new logs; those of the
-    inertia stage if left out. Raises ConfigError: neither the file nor the URDF knows the inertias,
-    or the file is of another robot. Raises QualityError: no physically consistent parameters are
-    found.
+    `holds`: effects that the format has a place for. `errors`: RMS error of the torque of each
+    joint [N m] on new logs; those of the inertia stage if left out.
+
+    Raises
+    ------
+    ConfigError
+        Neither the file nor the URDF knows the inertias, or the file is of another robot.
+    QualityError
+        No physically consistent parameters are found.
     """
     _check_enough(robot, stages)
     effects = absorbed_effects(stages, robot, holds)
     demand = identified(stages, robot, more=effects.parameters)
-    kept = np.zeros((robot.n, PER_LINK))
-    if bodies is not None:
-        kept = np.array([body.kept for body in bodies])
+    urdf = None if robot.urdf is None else read_urdf_text(robot.urdf)
+    links = () if urdf is None else bodies_of_urdf(urdf.root, robot.joint_names)
+    kept = np.array([body.kept for body in links]) if links else np.zeros((robot.n, PER_LINK))
     nearest = nearest_bodies(robot, demand, kept)
     rigid = stages.inertia or stages.gravity
     coupled = rigid is not None and rigid.rotor_coupling == "gyroscopic"
@@ -103,6 +110,8 @@ def export_model(
     mass = largest_mass(robot, nearest.links + kept, armature)
     return ExportModel(
         robot=robot,
+        urdf=urdf,
+        links=links,
         own=nearest.links,
         kept=kept,
         rotor=nearest.rotor,

@@ -8,7 +8,6 @@ that has none.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from xml.dom import minidom
 from xml.dom.minidom import Comment, Document, Element, Text
 
@@ -26,14 +25,14 @@ from seqid_cli.robot.types import Array, Joint
 _DRAKE = "http://drake.mit.edu"
 
 
-def edited_urdf(raw: bytes, bodies: Sequence[UrdfBody], model: ExportModel) -> str:
-    """Return a URDF with the arm's inertials, damping and friction replaced.
+def urdf(model: ExportModel) -> str:
+    """Return the robot's URDF with other inertials, damping and friction, or a new one.
 
     Everything else (visuals, collisions, limits, other branches, comments) stays as it is. A body's
-    inertial goes to the link behind its joint; links fixed to that one lose theirs.
-
-    `raw`: the original. `bodies`: its links that belong to each joint.
+    inertial goes to the link behind its joint; links fixed to that one lose theirs. Links of a new
+    one are named after their joints, `<joint>_link`; the base is `base_link`.
     """
+    raw, bodies = (model.urdf.raw, model.links) if model.urdf else _new(model)
     document = minidom.parseString(raw)
     root = document.documentElement
     assert root is not None
@@ -51,11 +50,8 @@ def edited_urdf(raw: bytes, bodies: Sequence[UrdfBody], model: ExportModel) -> s
     return _text(document)
 
 
-def urdf_of_chain(model: ExportModel) -> str:
-    """Return a new URDF of a robot that is described by DH parameters.
-
-    Links are named after their joints, `<joint>_link`; the base is `base_link`.
-    """
+def _new(model: ExportModel) -> tuple[bytes, tuple[UrdfBody, ...]]:
+    """A URDF of a robot that is described by DH parameters, and its bodies."""
     joints, chain = model.robot.joints, model.robot.chain
     links = ["base_link", *(f"{joint.name}_link" for joint in joints)]
     moves = []
@@ -73,8 +69,7 @@ def urdf_of_chain(model: ExportModel) -> str:
         }
         moves.append({"attributes": own, "parts": parts})
     raw = rendered("arm.urdf.jinja", model, name=model.robot.name, links=links, moves=moves)
-    bodies = [UrdfBody(link, (), (), np.zeros(PER_LINK)) for link in links[1:]]
-    return edited_urdf(raw.encode(), bodies, model)
+    return raw.encode(), tuple(UrdfBody(link, (), (), np.zeros(PER_LINK)) for link in links[1:])
 
 
 def _limits(joint: Joint, kind: str, *, no_limit: float = 1000.0) -> dict[str, str]:

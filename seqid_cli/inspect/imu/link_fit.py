@@ -53,18 +53,31 @@ def scan(
     gyro: bool,
     max_shift_s: float = 0.06,
     grid: int = 25,
-    max_rows: int = 4000,
-    coarse: int = 4,
-    min_rows: int = 200,
 ) -> ShiftScan | None:
     """Compare readings (N, K) with the motion of a link; None where it rests."""
     features = _features(robot, motion, link, gyro=gyro)
     if features is None:
         return None
     readings = motion.lowpass(values, motion.valid)
-    shift = max(1, round(max_shift_s * motion.rate_hz))
+    reach = max(1, round(max_shift_s * motion.rate_hz))
+    shifts = np.unique(np.rint(np.linspace(-reach, reach, grid)).astype(np.intp))
+    return _shifted(motion, features, readings, shifts)
+
+
+def _shifted(
+    motion: Motion,
+    features: Array,
+    readings: Array,
+    shifts: NDArray[np.intp],
+    *,
+    max_rows: int = 4000,
+    min_rows: int = 200,
+    coarse: int = 4,
+) -> ShiftScan | None:
+    """What features leave of readings at each shift, by every `coarse`-th of the rows."""
+    reach = int(shifts[-1])
     rows = np.flatnonzero(motion.usable)
-    rows = rows[(rows >= shift) & (rows < len(values) - shift)]
+    rows = rows[(rows >= reach) & (rows < len(readings) - reach)]
     rows = rows[:: max(1, len(rows) // max_rows)]
     if len(rows) < min_rows:
         return None
@@ -72,9 +85,8 @@ def scan(
     total = float(np.mean(y**2)) * y.shape[1]
     if total == 0.0 or not np.isfinite(total):
         return None
-    shifts = np.unique(np.rint(np.linspace(-shift, shift, grid)).astype(np.intp))
     few = slice(None, None, coarse)
-    left = np.array([_left(features[rows[few] - s], y[few]) for s in shifts])
+    left = np.array([_errors(features[rows[few] - s], y[few])[0].mean() for s in shifts])
     return ShiftScan(features, readings, rows, y, total, shifts, left)
 
 
@@ -87,7 +99,7 @@ def fit_link(
         return None
     near, best = tried.share, int(tried.left.argmin())
     if near > wide or best in (0, len(tried.left) - 1):
-        far = _far(motion, tried.readings, tried.features)
+        far = _far(motion, tried)
         if near > FOLLOWS or far.left < 0.5 * near:
             return far
     return _fine(motion, tried)
@@ -116,32 +128,21 @@ def _fine(motion: Motion, scan: ShiftScan) -> LinkFit:
 
 
 def _far(
-    motion: Motion,
-    readings: Array,
-    features: Array,
-    *,
-    max_shift_s: float = 2.0,
-    step_s: float = 0.01,
-    max_rows: int = 800,
+    motion: Motion, near: ShiftScan, *, max_shift_s: float = 2.0, step_s: float = 0.01
 ) -> LinkFit:
     """Look for a shift of up to two seconds, roughly, where none near zero fits."""
+    features, readings = near.features, near.readings
     step = max(1, round(step_s * motion.rate_hz))
     reach = min(round(max_shift_s * motion.rate_hz), len(readings) // 4) // step * step
-    rows = np.flatnonzero(motion.usable)
-    rows = rows[(rows >= reach) & (rows < len(readings) - reach)]
-    rows = rows[:: max(1, len(rows) // max_rows)]
-    if len(rows) < max_rows // 4:
+    shifts = np.arange(-reach, reach + 1, step)
+    found = _shifted(motion, features, readings, shifts, max_rows=800, coarse=1)
+    if found is None:
         nothing = np.zeros((readings.shape[1], features.shape[1]))
         return LinkFit(1.0, 0.0, np.inf, nothing, np.inf, 0.0)
-    y = readings[rows] - readings[rows].mean(axis=0)
-    shifts = np.arange(-reach, reach + 1, step)
-    left = np.array([_left(features[rows - s], y) for s in shifts])
-    best = int(left.argmin())
-    share = float(left[best]) / max(float(np.mean(y**2)) * y.shape[1], 1e-300)
-    X = features[rows - shifts[best]]
-    fitted = _errors(X, y)[1]
-    delay = float(shifts[best]) / motion.rate_hz
-    return LinkFit(share, delay, step_s / SIGMAS, fitted, np.inf, _gain(X, fitted))
+    best = int(shifts[int(found.left.argmin())])
+    X = features[found.rows - best]
+    fitted, delay = _errors(X, found.y)[1], best / motion.rate_hz
+    return LinkFit(found.share, delay, step_s / SIGMAS, fitted, np.inf, _gain(X, fitted))
 
 
 def _gain(X: Array, fitted: Array) -> float:
@@ -194,11 +195,6 @@ def _of_block(
         return turns, w
     products = np.stack([w[:, a] * w[:, b] for a in range(3) for b in range(a, 3)], axis=1)
     return turns, np.hstack([moved.a[link].T, moved.dw[link].T, products])
-
-
-def _left(X: Array, y: Array) -> float:
-    """Squared error per sample that features (R, p) leave of readings (R, K)."""
-    return float(_errors(X, y)[0].mean())
 
 
 def _errors(X: Array, y: Array, *, rcond: float = 1e-6) -> tuple[Array, Array]:

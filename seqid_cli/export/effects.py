@@ -42,7 +42,10 @@ def absorbed_effects(stages: Stages, robot: Robot, holds: frozenset[str] = froze
     the span of the standard regressor. A payload or a wrong rotor inertia lies in it. `holds` names
     the other effects that the format has a place for: "spring", "backlash".
 
-    Raises ConfigError: an effect is not known to this version.
+    Raises
+    ------
+    ConfigError
+        An effect is not known to this version.
     """
     effects = fitted_effects(stages, robot, unexplained=True)
     total = np.zeros((PER_LINK + 1) * robot.n)

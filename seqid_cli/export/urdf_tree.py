@@ -37,7 +37,12 @@ def bodies_of_urdf(root: ElementTree.Element, joints: Sequence[str]) -> tuple[Ur
     """Find the body of each of the identified `joints`.
 
     `root`: the URDF, already known to be usable. `joints`: names of identified joints, in chain
-    order. Raises ConfigError: a number in it cannot be read.
+    order.
+
+    Raises
+    ------
+    ConfigError
+        A number in it cannot be read.
     """
     try:
         return _bodies(root, joints)

@@ -13,7 +13,10 @@ _Problem = tuple[str, str]  # key, fault
 def check_consistency(file: schema.ParameterFile, where: str) -> None:
     """Check a decoded parameter file.
 
-    Raises ConfigError: two parts of the file contradict each other; the message names the key.
+    Raises
+    ------
+    ConfigError
+        Two parts of the file contradict each other; the message names the key.
     """
     for key, what in _problems(file):
         hint = "The file was edited or damaged: run the stage again that wrote it."

@@ -68,8 +68,11 @@ class TorqueTable:
     def open(cls, path: Path, collection: Collection) -> TorqueTable:
         """Open a torque file and check it against the documents.
 
-        Raises InputError: it is unreadable, lacks the columns of a torque file, or is of another
-        robot or of other logs than the prediction.
+        Raises
+        ------
+        InputError
+            It is unreadable, lacks the columns of a torque file, or is of another robot or of other
+            logs than the prediction.
         """
         where = str(path)
         file = _guarded(path)

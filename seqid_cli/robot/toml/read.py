@@ -49,7 +49,12 @@ class ReadRobotFile:
 def read_robot_file(path: Path) -> ReadRobotFile:
     """Read and check a robot file, apart from checks that need its URDF.
 
-    `path`: the `robot.toml`. Raises ConfigError: naming the file and the key's full path.
+    `path`: the `robot.toml`.
+
+    Raises
+    ------
+    ConfigError
+        Naming the file and the key's full path.
     """
     raw = read_limited(path, "robot file", SIZE_LIMIT)
     document = _parse(path, raw)
@@ -68,8 +73,10 @@ def read_robot_file(path: Path) -> ReadRobotFile:
 def read_limited(path: Path, what: str, limit: int) -> bytes:
     """Read the file `path`, called `what` in messages; refuses more than `limit` bytes.
 
-    Raises ConfigError: where there is no such file, it cannot be read, or it is larger than
-    `limit`.
+    Raises
+    ------
+    ConfigError
+        There is no such file, it cannot be read, or it is larger than `limit`.
     """
     where = str(path)
     try:

@@ -107,8 +107,11 @@ def _links_renamed(root: ElementTree.Element, joints: set[str]) -> bool:
 def check_urdf(urdf: UrdfText) -> None:
     """Check for faults that a reader of URDFs refuses without naming the place.
 
-    Raises ConfigError: links named twice, joints between links that are not there, links with two
-    parents, loops, no or several roots, numbers that are none; naming the file, the joint or link.
+    Raises
+    ------
+    ConfigError
+        Links named twice, joints between links that are not there, links with two parents, loops,
+        no or several roots, numbers that are none; naming the file, the joint or link.
     """
     root = urdf.root
     links = [link.get("name", "") for link in root.findall("link")]
@@ -129,7 +132,10 @@ def check_urdf(urdf: UrdfText) -> None:
 def check_parents(urdf: UrdfText) -> dict[str, str]:
     """Return the joint that moves each link.
 
-    Raises ConfigError: a link has two, of which a reader of URDFs may drop one without a word.
+    Raises
+    ------
+    ConfigError
+        A link has two, of which a reader of URDFs may drop one without a word.
     """
     parents: dict[str, str] = {}
     for joint in urdf.root.findall("joint"):

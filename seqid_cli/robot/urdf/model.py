@@ -23,8 +23,11 @@ def chain_from_urdf(
 
     `names`: movable joints of the URDF, in the order of the robot file. `source`: the robot file,
     for messages. Returns: quarter turns and zeros that the file rounds are exact (see `placement`).
-    Raises ConfigError: where the URDF is inconsistent, or `names` is not a serial chain in this
-    order.
+
+    Raises
+    ------
+    ConfigError
+        The URDF is inconsistent, or `names` is not a serial chain in this order.
     """
     check_parents(urdf)
     model = _reduced(_parsed(urdf), names)

@@ -37,8 +37,10 @@ class UrdfText:
 def read_urdf_text(path: Path) -> UrdfText:
     """Read a URDF and check that it is one.
 
-    Raises ConfigError: where the file is missing, is a xacro file, is not well-formed XML or not a
-    URDF.
+    Raises
+    ------
+    ConfigError
+        The file is missing, is a xacro file, is not well-formed XML or not a URDF.
     """
     raw = read_limited(path, "URDF", SIZE_LIMIT)
     where = str(path)
@@ -116,7 +118,10 @@ def _numbers(text: str) -> list[float]:
 def check_names(urdf: UrdfText, names: tuple[str, ...], source: Path) -> None:
     """Check that the robot file's joints `names` are movable joints of the URDF.
 
-    Raises ConfigError: naming `source`, the key, the joint, and what the URDF has instead.
+    Raises
+    ------
+    ConfigError
+        Naming `source`, the key, the joint, and what the URDF has instead.
     """
     for k, name in enumerate(names):
         key, where = f"joint[{k}].name", str(source)

@@ -128,7 +128,9 @@ def _read(path: Path) -> Source[Document]:
     if kind == "params":
         return Source(where, sha256, _parameters(data, document, int(name["version"]), where))
     if name[0] in _RESULTS:
-        return Source(where, sha256, _decoded(data, _RESULTS[name[0]], kind, where))
+        result = _decoded(data, _RESULTS[name[0]], kind, where)
+        check_consistency(result, where)
+        return Source(where, sha256, result)
     known = [known for known in _RESULTS if known.startswith(f"seqid/{kind}@")]
     message = f"is of the version {name[0]}; this seqid reads {', '.join(known)}"
     if not known:

@@ -37,6 +37,12 @@ class RobotId(Struct, kw_only=True):
     sha256: str
 
 
+class OfRobot(Written, kw_only=True):
+    """Base of the documents about one robot."""
+
+    robot: RobotId
+
+
 class InputLog(Struct, kw_only=True):
     """One log that a stage read."""
 
@@ -380,10 +386,9 @@ class Stages(Struct, kw_only=True, omit_defaults=True):
     effects: list[EffectOfJoint] | None = None
 
 
-class ParameterFile(Written, kw_only=True, omit_defaults=True):
+class ParameterFile(OfRobot, kw_only=True, omit_defaults=True):
     """The whole document."""
 
-    robot: RobotId
     inputs: list[InputLog]
     stages: Stages
     closed_loop: ClosedLoop | None = None

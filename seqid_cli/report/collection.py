@@ -9,7 +9,6 @@ from typing import Literal, TypeVar
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.document import join, present
-from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.params.io import Document, Result, Source
 from seqid_cli.params.results.diagnosis import DiagnosisFile, ResidualEntry
 from seqid_cli.params.results.payload import PayloadFile
@@ -27,7 +26,6 @@ WRITTEN_BY: Mapping[type, str] = {
     PlanFile: "plan",
 }
 _MOST_JOINTS = 200
-_EDITED = "The file was edited or damaged: run the command again that wrote it."
 Sources = Sequence[Source[Document]]
 Parameters = Source[ParameterFile]
 Prediction = Source[PredictionFile]
@@ -164,17 +162,14 @@ def collect(documents: Sources) -> Collection:
     Raises
     ------
     ConfigError
-        There are none, they are about two robots, a document names joints that its robot has not,
-        or a result was made with a parameter file that has changed since. The message names the
-        files.
+        There are none, they are about two robots, or a result was made with a parameter file that
+        has changed since. The message names the files.
     """
     if not documents:
         hint = "Name the JSON files that the stages wrote."
         raise ConfigError("no file given", hint=hint)
     unique = tuple({(item.path, item.sha256): item for item in documents}.values())
     robot = _one_robot(unique)
-    for item in unique:
-        _check_names(item)
     _check_stale(unique)
     models = tuple(_models(of_kind(unique, ParameterFile)))
     found = Collection(
@@ -207,39 +202,6 @@ def _one_robot(documents: Sources) -> RobotId:
         message = f"$.robot.joints: must name 1 to {_MOST_JOINTS} joints, each once"
         raise ConfigError(message, where=first.path, hint="Run the command again that wrote it.")
     return mine
-
-
-def _check_names(item: Source[Document]) -> None:
-    content, joints = item.content, set(item.content.robot.joints)
-    for key, name in _named(content):
-        if name not in joints:
-            message = f"{key}: joint {name!r} is none of the robot's: {', '.join(sorted(joints))}"
-            raise ConfigError(message, where=item.path, hint=_EDITED)
-    for place, shown in _shown(content):
-        if not shown.whole:
-            message = f"{place}: x, count, before and after must be of one length"
-            raise ConfigError(message, where=item.path, hint=_EDITED)
-
-
-def _shown(content: Document) -> Iterator[tuple[str, EvidenceEntry]]:
-    for key in ("findings", "unexplained") if isinstance(content, DiagnosisFile) else ():
-        for place, part in enumerate(getattr(content, key)):
-            if part.evidence is not None:
-                yield f"$.{key}[{place}].evidence", part.evidence
-
-
-def _named(content: Document) -> Iterator[tuple[str, str]]:
-    """Names of joints in a result, and where."""
-    if isinstance(content, PredictionFile | DiagnosisFile):
-        yield from (("$.joints", name) for name in content.joints)
-    if isinstance(content, PredictionFile):
-        for place, log in enumerate(content.logs):
-            yield from ((f"$.logs[{place}].joints", name) for name in log.joints)
-    if isinstance(content, DiagnosisFile):
-        yield from (("$.unexplained", part.joint) for part in content.unexplained)
-        yield from (("$.findings", x.joint) for x in content.findings if x.joint is not None)
-        for key, shown in _shown(content):
-            yield from ((key, name) for name in (shown.joint, shown.of))
 
 
 def made_with(documents: Sources) -> Iterator[tuple[Source[Document], FileId]]:

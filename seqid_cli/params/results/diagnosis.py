@@ -5,7 +5,7 @@ from typing import Literal
 from seqid_cli.params.base import Struct
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Verdict, Written
+from seqid_cli.params.schema import InputLog, MotionUse, OfRobot, Verdict
 
 DiagnosisVerdict = Literal["effect_found", "nothing_missing", "unexplained"]
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
@@ -122,14 +122,13 @@ class HiddenEntry(Struct, kw_only=True):
     visible: float
 
 
-class DiagnosisFile(Written, kw_only=True):
+class DiagnosisFile(OfRobot, kw_only=True):
     """The whole document; `findings` are ordered, the most certain first.
 
     `verdicts` are poor where the logs are damaged or the model is of no arm that can be: what is
     found then may be that.
     """
 
-    robot: RobotId
     inputs: list[InputLog]
     parameters: list[FileId]
     stages: list[str]  # names of the stages that took part

@@ -2,7 +2,7 @@
 
 from seqid_cli.params.base import Struct
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import RobotId, Written
+from seqid_cli.params.schema import OfRobot
 
 EXPORT_SCHEMA = "seqid/export@1"
 
@@ -41,10 +41,9 @@ class ExportedLink(Struct, kw_only=True):
     friction: ExportedFriction | None
 
 
-class ExportFile(Written, kw_only=True):
+class ExportFile(OfRobot, kw_only=True):
     """The whole document; `largest_deviation` is in standard errors."""
 
-    robot: RobotId
     format: str
     path: str
     parameters: list[FileId]

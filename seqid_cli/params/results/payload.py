@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from seqid_cli.params.base import Struct
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import InputLog, Matrix, Parameter, RobotId, Verdict, Written
+from seqid_cli.params.schema import InputLog, Matrix, OfRobot, Parameter, Verdict
 
 PAYLOAD_SCHEMA = "seqid/payload@1"
 
@@ -62,7 +62,7 @@ class JointWithPayload(Struct, kw_only=True):
     friction_change: float
 
 
-class PayloadFile(Written, kw_only=True):
+class PayloadFile(OfRobot, kw_only=True):
     """The whole document.
 
     `parameters` are the ten standard parameters of the body by least squares (inertia about the
@@ -70,7 +70,6 @@ class PayloadFile(Written, kw_only=True):
     robot controller, the payload in its own words.
     """
 
-    robot: RobotId
     inputs: list[InputLog]
     models: list[FileId]
     payload: CarriedBodyEntry

@@ -4,7 +4,7 @@ import math
 
 from seqid_cli.params.base import Struct
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import RobotId, Verdict, Written
+from seqid_cli.params.schema import OfRobot, Verdict
 
 PLAN_SCHEMA = "seqid/plan@1"
 HARMONICS = 5  # of a Fourier motion
@@ -164,10 +164,9 @@ class PlannedStage(Struct, kw_only=True):
     separation: EffectSeparation | None = None
 
 
-class PlanFile(Written, kw_only=True):
+class PlanFile(OfRobot, kw_only=True):
     """The whole document. `noise_density` is the torque's, N m/sqrt(Hz), one-sided."""
 
-    robot: RobotId
     what: str
     seed: int
     parameters: list[FileId]

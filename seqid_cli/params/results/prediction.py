@@ -1,7 +1,7 @@
 """The prediction file, `seqid/prediction@1`: how well a model predicts the torque of some logs."""
 
 from seqid_cli.params.base import Struct
-from seqid_cli.params.schema import InputLog, MotionUse, RobotId, Verdict, Written
+from seqid_cli.params.schema import InputLog, MotionUse, OfRobot, Verdict
 
 PREDICTION_SCHEMA = "seqid/prediction@1"
 
@@ -44,10 +44,9 @@ class LogPredictionError(Struct, kw_only=True):
     motion: MotionUse | None = None
 
 
-class PredictionFile(Written, kw_only=True):
+class PredictionFile(OfRobot, kw_only=True):
     """The whole document; `joints` is over all logs together."""
 
-    robot: RobotId
     inputs: list[InputLog]
     parameters: list[FileId]
     stages: list[str]  # names of the stages that took part

@@ -115,7 +115,7 @@ def test_a_newer_file_asks_for_an_upgrade(tmp_path: Path) -> None:
         (
             ("stages", "gravity", "parameters", 0, "joint"),
             "knee",
-            "$.stages.gravity.parameters: joint 'knee' is none of the robot's: shoulder, elbow",
+            "$.stages.gravity.parameters[0].joint: joint 'knee' is none of the robot's: shou",
         ),
         (
             ("stages", "imu", "imus", "imu_a", "rotation", 0, 0),
@@ -127,7 +127,7 @@ def test_a_newer_file_asks_for_an_upgrade(tmp_path: Path) -> None:
         (
             ("closed_loop", "rounds", 0, "evidence", "of"),
             "knee",
-            "$.closed_loop.rounds[0].evidence: joint 'knee'",
+            "$.closed_loop.rounds[0].evidence.of: joint 'knee'",
         ),
         (
             ("closed_loop", "rounds", 0, "evidence", "after"),

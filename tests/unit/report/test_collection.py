@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from seqid_cli.errors import ConfigError, SeqidError
+from seqid_cli.params.check import check_consistency
 from seqid_cli.params.encode import encode
 from seqid_cli.params.io import Document, Source, read_any
 from seqid_cli.params.results.prediction import FileId, PredictionFile
@@ -150,7 +151,7 @@ def test_joints_that_the_robot_has_not_are_an_error(place: str) -> None:
             diagnosis.unexplained[0].joint = "wrist"
         document = source("x.json", diagnosis)
     with pytest.raises(ConfigError, match=rf"x\.json: \$\.{place}.*'wrist'"):
-        collect([document])
+        check_consistency(document.content, document.path)
 
 
 def test_evidence_needs_as_many_torques_as_places() -> None:
@@ -158,15 +159,15 @@ def test_evidence_needs_as_many_torques_as_places() -> None:
     assert diagnosis.unexplained[0].evidence is not None
     diagnosis.unexplained[0].evidence.after.pop()
     with pytest.raises(ConfigError, match=r"x\.json: \$\.unexplained\[0\]\.evidence"):
-        collect([source("x.json", diagnosis)])
+        check_consistency(diagnosis, "x.json")
 
 
 def test_evidence_must_be_of_the_robots_joints() -> None:
     diagnosis = diagnosis_file()
     assert diagnosis.findings[0].evidence is not None
     diagnosis.findings[0].evidence.of = "knee"
-    with pytest.raises(ConfigError, match=r"findings\[0\]\.evidence: joint 'knee' is none"):
-        collect([source("x.json", diagnosis)])
+    with pytest.raises(ConfigError, match=r"findings\[0\]\.evidence\.of: joint 'knee' is none"):
+        check_consistency(diagnosis, "x.json")
 
 
 def test_nothing_given_is_an_error() -> None:

@@ -109,6 +109,7 @@ def call(name: str, screen: Screen, **arguments: Any) -> int:
     """Run a command's own function on a caller's screen; errors are raised as they are."""
     module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
     context = typer.Context(load_command(name), info_name=name, obj=screen)
+    context.params = arguments
     return int(module.run(context, **arguments))
 
 

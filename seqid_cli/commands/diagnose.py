@@ -52,7 +52,7 @@ def run(
     with listening(context) as told:
         from seqid_cli import discover
 
-        options = discover.DiagnoseOptions(cutoff_hz=cutoff, time_source=time, source=motion)
+        options = told.options(discover.DiagnoseOptions)
         file = discover.diagnose(logs, robot, parameters, options, output=output, on_progress=told)
     screen = told.screen
     screen.document(file)

@@ -60,17 +60,8 @@ def run(
     with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
         from seqid_cli import identify
 
-        options = identify.FrictionOptions(
-            cutoff_hz=cutoff,
-            time_source=time,
-            skip_failed=skip_failed,
-            position_order=position_order,
-            velocity_order=velocity_order,
-            beta=beta,
-        )
+        options = told.options(identify.FrictionOptions)
         file = identify.friction(
             logs, robot, options, output=output, executor=executor, on_progress=told
         )
-    return show_stage(
-        told, file, ["friction"], output=output, robot=robot, strict=strict, following=_FOLLOWING
-    )
+    return show_stage(told, file, ["friction"], _FOLLOWING)

@@ -41,10 +41,8 @@ def run(
     with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
         from seqid_cli import identify
 
-        options = identify.LogOptions(cutoff_hz=cutoff, time_source=time, skip_failed=skip_failed)
+        options = told.options(identify.LogOptions)
         file = identify.gravity(
             logs, robot, parameters, options, output=output, executor=executor, on_progress=told
         )
-    return show_stage(
-        told, file, ["gravity"], output=output, robot=robot, strict=strict, following=_FOLLOWING
-    )
+    return show_stage(told, file, ["gravity"], _FOLLOWING)

@@ -37,7 +37,7 @@ def run(
     with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
         from seqid_cli import identify
 
-        options = identify.LogOptions(cutoff_hz=cutoff, time_source=time, skip_failed=skip_failed)
+        options = told.options(identify.LogOptions)
         file = identify.imu_calib(
             logs,
             robot,
@@ -47,6 +47,4 @@ def run(
             executor=executor,
             on_progress=told,
         )
-    return show_stage(
-        told, file, ["imu"], output=output, robot=robot, strict=strict, following=_FOLLOWING
-    )
+    return show_stage(told, file, ["imu"], _FOLLOWING)

@@ -39,16 +39,8 @@ def run(
     with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
         from seqid_cli import identify
 
-        options = identify.RigidOptions(
-            cutoff_hz=cutoff,
-            time_source=time,
-            skip_failed=skip_failed,
-            source=motion,
-            consistent=consistent,
-        )
+        options = told.options(identify.RigidOptions)
         file = identify.inertia(
             logs, robot, parameters, options, output=output, executor=executor, on_progress=told
         )
-    return show_stage(
-        told, file, ["inertia"], output=output, robot=robot, strict=strict, following=_FOLLOWING
-    )
+    return show_stage(told, file, ["inertia"], _FOLLOWING)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import contextlib
 import sys
 import warnings
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from seqid_cli.inspect.progress import LogNote, Progress
     from seqid_cli.params.results.inspection import InspectionFinding
 
+T = TypeVar("T")
+RENAMED = {"cutoff": "cutoff_hz", "time": "time_source", "motion": "source"}  # of options
 EXIT_DONE, EXIT_UNTRUSTED, EXIT_PARTIAL = 0, 1, 3
 # Below this many bytes of logs one process is done before others have imported what they need.
 WORTH_BYTES = 32_000_000
@@ -34,15 +36,22 @@ WORTH_BYTES = 32_000_000
 class Told:
     """Shows on a screen what a function tells and warns of, and keeps what decides its exit code.
 
-    `findings` are those of all logs, `partial` and `left_out` name logs that were read in part or
-    not at all.
+    `given` are the arguments and options of the command, `findings` those of all logs; `partial`
+    and `left_out` name logs that were read in part or not at all.
     """
 
     screen: Screen
     line: ProgressLine
+    given: Mapping[str, Any]  # on the command line
     findings: list[InspectionFinding] = field(default_factory=list)
     partial: list[str] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
+
+    def options(self, form: type[T]) -> T:
+        """Return the options of a function, fields of `form`, as the command line has them."""
+        given = {RENAMED.get(name, name): value for name, value in self.given.items()}
+        names = {field.name for field in fields(form)}  # type: ignore[arg-type]
+        return form(**{name: value for name, value in given.items() if name in names})
 
     def __call__(self, progress: Progress) -> None:
         """Take what is told."""
@@ -89,7 +98,7 @@ class Told:
 def listening(context: typer.Context) -> Iterator[Told]:
     """Show progress and warnings of what is called in the block."""
     screen = screen_of(context)
-    told = Told(screen, ProgressLine(sys.stderr, enabled=not screen.quiet))
+    told = Told(screen, ProgressLine(sys.stderr, enabled=not screen.quiet), context.params)
     with warnings.catch_warnings():
         warnings.simplefilter("always", SeqidWarning)
         warnings.showwarning = told.warn  # type: ignore[assignment]
@@ -173,26 +182,17 @@ def tell_remedies(screen: Screen, findings: Sequence[InspectionFinding]) -> None
     )
 
 
-def show_stage(
-    told: Told,
-    file: ParameterFile,
-    names: Sequence[str],
-    *,
-    output: Path | None,
-    robot: Path,
-    strict: bool,
-    following: str,
-) -> int:
+def show_stage(told: Told, file: ParameterFile, names: Sequence[str], following: str) -> int:
     """Show new stages of a file; returns the exit code.
 
-    `told`: what listened to their identification. `names`: the new stages. `output`: where the file
-    went. `robot`: the robot file. `strict`: whether a poor verdict makes the exit code 1.
-    `following`: the command that comes next, with `{output}` and `{robot}` to fill in; it is not
-    proposed after a poor verdict.
+    `told`: what listened to their identification. `names`: the new stages. `following`: the command
+    that comes next, with `{output}` and `{robot}` to fill in; it is not proposed after a poor
+    verdict.
     """
     stages = Stages(**{name: getattr(file.stages, name) for name in names})
     told.screen.document(file)
     show_stages(told.screen, stages)
-    verdicts = [v for name in names for v in getattr(stages, name).verdicts]
-    tell_output(told.screen, output, robot, "" if any_poor(verdicts) else following)
-    return told.ended(verdicts, strict=strict)
+    verdicts, given = [v for name in names for v in getattr(stages, name).verdicts], told.given
+    following = "" if any_poor(verdicts) else following
+    tell_output(told.screen, given.get("output"), given["robot"], following)
+    return told.ended(verdicts, strict=given.get("strict", False))

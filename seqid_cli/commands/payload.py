@@ -52,13 +52,7 @@ def run(
     with listening(context) as told:
         from seqid_cli import payload
 
-        options = payload.PayloadOptions(
-            cutoff_hz=cutoff,
-            time_source=time,
-            skip_failed=skip_failed,
-            source=motion,
-            friction_change=friction_change,
-        )
+        options = told.options(payload.PayloadOptions)
         file = payload.payload(logs, robot, parameters, options, output=output, on_progress=told)
     screen = told.screen
     screen.document(file)

@@ -59,13 +59,7 @@ def run(
     with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
         from seqid_cli import identify
 
-        options = identify.PredictOptions(
-            cutoff_hz=cutoff,
-            time_source=time,
-            skip_failed=skip_failed,
-            source=motion,
-            with_unexplained=with_unexplained,
-        )
+        options = told.options(identify.PredictOptions)
         file = identify.predict(
             logs,
             robot,

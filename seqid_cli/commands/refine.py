@@ -62,13 +62,7 @@ def run(
     with listening(context) as told:
         from seqid_cli import discover
 
-        options = discover.RefineOptions(
-            cutoff_hz=cutoff,
-            time_source=time,
-            source=motion,
-            rounds=rounds,
-            with_unexplained=with_unexplained,
-        )
+        options = told.options(discover.RefineOptions)
         file = discover.refine(
             logs, holdout, robot, parameters, options, output=output, on_progress=told
         )

@@ -42,18 +42,8 @@ def run(
     with listening(context) as told:
         from seqid_cli import identify
 
-        options = identify.SimultaneousOptions(
-            cutoff_hz=cutoff, time_source=time, source=motion, consistent=consistent, offset=offset
-        )
+        options = told.options(identify.SimultaneousOptions)
         file = identify.simultaneous(
             logs, robot, parameters or (), options, output=output, on_progress=told
         )
-    return show_stage(
-        told,
-        file,
-        ["friction", "inertia"],
-        output=output,
-        robot=robot,
-        strict=strict,
-        following=_FOLLOWING,
-    )
+    return show_stage(told, file, ["friction", "inertia"], _FOLLOWING)

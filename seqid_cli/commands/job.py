@@ -26,7 +26,15 @@ if TYPE_CHECKING:
     from seqid_cli.params.results.inspection import InspectionFinding
 
 T = TypeVar("T")
-RENAMED = {"cutoff": "cutoff_hz", "time": "time_source", "motion": "source"}  # of options
+RENAMED = {  # options of commands, and what functions call them
+    "cutoff": "cutoff_hz",
+    "time": "time_source",
+    "motion": "source",
+    "ramp": "ramp_s",
+    "duration": "duration_s",
+    "move_duration": "move_s",
+    "load": "load_kg",
+}
 EXIT_DONE, EXIT_UNTRUSTED, EXIT_PARTIAL = 0, 1, 3
 # Below this many bytes of logs one process is done before others have imported what they need.
 WORTH_BYTES = 32_000_000

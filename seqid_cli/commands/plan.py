@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import isfinite
 from pathlib import Path
 from typing import Annotated
@@ -155,18 +156,10 @@ def run(
     with listening(context) as told:
         from seqid_cli import plan
 
-        options = plan.PlanOptions(
-            duration_s=duration,
-            move_s=move_duration,
-            together=together,
-            seed=seed,
-            ramp_s=ramp,
-            share=share,
+        options = replace(
+            told.options(plan.PlanOptions),
             locked=tuple(lock or ()),
-            speed_scale=speed_scale,
             between=tuple(between.split(",")) if between else (),
-            joint=joint,
-            load_kg=load,
             keep_out=tuple(_box(text) for text in keep_out or ()),
             workspace=None if workspace is None else _box(workspace),
         )

@@ -17,6 +17,7 @@ import pinocchio as pin
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.bodies.pseudo_inertia import Body, pseudo_inertia, standard_of
 from seqid_cli.robot.types import Array
+from seqid_cli.robot.urdf.text import link_of
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ def bodies_of_urdf(root: ElementTree.Element, joints: Sequence[str]) -> tuple[Ur
 
 def root_link(root: ElementTree.Element) -> str:
     """Return the link of a URDF that no joint moves; gravity is given in its axes."""
-    moved = {_end(joint, "child") for joint in root.findall("joint")}
+    moved = {link_of(joint, "child") for joint in root.findall("joint")}
     return next(n for link in root.findall("link") if (n := link.get("name", "")) not in moved)
 
 
@@ -63,14 +64,16 @@ def _bodies(root: ElementTree.Element, joints: Sequence[str]) -> tuple[UrdfBody,
     by_name = {}
     for joint in root.findall("joint"):
         by_name[joint.get("name", "")] = joint
-        children.setdefault(_end(joint, "parent"), []).append(joint)
+        children.setdefault(link_of(joint, "parent"), []).append(joint)
     inertials = {
         link.get("name", ""): phi
         for link in root.findall("link")
         if (phi := _inertial(link)) is not None
     }
     own = frozenset(joints)
-    return tuple(_body(_end(by_name[name], "child"), children, inertials, own) for name in joints)
+    return tuple(
+        _body(link_of(by_name[name], "child"), children, inertials, own) for name in joints
+    )
 
 
 def _body(
@@ -100,16 +103,11 @@ def _below(
         for joint in children.get(parent, ()):
             if joint.get("name", "") in joints:
                 continue
-            child = _end(joint, "child")
+            child = link_of(joint, "child")
             where = placement @ _origin(joint)
             loose = moves or joint.get("type") != "fixed"
             yield child, where, loose
             pending.append((child, where, loose))
-
-
-def _end(joint: ElementTree.Element, which: str) -> str:
-    element = joint.find(which)
-    return "" if element is None else element.get("link", "")
 
 
 def _inertial(link: ElementTree.Element) -> Array | None:

@@ -6,13 +6,12 @@ the dynamics and which hand-made files lack, and links with the name of a joint,
 """
 
 import copy
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.robot.urdf.text import MOVABLE, UrdfText
+from seqid_cli.robot.urdf.text import MOVABLE, UrdfText, link_of, numbers
 
 WIDE = "1e9"
 _NUMBERS = {
@@ -44,8 +43,8 @@ def chains(urdf: UrdfText) -> list[tuple[UrdfJoint, ...]]:
     children: dict[str, list[str]] = {}
     below = set()
     for name, joint in elements.items():
-        child = _link(joint, "child")
-        children.setdefault(_link(joint, "parent"), []).append(name)
+        child = link_of(joint, "child")
+        children.setdefault(link_of(joint, "parent"), []).append(name)
         below.add(child)
     roots = [link for link in children if link not in below]
     found: list[tuple[str, ...]] = []
@@ -139,7 +138,7 @@ def check_parents(urdf: UrdfText) -> dict[str, str]:
     """
     parents: dict[str, str] = {}
     for joint in urdf.root.findall("joint"):
-        name, child = joint.get("name", ""), _link(joint, "child")
+        name, child = joint.get("name", ""), link_of(joint, "child")
         if child in parents:
             message = f"link {child!r} is the child of two joints, {parents[child]!r} and {name!r}"
             hint = "Links must form a tree: cut loops open, and model the closing joint apart."
@@ -151,23 +150,16 @@ def check_parents(urdf: UrdfText) -> dict[str, str]:
 def _check_joint(joint: ElementTree.Element, links: list[str], where: str) -> None:
     name = joint.get("name", "")
     for which in ("parent", "child"):
-        if _link(joint, which) not in links:
-            text = f"joint {name!r}: its {which} link {_link(joint, which)!r} is not in the URDF"
+        if link_of(joint, which) not in links:
+            text = f"joint {name!r}: its {which} link {link_of(joint, which)!r} is not in the URDF"
             raise ConfigError(text, where=where, hint="Add the link, or correct its name.")
     for tag, keys in _NUMBERS.items():
         element = joint.find(tag)
         for key in keys if element is not None else ():
             text = element.get(key, "") if element is not None else ""
-            if not all(_is_number(word) for word in text.split()):
+            if numbers(text) is None:
                 message = f"joint {name!r}: <{tag} {key}={text!r}> is not finite numbers"
                 raise ConfigError(message, where=where, hint="Correct the number in the URDF.")
-
-
-def _is_number(word: str) -> bool:
-    try:
-        return math.isfinite(float(word))
-    except ValueError:
-        return False
 
 
 def _refused(urdf: UrdfText, message: str, hint: str) -> ConfigError:
@@ -189,15 +181,10 @@ def _paths(
         if not below:
             paths.append(path)
         for name in reversed(below):
-            child = _link(elements[name], "child")
+            child = link_of(elements[name], "child")
             if child not in seen:
                 stack.append((child, (*path, name), seen | {child}))
     return paths
-
-
-def _link(joint: ElementTree.Element, which: str) -> str:
-    element = joint.find(which)
-    return "" if element is None else element.get("link", "")
 
 
 def _joint(element: ElementTree.Element) -> UrdfJoint:
@@ -217,11 +204,8 @@ def _joint(element: ElementTree.Element) -> UrdfJoint:
 
 
 def _number(element: ElementTree.Element | None, key: str) -> float | None:
-    try:
-        value = float((element.get(key) if element is not None else None) or "nan")
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
+    found = numbers(element.get(key, "")) if element is not None else None
+    return found[0] if found and len(found) == 1 else None
 
 
 def _positive(value: float | None) -> float | None:

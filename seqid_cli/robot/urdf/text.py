@@ -3,6 +3,7 @@
 Meshes, visuals and transmissions play no part in the dynamics and are neither read nor required.
 """
 
+import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -91,14 +92,14 @@ def _check_numbers(root: ElementTree.Element, path: Path) -> None:
     where = str(path)
     for link in root.iterfind("link"):
         for mass in link.iterfind("inertial/mass"):
-            if not all(value >= 0.0 for value in _numbers(mass.get("value", "")) or [-1.0]):
+            if not all(value >= 0.0 for value in numbers(mass.get("value", "")) or [-1.0]):
                 message = f"link {link.get('name')!r} has a mass of {mass.get('value')!r}"
                 raise ConfigError(message, where=where, hint="A mass is 0 or more, in kg.")
     for owner in root:
         for part in (*owner.iterfind("origin"), *owner.iterfind("inertial/origin")):
             for key in {"xyz", "rpy"} & {*part.keys()}:
-                numbers = _numbers(part.attrib[key])
-                if len(numbers) != 3 or not all(abs(number) <= LARGEST for number in numbers):
+                three = numbers(part.attrib[key]) or []
+                if len(three) != 3 or max(map(abs, three)) > LARGEST:
                     name = f"{owner.tag} {owner.get('name')!r}"
                     message = (
                         f"{name} has {key}={part.attrib[key]!r}, which is not three finite numbers "
@@ -108,11 +109,19 @@ def _check_numbers(root: ElementTree.Element, path: Path) -> None:
                     raise ConfigError(message, where=where, hint=hint)
 
 
-def _numbers(text: str) -> list[float]:
+def numbers(text: str) -> list[float] | None:
+    """Return the finite numbers of an attribute; None where a word is none."""
     try:
-        return [float(word) for word in text.split()]
+        found = [float(word) for word in text.split()]
     except ValueError:
-        return []
+        return None
+    return found if all(map(math.isfinite, found)) else None
+
+
+def link_of(joint: ElementTree.Element, which: str) -> str:
+    """Return the parent or child link of a joint; empty where it names none."""
+    element = joint.find(which)
+    return "" if element is None else element.get("link", "")
 
 
 def check_names(urdf: UrdfText, names: tuple[str, ...], source: Path) -> None:

@@ -7,7 +7,7 @@ and so are samples at which the torque of an effect is not known. Then the selec
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground, Model
 from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.results import Options, Selected
-from seqid_cli.discover.select.selection import select, select_again
+from seqid_cli.discover.select.selection import select, select_again, select_beside
 from seqid_cli.discover.survey.events import Interval, event_masks, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.logs.recording import Recording
@@ -94,6 +94,28 @@ def investigate(
     told = found.told(least)
     step("estimating the noise", 9, 10)
     return Investigation(tuple(logs), told, floor_of(logs, told.model), tuple(events))
+
+
+def investigate_beside(
+    before: Investigation,
+    logs: Sequence[Recording],
+    robot: Robot,
+    stages: Stages,
+    options: DiscoverOptions,
+    *,
+    candidates: Sequence[Candidate],
+    selection: Options,
+    look: bool,
+) -> Investigation:
+    """Select again where the stages are others and the logs are freed of what they have taken in.
+
+    `candidates` are what was found before and is not in the model yet: the one of them that gains
+    most now is told. With `look`, all that the model may still lack is. Events are those of before.
+    """
+    rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
+    found = select_beside(_ground(rows, stages), candidates, selection, look=look)
+    told = found.told(0.0) if look else found.largest()
+    return replace(before, logs=tuple(logs), found=told)
 
 
 def _ground(rows: Rows, stages: Stages) -> Ground:

@@ -53,11 +53,16 @@ def expected(found: Investigation) -> Array:
 def excess_residuals(found: Investigation, ordinary: Array) -> tuple[Excess, ...]:
     """Joints with more than `ordinary` (n,) N m left after all that was found, the largest first.
 
-    Joints that the file alone fits as well as expected are left out.
+    Joints that the file alone fits as well as expected are left out, and those where the noise
+    floor may be as large, for all that so short a log tells of it.
     """
     left = np.minimum(found.model.rms(), found.start)
-    times = left / np.maximum(ordinary, 1e-12)
-    larger = [Excess(j, float(times[j])) for j in np.flatnonzero(times > EXCESS).tolist()]
+    times, most = left / np.maximum(ordinary, 1e-12), found.floor.interval
+    larger = [
+        Excess(j, float(times[j]))
+        for j in np.flatnonzero(times > EXCESS).tolist()
+        if left[j] > most(j)[1]
+    ]
     return tuple(sorted(larger, key=lambda one: -one.times))
 
 

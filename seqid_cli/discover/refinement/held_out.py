@@ -140,10 +140,10 @@ class BlockSums:
 
     @classmethod
     def of(cls, first: LogPrediction) -> BlockSums:
-        """Begin with nothing; a log that is too long to be held has longer blocks."""
+        """Begin with nothing; blocks of a short log are shorter, of one that is not held longer."""
         length = float(first.t[-1] - first.t[0])
         length *= 1.0 if first.last else first.samples / len(first.t)
-        count = int(np.clip(round(length / BLOCK_S), 1, MOST_BLOCKS))
+        count = int(np.clip(round(length / BLOCK_S), FEWEST_BLOCKS, MOST_BLOCKS))
         zero = np.zeros((count, first.tau.shape[1]))
         return cls(HeldOutError(*(zero.copy() for _ in range(4))), first.samples)
 

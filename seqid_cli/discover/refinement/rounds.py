@@ -17,12 +17,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import msgspec
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.evidence import evidence_of
-from seqid_cli.discover.investigate import Investigation, investigate
+from seqid_cli.discover.investigate import Investigation, investigate, investigate_beside
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.held_out import LEAST_GAIN, Gain, doubt, gain
 from seqid_cli.discover.refinement.loop import Account, Loop, candidates_of_model, with_effects
@@ -45,6 +46,7 @@ ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
 # Of its squared error a joint may lose where others gain: so much, or a share of what these gain.
 TOLERATED, EXCHANGE = 0.05, 0.2
+TRIED = Options(improvement=LEAST_GAIN)  # what is tried need not be worth a finding
 SAME = 0.01  # of an order or a frequency, by which two lines may differ and be one
 
 
@@ -102,15 +104,16 @@ def refine(
     known = fitted_effects(file.stages, robot, unexplained=True)
     bare = msgspec.structs.replace(file.stages, effects=None)
     start = Refitted(bare, tuple(known), _late(file, known, robot))
-    found = _investigated(material, start)
+    logs, stages = material.now(start), start.stages
+    found = investigate(logs, robot, stages, options, least=0.0, selection=TRIED)
     smooth = options.with_unexplained and bool(found.found.smooth)
     if not (found.found.effects or smooth):
         return Refinement(material, file.stages, (), (start,), start, notes)
     heard = replace(material, training=quiet(training, found.events)) if found.events else material
     loop = Loop(heard, [start], start)
-    _add_effects(loop, found)
+    found = _add_effects(loop, found)
     if options.with_unexplained:
-        _add_smooth(loop, _investigated(material, loop.model) if loop.added else found)
+        _add_smooth(loop, found)
     rounds, steps = tuple(loop.rounds), tuple(loop.steps)
     return Refinement(material, file.stages, rounds, steps, loop.without, notes)
 
@@ -133,41 +136,63 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
     )
 
 
-def _investigated(material: Material, model: Refitted) -> Investigation:
-    """Find what the model, with its effects, may lack: candidates that are tried, not reported."""
-    logs, tried = material.now(model), Options(improvement=LEAST_GAIN)
-    stages, options = model.stages, material.options
-    return investigate(logs, material.robot, stages, options, least=0.0, selection=tried)
+def _add_effects(loop: Loop, found: Investigation) -> Investigation:
+    """Try the effects that are found, the largest gain first; return what is found at last.
 
-
-def _add_effects(loop: Loop, found: Investigation) -> None:
-    """Try the effects that are found, the largest gain first.
-
-    After each that is added the rest are looked for anew: what the stages had taken in of it looks
-    like a second effect, until they are identified without it.
+    After each that is added the rest are judged anew: what the stages had taken in of it looks like
+    a second effect, until they are identified without it. Before what is small, more is looked for.
     """
-    refused: list[Candidate] = []
+    refused, rest, looked = list[Candidate](), [*map(_what, found.found.effects)], True
+    several = len(rest) > 1 or loop.material.options.with_unexplained
     while loop.added < loop.material.options.max_effects:
         known = [*candidates_of_model(loop.model.effects), *refused]
-        left = [
-            taken
-            for taken in found.found.effects
-            if not any(_same(_what(taken), other) for other in known)
-        ]
+        left = [x for x in found.found.effects if not _among(_what(x), known)]
         if not left:
-            return
+            break
         taken = max(left, key=lambda taken: taken.one.predicted.total)
-        step("trying effects", loop.added, loop.added + len(left))
-        if not _try(loop, found, taken):
+        step("trying effects", loop.added, loop.added + max(len(left), len(rest)))
+        rest = [other for other in rest if not _same(other, _what(taken))]
+        accepted = _try(loop, found, taken)
+        if not accepted:
             refused.append(_what(taken))
-        elif len(left) > 1:
-            found = _investigated(loop.material, loop.model)
+        if several and (accepted or (len(left) == 1 and not looked)):
+            found, looked = _beside(loop, found, rest)
+            rest = [*map(_what, found.found.effects)] if looked else rest
+    return found
+
+
+def _beside(
+    loop: Loop, found: Investigation, rest: Sequence[Candidate]
+) -> tuple[Investigation, bool]:
+    """What the model may still lack: of the rest the largest gain, or all where that is no finding.
+
+    Also whether all was looked for.
+    """
+    material, stages = loop.material, loop.model.stages
+    again = partial(
+        investigate_beside,
+        found,
+        material.now(loop.model),
+        material.robot,
+        stages,
+        material.options,
+        candidates=rest,
+        selection=TRIED,
+    )
+    largest = again(look=False) if rest else None
+    if largest and any(x.one.predicted.share > Options.improvement for x in largest.found.effects):
+        return largest, False
+    return again(look=True), True
 
 
 def _what(taken: Taken) -> Candidate:
     what = taken.term.what
     assert isinstance(what, Candidate)
     return what
+
+
+def _among(one: Candidate, others: Sequence[Candidate]) -> bool:
+    return any(_same(one, other) for other in others)
 
 
 def _same(one: Candidate, other: Candidate) -> bool:

@@ -18,7 +18,7 @@ E - E without the file is what the term saves of it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -36,8 +36,10 @@ from seqid_cli.discover.select.rows import (
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
+Factor = tuple[Array, bool]  # of Cholesky, as scipy has it
 
 BATCH = 200  # terms that are tried at once
+TILE = 8192  # rows whose products are made at once
 RIDGE = 1e-10  # of a scaled column's square
 
 
@@ -118,22 +120,22 @@ class Linear:
         diagonal = np.diag(self.prior) + np.diag(self._sums[0])
         return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
 
-    def _factor(self, A: Array) -> tuple[Array, bool]:
+    def _factor(self, A: Array) -> Factor:
         return _factored(A + self.prior, self._scale)
 
-    def _solved(self, factor: tuple[Array, bool], right: Array) -> Array:
+    def _solved(self, factor: Factor, right: Array) -> Array:
         scale = self._scale[:, None] if right.ndim == 2 else self._scale
         solved: Array = cho_solve(factor, right * scale, check_finite=False) * scale
         return solved
 
     @cached_property
-    def _whole(self) -> tuple[tuple[Array, bool], Array]:
+    def _whole(self) -> tuple[Factor, Array]:
         A, b = self._sums
         factor = self._factor(A)
         return factor, self._solved(factor, b)
 
     @cached_property
-    def _without(self) -> list[tuple[tuple[Array, bool], Array]]:
+    def _without(self) -> list[tuple[Factor, Array]]:
         """Factor and solution (p,) without each block."""
         A, b = self._sums
         return [
@@ -143,7 +145,7 @@ class Linear:
         ]
 
     @cached_property
-    def _without_file(self) -> tuple[tuple[Array, bool], Array]:
+    def _without_file(self) -> tuple[Factor, Array]:
         """Factor and solution (p,) without what the parameter file says."""
         A, b = self._sums
         factor = self._factor(A - self._of_file)
@@ -211,53 +213,65 @@ class Linear:
         found = []
         for first in range(0, len(terms), BATCH):
             some = terms[first : first + BATCH]
-            crossed = _Crossed.of(some, self.size, 1)
-            for c, (index, _) in enumerate(self._own):
-                crossed.add(0, c, index, *self._weighted(c), self._root[c])
-            found += self._given(self._whole, some, crossed)
-        return found
-
-    def _given(
-        self,
-        solved: tuple[tuple[Array, bool], Array],
-        terms: Sequence[Part],
-        crossed: _Crossed,
-    ) -> list[Gained]:
-        """What each term by itself does to a solved model."""
-        (factor, theta), (C, d, whole) = solved, crossed.whole
-        Z, left = self._solved(factor, C), d - C.T @ theta
-        found = []
-        for term, at, D in zip(terms, crossed.where, whole, strict=True):
-            S = D - C[:, at].T @ Z[:, at]
-            value, a, covariance = bayes_factor(S, left[at], term.precision)
-            visible = float(np.trace(S) / max(float(np.trace(D)), 1e-300))
-            found.append(Gained(value, a, covariance, max(visible, 0.0)))
+            every = [(slice(0, len(y)),) for y in self._y]
+            found += self._given(self._whole, self._crossed(some, every))
         return found
 
     def predicted(self, terms: Sequence[Part]) -> list[Predicted]:
         """Try each term by itself on every block, all fitted to the other blocks."""
         if not terms:
             return []
-        blocks = self.rows.blocks
-        crossed = _Crossed.of(terms, self.size, blocks)
-        for c, (index, _) in enumerate(self._own):
-            for k, here in enumerate(self.rows.at[c]):
-                crossed.add(k, c, index, *self._weighted(c, here), self._root[c][here], here.start)
-        every = [one.evidence for one in self._given(self._whole, terms, crossed)]
-        alone = [one.evidence for one in self._given(self._without_file, terms, crossed)]
-        density = np.zeros((len(terms), blocks))
-        C, d, whole = crossed.whole
+        crossed = self._crossed(terms, self.rows.at)
+        every, alone = (self._given(x, crossed) for x in (self._whole, self._without_file))
+        C, d, _ = crossed.whole
+        seen = [np.empty_like(D) for D in crossed.D]  # of the columns, by the base without a block
+        left = np.empty_like(crossed.d)
         for k, (factor, theta) in enumerate(self._without):
             rest = C - crossed.C[k]
-            Z, left = self._solved(factor, rest), d - crossed.d[k] - rest.T @ theta
-            for i, (term, at) in enumerate(zip(terms, crossed.where, strict=True)):
-                S = whole[i] - crossed.D[i][k] - rest[:, at].T @ Z[:, at]
-                density[i, k] = every[i] - bayes_factor(S, left[at], term.precision)[0]
-        rows = self.rows.independent
-        return [
-            Predicted(density[i], rows[sorted(term.columns)].sum(axis=0), every[i] - alone[i])
-            for i, term in enumerate(terms)
-        ]
+            Z, left[k] = self._solved(factor, rest), d - crossed.d[k] - rest.T @ theta
+            for S, at in zip(seen, crossed.where, strict=True):
+                S[k] = rest[:, at].T @ Z[:, at]
+        rows, found = self.rows.independent, list[Predicted]()
+        for i, (term, at, own) in enumerate(zip(terms, crossed.where, crossed.D, strict=True)):
+            others = bayes_factor(own.sum(axis=0) - own - seen[i], left[:, at], term.precision)[0]
+            density, here = every[i].evidence - others, rows[sorted(term.columns)].sum(axis=0)
+            found.append(Predicted(density, here, every[i].evidence - alone[i].evidence))
+        return found
+
+    def _given(self, solved: tuple[Factor, Array], crossed: _Crossed) -> list[Gained]:
+        """What each term by itself does to a solved model."""
+        (factor, theta), (C, d, whole) = solved, crossed.whole
+        Z, left = self._solved(factor, C), d - C.T @ theta
+        found = []
+        for term, at, D in zip(crossed.terms, crossed.where, whole, strict=True):
+            S = D - C[:, at].T @ Z[:, at]
+            value, a, covariance = bayes_factor(S, left[at], term.precision)
+            visible = float(np.trace(S) / max(float(np.trace(D)), 1e-300))
+            found.append(Gained(float(value), a, covariance, max(visible, 0.0)))
+        return found
+
+    def _crossed(self, terms: Sequence[Part], at: Sequence[Sequence[slice]]) -> _Crossed:
+        """Products of terms with all else, over some slices of each channel's rows."""
+        edges = np.cumsum([0, *(term.size for term in terms)])
+        where = [slice(int(a), int(b)) for a, b in pairwise(edges)]
+        count, wide = len(at[0]), int(edges[-1])
+        C, d = np.zeros((count, self.size, wide)), np.zeros((count, wide))
+        D = [np.zeros((count, term.size, term.size)) for term in terms]
+        for c, (index, _) in enumerate(self._own):
+            here = [i for i, term in enumerate(terms) if c in term.columns]
+            if not here:
+                continue
+            columns = np.concatenate([np.arange(where[i].start, where[i].stop) for i in here])
+            square, sizes = np.ix_(index, columns), np.cumsum([terms[i].size for i in here])
+            for k, rows in enumerate(at[c]):
+                for part in _tiles(rows):
+                    (B, y), root = self._weighted(c, part), self._root[c][part, None]
+                    X = np.hstack([terms[i].columns[c][part] for i in here]) * root
+                    C[k][square] += B.T @ X
+                    d[k, columns] += y @ X
+                    for i, own in zip(here, np.split(X, sizes[:-1], axis=1), strict=True):
+                        D[i][k] += own.T @ own
+        return _Crossed(terms, where, C, d, D)
 
 
 @dataclass(frozen=True)
@@ -270,67 +284,35 @@ class _Crossed:
     d: Array  # (blocks, m)
     D: list[Array]  # (blocks, k, k) of each term
 
-    @classmethod
-    def of(cls, terms: Sequence[Part], size: int, blocks: int) -> _Crossed:
-        edges = np.cumsum([0, *(term.size for term in terms)])
-        where = [slice(int(a), int(b)) for a, b in pairwise(edges)]
-        wide = int(edges[-1])
-        own = [np.zeros((blocks, term.size, term.size)) for term in terms]
-        return cls(terms, where, np.zeros((blocks, size, wide)), np.zeros((blocks, wide)), own)
-
     @cached_property
     def whole(self) -> tuple[Array, Array, list[Array]]:
-        """C (p, m), d (m,) and D (k, k) of all blocks, once these are added."""
+        """C (p, m), d (m,) and D (k, k) of all blocks."""
         return self.C.sum(axis=0), self.d.sum(axis=0), [own.sum(axis=0) for own in self.D]
 
-    def add(
-        self,
-        block: int,
-        channel: int,
-        index: Index,
-        B: Array,
-        y: Array,
-        root: Array,
-        begin: int = 0,
-        *,
-        tile: int = 8192,
-    ) -> None:
-        """Add the products of weighted rows, of which `begin` is the number of the first.
 
-        Some rows at a time: those of all terms together take much memory.
-        """
-        here = [i for i, term in enumerate(self.terms) if channel in term.columns]
-        if not here:
-            return
-        columns = np.concatenate([np.arange(self.where[i].start, self.where[i].stop) for i in here])
-        square = np.ix_(index, columns)
-        for low in range(0, len(y), tile):
-            own = slice(low, low + tile)
-            at = slice(begin + low, begin + min(low + tile, len(y)))
-            wide = [self.terms[i].columns[channel][at] for i in here]
-            X = np.hstack(wide) * root[own, None]
-            self.C[block][square] += B[own].T @ X
-            self.d[block, columns] += X.T @ y[own]
-            first = 0
-            for i in here:
-                part = X[:, first : first + self.terms[i].size]
-                self.D[i][block] += part.T @ part
-                first += part.shape[1]
+def _tiles(rows: slice) -> Iterator[slice]:
+    """Some rows at a time: those of all terms together would take much memory."""
+    for first in range(rows.start, rows.stop, TILE):
+        yield slice(first, min(first + TILE, rows.stop))
 
 
-def _factored(A: Array, scale: Array) -> tuple[Array, bool]:
+def _factored(A: Array, scale: Array) -> Factor:
     """Cholesky factor of a matrix (p, p) whose rows and columns are scaled."""
     scaled = A * np.outer(scale, scale)
     scaled[np.diag_indices(len(scaled))] += RIDGE
     return cho_factor(scaled, check_finite=False)
 
 
-def bayes_factor(D: Array, d: Array, precision: Array) -> tuple[float, Array, Array]:
-    """Log Bayes factor, coefficients (k,) and covariance (k, k); `precision` is diagonal."""
+def bayes_factor(D: Array, d: Array, precision: Array) -> tuple[Array, Array, Array]:
+    """Log Bayes factor, coefficients (k,) and covariance (k, k); `precision` is diagonal.
+
+    D (..., k, k) and d (..., k) may be of several data sets.
+    """
     size = 1.0 / np.sqrt(np.diag(precision))
     value, vector = np.linalg.eigh(D * np.outer(size, size))
     value = np.maximum(value, 0.0)
-    u = vector.T @ (d * size)
-    gain = 0.5 * float(np.sum(u**2 / (1.0 + value)) - np.sum(np.log1p(value)))
-    inverse = (vector / (1.0 + value)) @ vector.T
-    return gain, size * (inverse @ (d * size)), inverse * np.outer(size, size)
+    u = ((d * size)[..., None, :] @ vector)[..., 0, :]
+    gain = 0.5 * np.sum(u**2 / (1.0 + value) - np.log1p(value), axis=-1)
+    inverse = (vector / (1.0 + value)[..., None, :]) @ np.swapaxes(vector, -1, -2)
+    a = size * (inverse @ (d * size)[..., None])[..., 0]
+    return gain, a, inverse * np.outer(size, size)

@@ -17,7 +17,8 @@ selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -31,7 +32,7 @@ from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.results import Key, Options, Ranked, Selected, Taken
 from seqid_cli.discover.select.rows import scatter
 from seqid_cli.discover.select.terms import Term, smooth_terms
-from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, most_visible
+from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, most_visible, shape_of
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
 
@@ -91,6 +92,33 @@ def select_again(ground: Ground, found: Selection) -> Selection:
     return again
 
 
+def select_beside(
+    ground: Ground, candidates: Sequence[Candidate], options: Options, *, look: bool
+) -> Selection:
+    """Select from a base held as the file says and effects to begin with.
+
+    Those that the model does not need, now that it is another one, are taken back. With `look`
+    more is looked for.
+    """
+    model = Model(ground, HELD)
+    if candidates:
+        model.add(candidates)
+    catalogue = tuple(catalogue_of(ground.stage.scenes[0].robot).values())
+    beside = Selection(model, options, catalogue)
+    beside.eliminate()
+    if look:
+        beside.finish()
+    return beside
+
+
+@dataclass
+class _Shape:
+    """An effect at a joint with settings of one kind; whether the others have been searched."""
+
+    term: Term
+    searched: bool = False
+
+
 class Selection:
     """Terms are taken and taken back, one by one.
 
@@ -110,7 +138,7 @@ class Selection:
     def __init__(self, model: Model, options: Options, catalogue: Sequence[Effect]) -> None:
         self.model, self.options, self.catalogue = model, options, catalogue
         self._visible: dict[Key, float] = {}
-        self._grid: dict[int | None, list[Candidate]] = {}
+        self._shapes: dict[int | None, list[_Shape]] = {}
         self._tried: list[Ranked] = []
         self._tied: dict[Key, list[Term]] = {}
         self.others: list[tuple[float, tuple[Term, ...]]] = []
@@ -131,6 +159,7 @@ class Selection:
         """Select, hold the base as the evidence says, and go on."""
         self.run()
         if self.model.rescale():
+            self._shapes.clear()
             self.eliminate()
             self.run()
 
@@ -176,7 +205,9 @@ class Selection:
 
     def _best(self, refused: set[Key]) -> Term | None:
         """The term to take next; none where none is worth it."""
-        ranked = self._tried = self._ranked(self.model.linear, self._everywhere(), refused)
+        linear = self.model.linear
+        tried = [*self._everywhere(), *self._smooth(linear, None)]
+        ranked = self._tried = _ranked(linear, tried, refused)
         able = [one for one in ranked if self._passes(one)]
         best = self._simplest(able)
         if best is None:
@@ -222,51 +253,46 @@ class Selection:
     def _changed(self, term: Term) -> None:
         """Forget the candidates at joints of which a term is taken or taken back."""
         for joint in {None, *(c % self.model.ground.n for c in term.channels)}:
-            self._grid.pop(joint, None)
+            self._shapes.pop(joint, None)
 
-    def _everywhere(self) -> list[Candidate]:
-        """Candidates at all joints; made anew where the residual, which guides some, is another."""
-        joints = {j for j in (None, *range(self.model.ground.n)) if j not in self._grid}
+    def _everywhere(self) -> list[Tried]:
+        """Effects at all joints, each at its best settings.
+
+        Settings are searched where a term was taken or taken back; elsewhere they are as they were,
+        and only what they gain is another now.
+        """
+        tuner, model = self._tuner(self.model.linear), self.model
+        joints = {j for j in (None, *range(model.ground.n)) if j not in self._shapes}
         if joints:
-            for joint in joints:
-                self._grid[joint] = []
-            for one in self._candidates(self.model.left(), joints):
-                if one.joint in joints:
-                    self._grid[one.joint].append(one)
-        return [one for some in self._grid.values() for one in some]
+            every = self._candidates(model.left(), joints)
+            tried = tuner.tried([one for one in every if one.joint in joints])
+            self._visible.update(most_visible(tried))
+            self._shapes |= {joint: [] for joint in joints}
+            for one in best_of(tried, shape_of):
+                self._shapes[one.term.joint].append(_Shape(one.term))
+        known = {shape.term: shape for some in self._shapes.values() for shape in some}
+        had = {term.key for term in model.terms if not is_wide(term)}
+        now = tuner.gained(known)
+        first, reach = _shortlist([one for one in now if one.term.key not in had])
+        for number, one in enumerate(first):
+            shape = known[one.term]
+            if not shape.searched and one.evidence > reach:
+                first[number] = tuner.tuned(one)
+                shape.term, shape.searched = first[number].term, True
+        return best_of(first, lambda t: (*t.term.key, t.candidate.apart))
+
+    def _tuner(self, linear: Linear) -> Tuner:
+        return Tuner(self.model.ground.stage, linear, self.model.ground.size)
 
     def _candidates(
         self, left: Sequence[Array], joints: Collection[int | None]
     ) -> Iterator[Candidate]:
         return candidates_of(self.model.ground.stage.scenes, self.catalogue, left, joints)
 
-    def _ranked(
-        self,
-        linear: Linear,
-        candidates: Sequence[Candidate],
-        refused: Collection[Key],
-        near: frozenset[int] | None = None,
-    ) -> list[Ranked]:
-        """The best settings of every effect, and smooth functions, the largest gain first."""
-        tried = [*self._effects(linear, candidates, near), *self._smooth(linear, near)]
-        there = [t for t in tried if t.evidence > 0.0 and t.term.key not in refused]
-        told = linear.predicted([t.term.part for t in there])
-        ranked = [Ranked(t.term, t.gained, f) for t, f in zip(there, told, strict=True)]
-        return sorted(ranked, key=_by_gain)
-
-    def _effects(
-        self, linear: Linear, candidates: Sequence[Candidate], near: frozenset[int] | None
-    ) -> list[Tried]:
-        g = self.model.ground
-        tuner = Tuner(g.stage, linear, g.size)
-        tried = tuner.tried(candidates)
-        if near is None:
-            self._visible = most_visible(tried)
-        had = set() if near else {t.key for t in self.model.terms if not is_wide(t)}
-        seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE and t.term.key not in had]
-        shapes = best_of(seen, lambda t: (*t.term.key, t.candidate.apart, t.candidate.kind))
-        first = shapes[:SHORTLIST]
-        reach = CLOSE * max((t.evidence for t in first), default=0.0)
+    def _near(self, linear: Linear, candidates: Sequence[Candidate]) -> list[Tried]:
+        """Effects among candidates, each at its best settings."""
+        tuner = self._tuner(linear)
+        first, reach = _shortlist(best_of(tuner.tried(candidates), shape_of))
         found = [tuner.tuned(one) if one.evidence > reach else one for one in first]
         return best_of(found, lambda t: (*t.term.key, t.candidate.apart))
 
@@ -298,6 +324,13 @@ class Selection:
         hidden = {key: share for key, share in self._visible.items() if key not in taken}
         tried = tuple(one for one in self._tried if one.term.key not in taken)
         return Selected(self.model, told, hidden, tried)
+
+    def largest(self) -> Selected:
+        """Of the effects that were taken the one of the largest gain, with its rivals."""
+        told = [t for t in self.model.terms if not t.smooth and self._is_told(t, 0.0)]
+        gains = {t: _again(t, self.model.beside(t)).predicted.total for t in told}
+        first = sorted(gains, key=lambda t: -gains[t])[:1]
+        return Selected(self.model, tuple(map(self._taken, first)), {})
 
     def _is_told(self, term: Term, least: float) -> bool:
         linear = self.model.beside(term)
@@ -332,7 +365,8 @@ class Selection:
         one = _again(term, linear)
         joints = {None, *(c % self.model.ground.n for c in term.channels)}
         candidates = list(self._candidates(self.model.left(without=term), joints))
-        others = self._ranked(linear, candidates, [term.key], term.channels)
+        tried = [*self._near(linear, candidates), *self._smooth(linear, term.channels)]
+        others = _ranked(linear, tried, [term.key])
         near = [x for x in others if x.term.channels & term.channels]
         ranked = tuple(sorted([one, *near], key=_by_gain))
         margin, instead = self.model.margin(linear), self._instead_of(term)
@@ -367,6 +401,24 @@ class Selection:
         others = [t for t in model.terms if t.channels & channels and t is not one.term]
         laws = [self.options.law**2 * model.squares(t, channels) for t in others]
         return model.is_detail(one.term) or 2.0 * one.predicted.total < max(laws, default=0.0)
+
+
+def _ranked(linear: Linear, tried: Sequence[Tried], refused: Collection[Key]) -> list[Ranked]:
+    """What was tried and has evidence, the largest gain first."""
+    there = [t for t in tried if t.evidence > 0.0 and t.term.key not in refused]
+    told = linear.predicted([t.term.part for t in there])
+    ranked = [Ranked(t.term, t.gained, f) for t, f in zip(there, told, strict=True)]
+    return sorted(ranked, key=_by_gain)
+
+
+def _shortlist(tried: Iterable[Tried]) -> tuple[list[Tried], float]:
+    """Those of the largest evidence that the base does not absorb.
+
+    Also the evidence from which one is so near to the best that its settings are searched.
+    """
+    seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE]
+    first = sorted(seen, key=lambda t: -t.evidence)[:SHORTLIST]
+    return first, CLOSE * max((t.evidence for t in first), default=0.0)
 
 
 def _again(term: Term, linear: Linear) -> Ranked:

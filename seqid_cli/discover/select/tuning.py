@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -52,7 +52,11 @@ class Tuner:
 
     def tried(self, candidates: Sequence[Candidate]) -> list[Tried]:
         """Try candidates; those whose coefficients are not physical are left out."""
-        terms = effects(self.stage, candidates, self.size)
+        return self.gained(effects(self.stage, candidates, self.size))
+
+    def gained(self, terms: Iterable[Term]) -> list[Tried]:
+        """Try terms; those whose coefficients are not physical are left out."""
+        terms = list(terms)
         gained = self.linear.gained([term.part for term in terms])
         every = [Tried(t, g) for t, g in zip(terms, gained, strict=True)]
         return [one for one in every if self._plausible(one)]
@@ -147,6 +151,11 @@ def best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tr
     for one in sorted(tried, key=lambda t: -t.evidence):
         best.setdefault(key(one), one)
     return list(best.values())
+
+
+def shape_of(tried: Tried) -> Hashable:
+    """An effect at a joint with those of its settings that are not searched."""
+    return *tried.term.key, tried.candidate.apart, tried.candidate.kind
 
 
 def most_visible(tried: Sequence[Tried]) -> dict[tuple[str, int | None], float]:

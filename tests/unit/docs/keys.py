@@ -31,7 +31,7 @@ STRUCTS: dict[str, type[msgspec.Struct]] = {
     for module in MODULES
     for name, kind in vars(module).items()
     if isinstance(kind, type) and issubclass(kind, Struct | FrozenStruct)
-    if kind not in (Struct, FrozenStruct, Document)
+    if kind not in (Struct, FrozenStruct, Document, schema.Written, schema.OfRobot)
 }
 # Told where they stand: an object of one or two keys that needs no table.
 INLINE = ("Tool", "FileId", "JointRmse")

@@ -41,10 +41,15 @@ def wraps(q: Array, robot: Robot, *, slack: float = 0.05) -> bool:
 
 
 def _unwrapped(q: Array, slack: float) -> tuple[Array, int]:
+    """Positions (M,) that run on, and how often they wrap.
+
+    Where more steps are large that are no turn, turns among them are chance.
+    """
     there = np.flatnonzero(np.isfinite(q))
     d = np.diff(q[there]) / TURN
-    turns = np.where(np.abs(d - np.rint(d)) < slack, np.rint(d), 0.0)
-    if not turns.any():
+    turns = np.where(np.abs(np.abs(d) - 1.0) < slack, np.sign(d), 0.0)
+    large = np.abs(d) > slack
+    if not 2 * np.count_nonzero(turns) > np.count_nonzero(large):
         return q, 0
     run = q.copy()
     run[there[1:]] -= TURN * np.cumsum(turns)

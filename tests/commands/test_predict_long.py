@@ -136,14 +136,14 @@ def test_a_log_that_is_passed_over_gives_the_same_files(
 ) -> None:
     logs = [str(folder / name) for name in LOGS]
     parts: list[LogPrediction] = []
-    passed = LongPrediction.parts
+    passed = LongPrediction.__iter__
 
     def watched(long: LongPrediction) -> Iterator[LogPrediction]:
         for part in passed(long):
             parts.append(part)
             yield part
 
-    monkeypatch.setattr(LongPrediction, "parts", watched)
+    monkeypatch.setattr(LongPrediction, "__iter__", watched)
 
     def predict(name: str) -> None:
         inputs = ["-r", str(folder / "robot.toml"), "-p", str(folder / "model.json")]

@@ -81,3 +81,10 @@ def test_missing_values_stay_missing() -> None:
     np.testing.assert_allclose(moved.channels["position"][there, 0], 2.0 * np.sin(T)[there])
     assert np.array_equal(np.isfinite(moved.channels["position"]), np.isfinite(q))
     assert found == {robot(ONE).joint_names[0]: int(np.count_nonzero(np.diff(np.sin(T) < 0)))}
+
+
+def test_a_turn_among_other_jumps_is_chance() -> None:
+    q = 2.9 * np.sin(T)[:, None]
+    q[500:], q[900, 0] = q[500:] + TURN, 1e200
+    stream = Stream("joints", np.rint(T * 1e9).astype(np.int64), {"position": q})
+    assert in_turns(stream, limited(None)) == (stream, {})

@@ -272,6 +272,8 @@ def test_what_noise_does_not_account_for_is_never_nothing() -> None:
     assert said.unexplained[0].joint == "elbow"
     assert said.unexplained[0].depends_on
     assert any("elbow" in note and "account for" in note for note in said.notes)
+    unknown = replace(found.floor, high=np.full(logs.robot.n, np.inf))  # as of too short logs
+    assert excess_residuals(replace(bare, floor=unknown), expected(bare)) == ()
 
 
 def test_a_floor_above_what_is_left_stands_and_is_called_doubtful() -> None:

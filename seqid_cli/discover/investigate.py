@@ -17,10 +17,10 @@ from seqid_cli.discover.noise.encoder import encoder_residuals
 from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
-from seqid_cli.discover.select.model import Ground, Model
+from seqid_cli.discover.select.model import HELD, Ground, Model
 from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.results import Options, Selected
-from seqid_cli.discover.select.selection import select, select_again, select_beside
+from seqid_cli.discover.select.selection import select, select_again, select_among
 from seqid_cli.discover.survey.events import Interval, event_masks, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.logs.recording import Recording
@@ -105,17 +105,21 @@ def investigate_beside(
     *,
     candidates: Sequence[Candidate],
     selection: Options,
-    look: bool,
-) -> Investigation:
+) -> tuple[Investigation, bool]:
     """Select again where the stages are others and the logs are freed of what they have taken in.
 
     `candidates` are what was found before and is not in the model yet: the one of them that gains
-    most now is told. With `look`, all that the model may still lack is. Events are those of before.
+    most now is told, or all that the model may still lack where that is no finding. Also whether
+    all was looked for. Events are those of before.
     """
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
-    found = select_beside(_ground(rows, stages), candidates, selection, look=look)
-    told = found.told(0.0) if look else found.largest()
-    return replace(before, logs=tuple(logs), found=told)
+    found = select_among(_ground(rows, stages), HELD, candidates, selection)
+    told = found.largest()
+    look = all(one.one.predicted.share <= Options.improvement for one in told.taken)
+    if look:
+        found.finish()
+        told = found.told(0.0)
+    return replace(before, logs=tuple(logs), found=told), look
 
 
 def _ground(rows: Rows, stages: Stages) -> Ground:

@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import msgspec
 
@@ -156,33 +155,18 @@ def _add_effects(loop: Loop, found: Investigation) -> Investigation:
         if not accepted:
             refused.append(_what(taken))
         if several and (accepted or (len(left) == 1 and not looked)):
-            found, looked = _beside(loop, found, rest)
+            model, material = loop.model, loop.material
+            found, looked = investigate_beside(
+                found,
+                material.now(model),
+                material.robot,
+                model.stages,
+                material.options,
+                candidates=rest,
+                selection=TRIED,
+            )
             rest = [*map(_what, found.found.effects)] if looked else rest
     return found
-
-
-def _beside(
-    loop: Loop, found: Investigation, rest: Sequence[Candidate]
-) -> tuple[Investigation, bool]:
-    """What the model may still lack: of the rest the largest gain, or all where that is no finding.
-
-    Also whether all was looked for.
-    """
-    material, stages = loop.material, loop.model.stages
-    again = partial(
-        investigate_beside,
-        found,
-        material.now(loop.model),
-        material.robot,
-        stages,
-        material.options,
-        candidates=rest,
-        selection=TRIED,
-    )
-    largest = again(look=False) if rest else None
-    if largest and any(x.one.predicted.share > Options.improvement for x in largest.found.effects):
-        return largest, False
-    return again(look=True), True
 
 
 def _what(taken: Taken) -> Candidate:

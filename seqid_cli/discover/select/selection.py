@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate, candidates_of
 from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.model import FREE, HELD, Ground, Model
+from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
 from seqid_cli.discover.select.naming import TOLD, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.results import Key, Options, Ranked, Selected, Taken
@@ -55,7 +55,7 @@ def select(
     tried with the base held as the file says, too.
     """
     if catalogue is None:
-        catalogue = tuple(catalogue_of(ground.stage.scenes[0].robot).values())
+        catalogue = _known(ground)
     options = options or Options()
     every = [Selection(Model(ground, hold), options, catalogue) for hold in (HELD, FREE)]
     for one in every:
@@ -84,31 +84,30 @@ def _best_of_all(every: Sequence[Selection]) -> Selection:
 
 def select_again(ground: Ground, found: Selection) -> Selection:
     """Go on from the effects of a selection, on other rows of the same logs."""
-    model = Model(ground, found.model.hold)
-    model.add(found.model.candidates)
-    again = Selection(model, found.options, found.catalogue)
-    again.eliminate()
+    model = found.model
+    again = select_among(ground, model.hold, model.candidates, found.options, found.catalogue)
     again.run()
     return again
 
 
-def select_beside(
-    ground: Ground, candidates: Sequence[Candidate], options: Options, *, look: bool
+def select_among(
+    ground: Ground,
+    hold: Hold,
+    candidates: Sequence[Candidate],
+    options: Options,
+    catalogue: Sequence[Effect] | None = None,
 ) -> Selection:
-    """Select from a base held as the file says and effects to begin with.
-
-    Those that the model does not need, now that it is another one, are taken back. With `look`
-    more is looked for.
-    """
-    model = Model(ground, HELD)
+    """Begin with effects, and take back those that the model does not need."""
+    model = Model(ground, hold)
     if candidates:
         model.add(candidates)
-    catalogue = tuple(catalogue_of(ground.stage.scenes[0].robot).values())
-    beside = Selection(model, options, catalogue)
-    beside.eliminate()
-    if look:
-        beside.finish()
-    return beside
+    among = Selection(model, options, _known(ground) if catalogue is None else catalogue)
+    among.eliminate()
+    return among
+
+
+def _known(ground: Ground) -> tuple[Effect, ...]:
+    return tuple(catalogue_of(ground.stage.scenes[0].robot).values())
 
 
 @dataclass
@@ -327,16 +326,16 @@ class Selection:
 
     def largest(self) -> Selected:
         """Of the effects that were taken the one of the largest gain, with its rivals."""
-        told = [t for t in self.model.terms if not t.smooth and self._is_told(t, 0.0)]
-        gains = {t: _again(t, self.model.beside(t)).predicted.total for t in told}
-        first = sorted(gains, key=lambda t: -gains[t])[:1]
-        return Selected(self.model, tuple(map(self._taken, first)), {})
+        told = [self._is_told(t, 0.0) for t in self.model.terms if not t.smooth]
+        first = sorted(filter(None, told), key=_by_gain)[:1]
+        return Selected(self.model, tuple(self._taken(one.term) for one in first), {})
 
-    def _is_told(self, term: Term, least: float) -> bool:
+    def _is_told(self, term: Term, least: float) -> Ranked | None:
+        """A term as it gains beside all others, if it is told."""
         linear = self.model.beside(term)
         one = _again(term, linear)
         there = reality(one.predicted, self.model.margin(linear)) >= least
-        return there and self._passes(one) and not self._of_a_law(one)
+        return one if there and self._passes(one) and not self._of_a_law(one) else None
 
     def _all_taken(self, least: float) -> tuple[Taken, ...]:
         """Terms that are told, with their rivals; they give way to simpler ones."""

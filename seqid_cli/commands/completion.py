@@ -72,19 +72,13 @@ def _choices(param: typer.core.TyperOption | typer.core.TyperArgument | None) ->
 
 def script(shell: str, words: Mapping[str, Words]) -> str:
     """Return a script for a shell, of what every command offers."""
-    import jinja2
+    from seqid_cli.templates import filled
 
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("seqid_cli.commands", "templates"),
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=False,
-    )
-    environment.filters["quoted"] = lambda text: "'" + text.replace("'", "'\\''") + "'"
-    environment.filters["zsh_text"] = partial(re.sub, r"([\[\]:\\])", r"\\\1")
     valued = [flag for own in words.values() for flag in own.flags if flag.takes_value]
     unique = {flag.spellings: flag for flag in valued}.values()
-    template = environment.get_template(f"completion.{shell}.j2")
-    return template.render(commands=words, valued=list(unique))
+    content = {"commands": words, "valued": list(unique)}
+    filters = {
+        "quoted": lambda text: "'" + text.replace("'", "'\\''") + "'",
+        "zsh_text": partial(re.sub, r"([\[\]:\\])", r"\\\1"),
+    }
+    return filled("seqid_cli.commands", f"completion.{shell}.j2", content, filters=filters)

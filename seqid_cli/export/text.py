@@ -5,10 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 
-import jinja2
-
 from seqid_cli import __version__
 from seqid_cli.export.model import ExportModel
+from seqid_cli.templates import filled
 
 
 def real(value: float, *, digits: int = 15) -> str:
@@ -24,22 +23,15 @@ def reals(values: Iterable[float]) -> str:
 
 def rendered(template: str, model: ExportModel, **content: object) -> str:
     """Fill in a template; names of a robot are written by `e` or `tojson_ascii` there."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("seqid_cli.export", "templates"),
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=False,
-    )
-    environment.filters |= {
+    filters = {
         "real": real,
         "spaced": reals,
         "listed": lambda values: f"[{', '.join(map(real, values))}]",
         "tojson_ascii": json.dumps,
     }
     own = {"joints": model.robot.joint_names, "gravity": model.robot.gravity, **content}
-    return environment.get_template(template).render(remarks=remarks(model), **own)
+    own["remarks"] = remarks(model)
+    return filled("seqid_cli.export", template, own, filters=filters)
 
 
 def plain(text: str) -> str:

@@ -12,13 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 
-import jinja2
-
 from seqid_cli import __version__
 from seqid_cli.params.document import now
 from seqid_cli.report.judgement import Judgement
 from seqid_cli.report.views import Section
 from seqid_cli.report.words import unit_text
+from seqid_cli.templates import filled
 
 
 @dataclass(frozen=True)
@@ -47,17 +46,16 @@ class Page:
             f"default-src 'none'; style-src '{_source(style)}'; script-src '{_source(script)}'; "
             "img-src data:; base-uri 'none'; form-action 'none'"
         )
-        environment = jinja2.Environment(
-            loader=jinja2.PackageLoader("seqid_cli.report", "templates"),
-            autoescape=True,
-            undefined=jinja2.StrictUndefined,
-            trim_blocks=True,
-            lstrip_blocks=True,
-        )
-        environment.filters["unit"] = unit_text
-        made = {"style": style, "script": script, "policy": policy, "created": now()}
-        template = environment.get_template("report.html.j2")
-        return str(template.render(page=self, version=__version__, **made))
+        content = {
+            "page": self,
+            "version": __version__,
+            "style": style,
+            "script": script,
+            "policy": policy,
+            "created": now(),
+        }
+        filters = {"unit": unit_text}
+        return filled("seqid_cli.report", "report.html.j2", content, filters=filters, markup=True)
 
 
 def resource(name: str) -> str:

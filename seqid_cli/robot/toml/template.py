@@ -5,9 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import partial
 
-import jinja2
-
 from seqid_cli.robot.toml.schema import SCHEMA, Columns
+from seqid_cli.templates import filled
 
 
 @dataclass(frozen=True)
@@ -53,18 +52,15 @@ class RobotTemplate:
 
 def robot_toml(template: RobotTemplate) -> str:
     """Write the text of a robot file; `templates/robot.toml.j2` is its form."""
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("seqid_cli.robot.toml", "templates"),
-        undefined=jinja2.StrictUndefined,
-        keep_trailing_newline=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        autoescape=False,
-    )
-    environment.filters |= {"text": json.dumps, "number": _number, "comment": _comment}
-    environment.filters["pattern"] = partial(json.dumps, ensure_ascii=False)
+    filters = {
+        "text": json.dumps,
+        "number": _number,
+        "comment": _comment,
+        "pattern": partial(json.dumps, ensure_ascii=False),
+    }
     content = {field.name: getattr(template, field.name) for field in fields(template)}
-    return environment.get_template("robot.toml.j2").render(schema=SCHEMA, **content)
+    content["schema"] = SCHEMA
+    return filled("seqid_cli.robot.toml", "robot.toml.j2", content, filters=filters)
 
 
 def _number(value: float, digits: int) -> str:

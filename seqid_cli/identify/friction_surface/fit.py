@@ -140,16 +140,20 @@ def highest_orders(sets: Sequence[Reduced], position: int | None, velocity: int 
 
 
 def fit_surfaces(
-    sets: Sequence[Reduced], *, position: int | None = None, velocity: int | None = None
+    sets: Sequence[Reduced],
+    *,
+    position: int | None = None,
+    velocity: int | None = None,
+    near: Sizes | None = None,
 ) -> tuple[list[SurfaceFit], float]:
     """Fit one surface to each set of trials, with sizes of terms and errors in common.
 
     `sets`: trials of both directions, or one set for each direction. `position` and `velocity`:
-    orders that the user fixes. Returns: twice the logarithm of the marginal likelihood of all
-    slices comes second.
+    orders that the user fixes. `near`: sizes from which their search starts. Returns: twice the
+    logarithm of the marginal likelihood of all slices comes second.
     """
     highest = highest_orders(sets, position, velocity)
-    sizes, evidence = Evidence.of(sets, highest).strongest()
+    sizes, evidence = Evidence.of(sets, highest).strongest(near)
     return [SurfaceFit.of(own, sizes, highest) for own in sets], evidence
 
 

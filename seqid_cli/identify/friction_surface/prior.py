@@ -28,7 +28,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor
+from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 
 from seqid_cli.identify.friction_surface.reduction import EDGES, EXTRA, Orders, Reduced
@@ -99,12 +100,15 @@ class Sizes:
 class Normal:
     """Normal equations of a surface's entries, row-major: N (k, k) d = b (k,).
 
-    `inverse` (T, p, p) are those of the trials' covariances V_k, `S` (T, p, p) = R' V^-1 R,
-    `log_size` and `power` sum log det V_k and z' V^-1 z.
+    `phi` (T, r) are the trials' functions of speed, `own` (4, T, p) the variances of their own
+    terms (`Sizes.own`), `inverse` (T, p, p) the inverses of their covariances V_k, `S` (T, p, p)
+    = R' V^-1 R, `log_size` and `power` sum log det V_k and z' V^-1 z.
     """
 
     N: Array
     b: Array
+    phi: Array
+    own: Array
     inverse: Array
     S: Array
     log_size: float
@@ -114,8 +118,8 @@ class Normal:
     def of(cls, reduced: Reduced, sizes: Sizes, order: int, *, min_share: float = 1e-14) -> Normal:
         """Add up the trials; `order` is that over speed."""
         R, z, phi = reduced.R, reduced.z, reduced.over_speed(order)
-        own = sizes.own(reduced.scaling, reduced.size, reduced.speeds).sum(axis=0)
-        scaled = R * np.sqrt(own)[:, None, :]
+        own = sizes.own(reduced.scaling, reduced.size, reduced.speeds)
+        scaled = R * np.sqrt(own.sum(axis=0))[:, None, :]
         V = scaled @ scaled.transpose(0, 2, 1)
         diagonal = np.arange(V.shape[1])
         rounding = min_share * V[:, diagonal, diagonal].max(axis=1, keepdims=True)
@@ -124,20 +128,26 @@ class Normal:
         toward = R.transpose(0, 2, 1) @ inverse
         S: Array = toward @ R
         t = (toward @ z[:, :, None])[:, :, 0]
-        size = V.shape[1] * phi.shape[1]
-        N = np.einsum("kij,kr,ks->irjs", S, phi, phi, optimize=True).reshape(size, size)
+        p, r = V.shape[1], phi.shape[1]
+        both = S.reshape(-1, p * p).T @ _products(phi)
+        N = both.reshape(p, p, r, r).transpose(0, 2, 1, 3).reshape(p * r, p * r)
         b = (t.T @ phi).ravel()
         log_size = float(np.linalg.slogdet(V)[1].sum())
-        power = float(np.einsum("ki,kij,kj->", z, inverse, z, optimize=True))
-        return cls(N, b, inverse, S, log_size, power)
+        power = float(np.sum(z * (inverse @ z[:, :, None])[:, :, 0]))
+        return cls(N, b, phi, own, inverse, S, log_size, power)
 
     def posterior(self, prior: Array) -> tuple[Array, Array, float]:
         """Mean (k,), covariance (k, k) and log det(1 + P^1/2 N P^1/2), P = diag(prior^2) (k,)."""
-        inner = self.N * np.outer(prior, prior)
+        free = np.flatnonzero(prior)  # of the others nothing is left open
+        across = np.ix_(free, free)
+        scale = np.outer(prior[free], prior[free])
+        inner = self.N[across] * scale
         inner[np.diag_indices_from(inner)] += 1.0
-        factor = cho_factor(inner, lower=True, check_finite=False)
-        covariance = prior[:, None] * cho_solve(factor, np.diag(prior), check_finite=False)
-        log_size = 2.0 * float(np.log(np.diag(factor[0])).sum())
+        factor, _ = cho_factor(inner, lower=True, check_finite=False)
+        log_size = 2.0 * float(np.log(np.diag(factor)).sum())
+        lower = np.tril(dpotri(factor, lower=True)[0])
+        covariance = np.zeros_like(self.N)
+        covariance[across] = scale * (lower + np.tril(lower, -1).T)
         return covariance @ self.b, covariance, log_size
 
 
@@ -176,6 +186,11 @@ class Evidence:
         values = (self.usual * np.exp(logs)).tolist()
         return Sizes(**dict(zip(NAMES, values, strict=True)), broad=self.broad)
 
+    def logs(self, sizes: Sizes) -> Array:
+        """Logarithms (10,) of what sizes are times the usual ones."""
+        values = np.array([getattr(sizes, name) for name in NAMES])
+        return np.asarray(np.log(values / self.usual))
+
     def __call__(self, logs: Array) -> tuple[float, Array]:
         """Twice the negative logarithm, but for a constant, and its gradient (10,)."""
         sizes = self.sizes(logs)
@@ -185,10 +200,15 @@ class Evidence:
             cost, gradient = cost + more, gradient + slope
         return cost, gradient
 
-    def strongest(self, *, limit: float = 5.0) -> tuple[Sizes, float]:
-        """The sizes of the largest marginal likelihood, and twice its logarithm."""
-        bounds = [(-limit * spread, limit * spread) for spread in self.spread]
-        start = np.zeros(len(self.usual))
+    def strongest(self, near: Sizes | None = None, *, limit: float = 5.0) -> tuple[Sizes, float]:
+        """The sizes of the largest marginal likelihood, and twice its logarithm.
+
+        The search starts from sizes that are `near`, else from the usual ones.
+        """
+        start = np.zeros(len(self.usual)) if near is None else self.logs(near)
+        furthest = limit * self.spread
+        start = np.clip(start, -furthest, furthest)
+        bounds = [(-far, far) for far in furthest.tolist()]
         found = minimize(self, start, jac=True, method="L-BFGS-B", bounds=bounds)
         logs = self._polished(np.asarray(found.x, dtype=np.float64))
         return self.sizes(logs), -self(logs)[0]
@@ -240,19 +260,25 @@ class Evidence:
         self, own: Reduced, sizes: Sizes, normal: Normal, mean: Array, covariance: Array
     ) -> Array:
         """Derivatives (5,) by half the logarithms of trial ... noise, but for the rest."""
-        phi = own.over_speed(self.highest.velocity)
-        shape = (own.z.shape[1], phi.shape[1])
-        left = own.z - (own.R @ (phi @ mean.reshape(shape).T)[:, :, None])[:, :, 0]
-        four = covariance.reshape(*shape, *shape)
-        variance = np.einsum("irjs,kr,ks->kij", four, phi, phi, optimize=True)
+        phi = normal.phi
+        p, r = own.z.shape[1], phi.shape[1]
+        left = own.z - (own.R @ (phi @ mean.reshape(p, r).T)[:, :, None])[:, :, 0]
+        by_speed = covariance.reshape(p, r, p, r).transpose(1, 3, 0, 2).reshape(r * r, p * p)
+        variance = (_products(phi) @ by_speed).reshape(-1, p, p)
         white = (normal.inverse @ left[:, :, None])[:, :, 0]
         pulled = (own.R.transpose(0, 2, 1) @ white[:, :, None])[:, :, 0] ** 2
-        pulled += np.einsum("kij,kjl,kli->ki", normal.S, variance, normal.S, optimize=True)
+        pulled += np.sum((normal.S @ variance) * normal.S, axis=2)
         by_term = np.diagonal(normal.S, axis1=1, axis2=2) - pulled
-        by_kind = np.einsum("tp,ktp->k", by_term, sizes.own(own.scaling, own.size, own.speeds))
-        spread = normal.inverse @ own.R @ variance @ own.R.transpose(0, 2, 1) @ normal.inverse
-        by_noise = np.trace(normal.inverse - spread, axis1=1, axis2=2).sum() - np.sum(white**2)
+        by_kind = np.sum(by_term * normal.own, axis=(1, 2))
+        weighed = normal.inverse @ own.R
+        by_noise = np.trace(normal.inverse, axis1=1, axis2=2).sum() - np.sum(white**2)
+        by_noise -= np.sum((weighed @ variance) * weighed)
         return np.append(by_kind, sizes.noise**2 * by_noise)
+
+
+def _products(phi: Array) -> Array:
+    """Products (T, r^2) of every two functions (T, r)."""
+    return (phi[:, :, None] * phi[:, None, :]).reshape(len(phi), -1)
 
 
 def _of_falls(own: Reduced, sizes: Sizes, share: Array) -> Array:

@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface.fit import SurfaceFit, choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
+from seqid_cli.identify.friction_surface.prior import Sizes
 from seqid_cli.identify.friction_surface.ramps import without_acceleration
 from seqid_cli.identify.friction_surface.reduction import (
     Orders,
@@ -103,18 +104,24 @@ def _identify_joint(
     robot: Robot, j: int, trials: list[Trial], options: FrictionOptions
 ) -> JointFit:
     """Fit twice: the first surface shows what acceleration is left in the trials."""
-    first = _fit(robot, j, trials, options, thorough=False)
+    first = _fit(robot, j, trials, options)
     paired = [trial for group in first.gravity.groups for trial in group.trials]
     groups = without_acceleration(robot, paired, first.surface)
     steady = [trial for group in groups for trial in group.trials]
     unpaired = first.gravity.unpaired
-    second = _fit(robot, j, steady, options, thorough=True)
+    second = _fit(robot, j, steady, options, near=first.parts[0][1].sizes)
     return summarise(robot, j, second, unpaired, options)
 
 
 def _fit(
-    robot: Robot, j: int, trials: list[Trial], options: FrictionOptions, *, thorough: bool
+    robot: Robot,
+    j: int,
+    trials: list[Trial],
+    options: FrictionOptions,
+    *,
+    near: Sizes | None = None,
 ) -> Fit:
+    """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`."""
     gravity = fit_gravity(robot, j, trials)
     if not gravity.groups:
         message = "no pair of forward and backward trials at one speed in one configuration"
@@ -125,8 +132,8 @@ def _fit(
     sides = (1, -1) if gravity.directional else (0,)
     sets = [[item for item in data if side in (0, item.direction)] for side in sides]
     asked = options.position_order, options.velocity_order
-    scalings = _scalings(data) if thorough else _scalings(data)[:1]
-    parts = _fitted(sets, scalings, *asked)
+    scalings = _scalings(data) if near else _scalings(data)[:1]
+    parts = _fitted(sets, scalings, *asked, near=near)
     fits = [fit for _, fit in parts]
 
     def accept(chosen: Orders) -> bool:
@@ -144,19 +151,27 @@ def _fitted(
     position: int | None,
     velocity: int | None,
     *,
+    near: Sizes | None = None,
     rounds: int = 2,
 ) -> list[Part]:
-    """Fit on the likeliest basis; slices that do not belong lose their weight round by round."""
+    """Fit on the likeliest basis; slices that do not belong lose their weight round by round.
+
+    Sizes of terms and errors are searched from those of the round before, first from `near`.
+    """
     distances = [around_medians(own) for own in sets]
     for last in (*[False] * rounds, True):
         data = [weighted(own, off) for own, off in zip(sets, distances, strict=True)]
         tried = [
             fit_surfaces(
-                [reduce_trials(own, scaling) for own in data], position=position, velocity=velocity
+                [reduce_trials(own, scaling) for own in data],
+                position=position,
+                velocity=velocity,
+                near=near,
             )
             for scaling in (scalings if last else scalings[:1])
         ]
         fits = max(tried, key=lambda each: each[1])[0]
+        near = fits[0].sizes
         distances = [fit.distances(own) for own, fit in zip(sets, fits, strict=True)]
     return list(zip(data, fits, strict=True))
 

@@ -97,6 +97,7 @@ class Stage:
         self.rows = rows
         self.high = high_band(rows)
         self._made: dict[tuple[object, ...], Channels] = {}
+        self.precisions: dict[int, Array] = {}  # of columns that are kept, by their identity
 
     @property
     def scenes(self) -> tuple[Scene, ...]:

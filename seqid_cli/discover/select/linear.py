@@ -59,9 +59,24 @@ class Linear:
         edges = np.cumsum([0, *(part.size for part in self.parts)])
         self.where = [slice(int(a), int(b)) for a, b in pairwise(edges)]
         self.size = int(edges[-1])
-        self._root = [np.sqrt(w) for w in self.weight]
-        self._y = [y * root for y, root in zip(rows.y, self._root, strict=True)]
         self._own = [self._of_channel(c) for c in range(len(rows.y))]
+
+    @cached_property
+    def _root(self) -> list[Array]:
+        return [np.sqrt(w) for w in self.weight]
+
+    @cached_property
+    def _y(self) -> list[Array]:
+        return [y * root for y, root in zip(self.rows.y, self._root, strict=True)]
+
+    def without(self, *gone: Part) -> Linear:
+        """The model without some of its parts; the products of all rows are taken on."""
+        kept = [k for k, part in enumerate(self.parts) if not any(part is one for one in gone)]
+        index = np.concatenate([np.arange(self.size)[self.where[k]] for k in kept])
+        A, b = self._sums
+        fewer = Linear(self.rows, [self.parts[k] for k in kept], self.weight)
+        fewer._sums = A[np.ix_(index, index)], b[index]
+        return fewer
 
     def _of_channel(self, channel: int) -> tuple[Index, list[Array]]:
         """Parameters (p_c,) that a channel knows, and its columns (M_c, .), part by part."""
@@ -75,14 +90,8 @@ class Linear:
 
     def _weighted(self, channel: int, at: slice = slice(None)) -> tuple[Array, Array]:
         """Weighted columns (M, p_c) and torque (M,) of some rows of a channel."""
-        index, every = self._own[channel]
-        root, first = self._root[channel][at, None], 0
-        B = np.empty((len(root), len(index)))
-        for columns in every:
-            own = slice(first, first + columns.shape[1])
-            np.multiply(columns[at], root, out=B[:, own])
-            first = own.stop
-        return B, self._y[channel][at]
+        columns = [own[at] for own in self._own[channel][1]]
+        return _times(self._root[channel][at], columns), self._y[channel][at]
 
     @cached_property
     def prior(self) -> Array:
@@ -167,27 +176,49 @@ class Linear:
         off = values - values.mean(axis=0)
         return np.asarray((1.0 - 1.0 / len(values)) * off.T @ off)
 
+    def again(self, part: Part) -> tuple[Gained, Predicted]:
+        """What a part of the model does beside all others, as it was tried before it was taken.
+
+        The log Bayes factor is the density of its coefficients at zero, beforehand over given the
+        rows (Savage's ratio: J. M. Dickey, Annals of Mathematical Statistics 42, 1971).
+        """
+        at = next(w for p, w in zip(self.parts, self.where, strict=True) if p is part)
+        every, alone = (
+            _taken_back(*self._of(x, at), part) for x in (self._whole, self._without_file)
+        )
+        others = [_taken_back(*self._of(x, at), part)[0] for x in self._without]
+        rows = self.rows.independent[sorted(part.columns)].sum(axis=0)
+        value, a, S = every
+        seen = np.trace(np.linalg.inv(S) - part.precision)
+        visible = float(seen / max(float(np.trace(self._sums[0][at, at])), 1e-300))
+        gained = Gained(value, a, S, max(visible, 0.0))
+        return gained, Predicted(value - np.array(others), rows, value - alone[0])
+
+    def _of(self, solved: tuple[Factor, Array], at: slice) -> tuple[Array, Array]:
+        """Some coefficients (k,) of a solved model and their covariance (k, k)."""
+        factor, theta = solved
+        return theta[at], self._solved(factor, np.eye(self.size)[:, at])[at]
+
     @cached_property
     def evidence(self) -> float:
         """Log density of the rows, their weights' part aside."""
-        return self._evidence(self.prior)
+        return self.evidence_under([])
 
     def evidence_under(self, precisions: Sequence[Array]) -> float:
         """The same where the first parts had other precisions (k, k) beforehand."""
-        P = self.prior.copy()
+        (A, b), P = self._sums, self.prior.copy()
         for precision, where in zip(precisions, self.where, strict=False):
             P[where, where] = precision
-        return self._evidence(P)
-
-    def _evidence(self, P: Array) -> float:
-        A, b = self._sums
-        squares = sum(float(y @ y) for y in self._y)
         diagonal = np.diag(P) + np.diag(A)
         scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-        after, before = (_factored(matrix, scale) for matrix in (A + P, P))
+        after = _factored(A + P, scale)
         theta = scale * cho_solve(after, scale * b, check_finite=False)
-        spread = [float(np.sum(np.log(np.diag(factor[0])))) for factor in (after, before)]
-        return 0.5 * (float(b @ theta) - squares) - spread[0] + spread[1]
+        before = sum(_spread(_factored(P[at, at], scale[at])) for at in self.where)
+        return 0.5 * (float(b @ theta) - self._square) - _spread(after) + before
+
+    @cached_property
+    def _square(self) -> float:
+        return sum(float(y @ y) for y in self._y)
 
     def residual(self) -> list[Array]:
         """What is left (M_c,) N m of every channel."""
@@ -265,8 +296,8 @@ class Linear:
             square, sizes = np.ix_(index, columns), np.cumsum([terms[i].size for i in here])
             for k, rows in enumerate(at[c]):
                 for part in _tiles(rows):
-                    (B, y), root = self._weighted(c, part), self._root[c][part, None]
-                    X = np.hstack([terms[i].columns[c][part] for i in here]) * root
+                    B, y = self._weighted(c, part)
+                    X = _times(self._root[c][part], [terms[i].columns[c][part] for i in here])
                     C[k][square] += B.T @ X
                     d[k, columns] += y @ X
                     for i, own in zip(here, np.split(X, sizes[:-1], axis=1), strict=True):
@@ -296,11 +327,34 @@ def _tiles(rows: slice) -> Iterator[slice]:
         yield slice(first, min(first + TILE, rows.stop))
 
 
+def _times(root: Array, columns: Sequence[Array]) -> Array:
+    """Columns (M, k) each, side by side and times root (M,)."""
+    edges = np.cumsum([0, *(own.shape[1] for own in columns)])
+    result = np.empty((len(root), int(edges[-1])))
+    for own, (a, b) in zip(columns, pairwise(edges.tolist()), strict=True):
+        np.multiply(own, root[:, None], out=result[:, a:b])
+    return result
+
+
 def _factored(A: Array, scale: Array) -> Factor:
     """Cholesky factor of a matrix (p, p) whose rows and columns are scaled."""
     scaled = A * np.outer(scale, scale)
     scaled[np.diag_indices(len(scaled))] += RIDGE
     return cho_factor(scaled, check_finite=False)
+
+
+def _taken_back(a: Array, covariance: Array, part: Part) -> tuple[float, Array, Array]:
+    """Log Bayes factor of a part of a model, from its coefficients (k,) and their covariance."""
+    size = np.sqrt(np.diag(part.precision))
+    value, vector = np.linalg.eigh(covariance * np.outer(size, size))
+    value = np.maximum(value, 1e-300)
+    u = (a * size) @ vector
+    return 0.5 * float(np.sum(u**2 / value + np.log(value))), a, covariance
+
+
+def _spread(factor: Factor) -> float:
+    """Half the logarithm of the determinant."""
+    return float(np.sum(np.log(np.diag(factor[0]))))
 
 
 def bayes_factor(D: Array, d: Array, precision: Array) -> tuple[Array, Array, Array]:

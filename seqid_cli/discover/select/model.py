@@ -134,6 +134,7 @@ class Model:
         self._base = g.parts(self.hold, self.timed)
         parts = [*self._base, *(term.part for term in self.terms)]
         self.linear, self.noise = settled(g.stage, g.rows, g.size, parts)
+        self._fitted = tuple(self.terms)
         timed = tuple(
             own and abs(offset) <= g.own_offset
             for own, offset in zip(self.timed, self.offsets, strict=True)
@@ -190,7 +191,10 @@ class Model:
 
     def beside(self, *terms: Term) -> Linear:
         """The model without some terms, the noise as it is."""
-        return self._with([one for one in self.terms if one not in terms], self.noise)
+        rest = [one for one in self.terms if one not in terms]
+        if not set(rest) <= set(self._fitted):
+            return self._with(rest, self.noise)
+        return self.linear.without(*(one.part for one in self._fitted if one not in rest))
 
     def _with(self, terms: Sequence[Term], noise: Noise) -> Linear:
         parts = [*self._base, *(term.part for term in terms), *noise.slow(self.ground.stage)]

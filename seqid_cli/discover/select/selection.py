@@ -138,7 +138,8 @@ class Selection:
         self.model, self.options, self.catalogue = model, options, catalogue
         self._visible: dict[Key, float] = {}
         self._shapes: dict[int | None, list[_Shape]] = {}
-        self._tried: list[Ranked] = []
+        self._smoothed: dict[int | None, list[Term]] = {}
+        self._tried: tuple[Linear, list[Tried]] | None = None
         self._tied: dict[Key, list[Term]] = {}
         self.others: list[tuple[float, tuple[Term, ...]]] = []
 
@@ -148,8 +149,9 @@ class Selection:
         Every term must be better than chance, a smooth function better than effects by what is a
         tie, and standard errors of the file are not likely to be far too small.
         """
-        smooth = [term for term in self.model.terms if term.smooth]
-        gained = [_again(term, self.model.beside(term)).predicted.total for term in smooth]
+        gained = [
+            _again(term, self.model).predicted.total for term in self.model.terms if term.smooth
+        ]
         granted = self.options.tie * sum(gained) + self.options.chance * len(self.model.terms)
         granted += self.model.hold.doubt(self.model.ground.n)
         return self.model.under(noise).evidence - granted
@@ -159,6 +161,7 @@ class Selection:
         self.run()
         if self.model.rescale():
             self._shapes.clear()
+            self._smoothed.clear()
             self.eliminate()
             self.run()
 
@@ -205,9 +208,11 @@ class Selection:
     def _best(self, refused: set[Key]) -> Term | None:
         """The term to take next; none where none is worth it."""
         linear = self.model.linear
-        tried = [*self._everywhere(), *self._smooth(linear, None)]
-        ranked = self._tried = _ranked(linear, tried, refused)
-        able = [one for one in ranked if self._passes(one)]
+        every = [*self._everywhere(), *self._smooth_everywhere()]
+        tried = [one for one in every if one.evidence > 0.0 and one.term.key not in refused]
+        self._tried = linear, tried
+        likely = [one for one in tried if one.evidence > self.options.chance]
+        able = [one for one in _ranked(linear, likely) if self._passes(one)]
         best = self._simplest(able)
         if best is None:
             return None
@@ -238,7 +243,7 @@ class Selection:
         """Take back, the weakest first, what is not worth it beside all others."""
         model, gone = self.model, set[Key]()
         while model.terms:
-            every = [_again(term, model.beside(term)) for term in model.terms]
+            every = [_again(term, model) for term in model.terms]
             weak = [one for one in every if not self._passes(one)]
             if not weak:
                 break
@@ -253,6 +258,7 @@ class Selection:
         """Forget the candidates at joints of which a term is taken or taken back."""
         for joint in {None, *(c % self.model.ground.n for c in term.channels)}:
             self._shapes.pop(joint, None)
+            self._smoothed.pop(joint, None)
 
     def _everywhere(self) -> list[Tried]:
         """Effects at all joints, each at its best settings.
@@ -262,16 +268,17 @@ class Selection:
         """
         tuner, model = self._tuner(self.model.linear), self.model
         joints = {j for j in (None, *range(model.ground.n)) if j not in self._shapes}
+        known = {shape.term: shape for some in self._shapes.values() for shape in some}
+        now = tuner.gained(known)
         if joints:
-            every = self._candidates(model.left(), joints)
-            tried = tuner.tried([one for one in every if one.joint in joints])
+            tried = tuner.tried(list(self._candidates(model.left(), joints)))
             self._visible.update(most_visible(tried))
             self._shapes |= {joint: [] for joint in joints}
             for one in best_of(tried, shape_of):
-                self._shapes[one.term.joint].append(_Shape(one.term))
-        known = {shape.term: shape for some in self._shapes.values() for shape in some}
+                known[one.term] = _Shape(one.term)
+                self._shapes[one.term.joint].append(known[one.term])
+                now.append(one)
         had = {term.key for term in model.terms if not is_wide(term)}
-        now = tuner.gained(known)
         first, reach = _shortlist([one for one in now if one.term.key not in had])
         for number, one in enumerate(first):
             shape = known[one.term]
@@ -295,21 +302,32 @@ class Selection:
         found = [tuner.tuned(one) if one.evidence > reach else one for one in first]
         return best_of(found, lambda t: (*t.term.key, t.candidate.apart))
 
-    def _smooth(self, linear: Linear, near: frozenset[int] | None) -> list[Tried]:
-        g, had = self.model.ground, {term.key for term in self.model.terms}
+    def _smooth_everywhere(self) -> list[Tried]:
+        """Smooth functions at all joints; where no term has changed those that came first there."""
+        linear, n = self.model.linear, self.model.ground.n
+        changed = frozenset(j for j in range(n) if j not in self._smoothed)
+        had = {term.key for term in self.model.terms}
+        anew = self._smooth(linear, changed, had)
+        same = [t for some in self._smoothed.values() for t in some if t.key not in had]
+        found = [*anew, *map(Tried, same, linear.gained([t.part for t in same]))]
+        for j in changed:
+            self._smoothed[j] = [one.term for one in anew if one.term.joint == j]
+        return found
+
+    def _smooth(
+        self, linear: Linear, channels: frozenset[int], had: Collection[Key] = ()
+    ) -> list[Tried]:
+        """The first smooth functions at some joints."""
+        g = self.model.ground
         terms = [
             t
             for t in smooth_terms(g.stage.rows, g.size)
-            if (t.channels & near if near is not None else t.key not in had)
+            if t.channels & channels and t.key not in had
         ]
         found = linear.gained([t.part for t in terms])
-        tried = [Tried(t, x) for t, x in zip(terms, found, strict=True)]
-        first = sorted(tried, key=lambda t: -t.evidence)
-        return [
-            t
-            for j in range(g.n)
-            for t in [one for one in first if one.term.joint == j][:SMOOTH_SHORTLIST]
-        ]
+        first = sorted(map(Tried, terms, found), key=lambda t: -t.evidence)
+        each = [[one for one in first if one.term.joint == j] for j in range(g.n)]
+        return [one for own in each for one in own[:SMOOTH_SHORTLIST]]
 
     def told(self, least: float = TOLD) -> Selected:
         """What was taken, each term with its rivals.
@@ -321,8 +339,9 @@ class Selection:
         told = self._all_taken(least)
         taken = {term.key for term in self.model.terms}
         hidden = {key: share for key, share in self._visible.items() if key not in taken}
-        tried = tuple(one for one in self._tried if one.term.key not in taken)
-        return Selected(self.model, told, hidden, tried)
+        tried = _ranked(*self._tried) if self._tried else []
+        left = tuple(one for one in tried if one.term.key not in taken)
+        return Selected(self.model, told, hidden, left)
 
     def largest(self) -> Selected:
         """Of the effects that were taken the one of the largest gain, with its rivals."""
@@ -332,8 +351,7 @@ class Selection:
 
     def _is_told(self, term: Term, least: float) -> Ranked | None:
         """A term as it gains beside all others, if it is told."""
-        linear = self.model.beside(term)
-        one = _again(term, linear)
+        linear, one = self.model.beside(term), _again(term, self.model)
         there = reality(one.predicted, self.model.margin(linear)) >= least
         return one if there and self._passes(one) and not self._of_a_law(one) else None
 
@@ -360,14 +378,16 @@ class Selection:
 
     def _taken(self, term: Term) -> Taken:
         """A term and its rivals."""
-        linear = self.model.beside(term)
-        one = _again(term, linear)
+        linear, one = self.model.beside(term), _again(term, self.model)
         joints = {None, *(c % self.model.ground.n for c in term.channels)}
         candidates = list(self._candidates(self.model.left(without=term), joints))
         tried = [*self._near(linear, candidates), *self._smooth(linear, term.channels)]
-        others = _ranked(linear, tried, [term.key])
-        near = [x for x in others if x.term.channels & term.channels]
-        ranked = tuple(sorted([one, *near], key=_by_gain))
+        near = [
+            t
+            for t in tried
+            if t.evidence > 0.0 and t.term.key != term.key and t.term.channels & term.channels
+        ]
+        ranked = tuple(sorted([one, *_ranked(linear, near)], key=_by_gain))
         margin, instead = self.model.margin(linear), self._instead_of(term)
         return Taken(one, ranked, linear.left_out, margin, instead, self._untried(term))
 
@@ -402,11 +422,10 @@ class Selection:
         return model.is_detail(one.term) or 2.0 * one.predicted.total < max(laws, default=0.0)
 
 
-def _ranked(linear: Linear, tried: Sequence[Tried], refused: Collection[Key]) -> list[Ranked]:
-    """What was tried and has evidence, the largest gain first."""
-    there = [t for t in tried if t.evidence > 0.0 and t.term.key not in refused]
-    told = linear.predicted([t.term.part for t in there])
-    ranked = [Ranked(t.term, t.gained, f) for t, f in zip(there, told, strict=True)]
+def _ranked(linear: Linear, tried: Sequence[Tried]) -> list[Ranked]:
+    """What was tried, the largest gain on blocks that were left out first."""
+    told = linear.predicted([t.term.part for t in tried])
+    ranked = [Ranked(t.term, t.gained, f) for t, f in zip(tried, told, strict=True)]
     return sorted(ranked, key=_by_gain)
 
 
@@ -420,9 +439,9 @@ def _shortlist(tried: Iterable[Tried]) -> tuple[list[Tried], float]:
     return first, CLOSE * max((t.evidence for t in first), default=0.0)
 
 
-def _again(term: Term, linear: Linear) -> Ranked:
+def _again(term: Term, model: Model) -> Ranked:
     """A taken term as it gains beside all others."""
-    return Ranked(term, linear.gained([term.part])[0], linear.predicted([term.part])[0])
+    return Ranked(term, *model.linear.again(term.part))
 
 
 def _by_gain(one: Ranked) -> float:

@@ -71,12 +71,13 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
     size : (channels,) array
         RMS [N m] of what the file leaves: no term is likely to be much more.
     """
-    made = zip(candidates, stage.columns(candidates), strict=True)
-    return [
-        Term(candidate, Part(columns, np.diag(_precision(columns, size))))
-        for candidate, columns in made
-        if columns and next(iter(columns.values())).shape[1] and any(map(len, columns.values()))
-    ]
+    known, found = stage.precisions, list[Term]()
+    for candidate, columns in zip(candidates, stage.columns(candidates), strict=True):
+        if columns and next(iter(columns.values())).shape[1] and any(map(len, columns.values())):
+            if id(columns) not in known:
+                known[id(columns)] = np.diag(_precision(columns, size))
+            found.append(Term(candidate, Part(columns, known[id(columns)])))
+    return found
 
 
 def smooth_terms(rows: Rows, size: Array) -> list[Term]:
@@ -97,8 +98,12 @@ def smooth_terms(rows: Rows, size: Array) -> list[Term]:
 def _of_joint(rows: Rows, joint: int, size: Array) -> list[Term]:
     found = []
     for one in smooth_functions(rows, joint):
-        basis = [{joint: one.source.basis(scene) @ one.mixing} for scene in rows.scenes]
-        columns = rows.columns(basis, passes=2)
+        coarse = one.source.factor == "one"  # a direction has steps
+        basis = [
+            {joint: one.source.basis(scene) @ one.mixing}
+            for scene in (rows.coarse if coarse else rows.scenes)
+        ]
+        columns = rows.columns(basis, passes=2, coarse=coarse)
         precision = _precision(columns, size) * one.bending**2
         found.append(Term(one, Part(columns, np.diag(precision))))
     return found

@@ -109,3 +109,19 @@ def test_coefficients_and_errors_are_the_models_own(
     at = whole.where[-1]
     np.testing.assert_allclose(gained.coefficients, whole.theta[at], rtol=1e-6)
     np.testing.assert_allclose(gained.covariance, whole.covariance[at, at], rtol=1e-6)
+
+
+def test_a_part_of_the_model_gains_what_it_did_before_it_was_taken(
+    rows: Rows, base: list[Part], term: Part, weight: list[Array]
+) -> None:
+    whole = Linear(rows, [base[0], term, base[1]], weight)
+    before = whole.without(term)
+    np.testing.assert_allclose(before.theta, Linear(rows, base, weight).theta, rtol=1e-9)
+    (gained,), (told,) = before.gained([term]), before.predicted([term])
+    again, told_again = whole.again(term)
+    np.testing.assert_allclose(told_again.density, told.density, atol=1e-6)
+    assert told_again.total == pytest.approx(told.total, abs=1e-6)
+    assert again.evidence == pytest.approx(gained.evidence, abs=1e-6)
+    assert again.visible == pytest.approx(gained.visible, rel=1e-6)
+    np.testing.assert_allclose(again.coefficients, gained.coefficients, rtol=1e-6)
+    np.testing.assert_allclose(again.covariance, gained.covariance, rtol=1e-6)

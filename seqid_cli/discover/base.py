@@ -28,6 +28,7 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, loaded_columns
 from seqid_cli.robot.types import Robot
+from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array
 
 LIKELY = 2.0  # of a column's torque beforehand, over what the file leaves
@@ -104,12 +105,11 @@ class Whole:
     stage: FrictionStage | None
     residual: Array  # (N, n) N m, of the file's model
 
-    def friction(self, theta: Sequence[Array], *, tile: int = 8192) -> Array:
+    def friction(self, theta: Sequence[Array]) -> Array:
         """Torque (N, n) N m of each joint's free friction with coefficients (k_j,), low-passed."""
         torque = np.empty_like(self.residual)
         for j, own in enumerate(theta):
-            for low in range(0, len(torque), tile):
-                part = slice(low, low + tile)
+            for part in tiles(len(torque)):
                 torque[part, j] = friction_columns(self.scene, self.stage, j, part) @ own
         return self.scene.motion.filtered(torque, times=2)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +42,11 @@ class Candidate:
         return self.effect.name, self.joint
 
     @property
+    def address(self) -> tuple[object, ...]:
+        """What it is with its settings."""
+        return (*self.key, self.apart, *sorted(self.settings.items()))
+
+    @property
     def kind(self) -> tuple[float, ...]:
         """Its settings that are not searched between the grid's values."""
         specs = self.effect.settings
@@ -63,33 +67,6 @@ class Candidate:
 MOST_COLUMNS = 2_000_000  # candidates times samples that are worked out together: memory
 
 
-@dataclass(frozen=True, eq=False)
-class Padded:
-    """Columns (M, k) with as many of zeros `behind` them, or before, that take no memory."""
-
-    columns: Array
-    behind: bool
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns, (M, 2 k)."""
-        return len(self.columns), 2 * self.columns.shape[1]
-
-    def __len__(self) -> int:
-        return len(self.columns)
-
-    def __getitem__(self, at: slice) -> Array:
-        own = self.columns[at]
-        return np.hstack([own, np.zeros_like(own)] if self.behind else [np.zeros_like(own), own])
-
-    def __pow__(self, exponent: int) -> Array:
-        return np.asarray(self[:] ** exponent)
-
-    def __matmul__(self, theta: Array) -> Array:
-        k = self.columns.shape[1]
-        return np.asarray(self.columns @ (theta[:k] if self.behind else theta[k:]))
-
-
 class Stage:
     """Rows and data sets on which candidates are tried, with the columns made so far."""
 
@@ -97,7 +74,7 @@ class Stage:
         self.rows = rows
         self.high = high_band(rows)
         self._made: dict[tuple[object, ...], Channels] = {}
-        self.precisions: dict[int, Array] = {}  # of columns that are kept, by their identity
+        self.precisions: dict[tuple[object, ...], Array] = {}  # of columns that are kept
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
@@ -106,7 +83,7 @@ class Stage:
 
     def columns(self, candidates: Sequence[Candidate]) -> list[Channels]:
         """Columns of candidates on the rows of the joints that they touch."""
-        keys = [_key(candidate) for candidate in candidates]
+        keys = [candidate.address for candidate in candidates]
         missing = {k: c for k, c in zip(keys, candidates, strict=True) if k not in self._made}
         for key, candidate in missing.items():
             if candidate.effect.wide:
@@ -123,22 +100,17 @@ class Stage:
         return [self._made[key] for key in keys]
 
     def _wide(self, candidate: Candidate) -> Channels:
-        """Columns below and above the cut-off."""
+        """Columns below and above the cut-off; none apart if all is above."""
         if candidate.apart:
-            return self._apart(self.columns([replace(candidate, apart=False)])[0])
+            both = self.columns([replace(candidate, apart=False)])[0]
+            below = [X for c, X in both.items() if c < self.rows.n]
+            return both if any(np.any(X, axis=0).all() for X in below) else {}
         effect = candidate.effect
         per_scene = [
             effect.columns(scene.full or scene, candidate.joint, candidate.settings)
             for scene in self.scenes
         ]
         return both_bands(self.rows, self.high, per_scene)
-
-    def _apart(self, both: Channels) -> Channels:
-        """The same with coefficients of their own above the cut-off; none if all is there."""
-        below = {c: X for c, X in both.items() if c < self.rows.n}
-        if not any(np.any(X, axis=0).all() for X in below.values()):
-            return {}
-        return {c: cast(Array, Padded(X, c in below)) for c, X in both.items()}
 
     def _computed(self, candidates: Sequence[Candidate], passes: int) -> list[Channels]:
         """Columns of candidates that are low-passed alike, all in one go."""
@@ -161,10 +133,6 @@ class Stage:
             whole = np.concatenate([pieces[i, j][used[:, j]] for pieces, used in kept])
             result[i][j] = self.rows.whitened(j, whole)
         return list(result)
-
-
-def _key(candidate: Candidate) -> tuple[object, ...]:
-    return (*candidate.key, candidate.apart, *sorted(candidate.settings.items()))
 
 
 def candidates_of(

@@ -68,9 +68,8 @@ def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEnt
     narrow = channel == j
     take = stage.rows.of if narrow else stage.high.of
     scenes = stage.scenes if narrow else [scene.full or scene for scene in stage.scenes]
-    first = 0 if narrow else len(theta) - term.what.size  # of others above the cut-off
-    over = _over(term.what, theta[first:][: term.what.size], scenes, j)
-    x = take(j, over.values) if over.values else term.part.columns[channel] @ theta
+    over = _over(term.what, theta[term.part.at(channel)], scenes, j)
+    x = take(j, over.values) if over.values else term.part.torque(channel, theta)
     sign = _sign(over, scenes, j, take)
     return _binned(
         robot, j, over, x, taken.left[channel] * sign, model.linear.left_out[channel] * sign
@@ -104,8 +103,8 @@ def _channel_of(term: Term, model: Model) -> int:
     """The rows that show a term most: of its own joint, or of any where it is of the whole arm."""
     n, theta, weight = model.ground.n, model.linear.theta[model.where(term)], model.noise.weight
     shown = {
-        c: float(weight[c] @ (X @ theta) ** 2)
-        for c, X in term.part.columns.items()
+        c: float(weight[c] @ term.part.torque(c, theta) ** 2)
+        for c in term.channels
         if term.joint in (c % n, None)
     }
     return max(shown, key=lambda c: shown[c])

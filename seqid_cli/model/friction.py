@@ -32,6 +32,7 @@ from numpy.typing import NDArray
 from seqid_cli.model.friction_basis import FADE, Scaling
 from seqid_cli.params.schema import FrictionJoint
 from seqid_cli.robot.types import Array
+from seqid_cli.tiles import tiles
 
 Mask = NDArray[np.bool_]
 
@@ -127,11 +128,10 @@ class FrictionSurface:
             return np.hstack([basis * sign, extension * sign])
         return np.hstack([part * way / 2 for part in (basis, extension) for way in _ways(sign)])
 
-    def torque(self, q: Array, v: Array, *, tile: int = 8192) -> Array:
+    def torque(self, q: Array, v: Array) -> Array:
         """Friction torque (N,) N m at positions q (N,) and velocities v (N,)."""
         result = np.empty(len(q))
-        for low in range(0, len(q), tile):  # a hundred terms of all samples would take much memory
-            part = slice(low, low + tile)
+        for part in tiles(len(q)):
             result[part] = self._torque(q[part], v[part])
         return result
 

@@ -87,6 +87,11 @@ class TorqueModel:
         """Friction torque (N, n) N m."""
         return friction_torque(self.surfaces, q, dq)
 
+    def friction_of(self, joint: int, q: Array, v: Array) -> Array:
+        """Friction torque (N,) N m of one joint at its positions and velocities (N,)."""
+        surface = self.surfaces[joint]
+        return np.zeros(len(q)) if surface is None else surface.torque(q, v)
+
     def rigid(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Rigid-body, gravity and rotor torque (N, n) N m."""
         if self.phi is None or self.rotor is None:

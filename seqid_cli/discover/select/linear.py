@@ -18,7 +18,7 @@ E - E without the file is what the term saves of it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -33,13 +33,13 @@ from seqid_cli.discover.select.rows import (
     Predicted,
     Rows,
 )
+from seqid_cli.tiles import tiles
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Factor = tuple[Array, bool]  # of Cholesky, as scipy has it
 
 BATCH = 200  # terms that are tried at once
-TILE = 8192  # rows whose products are made at once
 RIDGE = 1e-10  # of a scaled column's square
 
 
@@ -81,7 +81,7 @@ class Linear:
     def _of_channel(self, channel: int) -> tuple[Index, list[Array]]:
         """Parameters (p_c,) that a channel knows, and its columns (M_c, .), part by part."""
         here = [
-            (np.arange(where.start, where.stop), part.columns[channel])
+            (np.arange(where.start, where.stop)[part.at(channel)], part.columns[channel])
             for part, where in zip(self.parts, self.where, strict=True)
             if channel in part.columns
         ]
@@ -292,16 +292,18 @@ class Linear:
             here = [i for i, term in enumerate(terms) if c in term.columns]
             if not here:
                 continue
-            columns = np.concatenate([np.arange(where[i].start, where[i].stop) for i in here])
-            square, sizes = np.ix_(index, columns), np.cumsum([terms[i].size for i in here])
+            places = [np.arange(where[i].start, where[i].stop)[terms[i].at(c)] for i in here]
+            columns, sizes = np.concatenate(places), np.cumsum([len(own) for own in places])
+            square = np.ix_(index, columns)
             for k, rows in enumerate(at[c]):
-                for part in _tiles(rows):
+                for part in tiles(rows.stop, rows.start):
                     B, y = self._weighted(c, part)
                     X = _times(self._root[c][part], [terms[i].columns[c][part] for i in here])
                     C[k][square] += B.T @ X
                     d[k, columns] += y @ X
                     for i, own in zip(here, np.split(X, sizes[:-1], axis=1), strict=True):
-                        D[i][k] += own.T @ own
+                        at_c = terms[i].at(c)
+                        D[i][k, at_c, at_c] += own.T @ own
         return _Crossed(terms, where, C, d, D)
 
 
@@ -319,12 +321,6 @@ class _Crossed:
     def whole(self) -> tuple[Array, Array, list[Array]]:
         """C (p, m), d (m,) and D (k, k) of all blocks."""
         return self.C.sum(axis=0), self.d.sum(axis=0), [own.sum(axis=0) for own in self.D]
-
-
-def _tiles(rows: slice) -> Iterator[slice]:
-    """Some rows at a time: those of all terms together would take much memory."""
-    for first in range(rows.start, rows.stop, TILE):
-        yield slice(first, min(first + TILE, rows.stop))
 
 
 def _times(root: Array, columns: Sequence[Array]) -> Array:

@@ -17,7 +17,6 @@ from seqid_cli.discover.select.noise import Noise, settled
 from seqid_cli.discover.select.rows import Part, Rows
 from seqid_cli.discover.select.terms import Term, effects
 from seqid_cli.discover.select.tuning import NEAR, Tuner
-from seqid_cli.model.effects.scene import Scene
 
 Array = NDArray[np.float64]
 
@@ -135,6 +134,7 @@ class Model:
         parts = [*self._base, *(term.part for term in self.terms)]
         self.linear, self.noise = settled(g.stage, g.rows, g.size, parts)
         self._fitted = tuple(self.terms)
+        self.__dict__.pop("deviation", None)  # of the model before
         timed = tuple(
             own and abs(offset) <= g.own_offset
             for own, offset in zip(self.timed, self.offsets, strict=True)
@@ -218,9 +218,9 @@ class Model:
 
     def squares(self, term: Term, channels: frozenset[int]) -> float:
         """Weighted square of a term's torque at some channels."""
-        theta, weight, columns = self.linear.theta[self.where(term)], self.noise.weight, term.part
+        theta, weight = self.linear.theta[self.where(term)], self.noise.weight
         there = term.channels & channels
-        return sum(float(weight[c] @ (columns.columns[c] @ theta) ** 2) for c in there)
+        return sum(float(weight[c] @ term.part.torque(c, theta) ** 2) for c in there)
 
     def is_detail(self, term: Term) -> bool:
         """Whether a term is small beside the torque of the model, which ends at the cut-off."""
@@ -230,39 +230,35 @@ class Model:
         whole = sum(float(self.noise.weight[c] @ torque[c] ** 2) for c in channels)
         return self.squares(term, channels) < DETAIL**2 * whole
 
-    def deviation(self, ground: Ground | None = None) -> list[Array]:
+    @cached_property
+    def deviation(self) -> list[Array]:
         """What the base adds to the file's model (N, n) N m, at all samples of every scene."""
         rigid, *friction = [self.linear.theta[at] for at in self.linear.where[: 1 + self.ground.n]]
-        return (ground or self.ground).base.deviation(rigid, friction)
+        return self.ground.base.deviation(rigid, friction)
 
     @property
     def candidates(self) -> list[Candidate]:
         """The effects among the terms."""
         return [term.what for term in self.terms if isinstance(term.what, Candidate)]
 
-    def shown(
-        self, scenes: Sequence[Scene] | None = None, without: Term | None = None
-    ) -> list[Array]:
-        """Torque (N, n) N m of all terms but one, low-passed, at all samples.
-
-        Of these scenes, or of others.
-        """
-        at = self.ground.stage.scenes if scenes is None else scenes
-        total = [np.zeros_like(scene.motion.q) for scene in at]
+    def shown(self, without: Term | None = None) -> list[Array]:
+        """Torque (N, n) N m of all terms but one, low-passed, at all samples of every scene."""
+        scenes = self.ground.stage.scenes
+        total = [np.zeros_like(scene.motion.q) for scene in scenes]
         for term in (one for one in self.terms if one is not without):
-            term.what.add_torque(total, at, self.coefficients(term))
+            term.what.add_torque(total, scenes, self.coefficients(term))
         return total
 
-    def left(self, ground: Ground | None = None, without: Term | None = None) -> list[Array]:
+    def left(self, without: Term | None = None) -> list[Array]:
         """What is left (N, n) N m at all samples of every scene; zero where a joint may stick.
 
-        Of these scenes, or of others with the same base; `without` a term it has that one's torque.
+        `without` a term it has that one's torque.
         """
-        at = ground or self.ground
-        shown = self.shown(at.stage.scenes, without)
-        parts = zip(at.base.whole, self.deviation(at), shown, strict=True)
+        parts = zip(self.ground.base.whole, self.deviation, self.shown(without), strict=True)
         left = [whole.residual - base - terms for whole, base, terms in parts]
-        return [np.where(s.slides, r, 0.0) for s, r in zip(at.stage.scenes, left, strict=True)]
+        return [
+            np.where(s.slides, r, 0.0) for s, r in zip(self.ground.stage.scenes, left, strict=True)
+        ]
 
     def scaled(self) -> list[Array]:
         """Residual (M_j,) of each joint's rows where it was not fitted, over the joint's noise."""

@@ -8,7 +8,7 @@ sure, if nothing speaks against it elsewhere.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import pairwise
 
@@ -63,16 +63,27 @@ class Part:
     """Columns that are fitted together, and the precision (k, k) that their coefficients had.
 
     `apart` is the part of that precision which is not a parameter file's; all, where it is None.
+    Of channels in `first` the columns are those from that number on; of others they are all.
     """
 
     columns: Channels
     precision: Array
     apart: Array | None = None
+    first: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
         """Number of columns."""
         return len(self.precision)
+
+    def at(self, channel: int) -> slice:
+        """Which of the columns a channel has."""
+        first = self.first.get(channel, 0)
+        return slice(first, first + self.columns[channel].shape[1])
+
+    def torque(self, channel: int, theta: Array) -> Array:
+        """Torque (M_c,) N m of coefficients (k,) at a channel."""
+        return np.asarray(self.columns[channel] @ theta[self.at(channel)])
 
 
 @dataclass(frozen=True)

@@ -17,31 +17,26 @@ selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.candidates import Candidate, candidates_of
+from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
 from seqid_cli.discover.select.naming import TOLD, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.results import Key, Options, Ranked, Selected, Taken
 from seqid_cli.discover.select.rows import scatter
-from seqid_cli.discover.select.terms import Term, smooth_terms
-from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, most_visible, shape_of
+from seqid_cli.discover.select.search import Search, is_wide
+from seqid_cli.discover.select.terms import Term
+from seqid_cli.discover.select.tuning import Tried
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
 
 Array = NDArray[np.float64]
-
-LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
-CLOSE = 0.5  # of the best's evidence, from which settings are searched
-SHORTLIST = 14  # effects, of which settings are searched and blocks are left out
-SMOOTH_SHORTLIST = 3  # smooth functions per joint
 
 
 def select(
@@ -110,14 +105,6 @@ def _known(ground: Ground) -> tuple[Effect, ...]:
     return tuple(catalogue_of(ground.stage.scenes[0].robot).values())
 
 
-@dataclass
-class _Shape:
-    """An effect at a joint with settings of one kind; whether the others have been searched."""
-
-    term: Term
-    searched: bool = False
-
-
 class Selection:
     """Terms are taken and taken back, one by one.
 
@@ -136,9 +123,7 @@ class Selection:
 
     def __init__(self, model: Model, options: Options, catalogue: Sequence[Effect]) -> None:
         self.model, self.options, self.catalogue = model, options, catalogue
-        self._visible: dict[Key, float] = {}
-        self._shapes: dict[int | None, list[_Shape]] = {}
-        self._smoothed: dict[int | None, list[Term]] = {}
+        self._search = Search(model, catalogue)
         self._tried: tuple[Linear, list[Tried]] | None = None
         self._tied: dict[Key, list[Term]] = {}
         self.others: list[tuple[float, tuple[Term, ...]]] = []
@@ -160,8 +145,7 @@ class Selection:
         """Select, hold the base as the evidence says, and go on."""
         self.run()
         if self.model.rescale():
-            self._shapes.clear()
-            self._smoothed.clear()
+            self._search = Search(self.model, self.catalogue)
             self.eliminate()
             self.run()
 
@@ -172,7 +156,7 @@ class Selection:
             there = a in model.terms and b in model.terms
             one = self._instead(a, b) if there and a.channels & b.channels else None
             if one is not None:
-                self._changed(a)
+                self._search.changed(a)
                 model.terms[model.terms.index(a)] = one
                 model.terms.remove(b)
                 model.settle()
@@ -195,7 +179,7 @@ class Selection:
             best = self._best(refused)
             if best is None:
                 return
-            self._changed(best)
+            self._search.changed(best)
             self.model.terms.append(best)
             self.model.settle()
             if len(self.model.terms) > 1:
@@ -207,8 +191,7 @@ class Selection:
 
     def _best(self, refused: set[Key]) -> Term | None:
         """The term to take next; none where none is worth it."""
-        linear = self.model.linear
-        every = [*self._everywhere(), *self._smooth_everywhere()]
+        linear, every = self.model.linear, self._search.everywhere()
         tried = [one for one in every if one.evidence > 0.0 and one.term.key not in refused]
         self._tried = linear, tried
         likely = [one for one in tried if one.evidence > self.options.chance]
@@ -248,86 +231,11 @@ class Selection:
             if not weak:
                 break
             weakest = min(weak, key=lambda one: one.predicted.total)
-            self._changed(weakest.term)
+            self._search.changed(weakest.term)
             model.terms.remove(weakest.term)
             gone.add(weakest.term.key)
             model.settle()
         return gone
-
-    def _changed(self, term: Term) -> None:
-        """Forget the candidates at joints of which a term is taken or taken back."""
-        for joint in {None, *(c % self.model.ground.n for c in term.channels)}:
-            self._shapes.pop(joint, None)
-            self._smoothed.pop(joint, None)
-
-    def _everywhere(self) -> list[Tried]:
-        """Effects at all joints, each at its best settings.
-
-        Settings are searched where a term was taken or taken back; elsewhere they are as they were,
-        and only what they gain is another now.
-        """
-        tuner, model = self._tuner(self.model.linear), self.model
-        joints = {j for j in (None, *range(model.ground.n)) if j not in self._shapes}
-        known = {shape.term: shape for some in self._shapes.values() for shape in some}
-        now = tuner.gained(known)
-        if joints:
-            tried = tuner.tried(list(self._candidates(model.left(), joints)))
-            self._visible.update(most_visible(tried))
-            self._shapes |= {joint: [] for joint in joints}
-            for one in best_of(tried, shape_of):
-                known[one.term] = _Shape(one.term)
-                self._shapes[one.term.joint].append(known[one.term])
-                now.append(one)
-        had = {term.key for term in model.terms if not is_wide(term)}
-        first, reach = _shortlist([one for one in now if one.term.key not in had])
-        for number, one in enumerate(first):
-            shape = known[one.term]
-            if not shape.searched and one.evidence > reach:
-                first[number] = tuner.tuned(one)
-                shape.term, shape.searched = first[number].term, True
-        return best_of(first, lambda t: (*t.term.key, t.candidate.apart))
-
-    def _tuner(self, linear: Linear) -> Tuner:
-        return Tuner(self.model.ground.stage, linear, self.model.ground.size)
-
-    def _candidates(
-        self, left: Sequence[Array], joints: Collection[int | None]
-    ) -> Iterator[Candidate]:
-        return candidates_of(self.model.ground.stage.scenes, self.catalogue, left, joints)
-
-    def _near(self, linear: Linear, candidates: Sequence[Candidate]) -> list[Tried]:
-        """Effects among candidates, each at its best settings."""
-        tuner = self._tuner(linear)
-        first, reach = _shortlist(best_of(tuner.tried(candidates), shape_of))
-        found = [tuner.tuned(one) if one.evidence > reach else one for one in first]
-        return best_of(found, lambda t: (*t.term.key, t.candidate.apart))
-
-    def _smooth_everywhere(self) -> list[Tried]:
-        """Smooth functions at all joints; where no term has changed those that came first there."""
-        linear, n = self.model.linear, self.model.ground.n
-        changed = frozenset(j for j in range(n) if j not in self._smoothed)
-        had = {term.key for term in self.model.terms}
-        anew = self._smooth(linear, changed, had)
-        same = [t for some in self._smoothed.values() for t in some if t.key not in had]
-        found = [*anew, *map(Tried, same, linear.gained([t.part for t in same]))]
-        for j in changed:
-            self._smoothed[j] = [one.term for one in anew if one.term.joint == j]
-        return found
-
-    def _smooth(
-        self, linear: Linear, channels: frozenset[int], had: Collection[Key] = ()
-    ) -> list[Tried]:
-        """The first smooth functions at some joints."""
-        g = self.model.ground
-        terms = [
-            t
-            for t in smooth_terms(g.stage.rows, g.size)
-            if t.channels & channels and t.key not in had
-        ]
-        found = linear.gained([t.part for t in terms])
-        first = sorted(map(Tried, terms, found), key=lambda t: -t.evidence)
-        each = [[one for one in first if one.term.joint == j] for j in range(g.n)]
-        return [one for own in each for one in own[:SMOOTH_SHORTLIST]]
 
     def told(self, least: float = TOLD) -> Selected:
         """What was taken, each term with its rivals.
@@ -338,7 +246,7 @@ class Selection:
         """
         told = self._all_taken(least)
         taken = {term.key for term in self.model.terms}
-        hidden = {key: share for key, share in self._visible.items() if key not in taken}
+        hidden = {key: share for key, share in self._search.visible.items() if key not in taken}
         tried = _ranked(*self._tried) if self._tried else []
         left = tuple(one for one in tried if one.term.key not in taken)
         return Selected(self.model, told, hidden, left)
@@ -379,9 +287,7 @@ class Selection:
     def _taken(self, term: Term) -> Taken:
         """A term and its rivals."""
         linear, one = self.model.beside(term), _again(term, self.model)
-        joints = {None, *(c % self.model.ground.n for c in term.channels)}
-        candidates = list(self._candidates(self.model.left(without=term), joints))
-        tried = [*self._near(linear, candidates), *self._smooth(linear, term.channels)]
+        tried = self._search.near(term, linear)
         near = [
             t
             for t in tried
@@ -429,16 +335,6 @@ def _ranked(linear: Linear, tried: Sequence[Tried]) -> list[Ranked]:
     return sorted(ranked, key=_by_gain)
 
 
-def _shortlist(tried: Iterable[Tried]) -> tuple[list[Tried], float]:
-    """Those of the largest evidence that the base does not absorb.
-
-    Also the evidence from which one is so near to the best that its settings are searched.
-    """
-    seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE]
-    first = sorted(seen, key=lambda t: -t.evidence)[:SHORTLIST]
-    return first, CLOSE * max((t.evidence for t in first), default=0.0)
-
-
 def _again(term: Term, model: Model) -> Ranked:
     """A taken term as it gains beside all others."""
     return Ranked(term, *model.linear.again(term.part))
@@ -446,8 +342,3 @@ def _again(term: Term, model: Model) -> Ranked:
 
 def _by_gain(one: Ranked) -> float:
     return -one.predicted.total
-
-
-def is_wide(term: Term) -> bool:
-    """Whether it is an effect of which a joint may have several: a ripple, a line in time."""
-    return isinstance(term.what, Candidate) and term.what.effect.wide

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -74,9 +74,10 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
     known, found = stage.precisions, list[Term]()
     for candidate, columns in zip(candidates, stage.columns(candidates), strict=True):
         if columns and next(iter(columns.values())).shape[1] and any(map(len, columns.values())):
-            if id(columns) not in known:
-                known[id(columns)] = np.diag(_precision(columns, size))
-            found.append(Term(candidate, Part(columns, known[id(columns)])))
+            first = {c: candidate.size for c in columns if candidate.apart and c >= stage.rows.n}
+            if candidate.address not in known:
+                known[candidate.address] = np.diag(_precision(columns, size, first))
+            found.append(Term(candidate, Part(columns, known[candidate.address], first=first)))
     return found
 
 
@@ -109,8 +110,11 @@ def _of_joint(rows: Rows, joint: int, size: Array) -> list[Term]:
     return found
 
 
-def _precision(columns: Channels, size: Array) -> Array:
+def _precision(columns: Channels, size: Array, first: Mapping[int, int] = {}) -> Array:
     """Inverse variance (k,) of coefficients whose torque is about `LIKELY` times `size`."""
-    there = {c: X for c, X in columns.items() if len(X)}
-    squares = [np.mean(X**2, axis=0) / (LIKELY * size[c]) ** 2 for c, X in there.items()]
-    return np.asarray(np.maximum(np.max(squares, axis=0), 1e-300))
+    result = np.full(max(first.get(c, 0) + X.shape[1] for c, X in columns.items()), 1e-300)
+    for c, X in columns.items():
+        if len(X):
+            own = result[first.get(c, 0) :][: X.shape[1]]
+            np.maximum(own, np.mean(X**2, axis=0) / (LIKELY * size[c]) ** 2, out=own)
+    return result

@@ -145,7 +145,7 @@ def _of_the_motor(scene: Scene, joint: int, stiffness: float) -> Columns:
     """Rotor inertia and friction on the motor's motion, per unit compliance."""
     motion = scene.motion
     speed, acceleration = differentiate(scene.load[:, joint], motion.rate_hz, motion.valid)
-    slope = scene.friction_slope(lead=(speed / stiffness)[:, None])[:, joint]
+    slope = scene.friction_slope(joint, speed / stiffness)
     return {joint: (_own_rotor(scene, joint) * acceleration + slope * speed)[:, None]}
 
 

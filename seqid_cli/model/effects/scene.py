@@ -125,16 +125,16 @@ class Scene:
         """Modelled friction torque (N, n)."""
         return sampled_friction(self.model.surfaces, self.motion)
 
-    def friction_slope(self, lead: Array | float = 0.0) -> Array:
-        """Secant slope (N, n) of friction over speed, from a joint's speed to `lead` (rad/s) more.
+    def friction_slope(self, joint: int, lead: Array) -> Array:
+        """Secant slope (N,) of a joint's friction, from its speed to `lead` (N,) rad/s more.
 
         Over as much as a sample resolves at the least: of the step at a reversal the area counts.
         """
         motion = self.motion
-        per_sample = 2.0 * np.abs(motion.ddq) / motion.rate_hz
-        half = np.maximum(np.maximum(self.sign_width, per_sample), 0.5 * np.abs(lead))
-        middle = motion.dq + 0.5 * lead
-        ahead, behind = (self.model.friction(motion.q, middle + side * half) for side in (1, -1))
+        q, v = motion.q[:, joint], motion.dq[:, joint] + 0.5 * lead
+        per_sample = 2.0 * np.abs(motion.ddq[:, joint]) / motion.rate_hz
+        half = np.maximum(np.maximum(self.sign_width[joint], per_sample), 0.5 * np.abs(lead))
+        ahead, behind = (self.model.friction_of(joint, q, v + side * half) for side in (1, -1))
         return np.asarray((ahead - behind) / (2.0 * half))
 
     @cached_property

@@ -77,10 +77,12 @@ def link_slopes(scene: Scene, joint: int) -> tuple[Array, ...]:
 
 
 def modelled_slopes(scene: Scene, joint: int) -> tuple[Array, ...]:
-    """Slopes of all modelled torque: links, rotors and friction."""
+    """Slopes of all modelled torque: links, rotors and the joint's own friction."""
 
     def beside_links(q: Array, dq: Array, ddq: Array) -> Array:
-        return scene.model.rotors(q, dq, ddq) + scene.model.friction(q, dq)
+        torque = scene.model.rotors(q, dq, ddq)
+        torque[:, joint] += scene.model.friction_of(joint, q[:, joint], dq[:, joint])
+        return torque
 
     both = link_slopes(scene, joint), slopes(scene, joint, "beside links", beside_links)
     return tuple(one + other for one, other in zip(*both, strict=True))

@@ -1,0 +1,151 @@
+"""What a model may lack next: effects at their best settings and smooth functions, joint by joint.
+
+Where a term was taken or taken back all is searched anew. Elsewhere what came first stays, and only
+what it gains is another now.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+
+from seqid_cli.discover.candidates import Candidate, candidates_of
+from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.model import Model
+from seqid_cli.discover.select.results import Key
+from seqid_cli.discover.select.terms import Term, smooth_terms
+from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, most_visible, shape_of
+from seqid_cli.model.effects.effect import Effect
+
+LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
+CLOSE = 0.5  # of the best's evidence, from which settings are searched
+SHORTLIST = 14  # effects, of which settings are searched and blocks are left out
+SMOOTH_SHORTLIST = 3  # smooth functions per joint
+
+
+@dataclass
+class _Shape:
+    """An effect at a joint with settings of one kind; whether the others have been searched."""
+
+    term: Term
+    searched: bool = False
+
+
+class Search:
+    """Candidates for a model's next term.
+
+    Parameters
+    ----------
+    model : Model
+    catalogue : sequence of Effect
+
+    Attributes
+    ----------
+    visible : dict
+        Largest share of each effect's torque that the model did not absorb.
+    """
+
+    def __init__(self, model: Model, catalogue: Sequence[Effect]) -> None:
+        self.model, self.catalogue = model, catalogue
+        self.visible: dict[Key, float] = {}
+        self._shapes: dict[int | None, list[_Shape]] = {}
+        self._smooth: dict[int | None, list[Term]] = {}
+
+    def changed(self, term: Term) -> None:
+        """Forget the candidates at joints of which a term is taken or taken back."""
+        for joint in self._joints_of(term):
+            self._shapes.pop(joint, None)
+            self._smooth.pop(joint, None)
+
+    def _joints_of(self, term: Term) -> set[int | None]:
+        return {None, *(c % self.model.ground.n for c in term.channels)}
+
+    def everywhere(self) -> list[Tried]:
+        """What may be taken next at all joints; nothing that the model has."""
+        terms = self.model.terms
+        effects = self._effects({term.key for term in terms if not is_wide(term)})
+        return [*effects, *self._functions({term.key for term in terms})]
+
+    def near(self, term: Term, linear: Linear) -> list[Tried]:
+        """What may be at the place of a term, beside a model without it."""
+        tuner = self._tuner(linear)
+        candidates = self._candidates(self._joints_of(term), without=term)
+        first, reach = _shortlist(best_of(tuner.tried(candidates), shape_of))
+        found = [tuner.tuned(one) if one.evidence > reach else one for one in first]
+        return [*_best_settings(found), *self._first_functions(linear, term.channels)]
+
+    def _effects(self, had: Collection[Key]) -> list[Tried]:
+        """Effects, each at its best settings."""
+        tuner, n = self._tuner(self.model.linear), self.model.ground.n
+        known = {shape.term: shape for some in self._shapes.values() for shape in some}
+        now = tuner.gained(known)
+        joints = {j for j in (None, *range(n)) if j not in self._shapes}
+        if joints:
+            tried = tuner.tried(self._candidates(joints))
+            self.visible.update(most_visible(tried))
+            self._shapes |= {joint: [] for joint in joints}
+            for one in best_of(tried, shape_of):
+                known[one.term] = _Shape(one.term)
+                self._shapes[one.term.joint].append(known[one.term])
+                now.append(one)
+        first, reach = _shortlist([one for one in now if one.term.key not in had])
+        for number, one in enumerate(first):
+            shape = known[one.term]
+            if not shape.searched and one.evidence > reach:
+                first[number] = tuner.tuned(one)
+                shape.term, shape.searched = first[number].term, True
+        return _best_settings(first)
+
+    def _functions(self, had: Collection[Key]) -> list[Tried]:
+        """Smooth functions, the first ones of every joint."""
+        linear, n = self.model.linear, self.model.ground.n
+        changed = frozenset(j for j in range(n) if j not in self._smooth)
+        anew = self._first_functions(linear, changed, had)
+        same = [t for some in self._smooth.values() for t in some if t.key not in had]
+        for j in changed:
+            self._smooth[j] = [one.term for one in anew if one.term.joint == j]
+        return [*anew, *_tried(linear, same)]
+
+    def _first_functions(
+        self, linear: Linear, channels: frozenset[int], had: Collection[Key] = ()
+    ) -> list[Tried]:
+        """The smooth functions of the largest evidence at some joints."""
+        g = self.model.ground
+        every = [t for t in smooth_terms(g.stage.rows, g.size) if t.channels & channels]
+        first = sorted(
+            _tried(linear, [t for t in every if t.key not in had]), key=lambda t: -t.evidence
+        )
+        each = [[one for one in first if one.term.joint == j] for j in range(g.n)]
+        return [one for own in each for one in own[:SMOOTH_SHORTLIST]]
+
+    def _tuner(self, linear: Linear) -> Tuner:
+        return Tuner(self.model.ground.stage, linear, self.model.ground.size)
+
+    def _candidates(
+        self, joints: Collection[int | None], without: Term | None = None
+    ) -> list[Candidate]:
+        left, scenes = self.model.left(without=without), self.model.ground.stage.scenes
+        return list(candidates_of(scenes, self.catalogue, left, joints))
+
+
+def _tried(linear: Linear, terms: Sequence[Term]) -> list[Tried]:
+    return list(map(Tried, terms, linear.gained([term.part for term in terms])))
+
+
+def _best_settings(tried: Sequence[Tried]) -> list[Tried]:
+    return best_of(tried, lambda t: (*t.term.key, t.candidate.apart))
+
+
+def _shortlist(tried: Iterable[Tried]) -> tuple[list[Tried], float]:
+    """Those of the largest evidence that the base does not absorb.
+
+    Also the evidence from which one is so near to the best that its settings are searched.
+    """
+    seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE]
+    first = sorted(seen, key=lambda t: -t.evidence)[:SHORTLIST]
+    return first, CLOSE * max((t.evidence for t in first), default=0.0)
+
+
+def is_wide(term: Term) -> bool:
+    """Whether it is an effect of which a joint may have several: a ripple, a line in time."""
+    return isinstance(term.what, Candidate) and term.what.effect.wide

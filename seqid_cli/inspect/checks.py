@@ -19,6 +19,7 @@ from seqid_cli.inspect.channels.positions import (
     position_quality,
 )
 from seqid_cli.inspect.channels.torques import (
+    echo_findings,
     sensor_findings,
     temperature_findings,
     torque_findings,
@@ -129,7 +130,7 @@ def _findings(
     own = [*clock_findings(data), *hole_findings(data)]
     if data.recording.partial:
         own.append(found("salvaged", data.recording.partial))
-    torques = [*torque_findings(data)]
+    torques = [*torque_findings(data), *echo_findings(data)]
     own += torques
     if quality:
         own += torque_quality(data, {f.joint for f in torques if f.code in SPOIL})

@@ -1,7 +1,7 @@
 """Inspection of logs, one after the other, and of the set."""
 
 import difflib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -191,13 +191,10 @@ def _advice(
     return [f"seqid {stage} LOG... -r {robot.source} -o {stage}.json"] if there else []
 
 
-def nearest_name(name: str, known: tuple[str, ...]) -> str:
-    """Return the known name nearest to a name, empty where none is near."""
-    close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-    if close:
-        return close[0]
+def nearest_name(name: str, known: Iterable[str], *, cutoff: float = 0.5) -> str:
+    """Return the known name nearest to a name in any case, empty where none is near."""
     lower = {other.lower(): other for other in known}
-    close = difflib.get_close_matches(name.lower(), list(lower), n=1, cutoff=0.5)
+    close = difflib.get_close_matches(name.lower(), list(lower), n=1, cutoff=cutoff)
     return lower[close[0]] if close else ""
 
 
@@ -220,9 +217,7 @@ def missing_imus(robot: Robot, survey: Survey) -> tuple[dict[str, str], list[Ins
     for imu in robot.imus:
         if imu.name in prefixes:
             continue
-        near = difflib.get_close_matches(imu.name.lower(), [p.lower() for p in unknown], 1, 0.8)
-        name = next((p for p in unknown if near and p.lower() == near[0]), "")
-        missing[imu.name] = name
+        missing[imu.name] = name = nearest_name(imu.name, unknown, cutoff=0.8)
         if name:
             text = f"the log has no IMU {imu.name!r}, but {name!r}"
             findings.append(found("channel_missing", text, joint=imu.name, channel=name))

@@ -10,12 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import SeqidError
-from seqid_cli.logs.checks.bridging import with_losses
-from seqid_cli.logs.checks.lost_samples import mended
-from seqid_cli.logs.clocks import tidy
 from seqid_cli.logs.pieces import Failed, read_parts
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
-from seqid_cli.logs.read import without_absurd
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion, encoder_resolution, estimate_motion
 from seqid_cli.motion.options import MotionOptions
@@ -121,13 +117,13 @@ def log_data(
     modelled: bool,
     begun_ns: int | None = None,
 ) -> LogData:
-    """Prepare a log that was read for the checks."""
+    """Prepare a log for the checks that was read; see `assemble`."""
     step = noise_step(recording.q, encoder_resolution(robot))
     return LogData(
         robot=robot,
         modelled=modelled,
         raw=raw,
-        joints=_on_true_time(without_absurd(tidy(raw.joints).stream, []), recording),
+        joints=raw.joints,
         recording=recording,
         step=step,
         moving=moving_mask(recording.q, recording.rate_hz, step),
@@ -147,10 +143,3 @@ def _motion(
     except SeqidError:
         return None
     return motion
-
-
-def _on_true_time(joints: Stream, recording: Recording) -> Stream:
-    """With the time that lost samples took, and the holes filled, where the reader did so."""
-    if not recording.health.mended:
-        return joints
-    return with_losses(joints, mended(joints).losses)[0]

@@ -6,7 +6,8 @@ that memory does not grow with the log.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from copy import deepcopy
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,9 +22,10 @@ from seqid_cli.logs.long import READERS, Block, Bridge
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
 from seqid_cli.logs.read import read_both
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.motion.blocks import SurveyedLog
+from seqid_cli.logs.tables.parquet import BLOCK_ROWS
+from seqid_cli.motion.blocks import SurveyedLog, joined, overlapping
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.types import Robot
 
 Findings = tuple[InspectionFinding, ...]
 
@@ -62,17 +64,39 @@ def read_screened(
     return screened(recording, raw, robot, imus=imus)
 
 
-def screened_long(log: SurveyedLog, robot: Robot) -> tuple[SurveyedLog, Findings]:
-    """Check a log that is passed over; see `screened`."""
+def screened_long(
+    log: SurveyedLog,
+    robot: Robot,
+    *,
+    pieces: int = 8,
+    piece_s: float = 20.0,
+    overlap_s: float = 1.0,
+) -> tuple[SurveyedLog, Findings]:
+    """Check a log that is passed over; see `screened`.
+
+    `pieces`, `piece_s`: of the log [s], in which torque and motion are compared. `overlap_s`: time
+    on either side of a block in which breaks are looked for as well [s].
+    """
     first = next(iter(READERS[log.format](log.file, replace(robot, imus=()), log.time_source)))
-    look = _Look(log, robot)
-    for block in log.blocks():
-        look.push(block)
-    sound = replace(log, bridges=tuple(look.bridges))
-    findings = list(look.findings)
-    warnings = log.warnings
-    for piece in look.pieces():
-        for bridge in sound.bridges:
+    size = min(log.samples, max(64, int(piece_s * log.rate_hz)))
+    kept: dict[int, list[Block]] = {
+        int(start): [] for start in np.linspace(0, log.samples - size, pieces)
+    }
+    findings: list[InspectionFinding] = []
+    bridges: list[Bridge] = []
+    margin = max(16, int(overlap_s * log.rate_hz))
+    for window, low, high in overlapping(log.blocks(), BLOCK_ROWS, margin):
+        t = np.asarray((window.start + np.arange(window.samples)) * log.step_s, dtype=np.float64)
+        for each in breaks_of(robot, t, window.q):
+            findings.append(each.finding)
+            bridges += _bridged(each, window, log.rate_hz)
+        for start, parts in kept.items():
+            at = start - window.start
+            if max(at, low) < min(at + size, high):
+                parts.append(deepcopy(window.part(slice(max(at, low), min(at + size, high)))))
+    sound, warnings = replace(log, bridges=tuple(bridges)), log.warnings
+    for piece in map(joined, kept.values()):
+        for bridge in bridges:
             bridge.laid(piece)
         data = log_data(*_held(piece, log, first, warnings), robot, modelled=True)
         findings += check(data, imus=False, quality=False).findings
@@ -81,60 +105,16 @@ def screened_long(log: SurveyedLog, robot: Robot) -> tuple[SurveyedLog, Findings
     return sound, located([*unique.values()][::-1], log.path)
 
 
-@dataclass
-class _Look:
-    """Takes the blocks of a log: finds breaks, bridges their samples, and keeps some pieces."""
-
-    log: SurveyedLog
-    robot: Robot
-    findings: list[InspectionFinding] = field(default_factory=list)
-    bridges: list[Bridge] = field(default_factory=list)
-    _kept: dict[int, list[Block]] = field(default_factory=dict)
-    _tail: Array | None = None  # of the positions before the next block
-
-    def push(self, block: Block, *, overlap_s: float = 1.0) -> None:
-        """Take the next block."""
-        self._keep(block)
-        overlap = max(16, int(overlap_s * self.log.rate_hz))
-        wide = block.q if self._tail is None else np.concatenate([self._tail, block.q])
-        start = block.start + len(block.q) - len(wide)
-        t = np.asarray((start + np.arange(len(wide))) * self.log.step_s, dtype=np.float64)
-        known = {finding.joint for finding in self.findings}
-        for each in breaks_of(self.robot, t, wide):
-            if len(each.rows) or each.finding.joint not in known:
-                self.findings.append(each.finding)
-                self.bridges += self._bridged(each, wide, start)
-        self._tail = wide[-overlap:].copy()
-
-    def _bridged(self, damage: Break, q: Array, first: int) -> Iterator[Bridge]:
-        """Bridge damaged samples, runs of them together; `first` is the number of q's first."""
-        most = max(GAP_INTERVALS, GAP_LEAST_S * self.log.rate_hz)
-        rows = damage.rows
-        for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(rows) else ():
-            start, stop = int(run[0]), int(run[-1]) + 1
-            after = float(q[min(stop, len(q) - 1), damage.joint])
-            before = float(q[start - 1, damage.joint]) if start else after
-            known = stop - start < most
-            yield Bridge(damage.joint, first + start, first + stop, before, after, known)
-
-    def _keep(self, block: Block) -> None:
-        for number, (low, high) in enumerate(self._ranges()):
-            a, b = max(low, block.start), min(high, block.start + len(block.q))
-            if a < b:
-                part = slice(a - block.start, b - block.start)
-                own = Block(a, block.q[part].copy(), block.tau[part].copy(), block.valid[part])
-                self._kept.setdefault(number, []).append(own)
-
-    def _ranges(self, *, pieces: int = 8, piece_s: float = 20.0) -> list[tuple[int, int]]:
-        size = min(self.log.samples, max(64, int(piece_s * self.log.rate_hz)))
-        starts = np.linspace(0, self.log.samples - size, pieces).astype(int)
-        return [(int(start), int(start) + size) for start in starts]
-
-    def pieces(self) -> Iterator[Block]:
-        """Yield the pieces that were kept."""
-        for parts in self._kept.values():
-            arrays = [np.concatenate([getattr(p, k) for p in parts]) for k in ("q", "tau", "valid")]
-            yield Block(parts[0].start, *arrays)
+def _bridged(damage: Break, window: Block, rate_hz: float) -> Iterator[Bridge]:
+    """Bridge damaged samples of a window, runs of them together."""
+    most = max(GAP_INTERVALS, GAP_LEAST_S * rate_hz)
+    q, rows = window.q[:, damage.joint], damage.rows
+    for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(rows) else ():
+        start, stop = int(run[0]), int(run[-1]) + 1
+        after = float(q[min(stop, len(q) - 1)])
+        before = float(q[start - 1]) if start else after
+        ends = window.start + start, window.start + stop
+        yield Bridge(damage.joint, *ends, before, after, stop - start < most)
 
 
 def _held(

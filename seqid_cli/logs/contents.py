@@ -48,10 +48,11 @@ def survey(path: Path) -> Survey:
     if kind == "csv":
         names, rows = csv_file.list_columns(path)
         return _table(path, kind, [Channel(name, "text", rows) for name in names], names)
-    if kind == "mcap":
-        return _topics(path, kind, path)
-    with rosbags.as_mcap(path) as (copy, _):
-        return _topics(path, kind, copy)
+    topics, joints = (reader if kind == "mcap" else rosbags).list_topics(path)
+    found = [
+        Channel(each.topic, f"{each.schema} ({each.encoding})", each.messages) for each in topics
+    ]
+    return Survey(path, kind, tuple(found), joints)
 
 
 def _table(path: Path, kind: str, channels: Sequence[Channel], names: Sequence[str]) -> Survey:
@@ -60,11 +61,3 @@ def _table(path: Path, kind: str, channels: Sequence[Channel], names: Sequence[s
     if len(joints) != count:
         joints = tuple(f"joint_{k + 1}" for k in range(count))
     return Survey(path, kind, tuple(channels), joints, tuple(names))
-
-
-def _topics(path: Path, kind: str, file: Path) -> Survey:
-    topics, joints = reader.list_topics(file)
-    channels = tuple(
-        Channel(info.topic, f"{info.schema} ({info.encoding})", info.messages) for info in topics
-    )
-    return Survey(path, kind, channels, joints)

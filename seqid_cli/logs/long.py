@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.checks.lost_samples import suspicious
-from seqid_cli.logs.long_health import LongHealth
 from seqid_cli.logs.long_rows import MARGIN, Rows, Scan, UnevenError
 from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.raw import Array, BlockReader, Mask, Stream, TimeSource
@@ -27,7 +26,7 @@ from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
 from seqid_cli.logs.timebase import Base, resample
-from seqid_cli.logs.turns import wraps
+from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
 
 READERS: dict[str, BlockReader] = {"parquet": parquet.read_blocks, "mcap": reader.read_blocks}
@@ -208,11 +207,11 @@ def open_long(
     kind, file = check_log(path), storage_file(path)
     if kind not in READERS:
         return None
-    scan, health, spool = Scan(), LongHealth(robot), Spool()
+    scan, spool = Scan(), Spool()
     try:
         state = state_of(file)
         with unchanged(file, state):
-            for rows in _rows(file, kind, robot, time_source, health):
+            for rows in _rows(file, kind, robot, time_source):
                 scan.push(rows)
                 spool.push(rows.stamps, rows.values)
                 if watch is not None:
@@ -222,7 +221,6 @@ def open_long(
         return None
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    warnings = scan.warnings + health.warnings(1.0 / base[1], base[3])
     return LongLog(
         path,
         file,
@@ -231,52 +229,36 @@ def open_long(
         time_source,
         *base,
         partial=scan.partial,
-        warnings=tuple(dict.fromkeys(warnings)),
+        warnings=tuple(scan.warnings),
         spool=spool if spool.complete else None,
         state=state,
     )
 
 
-def _rows(
-    path: Path, kind: str, robot: Robot, time_source: TimeSource, health: LongHealth | None = None
-) -> Iterator[Rows]:
+def _rows(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> Iterator[Rows]:
     last, first_sources = None, None
     for raw in READERS[kind](path, replace(robot, imus=()), time_source):
         joints = raw.joints
         if not len(joints):
             continue
-        noticed: list[str] = []
         sources = _torque_sources(joints)
         if first_sources not in (None, sources):
             raise UnevenError
         first_sources = sources
         if sources:
-            joints = _logged_torque(joints) or with_torque(
-                joints, robot, raw.prefer_current, str(path), noticed
-            )
+            joints = with_torque(joints, robot, raw.prefer_current, str(path), [])
         if "tau" not in joints.channels:
             raise UnevenError
-        if health is not None:
-            health.push(joints, joints.channels["tau"], noticed)
         values = np.concatenate([joints.channels["position"].T, joints.channels["tau"].T])
         if not (values.min() >= -ABSURD and values.max() <= ABSURD):  # NaN as well
             raise UnevenError
         steps = np.diff(joints.stamp_ns, prepend=joints.stamp_ns[:1] if last is None else last)
         if (steps[last is None :] <= 0).any():
             raise UnevenError
-        if suspicious(joints) or wraps(joints.channels["position"], robot):
-            # to be put right as a whole
-            raise UnevenError
+        if suspicious(joints) or in_turns(joints, robot)[0] is not joints:
+            raise UnevenError  # to be put right as a whole
         last = joints.stamp_ns[-1:]
         yield Rows(joints.stamp_ns, values.T, raw.partial, raw.warnings)
-
-
-def _logged_torque(joints: Stream) -> Stream | None:
-    """With the logged torque as `tau`, where it is plain that nothing is to be said of it."""
-    torque = joints.channels.get("torque")
-    if torque is None or "current" in joints.channels or not (np.abs(torque[0]) > 0.0).all():
-        return None
-    return replace(joints, channels={**joints.channels, "tau": torque})
 
 
 def _torque_sources(joints: Stream) -> dict[str, list[bool]]:

@@ -7,17 +7,18 @@ of the pieces are kept. A piece holds all that the log has: temperatures and IMU
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.long import READERS, LongLog, likely_rows
-from seqid_cli.logs.raw import RawLog, Stream, TimeSource
+from seqid_cli.logs.raw import Array, RawLog, Stream, TimeSource
 from seqid_cli.logs.read import assemble, read_both
-from seqid_cli.logs.recording import Array, Recording, Whole
+from seqid_cli.logs.recording import Recording, Whole
 from seqid_cli.logs.storage.files import check_log, storage_file, unchanged
 from seqid_cli.robot.types import Robot
 
@@ -62,26 +63,18 @@ def cut(recording: Recording, ranges: Sequence[Range]) -> list[Recording]:
 
 
 def _piece(recording: Recording, part: slice, whole: Whole) -> Recording:
-    def own(values: Array | None) -> Array | None:
-        return None if values is None else values[part].copy()
-
-    t = recording.t[part]
+    known = {field.name: getattr(recording, field.name) for field in fields(Recording)}
+    held = {name: values for name, values in known.items() if isinstance(values, np.ndarray)}
+    arrays: dict[str, Any] = {name: values[part].copy() for name, values in held.items()}
+    for name in ("accelerometers", "gyros"):
+        arrays[name] = {imu: values[part].copy() for imu, values in known[name].items()}
+    first = float(arrays["t"][0])
     return replace(
         recording,
-        sha256=_digest(whole, float(t[0]), len(t)),
-        t=t - t[0],
-        q=recording.q[part].copy(),
-        valid=recording.valid[part].copy(),
-        dq=own(recording.dq),
-        tau=own(recording.tau),
-        temperature=own(recording.temperature),
-        load=own(recording.load),
-        link_position=own(recording.link_position),
-        accelerometers={k: v[part].copy() for k, v in recording.accelerometers.items()},
-        gyros={k: v[part].copy() for k, v in recording.gyros.items()},
-        start=recording.start + float(t[0]),
+        **{**arrays, "t": arrays["t"] - first},
+        sha256=_digest(whole, first, len(arrays["t"])),
+        start=recording.start + first,
         health=replace(recording.health, gaps=(), warnings=()),
-        bridged=None if recording.bridged is None else recording.bridged[part].copy(),
         whole=whole,
     )
 
@@ -112,50 +105,41 @@ def read_pieces(
     if kind not in READERS:
         recording, all_rows = read_both(path, robot, time_source=time_source)
         return cut(sound(recording, all_rows) if sound else recording, ranges)
-    gathered = [_Gathered.of(whole, *one) for one in ranges]
+    spans = [[int((whole.start + moment) * 1e9) for moment in one] for one in ranges]
+    kept: list[list[RawLog]] = [[] for _ in spans]
     try:
         for raw in READERS[kind](path, robot, time_source):
-            for one in gathered:
-                one.push(raw)
+            for span, own in zip(spans, kept, strict=True):
+                own += [part] if _size(part := _within(raw, *span)) else []
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    return [_assembled(one, path, kind, robot, whole, sound) for one in gathered]
+    pieces = []
+    for (first, _), own in zip(spans, kept, strict=True):
+        if not any(len(part.joints) for part in own):
+            seconds = first * 1e-9 - whole.start
+            raise InputError(f"no longer holds the rows {seconds:.3g} s on", where=str(path))
+        raw = _following(own)
+        found, raw = assemble(path, kind, whole.sha256, raw, robot)
+        found = sound(found, raw) if sound else found
+        digest = _digest(whole, found.start - whole.start, len(found.t))
+        health = replace(found.health, gaps=(), warnings=())
+        pieces.append(replace(found, sha256=digest, health=health, whole=whole))
+    return pieces
 
 
-@dataclass
-class _Gathered:
-    """The rows of one piece as they come."""
-
-    first: int  # ns
-    last: int
-    joints: list[Stream] = field(default_factory=list)
-    imus: dict[str, list[tuple[Stream, ...]]] = field(default_factory=dict)
-    prefer_current: bool = False
-
-    @classmethod
-    def of(cls, whole: Whole, first: float, last: float) -> "_Gathered":
-        return cls(int((whole.start + first) * 1e9), int((whole.start + last) * 1e9))
-
-    def push(self, raw: RawLog, *, around_s: float = 0.1) -> None:
-        inside = _between(raw.joints, self.first - 1000, self.last + 1000)
-        if len(inside):
-            self.joints.append(inside)
-            self.prefer_current = raw.prefer_current
-        around = int(around_s * 1e9)
-        for name, streams in raw.imus.items():
-            near = tuple(_between(s, self.first - around, self.last + around) for s in streams)
-            if any(map(len, near)):
-                self.imus.setdefault(name, []).append(near)
-
-    def raw(self) -> RawLog:
-        imus = {name: _side_by_side(parts) for name, parts in self.imus.items()}
-        return RawLog(_joined(self.joints), imus, prefer_current=self.prefer_current)
+def _within(raw: RawLog, first: int, last: int, *, around_s: float = 0.1) -> RawLog:
+    """What lies between two stamps, of IMUs a little more; without what was said of it."""
+    more = int(around_s * 1e9)
+    near = partial(_between, first=first - more, last=last + more)
+    imus = {name: tuple(map(near, streams)) for name, streams in raw.imus.items()}
+    joints = _between(raw.joints, first - 1000, last + 1000)
+    return replace(raw, joints=joints, imus=imus, warnings=(), partial="")
 
 
 def _between(stream: Stream, first: int, last: int) -> Stream:
     stamps = stream.stamp_ns
     if not len(stamps) or stamps[0] > last or stamps[-1] < first:
-        return stream.take(slice(0, 0))
+        return stream.take(np.zeros(0, np.intp))  # no view, which would hold them all
     return stream.take((stamps >= first) & (stamps <= last))
 
 
@@ -182,23 +166,6 @@ def _values(part: Stream, name: str, parts: Sequence[Stream]) -> Array:
         return part.channels[name]
     width = next(other.channels[name].shape[1] for other in parts if name in other.channels)
     return np.full((len(part), width), np.nan)
-
-
-def _assembled(
-    gathered: _Gathered, path: Path, kind: str, robot: Robot, whole: Whole, sound: Sound | None
-) -> Recording:
-    if not gathered.joints:
-        seconds = gathered.first * 1e-9 - whole.start
-        raise InputError(f"no longer holds the rows {seconds:.3g} s on", where=str(path))
-    raw = gathered.raw()
-    found = assemble(path, kind, whole.sha256, raw, robot)
-    found = sound(found, raw) if sound else found
-    return replace(
-        found,
-        sha256=_digest(whole, found.start - whole.start, len(found.t)),
-        health=replace(found.health, gaps=(), warnings=()),
-        whole=whole,
-    )
 
 
 def read_parts(
@@ -230,14 +197,15 @@ def read_parts(
             blocks = READERS[kind](file, robot, time_source)
             for raw in _parts(blocks, most_values, int(overlap_s * 1e9)):
                 try:
-                    recording = assemble(path, kind, digest, raw, robot)
+                    read = assemble(path, kind, digest, raw, robot)
                 except InputError as error:
                     if failed is None:
                         raise
                     failed(error, raw.joints)
                     continue
-                yield recording, raw
-                del raw, recording  # they are large, and the next ones come
+                del raw  # it is large, and the next one comes
+                yield read
+                del read
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
 
@@ -253,7 +221,8 @@ def _parts(blocks: Iterable[RawLog], most: int, overlap_ns: int) -> Iterator[Raw
         ready = len(held) if size >= most and not ready else ready
         if size >= 1.5 * most and ready < len(held):
             part = _following(held[:ready])
-            held = [_end(part, overlap_ns), *held[ready:]]
+            last = int(part.joints.stamp_ns[-1])
+            held = [_within(part, last - overlap_ns, last, around_s=0.0), *held[ready:]]
             ready, size = 0, sum(map(_size, held))
             yield part
             del part
@@ -277,11 +246,3 @@ def _following(blocks: Sequence[RawLog]) -> RawLog:
         imus={name: _side_by_side(parts) for name, parts in imus.items()},
         warnings=tuple(dict.fromkeys(text for block in blocks for text in block.warnings)),
     )
-
-
-def _end(raw: RawLog, length_ns: int) -> RawLog:
-    """The end of a block, without what was said of it."""
-    last = int(raw.joints.stamp_ns[-1])
-    cut = partial(_between, first=last - length_ns, last=last)
-    imus = {name: tuple(map(cut, streams)) for name, streams in raw.imus.items()}
-    return replace(raw, joints=cut(raw.joints), imus=imus, warnings=(), partial="")

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
-from seqid_cli.logs.checks import echo, health
 from seqid_cli.logs.checks.bridging import with_losses
 from seqid_cli.logs.checks.lost_samples import Mended, mended
 from seqid_cli.logs.clocks import Tidy, tidy
@@ -26,7 +25,7 @@ from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.files import check_log, storage_file, unchanged
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables import csv_file, parquet
-from seqid_cli.logs.timebase import JITTER_LIMIT, Base, make_base, overlap, resample
+from seqid_cli.logs.timebase import Base, make_base, overlap, resample
 from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
@@ -74,7 +73,7 @@ def read_recording(path: Path, robot: Robot, *, time_source: TimeSource = "heade
 def read_both(
     path: Path, robot: Robot, *, time_source: TimeSource = "header"
 ) -> tuple[Recording, RawLog]:
-    """Read one log as a recording and as it was logged; see `read_recording`."""
+    """Read one log as a recording and as it was logged; see `read_recording` and `assemble`."""
     with local_copy(path) as file:
         recording, raw = _read(Path(file), robot, time_source)
     return (replace(recording, path=path) if file is not path else recording), raw
@@ -89,7 +88,7 @@ def without_values(recording: Recording, raw: RawLog, robot: Robot, joints: Stre
     """
     cleared, before = replace(raw, joints=joints), recording.health
     where = recording.path
-    again = assemble(where, recording.format, recording.sha256, cleared, robot)
+    again, _ = assemble(where, recording.format, recording.sha256, cleared, robot)
     health = replace(
         before,
         gaps=tuple(sorted({*before.gaps, *again.health.gaps})),
@@ -110,7 +109,7 @@ def _read(path: Path, robot: Robot, time_source: TimeSource) -> tuple[Recording,
                 digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    return assemble(path, kind, digest, raw, robot), raw
+    return assemble(path, kind, digest, raw, robot)
 
 
 def read_whole(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> RawLog:
@@ -132,14 +131,18 @@ class _Imus:
     warnings: list[str]
 
 
-def assemble(path: Path, kind: str, digest: str, raw: RawLog, robot: Robot) -> Recording:
-    """Lay what was logged on one time base, mended and checked; see `read_recording`."""
+def assemble(
+    path: Path, kind: str, digest: str, raw: RawLog, robot: Robot
+) -> tuple[Recording, RawLog]:
+    """Lay what was logged on one time base, mended; see `read_recording`.
+
+    Returns: the recording; what was logged, with the joint samples in the order of time, `tau`
+    [N m at the joint] beside their channels, and without what no sensor reads.
+    """
     where = str(path)
     warnings = list(raw.warnings)
     joints = without_absurd(raw.joints, warnings)
     _require_positions(joints, robot, where)
-    if "current" in joints.channels:
-        warnings += health.current_warnings(robot, joints.channels["current"])
     joints = with_torque(joints, robot, raw.prefer_current, where, warnings)
     clock = tidy(joints)
     repair = mended(clock.stream)
@@ -156,13 +159,8 @@ def assemble(path: Path, kind: str, digest: str, raw: RawLog, robot: Robot) -> R
     load = _whole(clock.stream, "load", base, warnings)
     link = _whole(clock.stream, "link_position", base, warnings)
     imus = _read_imus(raw, robot, base, repair)
-    warnings += [*clock.warnings, *repair.warnings]
-    warnings += imus.warnings
-    warnings += health.clock_warnings(1.0 / base.step_s, base.jitter, JITTER_LIMIT)
-    warnings += health.position_warnings(robot, base.t, q.values, dq)
-    if tau is not None:
-        warnings += echo.echo_warnings(robot, base.t, q.values, tau, valid)
-    return Recording(
+    warnings += [*clock.warnings, *repair.warnings, *imus.warnings]
+    recording = Recording(
         path=path,
         sha256=digest,
         format=kind,
@@ -191,6 +189,7 @@ def assemble(path: Path, kind: str, digest: str, raw: RawLog, robot: Robot) -> R
         partial=raw.partial,
         bridged=_bridged(repair, base),
     )
+    return recording, replace(raw, joints=clock.stream)
 
 
 def _bridged(repair: Mended, base: Base) -> Mask | None:
@@ -257,11 +256,6 @@ def with_torque(
         lacking = [n for n, there in zip(robot.joint_names, present, strict=True) if not there]
         message = f"neither torque nor current of joint {', '.join(lacking)}, but of others"
         raise InputError(message, hint="Log it for every joint of the robot file.", where=where)
-    zero = [n for n, v in zip(robot.joint_names, tau.T, strict=True) if not np.nan_to_num(v).any()]
-    if zero:
-        warnings.append(
-            f"the torque of {', '.join(zero)} is zero throughout: it looks like it is not measured"
-        )
     return replace(joints, channels={**joints.channels, "tau": tau})
 
 
@@ -301,9 +295,6 @@ def _read_imus(raw: RawLog, robot: Robot, base: Base, repair: Mended) -> _Imus:
         result.warnings.extend(warning for each in cleaned for warning in each.warnings)
         if accelerometers:
             result.accelerometers[imu.name] = np.hstack(accelerometers)
-            result.warnings.extend(
-                health.accelerometer_warnings(robot, imu, result.accelerometers[imu.name], valid)
-            )
         if gyros:
             result.gyros[imu.name] = np.hstack(gyros)
     return result

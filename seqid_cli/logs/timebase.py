@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, make_interp_spline
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.clocks import gap_limit
@@ -217,23 +217,13 @@ def _interpolate(
 def _averaged(x: Array, values: Array, t: Array, width: float) -> Array:
     """Average the straight-line interpolant over `width` around each t, so that nothing aliases."""
     # The window is symmetric, hence without delay, and shrinks at the ends of the samples.
-    half = np.clip(np.minimum(t - x[0], x[-1] - t), 1e-9, width / 2)
-    area = np.zeros_like(values)
-    trapezoids = 0.5 * np.diff(x)[:, None] * (values[1:] + values[:-1])
-    area[1:] = np.cumsum(trapezoids, axis=0)
-
-    def integral(at: Array) -> Array:
-        at = np.clip(at, x[0], x[-1])
-        row = np.clip(np.searchsorted(x, at, side="right") - 1, 0, len(x) - 2)
-        ends = np.column_stack([np.interp(at, x, column) for column in values.T])
-        part: Array = area[row] + 0.5 * (at - x[row])[:, None] * (values[row] + ends)
-        return part
-
-    low, high = t - half, t + half
-    out = np.column_stack([np.interp(t, x, column) for column in values.T])
+    line = make_interp_spline(x, values, k=1)
+    area, t = line.antiderivative(), np.clip(t, x[0], x[-1])
+    half = np.minimum(np.minimum(t - x[0], x[-1] - t), width / 2)
+    out: Array = line(t)
     wide = half > 1e-6 * width
-    mean = (integral(high[wide]) - integral(low[wide])) / (2.0 * half[wide])[:, None]
-    out[wide] = mean
+    at, half = t[wide], half[wide]
+    out[wide] = (area(at + half) - area(at - half)) / (2.0 * half)[:, None]
     return out
 
 

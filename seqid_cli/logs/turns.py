@@ -32,14 +32,6 @@ def in_turns(stream: Stream, robot: Robot, *, slack: float = 0.05) -> tuple[Stre
     return replace(stream, channels={**stream.channels, "position": moved}), found
 
 
-def wraps(q: Array, robot: Robot, *, slack: float = 0.05) -> bool:
-    """Tell whether `in_turns` might change consecutive positions (M, n)."""
-    return any(
-        not joint.prismatic and (_unwrapped(q[:, j], slack)[1] or _turns_off(q[:, j], joint))
-        for j, joint in enumerate(robot.joints)
-    )
-
-
 def _unwrapped(q: Array, slack: float) -> tuple[Array, int]:
     """Positions (M,) that run on, and how often they wrap.
 

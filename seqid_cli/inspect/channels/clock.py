@@ -26,16 +26,10 @@ _SAID: tuple[tuple[str, str], ...] = (
     (r"are infinite or beyond", "values_absurd"),
     (r"last line has no end", "salvaged"),
     (r"position wraps by whole turns", "position_wraps"),
-    (r"looks like mA", "current_in_ma"),
-    (r"looks like an echo", "torque_echo"),
     (r"cannot be turned into torque", "drive_data_missing"),
     (r"do not overlap|covers \d+ % of the joints", "imu_no_overlap"),
     (r"is left out: .* has no", "imu_missing_values"),
-    (r"looks like m?g, m/s\^2", "imu_in_g"),
     (r"read as (ms|us|ns)$", ""),
-    (r"sample interval scatters|samples per second: check", ""),
-    (r"position runs from|position looks like degrees|velocity looks like deg", ""),
-    (r"torque of .* is zero throughout", ""),
 )
 
 
@@ -72,11 +66,7 @@ def clock_findings(
     if delay is not None and not min_delay_s <= delay <= max_delay_s:
         yield found("header_clock", f"messages are logged {delay:.6g} s after their header stamp")
     names = (*data.robot.joint_names, *(imu.name for imu in data.robot.imus))
-    standing = {name for j, name in enumerate(data.robot.joint_names) if not data.moves(j)}
-    for finding in _said(health.warnings, names):
-        # Noise on the position of a joint that stands adds up to travel, not to motion.
-        if finding.code != "torque_echo" or finding.joint not in standing:
-            yield finding
+    yield from _said(health.warnings, names)
 
 
 def gap_finding(gaps: Sequence[tuple[float, float]]) -> InspectionFinding:

@@ -10,6 +10,7 @@ from seqid_cli.inspect.channels.values import clipped, equal_runs, held, lattice
 from seqid_cli.inspect.dynamics.equations import HEAVY, largest_gravity
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
+from seqid_cli.logs.checks.echo import WARNING, echoes
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
@@ -131,17 +132,25 @@ def _stuck(
     return ""
 
 
+def echo_findings(data: LogData) -> Iterator[InspectionFinding]:
+    """Find torques that echo a command; noise of a joint that stands makes travel, not motion."""
+    log = data.recording
+    if log.tau is None:
+        return
+    for j in echoes(data.robot, log.t, log.q, log.tau, log.valid):
+        if data.moves(j):
+            yield found("torque_echo", WARNING, joint=data.robot.joint_names[j])
+
+
 def _milliamperes(
-    data: LogData, values: Array, *, min_whole: float = 0.999, min_largest: float = 30.0
+    data: LogData, values: Array, *, max_rms: float = 200.0
 ) -> Iterator[InspectionFinding]:
-    """Whole numbers beyond 30 in all channels are no amperes of an arm's drive."""
-    columns = [values[np.isfinite(values[:, j]), j] for j in range(data.robot.n)]
-    live = {j: c for j, c in enumerate(columns) if len(c) and np.ptp(c) > 0}
-    whole = all(np.mean(c == np.rint(c)) > min_whole for c in live.values())
-    if live and whole and max(float(np.abs(c).max()) for c in live.values()) > min_largest:
-        for j in live:
-            text = "holds whole numbers beyond 30: it looks like mA"
-            name = data.robot.joint_names[j]
+    """No drive of an arm takes `max_rms` amperes RMS."""
+    for j, name in enumerate(data.robot.joint_names):
+        present = values[np.isfinite(values[:, j]), j]
+        rms = float(np.sqrt(np.mean(present**2))) if len(present) else 0.0
+        if rms > max_rms:
+            text = f"is {rms:.3g} A RMS: it looks like mA"
             yield found("current_in_ma", text, joint=name, channel="current")
 
 

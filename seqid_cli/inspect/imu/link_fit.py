@@ -97,11 +97,10 @@ def fit_link(
     tried = scan(robot, motion, values, link, gyro=gyro)
     if tried is None:
         return None
-    near, best = tried.share, int(tried.left.argmin())
-    if near > wide or best in (0, len(tried.left) - 1):
+    if tried.share > wide or int(tried.left.argmin()) in (0, len(tried.left) - 1):
         far = _far(motion, tried)
-        if near > FOLLOWS or far.left < 0.5 * near:
-            return far
+        if far is not None and (tried.share > FOLLOWS or far.share < 0.5 * tried.share):
+            tried = far
     return _fine(motion, tried)
 
 
@@ -129,20 +128,13 @@ def _fine(motion: Motion, scan: ShiftScan) -> LinkFit:
 
 def _far(
     motion: Motion, near: ShiftScan, *, max_shift_s: float = 2.0, step_s: float = 0.01
-) -> LinkFit:
+) -> ShiftScan | None:
     """Look for a shift of up to two seconds, roughly, where none near zero fits."""
     features, readings = near.features, near.readings
     step = max(1, round(step_s * motion.rate_hz))
     reach = min(round(max_shift_s * motion.rate_hz), len(readings) // 4) // step * step
     shifts = np.arange(-reach, reach + 1, step)
-    found = _shifted(motion, features, readings, shifts, max_rows=800, coarse=1)
-    if found is None:
-        nothing = np.zeros((readings.shape[1], features.shape[1]))
-        return LinkFit(1.0, 0.0, np.inf, nothing, np.inf, 0.0)
-    best = int(shifts[int(found.left.argmin())])
-    X = features[found.rows - best]
-    fitted, delay = _errors(X, found.y)[1], best / motion.rate_hz
-    return LinkFit(found.share, delay, step_s / SIGMAS, fitted, np.inf, _gain(X, fitted))
+    return _shifted(motion, features, readings, shifts, max_rows=800, coarse=1)
 
 
 def _gain(X: Array, fitted: Array) -> float:

@@ -9,7 +9,6 @@ from msgspec import structs
 from seqid_cli.inspect.channels.values import clipped, equal_runs, missing
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.logs.checks.health import STANDARD_GRAVITY
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.imu.array import layout
@@ -18,6 +17,7 @@ from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Imu, Robot
 from seqid_cli.shares import percent
 
+STANDARD_GRAVITY = 9.80665
 WRONG = 0.05  # of gravity
 AXES = "xyz"
 
@@ -38,8 +38,12 @@ def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
         broken = [*_channels(data, imu)]
         yield from _together(broken)
         values = data.recording.accelerometers.get(imu.name)
-        if values is not None and not broken:
-            yield from _at_rest(data, imu, values)
+        if values is not None and np.linalg.matrix_rank(imu.axes) == 3:
+            in_g = _in_g(data, imu, values)
+            if in_g is not None:
+                yield in_g
+            elif not broken:
+                yield from _at_rest(data, imu, values)
         gyro = data.recording.gyros.get(imu.name)
         if gyro is not None:
             yield from _gyro_bias(data, imu, gyro)
@@ -122,15 +126,31 @@ def rest_rows(data: LogData, values: Array, *, min_rest_s: float = 0.2) -> Array
     return np.array(means).reshape(-1, values.shape[1])
 
 
+def _on_earth(robot: Robot, *, near: float = 0.5) -> bool:
+    return abs(float(np.linalg.norm(robot.gravity)) - STANDARD_GRAVITY) <= near
+
+
+def _force(imu: Imu, readings: Array) -> float:
+    """Median size of the specific force by readings (R, K)."""
+    return float(np.median(np.linalg.norm(readings @ np.linalg.pinv(imu.axes).T, axis=1)))
+
+
+def _in_g(data: LogData, imu: Imu, values: Array) -> InspectionFinding | None:
+    rows = values[data.recording.valid & np.isfinite(values).all(axis=1)]
+    if not len(rows) or not _on_earth(data.robot):
+        return None
+    size = _force(imu, rows)
+    unit = next((u for u, g in (("g", 1.0), ("mg", 1e3)) if 0.8 * g < size < 1.2 * g), "")
+    text = f"reads {size:.3g} in the median: it looks like {unit}, m/s^2 are expected"
+    return found("imu_in_g", text, joint=imu.name) if unit else None
+
+
 def _at_rest(data: LogData, imu: Imu, values: Array) -> Iterator[InspectionFinding]:
     gravity = float(np.linalg.norm(data.robot.gravity))
     rest = rest_rows(data, values)
-    if not data.modelled or not len(rest) or np.linalg.matrix_rank(imu.axes) < 3:
+    if not data.modelled or not len(rest) or not _on_earth(data.robot):
         return
-    norm = float(np.median(np.linalg.norm(rest @ np.linalg.pinv(imu.axes).T, axis=1)))
-    in_g = 0.8 < norm < 1.2 or 800.0 < norm < 1200.0
-    if abs(gravity - STANDARD_GRAVITY) > 0.5 or in_g:
-        return
+    norm = _force(imu, rest)
     odd = odd_channel(imu, rest, gravity)
     if odd is not None:
         yield odd

@@ -8,6 +8,7 @@ was logged around it.
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
 
@@ -62,7 +63,8 @@ def _filled(name: str, values: Array, stamps: Stamps, row: int, at: Stamps) -> A
         sides = (slice(low, row + 1), slice(row + 1, high))
         ends = x[[row, row + 1]]
         slopes = [_end_slopes(x, values, *side) for side in zip(sides, ends, strict=True)]
-        return cubic(seconds, ends, values[[row, row + 1]], np.array(slopes))
+        curve = CubicHermiteSpline(ends, values[[row, row + 1]], np.array(slopes))
+        return np.asarray(curve(seconds))
     line = np.polynomial.polynomial.polyfit(x[low:high], values[low:high], 1)
     return np.asarray(line[0] + seconds[:, None] * line[1])
 
@@ -71,12 +73,3 @@ def _end_slopes(x: Array, values: Array, rows: slice, at: float) -> Array:
     """Slopes (n,) of parabolas through some rows, at a moment."""
     c = np.polynomial.polynomial.polyfit(x[rows] - at, values[rows], 2)
     return np.asarray(c[1])
-
-
-def cubic(at: Array, t: Array, values: Array, slopes: Array) -> Array:
-    """Hermite's cubic (..., n) at moments, from two moments (2,), values and slopes (2, ...)."""
-    h = t[1] - t[0]
-    s = ((at - t[0]) / h).reshape(-1, *([1] * (values.ndim - 1)))
-    left = (1 + 2 * s) * (1 - s) ** 2 * values[0] + s * (1 - s) ** 2 * h * slopes[0]
-    right = s**2 * (3 - 2 * s) * values[1] + s**2 * (s - 1) * h * slopes[1]
-    return np.asarray(left + right)

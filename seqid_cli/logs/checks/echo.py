@@ -14,7 +14,7 @@ friction has but a controller may. A joint that is only held is passed over: whi
 its torque follows its position by its controller's law.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -64,19 +64,13 @@ class Shares:
         )
 
 
-def echo_warnings(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[str]:
-    """Return a warning for every joint whose torque follows position alone.
-
-    `t`, `q`, `tau` (N,) (N, n) (N, n): s, rad (m), N m (N). `valid` (N,): samples to look at.
-    """
-    found = echoes(robot, t, q, tau, valid)
-    return [f"{robot.joint_names[j]}: {WARNING}; {REMEDY}" for j in found]
-
-
 def echoes(
     robot: Robot, t: Array, q: Array, tau: Array, valid: Mask, criteria: EchoCriteria = ECHOES
 ) -> list[int]:
-    """Return the joints whose torque follows position alone; see `echo_warnings`."""
+    """Return the joints whose torque follows position alone.
+
+    `t`, `q`, `tau` (N,) (N, n) (N, n): s, rad (m), N m (N). `valid` (N,): samples to look at.
+    """
     found = _shares(robot, t, q, tau, valid, criteria)
     return [j for j, share in found.items() if share.echo(criteria)]
 
@@ -179,15 +173,7 @@ def _averaged(values: Array, width: int) -> Array:
 
 
 def _gravity(robot: Robot, q: Array) -> Array:
-    """Gravity's regressor (N, n, b)."""
-    basis = base_parameters(robot, rotor=[])
-    first = tuple(name for name, own in zip(basis.names, basis.gravity, strict=True) if own)
-    own = replace(
-        basis,
-        names=first,
-        expression=basis.expression[basis.gravity],
-        representative=basis.representative[:, basis.gravity],
-        gravity=basis.gravity[basis.gravity],
-    )
+    """Gravity's regressor (N, n, b), without columns that are nothing."""
     still = np.zeros_like(q)
-    return base_regressor(robot, own, q, still, still)
+    columns = base_regressor(robot, base_parameters(robot, rotor=[]), q, still, still)
+    return np.asarray(columns[:, :, columns.any(axis=(0, 1))])

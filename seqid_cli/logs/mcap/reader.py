@@ -33,7 +33,12 @@ class TopicInfo(NamedTuple):
 
 
 def read_blocks(
-    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int | None = 32_768
+    path: Path,
+    robot: Robot,
+    time_source: TimeSource = "header",
+    *,
+    rows: int | None = 32_768,
+    scan: type[Scan] = Scan,
 ) -> Iterator[RawLog]:
     """Read an MCAP log block by block, in memory that does not grow with its length.
 
@@ -43,11 +48,11 @@ def read_blocks(
     for the whole log as one block. Yields: the next part of every topic, in the order of the file;
     streams of topics that have nothing in it are empty. A quantity that no sample of a block has is
     left out of it. The last block says in `partial` what a damaged file lost. Whether a topic has
-    header stamps is decided by its first block.
+    header stamps is decided by its first block. `scan`: what passes over the file.
     Raises InputError: no joint states, none of the robot's joints in them, or nothing readable:
     what only the whole file can tell, after the last block.
     """
-    log, streams = _Log.of(path, robot), Streams(robot, time_source)
+    log, streams = _Log.of(path, robot, scan), Streams(robot, time_source)
     positions = False
     for last in log.blocks(rows):
         samples = {topic: collector.drain() for topic, collector in log.collectors.items()}
@@ -69,10 +74,13 @@ def count_messages(path: Path) -> int | None:
     return None if told is None else int(told.message_count)
 
 
-def list_topics(path: Path) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
-    """List the topics of an MCAP file, damaged or not, and the names in its joint states."""
+def list_topics(
+    path: Path, *, scan: type[Scan] = Scan
+) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
+    """List the topics of a file, damaged or not, and the names in its joint states."""
     names = NameMap(())
-    log = _Log(path, names, {JOINT_STATES: Collector(JOINT_STATES, "joint_state", names)})
+    collectors = {JOINT_STATES: Collector(JOINT_STATES, "joint_state", names)}
+    log = _Log(path, names, collectors, scan)
     for _ in log.batches():
         log.collectors[JOINT_STATES].drain()
     log.collectors[JOINT_STATES].drain()
@@ -82,19 +90,22 @@ def list_topics(path: Path) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
 class _Log:
     """A pass over a file that gathers the messages of some topics."""
 
-    def __init__(self, path: Path, names: NameMap, collectors: dict[str, Collector]) -> None:
+    def __init__(
+        self, path: Path, names: NameMap, collectors: dict[str, Collector], scan: type[Scan]
+    ) -> None:
         self.names = names
         self.collectors = collectors
         self.joint_topic = JOINT_STATES
         self._chosen = frozenset(collectors)
-        self.scan = Scan(path, self._wanted)
+        self.scan = scan(path, self._wanted)
 
     @classmethod
-    def of(cls, path: Path, robot: Robot) -> "_Log":
+    def of(cls, path: Path, robot: Robot, scan: type[Scan]) -> "_Log":
         """Gather what a robot needs."""
         names = NameMap(robot.joint_names, robot.channels.effort or "torque")
         kinds: dict[str, Kind] = {JOINT_STATES: "joint_state", **imu_topics(robot)}
-        return cls(path, names, {t: Collector(t, kind, names) for t, kind in kinds.items()})
+        collectors = {t: Collector(t, kind, names) for t, kind in kinds.items()}
+        return cls(path, names, collectors, scan)
 
     def _wanted(self, topic: str) -> bool:
         return _normal(topic) in self._chosen
@@ -109,7 +120,7 @@ class _Log:
             other, kind = found
             self.joint_topic, self._chosen = other, frozenset((other,))
             self.collectors[other] = Collector(other, kind, self.names)
-            first, self.scan = self.scan, Scan(self.scan.path, self._wanted)
+            first, self.scan = self.scan, type(self.scan)(self.scan.path, self._wanted)
             yield from self._pass()
             self.scan.losses |= first.losses
 
@@ -211,8 +222,7 @@ def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
         )
     if faults:
         message = f"the file is damaged and nothing can be salvaged ({faults})"
-        hint = "Copy it again from the source; `mcap doctor FILE` shows the damage."
-        return InputError(message, hint=hint, where=where)
+        return InputError(message, hint=scan.remedy, where=where)
     topics = [info.topic for info in _topics(scan)]
     typed = [info.topic for info in _topics(scan) if info.schema.endswith("JointState")]
     near = typed or difflib.get_close_matches(JOINT_STATES, topics, n=1)

@@ -24,7 +24,6 @@ from mcap.records import Channel, Footer, Schema
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
-from seqid_cli.logs.mcap import recovery
 from seqid_cli.logs.mcap.chunks import (
     RECORD,
     Contents,
@@ -37,12 +36,14 @@ from seqid_cli.logs.mcap.chunks import (
 from seqid_cli.logs.messages.batch import Bytes, Payloads
 from seqid_cli.logs.raw import Stamps
 
-MAGIC = recovery.MAGIC
+MAGIC = b"\x89MCAP0\r\n"
+LARGEST = 1 << 30  # bytes of a record that is held in memory; recorders write about 1 MB
 _ERRORS = (McapError, struct.error, ValueError, OverflowError, MemoryError, StopIteration)
 _STEP = 1 << 20
 _WINDOW = 1 << 22  # bytes of loose messages taken together
 _KEPT = frozenset((Opcode.CHUNK, Opcode.MESSAGE_INDEX))
 _LOOSE = frozenset((Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL))
+_HELD = _KEPT | _LOOSE
 _TAIL = RECORD.size + 20 + len(MAGIC)  # the footer
 _DATA_END = RECORD.size + 4
 # Batches and definitions that any file may have, and its bytes for each one beyond.
@@ -84,6 +85,7 @@ class Scan:
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)  # messages per channel
     losses: Counter[str] = field(default_factory=Counter)
+    remedy: str = "Copy it again from the source; `mcap doctor FILE` shows the damage."
     summary: Summary = field(default_factory=Summary)
     dropped: int = 0  # messages that the indexes of lost chunks name
     _unpacker: Unpacker = field(default_factory=Unpacker)
@@ -260,6 +262,10 @@ def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> tuple[Sum
 class _Walk:
     """Goes over the records of a file; behind damage it goes on at the next of the `chunks`.
 
+    A record is taken for damaged unless it ends where another may begin: a wrong length leads into
+    the middle of others, whose bytes make no head. Whole chunks in front of damage have checks of
+    their own.
+
     These are the places that the summary tells, `skip` the chunks that are not needed, `checksum`
     is that of the data section.
     """
@@ -289,13 +295,12 @@ class _Walk:
             after = at + RECORD.size + length
             if opcode == Opcode.FOOTER and after <= self.size:
                 return
-            if not recovery.plausible(self.file, at, self.size):
-                if opcode == Opcode.CHUNK and recovery.cut_chunk(self.file, at, self.size):
-                    self.losses[f"the file breaks off in a record at byte {at} of {self.size}"] += 1
-                    self.file.seek(at + RECORD.size)
-                    yield _Record(opcode, self.file.read(recovery.LARGEST), False)
-                    return
+            if after > self.size or not (self._begins(at) and self._begins(after)):
                 found = min((chunk for chunk in self.chunks if chunk > at), default=None)
+                if opcode == Opcode.CHUNK and length <= LARGEST:  # its own checks tell its worth
+                    self.file.seek(at + RECORD.size)
+                    content = self.file.read(min(length, (found or self.size) - at))
+                    yield _Record(opcode, content, len(content) == length)
                 if found is None:
                     self.losses[f"the file breaks off in a record at byte {at} of {self.size}"] += 1
                     return
@@ -318,6 +323,15 @@ class _Walk:
                 self.file.seek(at + RECORD.size)
                 yield from self._one(opcode, head, length)
                 at = after
+
+    def _begins(self, at: int) -> bool:
+        """Tell whether a record may begin at a place: garbage is of no kind, or endless."""
+        self.file.seek(at)
+        head = self.file.read(RECORD.size)
+        if len(head) < RECORD.size:
+            return True  # the file is cut here
+        opcode, length = RECORD.unpack(head)
+        return bool(opcode and length <= (LARGEST if opcode in _HELD else self.size))
 
     def _one(self, opcode: int, head: bytes, length: int) -> Iterator[_Record]:
         """Take a record that is no message; what is not needed only for the checksum."""

@@ -1,7 +1,6 @@
 """ROS bags, version 1 and the SQLite files of version 2, by the optional library rosbags.
 
-Their messages are the same as those of an MCAP file, so a bag is read in two steps: the joint
-states and IMU messages in it are copied to a temporary MCAP file, and that is read.
+Their messages are the same as those of an MCAP file, and are read like these once they are found.
 """
 
 import bz2
@@ -10,29 +9,30 @@ import re
 import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import lz4.frame
 import msgspec
+import numpy as np
 import zstandard
-from mcap.writer import CompressionType, Writer
+from mcap.records import Channel, Schema, Statistics
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.mcap.chunks import allowed
-from seqid_cli.logs.raw import RawLog, TimeSource
-from seqid_cli.logs.storage.temporary import room_for_copies, temporary_folder
-from seqid_cli.robot.types import Robot
+from seqid_cli.logs.mcap.records import Batch, Scan
+from seqid_cli.logs.messages.batch import Payloads
 
 _KEPT = ("sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu", "control_msgs/msg/DynamicJointState")
 _ROSBAG1 = b"#ROSBAG V2.0"
 _ZSTD, _LZ4 = b"\x28\xb5\x2f\xfd", b"\x04\x22\x4d\x18"
 _COMPUTED = re.compile(r"\bAS\s*\(", re.IGNORECASE)  # a generated column
 _MESSAGE_LIMIT = 1 << 24  # bytes of one unpacked message
+_OVERHEAD = 200  # bytes that a message costs beside its own
 _CHUNK_LIMIT = 1 << 28  # bytes of one unpacked chunk of a ROS 1 bag; recorders write about 1 MB
-_SHOWN = 12
 _REMEDY = {
     "rosbag1": "Run `rosbag reindex FILE`, or copy it again from the source.",
     "rosbag2": "Salvage it: `sqlite3 FILE .recover | sqlite3 NEW.db3`, or copy it again from the "
@@ -71,104 +71,88 @@ class _Bag:
     messages: Callable[[], Iterator[_Message]]
 
 
-_Open = Callable[[Path], AbstractContextManager[_Bag]]
+_Wanted = Callable[[str], bool]
+_Open = Callable[[Path, _Wanted], AbstractContextManager[_Bag]]
 
 
-def read_blocks(
-    path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int | None = None
-) -> Iterator[RawLog]:
-    """Read a ROS 1 bag, or the SQLite file of a ROS 2 bag; see `reader.read_blocks`.
+@dataclass
+class BagScan(Scan):
+    """One pass over a ROS 1 bag, or the SQLite file of a ROS 2 bag; see `Scan`.
 
-    The first block tells as well what of the bag could not be copied.
+    Passing over it raises InputError: rosbags is not installed, or the bag cannot be opened.
     """
-    with as_mcap(path) as (copy, lost):
-        try:
-            for raw in reader.read_blocks(copy, robot, time_source, rows=rows):
-                yield replace(raw, partial="; ".join(filter(None, (lost, raw.partial))))
-                lost = ""
-        except InputError as error:
-            raise InputError(error.message, hint=error.hint, where=str(path)) from error
 
-
-@contextmanager
-def as_mcap(path: Path) -> Iterator[tuple[Path, str]]:
-    """Copy what a bag holds of joint states and IMU messages to a temporary MCAP file.
-
-    Yields: the file, and what was lost. Raises InputError: rosbags is not installed, the bag is
-    damaged, or it has no such messages.
-    """
-    with temporary_folder(str(path)) as folder:
-        target = folder / "bag.mcap"
-        with path.open("rb") as file:
+    def batches(self) -> Iterator[Batch]:
+        """Yield the messages up to a fault; those of one topic, some at a time, together."""
+        with self.path.open("rb") as file:
             first = file.read(len(_ROSBAG1)) == _ROSBAG1
-        with room_for_copies(str(path)):
-            lost = _copy(path, target, _rosbag1 if first else _rosbag2)
-        yield target, lost
+        self.remedy = _REMEDY["rosbag1" if first else "rosbag2"]
+        self.losses.update(_unmerged(self.path))
+        with self._opened(_rosbag1 if first else _rosbag2) as bag:
+            self._define(bag.topics)
+            for part in _together(self._sound(bag.messages())):
+                for number in dict.fromkeys(message[0] for message in part):
+                    own = [message for message in part if message[0] == number]
+                    self.counts[number] += len(own)
+                    log_ns = np.array([max(0, message[1]) for message in own], np.int64)
+                    payloads = Payloads.of([message[2] for message in own])
+                    yield Batch(self.channels[number], self.schemas[number], log_ns, payloads)
 
-
-def _copy(path: Path, target: Path, open_bag: _Open) -> str:
-    """Copy messages up to a fault; returns what was lost."""
-    copied, expected, lost = 0, 0, _unmerged(path)
-    with target.open("wb") as file, _opened(path, open_bag) as bag:
-        writer = Writer(file, compression=CompressionType.NONE)
-        writer.start(profile="ros2", library="")
-        channels = {}
-        for topic in _wanted(path, bag.topics):
+    def _define(self, topics: tuple[Topic, ...]) -> None:
+        counts = {topic.number: topic.messages for topic in topics}
+        total = sum(counts.values())
+        self.summary.statistics = Statistics(0, len(topics), counts, 0, total, 0, 0, 0, 0)
+        for topic in topics:
             definition = topic.definition or (_DYNAMIC if "Dynamic" in topic.kind else "")
-            schema = writer.register_schema(topic.kind, "ros2msg", definition.encode())
-            channels[topic.number] = writer.register_channel(topic.name, "cdr", schema)
-            expected += topic.messages
-        for number, time_ns, data in _sound(bag.messages(), lost):
-            if number in channels:
-                writer.add_message(channels[number], max(0, time_ns), data, max(0, time_ns))
-                copied += 1
-        writer.finish()  # type: ignore[no-untyped-call]
-    if copied < expected:
-        lost.append(f"{expected - copied} of {expected} messages are lost")
-    return "; ".join(lost)
+            number, name = topic.number, topic.name
+            self.schemas[number] = Schema(number, definition.encode(), "ros2msg", topic.kind)
+            self.channels[number] = Channel(number, name, "cdr", {}, number)
+
+    def _sound(self, messages: Iterator[_Message]) -> Iterator[_Message]:
+        """Yield messages up to a fault of the bag, of which `losses` is told."""
+        try:
+            yield from messages
+        except Exception as error:  # whatever the library raises on a damaged page or chunk
+            reason = " ".join(str(error).split())[:120] or type(error).__name__
+            self.losses[f"the bag is damaged ({reason})"] += 1
+
+    @contextmanager
+    def _opened(self, open_bag: _Open) -> Iterator[_Bag]:
+        """Open a bag; what the library says of a damaged one becomes an InputError."""
+        try:
+            bag = open_bag(self.path, self.wanted)
+            opened = bag.__enter__()
+        except InputError:
+            raise
+        except Exception as error:
+            reason = " ".join(str(error).split())[:200] or type(error).__name__
+            message = f"the bag cannot be read ({reason})"
+            raise InputError(message, hint=self.remedy, where=str(self.path)) from error
+        try:
+            yield opened
+        finally:
+            bag.__exit__(None, None, None)
 
 
-def _sound(messages: Iterator[_Message], lost: list[str]) -> Iterator[_Message]:
-    """Yield messages up to a fault of the bag, of which `lost` is told."""
-    try:
-        yield from messages
-    except Exception as error:  # whatever the library raises on a damaged page or chunk
-        reason = " ".join(str(error).split())[:120] or type(error).__name__
-        lost.append(f"the bag is damaged ({reason})")
+read_blocks = partial(reader.read_blocks, scan=BagScan)
+list_topics = partial(reader.list_topics, scan=BagScan)
 
 
-def _wanted(path: Path, topics: tuple[Topic, ...]) -> list[Topic]:
-    wanted = [topic for topic in topics if topic.kind in _KEPT]
-    if wanted:
-        return wanted
-    listed = [f"{topic.name} ({topic.kind}, {topic.messages})" for topic in topics[:_SHOWN]]
-    more = [f"and {len(topics) - _SHOWN} more"] if len(topics) > _SHOWN else []
-    message = f"the bag holds no joint states; in it: {', '.join(listed + more) or 'no topics'}"
-    hint = "Record /joint_states (sensor_msgs/msg/JointState) as well."
-    raise InputError(message, hint=hint, where=str(path))
-
-
-@contextmanager
-def _opened(path: Path, open_bag: _Open) -> Iterator[_Bag]:
-    """Open a bag; what the library says of a damaged one becomes an InputError."""
-    try:
-        bag = open_bag(path)
-        opened = bag.__enter__()
-    except InputError:
-        raise
-    except Exception as error:
-        reason = " ".join(str(error).split())[:200] or type(error).__name__
-        message = f"the bag cannot be read ({reason})"
-        hint = _REMEDY["rosbag1" if open_bag is _rosbag1 else "rosbag2"]
-        raise InputError(message, hint=hint, where=str(path)) from error
-    try:
-        yield opened
-    finally:
-        bag.__exit__(None, None, None)
+def _together(messages: Iterator[_Message], *, most: int = 1 << 22) -> Iterator[list[_Message]]:
+    """Some messages at a time, of `most` bytes, about."""
+    held: list[_Message] = []
+    size = 0
+    for message in messages:
+        held.append(message)
+        size += _OVERHEAD + len(message[2])
+        if size > most:
+            yield held
+            held, size = [], 0
+    yield held
 
 
 @contextmanager
-def _rosbag2(path: Path) -> Iterator[_Bag]:
+def _rosbag2(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
     storage = _module("rosbags.rosbag2.storage_sqlite3", path)
     _check_tables(path)
     reader = storage.Sqlite3Reader(path.absolute())
@@ -181,21 +165,21 @@ def _rosbag2(path: Path) -> Iterator[_Bag]:
         others = {c.ext.serialization_format for c in reader.connections} - {"cdr"}
         if others:
             raise ValueError(f"its serialization is {', '.join(sorted(others))}, not cdr")
-        kept = [c for c in reader.connections if c.msgtype in _KEPT]
+        kept = [c for c in reader.connections if c.msgtype in _KEPT and wanted(c.topic)]
         yield _Bag(topics, lambda: _unpacked(reader.messages(kept)))
     finally:
         reader.close()
 
 
 @contextmanager
-def _rosbag1(path: Path) -> Iterator[_Bag]:
+def _rosbag1(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
     typesys = _module("rosbags.typesys", path)
     with _module("rosbags.rosbag1", path).Reader(path.absolute()) as reader:
         for place, one in reader.chunks.items():
             reader.chunks[place] = one._replace(decompressor=_bounded(one.decompressor))
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         topics = tuple(Topic(c.id, c.topic, c.msgtype, c.msgcount) for c in reader.connections)
-        kept = [c for c in reader.connections if c.msgtype in _KEPT[:2]]
+        kept = [c for c in reader.connections if c.msgtype in _KEPT[:2] and wanted(c.topic)]
 
         def messages() -> Iterator[_Message]:
             for connection, time_ns, data in reader.messages(kept):

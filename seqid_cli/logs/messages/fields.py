@@ -120,6 +120,8 @@ def _stamp_ns(message: object) -> int:
 
 def _get(message: object, key: str) -> object:
     """Return a field, None where it is absent; protobuf would give a default there."""
+    if isinstance(message, dict):
+        return message.get(key)
     value = getattr(message, key, None)
     if value.__class__ in _PLAIN and value:
         return value

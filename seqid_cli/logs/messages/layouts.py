@@ -12,6 +12,7 @@ doubles come to lie aligned in this way.
 import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import count
 from typing import NamedTuple
 
 import numpy as np
@@ -75,30 +76,20 @@ class Form:
         runs = tuple(_runs_of(sorted(layout.columns), pad))
         return cls(layout.order, width, pad, mask, reference, checked, runs)
 
-    def fits(self, payloads: Payloads) -> Mask:
-        """Tell which payloads of the layout's length have its structure, (M,)."""
-        words = self._rows(payloads).view(np.uint64)
-        return np.asarray(~((words ^ self.reference) & self.mask).any(axis=1))
-
-    def decode(self, payloads: Payloads) -> Decoded | None:
-        """Decode payloads of one length; None where one of them does not fit."""
-        rows = self._rows(payloads)
+    def decode(self, payloads: Payloads) -> tuple[Mask, Decoded]:
+        """Tell which payloads of the layout's length have its structure, and decode these."""
+        rows = payloads.cut(-self.pad, WORD * len(self.mask) - self.pad)
         words = rows.view(np.uint64)
+        fits = np.ones(len(rows), np.bool_)
         for i in self.checked:
-            if ((words[:, i] ^ self.reference[i]) & self.mask[i]).any():
-                return None
-        values = np.empty((len(payloads), self.width))
-        if sum(run.size for run in self.runs) < self.width:
-            values.fill(np.nan)
+            fits &= (words[:, i] ^ self.reference[i]) & self.mask[i] == 0
+        rows = rows if fits.all() else rows[fits]
+        values = np.full((len(rows), self.width), np.nan)
         for run in self.runs:
             target = values[:, run.column : run.column + run.size]
             target[:] = rows[:, run.at : run.at + WORD * run.size].view(f"{self.order}f8")
         stamps, good = self._stamps(rows[:, self.pad + STAMP :])
-        return Decoded(stamps, values, good)
-
-    def _rows(self, payloads: Payloads) -> Bytes:
-        """Copy the messages side by side, (M, 8 W)."""
-        return payloads.cut(-self.pad, WORD * len(self.mask) - self.pad)
+        return fits, Decoded(stamps, values, good)
 
     def _stamps(self, rows: Bytes) -> tuple[Stamps, Mask]:
         seconds = rows[:, :4].view(f"{self.order}i4")[:, 0]
@@ -106,11 +97,9 @@ class Form:
         stamps: Stamps = seconds.astype(np.int64)
         stamps *= _SEC
         stamps += rest
-        good = np.ones(len(rows), np.bool_)
         limit = STAMP_LIMIT_NS // _SEC
-        if not (rest.max() < _SEC and -limit <= seconds.min() and seconds.max() < limit):
-            good = (rest < _SEC) & (seconds >= -limit) & (seconds < limit)
-            stamps[~good] = 0
+        good = (rest < _SEC) & (seconds >= -limit) & (seconds < limit)
+        stamps[~good] = 0
         return stamps, good
 
 
@@ -128,50 +117,40 @@ class LayoutDecoder:
     rounds: int = 32
     most: int = 512
     _known: dict[int, list[Form]] = field(default_factory=dict)
-    _count: int = 0
 
     def __call__(self, payloads: Payloads) -> Decoded:
         """Decode one batch."""
-        lengths = payloads.lengths
-        if len(lengths) and (lengths == lengths[0]).all():
-            form = self._form(payloads.take(slice(1)), 0)
-            whole = None if form is None else form.decode(payloads)
-            if whole is not None:
-                return whole
         out = Decoded.empty(len(payloads), self.width)
-        order = np.argsort(lengths, kind="stable")
-        for rows in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1):
+        order = np.argsort(payloads.lengths, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(payloads.lengths[order])) + 1):
             self._in_turn(payloads, rows, out)
         return out
 
     def _in_turn(self, payloads: Payloads, left: NDArray[np.intp], out: Decoded) -> None:
         """Decode payloads of one length and several layouts, one layout after the other."""
-        rounds = 0
-        while len(left):
-            rounds += 1
-            form = self._form(payloads.take(left[:1]), rounds)
-            alike = np.arange(len(left)) == 0
+        known = self._known.get(int(payloads.lengths[left[0]]), []) if len(left) else []
+        tried = len(known)
+        for number in count():
+            if not len(left):
+                return
+            form = known[number] if number < tried else self._made(payloads.take(left[:1]), known)
+            some = left if number < self.rounds else left[:1]
+            fits = np.zeros(len(some), np.bool_)
             if form is not None:
-                if rounds <= self.rounds:
-                    alike = form.fits(payloads.take(left))
-                part = form.decode(payloads.take(left[alike]))
-                if part is not None:
-                    out.put(left[alike], part)
-            left = left[~alike]
+                fits, part = form.decode(payloads.take(some))
+                out.put(some[fits], part)
+            fits[0] |= number >= tried  # it had its turn, even where it is damaged
+            left = np.concatenate([some[~fits], left[len(some) :]])
 
-    def _form(self, first: Payloads, rounds: int) -> Form | None:
-        """Find or make the layout of one payload; None where it has none."""
-        length = int(first.lengths[0])
-        for known in self._known.get(length, ())[: self.rounds]:
-            if known.fits(first)[0]:
-                return known
+    def _made(self, first: Payloads, known: list[Form]) -> Form | None:
+        """Make the layout of one payload and remember it; None where it has none."""
         try:
             made = Form.of(self.parse(next(iter(first))), self.width)
         except (ValueError, struct.error):
             return None
-        if rounds <= self.rounds and self._count < self.most:
-            self._known.setdefault(length, []).append(made)
-            self._count += 1
+        if len(known) < self.rounds and sum(map(len, self._known.values())) < self.most:
+            known.append(made)
+            self._known[int(first.lengths[0])] = known
         return made
 
 

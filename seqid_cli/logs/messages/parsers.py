@@ -10,7 +10,6 @@ from mcap.records import Schema
 from seqid_cli.logs.messages import cdr, fields
 from seqid_cli.logs.messages.batch import Decode, Kind, NameMap
 
-_Number = float | str | None
 _USUAL_FIELDS = {
     "joint_state": (
         "std_msgs/Header header",
@@ -47,67 +46,6 @@ LONGEST = 1 << 18  # bytes of a message definition; those of joint states have s
 _NO_JSON = re.compile(rb"(?<=[\[:,\s])(?:NaN|-?Infinity)(?=\s*[,\]}])")
 
 
-class _Stamp(msgspec.Struct, gc=False):
-    sec: int | str | None = None
-    secs: int | str | None = None
-    seconds: int | str | None = None
-    nanosec: int | str | None = None
-    nsec: int | str | None = None
-    nsecs: int | str | None = None
-    nanos: int | str | None = None
-
-
-class _Header(msgspec.Struct, gc=False):
-    stamp: _Stamp | float | None = None
-
-
-class _Joint(msgspec.Struct, gc=False):
-    name: str
-    position: _Number = None
-    velocity: _Number = None
-    effort: _Number = None
-
-
-class _JointState(msgspec.Struct, gc=False):
-    header: _Header | None = None
-    name: list[str] | None = None
-    position: list[_Number] | None = None
-    velocity: list[_Number] | None = None
-    effort: list[_Number] | None = None
-    timestamp: _Stamp | None = None
-    joints: list[_Joint] | None = None
-
-
-class _Interfaces(msgspec.Struct, gc=False):
-    interface_names: list[str] = []
-    values: list[_Number] = []
-
-
-class _DynamicJointState(msgspec.Struct, gc=False):
-    header: _Header | None = None
-    joint_names: list[str] = []
-    interface_values: list[_Interfaces] = []
-
-
-class _Vector(msgspec.Struct, gc=False):
-    x: _Number = None
-    y: _Number = None
-    z: _Number = None
-
-
-class _Imu(msgspec.Struct, gc=False):
-    header: _Header | None = None
-    linear_acceleration: _Vector | None = None
-    angular_velocity: _Vector | None = None
-
-
-_TYPES: dict[Kind, type[msgspec.Struct]] = {
-    "joint_state": _JointState,
-    "dynamic_joint_state": _DynamicJointState,
-    "imu": _Imu,
-}
-
-
 def decoder(encoding: str, schema: Schema | None, kind: Kind, names: NameMap) -> Decode | None:
     """Make a decoder for the messages of a channel; None where there is none for them."""
     if schema is not None and len(schema.data) > LONGEST:
@@ -116,24 +54,18 @@ def decoder(encoding: str, schema: Schema | None, kind: Kind, names: NameMap) ->
         return cdr.decoder(kind, names)
     parse: fields.Parse | None = None
     if encoding == "json":
-        parse = json_parser(kind)
+        parse = parse_json
     elif schema is not None and encoding in ("cdr", "protobuf"):
         parse = schema_parser(encoding, schema)
     return None if parse is None else fields.decoder(kind, names, parse)
 
 
-def json_parser(kind: Kind) -> fields.Parse:
-    """Make a parser of JSON, also of what is none: the NaN and Infinity that Python writes."""
-    parser = msgspec.json.Decoder(_TYPES[kind])
-
-    def parse(data: bytes) -> object:
-        data.decode("utf-8")  # the parser does not look into fields that it leaves out
-        try:
-            return parser.decode(data)
-        except msgspec.DecodeError:
-            return parser.decode(_NO_JSON.sub(rb'"\g<0>"', data))
-
-    return parse
+def parse_json(data: bytes) -> object:
+    """Parse JSON, also what is none: the NaN and Infinity that Python writes."""
+    try:
+        return msgspec.json.decode(data)
+    except msgspec.DecodeError:
+        return msgspec.json.decode(_NO_JSON.sub(rb'"\g<0>"', data))
 
 
 def schema_parser(encoding: str, schema: Schema) -> fields.Parse | None:

@@ -21,21 +21,11 @@ def temporary_folder(where: str) -> Iterator[Path]:
         process = left.name.split("-")[1]
         if process.isdecimal() and not process_runs(int(process)):
             shutil.rmtree(left, ignore_errors=True)
-    with room_for_copies(where):
-        folder = tempfile.TemporaryDirectory(prefix=f"seqid-{os.getpid()}-")
-    with folder as name:
-        yield Path(name)
-
-
-@contextmanager
-def room_for_copies(where: str) -> Iterator[None]:
-    """Turn an error of the file system while a log is copied into a message.
-
-    Raises InputError: the log `where` cannot be read, or there is no room for its copy.
-    """
     try:
-        yield
+        folder = tempfile.TemporaryDirectory(prefix=f"seqid-{os.getpid()}-")
     except OSError as error:
         message = f"cannot be copied: {error.strerror or error}"
         hint = f"Check the space for temporary files in {tempfile.gettempdir()} (TMPDIR)."
         raise InputError(message, hint=hint, where=where) from error
+    with folder as name:
+        yield Path(name)

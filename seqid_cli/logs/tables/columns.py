@@ -1,6 +1,8 @@
 """Columns of a table as numbers, and its time column as integer nanoseconds."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -11,10 +13,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.raw import STAMP_LIMIT_NS, Array, Rows, Stamps
+from seqid_cli.logs.raw import STAMP_LIMIT_NS, Array, Mask, Rows, Stamps
 
 ARROW_ERRORS = (pa.ArrowException, OSError, ValueError, KeyError, MemoryError, OverflowError)
 ROOM, MOST_TIMES = 256 << 20, 500  # bytes in memory of any table; of one byte of a larger one
+_HINT = "Write it as float64 in SI units; time also as a timestamp."
 NS_PER = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 # An epoch time of this size cannot be seconds: the largest that it can be in each unit.
 _EPOCH = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
@@ -58,18 +61,25 @@ def numbers(where: str, table: pa.Table, name: str) -> Array:
 
     Raises InputError: it holds no numbers, or cannot be converted.
     """
-    try:
+    with _explained(where, name):
         found = column(where, table, name)
         if not is_number(found.type):
             message = f"column {name!r} holds {found.type}, not numbers"
-            raise InputError(message, hint="Write it as float64 in SI units.", where=where)
+            raise InputError(message, hint=_HINT, where=where)
         values: Array = pc.cast(found, pa.float64(), safe=False).to_numpy()
+    return values
+
+
+@contextmanager
+def _explained(where: str, name: str) -> Iterator[None]:
+    """Turn what Arrow says of a column into a message."""
+    try:
+        yield
     except MemoryError:
         raise  # which is no fault of the column
     except ARROW_ERRORS as error:
         message = f"column {name!r} cannot be read ({' '.join(str(error).split())[:200]})"
-        raise InputError(message, hint="Write it as float64 in SI units.", where=where) from error
-    return values
+        raise InputError(message, hint=_HINT, where=where) from error
 
 
 def is_number(kind: pa.DataType) -> bool:
@@ -91,35 +101,27 @@ def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, 
     warnings: list[str] = []
     kind = column(where, table, time.name).type
     if any(is_timed(kind) for is_timed in _TIMED):
-        seconds, rest = _from_counts(where, table, time.name, NS_PER[kind.unit])
+        stamps, good = _from_counts(where, table, time.name, NS_PER[kind.unit])
     elif time.nanoseconds is not None:
-        seconds = numbers(where, table, time.name)
         rest = numbers(where, table, time.nanoseconds)
-        rest = np.where((rest >= 0) & (rest < 1e9), rest, np.nan)
-        seconds = np.where(np.isfinite(rest), seconds, np.nan)
+        stamps, good = _from_values(numbers(where, table, time.name), NS_PER["s"])
+        good &= (rest >= 0) & (rest < NS_PER["s"])
+        stamps += np.where(good, rest, 0).astype(np.int64)
     else:
-        seconds, rest = _from_numbers(where, table, time, warnings)
-    good = np.isfinite(seconds) & (np.abs(seconds) < STAMP_LIMIT_NS / 1e9)
+        values = numbers(where, table, time.name)
+        unit = _unit(values, time, warnings)
+        if pa.types.is_integer(kind) and not pa.types.is_uint64(kind):
+            stamps, good = _from_counts(where, table, time.name, NS_PER[unit])
+        else:
+            warnings += _resolution(time.name, kind, values / (NS_PER["s"] / NS_PER[unit]))
+            stamps, good = _from_values(values, NS_PER[unit])
     lost = int(np.count_nonzero(~good))
     if lost:
         warnings.append(f"{lost} rows without a usable time in column {time.name!r} were left out")
-    stamps = np.where(good, seconds, 0).astype(np.int64) * 1_000_000_000
-    return stamps + np.where(good, rest, 0).astype(np.int64), np.flatnonzero(good), warnings
+    return np.where(good, stamps, 0), np.flatnonzero(good), warnings
 
 
 _TIMED = (pa.types.is_timestamp, pa.types.is_duration, pa.types.is_time)
-
-
-def _from_numbers(
-    where: str, table: pa.Table, time: TimeColumn, warnings: list[str]
-) -> tuple[Array, Array]:
-    values = numbers(where, table, time.name)
-    unit = _unit(values, time, warnings)
-    kind = column(where, table, time.name).type
-    if pa.types.is_integer(kind) and not pa.types.is_uint64(kind):
-        return _from_counts(where, table, time.name, NS_PER[unit])
-    warnings += _resolution(time.name, kind, values / (1e9 / NS_PER[unit]))
-    return _split(values, NS_PER[unit])
 
 
 def _unit(values: Array, time: TimeColumn, warnings: list[str], *, fastest_s: float = 5e-05) -> str:
@@ -144,30 +146,26 @@ def _unit(values: Array, time: TimeColumn, warnings: list[str], *, fastest_s: fl
     return unit
 
 
-def _from_counts(where: str, table: pa.Table, name: str, ns_per_unit: int) -> tuple[Array, Array]:
-    """Split integer counts of a unit into whole seconds and nanoseconds, exactly."""
-    try:
+def _from_counts(where: str, table: pa.Table, name: str, ns_per_unit: int) -> tuple[Stamps, Mask]:
+    """Stamps [ns] (M,) by integer counts of a unit, exactly, and which of them are usable."""
+    with _explained(where, name):
         found = column(where, table, name)
         missing = pc.is_null(found).to_numpy()
         if not pa.types.is_integer(found.type):
             found = pc.cast(found, pa.int32() if found.type.bit_width == 32 else pa.int64())
         counts = pc.fill_null(pc.cast(found, pa.int64()), 0).to_numpy()
-    except ARROW_ERRORS as error:
-        message = f"time column {name!r} cannot be read ({' '.join(str(error).split())[:200]})"
-        hint = "Write time as float64 in seconds or as a timestamp."
-        raise InputError(message, hint=hint, where=where) from error
-    per_second = 1_000_000_000 // ns_per_unit
-    seconds = np.where(missing, np.nan, (counts // per_second).astype(np.float64))
-    return seconds, ((counts % per_second) * ns_per_unit).astype(np.float64)
+    limit = STAMP_LIMIT_NS // ns_per_unit
+    good = ~missing & (counts > -limit) & (counts < limit)
+    return np.where(good, counts, 0) * ns_per_unit, good
 
 
-def _split(values: Array, ns_per_unit: int) -> tuple[Array, Array]:
-    """Split into whole seconds and nanoseconds, so that no digit of an epoch time is lost."""
-    per_second = 1_000_000_000 // ns_per_unit
-    with np.errstate(invalid="ignore", over="ignore"):
-        seconds = np.floor(values / per_second)
-        rest: Array = np.rint((values - seconds * per_second) * ns_per_unit)
-    return seconds, rest
+def _from_values(values: Array, ns_per_unit: int) -> tuple[Stamps, Mask]:
+    """As `_from_counts`, by floating-point values; no digit of an epoch time is lost."""
+    good = np.isfinite(values) & (np.abs(values) < STAMP_LIMIT_NS / ns_per_unit)
+    kept = np.where(good, values, 0.0)
+    whole = np.floor(kept)
+    rest = np.rint((kept - whole) * ns_per_unit)
+    return whole.astype(np.int64) * ns_per_unit + rest.astype(np.int64), good
 
 
 def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:

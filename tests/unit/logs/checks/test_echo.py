@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.logs.checks.echo import REMEDY, WARNING, echoes
-from seqid_cli.logs.read import read_recording
+from seqid_cli.inspect.screening import read_screened
+from seqid_cli.logs.checks.echo import echoes
 from seqid_cli.robot.file import load_robot
 from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.discover.drawn_logs import wander
@@ -96,7 +96,7 @@ def test_joint_that_is_held_says_nothing() -> None:
     assert found(t, q, noisy(gravity(q), 10)) == [0]
 
 
-def test_reader_warns(tmp_path: Path) -> None:
+def test_stages_hear_of_it(tmp_path: Path) -> None:
     (tmp_path / "robot.toml").write_text(PENDULUM, encoding="utf-8")
     robot = load_robot(tmp_path / "robot.toml")
     t, q, dq, _ = motion()
@@ -105,5 +105,6 @@ def test_reader_warns(tmp_path: Path) -> None:
     echo = write_parquet(tmp_path / "echo.parquet", t, ["pivot"], q, torque=noisy(law, 11))
     good = noisy(law + friction(dq), 12)
     drive = write_parquet(tmp_path / "drive.parquet", t, ["pivot"], q, torque=good)
-    assert read_recording(echo, robot).health.warnings == (f"pivot: {WARNING}; {REMEDY}",)
-    assert read_recording(drive, robot).health.warnings == ()
+    (finding,) = read_screened(echo, robot).findings
+    assert (finding.code, finding.joint) == ("torque_echo", "pivot")
+    assert read_screened(drive, robot).findings == ()

@@ -12,10 +12,7 @@ from pathlib import Path
 import pytest
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.mcap.rosbags import as_mcap
 from seqid_cli.logs.storage.temporary import temporary_folder
-from tests.unit.logs.format_writers import Data, rosbag2_sqlite
-from tests.unit.logs.samples import JOINTS, grid, make_motion
 
 
 @pytest.fixture(autouse=True)
@@ -38,18 +35,15 @@ def test_the_folders_of_killed_runs_are_removed(room: Path) -> None:
     assert not folder.exists()
 
 
-def test_no_room_for_a_copy_is_not_a_damaged_bag(
-    room: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    motion = make_motion(grid(60))
-    data = Data(motion.t, JOINTS, motion.q, motion.dq, motion.tau, motion.tau)
-    bag = rosbag2_sqlite(room / "bag", data) / "bag.db3"
-
+def test_no_room_for_a_copy_is_told(room: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("seqid_cli.logs.mcap.rosbags.Writer.add_message", full)
-    with pytest.raises(InputError, match="cannot be copied: No space left") as caught, as_mcap(bag):
+    monkeypatch.setattr(tempfile, "TemporaryDirectory", full)
+    with (
+        pytest.raises(InputError, match="cannot be copied: No space") as caught,
+        temporary_folder("a"),
+    ):
         pass
-    assert caught.value.where == str(bag)
+    assert caught.value.where == "a"
     assert str(room) in caught.value.hint

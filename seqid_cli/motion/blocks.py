@@ -121,35 +121,24 @@ def overlapping(parts: Iterable[S], rows: int, margin: int) -> Iterator[tuple[S,
 def _motion(window: Block, plan: Plan, inner: slice) -> Motion:
     factor = plan.factor
     kept = np.arange(inner.start, inner.stop, factor)
-    q, dq, ddq, tau = _filtered(window, plan, inner)
-    usable = shrink(window.valid, 2 * plan.lowpass.settling)
+    lowpass, valid = plan.lowpass, window.valid
+    q = lowpass(window.q, valid)
+    dq, ddq = differentiate(q, plan.rate_hz, valid)
+    tau = lowpass(lowpass(window.tau, valid), valid)
+    usable = shrink(valid, 2 * lowpass.settling)
     return Motion(
         t=(window.start + kept) / plan.rate_hz,
-        q=q,
-        dq=dq,
-        ddq=ddq,
-        tau=tau,
+        q=q[kept],
+        dq=dq[kept],
+        ddq=ddq[kept],
+        tau=tau[kept],
         moving=moving_mask(window.q, plan.rate_hz, plan.step, kept),
-        usable=usable[inner][::factor],
-        valid=all_valid(window.valid[inner], factor),
+        usable=usable[kept],
+        valid=all_valid(valid[inner], factor),
         rate_hz=plan.kept_rate_hz,
         lowpass=plan.kept_lowpass,
         cutoff=plan.cutoff,
     )
-
-
-def _filtered(window: Block, plan: Plan, inner: slice) -> tuple[Array, Array, Array, Array]:
-    """q, dq, ddq and tau (M, n) at every `factor`-th inner sample."""
-    lowpass, factor, valid = plan.lowpass, plan.factor, window.valid
-    inside = inner.start >= plan.margin and len(window.q) - inner.stop >= plan.margin
-    if lowpass.can_decimate(factor) and inside and valid.all():
-        kept = factor, inner.start, -(-(inner.stop - inner.start) // factor)
-        q, dq, ddq = lowpass.decimated(window.q, *kept, derivatives=True)
-        return q, dq, ddq, lowpass.decimated(window.tau, *kept, passes=2)[0]
-    q = lowpass(window.q, valid)
-    dq, ddq = differentiate(q, plan.rate_hz, valid)
-    tau = lowpass(lowpass(window.tau, valid), valid)
-    return q[inner][::factor], dq[inner][::factor], ddq[inner][::factor], tau[inner][::factor]
 
 
 @dataclass(frozen=True)

@@ -110,9 +110,9 @@ def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) 
     chosen = survey.cutoff(resolution, highest_hz=highest_bridged(recording))
     cutoff = as_asked(chosen, recording.path, rate, options)
     lowpass = Lowpass(cutoff.hz, rate)
+    tau, usable = filtered_torque(recording, lowpass)
     q = lowpass(recording.q, recording.valid)
     dq, ddq = differentiate(q, rate, recording.valid)
-    tau, usable = filtered_torque(recording, lowpass)
     given = recording.t, q, dq, ddq, tau, moving, usable, recording.valid, rate, lowpass, cutoff
     return Motion(*given, warnings=recording.health.mended)
 

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import detrend
 
-from seqid_cli.motion.filters.butterworth import Lowpass
-from seqid_cli.motion.filters.design import ORDER
+from seqid_cli.motion.filters.butterworth import ORDER, Lowpass
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.typing import Array, Mask
 

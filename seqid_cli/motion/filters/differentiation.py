@@ -1,6 +1,7 @@
 """Time derivatives of band-limited samples, and the runs of a mask."""
 
 import numpy as np
+from scipy.ndimage import correlate1d
 
 from seqid_cli.typing import Array, Mask
 
@@ -35,10 +36,9 @@ def differentiate(values: Array, rate_hz: float, valid: Mask | None = None) -> t
     """
     first, second = np.zeros_like(values), np.zeros_like(values)
     for start, stop in runs(valid, len(values)):
-        piece, count = _extended(values[start:stop]), stop - start
-        for k in range(len(FIRST)):
-            first[start:stop] += (FIRST[k] * rate_hz) * piece[k : k + count]
-            second[start:stop] += (SECOND[k] * rate_hz**2) * piece[k : k + count]
+        piece = _extended(values[start:stop])
+        first[start:stop] = correlate1d(piece, FIRST * rate_hz, axis=0)[SIDE:-SIDE]
+        second[start:stop] = correlate1d(piece, SECOND * rate_hz**2, axis=0)[SIDE:-SIDE]
     return first, second
 
 

@@ -1,4 +1,4 @@
-"""The low-pass by blocks against the recursive one, and what it remembers."""
+"""The low-pass by convolution against the recursive one, and what it remembers."""
 
 from __future__ import annotations
 
@@ -8,23 +8,24 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt
 
 from seqid_cli.motion.filters.butterworth import SHORTEST, Lowpass
-from seqid_cli.motion.filters.differentiation import differentiate, runs
+from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.typing import Array, Mask
 
 
 def recursive(values: Array, cutoff_hz: float, rate_hz: float, valid: Mask | None = None) -> Array:
     """The same filter by scipy's recursion, sample by sample, with long numbers."""
     _, poles, _ = butter(4, cutoff_hz, fs=rate_hz, output="zpk")
-    settling = Lowpass(cutoff_hz, rate_hz).settling
+    lowpass = Lowpass(cutoff_hz, rate_hz)
     found = values.astype(np.longdouble)
     for start, stop in runs(valid, len(values)):
         if stop - start > SHORTEST:
-            pad = min(6 * settling, stop - start - 1)
+            pad, still = min(6 * lowpass.settling, stop - start - 1), lowpass.memory
             x = found[start:stop]
             x = np.concatenate([2 * x[:1] - x[pad:0:-1], x, 2 * x[-1:] - x[-2 : -2 - pad : -1]])
+            x = np.pad(x, ((still, still), (0, 0)), mode="edge")
             for _ in range(2):
                 x = one_way(x, poles[poles.imag > 0])[::-1]
-            found[start:stop] = x[pad : len(x) - pad]
+            found[start:stop] = x[still + pad : len(x) - still - pad]
     return found.astype(np.float64)
 
 
@@ -113,18 +114,3 @@ def test_a_cutoff_near_the_nyquist_rate_filters_nothing() -> None:
     lowpass = Lowpass(49.0, 100.0)
     assert lowpass.memory == 0
     np.testing.assert_array_equal(lowpass(values), values)
-
-
-@pytest.mark.parametrize(("cutoff_hz", "every"), [(3.65, 27), (5.0, 20), (10.0, 10), (0.2, 99)])
-def test_decimated_is_as_filtered_at_all_samples(cutoff_hz: float, every: int) -> None:
-    lowpass = Lowpass(cutoff_hz, 1000.0)
-    margin = 2 * lowpass.memory
-    x = 3.0 + walk(np.random.default_rng(every), 2 * margin + 20_000, 2) / 100
-    once = lowpass(x)
-    kept = margin + 7 + every * np.arange(20_000 // every)
-    found = lowpass.decimated(x, every, int(kept[0]), len(kept), derivatives=True)
-    for order, wanted in enumerate((once, *differentiate(once, 1000.0))):
-        worst = np.abs(found[order] - wanted[kept]).max()
-        assert worst < 5e-12 * np.abs(x).max() * 1000.0**order
-    torque = lowpass.decimated(x, every, int(kept[0]), len(kept), passes=2)
-    assert np.abs(torque[0] - lowpass(once)[kept]).max() < 5e-12 * np.abs(x).max()

@@ -110,29 +110,15 @@ def _share(chunk: Chunk, x: Mounted) -> Array:
     return np.asarray(np.add.reduceat(x.seen.astype(float), chunk.cells) / count[:, None])
 
 
-def _lay_out(chunk: Chunk, parts: list[tuple[Array, Mask]], out: Array) -> None:
-    """Fill `out` (..., K, V) with what intervals with readings add to their four coefficients."""
-    # `parts` are pairs of (4, ..., C, V), the same throughout a cell, and whether (M,) there are
-    # readings. Where a cell has them in all intervals, but three of its coefficients get the same.
-    m, size, starts = chunk.intervals, chunk.cell, chunk.cells
-    alike = np.zeros((4, *out.shape[:-2], len(starts), out.shape[-1]))
-    for part, there in parts:
-        alike += part * np.logical_and.reduceat(there, starts)[:, None]
-    total = alike.sum(axis=0)
-    out[..., m:, :] = 0.0
-    for k in range(min(size, m)):
-        own = out[..., k:m:size, :]
-        own[...] = total[..., : own.shape[-2], :]
-    edges = np.append(starts, m)
-    for b in range(1, 4):
-        for k in range(b):
-            out[..., edges[1:] + k, :] += alike[b]
-            out[..., edges[:-1] + k, :] -= alike[b]
-    for part, there in parts:
-        whole = np.logical_and.reduceat(there, starts)
-        rows = np.flatnonzero(there & ~whole[np.arange(m) // size])
-        for b in range(4 * bool(len(rows))):
-            out[..., rows + b, :] += part[b][..., rows // size, :]
+def _lay_out(chunk: Chunk, part: Array, there: Mask, out: Array) -> None:
+    """Add to `out` (..., K, V) what intervals with readings tell of their four coefficients.
+
+    `part` (4, ..., C, V) is the same throughout a cell, `there` (M,) says where readings are.
+    """
+    m = chunk.intervals
+    cells = np.arange(m) // chunk.cell
+    for b, own in enumerate(part):
+        out[..., b : b + m, :] += own[..., cells, :] * there[:, None]
 
 
 def normal_equations(
@@ -161,7 +147,7 @@ def normal_equations(
     total = sum(len(taken) for _, taken, _ in slots)
     border, corner, right = np.zeros((total, m + 3, n)), np.zeros((total, total)), np.zeros(total)
     told = told or tuple(predicted(chunk, c, x) for x, *_ in slots)
-    columns = []
+    flat = np.zeros((m + 3, 4 * n * n))
     for (x, taken, at), cells, expected in zip(slots, linear, told, strict=True):
         # Of the four coefficients of an interval, and of the constants.
         W = np.zeros((count, len(x.noise), 4, n))
@@ -169,9 +155,9 @@ def normal_equations(
         G = cells.by_constants[:, :, taken] / x.spread[:, None]
         W = np.concatenate([W.reshape(count, -1, 4 * n), G], axis=2)
         H = (W * _share(chunk, x)[:, :, None]).transpose(0, 2, 1) @ W
-        columns.append((_columns(H, n), x.there))
+        _lay_out(chunk, _columns(H, n), x.there, flat)
         both = H[:, : 4 * n, 4 * n :].reshape(count, 4, n, -1).transpose(1, 3, 0, 2)
-        _lay_out(chunk, [(both, x.there)], border[at])
+        _lay_out(chunk, both, x.there, border[at])
         there = np.add.reduceat(x.there.astype(float), chunk.cells)
         corner[at, at] = np.tensordot(there, H[:, 4 * n :, 4 * n :], 1)
         corner[at, at] += x.precision[np.ix_(taken, taken)]
@@ -182,8 +168,6 @@ def normal_equations(
         for a in range(4):
             band.gradient[a : a + m] += g[:, a]
         right[at] = np.tensordot(r.sum(axis=1), G, 2) - (x.precision @ x.away)[taken]
-    flat = np.empty((m + 3, 4 * n * n))
-    _lay_out(chunk, columns, flat)
     lower = band.added_to(flat.reshape(-1, n, 4 * n))
     terms.couple_jerks(lower, between / spacing**3, jerk.relative)
     whole = lower.reshape(c.size, -1).T, border.reshape(total, c.size).T

@@ -30,7 +30,7 @@ def triangular(rows: Array) -> Array:
     Columns of zeros give columns and rows of zeros, and cost nothing.
     """
     alive = np.flatnonzero(rows.any(axis=0))
-    R = np.linalg.qr(rows[:, alive], mode="r")
+    R = np.asarray(np.linalg.qr(rows[:, alive], mode="r"), dtype=np.float64)
     full = np.zeros((rows.shape[1], rows.shape[1]))
     full[alive[: len(R), None], alive] = np.where(R.diagonal() < 0, -1.0, 1.0)[:, None] * R
     return full

@@ -24,6 +24,7 @@ from seqid_cli.motion.smoother.imus import handed_on, mounted_imus, read
 from seqid_cli.motion.smoother.screening import believed, contradiction, fits
 from seqid_cli.motion.smoother.solve import (
     Solution,
+    between,
     detailed,
     encoder_motion,
     probed_covariance,
@@ -43,7 +44,7 @@ class Smoothed:
     """Motion (N, n) at every sample; `covariance` (N, n, 3, 3) of each joint's q, dq, ddq.
 
     `mounted` has the IMUs that took part, by name, as the last chunk left them. The covariance is
-    known at some `places` only.
+    kept at some `places` only and made for all samples when asked for.
     """
 
     q: Array
@@ -56,9 +57,8 @@ class Smoothed:
 
     @property
     def covariance(self) -> Array:
-        """(N, n, 3, 3), of the place that is nearest."""
-        middles = 0.5 * (self.places[1:] + self.places[:-1])
-        return self.covariance_at_places[np.searchsorted(middles, np.arange(len(self.q)))]
+        """(N, n, 3, 3), interpolated between the places."""
+        return between(self.covariance_at_places, self.places, len(self.q))
 
 
 def smoothed_motion(

@@ -2,6 +2,7 @@
 
 import contextlib
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
@@ -264,23 +265,51 @@ def _renewed_jerk(
 
 
 def probed_covariance(
-    solution: Solution, shared: Solution, *, probe_s: float = 0.03, ahead_s: float = 0.125
+    solution: Solution, shared: Solution, *, probe_s: float = 0.125
 ) -> tuple[Index, Array]:
-    """Covariance (G, n, 3, 3) of q, dq, ddq at samples (G,), `probe_s` s apart.
+    """Covariance (G, n, 3, 3) of q, dq, ddq at samples (G,), interpolated from knots far apart.
 
     `shared`: of the same stretch, perhaps on other knots: says how well the constants are known.
-    `ahead_s`: what comes later than that is left away: it hardly tells more.
     """
     chunk = solution.chunk
     every = max(1, int(probe_s / chunk.spacing))
     knots = np.arange(min(every, chunk.intervals) // 2, chunk.intervals, every)
     knots = np.unique(np.minimum(-(-knots // chunk.stride) * chunk.stride, chunk.intervals - 1))
-    found = _forward(solution, knots, max(4, int(ahead_s / chunk.spacing)))
+    found = _at_knots(solution, knots)
     if len(shared.schur):
         at = np.round(knots * chunk.spacing / shared.chunk.spacing).astype(int)
         along = _along(shared, np.minimum(at, shared.chunk.intervals - 1))
         found += along @ np.swapaxes(along, 2, 3)
-    return knots * chunk.every // chunk.stride, found
+    return _everywhere(solution, knots, found)
+
+
+def _everywhere(
+    solution: Solution,
+    knots: Index,
+    found: Array,
+    *,
+    dense_s: float = 0.01,
+    follows: tuple[float, float] = (0.0, 2.0),
+    few: float = 0.3,
+) -> tuple[Index, Array]:
+    """Covariance at samples closer together, by the power of the jerk that the variance follows."""
+    chunk, relative = solution.chunk, solution.jerk.relative
+    every = max(1, int(dense_s / chunk.spacing))
+    places = -(-np.arange(0, chunk.intervals, every) // chunk.stride) * chunk.stride
+    places = np.unique(np.minimum(places, chunk.intervals - 1))
+    out = np.empty((len(places), *found.shape[1:]))
+    for j in range(chunk.joints):
+        size = np.log(relative[:, j])
+        spread = size[knots] - size[knots].mean()
+        follow = (spread @ np.log(found[:, j, 2, 2]) + few) / (spread @ spread + few)
+        rise = np.exp(np.clip(follow, *follows) * size)[:, None, None]
+        usual = found[:, j] / rise[knots]
+        at = np.clip(np.searchsorted(knots, places), 1, max(len(knots) - 1, 1))
+        before, after = usual[at - 1], usual[np.minimum(at, len(knots) - 1)]
+        gap = np.maximum(knots[np.minimum(at, len(knots) - 1)] - knots[at - 1], 1)
+        share = np.clip((places - knots[at - 1]) / gap, 0.0, 1.0)[:, None, None]
+        out[:, j] = (before * (1 - share) + after * share) * rise[places]
+    return places * chunk.every // chunk.stride, out
 
 
 def _along(shared: Solution, knots: Index) -> Array:
@@ -291,16 +320,39 @@ def _along(shared: Solution, knots: Index) -> Array:
     return np.moveaxis(np.tensordot(W, along, (1, 0)), 0, 2)
 
 
-def _forward(solution: Solution, knots: Index, ahead: int) -> Array:
-    """Covariance (G, n, 3, 3) at knots, by what comes before and so many knots behind."""
-    # The factor's rows of a knot hold all that comes before it.
-    n, W = solution.chunk.joints, solution.chunk.knots[0]
-    found = np.empty((len(knots), n, 3, 3))
-    for k, start in enumerate(knots * n):
-        factor = solution.factor[:, start : start + ahead * n]
-        right = np.zeros((factor.shape[1], n, 3))
+def _at_knots(solution: Solution, knots: Index, *, fewer: int = 4) -> Array:
+    """Covariance (G, n, 3, 3) at knots: whole at a few, the acceleration's variance at all."""
+    few = np.arange(0, len(knots), fewer)
+    found = between(_forward(solution, knots[few], slice(0, 3)), few, len(knots))
+    variance = _forward(solution, knots, slice(2, 3))[:, :, 0]
+    share = np.sqrt(variance / found[:, :, 2, 2:])
+    found[:, :, 2] *= share
+    found[:, :, :, 2] *= share
+    return found
+
+
+def _forward(solution: Solution, knots: Index, which: slice) -> Array:
+    """Covariance (G, n, d, d) of some derivatives at knots."""
+    # The factor's rows of a knot hold all that comes before it. What comes after the next knot is
+    # left away: it hardly tells more.
+    n, W = solution.chunk.joints, solution.chunk.knots[0][which]
+    d = len(W)
+    found = np.empty((len(knots), n, d, d))
+    for k, (start, after) in enumerate(pairwise(np.append(knots, len(solution.c)) * n)):
+        stop = max(after, start + 4 * n)
+        right = np.zeros((stop - start, n, d))
         for j in range(n):
             right[j : 4 * n : n, j] = W.T
-        own = halved(factor, right.reshape(-1, 3 * n)).T.reshape(n, 3, -1)
+        own = halved(solution.factor[:, start:stop], right.reshape(-1, d * n))
+        own = own.T.reshape(n, d, -1)
         found[k] = own @ own.transpose(0, 2, 1)
     return found
+
+
+def between(values: Array, at: Index, samples: int) -> Array:
+    """Interpolate (G, ...) linearly to all samples."""
+    k = np.clip(np.searchsorted(at, np.arange(samples)) - 1, 0, max(len(at) - 2, 0))
+    after = np.minimum(k + 1, len(at) - 1)
+    share = np.clip((np.arange(samples) - at[k]) / np.maximum(at[after] - at[k], 1), 0.0, 1.0)
+    share = share.reshape(-1, *[1] * (values.ndim - 1))
+    return np.asarray(values[k] * (1 - share) + values[after] * share)

@@ -13,16 +13,17 @@ from tests.studies.repeat import SAMPLES, WAYS, Way, made_by
 RIG = SAMPLES / "one_joint"
 
 
-@pytest.fixture(scope="module")
-def first(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    return made_by(WAYS[0], RIG, tmp_path_factory.mktemp("first") / "out")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("way", WAYS, ids=lambda way: way.name)
-def test_files_are_equal_bit_by_bit(way: Way, first: dict[str, str], tmp_path: Path) -> None:
+def test_files_are_equal_bit_by_bit(tmp_path: Path) -> None:
+    """Threads, processes and the order all at once; the study takes them one by one."""
+    threads = next(way.environment for way in WAYS if way.environment)
+    all_at_once = Way("all at once", environment=threads, jobs=2, reverse=True)
+    first, second = (
+        made_by(way, RIG, tmp_path / name)
+        for way, name in ((WAYS[0], "first"), (all_at_once, "second"))
+    )
     assert len(first) == 6
-    assert made_by(way, RIG, tmp_path / "out") == first
+    assert second == first
 
 
 def test_blas_has_one_thread_whatever_was_set(

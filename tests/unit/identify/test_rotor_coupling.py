@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -63,6 +64,7 @@ def no_friction(robot: Robot) -> FrictionStage:
     return FrictionStage(joints=dict.fromkeys(robot.joint_names, joint))
 
 
+@cache
 def identified(alpha: float, *, coupled: bool, seed: int = 0) -> tuple[Plant, RigidStage]:
     plant = plant_of(alpha, coupled=coupled)
     robot = robot_of("two_axes", plant)

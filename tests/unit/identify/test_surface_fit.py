@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -179,13 +180,19 @@ def known_surface(m: int, l: int) -> Array:
     return D
 
 
+@cache
+def fitted(m: int, l: int, seed: int) -> tuple[SurfaceFit, Orders]:
+    """A known surface of these orders, and those that are chosen."""
+    data = data_of(known_surface(m, l), np.random.default_rng(seed))
+    (fit,), _ = fit_surfaces([reduce_trials(data, SCALING)])
+    return fit, choose_orders([fit], position=None, velocity=None)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("m", "l"), [(0, 1), (2, 1), (3, 2), (5, 3)])
 def test_orders_of_a_known_surface_are_never_too_low(m: int, l: int) -> None:
     for seed in range(4):
-        rng = np.random.default_rng(seed)
-        (fit,), _ = fit_surfaces([reduce_trials(data_of(known_surface(m, l), rng), SCALING)])
-        found = choose_orders([fit], position=None, velocity=None)
+        fit, found = fitted(m, l, seed)
         assert found.position >= m
         assert found.velocity >= l
         assert fit.deviation(found) <= DEVIATION
@@ -194,11 +201,7 @@ def test_orders_of_a_known_surface_are_never_too_low(m: int, l: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("m", "l"), [(0, 1), (2, 1)])
 def test_orders_that_are_not_needed_are_left_out(m: int, l: int) -> None:
-    found = []
-    for seed in range(6):
-        rng = np.random.default_rng(seed)
-        (fit,), _ = fit_surfaces([reduce_trials(data_of(known_surface(m, l), rng), SCALING)])
-        found.append(choose_orders([fit], position=None, velocity=None))
+    found = [fitted(m, l, seed)[1] for seed in range(6)]
     assert np.median([each.position for each in found]) <= m + 2
     assert np.median([each.velocity for each in found]) <= l + 1
 

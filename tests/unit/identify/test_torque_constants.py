@@ -81,6 +81,7 @@ def seen_and_told(before: RigidStage, after: RigidStage) -> tuple[Array, Array]:
     return np.subtract(value[1], value[0]), told
 
 
+@pytest.mark.slow
 def test_scaled_torque_moves_friction_and_gravity_as_told(
     pair: tuple[Robot, Stages, Stages, Stages],
 ) -> None:
@@ -95,6 +96,7 @@ def test_scaled_torque_moves_friction_and_gravity_as_told(
     np.testing.assert_allclose(seen, told, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_scaled_torque_moves_inertia_as_told_beside_a_known_rotor(
     pair: tuple[Robot, Stages, Stages, Stages],
 ) -> None:
@@ -109,6 +111,7 @@ def test_scaled_torque_moves_inertia_as_told_beside_a_known_rotor(
     assert told[0] > 1.02 * STEP * value  # the rotor does not scale
 
 
+@pytest.mark.slow
 def test_what_is_held_against_the_same_torque_does_not_change(
     pair: tuple[Robot, Stages, Stages, Stages],
 ) -> None:
@@ -126,6 +129,7 @@ def test_what_is_held_against_the_same_torque_does_not_change(
     assert verdicts[0] == verdicts[1]
 
 
+@pytest.mark.slow
 def test_export_counts_one_error_for_gravity_and_inertia(
     pair: tuple[Robot, Stages, Stages, Stages],
 ) -> None:

@@ -11,7 +11,14 @@ from tests.unit.inspect.faults import FAULTS, Fault, groups
 from tests.unit.inspect.rig import inspect_planted
 
 
-@pytest.mark.parametrize("faults", groups(), ids=lambda faults: faults[0].name)
+# Those that share a log are many faults in few inspections: `make test` has them.
+@pytest.mark.parametrize(
+    "faults",
+    [
+        pytest.param(own, id=own[0].name, marks=[] if len(own) > 1 else [pytest.mark.slow])
+        for own in groups()
+    ],
+)
 def test_a_planted_fault_is_found_and_nothing_else(
     faults: tuple[Fault, ...], tmp_path: Path
 ) -> None:

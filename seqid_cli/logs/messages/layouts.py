@@ -84,7 +84,9 @@ class Form:
         for i in self.checked:
             fits &= (words[:, i] ^ self.reference[i]) & self.mask[i] == 0
         rows = rows if fits.all() else rows[fits]
-        values = np.full((len(rows), self.width), np.nan)
+        values = np.empty((len(rows), self.width))
+        if sum(run.size for run in self.runs) < self.width:
+            values.fill(np.nan)
         for run in self.runs:
             target = values[:, run.column : run.column + run.size]
             target[:] = rows[:, run.at : run.at + WORD * run.size].view(f"{self.order}f8")
@@ -120,9 +122,15 @@ class LayoutDecoder:
 
     def __call__(self, payloads: Payloads) -> Decoded:
         """Decode one batch."""
+        lengths = payloads.lengths
+        usual = self._known.get(int(lengths[0]), ())[:1] if len(lengths) else ()
+        if usual and (lengths == lengths[0]).all():
+            fits, part = usual[0].decode(payloads)
+            if fits.all():
+                return part
         out = Decoded.empty(len(payloads), self.width)
-        order = np.argsort(payloads.lengths, kind="stable")
-        for rows in np.split(order, np.flatnonzero(np.diff(payloads.lengths[order])) + 1):
+        order = np.argsort(lengths, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1):
             self._in_turn(payloads, rows, out)
         return out
 

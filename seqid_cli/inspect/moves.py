@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from seqid_cli.inspect.channels.positions import top_speeds
+from seqid_cli.inspect.channels.positions import top_speed
 from seqid_cli.inspect.channels.values import lattice
 from seqid_cli.inspect.imu.motion import Following
 from seqid_cli.inspect.imu.readings import rest_rows
@@ -22,7 +22,7 @@ def stretches_of(data: LogData) -> list[Stretch]:
 
 def joint_summaries(data: LogData) -> list[InspectedJoint]:
     """Describe what the log shows of each joint."""
-    effort, speeds = data.effort(), top_speeds(data)
+    effort = data.effort()
     temperature = data.joints.channels.get("temperature")
     result = []
     for j, name in enumerate(data.robot.joint_names):
@@ -41,7 +41,7 @@ def joint_summaries(data: LogData) -> list[InspectedJoint]:
                 moves=data.moves(j),
                 low=float(q.min()),
                 high=float(q.max()),
-                top_speed=speeds[j] if data.moves(j) else 0.0,
+                top_speed=top_speed(data, j) if data.moves(j) else 0.0,
                 encoder_step=lattice(q) or None,
                 effort=effort[0] if effort and len(values) else "",
                 effort_rms=float(np.sqrt(np.mean(values**2))) if len(values) else None,

@@ -80,7 +80,7 @@ def position_quality(
         if size > 1 and data.moves(j):
             text = f"the position repeats each value {size} times"
             yield found("channel_held", text, joint=joint.name, channel="position")
-        top, limit = _top_speed(data, j), joint.velocity_limit
+        top, limit = top_speed(data, j), joint.velocity_limit
         if limit is not None and top > max_ratio * limit:
             text = f"reaches {top:.3g}, velocity_limit is {limit:.3g}"
             yield found("speed_limit", text, joint=joint.name, channel="position")
@@ -138,24 +138,20 @@ def fast_in_degrees(data: LogData, *, max_speed: float = 20.0) -> Iterator[Inspe
     if data.recording.dq is not None or any(j.position_limits for j in robot.joints):
         return
     moving = [j for j in range(robot.n) if data.moves(j) and not robot.joints[j].prismatic]
-    speeds = [_top_speed(data, j) for j in moving]
+    speeds = [top_speed(data, j) for j in moving]
     if len(moving) >= 2 and float(np.median(speeds)) > max_speed:
         for j, speed in zip(moving, speeds, strict=True):
             text = f"moves at {speed:.3g} per second: it looks like degrees"
             yield found("position_in_degrees", text, joint=robot.joints[j].name, channel="position")
 
 
-def _top_speed(data: LogData, j: int) -> float:
+def top_speed(data: LogData, j: int) -> float:
+    """Return the top speed of a joint over 0.1 s, rad/s (m/s)."""
     half = max(1, round(0.05 * data.recording.rate_hz))
     if 2 * half + 1 >= len(data.recording.q):
         return 0.0
     speed = np.abs(windowed_velocity(data.recording.q[:, j], data.recording.rate_hz, half))
     return float(speed.max())
-
-
-def top_speeds(data: LogData) -> list[float]:
-    """Return the top speed of each joint over 0.1 s, rad/s (m/s)."""
-    return [_top_speed(data, j) for j in range(data.robot.n)]
 
 
 def _breaks(

@@ -91,17 +91,9 @@ def _swapped(a: int, b: int, *, motion: bool = True, torque: bool = True) -> Cha
     def change(sample: Sample) -> Sample:
         order = list(range(sample.q.shape[1]))
         order[a], order[b] = b, a
-        if torque:
-            sample = replace(sample, tau=sample.tau[:, order])
         if not motion:
-            return sample
-        return replace(
-            sample,
-            q=sample.q[:, order],
-            dq=sample.dq[:, order],
-            ddq=sample.ddq[:, order],
-            direction=sample.direction[:, order],
-            moving=tuple(sorted({a: b, b: a}.get(j, j) for j in sample.moving)),
-        )
+            return replace(sample, tau=sample.tau[:, order])
+        moving = tuple(sorted({a: b, b: a}.get(j, j) for j in sample.moving))
+        return replace(sample.mapped(lambda x: x[:, order], torque=torque), moving=moving)
 
     return change

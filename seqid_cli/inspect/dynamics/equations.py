@@ -243,16 +243,8 @@ def _mending(
 def _thinned(sample: Sample, count: int = 600) -> Sample:
     """Keep about `count` rows, for a fit of all joints at once."""
     every = max(1, len(sample.q) // count)
-    rows = slice(None, None, every)
-    return replace(
-        sample,
-        memory=max(1.0, sample.memory / every),
-        q=sample.q[rows],
-        dq=sample.dq[rows],
-        ddq=sample.ddq[rows],
-        tau=sample.tau[rows],
-        direction=sample.direction[rows],
-    )
+    memory = max(1.0, sample.memory / every)
+    return replace(sample.mapped(lambda values: values[::every]), memory=memory)
 
 
 def _structural_error(

@@ -10,9 +10,10 @@ is positive: a negative one means that torque and position have opposite signs. 
 joint i is there and the joint's own is not, the torque is that of the other joint.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
@@ -43,6 +44,12 @@ class Sample:
     memory: float  # rows that count as one
     moving: tuple[int, ...]  # joints that are driven far enough both ways
     basis: Basis | None  # of the robot without rotors; None where its geometry is not known
+
+    def mapped(self, change: Callable[[Array], Array], *, torque: bool = True) -> "Sample":
+        """Change every array alike, but for the torque where it is not meant."""
+        names = ["q", "dq", "ddq", "direction", *(["tau"] if torque else [])]
+        changed: dict[str, Any] = {name: change(getattr(self, name)) for name in names}
+        return replace(self, **changed)
 
     def rms_speed(self, j: int) -> float:
         """RMS speed of a joint, rad/s."""
@@ -84,16 +91,11 @@ def sample_of(
     spacing = float(np.median(np.diff(motion.t[rows])))
     speeds = np.maximum(np.sqrt(np.mean(motion.dq[rows] ** 2, axis=0)), 1e-12)
     direction = motion.filtered(np.tanh(motion.dq / (slow * speeds)), 2)
-    return Sample(
-        motion.q[rows],
-        motion.dq[rows],
-        motion.ddq[rows],
-        motion.tau[rows],
-        direction[rows],
-        max(1.0, memory_s / spacing),
-        moving,
-        _basis(robot) if data.modelled and moving else None,
-    )
+    memory = max(1.0, memory_s / spacing)
+    basis = _basis(robot) if data.modelled and moving else None
+    q, dq, ddq, tau = motion.q, motion.dq, motion.ddq, motion.tau
+    whole = Sample(q, dq, ddq, tau, direction, memory, moving, basis)
+    return whole.mapped(lambda values: values[rows])
 
 
 @per_robot

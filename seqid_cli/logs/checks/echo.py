@@ -20,7 +20,6 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
 
-from seqid_cli.logs.checks.criteria import ECHOES, EchoCriteria
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
 
@@ -38,6 +37,30 @@ REMEDY = (
     "record the measured motor current while the controller drives the joints along a trajectory, "
     "not gravity compensation and not a constant command"
 )
+
+
+@dataclass(frozen=True)
+class EchoCriteria:
+    """When a torque is an echo of the command. Shares are of the torque's RMS."""
+
+    unexplained: float = 0.1  # that an echo's law may leave
+    exact: float = 1e-3  # below it nothing is left to be explained
+    others: float = 0.15  # of what position leaves, squared, for friction and acceleration
+    friction: float = 0.1  # that an echo's friction is certainly below
+    none: float = 0.003  # that is no friction at all
+    inertia: float = 0.05  # that an echo's accelerations may explain
+    certain: float = 3.0  # standard errors
+    uncertain: float = 2.0  # standard errors
+    fewest: int = 50  # windows of motion each way
+    travel: float = 0.1  # rad (m) each way: less is noise, or a flexing brake
+    slow: float = 0.05  # of the top speed, below which a joint does not certainly slide
+    window_s: float = 0.02  # over which samples are averaged
+    memory_s: float = 0.5  # that the residual remembers, for the errors
+    most_windows: int = 4000  # of a joint that are used
+    smooth_terms: int = 5  # of a smooth function of its position
+
+
+ECHOES = EchoCriteria()
 
 
 @dataclass(frozen=True)

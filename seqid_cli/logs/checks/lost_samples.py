@@ -11,19 +11,54 @@ fits the increments better), the time L that is lost at a step is the least-squa
 It counts where it is certain, longer than one and a half intervals, and the same for all joints
 that move: a step of one joint alone is damage of its position. Stamps behind a loss are moved by L
 and the hole is filled (`bridging`). A position that is held and then catches up loses no time.
+
+Losses that recur at one distance tell where the next one is: at such a place, or a row beside it, a
+step at slow motion is one too if the motion of the usual lost time explains it better than no loss.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.checks.bridging import Losses, with_losses
-from seqid_cli.logs.checks.criteria import LOSSES, LossCriteria
-from seqid_cli.logs.checks.recurring_losses import joined, recurring
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
 from seqid_cli.robust import gaussian_spread
+
+
+@dataclass(frozen=True)
+class LossCriteria:
+    """When a step of the positions is time that was lost; see the text of this module.
+
+    A `sudden` step differs from the mean of the increments beside it by so many times the smaller
+    of them, by `sudden_noise` times what increments usually differ by, and by `counts` smallest
+    increments. Joints may differ in the motion of the lost time, for they accelerate.
+    """
+
+    sure: float = 8.0  # standard errors of the lost time, beyond which it is believed
+    least_intervals: float = 1.5  # that are lost
+    longest_s: float = 1.0  # lost at once: behind that, motion before says nothing
+    sudden: float = 1.2
+    sudden_noise: float = 5.0
+    counts: float = 4.0
+    uneven: float = 0.15  # of that motion, at a single step
+    uneven_usual: float = 0.5  # of it, where the usual time tells the loss
+    returned: float = 0.5  # of a step, that the increments around it may take back
+    counted: float = 0.3  # of an interval, by which stamps that count rows differ from even ones
+    many: float = 0.2  # of the increments: steps as frequent are noise or a slower channel
+    on_grid: float = 0.12  # of an interval (median) within which losses are whole intervals
+    beside: int = 3  # increments from a step to its way back, if it is a spike
+    around: int = 6  # increments on either side that tell the velocity at a step
+    held_least: int = 2  # increments of nothing before a joint catches up
+    smallest: float = 1e-3  # of the increments that make a count of the encoder or less ...
+    most: int = 20_000  # ... of so many of them
+    recurs: float = 0.5  # of the distances between losses that are one and the same ...
+    least_losses: int = 4  # ... and losses that tell it
+
+
+LOSSES = LossCriteria()
 
 
 @dataclass(frozen=True)
@@ -182,7 +217,7 @@ def _all_losses(motion: _Motion, steps: Rows) -> Losses:
     if motion.dq is None or len(losses) < criteria.least_losses:
         return losses
     v = 0.5 * (motion.dq[1:] + motion.dq[:-1])
-    return joined(losses, recurring(motion.t, motion.q, v, motion.noise, losses, criteria))
+    return _joined(losses, _recurring(motion.t, motion.q, v, motion.noise, losses, criteria))
 
 
 def _losses(motion: _Motion, steps: Rows) -> Losses:
@@ -272,3 +307,45 @@ def _net(motion: _Motion, v: Array, weight: Array, steps: Rows, lost: Array) -> 
         late = np.where((np.abs(late) > 0.6 * usual) | (near == i), late, 0.0)
         net[k] = min(late.sum(), late[np.abs(near - i) <= criteria.beside].sum())
     return net
+
+
+def _joined(first: Losses, second: Losses) -> Losses:
+    """Losses of both, in their order."""
+    rows = np.concatenate([first.rows, second.rows])
+    order = np.argsort(rows, kind="stable")
+    return Losses(rows[order], np.concatenate([first.seconds, second.seconds])[order])
+
+
+def _recurring(
+    t: Array, q: Array, v: Array, noise: Array, known: Losses, criteria: LossCriteria
+) -> Losses:
+    """Losses at slow motion, where those at faster motion say that there must be one.
+
+    `t` (M,): as stamped [s]. `q` (M, n). `v` (M - 1, n): velocity before and behind each increment,
+    on average. `noise` (n,): of increments. `known`: at least `criteria.least_losses`. Returns:
+    others, each of the usual time; none where losses do not recur at one distance.
+    """
+    nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
+    distances = np.diff(known.rows)
+    period = int(np.bincount(distances).argmax())
+    if np.mean(distances == period) < criteria.recurs:
+        return nothing
+    usual = float(np.median(known.seconds))
+    step = np.diff(q, axis=0) - v * np.diff(t)[:, None]
+    motion = v * usual
+    without, left = (np.sum((x / noise) ** 2, axis=1) for x in (step, step - motion))
+    uneven = np.sum(
+        ((step - motion) / (noise + criteria.uneven_usual * np.abs(motion))) ** 2, axis=1
+    )
+    likely = (left < without) & (without > criteria.sure**2) & (uneven < criteria.sure**2)
+    rows = [row for row in _places(known.rows, period, len(v)) if likely[row]]
+    return Losses(np.array(rows, dtype=np.intp), np.full(len(rows), usual))
+
+
+def _places(rows: Rows, period: int, count: int) -> NDArray[np.intp]:
+    """Rows at multiples of the period from a loss, or one beside, but for the losses."""
+    inner = [np.arange(a + period, b - 1, period) for a, b in pairwise(rows)]
+    ends = [np.arange(rows[0] - period, 0, -period), np.arange(rows[-1] + period, count, period)]
+    places = np.concatenate([*inner, *ends])
+    near = np.unique(np.concatenate([places - 1, places, places + 1]))
+    return np.setdiff1d(near[(near >= 2) & (near < count - 2)], rows)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.checks.lost_samples import suspicious
-from seqid_cli.logs.long_rows import MARGIN, Rows, Scan, UnevenError
+from seqid_cli.logs.long_rows import MARGIN, Scan, UnevenError
 from seqid_cli.logs.mcap import reader
-from seqid_cli.logs.raw import Array, BlockReader, Mask, Stream, TimeSource
+from seqid_cli.logs.raw import Array, BlockReader, Mask, RawLog, Stamps, Stream, TimeSource, joined
 from seqid_cli.logs.read import ABSURD, with_torque
 from seqid_cli.logs.storage.files import State, check_log, state_of, storage_file, unchanged
 from seqid_cli.logs.storage.spool import Spool
@@ -112,17 +112,15 @@ class LongLog:
 
         Raises InputError: the file has changed since the first pass.
         """
-        rows: Iterator[Rows]
-        if self.spool is not None:
-            rows = (Rows(*part) for part in self.spool.parts())
-        else:
-            rows = self._decoded()
+        spooled = None if self.spool is None else self.spool.parts()
+        rows = self._decoded() if spooled is None else (_as_stream(*part) for part in spooled)
         blocks = self._as_logged(rows) if self.exact else self._resampled(rows)
         return map(self._bridged, blocks) if self.bridges else blocks
 
-    def _decoded(self) -> Iterator[Rows]:
+    def _decoded(self) -> Iterator[Stream]:
         with unchanged(self.file, self.state):
-            yield from _rows(self.file, self.format, self.robot, self.time_source)
+            for _, rows in _rows(self.file, self.format, self.robot, self.time_source):
+                yield rows
 
     def _bridged(self, block: Block) -> Block:
         block = replace(block, q=block.q.copy(), valid=block.valid.copy())
@@ -130,43 +128,51 @@ class LongLog:
             bridge.laid(block)
         return block
 
-    def _as_logged(self, rows: Iterator[Rows]) -> Iterator[Block]:
+    def _as_logged(self, rows: Iterator[Stream]) -> Iterator[Block]:
         start, n = 0, self.robot.n
         for part in rows:
-            kept = part.values[: self.samples - start]
+            kept = part.channels[_ALL][: self.samples - start]
             yield Block(start, kept[:, :n], kept[:, n:], np.ones(len(kept), np.bool_))
             start += len(kept)
 
-    def _resampled(self, rows: Iterator[Rows]) -> Iterator[Block]:
-        pending, start = _NO_ROWS, 0
+    def _resampled(self, rows: Iterator[Stream]) -> Iterator[Block]:
+        pending, start = _as_stream(np.zeros(0, np.int64), np.zeros((0, 0))), 0
         for part in rows:
-            pending = pending.followed_by(part)
-            if len(pending.stamps) > 4 * MARGIN:
-                sure = int(pending.stamps[-MARGIN]) - self.start_ns
+            pending = joined([pending, part])
+            if len(pending) > 4 * MARGIN:
+                sure = int(pending.stamp_ns[-MARGIN]) - self.start_ns
                 stop = min(self.samples, int(sure * 1e-9 / self.step_s))
                 yield from self._between(pending, start, stop)
                 start = max(start, stop)
-                pending = pending.after(self.start_ns + int(start * self.step_s * 1e9))
+                pending = self._around(pending, start)
         yield from self._between(pending, start, self.samples)
 
-    def _between(self, rows: Rows, start: int, stop: int) -> Iterator[Block]:
+    def _around(self, rows: Stream, first: int, last: int | None = None) -> Stream:
+        """Rows from a little before a sample on, to a little after another."""
+        ends = [self.start_ns + int(k * self.step_s * 1e9) for k in (first, last or first)]
+        low = max(0, int(np.searchsorted(rows.stamp_ns, ends[0])) - MARGIN)
+        high = int(np.searchsorted(rows.stamp_ns, ends[1], side="right")) + MARGIN
+        return rows.take(slice(low, None if last is None else high))
+
+    def _between(self, rows: Stream, start: int, stop: int) -> Iterator[Block]:
         for low in range(start, stop, parquet.BLOCK_ROWS):
             count = min(parquet.BLOCK_ROWS, stop - low)
             window = Base(
                 self.start_ns, self.step_s, count, self.jitter, False, _NONE, (), first=low
             )
             # Only the rows around the window: a hole may be much longer than a block.
-            part = rows.around(
-                self.start_ns + int(low * self.step_s * 1e9),
-                self.start_ns + int((low + count) * self.step_s * 1e9),
-            )
-            found = resample(Stream("joints", part.stamps, {"all": part.values}), "all", window)
+            found = resample(self._around(rows, low, low + count), _ALL, window)
             n = self.robot.n
             yield Block(low, found.values[:, :n], found.values[:, n:], found.valid)
 
 
 _NONE: NDArray[np.intp] = np.zeros(0, np.intp)
-_NO_ROWS = Rows(np.zeros(0, np.int64), np.zeros((0, 0)))
+_ALL = "position and torque"
+
+
+def _as_stream(stamps: Stamps, values: Array) -> Stream:
+    """Rows of a log: `values` (M, 2 n), position and torque."""
+    return Stream("joints", stamps, {_ALL: values})
 
 
 def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:
@@ -211,11 +217,11 @@ def open_long(
     try:
         state = state_of(file)
         with unchanged(file, state):
-            for rows in _rows(file, kind, robot, time_source):
-                scan.push(rows)
-                spool.push(rows.stamps, rows.values)
+            for raw, rows in _rows(file, kind, robot, time_source):
+                scan.push(rows.stamp_ns, raw)
+                spool.push(rows.stamp_ns, rows.channels[_ALL])
                 if watch is not None:
-                    watch(1e9 / scan.usual, rows.values[:, : robot.n])
+                    watch(1e9 / scan.usual, rows.channels[_ALL][:, : robot.n])
         base = scan.base()
     except UnevenError:
         return None
@@ -235,7 +241,9 @@ def open_long(
     )
 
 
-def _rows(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> Iterator[Rows]:
+def _rows(
+    path: Path, kind: str, robot: Robot, time_source: TimeSource
+) -> Iterator[tuple[RawLog, Stream]]:
     last, first_sources = None, None
     for raw in READERS[kind](path, replace(robot, imus=()), time_source):
         joints = raw.joints
@@ -258,7 +266,7 @@ def _rows(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> Itera
         if suspicious(joints) or in_turns(joints, robot)[0] is not joints:
             raise UnevenError  # to be put right as a whole
         last = joints.stamp_ns[-1:]
-        yield Rows(joints.stamp_ns, values.T, raw.partial, raw.warnings)
+        yield raw, _as_stream(joints.stamp_ns, values.T)
 
 
 def _torque_sources(joints: Stream) -> dict[str, list[bool]]:

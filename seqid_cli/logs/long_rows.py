@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from seqid_cli.logs.clocks import BURSTS, GAP_INTERVALS, GAP_LEAST_S
-from seqid_cli.logs.raw import Array, Stamps
+from seqid_cli.logs.raw import Array, RawLog, Stamps
 from seqid_cli.logs.thinned import Thinned
 from seqid_cli.logs.timebase import JITTER_LIMIT, UNIFORM
 
@@ -15,35 +15,6 @@ GROUP = 256  # rows whose distance from the base is remembered by its extremes
 
 class UnevenError(Exception):
     """The log has to be read as a whole."""
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Rows as logged: `stamps` (M,) ns, `values` (M, 2 n) position and torque."""
-
-    stamps: Stamps
-    values: Array
-    partial: str = ""
-    warnings: tuple[str, ...] = ()
-
-    def followed_by(self, other: "Rows") -> "Rows":
-        """These rows and the next."""
-        if not len(self.stamps):
-            return other
-        return Rows(
-            np.concatenate([self.stamps, other.stamps]), np.concatenate([self.values, other.values])
-        )
-
-    def after(self, stamp: int) -> "Rows":
-        """Rows from a little before a stamp on."""
-        low = max(0, int(np.searchsorted(self.stamps, stamp)) - MARGIN)
-        return Rows(self.stamps[low:], self.values[low:])
-
-    def around(self, first: int, last: int) -> "Rows":
-        """Rows from a little before a stamp to a little after another."""
-        low = max(0, int(np.searchsorted(self.stamps, first)) - MARGIN)
-        high = int(np.searchsorted(self.stamps, last, side="right")) + MARGIN
-        return Rows(self.stamps[low:high], self.values[low:high])
 
 
 @dataclass
@@ -62,11 +33,10 @@ class Scan:
     partial: str = ""
     warnings: list[str] = field(default_factory=list)
 
-    def push(self, rows: Rows) -> None:
-        """Take the next rows."""
-        stamps = rows.stamps
-        self.partial = rows.partial or self.partial
-        self.warnings += [note for note in rows.warnings if note not in self.warnings]
+    def push(self, stamps: Stamps, raw: RawLog) -> None:
+        """Take the stamps of the next rows, and what was said of them."""
+        self.partial = raw.partial or self.partial
+        self.warnings += [note for note in raw.warnings if note not in self.warnings]
         if self.count:
             steps = np.diff(stamps, prepend=np.int64(self.last)).astype(np.float64)
         else:

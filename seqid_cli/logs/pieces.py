@@ -16,7 +16,7 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.long import READERS, LongLog, likely_rows
-from seqid_cli.logs.raw import Array, RawLog, Stream, TimeSource
+from seqid_cli.logs.raw import RawLog, Stream, TimeSource, joined
 from seqid_cli.logs.read import assemble, read_both
 from seqid_cli.logs.recording import Recording, Whole
 from seqid_cli.logs.storage.files import check_log, storage_file, unchanged
@@ -146,26 +146,7 @@ def _between(stream: Stream, first: int, last: int) -> Stream:
 def _side_by_side(parts: Sequence[tuple[Stream, ...]]) -> tuple[Stream, ...]:
     """Consecutive parts of an IMU's streams, from where all of them are there."""
     most = max(map(len, parts))
-    return tuple(_joined(one) for one in zip(*(p for p in parts if len(p) == most), strict=True))
-
-
-def _joined(parts: Sequence[Stream]) -> Stream:
-    """Consecutive parts of a stream; a quantity that some lack is missing there."""
-    there = [part for part in parts if len(part)]
-    if not there:
-        return parts[0]
-    channels = {
-        name: np.concatenate([_values(part, name, there) for part in there])
-        for name in dict.fromkeys(name for part in there for name in part.channels)
-    }
-    return Stream(there[0].name, np.concatenate([part.stamp_ns for part in there]), channels)
-
-
-def _values(part: Stream, name: str, parts: Sequence[Stream]) -> Array:
-    if name in part.channels:
-        return part.channels[name]
-    width = next(other.channels[name].shape[1] for other in parts if name in other.channels)
-    return np.full((len(part), width), np.nan)
+    return tuple(joined(one) for one in zip(*(p for p in parts if len(p) == most), strict=True))
 
 
 def read_parts(
@@ -242,7 +223,7 @@ def _following(blocks: Sequence[RawLog]) -> RawLog:
             imus.setdefault(name, []).append(streams)
     return replace(
         blocks[-1],
-        joints=_joined([block.joints for block in blocks]),
+        joints=joined([block.joints for block in blocks]),
         imus={name: _side_by_side(parts) for name, parts in imus.items()},
         warnings=tuple(dict.fromkeys(text for block in blocks for text in block.warnings)),
     )

@@ -1,6 +1,6 @@
 """What a reader hands over: samples as they were logged, each stream with its own stamps."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -55,6 +55,25 @@ class RawLog:
     warnings: tuple[str, ...] = ()
     log_minus_header_s: float | None = None
     prefer_current: bool = False
+
+
+def joined(parts: Sequence[Stream]) -> Stream:
+    """Consecutive parts of a stream; a quantity that some lack is missing there."""
+    there = [part for part in parts if len(part)]
+    if not there:
+        return parts[0]
+    channels = {
+        name: np.concatenate([_values(part, name, there) for part in there])
+        for name in dict.fromkeys(name for part in there for name in part.channels)
+    }
+    return Stream(there[0].name, np.concatenate([part.stamp_ns for part in there]), channels)
+
+
+def _values(part: Stream, name: str, parts: Sequence[Stream]) -> Array:
+    if name in part.channels:
+        return part.channels[name]
+    width = next(other.channels[name].shape[1] for other in parts if name in other.channels)
+    return np.full((len(part), width), np.nan)
 
 
 # Reads the channels that the robot file knows, block by block: (path, robot, time source, rows in a

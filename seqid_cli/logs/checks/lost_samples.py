@@ -141,34 +141,22 @@ def mended(joints: Stream, criteria: LossCriteria = LOSSES) -> Mended:
     `joints`: in the order of time, with `position` (M, n), and `velocity` (M, n) where it was
     logged. Returns: with the stream itself where nothing is wrong.
     """
+    stamps, q = joints.stamp_ns, joints.channels["position"]
     nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
-    as_it_is = Mended(joints, np.zeros(len(joints), np.bool_), nothing, joints.stamp_ns)
-    t, q, dq = _motion(joints)
-    if len(t) < 4 * criteria.around or not np.isfinite(q).all():
+    as_it_is = Mended(joints, np.zeros(len(joints), np.bool_), nothing, stamps)
+    if len(stamps) < 4 * criteria.around or not np.isfinite(q).all():
         return as_it_is
     steps = _sudden(np.diff(q, axis=0), criteria)
-    if len(steps) > criteria.many * len(t):
+    if len(steps) > criteria.many * len(stamps):
         return as_it_is
-    losses = _all_losses(_Motion(t, q, dq, criteria), steps)
+    dq = joints.channels.get("velocity")
+    sound = dq is not None and np.isfinite(dq).all()
+    t: Array = (stamps - stamps[0]).astype(np.float64) * 1e-9
+    losses = _all_losses(_Motion(t, q, dq if sound else None, criteria), steps)
     if not len(losses):
         return as_it_is
     stream, bridged = with_losses(joints, losses)
-    return Mended(stream, bridged, losses, joints.stamp_ns)
-
-
-def suspicious(joints: Stream) -> bool:
-    """Whether part of a stream shows what `mended` would put right."""
-    return len(mended(joints).losses) > 0
-
-
-def _motion(joints: Stream) -> tuple[Array, Array, Array | None]:
-    """Seconds (M,), positions (M, n) and velocities (M, n) where all joints have them."""
-    stamps = joints.stamp_ns
-    t: Array = (stamps - stamps[:1]).astype(np.float64) * 1e-9
-    dq = joints.channels.get("velocity")
-    if dq is not None and not np.isfinite(dq).all():
-        dq = None
-    return t, joints.channels["position"], dq
+    return Mended(stream, bridged, losses, stamps)
 
 
 def _sudden(d: Array, criteria: LossCriteria) -> Rows:

@@ -242,7 +242,8 @@ def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int 
         return effect.separate_by
     where = "" if joint is None else f" --joint {robot.joint_names[joint]}"
     between = f"--between {effect.name},{rivals[0]}{where}"
-    return f"{effect.separate_by}; seqid plan discriminate {between} plans it"
+    command = f"seqid plan discriminate {between}, with these logs as --have, plans it"
+    return f"{effect.separate_by}; {command}"
 
 
 def _explains(found: Investigation, taken: Taken) -> float:

@@ -81,7 +81,7 @@ def plan_discriminate(
     separation = EffectSeparation(
         between=[effect.name for effect in effects],
         joint=None if joint is None else belief.robot.joint_names[joint],
-        size=size,
+        size=found.size,
         distance=float(np.sqrt(min(np.median(one.left) for one in told))),
         power=min(float(one.power) for one in told),
         seconds_needed=_needed(told, seconds),

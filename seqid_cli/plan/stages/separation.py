@@ -13,10 +13,11 @@ average, with a standard deviation of sqrt(T), so that it is dropped with the pr
 Phi((T / 2 - asked) / sqrt(T)). No length of motion helps where T / 2 is less than BEHIND TEMPER G:
 where the rival reaches 95.3 % of the gain.
 
-Coefficients are drawn in all directions, and settings are those of the grid: the least favourable
-of them count as much as the others, where a mean trace would hide them behind the large part that
-both effects share. Rows at rest do not count, as they do not in a diagnosis: what a joint at rest
-under control carries is anything within its friction.
+Settings and coefficients of the true effect are drawn: from what logs at hand say of them, which is
+what both effects share where those logs left the name open; without logs from the grid and in all
+directions, so that a mean trace does not hide the least favourable of them. Rows at rest do not
+count, as they do not in a diagnosis: what a joint at rest under control carries is anything within
+its friction.
 
 References
 ----------
@@ -57,7 +58,7 @@ NESTED = 0.999  # share that the rival imitates on all moves of the pool, from w
 class Question:
     """Two effects at a joint (None: of the whole arm), each with the settings that are tried.
 
-    The first ones of `settings` are true in turn, `true` many; a rival may have any.
+    Without logs the first ones of `settings` are true in turn, `true` many; a rival may have any.
     """
 
     effects: tuple[Effect, Effect]
@@ -154,14 +155,16 @@ class Separation:
     """Gram matrices of moves: `of` (M, K, K) of both effects' columns, the base eliminated last.
 
     Columns are base (`base` many), then those of each setting in `slots`, by effect. `true` are
-    coefficients (D, k) of each effect at its first settings.
+    settings of each effect with coefficients (D, k) that may be true, `size` N m their root mean
+    square torque.
     """
 
     base: int
     slots: tuple[list[Slot], list[Slot]]
     prior: Array  # (K, K)
     of: Array
-    true: tuple[list[Array], list[Array]]
+    true: tuple[list[tuple[Slot, Array]], list[tuple[Slot, Array]]]
+    size: float
 
     def effects(self, total: Array) -> Array:
         """Gram matrix of the effects' columns with the base free, (..., k, k)."""
@@ -172,10 +175,7 @@ class Separation:
     def told(self, total: Array, true: int) -> Told:
         """Of one of the effects being the true one, on moves of this Gram matrix (..., K, K)."""
         E = self.effects(total)
-        found = [
-            self._against(E, a.at, c, self.slots[1 - true])
-            for a, c in zip(self.slots[true], self.true[true], strict=False)
-        ]
+        found = [self._against(E, a.at, c, self.slots[1 - true]) for a, c in self.true[true]]
         return Told(*(np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True)))
 
     def _against(self, E: Array, a: slice, c: Array, rivals: Sequence[Slot]) -> tuple[Array, Array]:
@@ -237,30 +237,103 @@ def separation_of(
 ) -> Separation:
     """Gram matrices of all moves, of which logs that there are already count as known.
 
-    True effects have a root mean square torque of `size` N m.
+    True effects are what the logs say of them; without logs their torque has a root mean square of
+    `size` N m.
     """
     layout = _Layout.of(belief, question, scenes[0])
-    K = layout.size
-    prior, grams = np.zeros((K, K)), np.zeros((len(scenes) + len(have), K, K))
-    squares = np.zeros((K, K))
-    for at, known in layout.known:
-        prior[at, at] = known
-    for m, scene in enumerate([*scenes, *have]):
-        for j, (index, X) in enumerate(_rows(belief, question, scene, layout)):
-            if question.joint in (None, j):
-                squares[np.ix_(index, index)] += X.T @ X
-            X *= np.sqrt(belief.density[j] * scene.slides[:, j] / scene.motion.rate_hz)[:, None]
-            grams[m][np.ix_(index, index)] += X.T @ X
-    squares = squares[layout.base :, layout.base :] / sum(x.samples for x in (*scenes, *have))
+    planned = [_gram(belief, question, scene, layout) for scene in scenes]
+    logged = [_gram(belief, question, scene, layout) for scene in have]
+    squares = np.sum([one.squares for one in (*planned, *logged)], axis=0)
+    squares /= sum(x.samples for x in (*scenes, *have))
+    known = np.sum([layout.prior, *(one.gram for one in logged)], axis=0)
     first = len(question.settings[0])
     slots = layout.slots[:first], layout.slots[first:]
-    true = [
-        [_drawn(one, squares[one.at, one.at], size) for one in own[:many]]
-        for own, many in zip(slots, question.true, strict=True)
-    ]
-    count = len(scenes)
-    known = prior + grams[count:].sum(axis=0)
-    return Separation(layout.base, slots, known, grams[:count], (true[0], true[1]))
+    found = Separation(
+        layout.base, slots, known, np.stack([one.gram for one in planned]), ([], []), size
+    )
+    if not logged:
+        rms = np.full(2, size)
+        true = [
+            [(one, _drawn(one, squares[one.at, one.at], size)) for one in own[:many]]
+            for own, many in zip(slots, question.true, strict=True)
+        ]
+    else:
+        moment = _without_base(known, np.sum([one.moment for one in logged], axis=0), layout.base)
+        E = found.effects(np.zeros_like(known))
+        true = [_seen(own, E, moment) for own in slots]
+        rms = np.array([_size(own, squares) for own in true])
+    return replace(found, true=(true[0], true[1]), size=float(rms.max()))
+
+
+@dataclass(frozen=True)
+class _Gram:
+    """Sums over a data set: of weighted columns (K, K), with the residual (K,), unweighted ones.
+
+    `squares` (k, k) is of the effects' columns at the joint in question.
+    """
+
+    gram: Array
+    moment: Array
+    squares: Array
+
+
+def _gram(belief: Belief, question: Question, scene: Scene, layout: _Layout) -> _Gram:
+    K, b = layout.size, layout.base
+    gram, moment, squares = np.zeros((K, K)), np.zeros(K), np.zeros((K, K))
+    measured = scene.modelled_filtered if scene.motion.tau is None else scene.motion.tau
+    left = measured - scene.modelled_filtered
+    for j, (index, X) in enumerate(_rows(belief, question, scene, layout)):
+        if question.joint in (None, j):
+            squares[np.ix_(index, index)] += X.T @ X
+        weight = np.sqrt(belief.density[j] * scene.slides[:, j] / scene.motion.rate_hz)
+        X *= weight[:, None]
+        gram[np.ix_(index, index)] += X.T @ X
+        moment[index] += X.T @ (weight * left[:, j])
+    return _Gram(gram, moment, squares[b:, b:])
+
+
+def _without_base(G: Array, moment: Array, base: int) -> Array:
+    """What the base leaves of the effects' products with the residual (k,)."""
+    return np.asarray(
+        moment[base:] - G[base:, :base] @ np.linalg.solve(G[:base, :base], moment[:base])
+    )
+
+
+def _seen(
+    slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64
+) -> list[tuple[Slot, Array]]:
+    """Settings as likely as logs make them, with coefficients (D, k) of their errors.
+
+    `E` (k, k) are the products of the effects' columns, base eliminated, `moment` (k,) those with
+    the residual. Likelihoods are tempered as those of names are.
+    """
+    rng = np.random.default_rng(0)
+    fits = [_fit(E[one.at, one.at], moment[one.at]) for one in slots]
+    gains = np.array(
+        [gain if one.fits(c) else 0.0 for one, (c, _, gain) in zip(slots, fits, strict=True)]
+    )
+    chance = np.exp((gains - gains.max()) / max(TEMPER * gains.max(), 1.0))
+    counts = rng.multinomial(draws, chance / chance.sum())
+    found = []
+    for one, (c, root, _), count in zip(slots, fits, counts, strict=True):
+        if count:
+            drawn = c + rng.normal(size=(count, len(c))) @ root.T
+            found.append((one, np.clip(drawn, one.low, one.high)))
+    return found
+
+
+def _fit(S: Array, moment: Array) -> tuple[Array, Array, float]:
+    """Coefficients (k,), a root (k, k) of their covariance, and the gain."""
+    values, vectors = np.linalg.eigh(S + 1e-9 * np.trace(S) * np.eye(len(S)) + 1e-12)
+    root = vectors / np.sqrt(np.maximum(values, 1e-300))
+    seen = root.T @ moment
+    return root @ seen, root, float(seen @ seen / 2.0)
+
+
+def _size(true: Sequence[tuple[Slot, Array]], squares: Array) -> float:
+    """Root mean square torque N m, median over what may be true."""
+    every = [_square(squares[one.at, one.at], c) for one, c in true]
+    return float(np.sqrt(np.median(np.concatenate(every))))
 
 
 def _drawn(slot: Slot, square: Array, size: float, *, draws: int = 24) -> Array:
@@ -288,6 +361,14 @@ class _Layout:
     def size(self) -> int:
         """Number of columns."""
         return self.base + int(self.slots[-1].at.stop)
+
+    @property
+    def prior(self) -> Array:
+        """What is known beforehand of all columns (K, K)."""
+        found = np.zeros((self.size, self.size))
+        for at, known in self.known:
+            found[at, at] = known
+        return found
 
     @classmethod
     def of(cls, belief: Belief, question: Question, scene: Scene) -> _Layout:

@@ -25,5 +25,6 @@ def test_the_command_names_a_rival_that_motion_can_settle(
 ) -> None:
     text = separate_by(CATALOGUE[effect], others, sample_robot("two_joint"), joint)
     assert text.startswith(CATALOGUE[effect].separate_by)
-    assert text.endswith(f"; seqid plan discriminate {command} plans it" if command else "")
+    ending = f"; seqid plan discriminate {command}, with these logs as --have, plans it"
+    assert text.endswith(ending if command else "")
     assert ("seqid plan" in text) == bool(command)

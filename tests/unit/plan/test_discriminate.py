@@ -25,6 +25,7 @@ from seqid_cli.plan.stages.separation import (
     scenes_of,
     separation_of,
 )
+from seqid_cli.typing import Array
 from tests.plants.robots.lab import robot_of
 from tests.plants.robots.stages import inertia_stage
 from tests.plants.vertical import vertical_two_joint
@@ -57,7 +58,8 @@ def test_the_gain_and_what_the_rival_leaves_are_those_of_least_squares(
     base, effects = root[:, : found.base], root[:, found.base :]
     negative = 0
     for k in (0, 1):
-        own = effects[:, found.slots[k][0].at] @ found.true[k][0][0]
+        slot, drawn = found.true[k][0]
+        own = effects[:, slot.at] @ drawn[0]
         rivals = [np.hstack([base, effects[:, b.at]]) for b in found.slots[1 - k]]
         fits = [np.linalg.lstsq(X, own)[:2] for X in rivals]
         alone = float(np.linalg.lstsq(base, own)[1][0])
@@ -123,9 +125,34 @@ def test_logs_that_there_are_count(belief: Belief, stages: Stages) -> None:
     question = Question.of(effects, joint, scenes)
     alone = separation_of(belief, question, scenes, 1.0)
     joined = separation_of(belief, question, scenes[1:], 1.0, scenes[:1])
+    joined = replace(joined, true=alone.true)
     both, rest = alone.of.sum(axis=0), joined.of.sum(axis=0)
     for k in (0, 1):
         assert joined.told(rest, k).left == pytest.approx(alone.told(both, k).left, rel=1e-6)
+
+
+@pytest.mark.parametrize("viscous", [0.0, 1.0])
+def test_chances_are_of_what_the_logs_show(belief: Belief, stages: Stages, viscous: float) -> None:
+    """No motion shows that a dry asymmetry is no bias; of a viscous one it does."""
+    pair = replace(OPTIONS, between=("asymmetric_friction", "torque_bias"))
+    moves = plan_discriminate(belief, stages, pair).moves
+    planned = scenes_of(belief, stages, moves)
+    effects, joint = asked(belief.robot, pair)
+    question = Question.of(effects, joint, planned)
+    logs = [_with(scene, viscous * np.abs(scene.motion.dq[:, 1]) + 0.2) for scene in planned[:2]]
+    found = separation_of(belief, question, planned, 1.0, logs)
+    power = float(found.told(found.of.sum(axis=0), 0).power)
+    assert power == pytest.approx(viscous, abs=0.05)
+    speeds = np.concatenate([scene.motion.dq[:, 1] for scene in logs])
+    size = np.sqrt(np.mean((viscous * np.abs(speeds) + 0.2) ** 2))
+    assert found.size == pytest.approx(size, rel=0.3)
+
+
+def _with(scene: Scene, more: Array) -> Scene:
+    """The same data set, with more torque at the second joint."""
+    tau = scene.modelled_filtered.copy()
+    tau[:, 1] += more
+    return replace(scene, motion=replace(scene.motion, tau=tau))
 
 
 def test_more_moves_tell_more(belief: Belief, stages: Stages) -> None:

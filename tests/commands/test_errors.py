@@ -153,8 +153,9 @@ def test_a_signal_during_an_import_exits_with_130(name: str, tmp_path: Path) -> 
 @pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no interval timer")
 def test_a_signal_during_a_finalizer_is_not_lost(tmp_path: Path) -> None:
     """No exception gets out of a finalizer: Python reports and forgets it."""
-    inside = "import time, weakref; f = weakref.finalize(completion, signal.raise_signal, signal.SIGTERM)"
-    done = _ran_with_a_signal(tmp_path, "SIGTERM", during=f"{inside}; f(); time.sleep(20)")
+    ending = "weakref.finalize(completion, signal.raise_signal, signal.SIGTERM)()"
+    during = f"import time, weakref; {ending}; time.sleep(20)"
+    done = _ran_with_a_signal(tmp_path, "SIGTERM", during=during)
     assert done.returncode == 130
     assert done.stderr == b"seqid completion: interrupted\n"
 

@@ -77,7 +77,7 @@ def plan_discriminate(
         return Planned([], PlannedStage(notes=[note]))
     chosen, seconds = _chosen(found, pool, options.duration_s)
     total = found.of[chosen].sum(axis=0)
-    told = [found.told(total, k) for k in (0, 1)]
+    told = [found.surely(total, k) for k in (0, 1)]
     separation = EffectSeparation(
         between=[effect.name for effect in effects],
         joint=None if joint is None else belief.robot.joint_names[joint],

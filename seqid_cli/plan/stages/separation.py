@@ -13,9 +13,10 @@ average, with a standard deviation of sqrt(T), so that it is dropped with the pr
 Phi((T / 2 - asked) / sqrt(T)). No length of motion helps where T / 2 is less than BEHIND TEMPER G:
 where the rival reaches 95.3 % of the gain.
 
-Settings and coefficients of the true effect are drawn: from what logs at hand say of them, which is
-what both effects share where those logs left the name open; without logs from the grid and in all
-directions, so that a mean trace does not hide the least favourable of them. Rows at rest do not
+Settings and coefficients of the true effect are drawn: of the grid and in all directions, so that a
+mean trace does not hide the least favourable of them; and where there are logs also from what those
+show, which is what both effects share where the name was left open. The smaller chance counts: logs
+of which something else is wrong show coefficients that are not the effect's. Rows at rest do not
 count, as they do not in a diagnosis: what a joint at rest under control carries is anything within
 its friction.
 
@@ -30,7 +31,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from scipy.special import ndtr
@@ -58,7 +59,7 @@ NESTED = 0.999  # share that the rival imitates on all moves of the pool, from w
 class Question:
     """Two effects at a joint (None: of the whole arm), each with the settings that are tried.
 
-    Without logs the first ones of `settings` are true in turn, `true` many; a rival may have any.
+    The first ones of `settings` are true in turn, `true` many; a rival may have any.
     """
 
     effects: tuple[Effect, Effect]
@@ -150,20 +151,22 @@ class Slot:
         return np.asarray(((c >= self.low) & (c <= self.high)).all(axis=-1))
 
 
+Reading = list[tuple[Slot, Array]]  # settings with coefficients (D, k) that may be true
+
+
 @dataclass(frozen=True)
 class Separation:
     """Gram matrices of moves: `of` (M, K, K) of both effects' columns, the base eliminated last.
 
-    Columns are base (`base` many), then those of each setting in `slots`, by effect. `true` are
-    settings of each effect with coefficients (D, k) that may be true, `size` N m their root mean
-    square torque.
+    Columns are base (`base` many), then those of each setting in `slots`, by effect. `true` are the
+    readings of each effect, `size` N m the root mean square torque of what may be true.
     """
 
     base: int
     slots: tuple[list[Slot], list[Slot]]
     prior: Array  # (K, K)
     of: Array
-    true: tuple[list[tuple[Slot, Array]], list[tuple[Slot, Array]]]
+    true: tuple[list[Reading], list[Reading]]
     size: float
 
     def effects(self, total: Array) -> Array:
@@ -175,7 +178,16 @@ class Separation:
     def told(self, total: Array, true: int) -> Told:
         """Of one of the effects being the true one, on moves of this Gram matrix (..., K, K)."""
         E = self.effects(total)
-        found = [self._against(E, a.at, c, self.slots[1 - true]) for a, c in self.true[true]]
+        return self._of(E, list(chain(*self.true[true])), true)
+
+    def surely(self, total: Array, true: int) -> Told:
+        """The same of the reading with the smallest chance, on moves of one matrix (K, K)."""
+        E = self.effects(total)
+        every = [self._of(E, reading, true) for reading in self.true[true]]
+        return min(every, key=lambda told: float(told.power))
+
+    def _of(self, E: Array, reading: Reading, true: int) -> Told:
+        found = [self._against(E, a.at, c, self.slots[1 - true]) for a, c in reading]
         return Told(*(np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True)))
 
     def _against(self, E: Array, a: slice, c: Array, rivals: Sequence[Slot]) -> tuple[Array, Array]:
@@ -237,8 +249,7 @@ def separation_of(
 ) -> Separation:
     """Gram matrices of all moves, of which logs that there are already count as known.
 
-    True effects are what the logs say of them; without logs their torque has a root mean square of
-    `size` N m.
+    True effects have a root mean square torque of `size` N m, or what the logs say of it.
     """
     layout = _Layout.of(belief, question, scenes[0])
     planned = [_gram(belief, question, scene, layout) for scene in scenes]
@@ -251,18 +262,16 @@ def separation_of(
     found = Separation(
         layout.base, slots, known, np.stack([one.gram for one in planned]), ([], []), size
     )
-    if not logged:
-        rms = np.full(2, size)
-        true = [
-            [(one, _drawn(one, squares[one.at, one.at], size)) for one in own[:many]]
-            for own, many in zip(slots, question.true, strict=True)
-        ]
-    else:
+    readings: tuple[list[Reading], list[Reading]] = ([], [])
+    if logged:
         moment = _without_base(known, np.sum([one.moment for one in logged], axis=0), layout.base)
         E = found.effects(np.zeros_like(known))
-        true = [_seen(own, E, moment) for own in slots]
-        rms = np.array([_size(own, squares) for own in true])
-    return replace(found, true=(true[0], true[1]), size=float(rms.max()))
+        for own, reading in zip(slots, readings, strict=True):
+            reading.append(_seen(own, E, moment))
+        size = max(_size(one, squares) for (one,) in readings)
+    for own, many, reading in zip(slots, question.true, readings, strict=True):
+        reading.append([(x, _drawn(x, squares[x.at, x.at], size)) for x in own[:many]])
+    return replace(found, true=readings, size=size)
 
 
 @dataclass(frozen=True)
@@ -299,25 +308,24 @@ def _without_base(G: Array, moment: Array, base: int) -> Array:
     )
 
 
-def _seen(
-    slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64
-) -> list[tuple[Slot, Array]]:
+def _seen(slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64) -> Reading:
     """Settings as likely as logs make them, with coefficients (D, k) of their errors.
 
     `E` (k, k) are the products of the effects' columns, base eliminated, `moment` (k,) those with
-    the residual. Likelihoods are tempered as those of names are.
+    the residual. Likelihoods are tempered as those of names are, as the law is not exactly right.
     """
     rng = np.random.default_rng(0)
     fits = [_fit(E[one.at, one.at], moment[one.at]) for one in slots]
     gains = np.array(
         [gain if one.fits(c) else 0.0 for one, (c, _, gain) in zip(slots, fits, strict=True)]
     )
-    chance = np.exp((gains - gains.max()) / max(TEMPER * gains.max(), 1.0))
+    scale = max(TEMPER * float(gains.max()), 1.0)
+    chance = np.exp((gains - gains.max()) / scale)
     counts = rng.multinomial(draws, chance / chance.sum())
     found = []
     for one, (c, root, _), count in zip(slots, fits, counts, strict=True):
         if count:
-            drawn = c + rng.normal(size=(count, len(c))) @ root.T
+            drawn = c + np.sqrt(scale) * rng.normal(size=(count, len(c))) @ root.T
             found.append((one, np.clip(drawn, one.low, one.high)))
     return found
 
@@ -330,7 +338,7 @@ def _fit(S: Array, moment: Array) -> tuple[Array, Array, float]:
     return root @ seen, root, float(seen @ seen / 2.0)
 
 
-def _size(true: Sequence[tuple[Slot, Array]], squares: Array) -> float:
+def _size(true: Reading, squares: Array) -> float:
     """Root mean square torque N m, median over what may be true."""
     every = [_square(squares[one.at, one.at], c) for one, c in true]
     return float(np.sqrt(np.median(np.concatenate(every))))

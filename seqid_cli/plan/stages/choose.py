@@ -18,6 +18,7 @@ from itertools import combinations
 
 import numpy as np
 
+from seqid_cli.params.results.plan import HARMONICS
 from seqid_cli.plan.belief import NOISE_HZ, Belief, typical
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import COEFFICIENTS, SPARSE, Drawn, Moves, Shapes, joined
@@ -58,6 +59,13 @@ class Goal:
         """tr(W C) of scaled information matrices (..., b, b), prior included."""
         C = np.linalg.inv(information + self.prior)
         return np.asarray(np.einsum("ab,...ba->...", self.W, C))
+
+    def log_condition(self, information: Array) -> Array:
+        """Log (...) of the condition of information (..., b, b) with columns of length 1."""
+        N = information + self.prior
+        size = np.sqrt(np.diagonal(N, axis1=-2, axis2=-1))
+        values = np.linalg.eigvalsh(N / (size[..., :, None] * size[..., None, :]))
+        return np.asarray(np.log(values[..., -1] / np.maximum(values[..., 0], 1e-15)) / 2.0)
 
     def covariance(self, information: Array) -> Array:
         """Covariance (b, b) of the parameters in their own units, prior included."""
@@ -146,9 +154,11 @@ def choose(goal: Goal, pool: Pool, count: int, have: Array) -> list[int]:
 def _drawn(
     limits: Limits, groups: Sequence[tuple[int, ...]], size: int, rng: np.random.Generator
 ) -> tuple[Drawn, list[tuple[int, ...]]]:
+    """Harmonics of equal speed, which leave room for wide positions, where gravity shows."""
     n = len(limits.speed)
     joints = [groups[k % len(groups)] for k in range(size)]
     coefficients = np.zeros((size, n, COEFFICIENTS))
+    harmonic = np.repeat(np.arange(1, HARMONICS + 1), 2)
     for k, group in enumerate(joints):
-        coefficients[k, list(group)] = rng.uniform(-1.0, 1.0, (len(group), COEFFICIENTS))
+        coefficients[k, list(group)] = rng.uniform(-1.0, 1.0, (len(group), COEFFICIENTS)) / harmonic
     return Drawn(coefficients, rng.uniform(size=(size, n)), np.ones((size, n))), joints

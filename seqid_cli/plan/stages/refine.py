@@ -1,5 +1,8 @@
 """Refine chosen moves one after the other by L-BFGS-B on their Fourier coefficients.
 
+What is minimised is the product of the goal, tr(W C), and the condition of the information: of sets
+with nearly the same error of the torque the one in which no parameter is left far behind is taken.
+
 The limits hold for every value of the variables, so that bounds are all the constraints; torque
 limits enter as a penalty, and a move that breaks them is not taken. The gradient is by differences,
 all steps in one batch of regressors.
@@ -47,10 +50,11 @@ class _Problem:
         return Drawn(coefficients, x[:, -n:], np.repeat(self.start.extent, len(x), axis=0))
 
     def values(self, x: Array, *, penalty: float = 100.0) -> Array:
-        """Log of the goal (P,) with the penalty on torque."""
+        """Log of the goal and of the condition (P,), with the penalty on torque."""
         moves = self.shapes.moves(self.drawn(x), self.belief.limits)
         information, overload = assess(self.belief, self.goal, moves)
-        error = np.log(self.goal.errors(self.rest + information))
+        total = self.rest + information
+        error = np.log(self.goal.errors(total)) + self.goal.log_condition(total)
         return np.asarray(error + penalty * np.maximum(overload - 1.0, 0.0) ** 2)
 
     def with_gradient(self, x: Array, *, step: float = 1e-4) -> tuple[float, Array]:

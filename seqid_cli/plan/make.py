@@ -20,11 +20,11 @@ from seqid_cli.params.results.plan import (
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import Stages, Verdict
 from seqid_cli.plan.belief import Belief, belief_of, information_of
+from seqid_cli.plan.discrimination.discriminate import ENOUGH, plan_discriminate
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.discriminate import ENOUGH, plan_discriminate
 from seqid_cli.plan.stages.friction import plan_friction
 from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.imu import plan_imu

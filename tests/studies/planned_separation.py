@@ -21,9 +21,9 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import belief_of
+from seqid_cli.plan.discrimination.discriminate import ENOUGH, plan_discriminate
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.discriminate import ENOUGH, plan_discriminate
 from seqid_cli.robot.types import Robot
 from tests.plants.planned import recorded
 from tests.plants.trials import drills

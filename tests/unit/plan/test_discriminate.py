@@ -13,18 +13,18 @@ from seqid_cli.errors import UsageError
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of
-from seqid_cli.plan.limits import limits_of
-from seqid_cli.plan.make import make_plan
-from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.discriminate import asked, plan_discriminate, pool_of
-from seqid_cli.plan.stages.separation import (
+from seqid_cli.plan.discrimination.discriminate import asked, plan_discriminate, pool_of
+from seqid_cli.plan.discrimination.question import Question
+from seqid_cli.plan.discrimination.separation import (
     BEHIND,
-    Question,
     Separation,
     Told,
     scenes_of,
     separation_of,
 )
+from seqid_cli.plan.limits import limits_of
+from seqid_cli.plan.make import make_plan
+from seqid_cli.plan.options import PlanOptions
 from seqid_cli.typing import Array
 from tests.plants.robots.lab import robot_of
 from tests.plants.robots.stages import inertia_stage
@@ -145,7 +145,10 @@ def test_chances_are_of_what_the_logs_show(belief: Belief, stages: Stages, visco
     everywhere = replace(found, true=(found.true[0][1:], found.true[1][1:]))
     by_itself = float(everywhere.surely(found.of.sum(axis=0), 0).power)
     assert 0.7 < by_itself < 0.95
-    assert power == pytest.approx(viscous * by_itself, abs=0.05)
+    if viscous:
+        assert power == pytest.approx(by_itself)
+    else:
+        assert power < 0.2 * by_itself
     speeds = np.concatenate([scene.motion.dq[:, 1] for scene in logs])
     size = np.sqrt(np.mean((viscous * np.abs(speeds) + 0.2) ** 2))
     assert found.size == pytest.approx(size, rel=0.3)

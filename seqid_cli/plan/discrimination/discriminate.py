@@ -19,6 +19,13 @@ from seqid_cli.model.effects.registry import catalogue_of
 from seqid_cli.params.results.plan import EffectSeparation, PlannedMove, PlannedStage
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
+from seqid_cli.plan.discrimination.question import Question
+from seqid_cli.plan.discrimination.separation import (
+    Separation,
+    Told,
+    scenes_of,
+    separation_of,
+)
 from seqid_cli.plan.moves.fourier import COARSE_HZ, Shapes
 from seqid_cli.plan.moves.strokes import (
     REST_S,
@@ -32,7 +39,6 @@ from seqid_cli.plan.moves.strokes import (
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.choose import Goal, draw_pool
 from seqid_cli.plan.stages.inertia import Planned, check_torque, described, within_limits
-from seqid_cli.plan.stages.separation import Question, Separation, Told, scenes_of, separation_of
 from seqid_cli.robot.types import Robot
 
 ENOUGH = 0.9  # power from which a plan is good

@@ -1,0 +1,1 @@
+"""The plan that tells two effects apart."""

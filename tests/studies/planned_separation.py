@@ -47,7 +47,7 @@ class Drawn:
     sizes: tuple[float, ...]
 
 
-DRAWN = {"Tuned on": Drawn(0, 1, (1.0, 0.4)), "Judged on": Drawn(41, 0, (0.7, 0.3))}
+DRAWN = {"Tuned on": Drawn(0, 1, (1.0, 0.4)), "Judged on": Drawn(43, 0, (0.7, 0.3))}
 PAIRS = (
     ("asymmetric_friction", "torque_bias"),
     ("torque_bias", "asymmetric_friction"),

@@ -81,11 +81,6 @@ class Base:
         ]
         return np.sqrt(sum(squares, np.zeros(self.basis.size)) / max(rows, 1)), own[0], own[1]
 
-    @cached_property
-    def untimed(self) -> tuple[Array, ...]:
-        """No time offset (M_j, 1)."""
-        return tuple(np.zeros_like(X) for X in self.timing)
-
     def deviation(self, theta_rigid: Array, theta_friction: Sequence[Array]) -> list[Array]:
         """Torque (N, n) N m of the base's deviations at every sample of each data set."""
         rigid = theta_rigid.astype(np.float32)

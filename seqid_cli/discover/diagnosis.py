@@ -301,7 +301,7 @@ def _excess(found: Investigation, robot: Robot, excess: Excess) -> UnexplainedPa
 
 def _joints(found: Investigation, robot: Robot) -> dict[str, ResidualEntry]:
     model, rows = found.model, found.ground.stage.rows
-    rms, whites = model.rms(), white(rows.scenes, rows, model.left())
+    rms, whites = model.rms(), white(rows, model.left())
     return {
         name: _residual(found, j, float(rms[j]), bool(whites[j]), tried_at(found, robot, j))
         for j, name in enumerate(robot.joint_names)

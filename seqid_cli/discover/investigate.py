@@ -20,7 +20,7 @@ from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import HELD, Ground, Model
 from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.results import Options, Selected
-from seqid_cli.discover.select.selection import select, select_again, select_among
+from seqid_cli.discover.select.selection import select, select_among
 from seqid_cli.discover.survey.events import Interval, event_masks, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.logs.recording import Recording
@@ -90,7 +90,9 @@ def investigate(
     sure = rows.without(gone)
     step("choosing effects again", 8, 10)
     if not all(map(np.array_equal, sure.used, rows.used)):
-        found = select_again(_ground(sure, stages), found)
+        model = found.model
+        found = select_among(_ground(sure, stages), model.hold, model.candidates, found.options)
+        found.run()
     told = found.told(least)
     step("estimating the noise", 9, 10)
     return Investigation(tuple(logs), told, floor_of(logs, told.model), tuple(events))

@@ -18,7 +18,6 @@ import numpy as np
 
 from seqid_cli.discover.excerpts.design import excerpts_of
 from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey, residual_survey
-from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.streaming import open_if_long
@@ -44,10 +43,7 @@ PASSED_OVER = 50_000  # samples from which on a log that does not fit is not hel
 MOST_PLACES = 6  # excerpts about places that stand out
 ABOUT_S = 4.0  # on either side of such a place
 INNER_S = 1.5  # of an excerpt, that its filters need before an event
-UNLIKE_S, UNLIKE = 10.0, 2.0  # stretches, and times the upper end of what others have
-USUAL = 0.9  # quantile of stretches that is still usual
 TENTHS, ENDS, CHANGES = 10, 3, 1.5  # parts of the time; ratio of the last to the first ones
-MOST_STRETCHES = 3
 
 
 @dataclass(frozen=True)
@@ -260,7 +256,6 @@ def _time_notes(surveys: Sequence[ResidualSurvey], robot: Robot) -> Iterator[str
     for survey in surveys:
         for j, name in enumerate(robot.joint_names):
             yield from _over_time(survey, j, name)
-            yield from _unlike(survey, j, name)
 
 
 def _over_time(survey: ResidualSurvey, j: int, name: str) -> Iterator[str]:
@@ -273,30 +268,6 @@ def _over_time(survey: ResidualSurvey, j: int, name: str) -> Iterator[str]:
     if len(survey.squares) >= TENTHS and max(early, late) > CHANGES * min(early, late) > 0.0:
         numbers = " ".join(f"{part:.3g}" for part in parts)
         yield f"{survey.path}: RMS residual of {name} in tenths of the time: {numbers}"
-
-
-def _unlike(survey: ResidualSurvey, j: int, name: str) -> Iterator[str]:
-    """Stretches over which the residual is unlike the rest."""
-    size = round(UNLIKE_S / BLOCK_S)
-    starts = np.arange(0, len(survey.squares), size)
-    squares, counts = (np.add.reduceat(x[:, j], starts) for x in (survey.squares, survey.counts))
-    there = counts > 0
-    rms = np.sqrt(squares / np.maximum(counts, 1.0))
-    usual = float(np.quantile(rms[there], USUAL)) if there.any() else 0.0
-    large = there & (rms > UNLIKE * usual)
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], large.astype(int), [0]])))
-    stretches = list(zip(edges[::2], edges[1::2], strict=True))
-    if usual > 0.0 and 0 < len(stretches) <= MOST_STRETCHES:
-        for a, b in stretches:
-            ratio = float(rms[a:b].max()) / usual
-            first, last = a * UNLIKE_S, min(b * UNLIKE_S, survey.whole.length)
-            if any(first <= place.start <= last for place in survey.places):
-                continue  # in an excerpt anyway
-            yield (
-                f"{survey.path}: the residual of {name} from {first:.0f} to {last:.0f} s is "
-                f"{ratio:.1f} times what it hardly exceeds elsewhere: diagnose this stretch by "
-                "itself, as a log of its own"
-            )
 
 
 def _rms(squares: float, counts: float) -> float:

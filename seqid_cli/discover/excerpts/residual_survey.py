@@ -67,13 +67,6 @@ class ResidualSurvey:
     usable: Array
     places: tuple[Interval, ...]
 
-    @property
-    def rms(self) -> Array:
-        """RMS residual (n,) N m where a joint slides; NaN where it never does."""
-        counts = self.counts.sum(axis=0)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return np.asarray(np.sqrt(self.squares.sum(axis=0) / counts))
-
 
 def residual_survey(
     log: Recording | SurveyedLog, robot: Robot, stages: Stages, *, options: InertiaOptions

@@ -18,7 +18,6 @@ from scipy.stats import chi2
 
 from seqid_cli.discover.noise.spectra import power_gain
 from seqid_cli.discover.survey.rows import Rows
-from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.motion import Motion
 from seqid_cli.typing import Array, Index, Mask
 
@@ -30,20 +29,13 @@ MEMORY = 40  # samples beyond which the low-pass has no correlation left
 NUGGET = 1e-6
 
 
-def white(
-    scenes: Sequence[Scene],
-    rows: Rows,
-    residual: Sequence[Array],
-    *,
-    false_alarm: float = FALSE_ALARM,
-) -> Mask:
+def white(rows: Rows, residual: Sequence[Array], *, false_alarm: float = FALSE_ALARM) -> Mask:
     """Test every joint's residual for being low-passed white noise.
 
     Parameters
     ----------
-    `scenes` : sequence of `Scene`
     rows : Rows
-        Of the same data sets; only samples that count are looked at.
+        Only samples that count are looked at.
     residual : sequence of (N, n) arrays
         Low-passed twice, at the data sets' samples, N m.
     false_alarm : float
@@ -54,13 +46,13 @@ def white(
     (n,) bool array
         False where the hypothesis is rejected; True where there are too few samples to.
     """
-    return np.array([_p_value(scenes, rows, residual, j) for j in range(rows.n)]) >= false_alarm
+    return np.array([_p_value(rows, residual, j) for j in range(rows.n)]) >= false_alarm
 
 
-def _p_value(scenes: Sequence[Scene], rows: Rows, residual: Sequence[Array], joint: int) -> float:
+def _p_value(rows: Rows, residual: Sequence[Array], joint: int) -> float:
     """Probability of correlations as large as these in a white residual."""
     product, pairs = np.zeros(LAGS), np.zeros(LAGS)
-    for scene, at, used, values in zip(scenes, rows.picked, rows.used, residual, strict=True):
+    for scene, at, used, values in zip(rows.scenes, rows.picked, rows.used, residual, strict=True):
         time, z = _whitened(scene.motion, at, used[:, joint], values[:, joint])
         if len(z) > LAGS:
             square = float(np.mean(z**2))

@@ -24,7 +24,6 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from seqid_cli.discover.select.rows import (
@@ -34,9 +33,8 @@ from seqid_cli.discover.select.rows import (
     Rows,
 )
 from seqid_cli.tiles import tiles
+from seqid_cli.typing import Array, Index
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Factor = tuple[Array, bool]  # of Cholesky, as scipy has it
 
 BATCH = 200  # terms that are tried at once

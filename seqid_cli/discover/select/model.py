@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.base import Base
 from seqid_cli.discover.candidates import Candidate, Stage
@@ -17,8 +16,7 @@ from seqid_cli.discover.select.noise import Noise, settled
 from seqid_cli.discover.select.rows import Part, Rows
 from seqid_cli.discover.select.terms import Term, effects
 from seqid_cli.discover.select.tuning import NEAR, Tuner
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 FAR = 30.0  # standard errors of the file, in multiples, that a free base may move by
 SCALES = (1.0, 3.0, 10.0, FAR)  # of which the evidence chooses
@@ -105,10 +103,7 @@ class Ground:
         return [
             Part(dict(enumerate(base.rigid)), rigid, np.diag(base.bounds[0] ** 2)),
             *(Part({j: base.friction[j]}, friction[j], own[j]) for j in joints),
-            *(
-                Part({j: base.timing[j] if timed[j] else base.untimed[j]}, timing[j])
-                for j in joints
-            ),
+            *(Part({j: base.timing[j]} if timed[j] else {}, timing[j]) for j in joints),
         ]
 
 
@@ -166,6 +161,8 @@ class Model:
         for number in range(1 + n):
             for scale in SCALES:
                 own = [best.of(j) for j in range(n)]
+                if scale == [best.rigid, *own][number]:
+                    continue
                 if number:
                     own[number - 1] = scale
                 hold = replace(best, rigid=best.rigid if number else scale, own=tuple(own))

@@ -19,14 +19,13 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.select.rows import Predicted
+from seqid_cli.typing import Array
 
 if TYPE_CHECKING:
     from seqid_cli.discover.select.results import Taken
 
-Array = NDArray[np.float64]
 
 CONSTANT, OF_SHARE, OF_GAIN = 0.06, 0.44, 0.73  # of the log odds: of logit(share), log10(gain)
 TEMPER = 0.016  # of the gain, by which two laws may differ and be equally likely

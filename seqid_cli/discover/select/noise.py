@@ -13,14 +13,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.rows import ALIKE, Part, Rows
-
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from seqid_cli.typing import Array, Index
 
 NU = 4.0
 WINDOW_S = 0.3

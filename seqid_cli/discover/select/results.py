@@ -6,15 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from seqid_cli.discover.select.model import Model, rms_of_rows
 from seqid_cli.discover.select.rows import Gained, Predicted
 from seqid_cli.discover.select.terms import Term
+from seqid_cli.typing import Array
 
-Array = NDArray[np.float64]
 Key = tuple[str, int | None]
 
 

@@ -13,13 +13,11 @@ from functools import cached_property, lru_cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.noise.level import LEVEL
 from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF
+from seqid_cli.typing import Array, Index
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
 Channels = Mapping[int, Array]  # channel -> its rows of some columns (M_c, k)
 
 ALIKE = 0.5 * SAMPLES_PER_CUTOFF  # rows of low-passed signals that tell as much as one

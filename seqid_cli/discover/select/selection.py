@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.linear import Linear
@@ -35,8 +34,6 @@ from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.select.tuning import Tried
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
-
-Array = NDArray[np.float64]
 
 
 def select(
@@ -77,26 +74,17 @@ def _best_of_all(every: Sequence[Selection]) -> Selection:
     return best
 
 
-def select_again(ground: Ground, found: Selection) -> Selection:
-    """Go on from the effects of a selection, on other rows of the same logs."""
-    model = found.model
-    again = select_among(ground, model.hold, model.candidates, found.options, found.catalogue)
-    again.run()
-    return again
-
-
 def select_among(
     ground: Ground,
     hold: Hold,
     candidates: Sequence[Candidate],
     options: Options,
-    catalogue: Sequence[Effect] | None = None,
 ) -> Selection:
     """Begin with effects, and take back those that the model does not need."""
     model = Model(ground, hold)
     if candidates:
         model.add(candidates)
-    among = Selection(model, options, _known(ground) if catalogue is None else catalogue)
+    among = Selection(model, options, _known(ground))
     among.eliminate()
     return among
 

@@ -14,15 +14,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.select.smoothest import knots_of, smoothest
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis, Factor, Measure, greville, shape, splines
 from seqid_cli.model.effects.unexplained import SmoothTerm
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 SIZE = 12  # functions of one quantity, the constant among them
 TENSOR_SIZE = 6  # the same per quantity of a product
@@ -98,31 +96,28 @@ def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
 
 
 def _of_joint(rows: Rows, j: int) -> list[SmoothFunction | None]:
+    alone: tuple[Measure, ...] = ("position", "velocity", "acceleration", "load", "temperature")
+    sided: tuple[Measure, ...] = ("position", "load_size", "speed", "temperature")
+    names = {"load_size": "load", "speed": "velocity"}
     return [
-        _smooth(rows, j, ("position",), "position", "position"),
-        _smooth(rows, j, ("velocity",), "velocity", "velocity"),
-        _smooth(rows, j, ("acceleration",), "acceleration", "acceleration"),
-        _smooth(rows, j, ("load",), "load", "load"),
-        _smooth(rows, j, ("temperature",), "temperature", "temperature"),
-        _smooth(rows, j, ("position", "direction"), "position", "position x direction"),
-        _smooth(rows, j, ("load", "direction"), "load_size", "load x direction"),
-        _smooth(rows, j, ("velocity", "direction"), "speed", "speed x direction"),
-        _smooth(rows, j, ("temperature", "direction"), "temperature", "temperature x direction"),
+        *(_smooth(rows, j, (measure,), measure, measure) for measure in alone),
+        *(
+            _smooth(rows, j, (name, "direction"), measure, f"{name} x direction")
+            for measure, name in ((measure, names.get(measure, measure)) for measure in sided)
+        ),
     ]
 
 
 def _of_others(rows: Rows, j: int) -> list[SmoothFunction | None]:
-    names = rows.scenes[0].robot.joint_names
     measures: tuple[Measure, ...] = ("position", "velocity", "acceleration")
     found = []
-    for k in range(rows.n):
-        for measure in measures if k != j else ():
-            quantities = (f"other_joint:{names[k]}",)
-            found.append(_smooth(rows, j, quantities, measure, f"{measure} of {names[k]}", k))
-        if k != j:  # rubs more where another joint stands, as rails do that are not parallel
-            both = (f"other_joint:{names[k]}", "direction")
-            label = f"position of {names[k]} x direction"
-            found.append(_smooth(rows, j, both, "position", label, k))
+    for k, name in enumerate(rows.scenes[0].robot.joint_names):
+        if k != j:
+            other = f"other_joint:{name}"
+            found += [_smooth(rows, j, (other,), m, f"{m} of {name}", k) for m in measures]
+            # rubs more where another joint stands, as rails do that are not parallel
+            label = f"position of {name} x direction"
+            found.append(_smooth(rows, j, (other, "direction"), "position", label, k))
     return found
 
 
@@ -130,11 +125,8 @@ def _of_time(rows: Rows, j: int) -> list[SmoothFunction | None]:
     clocks: list[tuple[Measure, str]] = [("time", "time since the log's start")]
     if len(rows.scenes) > 1:
         clocks.append(("session_time", "time of all logs"))
-    found = []
-    for measure, label in clocks:
-        found.append(_smooth(rows, j, ("time",), measure, label))
-        found.append(_smooth(rows, j, ("time", "direction"), measure, f"{label} x direction"))
-    return found
+    ways = (("time",), ""), (("time", "direction"), " x direction")
+    return [_smooth(rows, j, q, m, label + way) for m, label in clocks for q, way in ways]
 
 
 def _smooth(

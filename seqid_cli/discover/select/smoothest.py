@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh
 
-Array = NDArray[np.float64]
-Index = NDArray[np.intp]
+from seqid_cli.typing import Array, Index
 
 EDGE = 0.01  # share of the rows beyond the first knot (and the last), whatever fold is left out
 STILL = 1e-9  # range of a quantity, relative to its size, below which it has not moved

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.base import LIKELY
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.select.rows import Channels, Part
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 from seqid_cli.discover.survey.rows import Rows
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 
 @dataclass(frozen=True, eq=False)

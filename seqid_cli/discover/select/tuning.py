@@ -6,15 +6,13 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.rows import Gained
 from seqid_cli.discover.select.terms import Term, effects
 from seqid_cli.model.effects.effect import SPACING, Setting
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 GOLDEN = 0.381966
 STEPS = 8

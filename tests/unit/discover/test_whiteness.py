@@ -42,7 +42,7 @@ def rejected(case: Case, extra: Array, draws: int, seed: int) -> float:
     count = 0
     for _ in range(draws):
         values = rng.standard_normal((samples, 2)) + extra
-        count += int(np.sum(~white([scene], rows, [low_passed(values, scene)])))
+        count += int(np.sum(~white(rows, [low_passed(values, scene)])))
     return count / (2 * draws)
 
 
@@ -72,4 +72,4 @@ def test_slow_noise_of_the_size_of_the_white_is_seen(moving: Case) -> None:
 def test_too_few_samples_are_not_judged() -> None:
     scene, rows, samples = case(wander(3.0, 2))
     line = np.tile(np.sin(np.arange(samples) / RATE_HZ * 2)[:, None], (1, 2))
-    assert white([scene], rows, [low_passed(line, scene)]).all()
+    assert white(rows, [low_passed(line, scene)]).all()

@@ -94,9 +94,9 @@ def _motion(recording: Recording, robot: Robot, stages: Stages, options: Inertia
     return best_motion(recording, robot, stages.imu, encoder, source=options.source)
 
 
-def thinned(full: Scene, samples_per_cutoff: float = SAMPLES_PER_CUTOFF) -> Scene:
+def thinned(full: Scene) -> Scene:
     """The data set at the rate at which most effects are looked for, with the full one inside."""
-    motion = decimated(full.motion, samples_per_cutoff)
+    motion = decimated(full.motion, SAMPLES_PER_CUTOFF)
     every = round(full.motion.rate_hz / motion.rate_hz)
     logged = (full.temperature, full.sensor, full.encoder)
     temperature, sensor, encoder = (None if x is None else x[::every] for x in logged)

@@ -18,7 +18,6 @@ from functools import cached_property
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from seqid_cli.discover.scenes import thinned
 from seqid_cli.discover.survey.reversals import Reversal, reversals_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import REACH
@@ -109,36 +108,23 @@ class Rows:
             result.append(found)
         return result
 
-    def columns(
-        self, per_scene: Iterable[Mapping[int, Array]], passes: int, *, coarse: bool = False
-    ) -> dict[int, Array]:
-        """Low-pass an effect's columns, log by log, and keep the rows of each joint.
-
-        Those of `coarse` are at the samples of the coarse data sets.
-        """
+    def columns(self, per_scene: Iterable[Mapping[int, Array]], passes: int) -> dict[int, Array]:
+        """Low-pass an effect's columns, log by log, and keep the rows of each joint."""
         rows: dict[int, list[Array]] = {}
         for number, columns in enumerate(per_scene):
             for joint, values in columns.items():
-                kept = self.filtered(number, values, passes, coarse=coarse)
+                kept = self.filtered(number, values, passes)
                 rows.setdefault(joint, []).append(kept[self.used[number][:, joint]])
         return {j: self.whitened(j, np.concatenate(values)) for j, values in rows.items()}
 
-    def filtered(self, number: int, values: Array, passes: int, *, coarse: bool = False) -> Array:
+    def filtered(self, number: int, values: Array, passes: int) -> Array:
         """Low-pass values (N, K) of one data set and keep its rows (M, K)."""
         motion, picked = self.scenes[number].motion, self.picked[number]
-        if coarse:
-            rate, motion = motion.rate_hz, self.coarse[number].motion
-            picked = picked // round(rate / motion.rate_hz)
         kept = np.empty((len(picked), values.shape[1]))
         for first in range(0, values.shape[1], TOGETHER):
             own = slice(first, first + TOGETHER)
             kept[:, own] = motion.filtered(values[:, own], passes)[picked]
         return kept
-
-    @cached_property
-    def coarse(self) -> tuple[Scene, ...]:
-        """The data sets at two samples per row, or more: enough for what has no steps."""
-        return tuple(map(_coarse, self.scenes, self.picked))
 
     @cached_property
     def made(self) -> dict[str, object]:
@@ -176,13 +162,6 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
     folds = _folds(lengths)
     kept = _predictable(kept, block, folds)
     return Rows(tuple(scenes), tuple(picked), kept, tuple(block), folds)
-
-
-def _coarse(scene: Scene, picked: Index) -> Scene:
-    """A data set with each second sample, or third, ... that leaves every row its own."""
-    stride, motion = int(np.min(np.diff(picked), initial=scene.samples)), scene.motion
-    factor = max(k for k in range(1, max(stride // 2, 1) + 1) if stride % k == 0)
-    return thinned(scene, motion.rate_hz / ((factor + 0.5) * motion.lowpass.cutoff_hz))
 
 
 def extrapolated(scenes: Sequence[Scene]) -> list[Mask]:

@@ -35,21 +35,10 @@ def differentiate(values: Array, rate_hz: float, valid: Mask | None = None) -> t
     squared; zero outside valid runs.
     """
     first, second = np.zeros_like(values), np.zeros_like(values)
+    width = [(SIDE, SIDE)] + [(0, 0)] * (values.ndim - 1)
     for start, stop in runs(valid, len(values)):
-        piece = _extended(values[start:stop])
+        # Mirrored through the end points.
+        piece = np.pad(values[start:stop], width, mode="reflect", reflect_type="odd")
         first[start:stop] = correlate1d(piece, FIRST * rate_hz, axis=0)[SIDE:-SIDE]
         second[start:stop] = correlate1d(piece, SECOND * rate_hz**2, axis=0)[SIDE:-SIDE]
     return first, second
-
-
-def _extended(values: Array) -> Array:
-    """`SIDE` samples more at both ends, mirrored through the end points."""
-    reach = min(SIDE, len(values) - 1)
-    before = 2 * values[:1] - values[reach:0:-1]
-    after = 2 * values[-1:] - values[-2 : -2 - reach : -1]
-    padded = np.concatenate([before, values, after])
-    missing = SIDE - reach
-    if missing:
-        width = [(missing, missing)] + [(0, 0)] * (values.ndim - 1)
-        padded = np.pad(padded, width, mode="edge")
-    return padded

@@ -145,15 +145,11 @@ def sampled(c: Array, weights: Array) -> Array:
 
 def mean_motion(chunk: Chunk, c: Array, fraction: float = 0.0, at: Index | None = None) -> Array:
     """q, dq, ddq (3, n, M) averaged over the samples of every interval, or of those `at` alone."""
-    weights, m = chunk.mean_knots(fraction), len(c) - 3
+    weights = chunk.mean_knots(fraction)
     if at is not None:
         near = np.stack([c[at + a] for a in range(4)])
         return np.ascontiguousarray(np.tensordot(weights, near, (1, 0)).transpose(0, 2, 1))
-    flat = np.ascontiguousarray(c.T)
-    x = weights[:, 0, None, None] * flat[:, :m]
-    for a in range(1, 4):
-        x += weights[:, a, None, None] * flat[:, a : a + m]
-    return np.asarray(x)
+    return np.ascontiguousarray(sampled(c, weights).transpose(0, 2, 1))
 
 
 def jerk_of(c: Array, spacing: float) -> Array:

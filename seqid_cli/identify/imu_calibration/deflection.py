@@ -44,15 +44,23 @@ def renewed(linear: Sequence[Linearised], sizes: Sizes) -> Sizes:
 
 
 def likeliest(
-    rows: Rows, start: Sizes, least: Array | float = 0.0, *, min_size: float = 1e-3
+    rows: Rows,
+    start: Sizes,
+    least: Array | float = 0.0,
+    *,
+    min_size: float = 1e-3,
+    rounds: int = 40,
+    done: float = 1e-12,
 ) -> Sizes:
     """Sizes of the largest likelihood among those of at least `least` rad/s^2 of a node.
 
-    Nothing depends on sizes below `min_size`.
+    Nothing depends on sizes below `min_size`. After `rounds`, or when none changes by the share
+    `done`, they are taken.
     """
     least = np.maximum(least, min_size)
     noise, deflection = start.noise, np.maximum(start.deflection, least)
-    for _ in range(40):
+    for _ in range(rounds):
+        before = np.append(noise, deflection)
         k, v = noise, deflection**2
         M = np.linalg.inv(np.diag(1.0 / v) + _over(rows.B, k))
         x = (M @ _over(rows.u, k)[:, :, None])[:, :, 0]  # the accelerations, given the residuals
@@ -67,6 +75,8 @@ def likeliest(
         room = rows.share @ (1.0 / v - np.diagonal(M, axis1=1, axis2=2) / v**2)
         spread = deflection * np.sqrt(np.sqrt(pull / np.maximum(room, 1e-300)))
         deflection = np.maximum(spread, least)
+        if np.all(np.abs(np.append(noise, deflection) - before) <= done * before):
+            break
     return Sizes(noise, deflection)
 
 

@@ -274,10 +274,12 @@ def _band(linear: Linearised) -> Array:
     m, n = len(segment.moving), segment.samples
     JJ = np.einsum("ncdi,ncej->nijde", J, J, optimize=True)
     weights = _stencils(segment)
+    both = np.einsum("do,ep->deop", weights, weights).reshape(-1, WIDTH * WIDTH)
+    blocks = (JJ.reshape(-1, len(both)) @ both).reshape(n, m, m, WIDTH, WIDTH)
     band = np.zeros((WIDTH * m, (n + 2 * REACH) * m))
     for o in range(WIDTH):
         for p in range(o + 1):
-            block = np.einsum("nijde,d,e->nij", JJ, weights[:, o], weights[:, p])
+            block = blocks[..., o, p]
             for i in range(m):
                 for j in range(m):
                     row = (o - p) * m + i - j

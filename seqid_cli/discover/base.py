@@ -20,13 +20,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.discover.survey.rows import Rows
-from seqid_cli.identify.regression.equations import filtered_columns
 from seqid_cli.identify.regression.least_squares import whitened
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.filters.differentiation import differentiate
+from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
-from seqid_cli.robot.base_parameters import Basis, free_basis
+from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, loaded_columns
+from seqid_cli.robot.types import Robot
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array
 
@@ -120,7 +121,7 @@ def base_of(rows: Rows, stages: Stages) -> Base:
     robot = rows.scenes[0].robot
     basis = free_basis(robot)
     motions = [scene.motion for scene in rows.scenes]
-    H = [filtered_columns(x, robot, basis, slice(0, x.samples), 0) for x in motions]
+    H = [_filtered_regressor(motion, robot, basis) for motion in motions]
     timing = [
         differentiate(scene.modelled_filtered, motion.rate_hz, motion.valid)[0]
         for scene, motion in zip(rows.scenes, motions, strict=True)
@@ -149,6 +150,15 @@ def base_of(rows: Rows, stages: Stages) -> Base:
         ),
         start=np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in y]),
     )
+
+
+def _filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Array:
+    """Base regressor (N, n, b), low-passed; a joint's columns of links before it stay zero."""
+    H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)
+    loaded = loaded_columns(robot, basis)
+    result = np.zeros_like(H)
+    result[:, loaded] = motion.filtered(H[:, loaded])
+    return result
 
 
 def residual_of(scene: Scene) -> Array:

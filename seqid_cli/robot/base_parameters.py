@@ -125,24 +125,66 @@ def standard_regressor(
 
 
 def base_regressor(
-    robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, *, spare: int = 0
+    robot: Robot,
+    basis: Basis,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    *,
+    spare: int = 0,
+    out: Array | None = None,
+    first: int = 0,
 ) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
 
-    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `spare`: columns of zeros
-    behind, to be filled by the caller. Returns (N, n, b + spare): each column contiguous in memory.
+    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `spare`: columns to be filled
+    by the caller; zeros without `out`. `out` (n, b + spare, M): written to, where `loaded_columns`
+    tells that H can differ from zero; zeros elsewhere. `first`: where in `out` the N samples go.
+    Returns (N, n, b + spare): each column contiguous in memory.
     """
-    links, rotors = np.split(basis.representative, [PER_LINK * robot.n])
-    H = np.zeros((robot.n, basis.size + spare, len(q)))
-    kept = columns_by_link(robot.n, np.flatnonzero(links.any(axis=1)).tolist())
+    whole = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
+    H = whole[:, :, first : first + len(q)]
+    _fill_links(robot, basis, q, dq, ddq, H, fresh=out is None)
+    _add_rotors(robot, basis, ddq, H)
+    return H.transpose(2, 0, 1)
+
+
+def _fill_links(
+    robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array, *, fresh: bool
+) -> None:
+    """Fill H (n, b, N) with the links' columns, block by block."""
+    P = basis.representative[: PER_LINK * robot.n]
+    kept = columns_by_link(robot.n, np.flatnonzero(P.any(axis=1)).tolist())
+    alone = (np.count_nonzero(basis.representative, axis=0) == 1) & P.any(axis=0)
+    if not fresh:
+        H[:, np.flatnonzero(~alone)] = 0.0
     for i, rows, block in link_blocks(robot.chain, robot.gravity, q, dq, ddq, kept):
         for column, c in enumerate(PER_LINK * i + kept[i]):
-            for k in np.flatnonzero(links[c]):
-                H[: i + 1, k, rows] += links[c, k] * block[:, column]
-    ratios = gear_ratios(robot)
-    for i, k in np.argwhere(rotors):
-        H[i, k] += ratios[i] ** 2 * rotors[i, k] * ddq[:, i]
-    return H.transpose(2, 0, 1)
+            for k in np.flatnonzero(P[c]):
+                target = H[: i + 1, k, rows]
+                if alone[k]:
+                    np.multiply(block[:, column], P[c, k], out=target)
+                else:
+                    target += P[c, k] * block[:, column]
+
+
+def _add_rotors(robot: Robot, basis: Basis, ddq: Array, H: Array) -> None:
+    """Add the columns of rotors that are parameters to H (n, b, N)."""
+    P, ratio = basis.representative[PER_LINK * robot.n :], gear_ratios(robot)
+    for i, k in zip(*np.nonzero(P), strict=True):
+        H[i, k] += ratio[i] ** 2 * ddq[:, i] * P[i, k]
+
+
+def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
+    """Say where `base_regressor` can differ from zero.
+
+    Returns (n, b) bool: false where a joint lies behind all links and rotors that a base parameter
+    belongs to.
+    """
+    used = basis.representative != 0.0
+    last = np.append(np.repeat(np.arange(robot.n), PER_LINK), np.arange(robot.n))
+    behind: NDArray[np.intp] = np.where(used, last[:, None], -1).max(axis=0)
+    return np.arange(robot.n)[:, None] <= behind
 
 
 def base_parameters(robot: Robot, *, rotor: Sequence[int], zero: float = 1e-10) -> Basis:

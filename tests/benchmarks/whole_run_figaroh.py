@@ -113,9 +113,11 @@ def main(arguments: Sequence[str]) -> int:
     cpu, base = figaroh_case.usage()[0], figaroh_case.held_mib()
     basis = free_basis(robot)
     joints = [Accumulator(basis.size) for _ in range(robot.n)]
+    room = np.zeros((robot.n, basis.size, ROWS))
     for start in range(0, len(q), ROWS):
         part = slice(start, min(start + ROWS, len(q)))
-        H = base_regressor(robot, basis, q[part], dq[part], ddq[part])
+        out = room[:, :, : part.stop - start]
+        H = base_regressor(robot, basis, q[part], dq[part], ddq[part], out=out)
         for j, joint in enumerate(joints):
             joint.add(H[:, j], tau[part, j])
     solution = solve(joints)

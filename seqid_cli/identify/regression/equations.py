@@ -11,7 +11,7 @@ from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuStage
-from seqid_cli.robot.base_parameters import Basis, base_regressor
+from seqid_cli.robot.base_parameters import Basis, base_regressor, loaded_columns
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -60,35 +60,57 @@ class Rows:
     where: slice
 
 
-def filtered_columns(
-    motion: Motion,
-    robot: Robot,
-    basis: Basis,
-    where: slice,
-    reach: int,
-    beside: Callable[[Motion], Array] | None = None,
-) -> Array:
-    """Base regressor of some samples of a motion (N, n, b), filtered.
+class FilteredColumns:
+    """Filtered base regressors of consecutive parts of one log, all in the same memory.
 
-    `where`: the samples, [start, stop). `reach`: samples on either side that the low-pass
+    `longest`: samples of a part, at most. `reach`: samples on either side that the low-pass
     remembers. `beside`: one more column (N, n) of a motion, filtered already.
     """
-    low, high = max(0, where.start - reach), min(where.stop + reach, motion.samples)
-    near, inner = motion.part(slice(low, high)), slice(where.start - low, where.stop - low)
-    spare = 0 if beside is None else 1
-    H = base_regressor(robot, basis, near.q, near.dq, near.ddq, spare=spare)
-    motion.lowpass.filter_rows(H.transpose(1, 2, 0).reshape(-1, near.samples), near.valid)
-    if beside is not None:
-        H[:, :, -1] = beside(near)
-    return H[inner]
+
+    def __init__(
+        self,
+        robot: Robot,
+        basis: Basis,
+        longest: int,
+        reach: int,
+        beside: Callable[[Motion], Array] | None = None,
+    ) -> None:
+        self._robot, self._basis, self._reach, self._beside = robot, basis, reach, beside
+        spare = 0 if beside is None else 1
+        loaded = np.pad(loaded_columns(robot, basis), ((0, 0), (0, spare)))
+        self._only = np.flatnonzero(loaded)
+        # What is never written to is never given to the process.
+        self._room = np.zeros((*loaded.shape, longest + 2 * reach))
+        self._rows = self._room.reshape(loaded.size, -1)
+        self._spare = spare
+
+    def of(self, motion: Motion, start: int, stop: int) -> Array:
+        """Rows (stop - start, n, b) of samples [start, stop), valid until the next call.
+
+        `motion` must hold as many samples on both sides as the low-pass remembers, where there are
+        any.
+        """
+        low, high = max(0, start - self._reach), min(stop + self._reach, motion.samples)
+        near, inner = motion.part(slice(low, high)), slice(start - low, stop - low)
+        state = self._robot, self._basis, near.q, near.dq, near.ddq
+        base_regressor(*state, spare=self._spare, out=self._room)
+        filtered = self._rows[:, : near.samples]
+        motion.lowpass.filter_rows(filtered, near.valid, only=self._only)
+        H = self._room.transpose(2, 0, 1)[inner]
+        if self._beside is not None:
+            H[:, :, -1] = self._beside(near)[inner]
+        return H
 
 
 def filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Iterator[Rows]:
-    """Base regressor of a log in chunks, each filtered with enough overlap to have no seams."""
+    """Base regressor of a log in chunks, each filtered with enough overlap to have no seams.
+
+    Yields: chunks in time order; H is valid until the next.
+    """
+    columns = FilteredColumns(robot, basis, min(CHUNK, motion.samples), motion.lowpass.memory)
     for start in range(0, motion.samples, CHUNK):
         where = slice(start, min(start + CHUNK, motion.samples))
-        H = filtered_columns(motion, robot, basis, where, motion.lowpass.memory)
-        yield Rows(motion.part(where), H, where)
+        yield Rows(motion.part(where), columns.of(motion, where.start, where.stop), where)
 
 
 def blocks(samples: int, rate_hz: float, *, block_s: float = 1.0) -> Iterator[slice]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.equations import CHUNK, blocks, filtered_columns, torque_motion
+from seqid_cli.identify.regression.equations import CHUNK, FilteredColumns, blocks, torque_motion
 from seqid_cli.identify.regression.least_squares import (
     MOST_BLOCKS,
     Accumulator,
@@ -221,7 +221,8 @@ def pass_over(
         lowpass, samples = plan.kept_lowpass, -(-log.samples // plan.factor)
     reach = int(forgotten * lowpass.memory) + lowpass.settling
     size = CHUNK * int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
-    basis, column = equations.basis, equations.coupling_column
+    column = equations.coupling_column
+    columns = FilteredColumns(robot, equations.basis, min(size, samples), reach, column)
     block_s = 1.0  # longer where blocks would be merged in any case
     while (
         samples > MOST_BLOCKS * block_s * lowpass.rate_hz and block_s * lowpass.rate_hz < CHUNK / 2
@@ -236,7 +237,7 @@ def pass_over(
             end = min(first + size, stop)
             low, high = max(0, first - reach), min(motion.samples, end + reach)
             slides = sliding(motion.part(slice(low, high)), equations.slowest)
-            H = filtered_columns(motion, robot, basis, slice(first, end), reach, column)
+            H = columns.of(motion, first, end)
             for at in range(first, end, CHUNK):
                 own = slice(at, min(at + CHUNK, end))
                 inner = H[own.start - first : own.stop - first], y[own]

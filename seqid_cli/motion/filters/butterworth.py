@@ -26,7 +26,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from seqid_cli.motion.filters.differentiation import runs
-from seqid_cli.typing import Array, Complex, Mask
+from seqid_cli.typing import Array, Complex, Index, Mask
 
 ORDER = 4  # of one pass
 SHORTEST = 8  # samples of a run that is filtered at all
@@ -71,15 +71,23 @@ class Lowpass:
         self.filter_rows(rows, valid)
         return np.ascontiguousarray(rows.T).reshape(values.shape)
 
-    def filter_rows(self, rows: Array, valid: Mask | None = None, *, tile: int = 131072) -> None:
+    def filter_rows(
+        self,
+        rows: Array,
+        valid: Mask | None = None,
+        *,
+        only: Index | None = None,
+        tile: int = 131072,
+    ) -> None:
         """Filter signals in place, samples last, each run of valid samples by itself.
 
-        `rows` (c, N); those of zeros stay so. `valid` (N,): false where samples must not leak into
-        others; these stay as they are. `tile`: values that are worked on at once.
+        `rows` (c, N). `valid` (N,): false where samples must not leak into others; these stay as
+        they are. `only`: numbers of the signals to filter; all by default. `tile`: values that are
+        worked on at once.
         """
         if not self.active:
             return
-        chosen = np.flatnonzero(rows.any(axis=1))
+        chosen = np.arange(len(rows)) if only is None else only
         for start, stop in runs(valid, rows.shape[1]):
             if stop - start <= SHORTEST:
                 continue
@@ -118,7 +126,7 @@ def impulse_response(lowpass: Lowpass) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _transformed(lowpass: Lowpass, *, longer: int = 16, least: int = 512) -> tuple[int, Complex]:
+def _transformed(lowpass: Lowpass, *, longer: int = 8, least: int = 512) -> tuple[int, Complex]:
     """Length of the transforms, `longer` memories and `least` samples, and the response's own."""
     size = next_fast_len(longer * lowpass.memory + least, real=True)
     return size, np.asarray(rfft(impulse_response(lowpass), size))

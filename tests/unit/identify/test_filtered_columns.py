@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.identify.regression.equations import filtered_columns
+from seqid_cli.identify.regression.equations import FilteredColumns
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion
@@ -54,10 +54,10 @@ def test_parts_are_as_of_the_whole(tmp_path: Path, gap: slice) -> None:
     whole = moved(SAMPLES, gap)
     H = base_regressor(robot, equations.basis, whole.q, whole.dq, whole.ddq)
     expected = LOWPASS(H, whole.valid)
-    basis, column = equations.basis, equations.coupling_column
+    columns = FilteredColumns(robot, equations.basis, PART, MARGIN, equations.coupling_column)
     for start in range(0, SAMPLES, PART):
         stop = min(start + PART, SAMPLES)
-        found = filtered_columns(whole, robot, basis, slice(start, stop), MARGIN, column)
+        found = columns.of(whole, start, stop)
         assert found.shape == (stop - start, 7, equations.basis.size + 1)
         inside = whole.valid[start:stop]
         off = np.abs(found[:, :, :-1] - expected[start:stop])[inside]

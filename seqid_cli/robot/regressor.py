@@ -14,18 +14,19 @@ each column is contiguous in memory (``Y.transpose(1, 2, 0)`` is C-ordered).
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.robot.kinematics import LinkMotion, cross, link_motion
+from seqid_cli.robot.kinematics import cross, fill_motion_matrix, link_motion, skew
 from seqid_cli.robot.types import Array, Chain
 
 PER_LINK = 10
 Kinds = NDArray[np.intp]
 Coupling = Literal["diagonal", "gyroscopic"]
-_BLOCK = 1024  # samples at a time: numpy call overhead against cache
+_BLOCK = 4096  # samples at a time: numpy call overhead against cache
 
 
 def torque_regressor(
@@ -53,29 +54,48 @@ def torque_regressor(
         Link-major columns in Pinocchio's parameter order, N m (N where prismatic) per unit.
     """
     kept = columns_by_link(chain.n, columns)
-    ends = np.cumsum([0, *(len(kinds) for kinds in kept)])
-    Y = np.zeros((chain.n, ends[-1], len(q)))
-    for i, rows, block in link_blocks(chain, gravity, q, dq, ddq, kept):
-        Y[: i + 1, ends[i] : ends[i + 1], rows] = block
+    Y = np.empty((chain.n, sum(len(kinds) for kinds in kept), len(q)))
+    stop = 0
+    for i, kinds in enumerate(kept):
+        start, stop = stop, stop + len(kinds)
+        Y[i + 1 :, start:stop] = 0.0  # joints behind a link do not feel it
+    for _ in link_blocks(chain, gravity, q, dq, ddq, kept, out=Y):
+        pass
     return Y.transpose(2, 0, 1)
 
 
 def link_blocks(
-    chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array, kept: Sequence[Kinds]
+    chain: Chain,
+    gravity: Array,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    kept: Sequence[Kinds],
+    *,
+    out: Array | None = None,
 ) -> Iterator[tuple[int, slice, Array]]:
     """Compute the regressor of `torque_regressor` piece by piece, to be regrouped.
 
     `gravity` (3,) [m/s^2], base frame. `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where
     prismatic]. `kept`: per link the numbers of its columns to compute, ascending (see
-    `columns_by_link`). Yields: link i, the samples, and the torques of joints 0..i.
+    `columns_by_link`). `out` (n, p, N): where all columns go, link after link; without it each
+    array is filled anew for the next. Yields: link i, the samples, and the torques of joints 0..i.
     """
+    largest = max((i + 1) * len(kinds) for i, kinds in enumerate(kept))
+    room = np.empty(largest * min(_BLOCK, len(q)) if out is None else 0)
+    starts = np.cumsum([0, *(len(kinds) for kinds in kept)])
+    walk = _Walk.along(chain, min(_BLOCK, len(q)))
     for start in range(0, len(q), _BLOCK):
         rows = slice(start, min(start + _BLOCK, len(q)))
         state = (np.ascontiguousarray(x[rows].T) for x in (q, dq, ddq))
-        motion = link_motion(chain, gravity, *state)
-        for i, screws in enumerate(_screws(chain, motion)):
-            if len(kept[i]):
-                yield i, rows, _block(kept[i], screws, motion.w[i], motion.a[i], motion.H[i])
+        for i, link in enumerate(walk.links(gravity, *state)):
+            if out is None:
+                shape = (i + 1, len(kept[i]), rows.stop - start)
+                block = room[: int(np.prod(shape))].reshape(shape)
+            else:
+                block = out[: i + 1, starts[i] : starts[i + 1], rows]
+            _fill_link(block, kept[i], link, chain.axis[i], prismatic=chain.prismatic[i])
+            yield i, rows, block
 
 
 def gravity_regressor(chain: Chain, gravity: Array, q: Array) -> Array:
@@ -105,14 +125,15 @@ def rotor_regressor(
     for i in range(n):
         Y[i, i] = gear_ratio[i] ** 2 * ddq[:, i]
     if coupling == "gyroscopic":
-        motion = link_motion(chain, np.zeros(3), q.T, dq.T, ddq.T)
-        for i, screws in enumerate(_screws(chain, motion), start=1):
+        state = (np.ascontiguousarray(x.T) for x in (q, dq, ddq))
+        walk = _Walk.along(chain, len(q))
+        for i, link in enumerate(walk.links(np.zeros(3), *state), start=1):
             if i == n or chain.prismatic[i]:
                 continue
             z = (chain.rotation[i] @ chain.axis[i])[:, None]
-            moment = z * ddq[:, i] + cross(motion.w[i - 1], z) * dq[:, i]
-            Y[:i, i] = gear_ratio[i] * np.einsum("kjn,kn->jn", screws[0], moment)
-            Y[i, i] += gear_ratio[i] * (z * motion.dw[i - 1]).sum(axis=0)
+            moment = z * ddq[:, i] + cross(link.w, z) * dq[:, i]
+            Y[:i, i] = gear_ratio[i] * np.einsum("kjn,kn->jn", link.screws[0], moment)
+            Y[i, i] += gear_ratio[i] * (z * link.dw).sum(axis=0)
     return Y.transpose(2, 0, 1)
 
 
@@ -161,36 +182,161 @@ def columns_by_link(n: int, columns: Sequence[int] | None) -> list[Kinds]:
     return [every[every // PER_LINK == i] % PER_LINK for i in range(n)]
 
 
-def _screws(chain: Chain, motion: LinkMotion) -> Iterator[Array]:
-    """Screws (2, 3, i + 1, N) of joints 0..i, z and then l, in the frame of one link after another.
+@dataclass(frozen=True)
+class _Link:
+    """The load of a link, in its frame, samples last; the next link but one uses the arrays again.
 
-    The array is that of the link before, grown by one: use it before the next.
+    `rows` (36, N) holds, for one product with a constant matrix to carry all to the next link,
+    12 of `load`'s z, w, dw, 12 of `load`'s l, and 6 unused. `load` (2, 3, 4, N) makes the force of
+    mass and first moment: m and c of z . (c x a) = (a x z) . c, and of l . (m a + H c).
+    `screws` (2, 3, i + 1, N) are those of joints 0..i: z, then l.
     """
-    screws = np.zeros((2, 3, 0, motion.p.shape[-1]))
-    for axis, slides, R, p in zip(chain.axis, chain.prismatic, motion.R, motion.p, strict=True):
-        before, count = screws, screws.shape[2]
-        before[1] += cross(before[0], p[:, None])
-        screws = np.zeros((2, 3, count + 1, p.shape[-1]))
-        np.einsum("abn,sajn->sbjn", R, before, out=screws[:, :, :count])
-        screws[int(slides), :, count] = axis[:, None]
-        yield screws
+
+    rows: Array
+    screws: Array
+
+    @property
+    def w(self) -> Array:
+        return self.rows[12:15]
+
+    @property
+    def dw(self) -> Array:
+        return self.rows[15:18]
+
+    @property
+    def load(self) -> Array:
+        return self.rows.reshape(2, 18, -1)[:, :12].reshape(2, 3, 4, -1)
 
 
-def _block(kinds: Kinds, screws: Array, w: Array, a: Array, H: Array) -> Array:
-    """Columns `kinds` of a link for its joint and all before: (i + 1, len(kinds), N)."""
-    joints, samples = screws.shape[2:]
-    block, last = np.empty((joints, len(kinds), samples)), int(np.count_nonzero(kinds < 4))
-    # Mass and first moment: m and c of z . (c x a) = (a x z) . c, and of l . (m a + H c).
-    load = np.zeros((2, 3, 4, samples))
-    load[0, 1, 1], load[0, 2, 1] = -a[2], a[1]
-    load[0, 0, 2], load[0, 2, 2] = a[2], -a[0]
-    load[0, 0, 3], load[0, 1, 3] = -a[1], a[0]
-    load[1, :, 0], load[1, :, 1:] = a, H
-    load, K = load[:, :, kinds[:last]], _inertia_matrix(w, H)[:, kinds[last:] - 4]
-    for j in range(joints):  # joint by joint: the sum stays in cache
-        np.einsum("skn,skcn->cn", screws[:, :, j], load, out=block[j, :last])
-        np.einsum("kn,kcn->cn", screws[0, :, j], K, out=block[j, last:])
-    return block
+@dataclass(frozen=True)
+class _Walk:
+    """Walks along a chain, in the same arrays every time."""
+
+    chain: Chain
+    carriers: list[tuple[Array, Array]]
+    rows: Array  # (2, 36, N): of this link and the one before
+    screws: Array  # (2, 6, n N)
+
+    @classmethod
+    def along(cls, chain: Chain, samples: int) -> "_Walk":
+        """Make room for so many samples at a time."""
+        places = zip(chain.rotation, chain.position, strict=True)
+        carriers = [_carriers(C, p) for C, p in places]
+        # Zeros, because mass and own component of the moment in z . (c x a) are never written.
+        rows, screws = np.zeros((2, 36, samples)), np.empty((2, 6, chain.n * samples))
+        return cls(chain, carriers, rows, screws)
+
+    def links(self, gravity: Array, q: Array, dq: Array, ddq: Array) -> Iterator[_Link]:
+        """Carry motion and screws from link to link; q, dq, ddq (n, M), M not above N."""
+        samples = q.shape[1]
+        rows, screws = self.rows[:, :, :samples], self.screws
+        rows[1, 12:30] = 0.0
+        rows[1, 18:30:4] = -gravity[:, None]  # the base, as the link before
+        for i, (to_motion, to_screws) in enumerate(self.carriers):
+            axis, new, old = self.chain.axis[i], i % 2, 1 - i % 2
+            motion = (to_motion @ rows[old, 12:30]).reshape(3, 3, samples)
+            carried = screws[new, :, : i * samples]
+            np.matmul(to_screws, screws[old, :, : i * samples], out=carried)
+            before = carried.reshape(2, 3, i, samples)
+            every = screws[new, :, : (i + 1) * samples].reshape(2, 3, i + 1, samples)
+            link = _Link(rows[new], every)
+            move = _slide if self.chain.prismatic[i] else _turn
+            move(motion, before, axis, q[i], dq[i], ddq[i])
+            link.rows[12:18] = motion[:2].reshape(6, samples)
+            _fill_load(link, motion[2])
+            every[:, :, i] = 0.0
+            every[int(self.chain.prismatic[i]), :, i] = axis[:, None]
+            yield link
+
+
+def _carriers(C: Array, p: Array) -> tuple[Array, Array]:
+    """Matrices that carry (w, dw, a | H) (18,), (z, l) (6,) to a frame fixed in the link before."""
+    # The frame is turned by C and placed at p: (9, 18) to w, dw and a there, (6, 6) to z and l.
+    to_motion, to_screws = np.zeros((9, 18)), np.zeros((6, 6))
+    to_motion[:3, :3] = to_motion[3:6, 3:6] = C.T
+    point = np.hstack([np.ones(1), p])  # a + H p, from the rows (a, H) of `load`
+    to_motion[6:, 6:] = C.T @ np.kron(np.eye(3), point)
+    to_screws[:3, :3] = to_screws[3:, 3:] = C.T
+    to_screws[3:, :3] = -C.T @ skew(p)
+    return to_motion, to_screws
+
+
+def _turn(motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array) -> None:
+    """Take w, dw, a (3, 3, N) and screws (2, 3, i, N) along with a joint that turns."""
+    cosine, sine = np.cos(q), np.sin(q)
+    _turn_back(motion, axis, cosine, sine)
+    _turn_back(screws, axis, cosine, sine)
+    w, dw, _ = motion
+    dw += (-skew(axis) @ w) * dq  # w x axis dq
+    for k in np.flatnonzero(axis):
+        dw[k] += axis[k] * ddq
+        w[k] += axis[k] * dq
+
+
+def _turn_back(vectors: Array, axis: Array, cosine: Array, sine: Array) -> None:
+    """See vectors (g, 3, ..., N) from a frame turned about an axis; most axes are coordinates."""
+    used = np.flatnonzero(axis)
+    if len(used) == 1:
+        u, v = vectors[:, used[0] - 2], vectors[:, used[0] - 1]
+        turned = sine * axis[used[0]]
+        from_u, from_v = turned * u, turned * v
+        u *= cosine
+        u += from_v
+        v *= cosine
+        v -= from_u
+        return
+    along = np.einsum("a,ga...->g...", axis, vectors)[:, None] * axis.reshape(
+        (1, 3) + (1,) * (vectors.ndim - 2)
+    )
+    across = np.einsum("ab,gb...->ga...", skew(axis), vectors)
+    vectors[:] = cosine * (vectors - along) + along - sine * across
+
+
+def _slide(motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array) -> None:
+    """Take w, dw, a (3, 3, N) and screws (2, 3, i, N) along with a joint that slides."""
+    w, dw, a = motion
+    from_axis = -skew(axis)  # times x: x cross axis
+    faster = from_axis @ w
+    a += (from_axis @ dw) * q + cross(w, faster * q) + axis[:, None] * ddq + 2.0 * faster * dq
+    screws[1] += np.einsum("ab,bjn->ajn", from_axis, screws[0]) * q
+
+
+def _fill_load(link: _Link, a: Array) -> None:
+    """Fill `load` of a link from its w, dw and a (3, N)."""
+    turning, moving = link.load
+    np.copyto(moving[:, 0], a)
+    fill_motion_matrix(moving[:, 1:], link.w, link.dw)
+    turning[1, 1], turning[2, 1] = -a[2], a[1]
+    turning[0, 2], turning[2, 2] = a[2], -a[0]
+    turning[0, 3], turning[1, 3] = -a[1], a[0]
+
+
+def _fill_link(block: Array, kinds: Kinds, link: _Link, axis: Array, *, prismatic: bool) -> None:
+    """Fill the columns `kinds` of a link for its joint and all before: block (j, len(kinds), N)."""
+    i = len(block) - 1
+    last = int(np.count_nonzero(kinds < 4))
+    if last:
+        load = link.load if last == 4 else link.load[:, :, kinds[:last]]
+        for j in range(i):  # joint by joint: the sum stays in cache
+            np.einsum("skn,skcn->cn", link.screws[:, :, j], load, out=block[j, :last])
+        _along(axis, load[int(prismatic)], block[i, :last])
+    if last < len(kinds):
+        K = _inertia_matrix(link.w, link.load[1, :, 1:])
+        K = K if len(kinds) - last == 6 else K[:, kinds[last:] - 4]
+        for j in range(i):
+            np.einsum("kn,kcn->cn", link.screws[0, :, j], K, out=block[j, last:])
+        _along(0.0 * axis if prismatic else axis, K, block[i, last:])
+
+
+def _along(axis: Array, rows: Array, out: Array) -> None:
+    """Sum axis (3,) times rows (3, c, N) into out (c, N); most axes have one component."""
+    used = np.flatnonzero(axis)
+    if not len(used):
+        out[:] = 0.0
+        return
+    np.multiply(rows[used[0]], axis[used[0]], out=out)
+    for k in used[1:]:
+        out += axis[k] * rows[k]
 
 
 def _inertia_matrix(w: Array, H: Array) -> Array:

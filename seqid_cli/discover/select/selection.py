@@ -112,7 +112,7 @@ class Selection:
     def __init__(self, model: Model, options: Options, catalogue: Sequence[Effect]) -> None:
         self.model, self.options, self.catalogue = model, options, catalogue
         self._search = Search(model, catalogue)
-        self._tried: tuple[Linear, list[Tried]] | None = None
+        self._tried: list[Tried] = []
         self._tied: dict[Key, list[Term]] = {}
         self.others: list[tuple[float, tuple[Term, ...]]] = []
 
@@ -181,7 +181,7 @@ class Selection:
         """The term to take next; none where none is worth it."""
         linear, every = self.model.linear, self._search.everywhere()
         tried = [one for one in every if one.evidence > 0.0 and one.term.key not in refused]
-        self._tried = linear, tried
+        self._tried = tried
         likely = [one for one in tried if one.evidence > self.options.chance]
         able = [one for one in _ranked(linear, likely) if self._passes(one)]
         best = self._simplest(able)
@@ -232,10 +232,10 @@ class Selection:
         term's law stays in the model, for that term's sake, and is not told. A simpler rival that
         does as well takes a term's place.
         """
+        tried = _ranked(self.model.linear, self._tried)
         told = self._all_taken(least)
         taken = {term.key for term in self.model.terms}
         hidden = {key: share for key, share in self._search.visible.items() if key not in taken}
-        tried = _ranked(*self._tried) if self._tried else []
         left = tuple(one for one in tried if one.term.key not in taken)
         return Selected(self.model, told, hidden, left)
 

@@ -115,15 +115,16 @@ def wait_for_work(process: subprocess.Popen[bytes], seconds: float) -> None:
 @pytest.mark.parametrize(("name", "after"), [("SIGTERM", 1.5), ("SIGHUP", 0.5), ("SIGINT", 0.2)])
 def test_signals_end_it_like_an_interrupt(name: str, after: float, tmp_path: Path) -> None:
     """At work, and during the imports."""
+    number = getattr(signal, name)
     made, changed = tmp_path / "r.json", ROOT / "sample_logs" / "two_joint" / "changed"
     held_out, model = changed / "held_out.parquet", changed.parent / "golden.json"
     process = started(
         *("refine", str(changed / "fourier.parquet"), "--holdout", str(held_out)),
         *("-r", str(changed.parent / "robot.toml"), "-p", str(model), "-o", str(made)),
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # not so in the background
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),  # not so in the background
     )
     wait_for_work(process, after)
-    process.send_signal(getattr(signal, name))
+    process.send_signal(number)
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert err.decode().endswith("interrupted\n")

@@ -28,7 +28,7 @@ from seqid_cli.discover.refinement.held_out import LEAST_GAIN, Gain, doubt, gain
 from seqid_cli.discover.refinement.loop import Account, Loop, candidates_of_model, with_effects
 from seqid_cli.discover.refinement.material import Key, Material, Refitted, key_of
 from seqid_cli.discover.rivals import rivals_of
-from seqid_cli.discover.select.naming import named
+from seqid_cli.discover.select.naming import named, reality
 from seqid_cli.discover.select.results import Options, Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
@@ -46,6 +46,7 @@ LATE = "came after the file was identified"
 # Of its squared error a joint may lose where others gain: so much, or a share of what these gain.
 TOLERATED, EXCHANGE = 0.05, 0.2
 TRIED = Options(improvement=LEAST_GAIN)  # what is tried need not be worth a finding
+PROBABLE = 0.5  # probability of being there from which an effect is added
 SAME = 0.01  # of an order or a frequency, by which two lines may differ and be one
 
 
@@ -205,6 +206,7 @@ class Outcome:
 
     change: Gain  # of the squared error
     doubt: float  # probability that nothing is gained
+    likely: float  # probability of being there, by that change
     losing: tuple[int, ...]  # joints that lose more than is tolerated
 
     @property
@@ -215,14 +217,14 @@ class Outcome:
     @property
     def accepted(self) -> bool:
         """Whether it is worth it."""
-        return self.gains and not self.losing
+        return self.gains and self.likely > PROBABLE and not self.losing
 
 
 def _try(loop: Loop, found: Investigation, taken: Taken) -> bool:
     """Fit the model with one effect more; keep it if that helps."""
     candidate = _what(taken)
     account = _account(loop, found, candidate)
-    outcome = _outcome(loop, account, taken.term.channels)
+    outcome = _outcome(loop, account, taken)
     told = _shown(loop, _told(loop, taken, account, outcome), found, taken)
     if outcome.accepted:
         loop.accept(told, account)
@@ -249,14 +251,15 @@ def _account(loop: Loop, found: Investigation, candidate: Candidate) -> Account:
     return after if change.value > 0.0 else early
 
 
-def _outcome(loop: Loop, account: Account, channels: frozenset[int]) -> Outcome:
+def _outcome(loop: Loop, account: Account, taken: Taken) -> Outcome:
     before, after, n = loop.error_of(account.without), account.error, loop.material.robot.n
-    own = [j for j in channels if j < n]
+    own = [j for j in taken.term.channels if j < n]
     change = gain(before, after, own)
     tolerated = max(TOLERATED, EXCHANGE * change.value)
     each = [gain(before, after, [j]) for j in range(n)]
     losing = tuple(j for j, g in enumerate(each) if g.loses and g.value < -tolerated)
-    return Outcome(change, doubt(before, after, own), losing)
+    likely = reality(max(change.value, taken.one.predicted.share), taken.evidence)
+    return Outcome(change, doubt(before, after, own), likely, losing)
 
 
 def _predicted(taken: Taken) -> Gain:
@@ -292,6 +295,8 @@ def _reason(names: Sequence[str], candidate: Candidate, account: Account, outcom
         return LATE if candidate.key in account.late else ALL_ALONG
     if candidate.effect.wide and abs(outcome.change.value) < LEAST_GAIN:
         return "lies above the low-pass, where the model is not judged"
+    if outcome.gains and outcome.likely <= PROBABLE:
+        return "is less likely than not"
     if outcome.gains:
         lost = ", ".join(names[j] for j in outcome.losing)
         return f"the model identified anew with it predicts {lost} worse"

@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from seqid_cli.discover.select.rows import Predicted
 from seqid_cli.typing import Array
 
 if TYPE_CHECKING:
@@ -42,14 +41,14 @@ class Named:
     others: tuple[str, ...] = ()
 
 
-def reality(told: Predicted, margin: float) -> float:
+def reality(share: float, gain: float) -> float:
     """Probability that a term is more than the errors of a model that lacks nothing.
 
-    `margin` is the log evidence for it against a base that may leave the file instead.
+    `share` is what it takes away of the squared error, `gain` the log evidence for it.
     """
-    share = float(np.clip(told.share, 1e-3, 1.0 - 1e-3))
+    share = float(np.clip(share, 1e-3, 1.0 - 1e-3))
     odds = CONSTANT + OF_SHARE * np.log(share / (1.0 - share))
-    odds += OF_GAIN * np.log10(max(min(told.total, margin), 1.0))
+    odds += OF_GAIN * np.log10(max(gain, 1.0))
     return float(1.0 / (1.0 + np.exp(-odds)))
 
 
@@ -58,7 +57,7 @@ def named(taken: Taken) -> Named:
     shares = _shares(taken)
     own = shares.pop(taken.term.name, 0.0)
     others = {name: share for name, share in shares.items() if share > SELDOM}
-    there = reality(taken.one.predicted, taken.margin)
+    there = reality(taken.one.predicted.share, taken.evidence)
     every = (*others, *(name for name in taken.untried if name not in others))
     by_itself = there * own / (1.0 + len(taken.untried))
     return Named(there * (own + sum(others.values())), by_itself, every)

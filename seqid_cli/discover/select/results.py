@@ -74,6 +74,11 @@ class Taken:
         return rms_of_rows(self.left)
 
     @property
+    def evidence(self) -> float:
+        """Log evidence for it, the lesser of both."""
+        return min(self.one.predicted.total, self.margin)
+
+    @property
     def term(self) -> Term:
         """The term."""
         return self.one.term

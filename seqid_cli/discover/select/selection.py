@@ -248,7 +248,8 @@ class Selection:
     def _is_told(self, term: Term, least: float) -> Ranked | None:
         """A term as it gains beside all others, if it is told."""
         linear, one = self.model.beside(term), _again(term, self.model)
-        there = reality(one.predicted, self.model.margin(linear)) >= least
+        gain = min(one.predicted.total, self.model.margin(linear))
+        there = reality(one.predicted.share, gain) >= least
         return one if there and self._passes(one) and not self._of_a_law(one) else None
 
     def _all_taken(self, least: float) -> tuple[Taken, ...]:

@@ -29,19 +29,22 @@ class Gram:
     squares: Array
 
 
-def gram_of(belief: Belief, question: Question, scene: Scene, layout: Layout) -> Gram:
-    """Sum up the samples of a data set at which joints slide, weighted by the noise."""
+def gram_of(
+    belief: Belief, question: Question, scene: Scene, layout: Layout, *, logged: bool
+) -> Gram:
+    """Sum up the samples at which joints slide, weighted by the noise; no residual of a plan's."""
     K, b = layout.size, layout.base
     gram, moment, squares = np.zeros((K, K)), np.zeros(K), np.zeros((K, K))
-    measured = scene.modelled_filtered if scene.motion.tau is None else scene.motion.tau
-    left = measured - scene.modelled_filtered
+    tau = scene.motion.tau
+    left = tau - scene.modelled_filtered if logged and tau is not None else None
     for j, (index, X) in enumerate(_rows(belief, question, scene, layout)):
         if question.joint in (None, j):
             squares[np.ix_(index, index)] += X.T @ X
         weight = np.sqrt(belief.density[j] * scene.slides[:, j] / scene.motion.rate_hz)
         X *= weight[:, None]
         gram[np.ix_(index, index)] += X.T @ X
-        moment[index] += X.T @ (weight * left[:, j])
+        if left is not None:
+            moment[index] += X.T @ (weight * left[:, j])
     return Gram(gram, moment, squares[b:, b:])
 
 

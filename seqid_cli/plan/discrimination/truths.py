@@ -46,8 +46,8 @@ def _fit(S: Array, moment: Array) -> tuple[Array, Array, float]:
     """Coefficients (k,), a root (k, k) of their covariance, and the gain."""
     values, vectors = np.linalg.eigh(S + 1e-9 * np.trace(S) * np.eye(len(S)) + 1e-12)
     root = vectors / np.sqrt(np.maximum(values, 1e-300))
-    seen = root.T @ moment
-    return root @ seen, root, float(seen @ seen / 2.0)
+    white = root.T @ moment
+    return root @ white, root, float(white @ white / 2.0)
 
 
 def size_of(true: Reading, squares: Array) -> float:

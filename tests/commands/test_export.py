@@ -144,26 +144,3 @@ def test_two_files_of_different_stages_are_joined(two: Rig) -> None:
     both = two.run("export", "friction.json", "rigid.json", "-r", "robot.toml", "-o", "b.urdf")
     assert one.code == both.code == 0
     assert (two.folder / "a.urdf").read_text() == (two.folder / "b.urdf").read_text()
-
-
-def test_predict_hands_torques_over_as_mcap(rig: Rig) -> None:
-    from mcap.reader import make_reader
-    from mcap_ros2.decoder import DecoderFactory
-
-    folder = SAMPLES / "one_joint"
-    logs, robot = str(folder / "validation"), str(folder / "robot.toml")
-    model = str(folder / "golden.json")
-    done = rig.run("predict", logs, "-r", robot, "-p", model, "--torques", "t.mcap", "--json")
-    assert done.code == 0, done.err
-    samples = sum(log["samples"] for log in json.loads(done.out)["logs"])
-    with (rig.folder / "t.mcap").open("rb") as stream:
-        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-        efforts: dict[str, list[float]] = {}
-        for _, channel, _, state in reader.iter_decoded_messages():
-            efforts.setdefault(channel.topic, []).append(state.effort[0])
-    measured, predicted, residual = (
-        efforts[f"/seqid/{kind}"] for kind in ("measured", "predicted", "residual")
-    )
-    assert len(measured) == samples
-    rest = [a - b for a, b in zip(measured, predicted, strict=True)]
-    assert rest == pytest.approx(residual, abs=1e-12)

@@ -12,28 +12,23 @@ import numpy as np
 import pytest
 
 from seqid_cli.identify.functions import announcement
-from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import robot_id, with_stage
-from seqid_cli.params.io import read_parameters, write_json_atomic
+from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
-from seqid_cli.params.schema import SCHEMA, ImuStage
+from seqid_cli.params.schema import SCHEMA
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
 from tests.plants.robotfile import robot_toml
 from tests.unit.motion.smoother.test_smooth import scene
 from tests.unit.params.documents import (
-    friction_stage,
     full_file,
     gravity_file,
-    rigid_stage,
 )
 from tests.unit.params.generate import json_schema
 
-Replace = Callable[[str, str, object], list[object]]
 LOGS = ["a.parquet", "-r", "robot.toml"]
 
 
@@ -54,32 +49,6 @@ def test_an_unknown_source_is_a_usage_error(rig: Rig, reader: Reader) -> None:
     done = rig.run("inertia", *LOGS, "-p", rig.params("p.json", gravity_file()), "--motion", "gps")
     assert done.code == 2
     assert "gps" in done.err
-
-
-@pytest.mark.parametrize(("given", "passed"), [([], "auto"), (["--motion", "fused"], "fused")])
-def test_inertia_passes_it_on(
-    rig: Rig, reader: Reader, identified: Replace, given: list[str], passed: str
-) -> None:
-    before = rig.params("p.json", full_file())
-    calls = identified("rigid.inertia", "identify_inertia", rigid_stage("kg m^2"))
-    assert rig.run("inertia", *LOGS, "-p", before, *given).code == 0
-    assert calls[3] == InertiaOptions(MotionOptions(), passed)
-
-
-def test_simultaneous_takes_calibrations_and_keeps_them(
-    rig: Rig, reader: Reader, identified: Replace
-) -> None:
-    before = rig.params("p.json", full_file())
-    calls = identified(
-        "rigid.simultaneous", "identify_simultaneous", (friction_stage(), rigid_stage())
-    )
-    done = rig.run("simultaneous", *LOGS, "-p", before, "--motion", "fused", "-o", "out.json")
-    assert done.code == 0
-    assert isinstance(calls[3], ImuStage)
-    assert calls[4] == "fused"
-    stages = read_parameters(rig.folder / "out.json").stages
-    assert stages.imu is not None
-    assert stages.gravity is None
 
 
 @dataclass
@@ -172,7 +141,8 @@ def test_a_simultaneous_fit_says_its_motion(bench: Bench) -> None:
     assert file["stages"]["inertia"]["motion"]["a.parquet"] == "fused: imu_a, imu_b"
     assert [use["cutoff_hz"] for use in used] == [file["stages"]["inertia"]["cutoff_hz"]] * 2
     assert "motion: fused" in err
-    assert "motion: fused" in err
+    assert file["stages"]["imu"]
+    assert file["stages"].get("gravity") is None
 
 
 def test_long_logs_are_announced() -> None:

@@ -180,25 +180,10 @@ def test_the_document(rig: Rig, library: Library) -> None:
     document = json.loads(done.out)
     jsonschema.validate(document, json_schema(SCHEMA))
     loop = document["closed_loop"]
-    assert [(item["effect"], item["joint"]) for item in loop["rounds"]] == [("stribeck", "elbow")]
-    assert [(item["effect"], item["joint"]) for item in loop["refused"]] == [("payload", None)]
-    assert loop["refused"][0]["reason"] == "the interval holds zero"
-    assert loop["verdict"] == "good"
     (told,) = loop["rounds"]
-    assert (told["confirmed"], told["interval"]) == (True, [0.5, 0.63])
-    assert loop["refused"][0]["confirmed"] is None
-    assert {name: item["rmse"] for name, item in loop["before"].items()} == {
-        "shoulder": 0.2,
-        "elbow": 0.4,
-    }
-    assert loop["after"]["elbow"] == {
-        "rmse": 0.2,
-        "rmse_inside": pytest.approx(0.18),
-        "rmse_outside": 0.4,
-        "share_outside": 0.1,
-    }
-    assert loop["noise_floor"]["elbow"] == 0.18
-    assert loop["gain_interval"]["elbow"] == [0.7, 0.8]
+    assert (told["effect"], told["confirmed"], told["interval"]) == ("stribeck", True, [0.5, 0.63])
+    assert (loop["verdict"], loop["refused"][0]["confirmed"]) == ("good", None)
+    assert loop["after"]["elbow"]["rmse_inside"] == pytest.approx(0.18)
     assert loop["evaluated_on"] == ["b.parquet"]
     assert [(log["path"], log["sha256"]) for log in loop["held_out"]] == [
         ("b.parquet", sha256(content(1)))

@@ -60,29 +60,6 @@ def test_errors_of_a_faulty_array_are_those_reported(case: Case) -> None:
 
 
 @pytest.mark.slow
-def test_an_offset_of_twenty_milliseconds_is_found_to_a_fraction_of_a_sample() -> None:
-    for imu in instruments(scene(PLANAR), 0):
-        calibration = found(PLANAR, 0)[imu.name]
-        assert calibration.time_offset_std_error_s is not None
-        assert calibration.time_offset_std_error_s < 5e-4
-        assert calibration.time_offset_s == pytest.approx(
-            0.02, abs=4 * calibration.time_offset_std_error_s
-        )
-
-
-@pytest.mark.slow
-def test_what_a_planar_arm_does_not_show_has_no_number() -> None:
-    """The first link's angle about the vertical axis and its lever; levers along the axes."""
-    first, second = (found(PLANAR, 0)[name] for name in ("imu_a", "imu_b"))
-    assert first.lever == [None, None, None]
-    assert any(text.startswith("the angle about") for text in first.not_determined)
-    assert second.lever[2] is None
-    assert second.lever[0] == pytest.approx(0.08, abs=2e-3)
-    assert second.lever_std_errors[2] is None
-    assert not any(text.startswith("the angle about") for text in second.not_determined)
-
-
-@pytest.mark.slow
 def test_a_gyro_is_calibrated_with_its_triad() -> None:
     imu = instruments(scene(GYRO), 0)[1]
     calibration = found(GYRO, 0)["imu_b"]

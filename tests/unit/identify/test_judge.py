@@ -42,26 +42,12 @@ def reversed_friction(stage: FrictionStage, share: float) -> FrictionStage:
     return replace(stage, joints={"joint_1": replace(joint, **both)})
 
 
-def test_friction_that_brakes_is_fine(robot: Robot, friction: FrictionStage) -> None:
-    assert [*friction_verdicts(friction, robot)] == []
-
-
 @pytest.mark.parametrize("share", [1.0, 2.0])
 def test_friction_that_drives_is_poor(robot: Robot, friction: FrictionStage, share: float) -> None:
     (verdict,) = friction_verdicts(reversed_friction(friction, share), robot)
     assert verdict.joint == "joint_1"
     assert "it would drive the joint" in verdict.reason
     assert "sign of torque or current" in verdict.reason
-
-
-def test_gravity_agrees_with_the_friction_trials(
-    robot: Robot, friction: FrictionStage, gravity: RigidStage
-) -> None:
-    new = judged(Stages(friction=friction), None, robot)
-    assert new.friction is not None
-    known = judged(Stages(friction=new.friction, gravity=gravity), None, robot)
-    assert known.gravity is not None
-    assert poor(known.gravity.verdicts) == []
 
 
 @pytest.mark.parametrize("factor", [-1.0, 7.2, 0.1])

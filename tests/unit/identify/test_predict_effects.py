@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from seqid_cli.errors import ConfigError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, predict
 from seqid_cli.logs.recording import Recording
@@ -77,8 +76,3 @@ def test_rest_holds_what_the_effects_allow(recording: Recording) -> None:
     assert not without.sliding[still, 0].any()
     np.testing.assert_allclose(without.beyond[still, 0], 0.95 * HUMP, atol=0.15)
     np.testing.assert_allclose(with_hump.beyond[still, 0], 0.0, atol=1e-6)
-
-
-def test_an_unknown_effect_is_named(recording: Recording) -> None:
-    with pytest.raises(ConfigError, match="no effect named 'phlogiston'"):
-        predicted(recording, EffectOfJoint(effect="phlogiston", joint="joint_1"))

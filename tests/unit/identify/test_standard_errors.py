@@ -63,15 +63,6 @@ def test_intervals_hold_the_truth_as_often_as_they_say(errors: tuple[float, Arra
     assert 0.90 <= covered <= 0.99
 
 
-def test_the_white_noise_formula_would_not(errors: tuple[float, Array, Array]) -> None:
-    pole, _, white = errors
-    covered = float(np.mean(np.abs(white) < WIDTH_95))
-    if pole == 0.0:
-        assert 0.90 <= covered <= 0.99
-    else:
-        assert covered < 0.75
-
-
 def test_an_imu_moves_the_inertias_of_the_links_that_it_follows() -> None:
     robot = robot_of("planar", two_joint())
     basis = free_basis(robot)

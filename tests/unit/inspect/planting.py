@@ -16,28 +16,65 @@ def nothing(columns: Columns, rng: np.random.Generator) -> None:
     pass
 
 
+def those(chosen: Callable[[str], bool], change: Callable[[Array], Array]) -> Plant:
+    """The columns of some names, each changed alike."""
+
+    def plant(columns: Columns, rng: np.random.Generator) -> None:
+        columns.update({n: change(values) for n, values in columns.items() if chosen(n)})
+
+    return plant
+
+
+def only(name: str, change: Callable[[Array], Array]) -> Plant:
+    return those(name.__eq__, change)
+
+
 def scaled(name: str, factor: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        columns[name] = columns[name] * factor
-
-    return plant
+    return only(name, lambda x: x * factor)
 
 
-def all_scaled(suffix: str, factor: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        for name in columns:
-            if name.endswith(suffix):
-                columns[name] = columns[name] * factor
+def shifted(name: str, offset: float) -> Plant:
+    return only(name, lambda x: x + offset)
 
-    return plant
+
+def constant(name: str, value: float) -> Plant:
+    return only(name, lambda x: np.full_like(x, value))
+
+
+def quantised(name: str, step: float) -> Plant:
+    return only(name, lambda x: np.round(x / step) * step)
+
+
+def held(name: str, size: int) -> Plant:
+    return only(name, lambda x: x[np.arange(len(x)) // size * size])
+
+
+def clipped(name: str, share: float) -> Plant:
+    return only(name, lambda x: np.clip(x, *(share * np.abs(x).max() * np.array([-1.0, 1.0]))))
+
+
+def wrapped(name: str) -> Plant:
+    return only(name, lambda x: (x - np.median(x)) % (2 * np.pi) + np.median(x))
 
 
 def every(names: tuple[str, ...], factor: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        for name in names:
-            columns[name] = columns[name] * factor
+    return those(names.__contains__, lambda x: x * factor)
 
-    return plant
+
+def negated(*names: str) -> Plant:
+    return every(names, -1.0)
+
+
+def all_scaled(suffix: str, factor: float) -> Plant:
+    return those(lambda name: name.endswith(suffix), lambda x: x * factor)
+
+
+def beginning(prefix: str, factor: float) -> Plant:
+    return those(lambda name: name.startswith(prefix), lambda x: x * factor)
+
+
+def delayed(prefix: str, samples: int) -> Plant:
+    return those(lambda name: name.startswith(prefix), lambda x: np.roll(x, samples))
 
 
 def beside(joint: str, motor: str, sensor: str) -> Plant:
@@ -51,25 +88,10 @@ def beside(joint: str, motor: str, sensor: str) -> Plant:
     return plant
 
 
-def constant(name: str, value: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        columns[name] = np.full_like(columns[name], value)
-
-    return plant
-
-
 def swapped(*pairs: tuple[str, str]) -> Plant:
     def plant(columns: Columns, rng: np.random.Generator) -> None:
         for a, b in pairs:
             columns[a], columns[b] = columns[b], columns[a]
-
-    return plant
-
-
-def clipped(name: str, share: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        limit = share * np.abs(columns[name]).max()
-        columns[name] = np.clip(columns[name], -limit, limit)
 
     return plant
 
@@ -108,28 +130,6 @@ def jump(name: str, size: float) -> Plant:
     return plant
 
 
-def wrapped(name: str) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        start = np.median(columns[name])
-        columns[name] = (columns[name] - start) % (2 * np.pi) + start
-
-    return plant
-
-
-def quantised(name: str, step: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        columns[name] = np.round(columns[name] / step) * step
-
-    return plant
-
-
-def held(name: str, size: int) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        columns[name] = columns[name][np.arange(len(columns[name])) // size * size]
-
-    return plant
-
-
 def missing(name: str, share: float) -> Plant:
     def plant(columns: Columns, rng: np.random.Generator) -> None:
         inside = rng.choice(len(columns[name]) - 20, int(share * len(columns[name]))) + 10
@@ -138,23 +138,25 @@ def missing(name: str, share: float) -> Plant:
     return plant
 
 
+def taken(columns: Columns, rows: NDArray[np.intp] | NDArray[np.bool_]) -> None:
+    """Some rows of all columns, in an order."""
+    columns.update({name: values[rows] for name, values in columns.items()})
+
+
 def cut(start: float, stop: float) -> Plant:
     def plant(columns: Columns, rng: np.random.Generator) -> None:
         t = columns["t"] - columns["t"][0]
-        kept = (t < start) | (t > stop)
-        for name in columns:
-            columns[name] = columns[name][kept]
+        taken(columns, (t < start) | (t > stop))
 
     return plant
 
 
 def jittered(columns: Columns, rng: np.random.Generator) -> None:
     t = columns["t"]
-    kept = np.sort(rng.choice(len(t), int(0.6 * len(t)), replace=False))
-    for name in columns:
-        columns[name] = columns[name][kept]
+    taken(columns, np.sort(rng.choice(len(t), int(0.6 * len(t)), replace=False)))
     # Bursts of stamps, as of a buffered reader: in order, but far from even.
-    steps = np.diff(t[kept]).mean() * rng.exponential(1.0, len(kept)).clip(0.01, 4.0)
+    kept = columns["t"]
+    steps = np.diff(kept).mean() * rng.exponential(1.0, len(kept)).clip(0.01, 4.0)
     columns["t"] = t[0] + np.cumsum(steps)
 
 
@@ -162,77 +164,39 @@ def exchanged_rows(columns: Columns, rng: np.random.Generator) -> None:
     order = np.arange(len(columns["t"]))
     for at in (300, 900, 1500):
         order[[at, at + 1]] = order[[at + 1, at]]
-    for name in columns:
-        columns[name] = columns[name][order]
+    taken(columns, order)
 
 
 def repeated_rows(columns: Columns, rng: np.random.Generator) -> None:
-    order = np.sort(np.concatenate([np.arange(len(columns["t"])), [200, 700, 701, 702]]))
-    for name in columns:
-        columns[name] = columns[name][order]
+    taken(columns, np.sort(np.concatenate([np.arange(len(columns["t"])), [200, 700, 701, 702]])))
 
 
-def delayed(prefix: str, samples: int) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        for name in columns:
-            if name.startswith(prefix):
-                columns[name] = np.roll(columns[name], samples)
-
-    return plant
+def called(columns: Columns, name_of: Callable[[str], str]) -> None:
+    """Give the columns other names, the columns without a name up."""
+    named = {name_of(name): values for name, values in columns.items()}
+    columns.clear()
+    columns.update({name: values for name, values in named.items() if name})
 
 
 def renamed(old: str, new: str) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        for name in list(columns):
-            if name.startswith(old):
-                columns[new + name.removeprefix(old)] = columns.pop(name)
-
-    return plant
+    return lambda columns, _: called(
+        columns, lambda name: new + name[len(old) :] if name.startswith(old) else name
+    )
 
 
-def negated(*names: str) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        for name in names:
-            columns[name] = -columns[name]
-
-    return plant
-
-
-def shifted(name: str, offset: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        columns[name] = columns[name] + offset
-
-    return plant
+def ending(old: str, new: str) -> Plant:
+    return lambda columns, _: called(
+        columns, lambda name: name.removesuffix(old) + new if name.endswith(old) else name
+    )
 
 
 def without(suffix: str) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        for name in [name for name in columns if name.endswith(suffix)]:
-            del columns[name]
-
-    return plant
+    return lambda columns, _: called(columns, lambda name: "" if name.endswith(suffix) else name)
 
 
 def commanded_gravity(columns: Columns, rng: np.random.Generator) -> None:
     q = columns["elbow.position"]
     columns["elbow.current"] = 0.4 * np.cos(q) + 0.1
-
-
-def ending(old: str, new: str) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        for name in [name for name in columns if name.endswith(old)]:
-            columns[name.removesuffix(old) + new] = columns.pop(name)
-
-    return plant
-
-
-def beginning(prefix: str, factor: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        for name in columns:
-            if name.startswith(prefix):
-                columns[name] = columns[name] * factor
-
-    return plant
 
 
 def both(first: Plant, second: Plant) -> Plant:

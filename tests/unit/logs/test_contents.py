@@ -35,17 +35,6 @@ def test_mcap(tmp_path: Path, encoding: str) -> None:
     assert counts["/joint_states"] == counts["/array/accel_2"] == 100
 
 
-@pytest.mark.parametrize(("prefix", "first"), [("q_", 1), ("q_", 0), ("actual_q_", 0)])
-def test_parquet_with_numbered_names(tmp_path: Path, prefix: str, first: int) -> None:
-    columns = {"t": MOTION.t} | {f"{prefix}{first + i}": MOTION.q[:, i] for i in range(3)}
-    path = tmp_path / "log.parquet"
-    pq.write_table(pa.table(columns), path)
-    found = guess(survey(path))
-    assert found.joints == ("joint_1", "joint_2", "joint_3")
-    recording = read_recording(path, stand_in(found, source=path))
-    np.testing.assert_array_equal(recording.q, MOTION.q)
-
-
 @pytest.mark.parametrize("label", ["csv", "csv rtde", "csv libfranka", "rosbag1", "lerobot"])
 def test_other_formats(tmp_path: Path, label: str) -> None:
     data = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)

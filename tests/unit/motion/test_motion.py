@@ -82,23 +82,6 @@ def test_a_log_of_gaps_is_refused(robot: Robot) -> None:
     assert "log.parquet" in str(caught.value)
 
 
-def test_decimation_loses_nothing(robot: Robot) -> None:
-    _, q, _, _ = curves()
-    tau = np.cumsum(np.random.default_rng(1).standard_normal(q.shape), axis=0)
-    full = estimate_motion(recording(q, tau), robot, MotionOptions(cutoff_hz=5.0))
-    short = decimated(full)
-    factor = 10
-    assert short.rate_hz == RATE / factor
-    assert short.lowpass.cutoff_hz == 5.0
-    np.testing.assert_array_equal(short.q, full.q[::factor])
-    np.testing.assert_array_equal(short.t, full.t[::factor])
-    assert short.tau is not None
-    # The filter at the lower rate does what it did at the higher one.
-    twice, again = full.filtered(full.q)[::factor], short.filtered(short.q)
-    inner = slice(30, -30)
-    np.testing.assert_allclose(again[inner], twice[inner], atol=2e-3)
-
-
 def test_a_sample_next_to_a_dropped_gap_is_invalid(robot: Robot) -> None:
     log = recording(curves()[1])
     valid = log.valid.copy()

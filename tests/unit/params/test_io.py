@@ -123,6 +123,23 @@ def test_a_newer_file_asks_for_an_upgrade(tmp_path: Path) -> None:
             "$.stages.imu.imus.imu_a.rotation: is no rotation",
         ),
         (("stages", "effects", 0, "joint"), "knee", "$.stages.effects[0].joint: joint 'knee'"),
+        (
+            ("stages", "effects", 0, "covariance"),
+            [[1.0, 0.0], [0.0, 1.0]],
+            "$.stages.effects[0].covariance: must be square with 1",
+        ),
+        *(
+            (
+                ("stages", "effects", 0, "session"),
+                {"logs": ["a"], **more},
+                f"$.stages.effects[0].{at}",
+            )
+            for more, at in (
+                ({"starts": [0.0, 1.0], "origin": 0.0}, ".session.starts"),
+                ({"starts": [0.0]}, ".session.origin"),
+                ({"origin": 5.0}, ".session.origin"),
+            )
+        ),
         (("closed_loop", "rounds", 0, "joint"), "knee", "$.closed_loop.rounds[0].joint: joint 'k"),
         (
             ("closed_loop", "rounds", 0, "evidence", "of"),

@@ -11,18 +11,11 @@ import pytest
 from numpy.typing import NDArray
 
 from tests.plants.experiments import (
-    friction_trials,
-    gravity_trials,
-    imu_trials,
-    inertia_trials,
     validation_trials,
 )
 from tests.plants.friction import Friction, Frictionless, stick_slip
-from tests.plants.rigid import Arm, Rigid, build_model, link_motion
+from tests.plants.rigid import Rigid, build_model, link_motion
 from tests.plants.rigs import (
-    GEAR,
-    PI_1,
-    UPPER_LENGTH,
     one_joint,
     six_joint,
     two_joint,
@@ -130,64 +123,6 @@ def test_torque_balance_is_rnea_on_the_true_motion(plant: Plant) -> None:
     assert (np.sqrt(np.mean(left**2, axis=0)) < 2e-3 * scale).all()
 
 
-def test_two_joint_torque_is_eq_43_times_eq_44() -> None:
-    """H of Eq. 43 times pi of Eq. 44, written out, equals the plant's inverse dynamics."""
-    arm, length = two_joint().arm, UPPER_LENGTH
-    pi_base = np.array([PI_1, 0.0019, GEAR**2 * 2.5e-6, 0.0087, 0.0])
-    rng = np.random.default_rng(0)
-    for q, dq, ddq in rng.uniform(-3, 3, (20, 3, 2)):
-        c, s = np.cos(q[1]), np.sin(q[1])
-        whirl, both = 2 * dq[0] * dq[1] + dq[1] ** 2, 2 * ddq[0] + ddq[1]
-        a_21, a_22 = length * (both * c - whirl * s), -length * (whirl * c + both * s)
-        a_23, a_24 = dq[0] ** 2 * s + ddq[0] * c, dq[0] ** 2 * c - ddq[0] * s
-        first = [ddq[0], ddq.sum(), 0.0, a_21, a_22]
-        second = [0.0, ddq.sum(), ddq[1], length * a_23, length * a_24]
-        h = np.array([first, second])
-        np.testing.assert_allclose(Rigid(arm).inverse(q, dq, ddq), h @ pi_base, atol=1e-12)
-
-
-def test_rotor_coupling_is_lagranges() -> None:
-    """The coupled mass matrix has kinetic energy 1/2 I_m [(N dq_i + z_i w)^2 - (z_i w)^2]."""
-    arm: Arm = replace(six_joint().arm, rotor_coupling=True)
-    plain = Rigid(replace(arm, rotor_coupling=False, rotor_inertia=np.zeros(6)))
-    rng = np.random.default_rng(4)
-    q, dq = rng.uniform(-2, 2, (2, 6))
-    extra = Rigid(arm).energy(q, dq) - plain.energy(q, dq)
-    still = np.zeros((1, 6))
-    wanted = 0.5 * arm.rotor_inertia[0] * (arm.gear[0] * dq[0]) ** 2
-    for i in range(1, 6):
-        motion = link_motion(arm, i, q[None], dq[None], still)
-        spin = motion.omega[0, 2] - dq[i]
-        wanted += 0.5 * arm.rotor_inertia[i] * ((arm.gear[i] * dq[i] + spin) ** 2 - spin**2)
-    assert extra == pytest.approx(wanted, rel=1e-9)
-
-
-def test_same_seed_same_log_other_seed_other_noise(plant: Plant) -> None:
-    """The seed decides the noise and nothing else."""
-    reference = busy(plant, 1.0)
-    first, again, other = (simulate(plant, reference, seed) for seed in (7, 7, 8))
-    np.testing.assert_array_equal(first.current, again.current)
-    for name, readings in first.accelerometers.items():
-        np.testing.assert_array_equal(readings, again.accelerometers[name])
-    np.testing.assert_array_equal(first.truth.q, other.truth.q)
-    assert (first.current != other.current).any()
-
-
-def test_current_noise_has_the_stated_deviation(plant: Plant) -> None:
-    """Current minus true torque over the drive constant: its deviation, without bias."""
-    log = simulate(plant, busy(plant, 4.0), 2, imus=False)
-    error = log.current - log.truth.tau / plant.torque_per_ampere
-    np.testing.assert_allclose(error.std(axis=0), plant.current_noise, rtol=0.12)
-
-
-def test_encoder_reads_whole_counts(plant: Plant) -> None:
-    """Positions are multiples of the encoder's step, half a step from the truth at most."""
-    log = simulate(plant, busy(plant, 1.0), 2, imus=False)
-    counts = log.q / plant.encoder_step
-    np.testing.assert_allclose(counts, np.round(counts), atol=1e-6)
-    assert (np.abs(log.q - log.truth.q) <= 0.5001 * plant.encoder_step).all()
-
-
 def test_stick_slip_holds_below_the_level_and_slips_above() -> None:
     """A block of 1 kg m^2 with 2 N m of stiction."""
     dry = Friction(np.array([2.0]), np.array([2.0]), np.zeros(1))
@@ -196,25 +131,6 @@ def test_stick_slip_holds_below_the_level_and_slips_above() -> None:
         got, friction, _ = stick_slip(one, np.array([push]), rest, 1e-3, dry, np.zeros(1))
         assert got[0] == pytest.approx(ddq)
         assert friction[0] == pytest.approx(rub)
-
-
-def test_references_do_not_jump(plant: Plant) -> None:
-    """Every trial is a motion that a robot could follow: no step in position."""
-    rng, n = np.random.default_rng(0), plant.arm.n
-    postures = [x * np.ones(n) for x in (-0.9, -0.3, 0.15)]
-    trials = [
-        *friction_trials(plant, postures[:1]),
-        *gravity_trials(plant, postures),
-        *imu_trials(plant, postures),
-        *inertia_trials(plant, postures, rng, seconds=2.0),
-        *validation_trials(plant, rng, seconds=4.0, points=2),
-    ]
-    for trial in trials:
-        motion = trial.reference
-        step = np.abs(np.diff(motion.q, axis=0)).max(axis=0) * motion.rate_hz
-        assert (step <= 1.001 * plant.velocity_limits).all(), trial.name
-        assert (motion.q >= plant.position_limits[:, 0]).all()
-        assert (motion.q <= plant.position_limits[:, 1]).all()
 
 
 def test_urdf_is_the_nominal_arm() -> None:

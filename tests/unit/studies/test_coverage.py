@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,12 +9,10 @@ import numpy as np
 import pytest
 
 from tests.plants.rigs import plain
-from tests.studies import coverage
-from tests.studies.coverage import key_of, read, seeds_of
+from tests.studies.coverage import seeds_of
 from tests.studies.coverage_cases import Case, draw, record
-from tests.studies.coverage_score import Result, compare, identified, program, row
+from tests.studies.coverage_score import compare, identified
 from tests.studies.coverage_tables import coverage as coverage_of
-from tests.studies.coverage_tables import tables_of
 
 
 def test_honest_errors_are_covered_and_halved_ones_are_not() -> None:
@@ -61,34 +58,3 @@ def test_identification_without_noise_recovers_the_truths(seed: int, tmp_path: P
         assert found["truth"] == pytest.approx(truth[found["name"]], rel=1e-12)
         scale = truth[found["name"].replace("my", "mx")]
         assert abs(found["estimate"] - found["truth"]) < 1e-2 * scale, found["name"]
-
-
-def made(seed: int, *, sources: str) -> Result:
-    rng = np.random.default_rng(seed)
-    rows = [row("inertia", "Izz_1", 1.0 + 0.1 * rng.standard_normal(), 0.1, 1.0)]
-    return {
-        **{"rig": "one", "seed": seed, "noise": "white", "encoder": "fine"},
-        **{"program": sources, "traits": {"imus": True}, "cpu_s": 1.0},
-        **{"rows": rows, "verdicts": {"inertia": True}},
-    }
-
-
-def test_a_run_goes_on_where_it_stopped(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    asked: list[int] = []
-
-    def score(case: Case) -> Result:
-        asked.append(case.seed)
-        return made(case.seed, sources=program())
-
-    monkeypatch.setattr(coverage, "score", score)
-    path = tmp_path / "coverage" / "one.jsonl"
-    cases = [Case("one", seed, "white", "fine") for seed in range(4)]
-    path.parent.mkdir()
-    old = json.dumps(made(0, sources="another"))
-    path.write_text(f"{old}\n{json.dumps(made(1, sources=program()))}\n" + old[:40])
-    path.write_text(path.read_text() + "\n")  # a line that was cut short
-    coverage.run(cases, path, 1)
-    assert asked == [0, 2, 3]
-    found = read(path)
-    assert [key_of(r) for r in coverage.select(cases, found)] == cases
-    assert "| inertia: Izz_1 | 4 | 4 |" in tables_of(coverage.select(cases, found))

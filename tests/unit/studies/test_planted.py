@@ -68,10 +68,3 @@ def test_what_sound_logs_give_as_well_does_not_count() -> None:
     assert new_reasons(again, sound) == []
     told = [{"none": {"friction": sound}, "degrees": {"friction": again}}]
     assert "| degrees | good 1 | - |" in tabulated([BENCH], told)
-
-
-def test_the_table_counts_arms_by_answer() -> None:
-    told = [{"none": {"friction": Cell("good")}, "degrees": {"friction": Cell("poor", ["x"])}}]
-    text = tabulated([BENCH], told)
-    assert "| none | good 1 | - |" in text
-    assert "| degrees | poor 1 | - |" in text

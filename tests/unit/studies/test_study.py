@@ -13,7 +13,6 @@ from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.params.schema import Parameter
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint, six_joint, two_joint
-from tests.plants.robots.identified import summed
 from tests.plants.robots.lab import true_standard, true_value
 from tests.plants.simulate import simulate
 from tests.plants.trajectories import single, sweeps, trapezoid
@@ -27,15 +26,9 @@ from tests.studies.bound import (
     surface_of,
     whittle,
 )
-from tests.studies.tables import placed, table
+from tests.studies.tables import placed
 
 Array = NDArray[np.float64]
-
-
-def test_table_is_markdown_and_refuses_ragged_rows() -> None:
-    assert table(["a", "b"], [["x", "1"]]) == "| a | b |\n| --- | ---: |\n| x | 1 |"
-    with pytest.raises(ValueError, match="1 cells, the header 2"):
-        table(["a", "b"], [["x"]])
 
 
 def test_content_is_placed_between_its_own_markers_and_again() -> None:
@@ -62,20 +55,6 @@ def prediction(error: Array, *, sliding: Array, used: Array) -> LogPrediction:
         used=used.astype(bool),
         sliding=sliding.astype(bool),
     )
-
-
-def test_held_out_rmse_pools_samples_of_all_logs() -> None:
-    first = prediction(
-        np.array([[3.0], [9.0]]), sliding=np.array([[1], [0]]), used=np.array([1, 0])
-    )
-    second = prediction(
-        np.array([[4.0], [1.0]]), sliding=np.array([[1], [0]]), used=np.array([1, 1])
-    )
-    found = summed([first, second])
-    assert found.every[0] == pytest.approx(np.sqrt((9 + 16 + 0.5**2) / 3))
-    assert found.sliding[0] == pytest.approx(np.sqrt((9 + 16) / 2))
-    assert found.sliding_share[0] == pytest.approx(2 / 3)
-    assert found.cutoff_hz == (5.0, 5.0)
 
 
 def test_white_noise_information_is_that_of_least_squares() -> None:

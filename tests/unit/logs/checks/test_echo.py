@@ -2,32 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from seqid_cli.inspect.screening import read_screened
 from seqid_cli.logs.checks.echo import echoes
-from seqid_cli.robot.file import load_robot
 from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.discover.drawn_logs import wander
-from tests.unit.logs.writers import write_parquet
 
 Array = NDArray[np.float64]
 
 RATE_HZ = 500.0
 STEP = 0.01  # N m, of the torque
-PENDULUM = """
-schema = "seqid/robot@1"
-name = "pendulum"
-gravity = [0.0, 0.0, -9.81]
-
-[[joint]]
-name = "pivot"
-dh = { alpha = 1.5707963267948966, a = 0.0, d = 0.0, theta0 = 0.0 }
-"""
 
 
 def motion(seed: int = 0, speed: float = 1.0) -> tuple[Array, Array, Array, Array]:
@@ -94,17 +80,3 @@ def test_joint_that_is_held_says_nothing() -> None:
     t, q, _, _ = motion()
     q[:, 1] = 0.3 + 1e-4 * np.sin(7.0 * t)
     assert found(t, q, noisy(gravity(q), 10)) == [0]
-
-
-def test_stages_hear_of_it(tmp_path: Path) -> None:
-    (tmp_path / "robot.toml").write_text(PENDULUM, encoding="utf-8")
-    robot = load_robot(tmp_path / "robot.toml")
-    t, q, dq, _ = motion()
-    q, dq = q[:, :1], dq[:, :1]
-    law = 2.0 * np.cos(q)
-    echo = write_parquet(tmp_path / "echo.parquet", t, ["pivot"], q, torque=noisy(law, 11))
-    good = noisy(law + friction(dq), 12)
-    drive = write_parquet(tmp_path / "drive.parquet", t, ["pivot"], q, torque=good)
-    (finding,) = read_screened(echo, robot).findings
-    assert (finding.code, finding.joint) == ("torque_echo", "pivot")
-    assert read_screened(drive, robot).findings == ()

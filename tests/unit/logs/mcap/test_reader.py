@@ -60,24 +60,6 @@ def assert_holds(recording: Recording, motion: Motion, atol: float = 1e-9) -> No
     assert recording.valid.all()
 
 
-@pytest.mark.parametrize("encoding", ["cdr", "json"])
-def test_joints_are_matched_by_name(tmp_path: Path, encoding: str) -> None:
-    motion = make_motion(grid(100))
-    order = [2, 0, 1]
-    wide = np.column_stack([motion.q[:, order], np.full(len(motion.t), 9.0)])
-    path = write_mcap(
-        tmp_path / "log.mcap",
-        motion.t,
-        [*(JOINTS[i] for i in order), "gripper"],
-        wide,
-        encoding=encoding,  # type: ignore[arg-type]
-    )
-    recording = read_recording(path, make_robot())
-    np.testing.assert_array_equal(recording.q, motion.q)
-    assert recording.dq is None
-    assert recording.tau is None
-
-
 @pytest.mark.parametrize("delay_s", [0.0, 0.002])
 def test_joint_states_split_over_two_messages(tmp_path: Path, delay_s: float) -> None:
     t = grid(200)

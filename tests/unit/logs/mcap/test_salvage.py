@@ -11,9 +11,8 @@ import pytest
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap.reader import read_blocks
-from seqid_cli.logs.tables import parquet
 from tests.benchmarks.make_logs import JOINTS as PANDA
-from tests.benchmarks.make_logs import write_cdr, write_columns
+from tests.benchmarks.make_logs import write_cdr
 from tests.unit.logs.samples import GYRO, JOINTS, grid, make_robot, read_raw
 from tests.unit.logs.writers import rewrite, write_mcap
 
@@ -128,16 +127,3 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
 
     short = peak(10_000)
     assert peak(60_000) < 1.2 * short
-
-
-def test_parquet_blocks_are_the_whole(tmp_path: Path) -> None:
-    path = write_columns(tmp_path / "log.parquet", 150_000)
-    robot = make_robot(PANDA)
-    whole = read_raw(path, robot)
-    blocks = [block.joints for block in parquet.read_blocks(path, robot, rows=40_000)]
-    assert max(map(len, blocks)) == 40_000
-    stamps = np.concatenate([block.stamp_ns for block in blocks])
-    np.testing.assert_array_equal(stamps, whole.joints.stamp_ns)
-    for name, values in whole.joints.channels.items():
-        parts = [block.channels[name] for block in blocks]
-        np.testing.assert_array_equal(np.vstack(parts), values)

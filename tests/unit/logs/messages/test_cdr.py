@@ -9,10 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from mcap.records import Schema
-from mcap_ros2.decoder import DecoderFactory
 from mcap_ros2.writer import Writer
 
-from seqid_cli.logs.messages import cdr, fields, parsers
+from seqid_cli.logs.messages import fields, parsers
 from seqid_cli.logs.messages.batch import NameMap, Payloads
 from seqid_cli.logs.read import read_recording
 from tests.unit.logs.samples import JOINTS, grid, make_motion, make_robot
@@ -21,73 +20,10 @@ from tests.unit.logs.writers import (
     IMU,
     JOINT_STATE,
     header,
-    imu_messages,
     payloads,
-    write_messages,
 )
 
 NAMES = ("a", "joint_with_a_long_name", "c3")
-
-
-def random_joint_state(rng: random.Random) -> SimpleNamespace:
-    entries = rng.sample((*NAMES, "other", "", "\u00e9"), rng.randrange(7))
-
-    def some() -> list[float]:
-        return [rng.gauss(0.0, 1.0) for _ in entries] if rng.random() < 0.7 else []
-
-    return SimpleNamespace(
-        header=header(rng.randrange(10**18), "f" * rng.randrange(10)),
-        name=entries,
-        position=some(),
-        velocity=some(),
-        effort=some(),
-    )
-
-
-def test_joint_states_match_the_library(tmp_path: Path) -> None:
-    rng = random.Random(7)
-    messages = [("/joint_states", i, random_joint_state(rng)) for i in range(300)]
-    batch = payloads(write_messages(tmp_path / "log.mcap", messages, encoding="cdr"))
-    decoded = cdr.decoder("joint_state", NameMap(NAMES))(Payloads.of(batch))
-    schema = Schema(1, DEFINITIONS[JOINT_STATE].encode(), "ros2msg", JOINT_STATE)
-    decode = DecoderFactory().decoder_for("cdr", schema)
-    assert decode is not None
-    assert decoded.good.all()
-    for i, data in enumerate(batch):
-        wanted = np.full((3, 3), np.nan)
-        message = decode(data)
-        for row, values in enumerate((message.position, message.velocity, message.effort)):
-            for name, value in zip(message.name, values, strict=False):
-                if name in NAMES:
-                    wanted[row, NAMES.index(name)] = value
-        np.testing.assert_array_equal(decoded.values[i], wanted.ravel())
-        stamp = message.header.stamp
-        assert decoded.stamp_ns[i] == stamp.sec * 10**9 + stamp.nanosec
-
-
-def test_imus_match_what_was_written(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    a, w = rng.normal(size=(2, 50, 3))
-    stamps = np.arange(50) * 7_000_001
-    messages = imu_messages(stamps, "/imu", a, w)
-    for i, (_, _, content) in enumerate(messages):
-        content.header.frame_id = "f" * (i % 11)
-    batch = payloads(write_messages(tmp_path / "log.mcap", messages, encoding="cdr"))
-    decoded = cdr.decoder("imu", NameMap(NAMES))(Payloads.of(batch))
-    np.testing.assert_array_equal(decoded.values, np.hstack([a, w]))
-    np.testing.assert_array_equal(decoded.stamp_ns, stamps)
-
-
-def test_damaged_payloads_are_refused_one_by_one(tmp_path: Path) -> None:
-    rng = random.Random(9)
-    messages = [("/joint_states", i, random_joint_state(rng)) for i in range(40)]
-    batch = payloads(write_messages(tmp_path / "log.mcap", messages, encoding="cdr"))
-    broken = [data[: len(data) // 2] if i % 2 else data for i, data in enumerate(batch)]
-    broken += [b"", b"\0", b"\0\1\0\0", b"\0\x02\0\0" + bytes(60)]
-    decoded = cdr.decoder("joint_state", NameMap(NAMES))(Payloads.of(broken))
-    assert decoded.good[0:40:2].all()
-    assert not decoded.good[40:].any()
-    assert not decoded.good[[i for i in range(1, 40, 2) if messages[i][2].name]].any()
 
 
 def test_definition_with_other_fields(tmp_path: Path) -> None:

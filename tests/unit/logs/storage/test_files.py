@@ -97,20 +97,6 @@ def test_other_files_are_refused_by_name(tmp_path: Path, content: bytes, fragmen
     assert caught.value.where == str(path)
 
 
-@pytest.mark.parametrize(
-    ("content", "kind"),
-    [
-        (b"t,q_0\n0,1\n", "csv"),
-        (b"#ROSBAG V2.0\n", "rosbag1"),
-        (b"SQLite format 3\0" + bytes(84), "rosbag2"),
-    ],
-)
-def test_kinds_told_by_the_first_bytes(tmp_path: Path, content: bytes, kind: str) -> None:
-    path = tmp_path / "log.dat"
-    path.write_bytes(content)
-    assert check_log(path) == kind
-
-
 TABLES = {
     "a/log.csv": "t,q_0\n0,1\n",
     "a/times.csv": "time_ms q_0\n0 1\n",

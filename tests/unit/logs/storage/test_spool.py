@@ -34,13 +34,6 @@ def test_rows_come_back_as_often_as_wanted() -> None:
             np.testing.assert_array_equal(found, values)
 
 
-def test_too_many_rows_are_not_kept() -> None:
-    spool = Spool(most_bytes=1_000)
-    for stamps, values in parts():
-        spool.push(stamps, values)
-    assert not spool.complete
-
-
 def test_a_full_disk_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(1 << 40, 1 << 40, 400))
     spool = Spool()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import io
 from pathlib import Path
 
 import numpy as np
@@ -76,14 +75,6 @@ def test_comments_quotes_and_spaces_around_names(tmp_path: Path, header: str) ->
     np.testing.assert_array_equal(read(write(tmp_path / "log.csv", lines(), header)).q, MOTION.q)
 
 
-def test_file_of_numpy_savetxt(tmp_path: Path) -> None:
-    buffer = io.StringIO()
-    np.savetxt(buffer, TABLE, fmt="%.18e", header=" ".join(NAMES))
-    path = tmp_path / "log.txt"
-    path.write_text(buffer.getvalue())
-    np.testing.assert_array_equal(read(path).q, MOTION.q)
-
-
 def test_every_line_ends_with_a_delimiter(tmp_path: Path) -> None:
     rows = [line + "," for line in lines()]
     np.testing.assert_array_equal(read(write(tmp_path / "log.csv", rows)).q, MOTION.q)
@@ -129,6 +120,7 @@ def stamps(form: str) -> list[str]:
         ("t_us", "us"),
         ("timestamp [ns]", "ns"),
         ("__time", "s"),
+        ("Zeit [s]", "s"),
     ],
 )
 def test_names_and_units_of_time(tmp_path: Path, name: str, form: str) -> None:
@@ -257,12 +249,6 @@ def test_columns_without_names_are_read_by_their_numbers(tmp_path: Path) -> None
     np.testing.assert_array_equal(read_recording(path, robot).q, MOTION.q)
     robot = make_robot(channels=Channels(time=1, position=(4, 3, 2)))
     np.testing.assert_array_equal(read_recording(path, robot).q, MOTION.q[:, ::-1])
-
-
-def test_german_names_of_time(tmp_path: Path) -> None:
-    rows = [line.replace(".", ",") for line in lines(delimiter=";")]
-    path = write(tmp_path / "log.csv", rows, ";".join(["Zeit [s]", *NAMES[1:]]))
-    np.testing.assert_array_equal(read(path).q, MOTION.q)
 
 
 def test_repeated_column(tmp_path: Path) -> None:

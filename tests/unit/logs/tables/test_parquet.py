@@ -241,16 +241,6 @@ def test_optional_channel_of_some_joints(tmp_path: Path, quantity: str) -> None:
         np.testing.assert_array_equal(recording.temperature[:, 1], MOTION.q[:, 1])
 
 
-@pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
-def test_cut_file_is_refused_with_a_remedy(tmp_path: Path, share: float) -> None:
-    path = with_both(tmp_path)
-    data = path.read_bytes()
-    path.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(InputError, match="footer") as caught:
-        read_recording(path, make_robot())
-    assert caught.value.hint
-
-
 def test_damaged_footer_and_pages(tmp_path: Path) -> None:
     path = with_both(tmp_path)
     whole = path.read_bytes()

@@ -21,16 +21,7 @@ PAIRS = {
 UNTOUCHED = ("1", "s", "Hz", "kg m^2", "kg m", "degC", "m/s^2", "A", "N mm", "N m^2", "mrad")
 
 
-@pytest.mark.parametrize("unit", PAIRS)
-def test_of_a_slide(unit: str) -> None:
-    assert unit_of(unit, prismatic=True) == PAIRS[unit]
-
-
-@pytest.mark.parametrize("unit", PAIRS)
-def test_of_a_revolute_joint(unit: str) -> None:
+@pytest.mark.parametrize("unit", [*PAIRS, *UNTOUCHED])
+def test_units_of_a_slide_and_of_a_revolute_joint(unit: str) -> None:
+    assert unit_of(unit, prismatic=True) == PAIRS.get(unit, unit)
     assert unit_of(unit, prismatic=False) == unit
-
-
-@pytest.mark.parametrize("unit", UNTOUCHED)
-def test_units_without_the_joint_in_them_stay(unit: str) -> None:
-    assert unit_of(unit, prismatic=True) == unit

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from seqid_cli.errors import InputError, UsageError
+from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
@@ -134,8 +134,3 @@ def test_what_calibration_found_is_taken_off(scene: Scene) -> None:
     plain, mended = scene.best(source="imu"), known.best(readings, source="imu")
     np.testing.assert_allclose(scene.error(mended), scene.error(plain), rtol=0.02)
     assert mended.imus == plain.imus
-
-
-def test_an_unknown_source_is_refused(scene: Scene) -> None:
-    with pytest.raises(UsageError, match="'gps' is not one of auto, needed, encoder, imu, fused"):
-        scene.best(source="gps")

@@ -17,9 +17,7 @@ from seqid_cli.robot.types import Chain, Imu, Joint, Robot
 from seqid_cli.typing import Array
 from tests.plants.robots.small import random_model
 from tests.unit.motion.imu.two_joints import (
-    axis_direction,
     joint_acceleration,
-    joint_speed,
     second_joint_acceleration,
     second_joint_velocity,
 )
@@ -68,56 +66,6 @@ def scene(request: pytest.FixtureRequest) -> Scene:
     R = forward(chain, q).R
     R_lm = R[:, L].transpose(0, 2, 1) @ R[:, M]  # Eq. 27-28
     return Scene(robot_of(chain), q, dq, ddq, motions[0], motions[1], R_lm)
-
-
-def in_imu(scene: Scene, vectors: Array) -> Array:
-    """Turn vectors (N, 3) of link M's frame into those of an IMU mounted askew on it."""
-    turn = np.linalg.qr(np.random.default_rng(9).standard_normal((3, 3)))[0]
-    return np.asarray(vectors @ (turn * np.sign(np.linalg.det(turn))))
-
-
-def test_eq_29_the_axis_is_the_direction_of_the_acceleration(scene: Scene) -> None:
-    axis = axis_direction(in_imu(scene, scene.at_m.dw))
-    expected = in_imu(scene, scene.axis_m[None])[0]
-    assert abs(axis @ expected) == pytest.approx(1.0, abs=1e-12)
-
-
-def test_eq_30_acceleration_by_comparison_with_a_reference(scene: Scene) -> None:
-    dw = in_imu(scene, scene.at_m.dw)
-    k = int(np.argmax(np.abs(scene.ddq[:, M])))
-    got = joint_acceleration(dw, dw[k], float(scene.ddq[k, M]))
-    np.testing.assert_allclose(got, scene.ddq[:, M], atol=1e-10)
-
-
-def test_eq_30_equals_the_papers_mean_of_ratios(scene: Scene) -> None:
-    """Without noise all three ratios are the same, so their weights do not matter."""
-    dw = in_imu(scene, scene.at_m.dw)
-    reference = float(scene.ddq[0, M])
-    paper = reference / 3 * (dw / dw[0]).sum(axis=1)
-    np.testing.assert_allclose(joint_acceleration(dw, dw[0], reference), paper, atol=1e-9)
-
-
-def test_eq_31_speed_by_comparison_with_a_reference(scene: Scene) -> None:
-    w = in_imu(scene, scene.at_m.w)
-    products = w[:, :, None] * w[:, None, :]
-    k = int(np.argmax(np.abs(scene.dq[:, M])))
-    got = joint_speed(products, w[k], float(scene.dq[k, M]))
-    np.testing.assert_allclose(got, np.abs(scene.dq[:, M]), atol=1e-9)
-    paper = np.abs(scene.dq[k, M]) / 3 * np.abs(w / w[k]).sum(axis=1)
-    np.testing.assert_allclose(got, paper, atol=1e-9)
-
-
-def test_eq_41_velocity_of_the_second_joint(scene: Scene) -> None:
-    got = second_joint_velocity(scene.R_lm, scene.at_m.w, scene.at_l.w, scene.axis_l)
-    np.testing.assert_allclose(got, scene.dq[:, L], atol=1e-10)
-
-
-def test_eq_42_acceleration_of_the_second_joint(scene: Scene) -> None:
-    velocity = second_joint_velocity(scene.R_lm, scene.at_m.w, scene.at_l.w, scene.axis_l)
-    got = second_joint_acceleration(
-        scene.R_lm, scene.at_m.w, scene.at_m.dw, scene.at_l.dw, velocity, scene.axis_l
-    )
-    np.testing.assert_allclose(got, scene.ddq[:, L], atol=1e-9)
 
 
 def motion_of(scene: Scene) -> Motion:

@@ -9,17 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.typing import Array
-
-STRETCH = 0.05  # of the RMS speed, below which a sign may turn unseen
-
-
-def axis_direction(dw: Array) -> Array:
-    """Eq. 29 and 32: unit axis (3,) of angular accelerations (N, 3), strong ones first."""
-    _, _, Vt = np.linalg.svd(dw, full_matrices=False)
-    axis: Array = Vt[0]
-    return axis
 
 
 def joint_acceleration(dw: Array, dw_reference: Array, reference: float) -> Array:
@@ -73,34 +63,3 @@ def second_joint_acceleration(
     turning = np.cross(np.einsum("nij,nj->ni", R_lm, w_m), velocity[:, None] * axis)
     acceleration: Array = (dw_l - carried - turning) @ axis
     return acceleration
-
-
-def angular_velocity(products: Array, reference: Array) -> Array:
-    """Angular velocity (N, 3) rad/s from w w', its sign taken from a rough reference (N, 3).
-
-    The main direction of w w' and the root of its size (Eq. 31 and 41 need it up to the sign). The
-    sign is decided for whole stretches between two passages near zero, by a vote of the samples
-    for or against the reference: single samples of a noisy reference cannot turn it, and where the
-    reference says nothing the sign of the stretch before is kept, as the paper proposes below
-    Eq. 42. Slow samples follow the line between the stretches beside them.
-    """
-    value, vector = np.linalg.eigh(products)
-    w: Array = vector[:, :, 2] * np.sqrt(np.maximum(value[:, 2], 0.0))[:, None]
-    speed = np.linalg.norm(w, axis=1)
-    floor = STRETCH * float(np.sqrt(np.mean(speed**2))) if len(speed) else 0.0
-    fast = runs(speed > floor, len(speed))
-    last = 1.0
-    for start, stop in fast:
-        # An eigenvector's sign means nothing: neighbours first, then all by the reference.
-        agree = np.sum(w[start + 1 : stop] * w[start : stop - 1], axis=1)
-        chain = np.cumprod(np.concatenate(([1.0], np.where(agree < 0, -1.0, 1.0))))
-        own = w[start:stop] * chain[:, None]
-        vote = np.sign(np.sum(own * reference[start:stop], axis=1)) @ np.sum(own**2, axis=1)
-        last = float(np.sign(vote)) or last
-        w[start:stop] = last * own
-    known = speed > floor
-    if known.any() and not known.all():
-        at = np.arange(len(w))
-        between = np.column_stack([np.interp(at, at[known], w[known, k]) for k in range(3)])
-        w *= np.where(~known & (np.sum(w * between, axis=1) < 0), -1.0, 1.0)[:, None]
-    return w

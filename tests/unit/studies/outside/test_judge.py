@@ -21,7 +21,6 @@ from tests.studies.outside.plan import (
     outlined,
 )
 from tests.studies.outside.score import QUANTITIES, label, silent, surely_wrong
-from tests.studies.outside.tabulate import asked_table, clean_table, confidence_table, group_table
 
 
 def answer(**changed: Any) -> dict[str, Any]:
@@ -100,21 +99,6 @@ def test_a_wrong_name_counts_where_it_is_sure() -> None:
     assert silent(clean)
     assert not silent(clean | {"unexplained": [["j1", ["position", "direction"]]]})
     assert silent(clean | {"unexplained": [["j1", ["position", "direction"]]], "flow": "single"})
-
-
-def test_tables_count() -> None:
-    right = answer(findings=[finding("stribeck")])
-    wrong = answer(findings=[finding("payload", "")], imu=True)
-    clean = answer(kinds=[], joints=[], shares=[])
-    rows = [right, wrong, clean, answer(error="SeqidError: no", findings=None)]
-    assert "| clean, sequential | 1 | 100 % | 0 | 0 |" in clean_table(rows)
-    groups = group_table(rows)
-    assert "| one effect, later | 3 | 2 | 50 % |  |  |  | 50 % |  |  | 50 % | 1 |" in groups
-    assert "| with IMUs | 1 | 1 |  |  |  |  | 100 % |  |  | 100 % | 0 |" in groups
-    assert "| 0.9 to 0.97 | 2 | 95 % | 50 % | 50 % | 2 | 50 % |" in confidence_table(rows)
-    asked = asked_table(rows)
-    assert "| one effect that shows: its name, or told as like it | 2 | 1 | 50 % |" in asked
-    assert "| a wrong name above 0.8 | 3 | 1 | 33 % |" in asked
 
 
 def test_reserved_seeds_are_for_the_reserved_set(capsys: pytest.CaptureFixture[str]) -> None:

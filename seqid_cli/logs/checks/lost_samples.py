@@ -1,31 +1,40 @@
 """Lost samples that the stamps do not show: found by the motion of the joints, and put right.
 
 A logger that counts its rows instead of reading a clock gives rows behind a loss stamps that are
-too early: the position then steps by the motion of the lost time, while the velocity before and
-behind the step is that of the motion. With the increments d_j of the positions over one interval
-dt, and the velocities v_j there (of the velocity channel, or of the positions around it, whichever
-fits the increments better), the time L that is lost at a step is the least-squares solution of
+too early: the position then steps by the motion of the lost time, while the motion on either side
+goes on as it was. Parabolas through the positions before and behind an increment reach its middle
+at positions a, b with velocities u, w. The time L that is lost there is the least-squares solution
+of
 
-    d_j - v_j dt = v_j L,    for all joints j, each weighted by its noise.
+    (b - a)_j = (u + w)_j / 2 L,    for all joints j,
 
-It counts where it is certain, longer than one and a half intervals, and the same for all joints
+each weighted by its noise, the encoder's or what the parabolas leave. A joint is a witness only by
+the speed that both sides have: one that is held and then catches up has lost no time, and of a
+spike the parabolas leave as much as it steps by.
+
+A loss counts where it is certain, longer than one and a half intervals, and the same for all joints
 that move: a step of one joint alone is damage of its position. Stamps behind a loss are moved by L
-and the hole is filled (`bridging`). A position that is held and then catches up loses no time.
+and the hole is filled (`bridging`).
 
 Losses that recur at one distance tell where the next one is: at such a place, or a row beside it, a
 step at slow motion is one too if the motion of the usual lost time explains it better than no loss.
 """
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.logs.checks.bridging import Losses, with_losses
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
-from seqid_cli.robust import gaussian_spread
+from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough
+
+SIDE = 6  # samples of a parabola
+# A parabola over intervals from the middle of a step, the least squares for its coefficients, and
+# by how much more the velocity of two, per interval, is uncertain than the gap between them.
+BASIS = np.vander(np.arange(SIDE) + 0.5, 3, increasing=True)
+FIT = np.linalg.pinv(BASIS)
+SLOPE = float(0.5 * np.linalg.norm(FIT[1]) / np.linalg.norm(FIT[0]))
 
 
 @dataclass(frozen=True)
@@ -33,32 +42,25 @@ class LossCriteria:
     """When a step of the positions is time that was lost; see the text of this module.
 
     A `sudden` step differs from the mean of the increments beside it by so many times the smaller
-    of them, by `sudden_noise` times what increments usually differ by, and by `counts` smallest
-    increments. Joints may differ in the motion of the lost time, for they accelerate.
+    of them. Joints may differ in the motion of the lost time, for they accelerate.
     """
 
     sure: float = 8.0  # standard errors of the lost time, beyond which it is believed
     least_intervals: float = 1.5  # that are lost
     longest_s: float = 1.0  # lost at once: behind that, motion before says nothing
     sudden: float = 1.2
-    sudden_noise: float = 5.0
-    counts: float = 4.0
-    uneven: float = 0.15  # of that motion, at a single step
-    uneven_usual: float = 0.5  # of it, where the usual time tells the loss
-    returned: float = 0.5  # of a step, that the increments around it may take back
+    uneven: float = 0.5  # of the motion of the lost time, at a single step
     counted: float = 0.3  # of an interval, by which stamps that count rows differ from even ones
     many: float = 0.2  # of the increments: steps as frequent are noise or a slower channel
     on_grid: float = 0.12  # of an interval (median) within which losses are whole intervals
-    beside: int = 3  # increments from a step to its way back, if it is a spike
-    around: int = 6  # increments on either side that tell the velocity at a step
-    held_least: int = 2  # increments of nothing before a joint catches up
     smallest: float = 1e-3  # of the increments that make a count of the encoder or less ...
-    most: int = 20_000  # ... of so many of them
+    most: int = 5_000  # ... of so many of them
     recurs: float = 0.5  # of the distances between losses that are one and the same ...
     least_losses: int = 4  # ... and losses that tell it
 
 
 LOSSES = LossCriteria()
+NONE = Losses(np.zeros(0, np.intp), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -89,70 +91,89 @@ class Mended:
 
 @dataclass(frozen=True)
 class _Motion:
-    """Increments of positions q (M, n) and, if they were logged, velocities dq, at t (M,) s."""
+    """Positions with SIDE samples more at both ends, at intervals of `dt` s, and their `noise`.
 
-    t: Array
-    q: Array
+    `dq` (M, n) rad/s are logged velocities, where they tell the increments as well as these tell
+    each other.
+    """
+
+    beyond: Array
+    dt: float
+    noise: Array
     dq: Array | None
-    criteria: LossCriteria
 
-    @cached_property
-    def dt(self) -> Array:
-        """Intervals (M - 1,) s."""
-        return np.diff(self.t)
+    @classmethod
+    def of(cls, joints: Stream, dt: float, criteria: LossCriteria) -> "_Motion":
+        """Take the positions (M, n) rad of a stream, and its velocities if they are good."""
+        q, dq = joints.channels["position"], joints.channels.get("velocity")
+        beyond = np.pad(q, ((SIDE, SIDE), (0, 0)), mode="reflect", reflect_type="odd")
+        motion = cls(beyond, dt, _noise(q, criteria), dq)
+        if dq is None or not np.isfinite(dq).all():
+            return replace(motion, dq=None)
+        d = np.diff(q, axis=0)
+        moves = np.where(np.abs(d) > np.median(np.abs(d), axis=0), 1.0, np.nan)
+        off = np.nanmedian(np.abs(d - 0.5 * (dq[1:] + dq[:-1]) * dt) * moves, axis=0)
+        own = np.nanmedian(np.abs(d[1:-1] - 0.5 * (d[:-2] + d[2:])) * moves[1:-1], axis=0)
+        return motion if (off <= own + motion.noise).all() else replace(motion, dq=None)
 
-    @cached_property
-    def usual(self) -> float:
-        """Usual interval, s."""
-        return float(np.median(self.dt))
 
-    @cached_property
-    def d(self) -> Array:
-        """Increments (M - 1, n) rad."""
-        return np.diff(self.q, axis=0)
+@dataclass(frozen=True)
+class _Steps:
+    """What the motion on either side says of increments `rows` (K,); the rest is (K, n).
 
-    @cached_property
-    def count(self) -> Array:
-        """Smallest increment (n,) rad."""
-        return _count(np.abs(self.d), self.criteria)
+    `gap` [rad] is what a joint steps by, `velocity` [rad/s] that on average, `shared` [rad/s] the
+    part that both sides have, `noise` [rad] that of the gap.
+    """
 
-    @cached_property
-    def beside(self) -> Array:
-        """Standard deviation (n,) of increments about those beside them."""
-        return _spread(self.d[1:-1] - 0.5 * (self.d[:-2] + self.d[2:]), self.d[1:-1])
+    rows: Rows
+    gap: Array
+    velocity: Array
+    shared: Array
+    noise: Array
 
-    @cached_property
-    def logged(self) -> Array:
-        """Standard deviation (n,) of increments about the logged velocities; infinite without."""
-        if self.dq is None:
-            return np.full(self.q.shape[1], np.inf)
-        mean = 0.5 * (self.dq[1:] + self.dq[:-1])
-        return _spread(self.d - mean * self.dt[:, None], self.d)
+    @classmethod
+    def at(cls, rows: Rows, motion: "_Motion") -> "_Steps":
+        """Fit parabolas on both sides of some rows."""
+        q, dq, after = motion.beyond, motion.dq, np.arange(SIDE)
+        sides = [
+            q[SIDE + rows[:, None] + way] - q[SIDE + rows, None] for way in (-after, 1 + after)
+        ]
+        (a, u, _), (b, w, _) = (np.moveaxis(FIT @ side, 1, 0) for side in sides)
+        left = [side - BASIS @ (FIT @ side) for side in sides]
+        own = np.sqrt(np.sum(np.square(left), axis=(0, 2)) / (2 * SIDE - 6))
+        u, w = -u / motion.dt, w / motion.dt
+        gain = float(np.sqrt(2.0) * np.linalg.norm(FIT[0]))
+        middle = 0.5 * (u + w)
+        if dq is not None:  # medians keep single wrong values out
+            near = np.clip(rows[:, None] + np.arange(-2, 4), 0, len(dq) - 1)
+            middle = 0.5 * sum(np.median(dq[side], axis=1) for side in np.split(near, 2, axis=1))
+        speeds = np.stack([u, w, middle]) * np.sign(middle)
+        shared = np.maximum(speeds.min(axis=0), 0.0)
+        return cls(rows, b - a, middle, shared, gain * np.maximum(own, motion.noise))
 
-    @cached_property
-    def noise(self) -> Array:
-        """Noise (n,) of increments about the velocities, at least half a count."""
-        return np.maximum(np.minimum(self.beside, self.logged), 0.5 * self.count + 1e-15)
+    def alike(self, lost: Array, dt: float, criteria: LossCriteria) -> Mask:
+        """Whether all joints step by the motion of the time that is lost, (K,) s."""
+        motion = self.velocity * lost[:, None]
+        noise = self.noise * np.hypot(1.0, SLOPE * lost / dt)[:, None]
+        off = np.abs(self.gap - motion)
+        alike = off < criteria.sure * noise + criteria.uneven * np.abs(motion)
+        return np.asarray(alike.all(axis=1))
 
 
 def mended(joints: Stream, criteria: LossCriteria = LOSSES) -> Mended:
     """Put right what the motion of the joints says of a stream.
 
-    `joints`: in the order of time, with `position` (M, n), and `velocity` (M, n) where it was
-    logged. Returns: with the stream itself where nothing is wrong.
+    `joints`: in the order of time, with `position` (M, n). Returns: with the stream itself where
+    nothing is wrong.
     """
     stamps, q = joints.stamp_ns, joints.channels["position"]
-    nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
-    as_it_is = Mended(joints, np.zeros(len(joints), np.bool_), nothing, stamps)
-    if len(stamps) < 4 * criteria.around or not np.isfinite(q).all():
+    as_it_is = Mended(joints, np.zeros(len(joints), np.bool_), NONE, stamps)
+    if len(stamps) < 4 * SIDE or not np.isfinite(q).all():
         return as_it_is
-    steps = _sudden(np.diff(q, axis=0), criteria)
-    if len(steps) > criteria.many * len(stamps):
+    rows = _sudden(np.diff(q, axis=0), criteria)
+    if not len(rows) or len(rows) > criteria.many * len(stamps):
         return as_it_is
-    dq = joints.channels.get("velocity")
-    sound = dq is not None and np.isfinite(dq).all()
-    t: Array = (stamps - stamps[0]).astype(np.float64) * 1e-9
-    losses = _all_losses(_Motion(t, q, dq if sound else None, criteria), steps)
+    losses = _losses(joints, rows, criteria)
     if not len(losses):
         return as_it_is
     stream, bridged = with_losses(joints, losses)
@@ -163,177 +184,81 @@ def _sudden(d: Array, criteria: LossCriteria) -> Rows:
     """Increments (of (M, n)) that differ from those on both sides by more than these are large."""
     size = np.abs(d)
     apart = np.abs(d[1:-1] - 0.5 * (d[:-2] + d[2:]))
-    beside = np.maximum(size[:-2], size[2:])
     # One side alone is small where the position was held before it catches up.
-    found = (apart > criteria.sudden * np.minimum(size[:-2], size[2:])) & (size[1:-1] > beside)
-    if not found.any():
-        return np.zeros(0, np.intp)
-    # Usual size (n,) of what increments differ by.
-    some = apart[:: max(1, len(apart) // criteria.most)]
-    found &= apart > np.maximum(
-        criteria.counts * _count(size, criteria), criteria.sudden_noise * gaussian_spread(some)
+    found = (apart > criteria.sudden * np.minimum(size[:-2], size[2:])) & (
+        size[1:-1] > np.maximum(size[:-2], size[2:])
     )
     rows: Rows = np.flatnonzero(found.any(axis=1)) + 1
     return rows
 
 
-def _count(size: Array, criteria: LossCriteria) -> Array:
-    """Smallest increment (n,) that joints make, nearly: a count where positions are quantised."""
-    counts = np.zeros(size.shape[1])
-    for j, own in enumerate(size.T):
-        made = own[:: max(1, len(own) // criteria.most)]
-        made = made[made > 0]
-        counts[j] = np.quantile(made, criteria.smallest) if len(made) else 0.0
-    return counts
+def _noise(q: Array, criteria: LossCriteria) -> Array:
+    """Noise (n,) rad of positions (M, n): by their roughness, and at least that of their counts."""
+    some = np.arange(0, len(q) - DIFFERENCES, max(1, len(q) // criteria.most))
+    windows = q[some[:, None] + np.arange(DIFFERENCES + 1)]
+    noise = gaussian_spread(rough(np.moveaxis(windows, 1, 0))[0])
+    size = np.abs(windows[:, 1] - windows[:, 0])
+    counts = [np.quantile(own[own > 0], criteria.smallest) if own.any() else 0.0 for own in size.T]
+    return np.asarray(np.maximum(noise, np.array(counts) / np.sqrt(12.0)) + 1e-15)
 
 
-def _slopes(motion: _Motion, at: Rows, side: int) -> tuple[Array, Array]:
-    """Velocity over some increments before (-1) or behind (1) those at `at`, and their scatter."""
-    # Returns (K, n): median and standard deviation [rad/s].
-    t, q = motion.t, motion.q
-    offsets = side * np.arange(1, motion.criteria.around + 1)
-    rows = np.clip(at[:, None] + offsets, 0, len(t) - 2)
-    dt = np.maximum(t[rows + 1] - t[rows], 1e-12)
-    slopes = (q[rows + 1] - q[rows]) / dt[:, :, None]
-    middle = np.median(slopes, axis=1)
-    return middle, gaussian_spread(np.moveaxis(slopes - middle[:, None], 1, 0))
-
-
-def _all_losses(motion: _Motion, steps: Rows) -> Losses:
-    """Losses that increments show, and those that recur at slow motion."""
-    losses, criteria = _losses(motion, steps), motion.criteria
-    if motion.dq is None or len(losses) < criteria.least_losses:
-        return losses
-    v = 0.5 * (motion.dq[1:] + motion.dq[:-1])
-    return _joined(losses, _recurring(motion.t, motion.q, v, motion.noise, losses, criteria))
-
-
-def _losses(motion: _Motion, steps: Rows) -> Losses:
-    """Time that is lost, by all joints together."""
-    criteria, dt, d, usual = motion.criteria, motion.dt, motion.d, motion.usual
-    steps = steps[(steps >= 2) & (steps < len(motion.t) - 3)]
-    if not len(steps):
-        return Losses(np.zeros(0, np.intp), np.zeros(0))
-    (before, one), (behind, other) = (_slopes(motion, steps, side) for side in (-1, 1))
-    v = 0.5 * (before + behind)
-    if motion.dq is not None:
-        v = np.where(motion.logged <= motion.beside, _logged(motion.dq, steps), v)
-    noise = np.maximum(motion.noise, np.maximum(one, other) * usual)
-    r = d[steps] - v * dt[steps, None]
-    # Between two velocities the motion of the lost time is not certain.
-    weight = 1.0 / (noise**2 + (criteria.uneven * (behind - before) * dt[steps, None]) ** 2)
-    power = np.maximum(np.sum(v**2 * weight, axis=1), 1e-300)
-    lost = np.sum(v * r * weight, axis=1) / power
-    sure = (lost > criteria.sure / np.sqrt(power)) & _counted(motion, steps)
-    sure &= _goes_on(motion, v * usual, steps)
-    sure &= (lost > np.maximum(criteria.least_intervals * usual, 0.5 * dt[steps])) & (
-        lost < criteria.longest_s
-    )
-    off = np.abs(r - v * lost[:, None])
-    alike = (
-        off
-        < criteria.sure * noise + 0.5 * np.abs(v) * lost[:, None] + np.abs(behind - before) * usual
-    )
-    sure &= alike.all(axis=1) & (_net(motion, v, weight, steps, lost) > criteria.returned * lost)
+def _losses(joints: Stream, rows: Rows, criteria: LossCriteria) -> Losses:
+    """Losses that increments `rows` show, and those that recur at slow motion."""
+    dt = np.diff(joints.stamp_ns) * 1e-9
+    usual = float(np.median(dt))
+    rows = rows[(rows >= 2) & (rows < len(dt) - 2)]
+    # Stamps around a step are as even as those of a logger that counts its rows.
+    near = dt[rows[:, None] + np.arange(-2, 3)]
+    rows = rows[(np.abs(near - usual) < criteria.counted * usual).all(axis=1)]
+    motion = _Motion.of(joints, usual, criteria)
+    steps = _Steps.at(rows, motion)
+    weight = steps.noise**-2.0
+    power = np.maximum(np.sum(steps.velocity**2 * weight, axis=1), 1e-300)
+    lost = np.sum(steps.velocity * steps.gap * weight, axis=1) / power
+    sure = lost * np.sqrt(np.sum(steps.shared**2 * weight, axis=1)) > criteria.sure
+    sure &= (lost > criteria.least_intervals * usual) & (lost < criteria.longest_s)
+    sure &= steps.alike(lost, usual, criteria)
     seconds = lost[sure]
     whole = np.maximum(1.0, np.rint(seconds / usual))
     if len(seconds) and np.median(np.abs(seconds / usual - whole)) < criteria.on_grid:
         seconds = whole * usual
-    return Losses(steps[sure], seconds)
+    known = Losses(rows[sure], seconds)
+    return _recurring(motion, known, criteria)
 
 
-def _counted(motion: _Motion, steps: Rows) -> NDArray[np.bool_]:
-    """Whether stamps around a step (K,) are as even as those of a logger that counts its rows."""
-    near, usual = motion.dt[steps[:, None] + np.arange(-2, 3)], motion.usual
-    return np.asarray((np.abs(near - usual) < motion.criteria.counted * usual).all(axis=1))
+def _recurring(motion: _Motion, known: Losses, criteria: LossCriteria) -> Losses:
+    """Losses with those at slow motion, where those at faster motion say that there must be one.
 
-
-def _goes_on(motion: _Motion, expected: Array, steps: Rows) -> NDArray[np.bool_]:
-    """Whether the joint that moves by most counts does so beside a step (K,) too: not held."""
-    q, around = motion.q, motion.criteria.around
-    counts = around * np.abs(expected) / np.maximum(motion.count, 1e-15)
-    most = np.argmax(counts, axis=1)
-    before = q[steps, most] != q[np.maximum(steps - around, 0), most]
-    behind = q[steps + 1, most] != q[np.minimum(steps + 1 + around, len(q) - 1), most]
-    beside = (motion.d[steps - 1, most] != 0) & (motion.d[steps + 1, most] != 0)
-    slow = counts.max(axis=1) < around * motion.criteria.held_least
-    unknown = counts.max(axis=1) < motion.criteria.held_least
-    return np.asarray(beside | (slow & before & behind) | unknown)
-
-
-def _logged(dq: Array, at: Rows) -> Array:
-    """Velocity (K, n) of the channel at increments; a median keeps single wrong values out."""
-    rows = np.clip(at[:, None] + np.arange(-3, 1), 0, len(dq) - 1)
-    ahead = np.clip(at[:, None] + np.arange(1, 5), 0, len(dq) - 1)
-    return np.asarray(0.5 * (np.median(dq[rows], axis=1) + np.median(dq[ahead], axis=1)))
-
-
-def _spread(apart: Array, d: Array) -> Array:
-    """Standard deviation (n,) of what increments (K, n) are apart from where joints move."""
-    spread = np.zeros(d.shape[1])
-    for j, own in enumerate(np.abs(d).T):
-        moves = own > np.median(own)
-        spread[j] = gaussian_spread(apart[moves, j]) if moves.any() else 0.0
-    return spread
-
-
-def _net(motion: _Motion, v: Array, weight: Array, steps: Rows, lost: Array) -> Array:
-    """Time (K,) that the increments around a step gain, with the step itself."""
-    # What is late and catches up has lost none, nor has a spike, whose way back is beside it.
-    d, dt, usual, criteria = motion.d, motion.dt, motion.usual, motion.criteria
-    net = np.zeros(len(steps))
-    for k, i in enumerate(steps):
-        reach = int(min(lost[k] / usual, criteria.longest_s / usual)) + 3 if lost[k] > 0 else 0
-        near = np.array([x for x in range(i - reach, i + 4) if 0 <= x < len(d)], dtype=np.intp)
-        others = steps[(steps != i) & (np.abs(steps - i) <= reach) & (lost > 0)]
-        near = near[~np.isin(near, others)]
-        gained = d[near] - v[k] * dt[near, None]
-        # The velocity changes within the reach: only what is late by most of an interval counts.
-        late = np.sum(v[k] * gained * weight[k], axis=1) / max(
-            float(np.sum(v[k] ** 2 * weight[k])), 1e-300
-        )
-        late = np.where((np.abs(late) > 0.6 * usual) | (near == i), late, 0.0)
-        net[k] = min(late.sum(), late[np.abs(near - i) <= criteria.beside].sum())
-    return net
-
-
-def _joined(first: Losses, second: Losses) -> Losses:
-    """Losses of both, in their order."""
-    rows = np.concatenate([first.rows, second.rows])
-    order = np.argsort(rows, kind="stable")
-    return Losses(rows[order], np.concatenate([first.seconds, second.seconds])[order])
-
-
-def _recurring(
-    t: Array, q: Array, v: Array, noise: Array, known: Losses, criteria: LossCriteria
-) -> Losses:
-    """Losses at slow motion, where those at faster motion say that there must be one.
-
-    `t` (M,): as stamped [s]. `q` (M, n). `v` (M - 1, n): velocity before and behind each increment,
-    on average. `noise` (n,): of increments. `known`: at least `criteria.least_losses`. Returns:
-    others, each of the usual time; none where losses do not recur at one distance.
+    Returns: those that are `known` alone where losses do not recur at one distance.
     """
-    nothing = Losses(np.zeros(0, np.intp), np.zeros(0))
     distances = np.diff(known.rows)
+    if len(known) < criteria.least_losses:
+        return known
     period = int(np.bincount(distances).argmax())
     if np.mean(distances == period) < criteria.recurs:
-        return nothing
-    usual = float(np.median(known.seconds))
-    step = np.diff(q, axis=0) - v * np.diff(t)[:, None]
-    motion = v * usual
-    without, left = (np.sum((x / noise) ** 2, axis=1) for x in (step, step - motion))
-    uneven = np.sum(
-        ((step - motion) / (noise + criteria.uneven_usual * np.abs(motion))) ** 2, axis=1
+        return known
+    steps = _Steps.at(_places(known.rows, period, len(motion.beyond) - 2 * SIDE), motion)
+    seconds = float(np.median(known.seconds))
+    every = np.full(len(steps.rows), seconds)
+    apart = steps.gap - steps.velocity * seconds
+    without, left = (np.sum((x / steps.noise) ** 2, axis=1) for x in (steps.gap, apart))
+    likely = (
+        (left < without) & (without > criteria.sure**2) & steps.alike(every, motion.dt, criteria)
     )
-    likely = (left < without) & (without > criteria.sure**2) & (uneven < criteria.sure**2)
-    rows = [row for row in _places(known.rows, period, len(v)) if likely[row]]
-    return Losses(np.array(rows, dtype=np.intp), np.full(len(rows), usual))
+    # Of neighbours the one is meant that stands out by more.
+    certain = np.zeros(len(motion.beyond))
+    certain[steps.rows], certain[known.rows] = np.where(likely, without, 0.0), np.inf
+    beside = np.maximum(certain[steps.rows - 1], certain[steps.rows + 1])
+    likely &= without > beside
+    rows = np.concatenate([known.rows, steps.rows[likely]])
+    order = np.argsort(rows, kind="stable")
+    return Losses(rows[order], np.concatenate([known.seconds, every[likely]])[order])
 
 
-def _places(rows: Rows, period: int, count: int) -> NDArray[np.intp]:
+def _places(rows: Rows, period: int, count: int) -> Rows:
     """Rows at multiples of the period from a loss, or one beside, but for the losses."""
     inner = [np.arange(a + period, b - 1, period) for a, b in pairwise(rows)]
     ends = [np.arange(rows[0] - period, 0, -period), np.arange(rows[-1] + period, count, period)]
     places = np.concatenate([*inner, *ends])
     near = np.unique(np.concatenate([places - 1, places, places + 1]))
-    return np.setdiff1d(near[(near >= 2) & (near < count - 2)], rows)
+    return np.setdiff1d(near[(near >= 2) & (near < count - 3)], rows)

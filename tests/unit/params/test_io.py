@@ -135,9 +135,9 @@ def test_a_newer_file_asks_for_an_upgrade(tmp_path: Path) -> None:
                 f"$.stages.effects[0].{at}",
             )
             for more, at in (
-                ({"starts": [0.0, 1.0], "origin": 0.0}, ".session.starts"),
-                ({"starts": [0.0]}, ".session.origin"),
-                ({"origin": 5.0}, ".session.origin"),
+                ({"starts": [0.0, 1.0], "origin": 0.0}, "session.starts"),
+                ({"starts": [0.0]}, "session.origin"),
+                ({"origin": 5.0}, "session.origin"),
             )
         ),
         (("closed_loop", "rounds", 0, "joint"), "knee", "$.closed_loop.rounds[0].joint: joint 'k"),

@@ -114,8 +114,8 @@ CASES = {
     "limits nan": (ONE + "position_limits = [nan, 1.0]\n", r"joint\[0\].position_limits\[0\]"),
     "limits length": (ONE + "position_limits = [1.0]\n", r"joint\[0\].position_limits: expected"),
     "joints": (
-        "".join(ONE.replace('"one"', f'"j{k}"') for k in range(17)),
-        r"the robot has 17 \[\[joint\]\] tables",
+        "".join(ONE.replace('"one"', f'"j{k}"') for k in range(200)),
+        r"the robot has 200 \[\[joint\]\] tables",
     ),
     "duplicate": (ONE + ONE, r"joint\[1\].name 'one' is already the name of joint\[0\]"),
     "empty name": (ONE.replace('"one"', '" "'), r"joint\[0\].name is ' '"),

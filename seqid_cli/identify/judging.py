@@ -121,14 +121,15 @@ def _physics(
     if isinstance(stage, FrictionStage):
         yield from friction_verdicts(stage, robot, limits)
     elif isinstance(stage, RigidStage) and stage.parameters:
-        is_gravity = stage is known.gravity
-        if not is_gravity:
+        gravity = _Gravity(robot, stage, limits)
+        if stage is not known.gravity:
             yield from inertia_verdicts(stage, robot, limits)
             if known.gravity is not None and known.gravity.parameters:
-                yield from _gravity_again(stage, known.gravity, robot, limits)
+                before = _Gravity(robot, known.gravity, limits)
+                yield from _as_before(gravity.samples, before, IN_LOGS)
         elif known.friction is not None:
-            yield from _gravity_of_trials(stage, known.friction, robot, limits)
-        yield from _against_urdf(stage, robot, limits)
+            yield from _as_before(_measured(known.friction, robot, limits), gravity, IN_TRIALS)
+        yield from _as_nominal(gravity.samples, robot, limits)
 
 
 def friction_verdicts(
@@ -145,7 +146,7 @@ def friction_verdicts(
                 "is another joint's"
             )
             yield Verdict(joint=name, good=False, reason=reason)
-    yield from _weighed(_measured_gravity(stage, robot, limits), robot, limits)
+    yield from _as_nominal(_measured(stage, robot, limits), robot, limits)
 
 
 def _driving(joint: FrictionJoint, limits: Limits) -> tuple[float, float, float] | None:
@@ -171,7 +172,7 @@ def _driving(joint: FrictionJoint, limits: Limits) -> tuple[float, float, float]
 Samples = dict[int, tuple[Array, Array]]  # joint: postures (N, n), gravity torque of it (N,)
 
 
-def _measured_gravity(stage: FrictionStage, robot: Robot, limits: Limits) -> Samples:
+def _measured(stage: FrictionStage, robot: Robot, limits: Limits) -> Samples:
     """Gravity torque by Eq. 12-14 in the postures of the friction trials."""
     found: Samples = {}
     for j, name in enumerate(robot.joint_names):
@@ -192,45 +193,83 @@ def _measured_gravity(stage: FrictionStage, robot: Robot, limits: Limits) -> Sam
     return found
 
 
-def _gravity_of_trials(
-    stage: RigidStage, friction: FrictionStage, robot: Robot, limits: Limits
-) -> Iterator[Verdict]:
-    """Compare the chain's gravity with that of the friction trials, posture by posture."""
-    names = robot.joint_names
-    least = max(limits.min_torque, limits.light_share * _largest(robot, stage, limits.postures))
-    for j, (q, measured) in _measured_gravity(friction, robot, limits).items():
-        own = _gravity_torque(stage, robot, q)[:, j]
-        size = float(np.sqrt(np.mean(measured**2)))
-        if size < least:
-            continue
-        off = float(np.sqrt(np.mean((own - measured) ** 2))) / size
-        if off > limits.max_difference:
-            factor = float(own @ measured) / float(measured @ measured)
-            reason = (
-                f"gravity in the friction trials (Eq. 12-15) is not that of the parameters: "
-                f"{percent(off, 0)} are left, the ratio is {factor:.2g}. Check unit and sign of "
-                "the torque, the direction of gravity and the order of the joints"
-            )
-            yield Verdict(joint=names[j], good=False, reason=reason)
+@dataclass(frozen=True)
+class _Gravity:
+    """Gravity torque by a stage's parameters, or by the URDF's inertials where it is None."""
+
+    robot: Robot
+    stage: RigidStage | None
+    limits: Limits
+
+    def __call__(self, q: Array) -> Array:
+        """Torque (N, n) N m in postures (N, n)."""
+        robot, still = self.robot, np.zeros_like(q)
+        phi = robot.nominal if self.stage is None else standard_parameters(self.stage, robot.n)[0]
+        assert phi is not None
+        return np.asarray(inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still))
+
+    @property
+    def samples(self) -> Samples:
+        """Torque of every joint in postures within the limits."""
+        q = _postures(self.robot, self.limits.postures)
+        return dict(enumerate((q, own) for own in self(q).T))
+
+    def compared(self, samples: Samples) -> Iterator[tuple[str, float, float, float]]:
+        """Compare samples with this gravity, for joints that carry a fair share of it.
+
+        Yields: joint; RMS difference, RMS and projection, each over what this gravity says.
+        """
+        limits, every = self.limits, [own for _, own in self.samples.values()]
+        least = max(limits.min_torque, limits.light_share * float(np.abs(every).max()))
+        for j, (q, own) in samples.items():
+            told = self(q)[:, j]
+            rms = float(np.sqrt(np.mean(told**2)))
+            if rms >= least:
+                off, size = (float(np.sqrt(np.mean(x**2))) / rms for x in (own - told, own))
+                yield self.robot.joint_names[j], off, size, float(own @ told) / float(told @ told)
 
 
-def _gravity_again(
-    stage: RigidStage, gravity: RigidStage, robot: Robot, limits: Limits
-) -> Iterator[Verdict]:
-    """Compare the gravity that the inertia logs show with that of the gravity stage."""
-    q = _postures(robot, limits.postures)
-    before, after = (_gravity_torque(each, robot, q) for each in (gravity, stage))
-    sizes = np.sqrt(np.mean(before**2, axis=0))
-    for j, name in enumerate(robot.joint_names):
-        if sizes[j] < max(limits.min_torque, limits.light_share * float(sizes.max())):
-            continue
-        off = float(np.sqrt(np.mean((after[:, j] - before[:, j]) ** 2))) / float(sizes[j])
-        if off > limits.max_difference:
+IN_TRIALS = (
+    "gravity in the friction trials (Eq. 12-15) is not that of the parameters: {} are left, it is "
+    "{:.2g} times that. Check unit and sign of the torque, the direction of gravity and the order "
+    "of the joints"
+)
+IN_LOGS = (
+    "gravity in these logs differs from the gravity stage's by {} of it, it is {:.2g} times that. "
+    "Check that the logs are of one robot, in one unit and with the joints in order"
+)
+
+
+def _as_before(samples: Samples, gravity: _Gravity, text: str) -> Iterator[Verdict]:
+    """Compare gravity that shows in two ways."""
+    for name, off, _, ratio in gravity.compared(samples):
+        if off > gravity.limits.max_difference:
+            yield Verdict(joint=name, good=False, reason=text.format(percent(off, 0), ratio))
+
+
+def _as_nominal(samples: Samples, robot: Robot, limits: Limits) -> Iterator[Verdict]:
+    """Compare gravity with that of the URDF's inertials, where there are any."""
+    if robot.nominal is None or not samples:
+        return
+    for name, _, size, ratio in _Gravity(robot, None, limits).compared(samples):
+        if ratio < limits.false_sign:
             reason = (
-                f"gravity in these logs differs from the gravity stage's by {percent(off, 0)} of "
-                "it. Check that the logs are of one robot, in one unit and with the joints in order"
+                f"gravity is {ratio:.2g} times that of the URDF's inertials: sign of the torque, "
+                "direction of the joint's axis, or direction of gravity in the robot file"
             )
-            yield Verdict(joint=name, good=False, reason=reason)
+        elif not 1.0 / limits.max_factor < size < limits.max_factor:
+            reason = (
+                f"gravity is {size:.2g} times that of the URDF's inertials: unit of the torque, "
+                "torque_constant, gear_ratio"
+            )
+        elif ratio < limits.min_correlation * size:
+            reason = (
+                "gravity over the positions is not that of the URDF's inertials: direction of "
+                "gravity in the robot file, zeros and order of the joints"
+            )
+        else:
+            continue
+        yield Verdict(joint=name, good=False, reason=reason)
 
 
 def inertia_verdicts(
@@ -280,58 +319,6 @@ def _felt_inertia(stage: RigidStage, robot: Robot, limits: Limits) -> Iterator[V
                 "torque_constant, gear_ratio and rotor_inertia"
             )
             yield Verdict(joint=name, good=False, reason=reason)
-
-
-def _against_urdf(stage: RigidStage, robot: Robot, limits: Limits) -> Iterator[Verdict]:
-    q = _postures(robot, limits.postures)
-    torque = _gravity_torque(stage, robot, q)
-    yield from _weighed({j: (q, torque[:, j]) for j in range(robot.n)}, robot, limits)
-
-
-def _weighed(samples: Samples, robot: Robot, limits: Limits) -> Iterator[Verdict]:
-    """Compare gravity with that of the URDF's inertials, where there are any."""
-    if robot.nominal is None or not samples:
-        return
-    least = max(
-        limits.min_torque, 2.0 * limits.light_share * _largest(robot, None, limits.postures)
-    )
-    for j, (q, measured) in samples.items():
-        nominal = _gravity_torque(None, robot, q)[:, j]
-        if float(np.abs(nominal).max()) < least:
-            continue
-        ratio = float(measured @ nominal) / float(nominal @ nominal)
-        size = float(np.sqrt(np.mean(measured**2) / np.mean(nominal**2)))
-        if ratio < limits.false_sign:
-            reason = (
-                f"gravity is {ratio:.2g} times that of the URDF's inertials: sign of the torque, "
-                "direction of the joint's axis, or direction of gravity in the robot file"
-            )
-        elif not 1.0 / limits.max_factor < size < limits.max_factor:
-            reason = (
-                f"gravity is {size:.2g} times that of the URDF's inertials: unit of the torque, "
-                "torque_constant, gear_ratio"
-            )
-        elif ratio < limits.min_correlation * size:
-            reason = (
-                "gravity over the positions is not that of the URDF's inertials: direction of "
-                "gravity in the robot file, zeros and order of the joints"
-            )
-        else:
-            continue
-        yield Verdict(joint=robot.joint_names[j], good=False, reason=reason)
-
-
-def _gravity_torque(stage: RigidStage | None, robot: Robot, q: Array) -> Array:
-    """Gravity torque (N, n) by a stage's parameters, or by the URDF's inertials."""
-    phi = standard_parameters(stage, robot.n)[0] if stage is not None else robot.nominal
-    assert phi is not None
-    still = np.zeros_like(q)
-    return np.asarray(inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still))
-
-
-def _largest(robot: Robot, stage: RigidStage | None, postures: int) -> float:
-    """Largest gravity torque of any joint, by a stage's parameters or by the URDF's."""
-    return float(np.abs(_gravity_torque(stage, robot, _postures(robot, postures))).max())
 
 
 def _postures(robot: Robot, count: int) -> Array:

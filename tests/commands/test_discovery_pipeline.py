@@ -27,14 +27,6 @@ def parameters(lab: Path) -> Path:
     return lab / "out" / "inertia.json"
 
 
-def test_a_diagnosis_that_finds_nothing_is_strictly_fine(
-    parameters: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["diagnose", str(RIG / "validation"), *ROBOT, "-p", str(parameters), "--strict"]
-    assert main([*command, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["verdict"] == "nothing_missing"
-
-
 def test_a_diagnosis_of_logs_after_a_change(tmp_path: Path, parameters: Path) -> None:
     output = tmp_path / "diagnosis.json"
     command = ["diagnose", str(RIG / "changed"), *ROBOT, "-p", str(parameters), "--strict"]

@@ -15,11 +15,11 @@ from tests.studies.faults import COMMANDS, torment
         ("friction", 1),
         ("trend", 2),
         pytest.param("predict, MCAP", 2, marks=pytest.mark.slow),
-        pytest.param("run", 8, marks=pytest.mark.slow),
+        pytest.param("predict", 2, marks=pytest.mark.slow),
+        pytest.param("report", 1, marks=pytest.mark.slow),
     ],
 )
 def test_old_files_stay_whole(name: str, files: int, tmp_path: Path) -> None:
-    """`run` writes a prediction, its torques as Parquet and what other stages write."""
     forks = torment(COMMANDS[name], tmp_path, kills=12, points=6)
     assert not forks.wrong
     assert len(forks.sizes) == files

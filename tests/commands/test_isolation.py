@@ -96,7 +96,7 @@ def test_a_plug_in_loads_only_when_it_is_named(
 @pytest.mark.parametrize(
     "arguments",
     [
-        ("inspect", str(SAMPLES)),
+        ("inspect", str(SAMPLES / "validation")),
         ("compare", str(SAMPLES / "golden.json"), str(SAMPLES / "golden.json")),
         ("init", str(SAMPLES / "friction")),
     ],

@@ -107,11 +107,11 @@ def test_memory_does_not_grow_with_the_log(
         log, out = tmp_path / f"{minutes}.parquet", tmp_path / "out.json"
         write_log(log, minutes / 60.0)
         line = [command, str(log), *ROBOT, *model, "-o", str(out)]
-        assert main(line) == 0  # what is made once is there
         tracemalloc.start()
         assert main(line) == 0
         held = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
         return held
 
-    assert peak(2.0) < 1.2 * peak(1.0)
+    short = [peak(1.0) for _ in range(2)][-1]  # what is made once is there
+    assert peak(2.0) < 1.2 * short

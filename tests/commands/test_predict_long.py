@@ -37,7 +37,7 @@ from tests.unit.logs.writers import joint_messages, write_messages
 
 pytestmark = pytest.mark.slow
 
-LOGS = {"a.mcap": 12_000, "b.mcap": 3_000}  # samples; the first is long
+LOGS = {"a.mcap": 6_000, "b.mcap": 1_500}  # samples; the first is long
 T0 = 1_700_000_000_000_000_000
 JITTER_S = 2e-5
 
@@ -153,9 +153,9 @@ def test_a_log_that_is_passed_over_gives_the_same_files(
 
     predict("held")
     assert not parts
-    monkeypatch.setattr(streaming, "LONG", 10_000)
-    monkeypatch.setattr(LongPrediction, "rows", 3_000)
-    monkeypatch.setattr(blocks, "LEAST_BLOCK", 4_000)
+    monkeypatch.setattr(streaming, "LONG", 5_000)
+    monkeypatch.setattr(LongPrediction, "rows", 1_500)
+    monkeypatch.setattr(blocks, "LEAST_BLOCK", 2_000)
     predict("long")
     assert len(parts) > 1
     assert_same_errors(rig.folder / "long.json", rig.folder / "held.json")

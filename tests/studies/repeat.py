@@ -74,12 +74,12 @@ def made_by(way: Way, rig: Path, out: Path) -> dict[str, str]:
         )
         if done.returncode not in (0, 1):
             raise RuntimeError(f"{' '.join(line)}: {done.stderr[-2000:]}")
-    return {path.name: _told(path, out) for path in sorted(out.iterdir())}
+    return {path.name: told(path) for path in sorted(out.iterdir())}
 
 
-def _told(path: Path, out: Path) -> str:
+def told(path: Path) -> str:
     """What a file says, apart from when it and the models that it used were made."""
-    document = json.loads(path.read_text("utf-8").replace(str(out), ""))
+    document = json.loads(path.read_text("utf-8").replace(str(path.parent), ""))
     return json.dumps({key: own for key, own in document.items() if key not in _OF_THE_RUN})
 
 

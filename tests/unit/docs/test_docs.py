@@ -81,7 +81,11 @@ def prepared(
 ) -> Path:
     folder = kitchen.page_folder((own or name).replace("/", "_"))
     if name in ("docs/from_files.md", "docs/robots.md") and not (folder / "arm.urdf").exists():
-        strangers.make(folder)
+        made = kitchen.folder / "strangers"
+        if not made.exists():
+            made.mkdir()
+            strangers.make(made)
+        shutil.copytree(made, folder, dirs_exist_ok=True)
     for path, sample in given.get(name, {}).items():
         target = folder / path
         target.parent.mkdir(parents=True, exist_ok=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from seqid_cli.plan.discrimination.separation import (
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.stages.inertia import Planned
 from seqid_cli.typing import Array
 from tests.plants.robots.lab import robot_of
 from tests.plants.robots.stages import inertia_stage
@@ -36,21 +38,36 @@ OPTIONS = PlanOptions(duration_s=24.0, move_s=6.0, between=PAIR, joint="elbow")
 
 @pytest.fixture(scope="module")
 def stages() -> Stages:
+    return known()
+
+
+@cache
+def known() -> Stages:
     plant = vertical_two_joint()
-    robot = robot_of("two", plant)
-    return Stages(inertia=inertia_stage(robot, plant.arm.phi))
+    return Stages(inertia=inertia_stage(robot_of("two", plant), plant.arm.phi))
 
 
 @pytest.fixture(scope="module")
-def belief(stages: Stages) -> Belief:
+def belief() -> Belief:
+    return believed()
+
+
+@cache
+def believed() -> Belief:
     robot = robot_of("two", vertical_two_joint())
-    return belief_of(robot, stages, limits_of(robot, ramp_s=0.4))
+    return belief_of(robot, known(), limits_of(robot, ramp_s=0.4))
+
+
+@cache
+def moves_for(options: PlanOptions) -> Planned:
+    """Moves that tell two effects apart: several tests ask for the same."""
+    return plan_discriminate(believed(), known(), options)
 
 
 def test_the_gain_and_what_the_rival_leaves_are_those_of_least_squares(
     belief: Belief, stages: Stages
 ) -> None:
-    scenes = scenes_of(belief, stages, plan_discriminate(belief, stages, OPTIONS).moves)
+    scenes = scenes_of(belief, stages, moves_for(OPTIONS).moves)
     found = _separation(belief, OPTIONS, scenes)
     total = found.of.sum(axis=0) + found.prior
     # The same by a QR of the rows: with the rival's settings one by one, the least residual counts.
@@ -119,7 +136,7 @@ def test_of_two_laws_one_can_be_shown_and_the_other_cannot(belief: Belief, stage
 
 def test_logs_that_there_are_count(belief: Belief, stages: Stages) -> None:
     """A log on which the rival imitates the effect takes away from what the moves show."""
-    moves = plan_discriminate(belief, stages, OPTIONS).moves[:2]
+    moves = moves_for(OPTIONS).moves[:2]
     scenes = scenes_of(belief, stages, moves)
     effects, joint = asked(belief.robot, OPTIONS)
     question = Question.of(effects, joint, scenes)
@@ -135,7 +152,7 @@ def test_logs_that_there_are_count(belief: Belief, stages: Stages) -> None:
 def test_chances_are_of_what_the_logs_show(belief: Belief, stages: Stages, viscous: float) -> None:
     """No motion shows that a dry asymmetry is no bias; of a viscous one it does."""
     pair = replace(OPTIONS, between=("asymmetric_friction", "torque_bias"))
-    moves = plan_discriminate(belief, stages, pair).moves
+    moves = moves_for(pair).moves
     planned = scenes_of(belief, stages, moves)
     effects, joint = asked(belief.robot, pair)
     question = Question.of(effects, joint, planned)
@@ -162,8 +179,8 @@ def _with(scene: Scene, more: Array) -> Scene:
 
 
 def test_more_moves_tell_more(belief: Belief, stages: Stages) -> None:
-    short = plan_discriminate(belief, stages, replace(OPTIONS, duration_s=12.0)).stage.separation
-    long = plan_discriminate(belief, stages, OPTIONS).stage.separation
+    short = moves_for(replace(OPTIONS, duration_s=12.0)).stage.separation
+    long = moves_for(OPTIONS).stage.separation
     assert short is not None
     assert long is not None
     assert long.distance > 1.1 * short.distance
@@ -172,14 +189,14 @@ def test_more_moves_tell_more(belief: Belief, stages: Stages) -> None:
 
 
 def test_chosen_moves_beat_random_ones(belief: Belief, stages: Stages) -> None:
-    planned = plan_discriminate(belief, stages, OPTIONS)
-    assert planned.stage.separation is not None
+    chosen = moves_for(OPTIONS)
+    assert chosen.stage.separation is not None
     pool = pool_of(belief, 1, OPTIONS)
-    many = len(planned.moves)
-    scenes = scenes_of(belief, stages, [*planned.moves, *pool])
+    many = len(chosen.moves)
+    scenes = scenes_of(belief, stages, [*chosen.moves, *pool])
     effects, joint = asked(belief.robot, OPTIONS)
     question = Question.of(effects, joint, scenes[many :: len(pool) // 12])  # as the plan asks
-    found = separation_of(belief, question, scenes, planned.stage.separation.size)
+    found = separation_of(belief, question, scenes, chosen.stage.separation.size)
     rng = np.random.default_rng(0)
     sets = [many + rng.choice(len(pool), many, replace=False) for _ in range(300)]
     chance = [float(found.value(found.of[s].sum(axis=0))) for s in sets]
@@ -188,7 +205,7 @@ def test_chosen_moves_beat_random_ones(belief: Belief, stages: Stages) -> None:
 
 def test_a_special_case_is_named(belief: Belief, stages: Stages) -> None:
     nested = replace(OPTIONS, between=("torque_bias", "spring"))
-    told = plan_discriminate(belief, stages, nested).stage.separation
+    told = moves_for(nested).stage.separation
     assert told is not None
     assert told.special_case == "torque_bias"
     file = make_plan("discriminate", belief.robot, belief.limits, stages, nested)
@@ -198,7 +215,7 @@ def test_a_special_case_is_named(belief: Belief, stages: Stages) -> None:
     )
     assert "brakes on" in file.stages["discriminate"].notes[0]
     skew = replace(OPTIONS, between=("time_skew", "actuator_lag"))
-    told = plan_discriminate(belief, stages, skew).stage.separation
+    told = moves_for(skew).stage.separation
     assert told is not None
     assert told.special_case == "actuator_lag"
     assert told.powers == pytest.approx([0.5, 0.0], abs=1e-3)  # a lag is never early
@@ -208,7 +225,7 @@ def test_a_rival_has_the_settings_that_a_diagnosis_may_refine(
     belief: Belief, stages: Stages
 ) -> None:
     pair = replace(OPTIONS, between=("quadratic_drag", "nonlinear_viscous"), duration_s=12.0)
-    moves = plan_discriminate(belief, stages, replace(OPTIONS, duration_s=12.0)).moves
+    moves = moves_for(replace(OPTIONS, duration_s=12.0)).moves
     both, joint = asked(belief.robot, pair)
     question = Question.of(both, joint, scenes_of(belief, stages, moves))
     grid, exponents = (

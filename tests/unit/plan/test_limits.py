@@ -98,7 +98,7 @@ def test_every_kind_of_move_keeps_all_limits_of_drawn_arms(
     options = PlanOptions(
         duration_s=12.0,
         move_s=6.0,
-        pool=40,
+        pool=16,
         sweeps=1,
         together=together,
         between=("stribeck", "quadratic_drag") if what == "discriminate" else (),

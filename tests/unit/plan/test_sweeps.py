@@ -189,7 +189,6 @@ def test_what_gravity_tells_lowers_the_errors_of_inertia(belief: Belief) -> None
     session = make_plan("all", robot, limits, Stages(), OPTIONS)
     by_itself = {p.name: p.std_error for p in alone.stages["inertia"].parameters}
     later = {p.name: p.std_error for p in session.stages["inertia"].parameters}
-    both = by_itself.keys() & later.keys()
-    assert len(both) > 10
-    assert np.median([later[name] / by_itself[name] for name in both]) < 1.0
-    assert later["mx_2"] < 0.5 * by_itself["mx_2"]
+    moments = [name for name in by_itself.keys() & later.keys() if name.startswith("m")]
+    assert len(moments) == 10  # the moves are too few to compare the inertias
+    assert max(later[name] / by_itself[name] for name in moments) < 0.5

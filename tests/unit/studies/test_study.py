@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.params.schema import Parameter
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint, six_joint, two_joint
@@ -28,8 +26,6 @@ from tests.studies.bound import (
 )
 from tests.studies.tables import placed
 
-Array = NDArray[np.float64]
-
 
 def test_content_is_placed_between_its_own_markers_and_again() -> None:
     page = "top\n<!-- study:a -->\nold\n<!-- /study -->\nmid\n<!-- study:b --><!-- /study -->\n"
@@ -38,23 +34,6 @@ def test_content_is_placed_between_its_own_markers_and_again() -> None:
     assert "old" not in once
     assert once.endswith("mid\n<!-- study:b --><!-- /study -->\n")
     assert placed(once, "a", "| new \\1 |") == once
-
-
-def prediction(error: Array, *, sliding: Array, used: Array) -> LogPrediction:
-    """A log whose prediction is off by `error` (N, n)."""
-    return LogPrediction(
-        path=Path("log"),
-        sha256="",
-        samples=len(error),
-        cutoff_hz=5.0,
-        t=np.arange(len(error), dtype=float),
-        tau=error,
-        predicted=np.zeros_like(error),
-        low=np.zeros_like(error),
-        high=np.where(sliding, 0.0, 0.5),
-        used=used.astype(bool),
-        sliding=sliding.astype(bool),
-    )
 
 
 def test_white_noise_information_is_that_of_least_squares() -> None:

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import get_args
 
-import pytest
 from msgspec import structs
 
 from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry, UnexplainedPart
 from tests.studies.undeclared_cases import (
-    Group,
     Truth,
-    built,
-    matrix,
 )
 from tests.studies.undeclared_score import both_found, score
 from tests.unit.params.documents import diagnosis_of
@@ -121,17 +116,3 @@ def test_two_effects_need_two_findings() -> None:
     other = finding("drift", "elbow", also=("spring",))
     assert both_found(diagnosis(spring, other), [SPRING, bias])
     assert both_found(diagnosis(other, spring), [SPRING, bias])
-
-
-@pytest.mark.parametrize("group", get_args(Group))
-def test_every_kind_of_case_can_be_built(group: str) -> None:
-    """Plant and truth; the joint that is right is one of the robot's, or None for the arm's."""
-    cases = [c for c in matrix() if c.group == group and c.seed % 50 < 1]
-    assert cases
-    for condition in cases:
-        plant, truths = built(condition)
-        assert len(truths) == len(condition.effects)
-        for truth, (name, joint, _) in zip(truths, condition.effects, strict=True):
-            assert truth.name == name
-            assert truth.joints == (None,) or plant.arm.names[joint] in truth.joints
-            assert "other_joint" not in truth.depends_on

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +58,7 @@ class Log:
     torque: Array
 
 
+@cache
 def run(gear: Gear, *, seed: int = 0, seconds: float = 8.0, top_hz: float = 2.0) -> Log:
     """Follow a sum of sines; logged in the middle of each control period."""
     every = round(1 / (LOG_HZ * STEP_S))

@@ -47,7 +47,7 @@ JERK = Jerk(
     relative=1.0 + 0.5 * np.sin(np.arange(2 * SAMPLES).reshape(SAMPLES, 2) / 7.0),
 )
 TOLERANCE = 1e-6  # of the stated error
-POLISH = 8
+POLISH = 5
 
 
 def true_motion(t: Array) -> Array:

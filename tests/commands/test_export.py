@@ -4,10 +4,11 @@ import json
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
-from seqid_cli.params.document import now, tool
-from seqid_cli.params.schema import SCHEMA, ParameterFile, RobotId, Stages
+from seqid_cli.params.document import now, robot_id, tool
+from seqid_cli.params.schema import SCHEMA, ParameterFile, Stages
 from seqid_cli.robot.file import load_robot
 from tests.commands.conftest import Rig
 from tests.plants.robots.sample import sample_robot
@@ -15,18 +16,19 @@ from tests.plants.robots.stages import SAMPLES, random_bodies, stages_of
 
 
 def file_of(stages: Stages, robot: str = "two_joint") -> ParameterFile:
-    loaded = sample_robot(robot)
-    identity = RobotId(name=loaded.name, joints=list(loaded.joint_names), sha256=loaded.sha256)
     return ParameterFile(
-        schema=SCHEMA, created=now(), tool=tool(), robot=identity, inputs=[], stages=stages
+        schema=SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot_id(sample_robot(robot)),
+        inputs=[],
+        stages=stages,
     )
 
 
 @pytest.fixture
 def two(rig: Rig) -> Rig:
     """A rig with the two-joint sample robot and an inertia file of it."""
-    import numpy as np
-
     (rig.folder / "robot.toml").write_bytes((SAMPLES / "two_joint" / "robot.toml").read_bytes())
     robot = load_robot(rig.folder / "robot.toml")
     stages = stages_of(robot, random_bodies(np.random.default_rng(0), 2))
@@ -58,8 +60,6 @@ def test_json_tells_links_friction_and_deviations(two: Rig) -> None:
 
 
 def test_robot_name_with_marks_makes_files_that_parse(rig: Rig) -> None:
-    import numpy as np
-
     text = (SAMPLES / "two_joint" / "robot.toml").read_text()
     text = text.replace('name = "two_joint"', 'name = "a */ -- <b> \\"\\"\\"c\\""')
     (rig.folder / "robot.toml").write_text(text)
@@ -95,8 +95,6 @@ def test_what_cannot_be_done_is_said(two: Rig, arguments: list[str], words: str)
 
 
 def test_the_original_urdf_is_never_overwritten(rig: Rig) -> None:
-    import numpy as np
-
     for name in ("robot.toml", "six_joint.urdf"):
         (rig.folder / name).write_bytes((SAMPLES / "six_joint" / name).read_bytes())
     robot = load_robot(rig.folder / "robot.toml")
@@ -110,8 +108,6 @@ def test_the_original_urdf_is_never_overwritten(rig: Rig) -> None:
 
 
 def test_strict_fails_where_no_body_comes_near(two: Rig) -> None:
-    import numpy as np
-
     robot = load_robot(two.folder / "robot.toml")
     stages = stages_of(robot, random_bodies(np.random.default_rng(0), 2))
     assert stages.inertia is not None

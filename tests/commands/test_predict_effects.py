@@ -11,17 +11,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.__main__ import main
-from seqid_cli.params.document import now, robot_id, tool
+from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import (
-    SCHEMA,
     EffectOfJoint,
-    FrictionJoint,
     FrictionStage,
-    ParameterFile,
-    Stages,
 )
 from seqid_cli.robot.file import load_robot
+from tests.plants.robots.made import friction_joint
 
 ROBOT_TOML = (
     'schema = "seqid/robot@1"\nname = "arm"\ngravity = [0.0, 0.0, -9.81]\n'
@@ -46,27 +43,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def write(folder: Path, name: str, effects: list[EffectOfJoint] | None) -> str:
     robot = load_robot(folder / "robot.toml")
-    joint = FrictionJoint(
-        position_order=0,
-        velocity_order=1,
-        max_error=0.0,
-        rmse=0.0,
-        position_range=[-3.0, 3.0],
-        speed_range=[0.0, 4.0],
-        sign_width=0.01,
-        directional=False,
-        positive=[[4.0, 2.0]],
-        negative=[[4.0, 2.0]],
-        covariance=np.eye(2).tolist(),
-    )
-    file = ParameterFile(
-        schema=SCHEMA,
-        created=now(),
-        tool=tool(),
-        robot=robot_id(robot),
-        inputs=[],
-        stages=Stages(friction=FrictionStage(joints={"hip": joint}), effects=effects),
-    )
+    joint = friction_joint([[4.0, 2.0]], speed_range=[0.0, 4.0], sign_width=0.01)
+    stages = {"friction": FrictionStage(joints={"hip": joint}), "effects": effects}
+    given = {name: stage for name, stage in stages.items() if stage is not None}
+    file = with_stage(None, robot_id(robot), [], **given)  # type: ignore[arg-type]
     write_json_atomic(folder / name, file)
     return name
 

@@ -17,10 +17,8 @@ from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction
 from seqid_cli.identify.prediction.torques_mcap import TOPICS
 from seqid_cli.identify.regression import streaming
 from seqid_cli.motion import blocks
-from seqid_cli.params.document import now, robot_id, tool
+from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.io import write_json_atomic
-from seqid_cli.params.schema import SCHEMA, ParameterFile, RigidStage, Stages
-from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
@@ -29,7 +27,7 @@ from tests.plants.robots.seven_joint import (
     COULOMB,
     JOINTS,
     RATE_HZ,
-    known_friction,
+    known_model,
     motion,
     write_arm,
 )
@@ -50,7 +48,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for number, (name, samples) in enumerate(LOGS.items()):
         t = np.arange(samples) / RATE_HZ + rng.uniform(-JITTER_S, JITTER_S, samples)
         write_log(folder / name, robot, t, T0 + number * 60 * 10**9)
-    write_model(folder / "model.json", robot)
+    known = known_model(robot, 1.02)
+    file = with_stage(None, robot_id(robot), [], friction=known.friction, inertia=known.inertia)
+    write_json_atomic(folder / "model.json", file)
     return folder
 
 
@@ -62,24 +62,6 @@ def write_log(path: Path, robot: Robot, t: np.ndarray, start_ns: int) -> None:
     tau += COULOMB * np.sign(dq)
     stamps = start_ns + np.round(t * 1e9).astype(np.int64)
     write_messages(path, joint_messages(stamps, JOINTS, q, effort=tau), encoding="cdr")
-
-
-def write_model(path: Path, robot: Robot) -> None:
-    """Write the arm's friction and its inertia, a little off."""
-    assert robot.nominal is not None
-    values = np.concatenate([1.02 * robot.nominal.ravel(), np.zeros(robot.n)])
-    representative = dict(zip(standard_names(robot.n), values.tolist(), strict=True))
-    inertia = RigidStage(parameters=[], condition=1.0, rank=1, representative=representative)
-    stages = Stages(friction=known_friction().friction, inertia=inertia)
-    file = ParameterFile(
-        schema=SCHEMA,
-        created=now(),
-        tool=tool(),
-        robot=robot_id(robot),
-        inputs=[],
-        stages=stages,
-    )
-    write_json_atomic(path, file)
 
 
 def messages(path: Path) -> Iterator[tuple[str, int, int, Any]]:

@@ -103,15 +103,6 @@ def test_stale_stages_are_left_out_and_named(rig: Rig, reader: Reader, identifie
     assert stages.imu is not None
 
 
-def test_an_output_never_replaces_the_parameters_it_read(
-    rig: Rig, reader: Reader, identified: Replace
-) -> None:
-    before = rig.params("p.json", friction_file())
-    identified("rigid.gravity", "identify_gravity", rigid_stage())
-    done = rig.run("gravity", "a.parquet", "-r", "robot.toml", "-p", before, "-o", before)
-    assert done.code == 2
-
-
 def test_json_is_the_file(rig: Rig, reader: Reader, identified: Replace) -> None:
     identified("friction_surface.stage", "identify_friction", friction_stage())
     reader.warnings = ("jitter is 20 %",)

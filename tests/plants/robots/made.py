@@ -9,6 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.motion.filters.bandwidth import Cutoff
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionJoint
 
 Array = NDArray[np.float64]
@@ -26,6 +29,21 @@ def made_recording(
         "health": Health(rate_hz=rate_hz, jitter=0.0),
     }
     return Recording(path=Path(path), q=q, tau=tau, **(usual | further))
+
+
+def made_motion(q: Array, dq: Array, ddq: Array, lowpass: Lowpass, **further: Any) -> Motion:
+    """Wrap what joints did (N, n) at the low-pass's rate, usable unless `further` says."""
+    zeros, every = np.zeros(q.shape[1]), np.ones(len(q), dtype=bool)
+    usual = {
+        "t": np.arange(len(q)) / lowpass.rate_hz,
+        "tau": None,
+        "moving": np.ones_like(q, dtype=bool),
+        "usable": every,
+        "valid": every,
+        "cutoff": Cutoff(lowpass.cutoff_hz, zeros, 0.0, True, zeros),
+    }
+    given = usual | further
+    return Motion(q=q, dq=dq, ddq=ddq, rate_hz=lowpass.rate_hz, lowpass=lowpass, **given)
 
 
 def friction_joint(positive: Any, negative: Any = None, **further: Any) -> FrictionJoint:

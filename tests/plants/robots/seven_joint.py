@@ -14,7 +14,8 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from seqid_cli.identify.rigid.simultaneous import surface_entries
-from seqid_cli.params.schema import FrictionStage, Stages
+from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
+from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.made import friction_joint
@@ -89,6 +90,16 @@ def known_friction() -> Stages:
         covariance=covariance.tolist(),
     )
     return Stages(friction=FrictionStage(joints=dict.fromkeys(JOINTS, joint)))
+
+
+def known_model(robot: Robot, share: float = 1.0) -> Stages:
+    """The friction that its logs have, and a share of the URDF's bodies."""
+    assert robot.nominal is not None
+    values = np.concatenate([share * robot.nominal.ravel(), np.zeros(robot.n)])
+    names = standard_names(robot.n)
+    representative = dict(zip(names, values.tolist(), strict=True))
+    inertia = RigidStage(parameters=[], condition=1.0, rank=1, representative=representative)
+    return Stages(friction=known_friction().friction, inertia=inertia)
 
 
 def motion(t: Array) -> tuple[Array, Array, Array]:

@@ -10,12 +10,12 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.equations import FilteredColumns
-from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
+from tests.plants.robots.made import made_motion
 from tests.plants.robots.seven_joint import RATE_HZ, motion, write_arm
 
 Array = NDArray[np.float64]
@@ -41,10 +41,7 @@ def moved(samples: int, gap: slice) -> Motion:
     q, dq, ddq = motion(np.arange(samples) / RATE_HZ)
     valid = np.ones(samples, dtype=bool)
     valid[gap] = False
-    cutoff = Cutoff(LOWPASS.cutoff_hz, np.zeros(7), 0.0, False, np.zeros(7))
-    t = np.arange(samples) / RATE_HZ
-    moving = np.ones((samples, 7), dtype=bool)
-    return Motion(t, q, dq, ddq, q, moving, valid, valid, RATE_HZ, LOWPASS, cutoff)
+    return made_motion(q, dq, ddq, LOWPASS, valid=valid)
 
 
 @pytest.mark.parametrize("gap", [slice(0, 0), slice(5_000, 5_030), slice(4_096, 4_097)])

@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from msgspec.structs import replace
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction, predict
@@ -17,11 +18,10 @@ from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion import blocks
 from seqid_cli.motion.blocks import open_surveyed
-from seqid_cli.params.schema import EffectOfJoint, RigidStage, Stages
-from seqid_cli.robot.base_parameters import standard_names
+from seqid_cli.params.schema import EffectOfJoint, Stages
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.plants.robots.seven_joint import known_friction, write_arm, write_log
+from tests.plants.robots.seven_joint import known_model, write_arm, write_log
 
 ROWS, MOVING = 24_000, 18_000
 SAID = ("predicted", "low", "high", "sliding", "used", "q", "dq", "ddq")
@@ -57,11 +57,7 @@ def robot(folder: Path) -> Robot:
 
 @pytest.fixture(scope="module")
 def stages(robot: Robot) -> Stages:
-    assert robot.nominal is not None
-    values = np.concatenate([robot.nominal.ravel(), np.zeros(robot.n)])
-    representative = dict(zip(standard_names(robot.n), values.tolist(), strict=True))
-    inertia = RigidStage(parameters=[], condition=1.0, rank=1, representative=representative)
-    return Stages(friction=known_friction().friction, inertia=inertia, effects=EFFECTS)
+    return replace(known_model(robot), effects=EFFECTS)
 
 
 def held(path: Path, robot: Robot, stages: Stages) -> Iterator[LogPrediction]:

@@ -23,11 +23,10 @@ from seqid_cli.motion import blocks
 from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import EffectSession, RigidStage, Stages
-from seqid_cli.robot.base_parameters import standard_names
+from seqid_cli.params.schema import EffectSession, Stages
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.plants.robots.seven_joint import known_friction, write_arm, write_log
+from tests.plants.robots.seven_joint import known_model, write_arm, write_log
 from tests.unit.model.effects.scenes import settings_of
 
 ROWS = 40_000
@@ -47,12 +46,7 @@ def robot(folder: Path) -> Robot:
 
 @pytest.fixture(scope="module")
 def stages(robot: Robot) -> Stages:
-    assert robot.nominal is not None
-    values = np.concatenate([1.02 * robot.nominal.ravel(), np.zeros(robot.n)])
-    names = standard_names(robot.n)
-    representative = dict(zip(names, values.tolist(), strict=True))
-    inertia = RigidStage(parameters=[], condition=1.0, rank=1, representative=representative)
-    return Stages(friction=known_friction().friction, inertia=inertia)
+    return known_model(robot, 1.02)
 
 
 @pytest.fixture(autouse=True)

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.model.friction_samples import sampled_friction
-from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion, decimated
+from tests.plants.robots.made import made_motion
 
 Array = NDArray[np.float64]
 
@@ -34,20 +34,8 @@ def motion() -> Motion:
     w, phase = np.array([2.9, 4.1]), np.array([0.3, 1.1])
     slow = 1 + 0.2 * np.sin(0.37 * t)
     q, dq = slow * np.sin(w * t + phase), slow * w * np.cos(w * t + phase)
-    valid = np.ones(SAMPLES, dtype=bool)
-    return Motion(
-        t=t[:, 0],
-        q=q,
-        dq=dq,
-        ddq=-slow * w**2 * np.sin(w * t + phase),
-        tau=None,
-        moving=np.ones_like(q, dtype=bool),
-        usable=valid,
-        valid=valid,
-        rate_hz=RATE_HZ,
-        lowpass=Lowpass(CUTOFF_HZ, RATE_HZ),
-        cutoff=Cutoff(CUTOFF_HZ, np.zeros(2), 0.0, True, np.zeros(2)),
-    )
+    ddq = -slow * w**2 * np.sin(w * t + phase)
+    return made_motion(q, dq, ddq, Lowpass(CUTOFF_HZ, RATE_HZ))
 
 
 def test_thinned_friction_is_the_full_one_after_the_low_pass() -> None:

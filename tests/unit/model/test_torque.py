@@ -14,7 +14,6 @@ from seqid_cli.model.torque import (
     friction_surfaces,
     sliding,
 )
-from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
@@ -28,7 +27,7 @@ from seqid_cli.robot.base_parameters import (
 from seqid_cli.robot.types import Robot
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import six_joint
-from tests.plants.robots.made import friction_joint
+from tests.plants.robots.made import friction_joint, made_motion
 from tests.plants.robots.small import arm_6r
 
 Array = NDArray[np.float64]
@@ -48,22 +47,10 @@ def motion() -> Motion:
     lowpass = Lowpass(8.0, RATE)
     q = lowpass(np.sin(t[:, None] * np.linspace(1.5, 4.0, 6) + np.arange(6)))
     dq, ddq = differentiate(q, RATE)
-    valid = np.ones(800, dtype=bool)
-    usable = valid.copy()
+    usable = np.ones(800, dtype=bool)
     usable[:60] = usable[-60:] = False
-    return Motion(
-        t=t,
-        q=q,
-        dq=dq,
-        ddq=ddq,
-        tau=lowpass(lowpass(10 * np.cos(q))),
-        moving=np.ones_like(q, dtype=bool),
-        usable=usable,
-        valid=valid,
-        rate_hz=RATE,
-        lowpass=lowpass,
-        cutoff=Cutoff(8.0, np.zeros(6), 0.0, True, np.zeros(6)),
-    )
+    tau = lowpass(lowpass(10 * np.cos(q)))
+    return made_motion(q, dq, ddq, lowpass, tau=tau, usable=usable)
 
 
 def representative(phi: Array, rotor: Array) -> dict[str, float]:

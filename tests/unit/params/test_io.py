@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -76,96 +77,51 @@ def test_a_newer_file_asks_for_an_upgrade(tmp_path: Path) -> None:
     assert "Upgrade seqid" in error.hint
 
 
-@pytest.mark.parametrize(
-    ("at", "value", "message"),
-    [
-        (("robot", "joints", 1), 4, "$.robot.joints[1]: Expected `str`, got `int`"),
-        (("stages", "inertia", "rnak"), 4, "$.stages.inertia: Object contains unknown field"),
-        (("robot", "joints", 1), "shoulder", "$.robot.joints: must name each joint"),
-        (
-            ("stages", "friction", "joints", "elbow", "positive"),
-            [[1.0]],
-            "$.stages.friction.joints.elbow.positive: must have 2 rows of 1",
-        ),
-        (
-            ("stages", "friction", "joints", "elbow", "sign_width"),
-            0,
-            "$.stages.friction.joints.elbow.sign_width: must be positive",
-        ),
-        (
-            ("stages", "friction", "joints", "elbow", "speed_range"),
-            [2.0, 1.0],
-            "$.stages.friction.joints.elbow.speed_range: must be two numbers",
-        ),
-        (
-            ("stages", "friction", "joints", "elbow", "covariance"),
-            [[1.0]],
-            "$.stages.friction.joints.elbow.covariance: must be square with 2 or 4",
-        ),
-        (
-            ("stages", "gravity", "covariance"),
-            [[1.0, 2.0]],
-            "$.stages.gravity.covariance: must be square with 1",
-        ),
-        (
-            ("stages", "gravity", "parameters", 0, "std_error"),
-            -1,
-            "$.stages.gravity.parameters[0].std_error: must not be negative",
-        ),
-        (
-            ("stages", "gravity", "parameters", 0, "joint"),
-            "knee",
-            "$.stages.gravity.parameters[0].joint: joint 'knee' is none of the robot's: shou",
-        ),
-        (
-            ("stages", "imu", "imus", "imu_a", "rotation", 0, 0),
-            1.0,
-            "$.stages.imu.imus.imu_a.rotation: is no rotation",
-        ),
-        (("stages", "effects", 0, "joint"), "knee", "$.stages.effects[0].joint: joint 'knee'"),
-        (
-            ("stages", "effects", 0, "covariance"),
-            [[1.0, 0.0], [0.0, 1.0]],
-            "$.stages.effects[0].covariance: must be square with 1",
-        ),
-        *(
-            (
-                ("stages", "effects", 0, "session"),
-                {"logs": ["a"], **more},
-                f"$.stages.effects[0].{at}",
-            )
-            for more, at in (
-                ({"starts": [0.0, 1.0], "origin": 0.0}, "session.starts"),
-                ({"starts": [0.0]}, "session.origin"),
-                ({"origin": 5.0}, "session.origin"),
-            )
-        ),
-        (("closed_loop", "rounds", 0, "joint"), "knee", "$.closed_loop.rounds[0].joint: joint 'k"),
-        (
-            ("closed_loop", "rounds", 0, "evidence", "of"),
-            "knee",
-            "$.closed_loop.rounds[0].evidence.of: joint 'knee'",
-        ),
-        (
-            ("closed_loop", "rounds", 0, "evidence", "after"),
-            [0.1],
-            "$.closed_loop.rounds[0].evidence: x, count, before and after must be of one length",
-        ),
-        (("closed_loop", "rounds", 0, "accepted"), False, "$.closed_loop.rounds[0].accepted: "),
-        (("closed_loop", "refused", 0, "interval"), [1.0], "$.closed_loop.refused[0].interval: mu"),
-        (("closed_loop", "before"), {"knee": {"rmse": 1.0}}, "$.closed_loop.before: joint 'knee'"),
-        (
-            ("closed_loop", "gain_interval", "elbow"),
-            [0.2, 0.1],
-            "$.closed_loop.gain_interval.elbow: must be two numbers",
-        ),
-    ],
-)
+LOOP, ELBOW = "closed_loop", "stages.friction.joints.elbow"
+SESSION, IT = "stages.effects.0.session", "$.stages.effects[0].session"
+WRONG = [  # a key of the full file, its value, what is said of it, or of another key: $...
+    ("robot.joints.1", 4, "Expected `str`, got `int`"),
+    ("stages.inertia.rnak", 4, "$.stages.inertia: Object contains unknown field"),
+    ("robot.joints.1", "shoulder", "$.robot.joints: must name each joint"),
+    (f"{ELBOW}.positive", [[1.0]], "must have 2 rows of 1"),
+    (f"{ELBOW}.sign_width", 0, "must be positive"),
+    (f"{ELBOW}.speed_range", [2.0, 1.0], "must be two numbers"),
+    (f"{ELBOW}.covariance", [[1.0]], "must be square with 2 or 4"),
+    ("stages.gravity.covariance", [[1.0, 2.0]], "must be square with 1"),
+    ("stages.gravity.parameters.0.std_error", -1, "must not be negative"),
+    ("stages.gravity.parameters.0.joint", "knee", "joint 'knee' is none of the robot's: shou"),
+    ("stages.imu.imus.imu_a.rotation.0.0", 1.0, "$.stages.imu.imus.imu_a.rotation: is no rotation"),
+    ("stages.effects.0.joint", "knee", "joint 'knee'"),
+    ("stages.effects.0.covariance", [[1.0, 0.0], [0.0, 1.0]], "must be square with 1"),
+    (
+        SESSION,
+        {"logs": ["a"], "starts": [0.0, 1.0], "origin": 0.0},
+        f"{IT}.starts",
+    ),
+    (SESSION, {"logs": ["a"], "starts": [0.0]}, f"{IT}.origin"),
+    (SESSION, {"logs": ["a"], "origin": 5.0}, f"{IT}.origin"),
+    (f"{LOOP}.rounds.0.joint", "knee", "joint 'k"),
+    (f"{LOOP}.rounds.0.evidence.of", "knee", "joint 'knee'"),
+    (
+        f"{LOOP}.rounds.0.evidence.after",
+        [0.1],
+        "$.closed_loop.rounds[0].evidence: x, count, before and",
+    ),
+    (f"{LOOP}.rounds.0.accepted", False, ""),
+    (f"{LOOP}.refused.0.interval", [1.0], "mu"),
+    (f"{LOOP}.before", {"knee": {"rmse": 1.0}}, "joint 'knee'"),
+    (f"{LOOP}.gain_interval.elbow", [0.2, 0.1], "must be two numbers"),
+]
+
+
+@pytest.mark.parametrize(("key", "value", "message"), WRONG)
 def test_wrong_content_is_named_by_its_key(
-    tmp_path: Path, at: Path_, value: object, message: str
+    tmp_path: Path, key: str, value: object, message: str
 ) -> None:
+    at = tuple(int(word) if word.isdigit() else word for word in key.split("."))
     error = problem(tmp_path / "p.json", json.dumps(edited(at, value)))
-    assert error.message.startswith(message)
+    named = re.sub(r"\.(\d+)", r"[\1]", f"$.{key}")
+    assert error.message.startswith(message if message.startswith("$") else f"{named}: {message}")
 
 
 @pytest.mark.parametrize(

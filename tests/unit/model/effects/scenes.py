@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from seqid_cli.model.effects.effect import Effect, Settings
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.types import Robot
+from tests.plants.robots.made import made_motion
 from tests.plants.robots.two_joint import SIGN_WIDTH, torque_model, two_joint_robot
 
 Array = NDArray[np.float64]
@@ -69,20 +69,9 @@ def motion_of(
     dq, ddq = differentiate(smooth, rate_hz)
     usable = np.zeros(len(q), dtype=bool)
     usable[2 * lowpass.settling : -2 * lowpass.settling] = True
-    zeros = np.zeros(q.shape[1])
-    return Motion(
-        t=np.arange(len(q)) / rate_hz,
-        q=smooth,
-        dq=dq,
-        ddq=ddq,
-        tau=None if tau is None else lowpass(lowpass(tau)),
-        moving=np.abs(dq) > 1e-3,
-        usable=usable,
-        valid=np.ones(len(q), dtype=bool),
-        rate_hz=rate_hz,
-        lowpass=lowpass,
-        cutoff=Cutoff(cutoff_hz, zeros, 0.0, True, zeros),
-    )
+    torque = None if tau is None else lowpass(lowpass(tau))
+    moving = np.abs(dq) > 1e-3
+    return made_motion(smooth, dq, ddq, lowpass, tau=torque, moving=moving, usable=usable)
 
 
 def scene_of(

@@ -15,6 +15,7 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.kinematics import AngularMotion, forward, link_angular_motion
 from seqid_cli.robot.types import Chain, Imu, Joint, Robot
 from seqid_cli.typing import Array
+from tests.plants.robots.made import made_motion
 from tests.plants.robots.small import random_model
 from tests.unit.motion.imu.two_joints import (
     joint_acceleration,
@@ -70,24 +71,12 @@ def scene(request: pytest.FixtureRequest) -> Scene:
 
 def motion_of(scene: Scene) -> Motion:
     """The encoders' view: true positions and velocities, accelerations far off."""
-    mask = np.ones(SAMPLES, dtype=bool)
     moving = np.zeros_like(scene.q, dtype=bool)
     moving[:, [M, L]] = True
     n = scene.robot.n
     cutoff = Cutoff(10.0, np.full(n, 1e-3), 0.0, True, np.full(n, 1e-9))
-    return Motion(
-        t=np.arange(SAMPLES) / 100.0,
-        q=scene.q,
-        dq=scene.dq,
-        ddq=scene.ddq + 5.0,
-        tau=None,
-        moving=moving,
-        usable=mask,
-        valid=mask,
-        rate_hz=100.0,
-        lowpass=Lowpass(10.0, 100.0),
-        cutoff=cutoff,
-    )
+    lowpass = Lowpass(10.0, 100.0)
+    return made_motion(scene.q, scene.dq, scene.ddq + 5.0, lowpass, moving=moving, cutoff=cutoff)
 
 
 def test_the_general_solution_contains_eq_30_and_42(scene: Scene) -> None:

@@ -176,7 +176,7 @@ def test_the_story_of_a_joint(rig: Rig, library: Library) -> None:
     part = next(line for line in lines if "other_joint:elbow" in line)
     assert part.split()[:5] == ["shoulder", "position,", "other_joint:elbow", "40.0", "%"]
     spring = next(line for line in lines if line.startswith("spring"))
-    assert spring.endswith("explains less")
+    assert spring.endswith("explains 75.0 % less")
     drift = next(line for line in lines if line.startswith("drift"))
     assert drift.endswith("gain of 0.9 standard errors; 2 are asked at least")
     joint = next(line.split() for line in lines if line.split()[:2] == ["shoulder", "0.3"])

@@ -23,7 +23,6 @@ STRIBECK = EffectOfJoint(
     settings={"stribeck_speed": SPEED, "exponent": 2.0},
     coefficients=[HUMP],
 )
-BIAS = EffectOfJoint(effect="torque_bias", joint="joint_2", coefficients=[0.4])
 
 
 def friction() -> FrictionStage:
@@ -56,17 +55,6 @@ def predicted(recording: Recording, *effects: EffectOfJoint) -> LogPrediction:
     options = InertiaOptions(motion=MotionOptions(cutoff_hz=CUTOFF_HZ))
     (log,) = predict([recording], ROBOT, stages, options=options)
     return log
-
-
-def rms(log: LogPrediction, joint: int) -> float:
-    rows = log.used & log.sliding[:, joint]
-    return float(np.sqrt(np.mean((log.tau - log.predicted)[rows, joint] ** 2)))
-
-
-def test_effects_explain_what_they_stand_for(recording: Recording) -> None:
-    without, with_both = predicted(recording), predicted(recording, STRIBECK, BIAS)
-    for joint, left in ((0, 0.1), (1, 0.1)):
-        assert rms(with_both, joint) < left * rms(without, joint)
 
 
 def test_rest_holds_what_the_effects_allow(recording: Recording) -> None:

@@ -11,13 +11,10 @@ from numpy.typing import NDArray
 from seqid_cli.errors import InputError
 from seqid_cli.identify.friction_surface.gravity_separation import (
     gravity_columns,
-    half_sums,
     plane_across,
 )
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.friction_surface.trials import (
-    Ramps,
-    Trial,
     _trial,
     collect_trials,
 )
@@ -81,34 +78,6 @@ def test_columns_times_p_xi_are_the_gravity_torque(
     np.testing.assert_allclose(
         gravity_columns(robot, joint, where, own) @ p_xi, tau, rtol=1e-9, atol=1e-9
     )
-
-
-def trial(velocity: float, q: Array, tau: Array, configuration: Array) -> Trial:
-    return Trial(
-        joint=1,
-        velocity=velocity,
-        q=q,
-        dq=np.full(len(q), velocity),
-        ddq=np.zeros(len(q)),
-        tau=tau,
-        ramps=Ramps.none(),
-        weight=10.0,
-        configuration=configuration,
-        t=np.arange(len(q)) * 0.01,
-        seconds=0.01,
-    )
-
-
-def test_half_sums_take_friction_out() -> None:
-    q = np.linspace(-1, 1, 20)
-    gravity, friction = 3 * np.cos(q), 2 + 0.5 * q
-    home = np.zeros(2)
-    ahead = trial(0.5, q, gravity + friction, home)
-    back = trial(-0.505, q[::-1], (gravity - friction)[::-1], home)
-    (found,) = half_sums([ahead, back])
-    np.testing.assert_allclose(found.tau, 3 * np.cos(found.q), atol=1e-12)
-    assert found.speed == 0.5
-    assert len(found.q) == 20
 
 
 def recording(q: Array, tau: Array | None) -> Recording:

@@ -7,13 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import welch
 
 from seqid_cli.logs.long import Block
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion import blocks as module
 from seqid_cli.motion.blocks import Plan, joined, make_plan, motion_blocks
-from seqid_cli.motion.filters.survey import Survey, Welch
+from seqid_cli.motion.filters.survey import Survey
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.segmentation import moving_mask, noise_step
@@ -77,30 +76,6 @@ def test_motion_by_blocks_is_the_whole_motion(least: int, monkeypatch: pytest.Mo
         assert np.abs(values - wanted).max() < 1e-12 * scale, name
     for name in NAMES[4:]:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-
-
-def test_the_bits_do_not_tell_how_the_samples_came(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "LEAST_BLOCK", 700)
-    recording = log()
-    plan = plan_for(recording, whole_motion(recording))
-    ways = ([SAMPLES], [1], [1_000, 3, 250])
-    first, *others = (joined(list(motion_blocks(in_parts(recording, way), plan))) for way in ways)
-    for other in others:
-        for name in NAMES:
-            np.testing.assert_array_equal(getattr(first, name), getattr(other, name))
-
-
-@pytest.mark.parametrize("samples", [256, 1_000, 4_001])
-def test_the_spectrum_is_welchs(samples: int) -> None:
-    values = np.random.default_rng(9).normal(size=(samples, 2))
-    spectrum = Welch(256)
-    wanted = 0
-    for end in [*range(37, samples, 37), samples]:
-        wanted = spectrum.look(values[wanted:end], wanted)
-    frequency, density = spectrum.density(100.0)
-    expected_frequency, expected = welch(values.T, 100.0, nperseg=256, detrend=False)
-    np.testing.assert_allclose(frequency, expected_frequency)
-    np.testing.assert_allclose(density, expected, rtol=1e-10, atol=1e-14)
 
 
 @pytest.mark.parametrize("resolution", [0.0, STEP])

@@ -12,7 +12,6 @@ from tests.plants.experiments import inertia_trials
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import one_joint, six_joint, two_joint
 from tests.plants.simulate import Plant
-from tests.plants.trajectories import hold
 from tests.studies.coverage_cases import Case, draw
 
 
@@ -35,24 +34,3 @@ def test_rows_satisfy_the_equation_of_motion() -> None:
     left = truth.tau - truth.friction - np.array(motion)
     size = np.sqrt(np.mean(truth.tau**2, axis=0))
     assert (np.sqrt(np.mean(left**2, axis=0)) < 5e-4 * size).all()
-
-
-def test_energy_without_friction_or_control_is_kept() -> None:
-    """Half a second of free swing changes the energy by a millionth of what moves."""
-    base = two_joint()
-    none = np.zeros(2)
-    plant = replace(
-        base,
-        arm=replace(base.arm, gravity=np.array([3.0, 0.0, -9.0])),
-        nominal=replace(base.nominal, phi=0 * base.nominal.phi, rotor_inertia=none),
-        friction=replace(base.friction, coulomb=none, viscous=none, stribeck=none),
-        gains=replace(base.gains, stiffness=none, damping=none),
-        coulomb_guess=none,
-    )
-    start = np.array([1.4, -0.3])
-    truth = twin.simulate(plant, hold(start, 0.5, 1000.0), 0).truth
-    rigid = Rigid(plant.arm)
-    energy = [rigid.energy(q, dq) for q, dq in zip(truth.q, truth.dq, strict=True)]
-    kinetic = 0.5 * truth.dq[-1] @ rigid.terms(truth.q[-1], truth.dq[-1])[0] @ truth.dq[-1]
-    assert kinetic > 0.05
-    assert np.ptp(energy) < 1e-5 * kinetic

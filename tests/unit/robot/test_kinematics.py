@@ -49,24 +49,6 @@ def test_angular_motion_is_pinocchios() -> None:
             np.testing.assert_allclose(motion.dw[k], data.a[link + 1].angular, atol=1e-12)
 
 
-def _equation_27(alpha: float, theta: float) -> Array:
-    ct, st, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
-    return np.array([[ct, -st, 0.0], [st * ca, ct * ca, -sa], [st * sa, ct * sa, ca]])
-
-
-def test_frames_turn_by_equations_27_and_28() -> None:
-    rng = np.random.default_rng(2)
-    alpha, theta0 = rng.uniform(-3.0, 3.0, size=(2, 4))
-    rows = [DhRow(alpha[k], 0.1, 0.2, theta0[k]) for k in range(4)]
-    q = rng.uniform(-3.0, 3.0, size=(6, 4))
-    R = forward(chain_from_dh(rows), q).R
-    for k, sample in enumerate(q):
-        steps = [_equation_27(alpha[i], theta0[i] + sample[i]) for i in range(4)]
-        np.testing.assert_allclose(R[k, 0].T @ R[k, 3], steps[1] @ steps[2] @ steps[3], atol=1e-14)
-        np.testing.assert_allclose(R[k, 2].T @ R[k, 1], steps[2].T, atol=1e-14)
-        np.testing.assert_allclose(R[k, 1], steps[0] @ steps[1], atol=1e-14)
-
-
 def test_dh_frames_are_products_of_the_four_moves() -> None:
     rows = [DhRow(0.3, 0.2, 0.5, -0.7), DhRow(-1.1, 0.1, 0.4, 0.9, prismatic=True)]
     q = np.array([0.6, 0.25])

@@ -17,7 +17,6 @@ from seqid_cli.logs.read import read_recording
 from tests.unit.logs.samples import JOINTS, grid, make_motion, make_robot
 from tests.unit.logs.writers import (
     DEFINITIONS,
-    IMU,
     JOINT_STATE,
     header,
     payloads,
@@ -47,16 +46,6 @@ def test_definition_with_other_fields(tmp_path: Path) -> None:
             writer.write_message("/joint_states", schema, content, 0)
         writer.finish()
     np.testing.assert_array_equal(read_recording(path, make_robot()).q, motion.q)
-
-
-@pytest.mark.parametrize("comments", [True, False])
-def test_usual_definition_is_recognised(comments: bool) -> None:
-    text = DEFINITIONS[IMU]
-    if comments:
-        text = "# This is a message\n" + text.replace("float64[9] ", "float64[9]   ", 1)
-    assert parsers.is_usual(Schema(1, text.encode(), "ros2msg", IMU), "imu")
-    other = text.replace("geometry_msgs/Quaternion orientation\n", "")
-    assert not parsers.is_usual(Schema(1, other.encode(), "ros2msg", IMU), "imu")
 
 
 @pytest.mark.parametrize("effort", ["torque", "current"])

@@ -23,17 +23,6 @@ def parts() -> list[tuple[np.ndarray, np.ndarray]]:
     ]
 
 
-def test_rows_come_back_as_often_as_wanted() -> None:
-    spool = Spool()
-    for stamps, values in parts():
-        spool.push(stamps, values)
-    assert spool.complete
-    for _ in range(2):
-        for (stamps, values), (own, found) in zip(parts(), spool.parts(), strict=True):
-            np.testing.assert_array_equal(own, stamps)
-            np.testing.assert_array_equal(found, values)
-
-
 def test_a_full_disk_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(shutil, "disk_usage", lambda _: Usage(1 << 40, 1 << 40, 400))
     spool = Spool()

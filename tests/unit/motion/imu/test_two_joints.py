@@ -99,13 +99,6 @@ def test_the_general_solution_contains_eq_30_and_42(scene: Scene) -> None:
     assert not got[:, still].any()
 
 
-def test_one_imu_behind_both_joints_is_enough(scene: Scene) -> None:
-    imu = Imu("imu_b", L, np.zeros((12, 3)), np.zeros((12, 3)))
-    found = [LinkReading(imu, scene.at_l.dw, 1e-6)]
-    got, _ = _solve(scene.robot, motion_of(scene), np.array([M, L]), found)
-    np.testing.assert_allclose(got[:, [M, L]], scene.ddq[:, [M, L]], atol=1e-3)
-
-
 def test_a_joint_that_no_imu_sees_keeps_the_encoder(scene: Scene) -> None:
     imu = Imu("imu_a", M, np.zeros((12, 3)), np.zeros((12, 3)))
     motion = motion_of(scene)

@@ -17,7 +17,6 @@ from seqid_cli.robust import white_noise
 
 Rows = NDArray[np.intp]
 
-NONE: Rows = np.zeros(0, dtype=np.intp)
 ALONE = 0.3  # of a jump, that the samples before and after may move
 
 
@@ -48,8 +47,9 @@ def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
         least = ALONE * _beyond_any_arm(float(np.median(np.diff(own_t))))
         if np.abs(np.diff(q, 2)).max() < least:  # no two changes differ by as much as a break makes
             continue
-        broken = _breaks(joint, own_t, q, lattice(q))
-        breaks += [Break(j, finding, rows[wrong]) for finding, wrong in broken]
+        for code, text, wrong in _breaks(own_t, q, lattice(q)):
+            finding = found(code, text, joint=joint.name, channel="position")
+            breaks.append(Break(j, finding, rows[wrong]))
     return breaks
 
 
@@ -154,9 +154,7 @@ def top_speed(data: LogData, j: int) -> float:
     return float(speed.max())
 
 
-def _breaks(
-    joint: Joint, t: Array, q: Array, step: float
-) -> Iterator[tuple[InspectionFinding, Rows]]:
+def _breaks(t: Array, q: Array, step: float) -> Iterator[tuple[str, str, Rows]]:
     """Find freezes, spikes and jumps, each with the samples that are wrong."""
     usual = float(np.median(np.diff(t)))
     if usual <= 0.0:
@@ -169,10 +167,25 @@ def _breaks(
             f"stands still {len(frozen)} times, first from {t[start]:.3f} s for "
             f"{t[start + length - 1] - t[start]:.3f} s, and then catches up by {jump:.3g}"
         )
-        wrong = np.concatenate([np.arange(a + 1, a + size) for a, size, _ in frozen])
-        yield found("position_frozen", text, joint=joint.name, channel="position"), wrong
+        wrong = [np.arange(a + 1, a + size) for a, size, _ in frozen]
+        yield "position_frozen", text, np.concatenate(wrong)
         return
-    yield from _jumps(joint, t, q, large, usual)
+    d = np.diff(q)
+    size = np.abs(d)
+    # A jump stands alone: the motion around it is small against it (a spike returns at once, and of
+    # the two changes on one side the smaller counts).
+    wide = np.pad(size, 2)
+    around = np.maximum(np.minimum(wide[:-4], wide[1:-3]), np.minimum(wide[3:-1], wide[4:]))
+    at = np.flatnonzero((size > large) & (around < ALONE * size) & (np.diff(t) < 1.5 * usual))
+    if not len(at):
+        return
+    back = {int(k): s for k in at if (s := _returns(d, int(k)))}
+    first, count = next(iter(back), int(at[0])), len(back) or len(at)
+    text = f"jumps by {d[first]:.4g} at {t[first + 1]:.3f} s"
+    text += f" and {count - 1} more times" if count > 1 else ""
+    rows = [np.arange(k + 1, k + s + 1) for k, s in back.items()]
+    wrong_rows = np.concatenate([np.zeros(0, dtype=np.intp), *rows])
+    yield "position_spikes" if back else "position_jump", text, wrong_rows
 
 
 def _least_jump(
@@ -208,47 +221,12 @@ def _beyond_any_arm(
     return min(max_acceleration * usual**2, max_step)
 
 
-def _jumps(
-    joint: Joint, t: Array, q: Array, large: float, usual: float
-) -> Iterator[tuple[InspectionFinding, Rows]]:
-    d = np.diff(q)
-    size = np.abs(d)
-    big = size > large
-    # A jump stands alone: the motion around it is small against it (a spike returns at once).
-    around = np.maximum(_smaller(size, 1), _smaller(size, -1))
-    at = np.flatnonzero(big & (around < ALONE * size) & (np.diff(t) < 1.5 * usual))
-    if not len(at):
-        return
-    back = {int(k): s for k in at if (s := _returns(d, int(k)))}
-    code = "position_spikes" if back else "position_jump"
-    first = next(iter(back), int(at[0]))
-    count = len(back) if back else len(at)
-    text = f"jumps by {d[first]:.4g} at {t[first + 1]:.3f} s"
-    wrong = [np.arange(k + 1, k + s + 1) for k, s in back.items()]
-    finding = found(
-        code,
-        text + (f" and {count - 1} more times" if count > 1 else ""),
-        joint=joint.name,
-        channel="position",
-    )
-    yield finding, np.concatenate(wrong) if wrong else NONE
-
-
 def _returns(d: Array, k: int) -> int:
     """Return after how many samples change k is undone, at most three; 0 if it is not."""
     for s in (1, 2, 3):
         if k + s < len(d) and abs(d[k] + d[k + s]) < ALONE * abs(d[k]):
             return s
     return 0
-
-
-def _smaller(size: Array, direction: int) -> Array:
-    """Return the smaller of the two changes on one side of each change; a spike has a large one."""
-    one, two = np.roll(size, direction), np.roll(size, 2 * direction)
-    edge = slice(0, 2) if direction > 0 else slice(-2, None)
-    one[edge], two[edge] = 0.0, 0.0
-    smaller: Array = np.minimum(one, two)
-    return smaller
 
 
 def _frozen(

@@ -11,7 +11,6 @@ from msgspec import structs
 
 from seqid_cli.discover.options import DiagnoseOptions, DiscoverOptions, RefineOptions
 from seqid_cli.discover.refinement.log_sets import check_unseen, find_earlier, held_out_logs
-from seqid_cli.identify.functions import announcement
 from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
 from seqid_cli.identify.keywords import Keywords, documented
 from seqid_cli.logs.given import Logs, PathLike, optional
@@ -127,7 +126,6 @@ def _excerpts(
 ) -> Excerpts:
     from seqid_cli.discover.excerpts.excerpts import take_excerpts
 
-    logs.before = announcement(inputs.stages.imu, search.motion.source)
     return take_excerpts(logs, inputs.robot, inputs.stages, options=search.motion, places=places)
 
 

@@ -26,11 +26,10 @@ from seqid_cli.logs.given import Logs, PathLike, optional, warn
 from seqid_cli.params.document import present, robot_id, stale_stages, with_stage
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.prediction import PredictionFile
-from seqid_cli.params.schema import ImuStage, ParameterFile, Stages
+from seqid_cli.params.schema import ParameterFile, Stages
 
 if TYPE_CHECKING:
     from seqid_cli.identify.log_set import LogSet
-    from seqid_cli.logs.recording import Recording
     from seqid_cli.motion.options import MotionOptions
     from seqid_cli.robot.types import Robot
 
@@ -145,7 +144,6 @@ def inertia(
 
     def identify(given: LogSet) -> Stages:
         rigid = InertiaOptions(_chosen(inputs, options), options.source)
-        given.before = announcement(inputs.stages.imu, options.source)
         stage = identify_inertia(given, inputs.robot, inputs.stages, options=rigid, compare=True)
         if options.consistent:
             stage = made_consistent(stage, inputs.stages, inputs.robot)
@@ -177,13 +175,11 @@ def simultaneous(
     from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 
     def identify(given: LogSet) -> Stages:
-        imu = inputs.stages.imu
-        given.before = announcement(imu, options.source)
         friction, inertia = identify_simultaneous(
             given,
             inputs.robot,
             options=_chosen(inputs, options),
-            imu=imu,
+            imu=inputs.stages.imu,
             source=options.source,
             offset=options.offset,
         )
@@ -234,7 +230,6 @@ def predict(
 
     rigid = InertiaOptions(inherited(inputs.stages, options.cutoff_hz), options.source)
     given = LogSet.of(inputs)
-    given.before = announcement(inputs.stages.imu, options.source)
     unexplained = options.with_unexplained
     found = predicted(given, inputs.robot, inputs.stages, options=rigid, unexplained=unexplained)
     file = prediction_file(
@@ -248,24 +243,6 @@ def predict(
     if target is not None:
         write_json_atomic(target, file, inputs=inputs.sources)
     return file
-
-
-def announcement(
-    imu: ImuStage | None, source: str, *, min_length_s: float = 300.0
-) -> Callable[[Recording], str]:
-    """Return the note that the smoother takes long, for logs of at least `min_length_s` s."""
-
-    def announce(log: Recording) -> str:
-        length = len(log.t) / log.rate_hz
-        smoothed = imu is not None and source not in ("encoder", "imu") and log.accelerometers
-        if not smoothed or length <= min_length_s:
-            return ""
-        return (
-            f"{log.path}: smoothing {length / 60:.0f} min of encoders and IMUs"
-            " (--motion encoder does without)"
-        )
-
-    return announce
 
 
 def _stage(

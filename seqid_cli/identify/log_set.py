@@ -51,9 +51,7 @@ class LogSet:
     `logs`: a recording is taken as it is, without checks. `time_source` {"header", "log"}: which
     stamps of an MCAP log count. `imus`: whether the readings of IMUs are used, and hence checked.
     `skip_failed`: whether logs that cannot be used are left out. `executor`: who reads and reduces
-    the logs; None does it here. `left_out`: what was left out before. `before`: says what a user
-    should know before this process begins the long part of a log; nothing where it returns an empty
-    text.
+    the logs; None does it here. `left_out`: what was left out before.
     """
 
     logs: Sequence[Path | Recording]
@@ -64,7 +62,6 @@ class LogSet:
     executor: Executor | None = None
     on_progress: Callable[[Progress], None] | None = None
     left_out: list[str] = field(default_factory=list)
-    before: Callable[[Recording], str] | None = None
     findings: list[InspectionFinding] = field(default_factory=list)
     partial: list[str] = field(default_factory=list)
     read: list[LogNote] = field(default_factory=list)
@@ -93,7 +90,6 @@ class LogSet:
             log, findings = _Task(self.robot, self.time_source, None, self.imus).read(given)
             assert isinstance(log, Recording)
             self._done(replace(note_of(log), findings=findings))
-            self._about_to_work(log)
             yield log
             self._next()
 
@@ -162,22 +158,12 @@ class LogSet:
         items = list(enumerate(self.logs))
         if self.executor is not None:
             return ordered(self.executor, task, items)
-
-        def here(item: tuple[int, Path | Recording]) -> tuple[LogNote, P]:
-            return task(item, self._about_to_work)
-
-        return (answer(here, i) if self.skip_failed else Reply(here(i)) for i in items)
+        return (answer(task, i) if self.skip_failed else Reply(task(i)) for i in items)
 
     def _next(self) -> None:
         done = len(self.read) + len(self.left_out)
         if done < len(self.logs):
             self.tell("reading", log=_name(self.logs[done]))
-
-    def _about_to_work(self, log: Recording | SurveyedLog) -> None:
-        if self.before is not None and isinstance(log, Recording):
-            text = self.before(log)
-            if text:
-                self.tell("note", log=str(log.path), text=text)
 
     def _done(self, note: LogNote) -> None:
         """Take account of a log that was read, and warn of what cannot wait for the result."""
@@ -257,12 +243,8 @@ class _Task(Generic[P]):
     imus: bool
     folder: Path | None = None
 
-    def __call__(
-        self,
-        item: tuple[int, Path | Recording],
-        before: Callable[[Recording | SurveyedLog], None] | None = None,
-    ) -> tuple[LogNote, P]:
-        """Work on one log and its number; `before` hears of it before the long part, if here.
+    def __call__(self, item: tuple[int, Path | Recording]) -> tuple[LogNote, P]:
+        """Work on one log and its number.
 
         Raises SeqidError: the log cannot be read or is of no use.
         """
@@ -273,8 +255,6 @@ class _Task(Generic[P]):
             if isinstance(given, Path):
                 file = stack.enter_context(local_copy(given))
             log, findings = self.read(given, file)
-            if before is not None:
-                before(log)
             assert self.part is not None
             return replace(note_of(log), findings=findings), self.part(log, number)
 

@@ -8,10 +8,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import jsonschema
-import numpy as np
 import pytest
 
-from seqid_cli.identify.functions import announcement
 from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.document import robot_id, with_stage
@@ -143,12 +141,3 @@ def test_a_simultaneous_fit_says_its_motion(bench: Bench) -> None:
     assert "motion: fused" in err
     assert file["stages"]["imu"]
     assert file["stages"].get("gravity") is None
-
-
-def test_long_logs_are_announced() -> None:
-    s = scene("two")
-    times = np.arange(0.0, 700.0, 1.0 / s.recording.rate_hz)
-    long = replace(s.recording, t=times)
-    for imu, source, told in ((s.stage, "auto", 1), (None, "auto", 0), (s.stage, "encoder", 0)):
-        assert announcement(imu, source)(long).count("smoothing 12 min") == told
-    assert announcement(s.stage, "auto")(s.recording) == ""

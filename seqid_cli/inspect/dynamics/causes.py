@@ -1,4 +1,4 @@
-"""Causes of a misfit between log and robot, each as the change to the log that undoes it."""
+"""Causes of a misfit between log and robot, each as the change to log or robot that undoes it."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -8,14 +8,15 @@ import numpy as np
 
 from seqid_cli.inspect.dynamics.friction import Sample
 from seqid_cli.inspect.material import LogData
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.base_parameters import base_parameters
+from seqid_cli.robot.types import Array, Robot
 
-Change = Callable[[Sample], Sample]
+Change = Callable[[Robot, Sample], tuple[Robot, Sample]]
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A change to the log that mends the fit: of which kind, of which joints."""
+    """A change that mends the fit: of which kind, of which joints."""
 
     code: str
     joints: tuple[int, ...]
@@ -63,8 +64,18 @@ def units_of(data: LogData) -> Iterator[Cause]:
     text = "carry torque, not current" if current else "carry current, not torque"
     scale = 1.0 / factor if current else factor
     yield Cause(
-        code, every, text, lambda sample: replace(sample, tau=sample.tau * scale), effort[0]
+        code, every, text, lambda r, sample: (r, replace(sample, tau=sample.tau * scale)), effort[0]
     )
+
+
+def mounted(gravity: Array) -> Cause:
+    """Gravity (3,) m/s^2 that acts in another direction."""
+
+    def change(robot: Robot, sample: Sample) -> tuple[Robot, Sample]:
+        turned = replace(robot, gravity=gravity)
+        return turned, replace(sample, basis=base_parameters(turned, rotor=[]))
+
+    return Cause("gravity_direction", (), str([float(f"{x:.3g}") + 0.0 for x in gravity]), change)
 
 
 def _scaled(
@@ -72,10 +83,10 @@ def _scaled(
 ) -> Change:
     """Some joints' motion and torque times factors, and their zeros shifted."""
 
-    def change(sample: Sample) -> Sample:
+    def change(robot: Robot, sample: Sample) -> tuple[Robot, Sample]:
         own = np.isin(np.arange(sample.q.shape[1]), joints)
         moved = np.where(own, motion, 1.0)
-        return replace(
+        return robot, replace(
             sample,
             q=sample.q * moved + np.where(own, shift, 0.0),
             dq=sample.dq * moved,
@@ -88,12 +99,13 @@ def _scaled(
 
 
 def _swapped(a: int, b: int, *, motion: bool = True, torque: bool = True) -> Change:
-    def change(sample: Sample) -> Sample:
+    def change(robot: Robot, sample: Sample) -> tuple[Robot, Sample]:
         order = list(range(sample.q.shape[1]))
         order[a], order[b] = b, a
         if not motion:
-            return replace(sample, tau=sample.tau[:, order])
+            return robot, replace(sample, tau=sample.tau[:, order])
         moving = tuple(sorted({a: b, b: a}.get(j, j) for j in sample.moving))
-        return replace(sample.mapped(lambda x: x[:, order], torque=torque), moving=moving)
+        swapped = sample.mapped(lambda x: x[:, order], torque=torque)
+        return robot, replace(swapped, moving=moving)
 
     return change

@@ -14,22 +14,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from seqid_cli.inspect.dynamics.causes import Cause, causes_of, units_of
+from seqid_cli.inspect.dynamics.causes import Cause, causes_of, mounted, units_of
 from seqid_cli.inspect.dynamics.friction import Sample, joint_columns, position_columns
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.base_parameters import base_parameters, base_regressor
+from seqid_cli.robot.base_parameters import base_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
 
 BETTER = 0.8  # of another cause's error: less of a difference decides nothing
 HEAVY = 1e-3  # N m
-# What a finding of the mounting says, and how it reads where one axis alone fits.
-MOUNTED = "gravity acts along {}; the equations' error {}"
+# How a finding of the mounting reads where one direction alone fits.
 GRAVITY = re.compile(r"gravity acts along (\[[^\]]*\]);")
-KINDS = ("axis_flipped", "position_zero", "joints_swapped")
 
 
 @dataclass(frozen=True)
@@ -40,12 +38,7 @@ class Left:
     columns: int
 
 
-@dataclass(frozen=True)
-class Mended:
-    """A cause that mends a fit, and the error that it leaves."""
-
-    finding: InspectionFinding
-    error: float
+Measure = Callable[[Robot, Sample], Left]
 
 
 @dataclass(frozen=True)
@@ -99,10 +92,9 @@ def _structural(
         return
     free = _structural_error(robot, thin, own_law=True).error
     causes = [*causes_of(robot, thin), *units_of(data)]
-    mended = _mending(robot, thin, left, _structural_error, causes, free=free)
-    mended = _mounting(robot, thin, left, _structural_error, mended, free=free)
+    mended, _ = _mending(robot, thin, left, _structural_error, causes, free=free)
     if mended is not None:
-        yield mended.finding
+        yield mended
     elif error > poor and all(
         sample.rms_speed(j) > min_steps * data.step[j] for j in sample.moving
     ):
@@ -111,70 +103,89 @@ def _structural(
         )
 
 
-def _mounting(
+def _mending(
     robot: Robot,
     sample: Sample,
     before: Left,
-    measure: Callable[[Robot, Sample], Left],
-    other: Mended | None,
+    measure: Measure,
+    causes: Sequence[Cause],
     *,
     free: float = np.inf,
+    max_rivals: int = 8,
+    max_alike: int = 3,
     few_rows: int = 250,
-) -> Mended | None:
-    """Find the direction in which gravity acts, where that mends a fit best; else other."""
-    # Gravity turned round fits as well with parameters of the other sign: the inertials of a URDF
-    # decide, or both are named. Columns that are new are held to `free` as in `_mending`. A base's
-    # axis is taken where no slanted direction does clearly better.
+) -> tuple[InspectionFinding | None, float]:
+    """Find the change that mends a fit, and the error that it leaves; none where too many do."""
+    # One of the causes, gravity along an axis of the base, or in any direction: of these kinds the
+    # first counts, unless a later one leaves clearly less. Where several of a kind do as well, the
+    # inertials of a URDF decide: gravity turned round fits as well with parameters of the other
+    # sign.
+    few = _thinned(sample, few_rows)
+    tried = sorted(causes, key=lambda cause: measure(*cause.change(robot, few)).error)
+    kinds = [tried[:max_rivals]]
     strength = float(np.linalg.norm(robot.gravity))
-    if not strength:
-        return other
-    axes = strength * np.vstack([np.eye(3), -np.eye(3)])
-    fits = [(measure(*_turned(robot, sample, g)), g) for g in axes]
-    start = min(fits, key=lambda fit: fit[0].error)[1]
-    slant = _slanted(robot, _thinned(sample, few_rows), start, measure)
-    slanted = [(measure(*_turned(robot, sample, g)), g) for g in (slant, -slant)]
-    mended = [
-        [fit for fit in some if fit[0].error <= _limit(before, fit[0], free)]
-        for some in (fits, slanted)
-    ]
-    axis, least = (min((fit[0].error for fit in some), default=np.inf) for some in mended)
-    best = least if least < BETTER * axis else axis
-    if not np.isfinite(best) or (other is not None and best > BETTER * other.error):
-        return other
-    alike = [g for after, g in mended[int(best == least)] if after.error < best / BETTER]
+    if strength:
+        axes = [mounted(g) for g in strength * np.vstack([np.eye(3), -np.eye(3)])]
+        kinds += [axes, _slanted(robot, few, axes, measure)]
+    chosen, least = [], np.inf
+    for kind in kinds:
+        fits = [(measure(*cause.change(robot, sample)), cause) for cause in kind]
+        mends = [
+            (after.error, c) for after, c in fits if after.error <= _limit(before, after, free)
+        ]
+        best = min((error for error, _ in mends), default=np.inf)
+        alike = [cause for error, cause in mends if error < best / BETTER]
+        if best < BETTER * least and len({frozenset(c.joints) for c in alike}) <= max_alike:
+            chosen, least = alike, best
+    if not chosen:
+        return None, least
     if robot.nominal is not None:
-        alike.sort(key=lambda g: _nominal_error(*_turned(robot, sample, g)).error)
-    told = alike[: 1 if robot.nominal is not None else 2]
-    text = " or ".join(str([float(f"{x:.3g}") + 0.0 for x in g]) for g in told)
-    fall = f"falls from {percent(before.error)} to {percent(best)}"
-    return Mended(found("gravity_direction", MOUNTED.format(text, fall)), best)
+        chosen.sort(key=lambda cause: _nominal_error(*cause.change(robot, sample)).error)
+    fall = f"falls from {percent(before.error)} to {percent(least)}"
+    return _found(robot, chosen, fall), least
 
 
-def _turned(robot: Robot, sample: Sample, gravity: Array) -> tuple[Robot, Sample]:
-    """Mount a robot otherwise."""
-    turned = replace(robot, gravity=gravity)
-    return turned, replace(sample, basis=base_parameters(turned, rotor=[]))
+def _found(robot: Robot, alike: Sequence[Cause], fall: str) -> InspectionFinding:
+    """Tell the first of causes that mend a fit alike, and the others."""
+    cause, names = alike[0], robot.joint_names
+    if not cause.joints:
+        told = " or ".join(each.text for each in alike[: 1 if robot.nominal is not None else 2])
+        return found(cause.code, f"gravity acts along {told}; the equations' error {fall}")
+    others = [
+        f"{', '.join(names[j] for j in other.joints)}: {other.text}"
+        for other in alike
+        if set(other.joints) != set(cause.joints)
+    ]
+    text = f"{cause.text}; the equations' error {fall}"
+    text += f" (as well with {'; or '.join(others)})" if others else ""
+    joint = ", ".join(names[j] for j in cause.joints)
+    return found(cause.code, text, joint=joint, channel=cause.channel)
 
 
 def _slanted(
     robot: Robot,
     sample: Sample,
-    start: Array,
-    measure: Callable[[Robot, Sample], Left],
+    axes: Sequence[Cause],
+    measure: Measure,
     *,
     reach: float = 0.5,
     precise: float = 2e-3,
     evaluations: int = 60,
-) -> Array:
-    """Gravity (3,) m/s^2 that fits best; a search from `start`, `reach` rad wide at first."""
+) -> list[Cause]:
+    """Gravity in the direction that fits best, and against it.
+
+    The search starts from the best of the `axes`, `reach` rad wide at first.
+    """
+    best = min(axes, key=lambda axis: measure(*axis.change(robot, sample)).error)
+    start = best.change(robot, sample)[0].gravity
     strength, across = np.linalg.norm(start), np.linalg.svd(start[None])[2][1:]
 
     def gravity(x: Array) -> Array:
         turned = start + strength * (x @ across)
         return np.asarray(turned * strength / np.linalg.norm(turned))
 
-    best = minimize(  # type: ignore[call-overload]
-        lambda x: measure(*_turned(robot, sample, gravity(x))).error,
+    found_best = minimize(  # type: ignore[call-overload]
+        lambda x: measure(*mounted(gravity(x)).change(robot, sample)).error,
         np.zeros(2),
         method="Nelder-Mead",
         options={
@@ -184,60 +195,20 @@ def _slanted(
             "maxfev": evaluations,
         },
     )
-    return gravity(best.x)
+    return [mounted(sign * gravity(found_best.x)) for sign in (1.0, -1.0)]
 
 
 def _limit(
     before: Left, after: Left, free: float, *, max_ratio: float = 0.5, max_error: float = 0.35
 ) -> float:
-    """Largest error that a fit may leave to be mended."""
+    """Largest error that a fit may leave to be mended.
+
+    Half of the error before. A change may give the equations columns that they had not (gravity on
+    a joint that hardly feels it, say), and any free function would do better as well: then half of
+    what such functions leave, `free`.
+    """
     fewer = before.error if after.columns <= before.columns else min(before.error, free)
     return min(max_ratio * fewer, max_error)
-
-
-def _mending(
-    robot: Robot,
-    sample: Sample,
-    before: Left,
-    measure: Callable[[Robot, Sample], Left],
-    causes: Sequence[Cause],
-    *,
-    free: float = np.inf,
-    max_rivals: int = 8,
-    max_alike: int = 3,
-    few_rows: int = 250,
-) -> Mended | None:
-    """Find the one change that mends a fit; None where none does, or too many."""
-    # Where several do as well, the inertials of a URDF decide. A cause must leave half of the
-    # error. Where it gives the equations columns that they had not before (gravity on a joint that
-    # hardly feels it, say), any free function would do better as well: then it must leave half of
-    # what such functions leave, `free`.
-    few = _thinned(sample, few_rows)
-    tried = [(measure(robot, cause.change(few)).error, cause) for cause in causes]
-    tried.sort(key=lambda item: item[0])
-    best = [(measure(robot, cause.change(sample)), cause) for _, cause in tried[:max_rivals]]
-    best.sort(key=lambda item: item[0].error)
-    alike = [cause for after, cause in best if after.error < best[0][0].error / BETTER]
-    if len({frozenset(cause.joints) for cause in alike}) > max_alike:
-        return None
-    if robot.nominal is not None:
-        alike.sort(key=lambda cause: _nominal_error(robot, cause.change(sample)).error)
-    cause = alike[0]
-    after = next(after for after, other in best if other is cause)
-    if after.error > _limit(before, after, free):
-        return None
-    names = ", ".join(robot.joint_names[j] for j in cause.joints)
-    fall = f"falls from {percent(before.error)} to {percent(after.error)}"
-    text = f"{cause.text}; the equations' error {fall}"
-    others = [other for other in alike if set(other.joints) != set(cause.joints)]
-    if others:
-        rivals = [
-            f"{', '.join(robot.joint_names[j] for j in other.joints)}: {other.text}"
-            for other in others
-        ]
-        text += f" (as well with {'; or '.join(rivals)})"
-    finding = found(cause.code, text, joint=names, channel=cause.channel)
-    return Mended(finding, after.error)
 
 
 def _thinned(sample: Sample, count: int = 600) -> Sample:
@@ -363,12 +334,11 @@ def _scale(
         return
     thin = _thinned(sample)
     before, causes = _nominal_error(data.robot, thin), [*causes_of(data.robot, thin)]
-    mended = _mending(data.robot, thin, before, _nominal_error, causes)
-    mended = _mounting(data.robot, thin, before, _nominal_error, mended)
+    mended, error = _mending(data.robot, thin, before, _nominal_error, causes)
     unit = _nominal_error(data.robot, thin, scaled=True).error
     pulls = all(w.limits()[0] > 0.0 for w in off)  # gravity acts, in the right direction
-    if mended is not None and not (pulls and unit < mended.error / BETTER):
-        yield mended.finding
+    if mended is not None and not (pulls and unit < error / BETTER):
+        yield mended
         return
     effort = data.effort()
     for w in off:

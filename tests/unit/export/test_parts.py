@@ -12,7 +12,7 @@ import pytest
 from seqid_cli.errors import ConfigError
 from seqid_cli.export.formats import export
 from seqid_cli.export.model import simple_friction
-from seqid_cli.export.text import real
+from seqid_cli.export.text import plain, real
 from seqid_cli.export.urdf_tree import bodies_of_urdf
 from seqid_cli.model.bodies.consistent import Demand, consistent_links
 from seqid_cli.model.bodies.pseudo_inertia import Body, pseudo_inertia, standard_of
@@ -304,3 +304,11 @@ def test_torque_scale_of_any_size_is_solved() -> None:
         found = inverse_dynamics(robot.chain, robot.gravity, model.bodies, q, dq, ddq)
         found += model.armature * ddq
         np.testing.assert_allclose(found, torque, atol=1e-9 * np.abs(torque).max())
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [("a -- b", "a - - b"), ("*/ int x; /*", "* / int x; / *"), ("l\nm\\", "l m/"), ("a-", "a")],
+)
+def test_names_cannot_leave_a_comment(text: str, expected: str) -> None:
+    assert plain(text) == expected

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.errors import UsageError
+from seqid_cli.identify.imu_calibration.axis_pairs import Pair, fit_rotation
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.motion.options import MotionOptions
 from tests.plants.experiments import Trial, swing
@@ -21,8 +22,46 @@ from tests.plants.trajectories import hold, join
 Array = NDArray[np.float64]
 
 
+def unit(rng: np.random.Generator, count: int) -> Array:
+    v = rng.standard_normal((count, 3))
+    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
+
+
+def pairs_of(R: Array, link: Array, rng: np.random.Generator, sigma: Array) -> list[Pair]:
+    """Directions in the link's frame and, with noise across them, in the IMU's."""
+    result = []
+    for m, s in zip(link, sigma, strict=True):
+        noisy = R.T @ m + s * rng.standard_normal(3)
+        result.append(Pair(noisy / np.linalg.norm(noisy), m, float(s)))
+    return result
+
+
 def degrees_between(A: Array, B: Array) -> float:
     return float(np.degrees(np.linalg.norm(Rotation.from_matrix(A @ B.T).as_rotvec())))
+
+
+@pytest.mark.parametrize("count", [2, 3, 8])
+def test_exact_pairs_give_the_rotation(count: int) -> None:
+    rng = np.random.default_rng(count)
+    R = Rotation.random(random_state=count).as_matrix()
+    got = fit_rotation(pairs_of(R, unit(rng, count), rng, np.full(count, 1e-12)))
+    np.testing.assert_allclose(got, R, atol=1e-9)
+    assert np.linalg.det(got) == pytest.approx(1.0)
+
+
+def test_it_minimises_the_weighted_sum_of_squares() -> None:
+    rng = np.random.default_rng(1)
+    R = Rotation.random(random_state=1).as_matrix()
+    sigma = np.array([0.02, 0.1, 0.03, 0.3, 0.05])
+    pairs = pairs_of(R, unit(rng, 5), rng, sigma)
+
+    def cost(candidate: Array) -> float:
+        return sum(float(np.sum((candidate @ p.imu - p.link) ** 2)) / p.sigma**2 for p in pairs)
+
+    best = fit_rotation(pairs)
+    for _ in range(50):
+        turned = Rotation.from_rotvec(1e-3 * rng.standard_normal(3)).as_matrix() @ best
+        assert cost(turned) > cost(best)
 
 
 def rested(plant: Plant) -> Trial:

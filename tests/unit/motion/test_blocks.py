@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import welch
 
 from seqid_cli.logs.long import Block
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion import blocks as module
 from seqid_cli.motion.blocks import Plan, joined, make_plan, motion_blocks
-from seqid_cli.motion.filters.survey import Survey
+from seqid_cli.motion.filters.survey import Survey, Welch
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.segmentation import moving_mask, noise_step
@@ -95,3 +96,16 @@ def test_a_survey_in_parts_chooses_as_that_of_the_whole_log(resolution: float) -
     assert found.bias == pytest.approx(expected.bias, rel=1e-9)
     np.testing.assert_allclose(found.encoder_step, expected.encoder_step)
     np.testing.assert_allclose(found.noise_density, expected.noise_density, rtol=1e-9)
+
+
+@pytest.mark.parametrize("samples", [256, 1_000, 4_001])
+def test_the_spectrum_is_welchs(samples: int) -> None:
+    values = np.random.default_rng(9).normal(size=(samples, 2))
+    spectrum = Welch(256)
+    wanted = 0
+    for end in [*range(37, samples, 37), samples]:
+        wanted = spectrum.look(values[wanted:end], wanted)
+    frequency, density = spectrum.density(100.0)
+    expected_frequency, expected = welch(values.T, 100.0, nperseg=256, detrend=False)
+    np.testing.assert_allclose(frequency, expected_frequency)
+    np.testing.assert_allclose(density, expected, rtol=1e-10, atol=1e-14)

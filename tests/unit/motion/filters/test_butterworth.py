@@ -85,6 +85,17 @@ def test_any_length_will_do(samples: int) -> None:
     assert np.abs(found - expected).max() < 1e-12 * max(1.0, float(np.abs(values).max()))
 
 
+def test_a_chosen_few_are_filtered_and_the_others_stay() -> None:
+    rng = np.random.default_rng(4)
+    rows = np.ascontiguousarray(walk(rng, 3_000, 5).T)
+    lowpass, only = Lowpass(15.0, 500.0), np.array([1, 4])
+    every, some = rows.copy(), rows.copy()
+    lowpass.filter_rows(every)
+    lowpass.filter_rows(some, only=only)
+    np.testing.assert_allclose(some[only], every[only], rtol=0, atol=1e-12 * np.abs(rows).max())
+    np.testing.assert_array_equal(some[[0, 2, 3]], rows[[0, 2, 3]])
+
+
 @pytest.mark.parametrize("cutoff_hz", [8.0, 40.0, 200.0])
 def test_what_lies_beyond_its_memory_does_not_matter(cutoff_hz: float) -> None:
     rng = np.random.default_rng(5)

@@ -7,6 +7,7 @@ import pytest
 
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.imu.array import (
+    array_inverse,
     array_matrix,
     calibrated,
     layout,
@@ -187,3 +188,9 @@ def test_speed_about_an_axis_is_its_component() -> None:
     np.testing.assert_allclose(
         speed_about(w[:, :, None] * w[:, None, :], axis), np.abs(w @ axis), atol=1e-12
     )
+
+
+def test_errors_of_a_layout_are_those_of_its_inverse(imu: Imu) -> None:
+    inverse = array_inverse(imu)
+    np.testing.assert_allclose(inverse @ array_matrix(imu), np.eye(12), atol=1e-8)
+    np.testing.assert_allclose(layout(imu).errors, np.linalg.norm(inverse, axis=1), rtol=1e-8)

@@ -58,10 +58,12 @@ class Sample:
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction of one joint's torque: by joint that moves, with standard errors, and the own."""
+    """Friction in one joint's torque, by joint that moves, with standard errors.
+
+    Its own is that at its RMS speed.
+    """
 
     by_joint: dict[int, tuple[float, float]]
-    own: tuple[float, float]  # at RMS speed
     spread: float
     unexplained: float
 
@@ -141,7 +143,7 @@ def friction_findings(
             continue
         if not data.modelled and fit.unexplained > max_unexplained:
             continue  # gravity of the other links could pass for anything
-        value, error = fit.own
+        value, error = fit.by_joint[j]
         if value < -SIGMAS * error and value < -SHARE * fit.spread:
             text = (
                 f"its friction is {value:.3g} +- {error:.2g} N m at "
@@ -156,22 +158,19 @@ def _friction(sample: Sample, gravity: Array, j: int, *, rcond: float = 1e-8) ->
     if spread == 0.0 or not sample.moving:
         return None
     moving = list(sample.moving)
-    signs = sample.direction[:, moving]
-    own = [sample.dq[:, j]] if j in moving else []
-    X = np.column_stack([signs, *own, sample.ddq[:, moving], *_law(sample, gravity, j)])
+    columns = [*sample.direction[:, moving].T, *sample.ddq[:, moving].T]
+    if j in moving:  # beside it, the coefficient of the direction is friction at RMS speed
+        columns.append(sample.dq[:, j] / sample.rms_speed(j) - sample.direction[:, j])
+    X = np.column_stack([*columns, *_law(sample, gravity, j)])
     scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
-    U, s, Vt = np.linalg.svd(X / scale, full_matrices=False)
-    kept = s > rcond * s[0]
-    inverse = (Vt[kept].T / s[kept]) @ U[:, kept].T / scale[:, None]
+    inverse = np.linalg.pinv(X / scale, rcond=rcond) / scale[:, None]
     theta = inverse @ tau
     residual = tau - X @ theta
-    freedom = max(len(tau) - int(kept.sum()) * sample.memory, 10.0)
+    freedom = max(len(tau) - len(theta) * sample.memory, 10.0)
     variance = float(residual @ residual) / freedom * max(sample.memory, memory_of(residual))
-    C = inverse[: len(moving) + len(own)] @ inverse[: len(moving) + len(own)].T * variance
-    by_joint = {i: (float(theta[k]), float(np.sqrt(C[k, k]))) for k, i in enumerate(moving)}
+    errors = np.sqrt(np.sum(inverse**2, axis=1) * variance)
     return Friction(
-        by_joint,
-        _at_rms(theta, C, moving, j, sample),
+        {i: (float(theta[k]), float(errors[k])) for k, i in enumerate(moving)},
         spread,
         float(np.sqrt(np.mean(residual**2))) / spread,
     )
@@ -191,17 +190,6 @@ def memory_of(residual: Array) -> float:
     negative = np.flatnonzero(r <= 0.0)
     last = int(negative[0]) if len(negative) else len(r)
     return float(1.0 + 2.0 * r[1:last].sum() / r[0])
-
-
-def _at_rms(
-    theta: Array, C: Array, moving: list[int], j: int, sample: Sample
-) -> tuple[float, float]:
-    if j not in moving:
-        return 0.0, np.inf
-    k, last = moving.index(j), len(moving)
-    g = np.array([1.0, sample.rms_speed(j)])
-    rows = [k, last]
-    return float(g @ theta[rows]), float(np.sqrt(g @ C[np.ix_(rows, rows)] @ g))
 
 
 def _gravity(robot: Robot, sample: Sample) -> Array:

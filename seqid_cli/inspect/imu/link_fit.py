@@ -86,8 +86,8 @@ def _shifted(
     if total == 0.0 or not np.isfinite(total):
         return None
     few = slice(None, None, coarse)
-    left = np.array([_errors(features[rows[few] - s], y[few])[0].mean() for s in shifts])
-    return ShiftScan(features, readings, rows, y, total, shifts, left)
+    left = [np.sum(_left(features[rows[few] - s], y[few])[0] ** 2, axis=1) for s in shifts]
+    return ShiftScan(features, readings, rows, y, total, shifts, np.mean(left, axis=1))
 
 
 def fit_link(
@@ -104,24 +104,34 @@ def fit_link(
     return _fine(motion, tried)
 
 
-def _fine(motion: Motion, scan: ShiftScan) -> LinkFit:
-    """Fit at the shift that is best to a fraction of a sample."""
-    rows, y, shifts, coarse = scan.rows, scan.y, scan.shifts, int(scan.left.argmin())
-    low, high = shifts[max(coarse - 1, 0)], shifts[min(coarse + 1, len(shifts) - 1)]
-    fine = np.arange(max(low - 1, shifts[0]), min(high + 1, shifts[-1]) + 1)
-    errors = np.array([_errors(scan.features[rows - s], y)[0] for s in fine])
-    left = errors.mean(axis=1)
-    best = int(left.argmin())
-    delay, error = _vertex(fine, errors, best, motion, rows)
-    X = scan.features[rows - fine[best]]
-    spacing = float(np.median(np.diff(rows))) / motion.rate_hz
-    fitted = _errors(X, y)[1]
+def _fine(motion: Motion, scan: ShiftScan, *, rounds: int = 5, blocks: int = 8) -> LinkFit:
+    """Fit at the shift that is best to a fraction of a sample, by Gauss and Newton."""
+    # The delay's error is the larger of what white noise leads to and of how it moves when one of
+    # `blocks` parts of the log is left out: a coarse encoder's noise is far from white.
+    rows, y = scan.rows, scan.y
+    low, high = scan.shifts[[0, -1]]
+    shift, slopes = float(scan.shifts[scan.left.argmin()]), np.gradient(scan.features, axis=0)
+    for _ in range(rounds):
+        at = rows - round(shift)
+        X = scan.features[at] + (round(shift) - shift) * slopes[at]
+        left, fitted = _left(X, y)
+        across = _left(X, slopes[at] @ fitted.T)[0]
+        power, pull = float(np.sum(across**2)), -np.sum(across * left, axis=1)
+        if not low < shift < high or power == 0.0:
+            break
+        shift = float(np.clip(shift + pull.sum() / power, low, high))
+    square = float(np.mean(left**2))
+    memory = max(1.0, MEMORY_S * motion.rate_hz / float(np.median(np.diff(rows))))
+    error = np.inf
+    if low < shift < high and power > 0.0:
+        parts = [part.sum() for part in np.array_split(pull, blocks)]
+        error = max(float(np.sqrt(memory * square * power)), float(np.linalg.norm(parts))) / power
     return LinkFit(
-        float(left[best]) / scan.total,
-        delay,
-        error,
+        square * y.shape[1] / scan.total,
+        shift / motion.rate_hz,
+        error / motion.rate_hz,
         fitted,
-        _map_error(X, float(left[best]) / y.shape[1], MEMORY_S / spacing),
+        _map_error(X, square, memory),
         _gain(X, fitted),
     )
 
@@ -189,49 +199,12 @@ def _of_block(
     return turns, np.hstack([moved.a[link].T, moved.dw[link].T, products])
 
 
-def _errors(X: Array, y: Array, *, rcond: float = 1e-6) -> tuple[Array, Array]:
-    """Squared errors (R,) that features (R, p) leave of readings (R, K), and the map (K, p)."""
+def _left(X: Array, y: Array, *, rcond: float = 1e-6) -> tuple[Array, Array]:
+    """What features (R, p) leave of readings (R, K), and the map (K, p)."""
     X = X - X.mean(axis=0)
     scale = np.maximum(X.std(axis=0), 1e-9)
-    X = X / scale
+    X, y = X / scale, y - y.mean(axis=0)
     values, vectors = np.linalg.eigh(X.T @ X)
     kept = values > rcond**2 * values[-1]
     theta = vectors[:, kept] @ ((X @ vectors[:, kept]).T @ y / values[kept, None])
-    return np.asarray(np.sum((y - X @ theta) ** 2, axis=1)), (theta / scale[:, None]).T
-
-
-def _vertex(
-    shifts: NDArray[np.intp],
-    errors: Array,
-    best: int,
-    motion: Motion,
-    rows: NDArray[np.intp],
-    *,
-    blocks: int = 8,
-) -> tuple[float, float]:
-    """Delay [s] at the vertex of the parabola through the best shifts, and its error."""
-    # The error is the larger of what white noise leads to and of how the vertex moves when one of
-    # `blocks` parts of the log is left out: a coarse encoder's noise is far from white.
-    k = int(np.clip(best, 1, max(len(errors) - 2, 1)))
-    dt = 1.0 / motion.rate_hz
-    if len(errors) < 3 or best != k:
-        return float(shifts[best]) * dt, np.inf
-    near = errors[k - 1 : k + 2]
-    middle = float(near[1].mean())
-    offset, curvature = _parabola(near.mean(axis=1))
-    if curvature <= 0.0:
-        return float(shifts[best]) * dt, np.inf
-    parts = np.array([part.sum(axis=1) for part in np.array_split(near, blocks, axis=1)])
-    without = np.array([_parabola(parts.sum(axis=0) - part)[0] for part in parts])
-    scatter = float(np.sqrt((blocks - 1) * np.mean((without - without.mean()) ** 2)))
-    spacing = float(np.median(np.diff(rows))) * dt
-    memory = max(1.0, MEMORY_S / spacing)
-    white = float(np.sqrt(memory * middle / (curvature * len(rows))))
-    return (float(shifts[k]) + offset) * dt, max(white, scatter) * dt
-
-
-def _parabola(three: Array) -> tuple[float, float]:
-    """Vertex, from the middle one, and curvature of the parabola through three values."""
-    below, middle, above = (float(x) for x in three)
-    curvature = below - 2.0 * middle + above
-    return 0.5 * (below - above) / (curvature if curvature else np.inf), curvature
+    return np.asarray(y - X @ theta), (theta / scale[:, None]).T

@@ -39,6 +39,7 @@ def test_the_watch_sees() -> None:
     assert "FORBIDDEN os.system" in done.stderr
 
 
+@pytest.mark.slow
 def test_the_whole_way_keeps_to_itself(tmp_path: Path) -> None:
     robot, out = str(SAMPLES / "robot.toml"), str(tmp_path)
     done = watched("run", str(SAMPLES), "-r", robot, "-o", out)
@@ -74,6 +75,7 @@ def test_the_source_has_no_way_out() -> None:
     assert not found
 
 
+@pytest.mark.slow
 def test_a_plug_in_loads_only_when_it_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -72,6 +72,7 @@ def test_too_little_memory_is_no_bug(
     assert "there is too little memory (Unable to allocate 8 GiB)" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="limits are those of Linux")
 def test_a_gibibyte_and_64_files_are_enough(tmp_path: Path) -> None:
     def limit() -> None:

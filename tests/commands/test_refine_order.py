@@ -89,6 +89,7 @@ def test_held_out_logs_are_opened_after_the_last_decision(
     assert any("held out, although" in note for note in loop["notes"])
 
 
+@pytest.mark.slow
 def test_a_held_out_log_that_cannot_be_read_is_only_found_out_then(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -42,7 +42,7 @@ def spike(values: np.ndarray) -> None:
     [
         ("joint_1.position", hole, "channel_hole"),
         ("joint_1.current", hole, "channel_hole"),
-        ("joint_1.position", spike, "position_spikes"),
+        pytest.param("joint_1.position", spike, "position_spikes", marks=pytest.mark.slow),
     ],
 )
 def test_a_stage_says_what_inspect_says(

@@ -47,6 +47,7 @@ def test_a_full_output_is_said_in_one_line(arguments: tuple[str, ...]) -> None:
     assert "bug" not in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("closed", [(1,), (2,), (1, 2)])
 def test_closed_streams_do_no_harm(closed: tuple[int, ...], tmp_path: Path) -> None:
     made = tmp_path / "f.json"
@@ -58,6 +59,7 @@ def test_closed_streams_do_no_harm(closed: tuple[int, ...], tmp_path: Path) -> N
     assert made.stat().st_size > 1000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["2>/dev/full", "2> >(exec true)"])
 def test_messages_that_nobody_can_get_cost_no_result(where: str, tmp_path: Path) -> None:
     made = tmp_path / "f.json"
@@ -69,11 +71,13 @@ def test_messages_that_nobody_can_get_cost_no_result(where: str, tmp_path: Path)
     assert made.stat().st_size > 1000
 
 
+@pytest.mark.slow
 def test_a_variable_for_builds_does_no_harm(tmp_path: Path) -> None:
     code, _, err = ran("inspect", str(FRICTION), env={"SOURCE_DATE_EPOCH": "today"})
     assert code == 0, err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("env", [{}, {"LC_ALL": "C", "PYTHONUTF8": "0"}], ids=["utf-8", "ascii"])
 @pytest.mark.parametrize("name", ["gelenk_ö.parquet".encode(), b"log_\xff.parquet"])
 def test_a_name_of_any_bytes_is_read_and_written(
@@ -111,6 +115,7 @@ def wait_for_work(process: subprocess.Popen[bytes], seconds: float) -> None:
         time.sleep(0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc on this system")
 @pytest.mark.parametrize(("name", "after"), [("SIGTERM", 1.5), ("SIGHUP", 0.5), ("SIGINT", 0.2)])
 def test_signals_end_it_like_an_interrupt(name: str, after: float, tmp_path: Path) -> None:
@@ -131,6 +136,7 @@ def test_signals_end_it_like_an_interrupt(name: str, after: float, tmp_path: Pat
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path: Path) -> None:
     made = tmp_path / "f[1].json"
     gone = subprocess.Popen([sys.executable, "-c", ""])

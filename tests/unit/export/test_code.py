@@ -137,6 +137,7 @@ def numpy_module(arm: Arm) -> ModuleType:
     return module_of(written(arm, "numpy module").text)
 
 
+@pytest.mark.slow
 def test_momentum_and_what_changes_it_are_those_of_pinocchio(arm: Arm) -> None:
     """p = M dq and tau - g + C^T dq, with M, C and g by Pinocchio of the exported URDF."""
     robot, urdf = frictionless(arm)[0], written(arm, "URDF")
@@ -164,6 +165,7 @@ def test_both_observers_are_the_same(tmp_path: Path) -> None:
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
 
 
+@pytest.mark.slow
 def test_a_push_in_mujoco_is_what_the_observer_finds() -> None:
     """The arm falls and swings; from 0.3 s on a torque acts that the motors do not know."""
     arm = frictionless(sample("six_joint"))
@@ -183,6 +185,7 @@ def test_a_push_in_mujoco_is_what_the_observer_finds() -> None:
     np.testing.assert_allclose(found[-1], push, atol=0.3)
 
 
+@pytest.mark.slow
 @needs_cc
 @pytest.mark.parametrize("rig", ["one_joint", "two_joint"])
 def test_new_logs_raise_no_alarm_and_a_collision_does(tmp_path: Path, rig: str) -> None:

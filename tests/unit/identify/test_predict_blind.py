@@ -71,6 +71,7 @@ def passed_over(path: Path, robot: Robot, stages: Stages) -> Iterator[LogPredict
     return iter(LongPrediction.of(log, model, stages, OPTIONS, effects))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", [held, passed_over])
 def test_another_torque_changes_nothing_of_the_prediction(
     way: object, folder: Path, robot: Robot, stages: Stages, monkeypatch: pytest.MonkeyPatch

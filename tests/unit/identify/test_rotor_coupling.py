@@ -78,6 +78,7 @@ def identified(alpha: float, *, coupled: bool, seed: int = 0) -> tuple[Plant, Ri
     return plant, identify_inertia(logs, robot, stages, options=InertiaOptions())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axes", ["skew", "parallel"])
 @pytest.mark.parametrize("coupled", [False, True])
 def test_the_coupling_is_chosen_rightly(axes: str, coupled: bool) -> None:
@@ -86,6 +87,7 @@ def test_the_coupling_is_chosen_rightly(axes: str, coupled: bool) -> None:
     assert any("rotors coupled" in note for note in stage.notes) == coupled
 
 
+@pytest.mark.slow
 def test_axes_at_right_angles_cannot_show_it_and_stay_diagonal() -> None:
     """The second rotor's spin has no part along the first axis: both models are the same."""
     plant, stage = identified(AXES["perpendicular"], coupled=True)
@@ -95,6 +97,7 @@ def test_axes_at_right_angles_cannot_show_it_and_stay_diagonal() -> None:
     assert np.abs(off).max() < 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("coupled", [False, True])
 def test_with_the_right_coupling_the_parameters_are_true(coupled: bool) -> None:
     plant, stage = identified(AXES["skew"], coupled=coupled)

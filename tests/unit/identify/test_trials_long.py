@@ -70,6 +70,7 @@ def parts_of(path: Path, robot: Robot, rows: int) -> tuple[list[Trial], list[Tri
     return find(log, 0), find(read_recording(path, robot), 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("waving", [False, True])
 @pytest.mark.parametrize("rows", [1_000, 5_000, 20_000])
 def test_the_trials_are_those_of_the_held_log(

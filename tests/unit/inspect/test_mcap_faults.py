@@ -45,6 +45,7 @@ def logged_later(seconds: float) -> Change:
     return change
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("change", "shift_s", "expected", "robot_change"),
     [

@@ -136,6 +136,7 @@ def test_a_table_of_one_value_is_refused(
     assert "bug" not in said
 
 
+@pytest.mark.slow
 def test_lists_of_one_value_are_refused(tmp_path: Path) -> None:
     values, rows = pa.array(np.zeros(ROOM // 4, np.int8)), 100
     offsets = pa.array(np.linspace(0, len(values), rows + 1).astype(np.int32))

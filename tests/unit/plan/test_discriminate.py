@@ -64,6 +64,7 @@ def moves_for(options: PlanOptions) -> Planned:
     return plan_discriminate(believed(), known(), options)
 
 
+@pytest.mark.slow
 def test_the_gain_and_what_the_rival_leaves_are_those_of_least_squares(
     belief: Belief, stages: Stages
 ) -> None:
@@ -105,6 +106,7 @@ def test_power_is_what_the_diagnosis_asks() -> None:
     assert float(weak.power) < 0.5 < 0.99 < float(weak.longer(20.0).power)
 
 
+@pytest.mark.slow
 def test_the_part_that_both_share_hides_nothing(belief: Belief, stages: Stages) -> None:
     """Of asymmetric friction the viscous part differs from a bias, the dry one on no motion."""
     pair = replace(OPTIONS, between=("asymmetric_friction", "torque_bias"))
@@ -119,6 +121,7 @@ def test_the_part_that_both_share_hides_nothing(belief: Belief, stages: Stages) 
     assert "brakes on" in file.stages["discriminate"].notes[0]
 
 
+@pytest.mark.slow
 def test_of_two_laws_one_can_be_shown_and_the_other_cannot(belief: Belief, stages: Stages) -> None:
     """A cubic is no quadratic drag; a power of 1.8 imitates it."""
     pair = replace(OPTIONS, between=("quadratic_drag", "nonlinear_viscous"))
@@ -134,6 +137,7 @@ def test_of_two_laws_one_can_be_shown_and_the_other_cannot(belief: Belief, stage
     assert "ladder" in file.stages["discriminate"].notes[0]
 
 
+@pytest.mark.slow
 def test_logs_that_there_are_count(belief: Belief, stages: Stages) -> None:
     """A log on which the rival imitates the effect takes away from what the moves show."""
     moves = moves_for(OPTIONS).moves[:2]
@@ -148,6 +152,7 @@ def test_logs_that_there_are_count(belief: Belief, stages: Stages) -> None:
         assert joined.told(rest, k).left == pytest.approx(alone.told(both, k).left, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("viscous", [0.0, 1.0])
 def test_chances_are_of_what_the_logs_show(belief: Belief, stages: Stages, viscous: float) -> None:
     """No motion shows that a dry asymmetry is no bias; of a viscous one it does."""
@@ -178,6 +183,7 @@ def _with(scene: Scene, more: Array) -> Scene:
     return replace(scene, motion=replace(scene.motion, tau=tau))
 
 
+@pytest.mark.slow
 def test_more_moves_tell_more(belief: Belief, stages: Stages) -> None:
     short = moves_for(replace(OPTIONS, duration_s=12.0)).stage.separation
     long = moves_for(OPTIONS).stage.separation
@@ -188,6 +194,7 @@ def test_more_moves_tell_more(belief: Belief, stages: Stages) -> None:
     assert 0.0 <= long.imitated < 0.95
 
 
+@pytest.mark.slow
 def test_chosen_moves_beat_random_ones(belief: Belief, stages: Stages) -> None:
     chosen = moves_for(OPTIONS)
     assert chosen.stage.separation is not None
@@ -203,6 +210,7 @@ def test_chosen_moves_beat_random_ones(belief: Belief, stages: Stages) -> None:
     assert float(found.value(found.of[:many].sum(axis=0))) > max(chance)
 
 
+@pytest.mark.slow
 def test_a_special_case_is_named(belief: Belief, stages: Stages) -> None:
     nested = replace(OPTIONS, between=("torque_bias", "spring"))
     told = moves_for(nested).stage.separation
@@ -221,6 +229,7 @@ def test_a_special_case_is_named(belief: Belief, stages: Stages) -> None:
     assert told.powers == pytest.approx([0.5, 0.0], abs=1e-3)  # a lag is never early
 
 
+@pytest.mark.slow
 def test_a_rival_has_the_settings_that_a_diagnosis_may_refine(
     belief: Belief, stages: Stages
 ) -> None:

@@ -64,6 +64,7 @@ def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(goal: Goal, poo
     assert goal.errors(pool.information[chosen].sum(axis=0)) < min(chance)
 
 
+@pytest.mark.slow
 def test_refinement_lowers_the_error(belief: Belief, goal: Goal, pool: Pool) -> None:
     nothing, shapes = np.zeros_like(goal.W), Shapes.over(SECONDS, COARSE_HZ)
     chosen = choose(goal, pool, COUNT, nothing)
@@ -94,7 +95,9 @@ def test_full_rank_needs_few_pairs_and_each_of_them(goal: Goal, pool: Pool) -> N
     assert all(rank_of(without(by_pair, needed, pair)) < len(goal.W) for pair in needed)
 
 
-@pytest.mark.parametrize("name", ["one_joint", "two_joint", "six_joint"])
+@pytest.mark.parametrize(
+    "name", ["one_joint", "two_joint", pytest.param("six_joint", marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("together", [False, True])
 def test_sample_arms_get_full_rank(name: str, together: bool) -> None:
     robot = sample_robot(name)
@@ -118,6 +121,7 @@ def test_a_locked_joint_does_not_move_and_its_parameters_are_named() -> None:
     assert planned.stage.rank < belief.basis.size
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_plan(belief: Belief) -> None:
     options = PlanOptions(duration_s=12.0, move_s=SECONDS, pool=30, sweeps=1)
     first = plan_inertia(belief, Stages(), options)

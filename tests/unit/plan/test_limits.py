@@ -58,7 +58,7 @@ def test_limits_hold_on_dense_samples_of_drawn_arms(
         assert np.abs(rest).max() < 1e-9
 
 
-@pytest.mark.parametrize("seed", [3, 51])
+@pytest.mark.parametrize("seed", [3, pytest.param(51, marks=pytest.mark.slow)])
 def test_a_planned_move_keeps_all_limits_between_its_samples(tmp_path: Path, seed: int) -> None:
     robot = drawn_robot(tmp_path, seed)  # number 51 slides in some joints
     limits = limits_of(robot, ramp_s=0.3)
@@ -124,6 +124,7 @@ def busy_torque(belief: Belief) -> Array:
     return np.asarray(belief.torque(moves, belief.regressor(moves)).max(axis=(0, 1)))
 
 
+@pytest.mark.slow
 def test_torque_limits_hold_with_the_models_doubt() -> None:
     robot = sample_robot("six_joint")
     limits = limits_of(robot, ramp_s=0.2)

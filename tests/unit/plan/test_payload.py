@@ -18,6 +18,7 @@ from tests.plants.robots.stages import friction_stage, inertia_stage
 OPTIONS = PlanOptions(duration_s=20.0, move_s=5.0, pool=40, sweeps=1)
 
 
+@pytest.mark.slow
 def test_all_ten_parameters_are_found_on_six_joints() -> None:
     robot = sample_robot("six_joint")
     assert robot.nominal is not None

@@ -84,6 +84,7 @@ def test_friction_sweeps_every_joint_both_ways_over_its_range(belief: Belief) ->
     assert planned.stage.duration_s == sum(move.duration_s for move in planned.moves)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [4, 52])  # number 52 slides in some joints
 def test_sweeps_of_drawn_arms_keep_their_limits(tmp_path: Path, seed: int) -> None:
     robot = drawn_robot(tmp_path, seed)
@@ -116,6 +117,7 @@ def gravity_condition(belief: Belief, moves: list[PlannedMove]) -> float:
     return float(np.linalg.cond(stacked / np.linalg.norm(stacked, axis=0)))
 
 
+@pytest.mark.slow
 def test_gravity_postures_beat_random_ones(belief: Belief) -> None:
     planned = plan_gravity(belief, Stages(), OPTIONS)
     for move in planned.moves:
@@ -183,6 +185,7 @@ def test_a_session_holds_all_stages_in_order() -> None:
     assert plan.total_s > plan.duration_s
 
 
+@pytest.mark.slow
 def test_what_gravity_tells_lowers_the_errors_of_inertia(belief: Belief) -> None:
     robot, limits = belief.robot, belief.limits
     alone = make_plan("inertia", robot, limits, Stages(), OPTIONS)

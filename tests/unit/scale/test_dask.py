@@ -56,6 +56,7 @@ def logs(tmp_path: Path) -> list[str]:
     return [str(name) for name in names]
 
 
+@pytest.mark.slow
 def test_the_cluster_changes_no_bit(
     scheduler: str, logs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -95,6 +96,7 @@ def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch)
             raise AssertionError
 
 
+@pytest.mark.slow
 def test_any_executor_will_do(scheduler: str, logs: list[str]) -> None:
     """A thread pool and a client's own executor give what this process gives, bit by bit."""
     from distributed import Client

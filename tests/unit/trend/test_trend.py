@@ -41,6 +41,7 @@ def history(
     return files
 
 
+@pytest.mark.slow
 def test_a_healthy_robot_gives_no_alarm() -> None:
     found = [trend(history(seed)) for seed in range(20)]
     assert [file.alarm for file in found] == [False] * 20

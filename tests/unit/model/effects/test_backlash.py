@@ -20,7 +20,7 @@ def rms_before(scenes: list[Scene]) -> float:
 
 
 @pytest.mark.parametrize("cutoff_hz", [10.0, 20.0])
-@pytest.mark.parametrize("gap", [1e-3, 4e-3])
+@pytest.mark.parametrize("gap", [1e-3, pytest.param(4e-3, marks=pytest.mark.slow)])
 def test_the_gap_comes_back(gap: float, cutoff_hz: float) -> None:
     """One column takes more than nine tenths of what play does; an elastic gear does not."""
     logs = [run(Gear(5e4, 20.0, gap), seed=seed) for seed in range(2)]

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from seqid_cli import identify
-from tests.studies.planted import FAULTS, Cell, answers, excused, new_reasons, tabulated
+from tests.studies.planted import FAULTS, answers, excused
 from tests.studies.planted_arms import ARMS
 
 BENCH = ARMS[0]()
@@ -60,11 +60,3 @@ def answers_of_spike(logs: list[Path], folder: Path) -> list[Path]:
     from tests.studies.planted import _planted
 
     return list(_planted(BENCH, BY_NAME["one spike"], logs, folder / "logs"))
-
-
-def test_what_sound_logs_give_as_well_does_not_count() -> None:
-    sound = Cell("poor", ["joint_1: speeds left out are missed by 16 %", ": not good: joint_1"])
-    again = Cell("poor", ["joint_1: speeds left out are missed by 17 %", ": not good: joint_1"])
-    assert new_reasons(again, sound) == []
-    told = [{"none": {"friction": sound}, "degrees": {"friction": again}}]
-    assert "| degrees | good 1 | - |" in tabulated([BENCH], told)

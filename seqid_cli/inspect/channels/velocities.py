@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ def velocity_findings(
     windows = max(choices, key=lambda choice: len(_judged(choice, data, sound)))
     travel, integral, counts = windows.travel, windows.integral, windows.counts(data)
     moving = _judged(windows, data, sound)
-    crossed = _crossed(travel, integral, counts, moving)
+    crossed = _crossed(travel, integral, moving)
     paired = {j for pair in crossed for j in pair}
     alone = [j for j in sound if j not in paired]
     dead = {j: seconds for j in alone if (seconds := _dead_s(data, choices, j))}
@@ -132,23 +133,16 @@ def _time_unit(gains: dict[int, float]) -> float:
 
 
 def _crossed(
-    travel: Array,
-    integral: Array,
-    counts: NDArray[np.bool_],
-    judged: list[int],
-    *,
-    min_crossed: float = 0.95,
+    travel: Array, integral: Array, judged: list[int], *, min_crossed: float = 0.95
 ) -> list[tuple[int, int]]:
-    pairs = []
-    for a in judged:
-        for b in judged:
-            if a < b:
-                rows = counts[:, a] | counts[:, b]
-                own = [_fit(travel[rows, j], integral[rows, j])[1] for j in (a, b)]
-                other = [_fit(travel[rows, i], integral[rows, j])[1] for i, j in ((a, b), (b, a))]
-                if min(other) > min_crossed and max(own) < CORRELATED:
-                    pairs.append((a, b))
-    return pairs
+    """Pairs of joints whose velocities fit each other's positions and not their own."""
+    sizes = [np.sqrt(np.sum(x**2, axis=0, keepdims=True)) for x in (travel, integral)]
+    fits = (travel / np.maximum(sizes[0], 1e-300)).T @ (integral / np.maximum(sizes[1], 1e-300))
+    return [
+        (a, b)
+        for a, b in combinations(judged, 2)
+        if min(fits[a, b], fits[b, a]) > min_crossed and max(fits[a, a], fits[b, b]) < CORRELATED
+    ]
 
 
 def _verdict(

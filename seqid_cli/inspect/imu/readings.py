@@ -179,35 +179,26 @@ def odd_channel(
     error = _disagreement(rest, P)
     if np.sqrt(error) < WRONG * gravity:
         return None
-    tried: list[tuple[float, str, tuple[int, ...]]] = []
-    for k in range(count):
-        flipped = rest.copy()
-        flipped[:, k] *= -1.0
-        tried.append((_disagreement(flipped, P), "imu_channel_flipped", (k,)))
-    for k, other in combinations(range(count), 2):
-        order = list(range(count))
-        order[k], order[other] = other, k
-        tried.append((_disagreement(rest[:, order], P), "imu_channels_swapped", (k, other)))
-    for k in range(count):
-        kept = [i for i in range(count) if i != k]
-        if np.linalg.matrix_rank(imu.axes[kept]) == 3:
-            axes = imu.axes[kept]
+    every = np.arange(count)
+    tried: list[tuple[float, float, str, tuple[int, ...]]] = []  # the first is what decides
+    for k in every.tolist():
+        left = _disagreement(rest * np.where(every == k, -1.0, 1.0), P)
+        tried.append((left, left, "imu_channel_flipped", (k,)))
+        axes = imu.axes[every != k]
+        if np.linalg.matrix_rank(axes) == 3:  # leaving it out does even where it is only reversed
             without = np.eye(count - 1) - axes @ np.linalg.pinv(axes)
-            tried.append((1.2 * _disagreement(rest[:, kept], without), "imu_channel_wrong", (k,)))
-    left, code, channels = min(tried)
-    if code == "imu_channel_wrong":  # leaving one out fits best even where it is only reversed
-        left, code, channels = min(
-            [
-                t
-                for t in tried
-                if t[1] != code and channels[0] in t[2] and t[0] < max_repaired * left
-            ]
-            or [(left, code, channels)]
-        )
+            left = _disagreement(rest[:, every != k], without)
+            tried.append((max_repaired * left, left, "imu_channel_wrong", (k,)))
+    for pair in combinations(range(count), 2):
+        order = every.copy()
+        order[list(pair)] = pair[::-1]
+        left = _disagreement(rest[:, order], P)
+        tried.append((left, left, "imu_channels_swapped", pair))
+    _, left, code, channels = min(tried)
     if left > max_left * error:
         return None
     names = ", ".join(channel_name(imu, ACCELEROMETERS, k) for k in channels)
-    alike = sum(other < 1.05 * left and c == code for other, c, _ in tried) - 1
+    alike = sum(other < 1.05 * left and c == code for _, other, c, _ in tried) - 1
     text = (
         f"the accelerometers disagree on gravity by {np.sqrt(error):.3g} m/s^2, "
         f"{np.sqrt(left):.3g} once this is mended"

@@ -7,7 +7,7 @@ import numpy as np
 from seqid_cli.inspect.channels.positions import top_speed
 from seqid_cli.inspect.channels.values import lattice
 from seqid_cli.inspect.imu.motion import Following
-from seqid_cli.inspect.imu.readings import rest_rows
+from seqid_cli.inspect.imu.readings import force_of, rest_rows
 from seqid_cli.inspect.material import LogData, Mask
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
 from seqid_cli.params.results.inspection import InspectedImu, InspectedJoint, InspectedMoves
@@ -64,8 +64,7 @@ def imu_summaries(data: LogData, following: Sequence[Following]) -> list[Inspect
         norm = None
         if values is not None and np.linalg.matrix_rank(imu.axes) == 3:
             rest = rest_rows(data, values)
-            force = np.linalg.norm(rest @ np.linalg.pinv(imu.axes).T, axis=1)
-            norm = float(np.median(force)) if len(rest) else None
+            norm = force_of(imu, rest) if len(rest) else None
         delay = next((f.fit.delay for f in following if f.imu.name == imu.name), None)
         count = 0 if values is None else values.shape[1]
         rate = 1.0 / float(max(spans)) if spans and max(spans) > 0 else 0.0

@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 
 from seqid_cli.inspect.findings import found
 from seqid_cli.motion.filters.bandwidth import encoder_step
-from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
@@ -36,7 +35,6 @@ def equal_runs(values: Array, least: int) -> list[Run]:
 def clipped(
     values: Array,
     *,
-    min_run: int = 3,
     min_samples: int = 10,
     min_share: float = 2e-3,
     min_pile: float = 3.0,  # times the next level
@@ -51,26 +49,16 @@ def clipped(
         or len(np.unique(values[:: max(1, len(values) // 2000)])) < min_levels
     ):
         return None
-    step: float | None = None
     for limit in (float(values.max()), float(values.min())):
         if limit == 0.0:
             continue  # a brake, or a channel that is off, not a limit
-        at = values == limit
-        visits = runs(at, len(at))
-        piled = sum(b - a for a, b in visits if b - a >= min_run)
-        if max(piled, len(visits)) < max(min_samples, min_share * len(values)):
+        count = int(np.count_nonzero(values == limit))
+        if count < max(min_samples, min_share * len(values)):
             continue
-        step = lattice(values) if step is None else step
-        inner = (
-            [
-                int(np.count_nonzero(np.abs(np.abs(values - limit) - k * step) < 0.5 * step))
-                for k in (1, 2)
-            ]
-            if step
-            else [0]
-        )
-        if int(at.sum()) > min_pile * max(inner):
-            return limit, float(at.mean())
+        levels = np.abs(values - limit) / (lattice(values) or np.inf)
+        inner = max(int(np.count_nonzero(np.abs(levels - k) < 0.5)) for k in (1, 2))
+        if count > min_pile * inner:
+            return limit, count / len(values)
     return None
 
 

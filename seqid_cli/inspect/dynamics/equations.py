@@ -43,16 +43,13 @@ Measure = Callable[[Robot, Sample], Left]
 
 @dataclass(frozen=True)
 class Weight:
-    """Measured over nominal gravity torque of one joint, its error, and the nominal's RMS."""
+    """Measured over nominal gravity torque of one joint: its error and its limits."""
 
     joint: int
     ratio: float
     error: float
-    rms: float
-
-    def limits(self, *, sigmas: float = 3.0) -> tuple[float, float]:
-        """Return the interval of the ratio, `sigmas` standard errors either way."""
-        return self.ratio - sigmas * self.error, self.ratio + sigmas * self.error
+    low: float
+    high: float
 
 
 def geometry_findings(
@@ -248,6 +245,7 @@ def _weights(
     min_load: float = 0.2,  # of the largest gravity torque in the log
     min_acting: float = 0.1,  # of the joint's largest gravity torque in any posture
     min_weight: float = 0.05,  # of the largest gravity torque of any joint
+    sigmas: float = 3.0,  # from a ratio to its limits
 ) -> list[Weight]:
     """Compare the torque of each moving joint with gravity by the URDF's inertials."""
     # Only joints that carry a fair share of the weight, by which a URDF can be judged.
@@ -275,7 +273,8 @@ def _weights(
         left = sample.tau[:, j] - X @ theta
         variance = float(np.mean(left**2)) * sample.memory
         error = float(np.sqrt(variance * (inverse[0] @ inverse[0])))
-        result.append(Weight(j, float(theta[0]), error, float(rms[j])))
+        ratio = float(theta[0])
+        result.append(Weight(j, ratio, error, ratio - sigmas * error, ratio + sigmas * error))
     return result
 
 
@@ -328,15 +327,14 @@ def _scale(
     large: float = 4.0,
 ) -> Iterator[InspectionFinding]:
     """Judge the size of the torque at the joints that carry weight."""
-    ends = [(w, *w.limits()) for w in weights]
-    off = [w for w, low, high in ends if high < small or max(low, -high) > large]
+    off = [w for w in weights if w.high < small or max(w.low, -w.high) > large]
     if not off:
         return
     thin = _thinned(sample)
     before, causes = _nominal_error(data.robot, thin), [*causes_of(data.robot, thin)]
     mended, error = _mending(data.robot, thin, before, _nominal_error, causes)
     unit = _nominal_error(data.robot, thin, scaled=True).error
-    pulls = all(w.limits()[0] > 0.0 for w in off)  # gravity acts, in the right direction
+    pulls = all(w.low > 0.0 for w in off)  # gravity acts, in the right direction
     if mended is not None and not (pulls and unit < error / BETTER):
         yield mended
         return
@@ -344,7 +342,7 @@ def _scale(
     for w in off:
         joint = data.robot.joints[w.joint]
         text = f"the torque is {w.ratio:.3g} +- {w.error:.1g} of the expected gravity torque"
-        code = "axis_flipped" if w.limits()[1] < -min_opposite else _unit_code(data, w)
+        code = "axis_flipped" if w.high < -min_opposite else _unit_code(data, w)
         yield found(code, text, joint=joint.name, channel=effort[0] if effort else "torque")
 
 

@@ -130,7 +130,7 @@ def _on_earth(robot: Robot, *, near: float = 0.5) -> bool:
     return abs(float(np.linalg.norm(robot.gravity)) - STANDARD_GRAVITY) <= near
 
 
-def _force(imu: Imu, readings: Array) -> float:
+def force_of(imu: Imu, readings: Array) -> float:
     """Median size of the specific force by readings (R, K)."""
     return float(np.median(np.linalg.norm(readings @ np.linalg.pinv(imu.axes).T, axis=1)))
 
@@ -139,7 +139,7 @@ def _in_g(data: LogData, imu: Imu, values: Array) -> InspectionFinding | None:
     rows = values[data.recording.valid & np.isfinite(values).all(axis=1)]
     if not len(rows) or not _on_earth(data.robot):
         return None
-    size = _force(imu, rows)
+    size = force_of(imu, rows)
     unit = next((u for u, g in (("g", 1.0), ("mg", 1e3)) if 0.8 * g < size < 1.2 * g), "")
     text = f"reads {size:.3g} in the median: it looks like {unit}, m/s^2 are expected"
     return found("imu_in_g", text, joint=imu.name) if unit else None
@@ -150,7 +150,7 @@ def _at_rest(data: LogData, imu: Imu, values: Array) -> Iterator[InspectionFindi
     rest = rest_rows(data, values)
     if not data.modelled or not len(rest) or not _on_earth(data.robot):
         return
-    norm = _force(imu, rest)
+    norm = force_of(imu, rest)
     odd = odd_channel(imu, rest, gravity)
     if odd is not None:
         yield odd

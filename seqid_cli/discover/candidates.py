@@ -112,24 +112,22 @@ class Stage:
 
     def _computed(self, candidates: Sequence[Candidate], passes: int) -> list[Channels]:
         """Columns of candidates that are low-passed alike, all in one go."""
-        per_scene = []
+        kept: dict[int, list[Array]] = {}
+        owners: dict[int, list[tuple[int, int]]] = {}  # by joint: candidate, number of its columns
         for number, scene in enumerate(self.scenes):
             raw = [c.effect.columns(scene, c.joint, c.settings) for c in candidates]
-            places = [(i, j) for i, columns in enumerate(raw) for j in columns]
-            if not places:
-                continue
-            widths = [raw[i][j].shape[1] for i, j in places]
-            every = np.hstack([raw[i][j] for i, j in places])
-            both = self.rows.filtered(number, every, passes)
-            pieces = np.split(both, np.cumsum(widths)[:-1], axis=1)
-            per_scene.append(dict(zip(places, pieces, strict=True)))
-        if not per_scene:
-            return [{} for _ in candidates]
+            joints = sorted({joint for columns in raw for joint in columns})
+            for j in joints:
+                own = [(i, columns[j]) for i, columns in enumerate(raw) if j in columns]
+                rows = self.rows.filtered(number, np.hstack([X for _, X in own]), passes)
+                kept.setdefault(j, []).append(rows[self.rows.used[number][:, j]])
+                owners[j] = [(i, X.shape[1]) for i, X in own]
         result: list[dict[int, Array]] = [{} for _ in candidates]
-        for i, j in per_scene[0]:
-            kept = zip(per_scene, self.rows.used, strict=True)
-            whole = np.concatenate([pieces[i, j][used[:, j]] for pieces, used in kept])
-            result[i][j] = self.rows.whitened(j, whole)
+        for j, parts in kept.items():
+            whole = self.rows.whitened(j, np.concatenate(parts))
+            edges = np.cumsum([width for _, width in owners[j]])
+            for (i, _), X in zip(owners[j], np.split(whole, edges[:-1], axis=1), strict=True):
+                result[i][j] = np.ascontiguousarray(X)
         return list(result)
 
 

@@ -78,11 +78,12 @@ class Motion:
         own: dict[str, Any] = {n: None if v is None else v[where] for n, v in values.items()}
         return replace(self, **own)
 
-    def filtered(self, values: Array, times: int = 1) -> Array:
-        """Send computed terms (N, ...) through the motion's own low-pass."""
-        for _ in range(times):
-            values = self.lowpass(values, self.valid)
-        return values
+    def filtered(self, values: Array, times: int = 1, *, every: int = 1) -> Array:
+        """Send computed terms (N, ...) through the motion's own low-pass.
+
+        With `every` samples 0, `every`, 2 `every`, ... are returned only.
+        """
+        return self.lowpass(values, self.valid, times=times, every=every)
 
 
 def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) -> Motion:

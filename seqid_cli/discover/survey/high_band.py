@@ -16,7 +16,7 @@ from typing import cast
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from seqid_cli.discover.survey.rows import Rows
+from seqid_cli.discover.survey.rows import Rows, stride_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.typing import Array, Index, Mask
 
@@ -67,7 +67,7 @@ def high_band(rows: Rows) -> HighBand:
             0,
             len(picked) - 1,
         )
-        stride = int(np.min(np.diff(picked), initial=scene.samples)) * every
+        stride = stride_of(scene.motion) * every
         kept = np.abs(picked[nearest] * every - np.arange(full.samples)) < stride
         kept &= block[nearest] % thin == 0
         counting = full.slides & kept[:, None] & counts.any(axis=0)

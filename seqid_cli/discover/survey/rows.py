@@ -21,13 +21,14 @@ from scipy.ndimage import binary_dilation
 from seqid_cli.discover.survey.reversals import Reversal, reversals_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import REACH
+from seqid_cli.motion.motion import Motion
 from seqid_cli.typing import Array, Index, Mask
 
-SAMPLES_PER_CUTOFF = 4
+SAMPLES_PER_CUTOFF = 3
 BLOCK_S = 2.0  # of the shortest blocks of time whose errors are compared
 FOLDS = 10
 MOST_ROWS = 40_000
-TOGETHER = 64  # columns that are low-passed together
+TOGETHER = 64  # columns that are worked out together
 FEWEST_ROWS = 40  # of a joint, all logs together, that are worth looking at
 SHAKEN = 0.002  # of a joint's travel in other logs, below which it is held and only shaken
 FEWEST_FOLDS = 3  # in which a joint must have rows
@@ -119,12 +120,10 @@ class Rows:
 
     def filtered(self, number: int, values: Array, passes: int) -> Array:
         """Low-pass values (N, K) of one data set and keep its rows (M, K)."""
-        motion, picked = self.scenes[number].motion, self.picked[number]
-        kept = np.empty((len(picked), values.shape[1]))
-        for first in range(0, values.shape[1], TOGETHER):
-            own = slice(first, first + TOGETHER)
-            kept[:, own] = motion.filtered(values[:, own], passes)[picked]
-        return kept
+        motion = self.scenes[number].motion
+        every = stride_of(motion)
+        kept = self.picked[number] // every
+        return motion.filtered(values, passes, every=every)[kept]
 
     @cached_property
     def made(self) -> dict[str, object]:
@@ -140,6 +139,11 @@ class Rows:
         return replace(self, used=used)
 
 
+def stride_of(motion: Motion) -> int:
+    """Every how many samples of a motion one is kept."""
+    return max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
+
+
 def rows_of(scenes: Sequence[Scene]) -> Rows:
     """Choose the rows of all logs, their blocks and folds."""
     picked, used, block, lengths = [], [], [], []
@@ -147,8 +151,7 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
     first = 0
     for scene, outside in zip(scenes, extrapolated(scenes), strict=True):
         motion = scene.motion
-        stride = max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
-        at = np.arange(0, motion.samples, stride)
+        at = np.arange(0, motion.samples, stride_of(motion))
         count = max(1, round(motion.t[-1] / BLOCK_S))
         own = np.minimum((at * count) // motion.samples, count - 1)
         kept = own % thin == 0

@@ -60,56 +60,140 @@ class Lowpass:
         """Samples on either side that a filtered one depends on (to 1e-14)."""
         return len(impulse_response(self)) // 2 if self.active else 0
 
-    def __call__(self, values: Array, valid: Mask | None = None) -> Array:
+    def __call__(
+        self, values: Array, valid: Mask | None = None, *, times: int = 1, every: int = 1
+    ) -> Array:
         """Filter along the first axis, each run of valid samples by itself.
 
-        `values` (N, ...): samples in time order. `valid` (N,): false where samples must not leak
-        into others. Returns (N, ...): filtered values; samples outside valid runs are returned as
-        they came.
+        Parameters
+        ----------
+        values : (N, ...) array
+            Samples in time order.
+        valid : (N,) mask, optional
+            False where samples must not leak into others.
+        times : int
+            Number of passes.
+        every : int
+            Return samples 0, `every`, 2 `every`, ... only.
+
+        Returns
+        -------
+        (N, ...) array
+            Filtered values; samples outside valid runs are returned as they came.
         """
         rows = np.array(values.reshape(len(values), -1).T, dtype=np.float64, order="C")
-        self.filter_rows(rows, valid)
-        return np.ascontiguousarray(rows.T).reshape(values.shape)
+        kept = rows if every == 1 else np.array(rows[:, ::every])
+        self._fill(kept, rows, valid, np.arange(len(rows)), times=times, every=every)
+        return np.ascontiguousarray(kept.T).reshape(-1, *values.shape[1:])
 
     def filter_rows(
-        self,
-        rows: Array,
-        valid: Mask | None = None,
-        *,
-        only: Index | None = None,
-        tile: int = 131072,
+        self, rows: Array, valid: Mask | None = None, *, only: Index | None = None
     ) -> None:
         """Filter signals in place, samples last, each run of valid samples by itself.
 
         `rows` (c, N). `valid` (N,): false where samples must not leak into others; these stay as
-        they are. `only`: numbers of the signals to filter; all by default. `tile`: values that are
-        worked on at once.
+        they are. `only`: numbers of the signals to filter; all by default.
+        """
+        chosen = np.arange(len(rows)) if only is None else only
+        self._fill(rows, rows, valid, chosen)
+
+    def _fill(
+        self,
+        kept: Array,
+        rows: Array,
+        valid: Mask | None,
+        chosen: Index,
+        *,
+        times: int = 1,
+        every: int = 1,
+        tile: int = 131072,
+    ) -> None:
+        """Write the chosen signals of (c, N), filtered, into (c, N / every).
+
+        `tile` is the number of values that are worked on at once.
         """
         if not self.active:
             return
-        chosen = np.arange(len(rows)) if only is None else only
         for start, stop in runs(valid, rows.shape[1]):
-            if stop - start <= SHORTEST:
+            first = -(-start // every)
+            if stop - start <= SHORTEST or first * every >= stop:
                 continue
-            height = max(1, tile // (stop - start + 2 * self.memory))
+            last = -(-stop // every)
+            height = max(1, tile // (stop - start + 2 * times * self.memory))
             for top in range(0, len(chosen), height):
                 own = chosen[top : top + height]
-                rows[own, start:stop] = self._filtered(rows[own, start:stop])
+                run = rows[own, start:stop]
+                kept[own, first:last] = self._filtered(run, times, every, first * every - start)
 
-    def _filtered(self, rows: Array) -> Array:
-        """Filter (c, N), prolonged by point reflection and then as it ends."""
-        reach, samples = self.memory, rows.shape[1]
+    def _filtered(self, rows: Array, times: int, every: int, first: int) -> Array:
+        """Filter (c, N), prolonged by point reflection and then as it ends.
+
+        Samples `first`, `first` + `every`, ... are returned. Passes after the first one see what it
+        makes of the prolonged signal, which is its own point reflection.
+        """
+        response = _response(self, times, every)
+        samples, reach = rows.shape[1], response.reach
         pad = min(6 * self.settling, samples - 1)
         wide = np.pad(rows, ((0, 0), (pad, pad)), mode="reflect", reflect_type="odd")
-        wide = np.pad(wide, ((0, 0), (max(0, reach - pad),) * 2), mode="edge")
-        first, (size, spectrum) = max(0, pad - reach), _transformed(self)
-        found, step = np.empty_like(rows), size - 2 * reach
-        for start in range(0, samples, step):
-            stop = min(start + step, samples)
-            piece = rfft(wide[:, first + start : first + stop + 2 * reach], size)
-            piece *= spectrum
-            found[:, start:stop] = irfft(piece, size)[:, 2 * reach : 2 * reach + stop - start]
-        return found
+        more = max(0, reach - pad)
+        wide = np.pad(wide, ((0, 0), (more, more)), mode="edge")[:, pad + more - reach :]
+        kept = np.empty((len(rows), -(-(samples - first) // every)))
+        for start in range(first, samples, response.step):
+            stop = min(start + response.step, samples)
+            piece = response.of(wide[:, start : stop + 2 * reach])
+            at = slice((start - first) // every, -(-(stop - first) // every))
+            kept[:, at] = piece[:, : at.stop - at.start]
+        return kept
+
+
+@dataclass(frozen=True)
+class _Response:
+    """Gain of some passes over pieces of a signal, of which every M-th sample is wanted.
+
+    Attributes
+    ----------
+    reach : int
+        Samples on either side that a filtered one depends on; a multiple of `every`.
+    size : int
+        Samples of a piece with what it depends on.
+    gain : (size // 2 + 1,) array
+        Real: the phase is zero.
+    last : int
+        The last frequency of a gain that is not negligible.
+    """
+
+    reach: int
+    size: int
+    every: int
+    gain: Array
+    last: int
+
+    @property
+    def step(self) -> int:
+        """Samples by which pieces follow one another."""
+        return self.size - 2 * self.reach
+
+    def of(self, piece: Array) -> Array:
+        """Filter a piece (c, m), from its sample `reach` on; zeros follow it."""
+        spectrum = rfft(piece, self.size)
+        spectrum *= self.gain
+        short = self.size // self.every
+        found = irfft(self._folded(spectrum, short), short)
+        found /= self.every
+        return np.asarray(found[:, self.reach // self.every :])
+
+    def _folded(self, spectrum: Complex, size: int) -> Complex:
+        """Spectrum of every M-th sample: what lies above half its rate comes back below."""
+        half = size // 2 + 1
+        if self.every == 1:
+            return spectrum
+        folded = spectrum[:, :half].copy()
+        highest = self.size // 2
+        for turn in range(size, min(self.last + half, highest + 1), size):
+            above = spectrum[:, turn : turn + half]
+            folded[:, : above.shape[1]] += above * (turn < highest)
+            folded += spectrum[:, turn - half + 1 : turn + 1][:, ::-1].conj()
+        return folded
 
 
 @lru_cache(maxsize=64)
@@ -126,7 +210,15 @@ def impulse_response(lowpass: Lowpass) -> Array:
 
 
 @lru_cache(maxsize=64)
-def _transformed(lowpass: Lowpass, *, longer: int = 8, least: int = 512) -> tuple[int, Complex]:
-    """Length of the transforms, `longer` memories and `least` samples, and the response's own."""
-    size = next_fast_len(longer * lowpass.memory + least, real=True)
-    return size, np.asarray(rfft(impulse_response(lowpass), size))
+def _response(
+    lowpass: Lowpass, times: int, every: int, *, longer: int = 8, least: int = 512
+) -> _Response:
+    """Pieces are `longer` reaches and `least` samples long, or a little longer."""
+    h = impulse_response(lowpass)
+    reach = -(-times * (len(h) // 2) // every) * every
+    size = every * next_fast_len(-(-(longer * reach + least) // every), real=True)
+    both = np.zeros(size)
+    both[: len(h)] = h
+    gain = rfft(np.roll(both, -(len(h) // 2))).real ** times
+    last = int(np.flatnonzero(np.abs(gain) > NEGLIGIBLE)[-1])
+    return _Response(reach, size, every, gain, last)

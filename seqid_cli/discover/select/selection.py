@@ -49,18 +49,23 @@ def select(
     if catalogue is None:
         catalogue = _known(ground)
     options = options or Options()
-    every = [Selection(Model(ground, hold), options, catalogue) for hold in (HELD, FREE)]
-    for one in every:
-        one.finish()
-    best = _best_of_all(every)
-    if best.model.hold.doubt(ground.n):
+    first, other = (Selection(Model(ground, h), options, catalogue) for h in (HELD, FREE))
+    first.finish()
+    other.run()
+    changes = other.model.rescale()
+    best = _best_of_all([first, other])
+    if other.keys == first.keys and best is first:
+        return best.merged()
+    if changes:
+        other.proceed()
+        best = _best_of_all([first, other])
+    if best.model.hold.doubt(ground.n) and best.keys != first.keys:
         held = Selection(Model(ground, HELD), options, catalogue)
         held.model.terms, held._tied = list(best.model.terms), dict(best._tied)
         held.model.settle()
         held.finish()
-        best = _best_of_all([held, *every])
-    best.merge()
-    return best
+        best = _best_of_all([held, first, other])
+    return best.merged()
 
 
 def _best_of_all(every: Sequence[Selection]) -> Selection:
@@ -129,15 +134,24 @@ class Selection:
         granted += self.model.hold.doubt(self.model.ground.n)
         return self.model.under(noise).evidence - granted
 
+    @property
+    def keys(self) -> set[Key]:
+        """What the model has."""
+        return {term.key for term in self.model.terms}
+
     def finish(self) -> None:
         """Select, hold the base as the evidence says, and go on."""
         self.run()
         if self.model.rescale():
-            self._search = Search(self.model, self.catalogue)
-            self.eliminate()
-            self.run()
+            self.proceed()
 
-    def merge(self) -> None:
+    def proceed(self) -> None:
+        """Go on with a base that is held in another way."""
+        self._search = Search(self.model, self.catalogue)
+        self.eliminate()
+        self.run()
+
+    def merged(self) -> Selection:
         """Put one term in the place of two at one joint where it explains as much."""
         model = self.model
         for a, b in combinations(model.terms, 2):
@@ -149,6 +163,7 @@ class Selection:
                 model.terms.remove(b)
                 model.settle()
                 model.polish()
+        return self
 
     def _instead(self, a: Term, b: Term) -> Term | None:
         """What was as good as one of two terms, and explains as much as both."""

@@ -97,8 +97,8 @@ def smooth_terms(rows: Rows, size: Array) -> list[Term]:
 def _of_joint(rows: Rows, joint: int, size: Array) -> list[Term]:
     found = []
     for one in smooth_functions(rows, joint):
-        basis = [{joint: one.source.basis(scene) @ one.mixing} for scene in rows.scenes]
-        columns = rows.columns(basis, passes=2)
+        basis = rows.columns([{joint: one.source.basis(scene)} for scene in rows.scenes], passes=2)
+        columns = {joint: basis[joint] @ one.mixing}
         precision = _precision(columns, size) * one.bending**2
         found.append(Term(one, Part(columns, np.diag(precision))))
     return found

@@ -69,7 +69,8 @@ def excess_residuals(found: Investigation, ordinary: Array) -> tuple[Excess, ...
 def looks_like(found: Investigation, joint: int) -> SmoothFunction | None:
     """The smooth term that a joint's residual is most like, however little it predicts."""
     ground = found.ground
-    terms = [t for t in smooth_terms(ground.stage.rows, ground.size) if t.joint == joint]
+    given = ground.stage.rows, joint, ground.size
+    terms = [*smooth_terms(*given), *smooth_terms(*given, products=True)]
     gained = found.model.linear.gained([term.part for term in terms])
     best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
     what = best[0].what if best else None

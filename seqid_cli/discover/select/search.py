@@ -109,14 +109,25 @@ class Search:
     def _first_functions(
         self, linear: Linear, channels: frozenset[int], had: Collection[Key] = ()
     ) -> list[Tried]:
-        """The smooth functions of the largest evidence at some joints."""
+        """The smooth functions of the largest evidence at some joints.
+
+        Functions of two quantities are asked for where one of a single quantity explains anything
+        (marginality: J. A. Nelder, Journal of the Royal Statistical Society A 140, 1977).
+        """
+        found = []
+        for j in sorted(channels & set(range(self.model.ground.n))):
+            own = self._smooth_tried(linear, j, had)
+            if any(one.evidence > 0.0 for one in own):
+                own += self._smooth_tried(linear, j, had, products=True)
+            found += sorted(own, key=lambda one: -one.evidence)[:SMOOTH_SHORTLIST]
+        return found
+
+    def _smooth_tried(
+        self, linear: Linear, joint: int, had: Collection[Key], *, products: bool = False
+    ) -> list[Tried]:
         g = self.model.ground
-        every = [t for t in smooth_terms(g.stage.rows, g.size) if t.channels & channels]
-        first = sorted(
-            _tried(linear, [t for t in every if t.key not in had]), key=lambda t: -t.evidence
-        )
-        each = [[one for one in first if one.term.joint == j] for j in range(g.n)]
-        return [one for own in each for one in own[:SMOOTH_SHORTLIST]]
+        terms = smooth_terms(g.stage.rows, joint, g.size, products=products)
+        return _tried(linear, [term for term in terms if term.key not in had])
 
     def _tuner(self, linear: Linear) -> Tuner:
         return Tuner(self.model.ground.stage, linear, self.model.ground.size)

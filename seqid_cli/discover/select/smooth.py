@@ -89,10 +89,9 @@ class SmoothFunction:
 
 
 def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
-    """Return smooth functions of everything measured, for the torque of one joint."""
+    """Return functions of everything measured, of one quantity each, for a joint's torque."""
     every = [*_of_joint(rows, joint), *_of_others(rows, joint), *_of_time(rows, joint)]
-    known = [one for one in every if one is not None]
-    return [*known, *_products(rows, joint)]
+    return [one for one in every if one is not None]
 
 
 def _of_joint(rows: Rows, j: int) -> list[SmoothFunction | None]:
@@ -160,8 +159,8 @@ def _axis(
     return (None if knots is None else Axis(measure, owner, knots)), x
 
 
-def _products(rows: Rows, j: int) -> list[SmoothFunction]:
-    """Functions of this and another joint's position, and of both velocities."""
+def smooth_products(rows: Rows, j: int) -> list[SmoothFunction]:
+    """Return functions of a joint's and another's position, and of both velocities."""
     names = rows.scenes[0].robot.joint_names
     measures: tuple[Measure, ...] = ("position", "velocity")
     found = []

@@ -11,7 +11,7 @@ import numpy as np
 from seqid_cli.discover.base import LIKELY
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.select.rows import Channels, Part
-from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
+from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions, smooth_products
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.typing import Array
 
@@ -79,29 +79,27 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
     return found
 
 
-def smooth_terms(rows: Rows, size: Array) -> list[Term]:
-    """Smooth functions of everything measured, by joint.
+def smooth_terms(rows: Rows, joint: int, size: Array, *, products: bool = False) -> list[Term]:
+    """Smooth functions of everything measured, or of two quantities, for one joint.
 
     What bends more is smaller beforehand.
     """
-    key = "smooth terms"
+    key = f"smooth {'products' if products else 'terms'} {joint}"
     if key not in rows.made:
-        rows.made[key] = [
-            t for j in range(rows.n) if rows.count(j) for t in _of_joint(rows, j, size)
-        ]
+        functions = (smooth_products if products else smooth_functions)(rows, joint)
+        counts = rows.count(joint) > 0
+        rows.made[key] = [_smooth_term(rows, one, size) for one in functions if counts]
     found = rows.made[key]
     assert isinstance(found, list)
     return found
 
 
-def _of_joint(rows: Rows, joint: int, size: Array) -> list[Term]:
-    found = []
-    for one in smooth_functions(rows, joint):
-        basis = rows.columns([{joint: one.source.basis(scene)} for scene in rows.scenes], passes=2)
-        columns = {joint: basis[joint] @ one.mixing}
-        precision = _precision(columns, size) * one.bending**2
-        found.append(Term(one, Part(columns, np.diag(precision))))
-    return found
+def _smooth_term(rows: Rows, one: SmoothFunction, size: Array) -> Term:
+    j = one.joint
+    basis = rows.columns([{j: one.source.basis(scene)} for scene in rows.scenes], passes=2)
+    columns = {j: basis[j] @ one.mixing}
+    precision = _precision(columns, size) * one.bending**2
+    return Term(one, Part(columns, np.diag(precision)))
 
 
 def _precision(columns: Channels, size: Array, first: Mapping[int, int] = {}) -> Array:

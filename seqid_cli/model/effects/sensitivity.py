@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
@@ -47,7 +47,9 @@ def _link_inertia(scene: Scene, joint: int) -> Array:
     return inverse_dynamics(scene.robot.chain, np.zeros(3), phi, q, still, unit)
 
 
-def slopes(scene: Scene, joint: int, name: str, torque: Torque) -> tuple[Array, ...]:
+def slopes(
+    scene: Scene, joint: int, name: str, torque: Torque, which: Sequence[int] = (0, 1, 2)
+) -> tuple[Array, ...]:
     """Derivatives of a torque by one joint's position, velocity and acceleration.
 
     Parameters
@@ -58,22 +60,25 @@ def slopes(scene: Scene, joint: int, name: str, torque: Torque) -> tuple[Array, 
         Of the torque; slopes are computed once per scene, joint and name.
     torque : callable
         Of positions, velocities and accelerations (N, n).
+    which : sequence of int
+        By which of the three.
 
     Returns
     -------
-    tuple of three (N, n) arrays
+    tuple of (N, n) arrays
         N m per rad, rad/s and rad/s^2.
     """
     key = (name, joint)
     if key not in scene.memo:
         motion = (scene.motion.q, scene.motion.dq, scene.motion.ddq)
-        scene.memo[key] = tuple(_slope(motion, k, joint, torque) for k in range(3))
+        scene.memo[key] = tuple(_slope(motion, k, joint, torque) for k in which)
     return scene.memo[key]
 
 
 def link_slopes(scene: Scene, joint: int) -> tuple[Array, ...]:
     """Slopes of the torque that moves the links alone."""
-    return slopes(scene, joint, "links", partial(link_torque, scene))
+    torque = partial(link_torque, scene)
+    return *slopes(scene, joint, "links", torque, (0, 1)), link_inertia(scene, joint)
 
 
 def modelled_slopes(scene: Scene, joint: int) -> tuple[Array, ...]:

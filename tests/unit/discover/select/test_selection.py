@@ -208,14 +208,14 @@ def test_one_effect_goes_before_two_that_explain_as_much() -> None:
     drift = Candidate(CATALOGUE["drift"], 1, {"duration": 100.0})
     bias = Candidate(CATALOGUE["torque_bias"], 1, {})
     one, of_two = terms.effects(ground.stage, [drift, bias], ground.size)
-    time = [t for t in terms.smooth_terms(ground.stage.rows, ground.size) if t.joint == 1]
-    rest = next(t for t in time if t.name == "time of all logs")
+    smooth = terms.smooth_terms(ground.stage.rows, 1, ground.size)
+    rest = next(t for t in smooth if t.name == "time of all logs")
     model = Model(ground, HELD)
     model.terms = [of_two, rest]
     model.settle()
     found = Selection(model, Options(), [])
-    found.merge()
+    found.merged()
     assert model.terms == [of_two, rest]
     found._tied = {of_two.key: [one]}
-    found.merge()
+    found.merged()
     assert [term.name for term in model.terms] == ["drift"]

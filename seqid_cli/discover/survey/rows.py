@@ -24,7 +24,7 @@ from seqid_cli.model.torque import REACH
 from seqid_cli.motion.motion import Motion
 from seqid_cli.typing import Array, Index, Mask
 
-SAMPLES_PER_CUTOFF = 3
+SAMPLES_PER_CUTOFF = 4
 BLOCK_S = 2.0  # of the shortest blocks of time whose errors are compared
 FOLDS = 10
 MOST_ROWS = 40_000

@@ -126,17 +126,14 @@ class Lowpass:
                 kept[own, first:last] = self._filtered(run, times, every, first * every - start)
 
     def _filtered(self, rows: Array, times: int, every: int, first: int) -> Array:
-        """Filter (c, N), prolonged by point reflection and then as it ends.
+        """Filter (c, N), prolonged by point reflections at its ends.
 
-        Samples `first`, `first` + `every`, ... are returned. Passes after the first one see what it
-        makes of the prolonged signal, which is its own point reflection.
+        Samples `first`, `first` + `every`, ... are returned. What a pass makes of the prolonged
+        signal is prolonged in the same way, so that passes at once are passes one by one.
         """
         response = _response(self, times, every)
         samples, reach = rows.shape[1], response.reach
-        pad = min(6 * self.settling, samples - 1)
-        wide = np.pad(rows, ((0, 0), (pad, pad)), mode="reflect", reflect_type="odd")
-        more = max(0, reach - pad)
-        wide = np.pad(wide, ((0, 0), (more, more)), mode="edge")[:, pad + more - reach :]
+        wide = np.pad(rows, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
         kept = np.empty((len(rows), -(-(samples - first) // every)))
         for start in range(first, samples, response.step):
             stop = min(start + response.step, samples)

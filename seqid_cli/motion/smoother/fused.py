@@ -118,8 +118,9 @@ def promising(
     middle = float(recording.t[np.argmax(speed)])
     first = min(max(middle - 0.5 * piece_s, 0.0), float(recording.t[-1]) - piece_s)
     piece = cut(recording, [(first, first + piece_s)])[0]
+    given = None if encoder.cutoff.chosen else encoder.cutoff.hz
     try:
-        alone = estimate_motion(piece, robot, MotionOptions())
+        alone = estimate_motion(piece, robot, MotionOptions(cutoff_hz=given))
         return _gain(fused_motion(piece, robot, stage, alone), alone) > min_gain
     except InputError:  # nothing of the piece can be filtered
         return True

@@ -19,13 +19,11 @@ def recursive(values: Array, cutoff_hz: float, rate_hz: float, valid: Mask | Non
     found = values.astype(np.longdouble)
     for start, stop in runs(valid, len(values)):
         if stop - start > SHORTEST:
-            pad, still = min(6 * lowpass.settling, stop - start - 1), lowpass.memory
-            x = found[start:stop]
-            x = np.concatenate([2 * x[:1] - x[pad:0:-1], x, 2 * x[-1:] - x[-2 : -2 - pad : -1]])
-            x = np.pad(x, ((still, still), (0, 0)), mode="edge")
+            x, reach = found[start:stop], 2 * lowpass.memory
+            x = np.pad(x, ((reach, reach), (0, 0)), mode="reflect", reflect_type="odd")
             for _ in range(2):
                 x = one_way(x, poles[poles.imag > 0])[::-1]
-            found[start:stop] = x[still + pad : len(x) - still - pad]
+            found[start:stop] = x[reach : len(x) - reach]
     return found.astype(np.float64)
 
 
@@ -114,3 +112,15 @@ def test_a_cutoff_near_the_nyquist_rate_filters_nothing() -> None:
     lowpass = Lowpass(49.0, 100.0)
     assert lowpass.memory == 0
     np.testing.assert_array_equal(lowpass(values), values)
+
+
+@pytest.mark.parametrize("samples", [12, 300, 5003])
+@pytest.mark.parametrize("every", [1, 3, 4])
+def test_passes_at_once_are_passes_one_by_one(samples: int, every: int) -> None:
+    values = walk(np.random.default_rng(4), samples, 2)
+    valid = np.ones(samples, dtype=bool)
+    valid[samples // 2 : samples // 2 + 2] = False
+    lowpass = Lowpass(10.0, 250.0)
+    expected = lowpass(lowpass(values, valid), valid)[::every]
+    found = lowpass(values, valid, times=2, every=every)
+    np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(values).max())

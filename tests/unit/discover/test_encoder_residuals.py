@@ -12,6 +12,7 @@ from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from tests.plants.experiments import span_of
@@ -50,3 +51,20 @@ def test_the_encoders_part_is_smaller_than_what_is_left(log: Recording) -> None:
     for j in range(JOINTS):
         assert 0.01 * rms(left[slides[:, j], j]) < rms(echo[slides[:, j], j])
         assert rms(echo[slides[:, j], j]) < rms(left[slides[:, j], j])
+
+
+@pytest.mark.slow
+def test_a_log_whose_encoders_are_too_coarse_is_filtered_at_its_own_cutoff(log: Recording) -> None:
+    robot = sample_robot("two_joint")
+    friction, inertia = identify_simultaneous([log], robot, options=MotionOptions())
+    stages = Stages(friction=friction, inertia=inertia)
+    own = estimate_motion(log, robot, MotionOptions()).cutoff.hz
+    for origin, expected in (("of the inertia stage", own), ("as given", 4.0 * own)):
+        options = InertiaOptions(MotionOptions(4.0 * own, origin=origin), source="needed")
+        (scene,) = scenes_of([log], robot, stages, options=options)
+        assert scene.motion.cutoff.hz == pytest.approx(expected)
+    assert log.tau is not None
+    larger = replace(log, tau=log.tau + 20.0 * np.std(log.tau, axis=0) * np.sin(3.0 * log.q))
+    options = InertiaOptions(MotionOptions(2.0 * own, origin="of the inertia stage"))
+    (scene,) = scenes_of([larger], robot, stages, options=options)
+    assert scene.motion.cutoff.hz == pytest.approx(2.0 * own)

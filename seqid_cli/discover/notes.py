@@ -10,6 +10,8 @@ import numpy as np
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.spectra import DETAIL
+from seqid_cli.discover.select.results import Options
+from seqid_cli.discover.select.rows import weights_of
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import smooth_terms
 from seqid_cli.discover.survey.rows import extrapolated
@@ -111,21 +113,33 @@ def file_notes(
 
 
 def free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
-    """Joints without a finding that a model fitted to these logs predicts worse than the file's."""
-    touched = _touched(found)
+    """Joints without a finding that a model fitted to these logs surely predicts worse.
+
+    By as much of the squared error as an effect must gain.
+    """
+    touched, left = _touched(found), found.model.rms()
     worse = [
-        f"{name} ({free:.3g} against {start:.3g} N m)"
-        for j, (name, free, start) in enumerate(
-            zip(robot.joint_names, found.model.rms(), found.start, strict=True)
-        )
-        if free > start and j not in touched
+        f"{name} ({left[j]:.3g} against {found.start[j]:.3g} N m)"
+        for j, name in enumerate(robot.joint_names)
+        if j not in touched and _fits_worse(found, j)
     ]
     if not worse:
         return ()
     return (
-        "these logs are too short for a free base: fitted to them, the model predicts what was "
-        f"left out of the fit worse than the file does, with nothing found, at {', '.join(worse)}",
+        f"these logs are too short to judge the model at {', '.join(worse)}: fitted to a part of "
+        "them, it predicts the rest worse than the file does",
     )
+
+
+def _fits_worse(found: Investigation, joint: int) -> bool:
+    """Whether blocks that were left out of the fit are surely better predicted by the file."""
+    rows, told = found.ground.rows, Options()
+    free, file = (
+        np.bincount(rows.block[joint], weights=left[joint] ** 2, minlength=rows.blocks)
+        for left in (found.model.linear.left_out, found.ground.base.y)
+    )
+    lost = weights_of(rows.blocks) @ (free - (1.0 + told.improvement) * file)
+    return float(np.mean(lost <= 0.0)) <= told.doubt
 
 
 def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[str, ...]:

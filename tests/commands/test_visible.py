@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from mcap.writer import Writer
 
 from seqid_cli.__main__ import main
 from seqid_cli.commands.screen.layout import visible, visible_cell
 from seqid_cli.commands.screen.render import Screen
 from tests import ROOT
+from tests.unit.logs.writers import write_raw
 
 SAMPLES = ROOT / "sample_logs" / "one_joint"
 EVIL = "a\x1b]0;owned\x07\x9b2J\u202etxt\x00b"
@@ -73,14 +73,8 @@ def test_a_file_s_name_does_not_reach_the_terminal(
 def test_a_topic_s_name_does_not_reach_the_terminal(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log = tmp_path / "log.mcap"
-    with log.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema(EVIL, "ros2msg", b"float64 x")
-        channel = writer.register_channel(f"/{EVIL}", "cdr", schema)
-        writer.add_message(channel, 0, b"", 0)
-        writer.finish()
+    topics = {f"/{EVIL}": ("cdr", EVIL, "ros2msg", b"float64 x")}
+    log = write_raw(tmp_path / "log.mcap", topics, [(f"/{EVIL}", 0, b"")])
     for more in ([], ["--json"], ["-r", str(SAMPLES / "robot.toml")]):
         assert main(["inspect", str(log), *more]) == 2
         shown = capsys.readouterr()

@@ -15,7 +15,6 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 from foxglove_schemas_protobuf.JointState_pb2 import JointState
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
-from mcap.writer import Writer as RawWriter
 from mcap_protobuf.writer import Writer as ProtobufWriter
 from mcap_ros2.writer import Writer as Ros2Writer
 from numpy.typing import NDArray
@@ -24,7 +23,16 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
-from tests.unit.logs.writers import HEADER, LINE, TIME, header, write_mcap, write_parquet
+from tests.unit.logs.writers import (
+    HEADER,
+    LINE,
+    TIME,
+    Channel,
+    header,
+    write_mcap,
+    write_parquet,
+    write_raw,
+)
 
 Array = NDArray[np.float64]
 T0_NS = 1_700_000_000_000_000_000
@@ -258,17 +266,9 @@ def _joint_state_rows(data: Data) -> Iterator[tuple[int, dict[str, object]]]:
 def _json(
     path: Path, rows: Iterator[tuple[int, dict[str, object]]], schema: str, topic: str
 ) -> Path:
-    path = path.with_suffix(".mcap")
-    with path.open("wb") as out:
-        writer = RawWriter(out)
-        writer.start()
-        content = b'{"type": "object"}'
-        number = writer.register_schema(schema, "jsonschema", content) if schema else 0
-        channel = writer.register_channel(topic, "json", number)
-        for stamp, row in rows:
-            writer.add_message(channel, stamp, json.dumps(row).encode(), stamp)
-        writer.finish()  # type: ignore[no-untyped-call]
-    return path
+    channel: Channel = ("json", schema, "jsonschema", b'{"type": "object"}') if schema else "json"
+    messages = ((topic, stamp, json.dumps(row).encode()) for stamp, row in rows)
+    return write_raw(path.with_suffix(".mcap"), {topic: channel}, messages)
 
 
 def rosbag2_sqlite(path: Path, data: Data) -> Path:

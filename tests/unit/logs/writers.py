@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Literal
@@ -282,16 +282,12 @@ def _write_cdr(
 def _write_json(
     path: Path, messages: Sequence[Message], compression: CompressionType, chunk_size: int
 ) -> None:
-    with path.open("wb") as out:
-        writer = RawWriter(out, chunk_size=chunk_size, compression=compression)
-        writer.start()
-        channels: dict[str, int] = {}
-        for topic, log_ns, content in messages:
-            if topic not in channels:
-                schema = writer.register_schema(_kind(content), "jsonschema", b'{"type":"object"}')
-                channels[topic] = writer.register_channel(topic, "json", schema)
-            writer.add_message(channels[topic], log_ns, _json(content), log_ns)
-        writer.finish()
+    topics = {
+        topic: ("json", _kind(content), "jsonschema", b'{"type":"object"}')
+        for topic, _, content in messages
+    }
+    rows = ((topic, stamp, _json(content)) for topic, stamp, content in messages)
+    write_raw(path, topics, rows, chunk_size=chunk_size, compression=compression)
 
 
 def _json(content: SimpleNamespace) -> bytes:
@@ -300,3 +296,32 @@ def _json(content: SimpleNamespace) -> bytes:
 
 def _tokens(content: SimpleNamespace) -> Iterator[str]:
     yield from json.JSONEncoder(default=vars).iterencode(content)
+
+
+Channel = str | tuple[str, str, str, bytes]
+
+
+def write_raw(
+    path: Path,
+    topics: Mapping[str, Channel],
+    messages: Iterable[tuple[str, int, bytes]],
+    *,
+    chunk_size: int = 1024 * 1024,
+    compression: CompressionType = CompressionType.ZSTD,
+) -> Path:
+    """Write messages (topic, log time in ns, bytes) as they are.
+
+    `topics`: the encoding of each, and name, encoding and text of its schema where it has one.
+    """
+    with path.open("wb") as out:
+        writer = RawWriter(out, chunk_size=chunk_size, compression=compression)
+        writer.start()
+        channels = {}
+        for topic, told in topics.items():
+            encoding, *schema = (told,) if isinstance(told, str) else told
+            number = writer.register_schema(*schema) if schema else 0
+            channels[topic] = writer.register_channel(topic, encoding, number)
+        for topic, stamp, data in messages:
+            writer.add_message(channels[topic], stamp, data, stamp)
+        writer.finish()
+    return path

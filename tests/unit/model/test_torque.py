@@ -17,7 +17,7 @@ from seqid_cli.model.torque import (
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
-from seqid_cli.params.schema import FrictionJoint, FrictionStage, RigidStage, Stages
+from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import (
     base_parameters,
     base_regressor,
@@ -27,8 +27,9 @@ from seqid_cli.robot.base_parameters import (
 from seqid_cli.robot.types import Robot
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import six_joint
-from tests.plants.robots.made import friction_joint, made_motion
+from tests.plants.robots.made import made_motion
 from tests.plants.robots.small import arm_6r
+from tests.plants.robots.stages import friction_stage
 
 Array = NDArray[np.float64]
 
@@ -68,20 +69,10 @@ def rigid_stage(phi: Array, rotor: Array, coupling: str = "diagonal") -> RigidSt
     )
 
 
-def joint_friction(level: float) -> FrictionJoint:
-    return friction_joint(
-        [[level, 0.3 * level], [0.1 * level, 0.0]],
-        position_range=[-1.0, 1.0],
-        speed_range=[0.1, 4.0],
-        sign_width=0.01,
-    )
-
-
 def stages(robot: Robot, coupling: str = "diagonal") -> Stages:
     arm = six_joint().arm
-    joints = {name: joint_friction(3.0 / (j + 1)) for j, name in enumerate(robot.joint_names)}
     inertia = rigid_stage(arm.phi, arm.rotor_inertia, coupling)
-    return Stages(friction=FrictionStage(joints=joints), inertia=inertia)
+    return Stages(friction=friction_stage(robot), inertia=inertia)
 
 
 @pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])

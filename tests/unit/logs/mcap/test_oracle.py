@@ -11,7 +11,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.reader import NonSeekingReader, SeekingReader
-from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 
 from seqid_cli.logs.mcap.reader import list_topics, read_blocks
@@ -25,6 +24,7 @@ from tests.unit.logs.writers import (
     payloads,
     rewrite,
     write_messages,
+    write_raw,
 )
 
 ROBOT = make_robot(imus=(GYRO,))
@@ -215,17 +215,13 @@ def test_padding_is_not_structure(tmp_path: Path) -> None:
         for i in range(400)
     ]
     source = write_messages(tmp_path / "source.mcap", messages, encoding="cdr")
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as out:
-        writer = Writer(out)
-        writer.start()
-        channel = writer.register_channel("/joint_states", "cdr", 0)
-        for log_ns, content in enumerate(payloads(source), start=1):
-            data = bytearray(content)
-            assert data[21:24] == b"\0\0\0"  # behind the frame's five bytes
-            data[21:24] = rng.bytes(3)
-            writer.add_message(channel, log_ns, bytes(data), log_ns)
-        writer.finish()
+    padded = []
+    for log_ns, content in enumerate(payloads(source), start=1):
+        data = bytearray(content)
+        assert data[21:24] == b"\0\0\0"  # behind the frame's five bytes
+        data[21:24] = rng.bytes(3)
+        padded.append(("/joint_states", log_ns, bytes(data)))
+    path = write_raw(tmp_path / "log.mcap", {"/joint_states": "cdr"}, padded)
     np.testing.assert_array_equal(
         read_raw(path, make_robot()).joints.channels["position"],
         [content.position for _, _, content in messages],
@@ -233,18 +229,11 @@ def test_padding_is_not_structure(tmp_path: Path) -> None:
 
 
 def test_chunks_without_needed_topics_are_not_unpacked(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as out:
-        writer = Writer(out, chunk_size=4_000)
-        writer.start()
-        camera = writer.register_channel("/camera", "cdr", 0)
-        for i in range(40):
-            writer.add_message(camera, i, bytes([i]) * 1_000, i)
-        joints = writer.register_channel("/joint_states", "json", 0)
-        for i in range(40, 100):
-            content = b'{"name":["shoulder"],"position":[%d]}' % i
-            writer.add_message(joints, i, content, i)
-        writer.finish()
+    messages = [("/camera", i, bytes([i]) * 1_000) for i in range(40)]
+    for i in range(40, 100):
+        messages.append(("/joint_states", i, b'{"name":["shoulder"],"position":[%d]}' % i))
+    topics = {"/camera": "cdr", "/joint_states": "json"}
+    path = write_raw(tmp_path / "log.mcap", topics, messages, chunk_size=4_000)
     with path.open("rb") as file:
         summary = SeekingReader(file).get_summary()
     assert summary is not None

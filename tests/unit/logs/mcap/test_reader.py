@@ -8,7 +8,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap.reader import list_topics
@@ -21,6 +20,7 @@ from tests.unit.logs.writers import (
     rewrite,
     write_mcap,
     write_messages,
+    write_raw,
 )
 
 T0 = 1_700_000_000_000_000_000
@@ -158,35 +158,25 @@ def test_other_joint_names_are_listed(tmp_path: Path) -> None:
 
 
 def test_unknown_encoding_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as out:
-        writer = Writer(out)
-        writer.start()
-        channel = writer.register_channel("/joint_states", "cbor", 0)
-        for i in range(50):
-            writer.add_message(channel, i, b"\0" * 40, i)
-        writer.finish()
+    messages = [("/joint_states", i, b"\0" * 40) for i in range(50)]
+    path = write_raw(tmp_path / "log.mcap", {"/joint_states": "cbor"}, messages)
     with pytest.raises(InputError, match="cbor"):
         read_recording(path, make_robot())
 
 
 def test_big_endian_cdr(tmp_path: Path) -> None:
     motion = make_motion(grid(100))
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as out:
-        writer = Writer(out)
-        writer.start()
-        channel = writer.register_channel("/joint_states", "cdr", 0)
-        for stamp, q in zip(stamps(motion.t), motion.q, strict=True):
-            sec, nanosec = divmod(int(stamp), 10**9)
-            body = struct.pack(">iII", sec, nanosec, 1) + b"\0" + b"\0" * 3 + struct.pack(">I", 3)
-            for name in JOINTS:
-                text = name.encode() + b"\0"
-                body += struct.pack(">I", len(text)) + text + b"\0" * (-len(text) % 4)
-            body += struct.pack(">I", 3)
-            body += b"\0" * (-len(body) % 8) + struct.pack(">3d", *q) + struct.pack(">II", 0, 0)
-            writer.add_message(channel, int(stamp), b"\0\0\0\0" + body, int(stamp))
-        writer.finish()
+    messages = []
+    for stamp, q in zip(stamps(motion.t), motion.q, strict=True):
+        sec, nanosec = divmod(int(stamp), 10**9)
+        body = struct.pack(">iII", sec, nanosec, 1) + b"\0" + b"\0" * 3 + struct.pack(">I", 3)
+        for name in JOINTS:
+            text = name.encode() + b"\0"
+            body += struct.pack(">I", len(text)) + text + b"\0" * (-len(text) % 4)
+        body += struct.pack(">I", 3)
+        body += b"\0" * (-len(body) % 8) + struct.pack(">3d", *q) + struct.pack(">II", 0, 0)
+        messages.append(("/joint_states", int(stamp), b"\0\0\0\0" + body))
+    path = write_raw(tmp_path / "log.mcap", {"/joint_states": "cdr"}, messages)
     np.testing.assert_array_equal(read_recording(path, make_robot()).q, motion.q)
 
 

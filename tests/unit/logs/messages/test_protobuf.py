@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.read import read_recording
 from tests.unit.logs.samples import GYRO, JOINTS, grid, make_motion, make_robot
+from tests.unit.logs.writers import write_raw
 
 DOUBLE, INT32, MESSAGE, STRING, UINT32 = 1, 5, 11, 9, 13
 T0 = 1_700_000_000
@@ -76,22 +76,19 @@ PROTO3 = item(12, b"proto3")
 @pytest.mark.parametrize("packed", [True, False])
 def test_joint_states_and_imu(tmp_path: Path, packed: bool) -> None:
     motion = make_motion(grid(100))
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as out:
-        writer = Writer(out)
-        writer.start()
-        joint_schema = writer.register_schema("ros.JointState", "protobuf", descriptors())
-        imu_schema = writer.register_schema("ros.Imu", "protobuf", descriptors())
-        joints = writer.register_channel("/joint_states", "protobuf", joint_schema)
-        imu = writer.register_channel("/hand/data", "protobuf", imu_schema)
-        for i, t in enumerate(motion.t):
-            names = b"".join(item(2, name.encode()) for name in JOINTS)
-            body = header(t) + names + doubles(3, motion.q[i], packed)
-            writer.add_message(joints, i, body + doubles(5, motion.tau[i], packed), i)
-            body = header(t) + item(2, vector(motion.gyros["hand"][i]))
-            body += item(3, vector(motion.accelerometers["hand"][i]))
-            writer.add_message(imu, i, body, i)
-        writer.finish()
+    topics = {
+        "/joint_states": ("protobuf", "ros.JointState", "protobuf", descriptors()),
+        "/hand/data": ("protobuf", "ros.Imu", "protobuf", descriptors()),
+    }
+    messages = []
+    for i, t in enumerate(motion.t):
+        names = b"".join(item(2, name.encode()) for name in JOINTS)
+        body = header(t) + names + doubles(3, motion.q[i], packed)
+        messages.append(("/joint_states", i, body + doubles(5, motion.tau[i], packed)))
+        body = header(t) + item(2, vector(motion.gyros["hand"][i]))
+        body += item(3, vector(motion.accelerometers["hand"][i]))
+        messages.append(("/hand/data", i, body))
+    path = write_raw(tmp_path / "log.mcap", topics, messages)
     recording = read_recording(path, make_robot(imus=(GYRO,)))
     np.testing.assert_array_equal(recording.q, motion.q)
     np.testing.assert_array_equal(recording.tau, motion.tau)
@@ -103,13 +100,7 @@ def test_joint_states_and_imu(tmp_path: Path, packed: bool) -> None:
 
 @pytest.mark.parametrize("schema", [b"", b"\xff", b"\x0a\xff\xff\xff\xff\x7f"])
 def test_unusable_descriptors_are_an_error(tmp_path: Path, schema: bytes) -> None:
-    path = tmp_path / "log.mcap"
-    with path.open("wb") as out:
-        writer = Writer(out)
-        writer.start()
-        number = writer.register_schema("ros.JointState", "protobuf", schema)
-        channel = writer.register_channel("/joint_states", "protobuf", number)
-        writer.add_message(channel, 0, b"", 0)
-        writer.finish()
+    topics = {"/joint_states": ("protobuf", "ros.JointState", "protobuf", schema)}
+    path = write_raw(tmp_path / "log.mcap", topics, [("/joint_states", 0, b"")])
     with pytest.raises(InputError, match="can be decoded"):
         read_recording(path, make_robot())

@@ -14,15 +14,14 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import ImuCalibration, ImuStage
+from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 from tests.plants.experiments import inertia_trials
 from tests.plants.rigs import two_joint
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.simulate import simulate
-
-DENSITY = 0.05  # rad/s^2/sqrt(Hz), of accelerometers with 0.03 m/s^2 of noise 0.05 m apart
+from tests.unit.motion.smoother.test_smooth import stage_of
 
 
 @dataclass(frozen=True)
@@ -54,14 +53,7 @@ def scene() -> Scene:
     posture = np.array([0.0, 0.5])
     trial = inertia_trials(plant, [posture], np.random.default_rng(0), seconds=3.0)[0]
     log = simulate(plant, trial.reference, 0, every=4)
-    stage = ImuStage(
-        imus={
-            imu.name: ImuCalibration(
-                rotation=imu.rotation.tolist(), std_error_deg=0.1, noise_density=DENSITY
-            )
-            for imu in plant.imus
-        }
-    )
+    stage = stage_of(plant)
     robot, recording = robot_of("two_joint", plant), recording_of(plant, "log", log)
     motion = estimate_motion(recording, robot, MotionOptions())
     return Scene(recording, robot, stage, motion, motion.lowpass(log.truth.ddq))

@@ -46,10 +46,7 @@ class EchoCriteria:
     unexplained: float = 0.1  # that an echo's law may leave
     exact: float = 1e-3  # below it nothing is left to be explained
     others: float = 0.15  # of what position leaves, squared, for friction and acceleration
-    friction: float = 0.1  # that an echo's friction is certainly below
     none: float = 0.003  # that is no friction at all
-    inertia: float = 0.05  # that an echo's accelerations may explain
-    certain: float = 3.0  # standard errors
     uncertain: float = 2.0  # standard errors
     fewest: int = 50  # windows of motion each way
     travel: float = 0.1  # rad (m) each way: less is noise, or a flexing brake
@@ -74,16 +71,13 @@ class Shares:
     others: float
     friction: float
     error: float
-    inertia: float
 
     def echo(self, criteria: EchoCriteria) -> bool:
         """Whether position alone makes the torque."""
         return (
             self.unexplained < criteria.unexplained
             and (self.others < criteria.others or self.unexplained < criteria.exact)
-            and self.friction + criteria.certain * self.error < criteria.friction
             and self.friction < max(criteria.uncertain * self.error, criteria.none)
-            and self.inertia < criteria.inertia
         )
 
 
@@ -169,13 +163,12 @@ def _split(y: Array, law: Array, friction: Array, accelerations: Array, memory: 
     held_back = [own + 1] if theta[own + 1] < 0 else []  # damping by a controller, not friction
     left = float(np.mean((y - X @ theta) ** 2))
     variance = memory * left
-    unexplained = _rms(_beside(X[:, [*range(own), *held_back]], y))
+    unexplained = float(np.sqrt(np.mean(_beside(X[:, [*range(own), *held_back]], y) ** 2)))
     return Shares(
         unexplained=unexplained / scale,
         others=1.0 - left / max(unexplained**2, 1e-300),
         friction=abs(float(theta[own])) / scale,
         error=float(np.sqrt(variance / max(float(direction @ direction), 1e-300))) / scale,
-        inertia=_rms(X[:, own + 2 :] @ theta[own + 2 :]) / scale,
     )
 
 
@@ -183,10 +176,6 @@ def _beside(X: Array, y: Array) -> Array:
     """What the columns X leave of y."""
     left: Array = y - X @ np.linalg.lstsq(X, y, rcond=RCOND)[0]
     return left
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _averaged(values: Array, width: int) -> Array:

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import re
+
+from seqid_cli import __version__
 from seqid_cli.params.document import present, refined, stale_stages, with_stage
 from seqid_cli.params.schema import EffectOfJoint, Stages
 from tests.unit.params.documents import (
@@ -12,6 +15,20 @@ from tests.unit.params.documents import (
     rigid_stage,
     robot,
 )
+
+
+def test_a_stage_is_added_to_what_was_there() -> None:
+    before = friction_file()
+    after = with_stage(before, robot(), [log("b", "gravity")], gravity=rigid_stage())
+    assert after.stages.friction == before.stages.friction
+    assert after.stages.gravity == rigid_stage()
+    assert [(item.path, item.stage) for item in after.inputs] == [
+        ("a", "friction"),
+        ("b", "gravity"),
+    ]
+    assert before.stages.gravity is None
+    assert after.tool.version == __version__
+    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", after.created)
 
 
 def test_what_rested_on_a_stage_goes_when_it_is_done_again() -> None:

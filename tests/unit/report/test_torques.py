@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -77,33 +78,23 @@ def test_unknown_motion_is_missing_not_zero(tmp_path: Path) -> None:
     assert over_quantity([first], PLACE, "position", "rad") is None
 
 
-def test_torques_of_another_robot_name_both(tmp_path: Path) -> None:
-    path = write_torques(tmp_path / "t.parquet", joints=["a", "b"])
-    with pytest.raises(InputError, match=r"t\.parquet: is about joints a, b.*inertia\.json"):
-        opened(path)
-
-
 @pytest.mark.parametrize(
-    ("logs", "message"),
+    ("other", "cut", "message"),
     [
-        (("validation/a.parquet", "c.parquet"), "holds the log c.parquet, which prediction.json"),
-        (("validation/a.parquet",), "lacks the log validation/b.parquet"),
+        ({"joints": ["a", "b"]}, 0, r"is about joints a, b.*inertia\.json"),
+        ({"logs": (LOGS[0], "c.parquet")}, 0, r"holds the log c\.parquet, which prediction\.json"),
+        ({"logs": LOGS[:1]}, 0, r"lacks the log validation/b\.parquet.*prediction\.json"),
+        ({}, 10, rf"{SAMPLES - 10} samples of .*counts {SAMPLES}"),
     ],
 )
-def test_torques_of_other_logs_name_both(
-    tmp_path: Path, logs: tuple[str, ...], message: str
+def test_torques_of_another_robot_or_log_name_both(
+    tmp_path: Path, other: dict[str, Any], cut: int, message: str
 ) -> None:
-    with pytest.raises(InputError) as caught:
-        opened(write_torques(tmp_path / "t.parquet", logs=logs))
-    assert message in str(caught.value)
-    assert "prediction.json" in str(caught.value)
-
-
-def test_torques_of_another_length_are_refused(tmp_path: Path) -> None:
-    path = write_torques(tmp_path / "t.parquet")
-    pq.write_table(pq.read_table(path).slice(10), path)
-    with pytest.raises(InputError, match=rf"{SAMPLES - 10} samples of .*counts {SAMPLES}"):
+    path = write_torques(tmp_path / "t.parquet", **other)
+    pq.write_table(pq.read_table(path).slice(cut), path)
+    with pytest.raises(InputError, match=message) as caught:
         opened(path)
+    assert "t.parquet" in str(caught.value)
 
 
 def _column(table: pa.Table, name: str, values: object) -> pa.Table:

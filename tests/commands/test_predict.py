@@ -15,6 +15,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import SAMPLES, Reader, Rig
+from tests.plants.robots.made import made_prediction
 from tests.unit.params.documents import friction_file, full_file
 from tests.unit.params.generate import json_schema
 
@@ -52,14 +53,12 @@ class Model:
             sliding[1, 1] = False
             predicted = tau + self.scale * rng.normal(size=tau.shape)
             wide = np.where(sliding, 0.0, 0.5 * self.scale)
-            log = LogPrediction(
-                path=recording.path,
+            log = made_prediction(
+                str(recording.path),
+                tau,
+                predicted,
                 sha256=recording.sha256,
-                samples=SAMPLES,
-                cutoff_hz=20.0,
                 t=recording.t,
-                tau=tau,
-                predicted=predicted,
                 low=predicted - wide,
                 high=predicted + wide,
                 used=used,

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
@@ -44,6 +45,21 @@ def made_motion(q: Array, dq: Array, ddq: Array, lowpass: Lowpass, **further: An
     }
     given = usual | further
     return Motion(q=q, dq=dq, ddq=ddq, rate_hz=lowpass.rate_hz, lowpass=lowpass, **given)
+
+
+def made_prediction(path: str, tau: Array, predicted: Array, **further: Any) -> LogPrediction:
+    """Wrap torques (N, n) as a log's prediction, used and sliding unless `further` says."""
+    usual = {
+        "sha256": path.ljust(64, "0"),
+        "samples": len(tau),
+        "cutoff_hz": 30.0,
+        "t": 0.004 * np.arange(len(tau)),
+        "low": predicted,
+        "high": predicted,
+        "used": np.ones(len(tau), dtype=bool),
+        "sliding": np.ones(tau.shape, dtype=bool),
+    }
+    return LogPrediction(path=Path(path), tau=tau, predicted=predicted, **(usual | further))
 
 
 def friction_joint(positive: Any, negative: Any = None, **further: Any) -> FrictionJoint:

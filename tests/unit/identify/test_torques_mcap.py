@@ -19,6 +19,7 @@ from seqid_cli.errors import UsageError
 from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.identify.prediction.torques_mcap import TOPICS, McapTorqueWriter
 from tests import ROOT
+from tests.plants.robots.made import made_prediction
 
 LAYOUTS = ROOT / "docs" / "layouts"
 JOINTS = ("shoulder", "elbow_with_a_longer_name", "wrist")
@@ -28,19 +29,12 @@ SAMPLES = 40
 def prediction(name: str, start: float, *, motion: bool = True, seed: int = 0) -> LogPrediction:
     rng = np.random.default_rng(seed)
     tau, predicted, q, dq = rng.normal(size=(4, SAMPLES, len(JOINTS)))
-    every = np.ones((SAMPLES, len(JOINTS)), dtype=bool)
-    return LogPrediction(
-        path=Path(name),
-        sha256="0" * 64,
-        samples=SAMPLES,
-        cutoff_hz=10.0,
-        t=0.004 * np.arange(SAMPLES),
-        tau=tau,
-        predicted=predicted,
+    return made_prediction(
+        name,
+        tau,
+        predicted,
         low=predicted - 0.5,
         high=predicted + 0.5,
-        used=every[:, 0],
-        sliding=every,
         q=q if motion else None,
         dq=dq if motion else None,
         start=start,

@@ -24,6 +24,7 @@ from seqid_cli.params.results.prediction import (
     PredictionFile,
 )
 from seqid_cli.params.schema import ParameterFile, Verdict
+from tests.plants.robots.made import made_prediction
 from tests.unit.params.documents import JOINTS, diagnosis_file, full_file, inertia_file, log, robot
 
 Array = NDArray[np.float64]
@@ -122,21 +123,7 @@ def predicted_log(path: str, seed: int) -> LogPrediction:
     tau[SAMPLES // 3, 1] = predicted[SAMPLES // 3, 1] + SPIKE
     used = np.ones(SAMPLES, dtype=bool)
     used[:50] = used[-50:] = False
-    return LogPrediction(
-        path=Path(path),
-        sha256=path.ljust(64, "0"),
-        samples=SAMPLES,
-        cutoff_hz=30.0,
-        t=t,
-        tau=tau,
-        predicted=predicted,
-        low=predicted,
-        high=predicted,
-        used=used,
-        sliding=np.ones(tau.shape, dtype=bool),
-        q=q,
-        dq=dq,
-    )
+    return made_prediction(path, tau, predicted, t=t, used=used, q=q, dq=dq)
 
 
 def write_torques(

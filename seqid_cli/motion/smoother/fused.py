@@ -7,9 +7,9 @@ above its own bandwidth the low-pass takes from torque and motion alike.
 """
 
 import hashlib
+from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import msgspec
 import numpy as np
@@ -157,7 +157,7 @@ def disagreement(
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What a smoothed motion follows from; the same positions and readings are the same task.
+    """What a smoothed motion follows from; tasks of one digest are the same.
 
     Torque has no part in it: who takes effects out of the torque, log by log and round by round,
     smooths once.
@@ -179,12 +179,6 @@ class _Task:
             found.update(f"{name} {values.shape}".encode())
             found.update(np.ascontiguousarray(values).tobytes())
         return cls(replace(recording, tau=None), robot, stage, found.digest())
-
-    def __hash__(self) -> int:
-        return hash(self.digest)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Task) and self.digest == other.digest
 
 
 @dataclass(frozen=True)
@@ -227,11 +221,16 @@ def _silent(task: _Task, names: tuple[str, ...], *, mostly: float = 0.95) -> Ite
             yield f"{imu.name} reads in {percent(share, 0)} of the samples"
 
 
-_kept = lru_cache(maxsize=32)(_made)
+_KEPT = OrderedDict[bytes, _Found]()
 
 
-def _smoothed(task: _Task, *, largest_kept: int = 100000) -> _Found:
-    return _kept(task) if task.recording.q.size <= largest_kept else _made(task)
+def _smoothed(task: _Task, *, most_values: int = 16_000_000) -> _Found:
+    """What a task follows to; the last ones are kept, up to so many values in all."""
+    found = _KEPT.pop(task.digest, None) or _made(task)
+    _KEPT[task.digest] = found
+    while sum(3 * one.q.size for one in _KEPT.values()) > most_values:
+        _KEPT.popitem(last=False)
+    return found
 
 
 def absent_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> Iterator[str]:

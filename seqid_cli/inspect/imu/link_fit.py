@@ -104,7 +104,7 @@ def fit_link(
     return _fine(motion, tried)
 
 
-def _fine(motion: Motion, scan: ShiftScan, *, rounds: int = 5, blocks: int = 8) -> LinkFit:
+def _fine(motion: Motion, scan: ShiftScan, *, rounds: int = 3, blocks: int = 8) -> LinkFit:
     """Fit at the shift that is best to a fraction of a sample, by Gauss and Newton."""
     # The delay's error is the larger of what white noise leads to and of how it moves when one of
     # `blocks` parts of the log is left out: a coarse encoder's noise is far from white.

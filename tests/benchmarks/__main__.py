@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 
 from tests import ROOT
-from tests.benchmarks import ingestion, kernels, smoother, start, whole_run
+from tests.benchmarks import discovery, ingestion, kernels, smoother, start, whole_run
 from tests.studies.tables import placed
 
 DOCUMENT = ROOT / "docs" / "benchmarks.md"
@@ -19,6 +19,7 @@ BENCHMARKS: Mapping[str, Callable[[bool], str]] = {
     "whole_run": lambda quick: whole_run.study(quick=quick),
     "start": lambda quick: start.study(quick=quick),
     "smoother": lambda quick: smoother.study(quick=quick),
+    "discovery": lambda quick: discovery.study(quick=quick),
 }
 
 

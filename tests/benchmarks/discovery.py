@@ -1,0 +1,107 @@
+"""What diagnosing and refining cost: two and six joints, minutes at the logs' own rate, two IMUs.
+
+The sample robots are identified from their sample logs; then they have an effect, and are recorded
+on moves of all joints. The held-out logs are two more of 20 s.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from tests import ROOT
+from tests.plants.experiments import Trial
+from tests.plants.samples import RECIPES, save
+from tests.plants.simulate import simulate
+from tests.plants.trajectories import Reference
+from tests.plants.trials import PERIODS, moves, waves, zigzags
+from tests.plants.undeclared import inject
+from tests.studies.tables import table
+
+SECONDS, EVERY, PAUSE_S = 20.0, 2, 60.0
+SPEEDS = (0.9, 0.6, 0.8, 0.4)  # of the top speeds, log by log
+HELD_OUT = 2  # logs
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A sample robot, the effect that it has then, and the number of logs of 20 s."""
+
+    rig: str
+    effect: str
+    joint: int
+    logs: int
+
+
+SUBJECTS = (
+    Subject("two_joint", "load_dependent_friction", 1, 8),
+    Subject("six_joint", "gear_efficiency", 2, 6),
+)
+
+
+def study(*, quick: bool = False) -> str:
+    """Return the table."""
+    rows = []
+    for subject in SUBJECTS[: 1 if quick else None]:
+        with TemporaryDirectory() as name:
+            rows.append(_row(subject, Path(name)))
+    head = ["robot", "samples", "found", "diagnose, CPU s", "refine, CPU s", "refine over diagnose"]
+    return table(head, rows)
+
+
+def _row(subject: Subject, folder: Path) -> list[str]:
+    logs, samples = recorded(subject, folder)
+    sample = ROOT / "sample_logs" / subject.rig
+    robot = ["-r", str(sample / "robot.toml")]
+    _run("run", str(sample), *robot, "-o", str(folder / "model"))
+    model = [*robot, "-p", str(folder / "model" / "inertia.json")]
+    fit, held = logs[:-HELD_OUT], logs[-HELD_OUT:]
+    out = folder / "diagnosis.json"
+    diagnosis = _run("diagnose", *fit, *model, "-o", str(out))
+    told = json.loads(out.read_bytes())["findings"]
+    kept = [part for log in held for part in ("--holdout", log)]
+    refined = _run("refine", *fit, *kept, *model, "-o", str(folder / "refined.json"))
+    found = ", ".join(f"{one['effect']} at {one['joint']}" for one in told) or "-"
+    costs = [f"{diagnosis:.1f}", f"{refined:.1f}", f"{refined / diagnosis:.1f}"]
+    return [subject.rig, f"{samples:,}", found, *costs]
+
+
+def recorded(subject: Subject, folder: Path) -> tuple[list[str], int]:
+    """Record the logs, those that are held out last; also the samples of the others."""
+    recipe, rng = RECIPES[subject.rig](), np.random.default_rng(99)
+    plant = inject(subject.effect, recipe.plant, subject.joint).plant
+    samples = 0
+    for number in range(subject.logs + HELD_OUT):
+        share = SPEEDS[number % len(SPEEDS)]
+        kind = number % 4
+        motion: Reference
+        if kind % 2 == 0:
+            period = PERIODS[number // 2 % 2]
+            motion = waves(plant, rng, period=period, share=share, seconds=SECONDS)
+        else:
+            motion = (moves if kind == 1 else zigzags)(plant, rng, share=share, seconds=SECONDS)
+        start = PAUSE_S + number * (SECONDS + PAUSE_S)
+        log = simulate(plant, motion, 5000 + number, every=EVERY, imus=True, start=start)
+        save(folder, recipe, Trial("logs", f"log_{number}", motion, imus=True), log)
+        samples += len(log.t) if number < subject.logs else 0
+    names = [f"log_{number}.parquet" for number in range(subject.logs + HELD_OUT)]
+    return [str(folder / "logs" / name) for name in names], samples
+
+
+def _run(*arguments: str) -> float:
+    """CPU s of a command."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    command: Sequence[str] = [sys.executable, "-m", "seqid_cli", *arguments]
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
+    subprocess.run(command, capture_output=True, check=True, env=environment)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

@@ -8,6 +8,7 @@ better is not understood, and is said to be so.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from msgspec import structs
@@ -31,6 +32,7 @@ from seqid_cli.discover.notes import (
 )
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.rivals import load_note, rivals_of, tried_at
+from seqid_cli.discover.scenes import with_own_cutoffs
 from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.results import Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
@@ -89,6 +91,7 @@ def diagnose(
         without_effects(log, robot, stages, known, motion=motion.motion, source=motion.source)
         for log in kept
     ]
+    options = replace(options, motion=with_own_cutoffs(logs, robot, stages, motion))
     found = described(investigate(logs, robot, stages, options), robot)
     said = [*notes, *found.notes, *deflection_notes(stages, robot)]
     return structs.replace(found, notes=said)

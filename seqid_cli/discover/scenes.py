@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -56,52 +55,17 @@ def scenes_of(
     options : InertiaOptions
         Cut-off and source of the motion.
     motions : sequence of Motion, optional
-        Of the same logs, where they are known (see `motions_of`). By default a log whose encoders
-        are too coarse for the model's cut-off is filtered at its own.
+        Of the same logs, where they are known (see `motions_of`).
 
     Raises
     ------
     InputError
         If a log carries neither torque nor current.
     """
-    model, logs = TorqueModel.from_stages(stages, robot), list(recordings)
-    if motions is not None:
-        return _built(logs, robot, model, motions)
-    motions = motions_of(logs, robot, stages, options=options)
-    scenes = _built(logs, robot, model, motions)
-    if options.motion.origin == "as given":
-        return scenes
-    quiet = [
-        _at_its_own(log, robot, options) if _is_coarse(log, scene) else motion
-        for log, scene, motion in zip(logs, scenes, motions, strict=True)
-    ]
-    return scenes if all(map(operator.is_, quiet, motions)) else _built(logs, robot, model, quiet)
-
-
-def _is_coarse(log: Recording, scene: Scene, *, most: float = Options.improvement) -> bool:
-    """Whether encoder noise at the model's cut-off makes a part of what is left, and need not.
-
-    Columns of effects are made from the same noise: a share from which terms count, `most`, and
-    they are found in it.
-    """
-    cutoff = scene.motion.cutoff
-    if scene.motion.source != "encoder" or (cutoff.alone_hz or np.inf) >= cutoff.hz:
-        return False
-    assert scene.motion.tau is not None
-    left = scene.motion.tau - scene.modelled_filtered
-    echo = encoder_residuals([log], [scene])[0]
-    made, whole = (np.sum(np.where(scene.slides, x, 0.0) ** 2, axis=0) for x in (echo, left))
-    return bool(np.any(made > most * whole))
-
-
-def _at_its_own(log: Recording, robot: Robot, options: InertiaOptions) -> Motion:
-    """Motion of a log at the cut-off that suits its encoders."""
-    return estimate_motion(log, robot, replace(options.motion, cutoff_hz=None))
-
-
-def _built(
-    logs: Sequence[Recording], robot: Robot, model: TorqueModel, motions: Sequence[Motion]
-) -> list[Scene]:
+    logs = list(recordings)
+    if motions is None:
+        motions = motions_of(logs, robot, stages, options=options)
+    model = TorqueModel.from_stages(stages, robot)
     starts, shared = shared_starts(logs)
     top = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
     width = sign_widths(model, top)
@@ -130,6 +94,40 @@ def _motion(recording: Recording, robot: Robot, stages: Stages, options: Inertia
     torque_of(recording)
     encoder = estimate_motion(recording, robot, options.motion)
     return best_motion(recording, robot, stages.imu, encoder, source=options.source)
+
+
+def with_own_cutoffs(
+    logs: Sequence[Recording], robot: Robot, stages: Stages, options: InertiaOptions
+) -> InertiaOptions:
+    """Options that filter logs at their own cut-off where encoders are too coarse for the model's.
+
+    Unless the user gave the cut-off, and where no IMU helps.
+    """
+    if options.motion.origin == "as given":
+        return options
+    alone = [log for log in logs if _chooses_less(estimate_motion(log, robot, options.motion))]
+    scenes = scenes_of(alone, robot, stages, options=options) if alone else []
+    own = {log.sha256 for log, scene in zip(alone, scenes, strict=True) if _is_coarse(log, scene)}
+    return replace(options, motion=replace(options.motion, own=options.motion.own | own))
+
+
+def _chooses_less(motion: Motion) -> bool:
+    return motion.cutoff.alone_hz is not None and motion.cutoff.alone_hz < motion.cutoff.hz
+
+
+def _is_coarse(log: Recording, scene: Scene, *, most: float = Options.improvement) -> bool:
+    """Whether the encoders' noise makes a part of what the model leaves of a log's torque.
+
+    Columns of effects are made from the same noise: a share from which terms count, `most`, and
+    they are found in it.
+    """
+    if scene.motion.source != "encoder":
+        return False
+    assert scene.motion.tau is not None
+    left = scene.motion.tau - scene.modelled_filtered
+    echo = encoder_residuals([log], [scene])[0]
+    made, whole = (np.sum(np.where(scene.slides, x, 0.0) ** 2, axis=0) for x in (echo, left))
+    return bool(np.any(made > most * whole))
 
 
 def thinned(full: Scene) -> Scene:

@@ -13,10 +13,11 @@ class MotionOptions:
     `cutoff_hz` is the low-pass cut-off of all logs, and `origin` says where it came from; None has
     each log choose its own. After the low-pass `samples_per_cutoff` samples at least stay per
     period of the cut-off; infinite keeps all. `encoder_hz` is the cut-off that would suit the
-    encoders alone.
+    encoders alone. Logs of `own` (their SHA-256) choose for themselves whatever the cut-off.
     """
 
     cutoff_hz: float | None = None
     samples_per_cutoff: float = 10.0
     origin: str = ""
     encoder_hz: float | None = None
+    own: frozenset[str] = frozenset()

@@ -41,6 +41,19 @@ def test_a_diagnosis_of_logs_after_a_change(tmp_path: Path, parameters: Path) ->
     assert joint["rmse_explained"] < 0.6 * joint["rmse"]
 
 
+@pytest.mark.slow
+def test_encoders_too_coarse_for_the_models_cutoff_find_the_same(tmp_path: Path) -> None:
+    rig, output = ROOT / "sample_logs" / "two_joint", tmp_path / "diagnosis.json"
+    model = ["-r", str(rig / "robot.toml"), "-p", str(rig / "golden.json")]
+    command = ["diagnose", str(rig / "changed"), *model, "--motion", "encoder"]
+    assert main([*command, "-o", str(output), "-q"]) == 0
+    findings = json.loads(output.read_text())["findings"]
+    truth = json.loads((rig / "truth.json").read_text())["changed"]
+    assert [(f["effect"], f["joint"]) for f in findings] == [(truth["effect"], truth["joint"])]
+    (value,) = findings[0]["parameters"]
+    assert value["value"] == pytest.approx(truth["driving"], abs=4 * value["std_error"])
+
+
 def test_a_log_without_torque_is_refused(
     tmp_path: Path, parameters: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from msgspec import structs
@@ -13,7 +14,7 @@ from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.refinement.held_out import HeldOutError, WholeLogs, gain, held_out_error
 from seqid_cli.discover.refinement.loop import joints_of, key_of_round, with_effects
 from seqid_cli.discover.refinement.rounds import Refinement
-from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.scenes import scenes_of, with_own_cutoffs
 from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
@@ -42,8 +43,11 @@ def confirm(
         Errors before and after on the same samples; each round with its own gain beside the model
         before it, confirmed where that is certainly more than nothing.
     """
-    held_out, notes = usable_logs(held_out, found.material.robot)
-    robot = found.material.robot
+    robot, options = found.material.robot, found.material.options
+    held_out, notes = usable_logs(held_out, robot)
+    motion = with_own_cutoffs(held_out, robot, found.came, options.motion)
+    material = replace(found.material, options=replace(options, motion=motion))
+    found = replace(found, material=material)
     models = [found.came, *(with_effects(m, robot) for m in (found.without, *found.steps[1:]))]
     errors, more = _errors(found, models, held_out, whole)
     rounds = _confirmed(found, errors[1:])

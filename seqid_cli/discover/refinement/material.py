@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.scenes import motions_of, scenes_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
@@ -56,11 +56,10 @@ class Material:
     def scenes(self, stages: Stages) -> list[Scene]:
         """Data sets of the training logs; their motion is the same whatever the model."""
         options = self.options.motion
-        known = self._motions or None
-        found = scenes_of(self.training, self.robot, stages, options=options, motions=known)
-        if known is None:
-            self._motions.extend((scene.full or scene).motion for scene in found)
-        return found
+        if not self._motions:
+            found = motions_of(self.training, self.robot, stages, options=options)
+            self._motions.extend(found)
+        return scenes_of(self.training, self.robot, stages, options=options, motions=self._motions)
 
     def freed(
         self, logs: Sequence[Recording], stages: Stages, effects: Sequence[Fitted]

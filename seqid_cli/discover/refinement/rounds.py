@@ -28,6 +28,7 @@ from seqid_cli.discover.refinement.held_out import LEAST_GAIN, Gain, doubt, gain
 from seqid_cli.discover.refinement.loop import Account, Loop, candidates_of_model, with_effects
 from seqid_cli.discover.refinement.material import Key, Material, Refitted, key_of
 from seqid_cli.discover.rivals import rivals_of
+from seqid_cli.discover.scenes import with_own_cutoffs
 from seqid_cli.discover.select.naming import named, reality
 from seqid_cli.discover.select.results import Options, Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
@@ -100,6 +101,8 @@ def refine(
     """
     training, notes = usable_logs(training, robot)
     options = on_the_same_samples(options, file.stages, robot)
+    motion = with_own_cutoffs(training, robot, file.stages, options.motion)
+    options = replace(options, motion=motion)
     material = Material(tuple(training), earlier, robot, options)
     known = fitted_effects(file.stages, robot, unexplained=True)
     bare = msgspec.structs.replace(file.stages, effects=None)

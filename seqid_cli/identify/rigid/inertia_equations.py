@@ -97,7 +97,7 @@ class InertiaEquations:
 
     def at_cutoff(self, cutoff_hz: float) -> "InertiaEquations":
         """The same equations, filtered at another cut-off."""
-        motion = replace(self.options.motion, cutoff_hz=cutoff_hz)
+        motion = replace(self.options.motion, cutoff_hz=cutoff_hz, own=frozenset())
         options = replace(self.options, motion=motion)
         return InertiaEquations(self.robot, self.basis, self.stages, options)
 

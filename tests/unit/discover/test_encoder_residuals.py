@@ -8,7 +8,7 @@ import pytest
 from seqid_cli.discover.base import residual_of
 from seqid_cli.discover.noise.encoder import encoder_residuals
 from seqid_cli.discover.noise.floor import rms
-from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.scenes import scenes_of, with_own_cutoffs
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
@@ -59,12 +59,14 @@ def test_a_log_whose_encoders_are_too_coarse_is_filtered_at_its_own_cutoff(log: 
     friction, inertia = identify_simultaneous([log], robot, options=MotionOptions())
     stages = Stages(friction=friction, inertia=inertia)
     own = estimate_motion(log, robot, MotionOptions()).cutoff.hz
-    for origin, expected in (("of the inertia stage", own), ("as given", 4.0 * own)):
-        options = InertiaOptions(MotionOptions(4.0 * own, origin=origin), source="needed")
-        (scene,) = scenes_of([log], robot, stages, options=options)
-        assert scene.motion.cutoff.hz == pytest.approx(expected)
     assert log.tau is not None
     larger = replace(log, tau=log.tau + 20.0 * np.std(log.tau, axis=0) * np.sin(3.0 * log.q))
-    options = InertiaOptions(MotionOptions(2.0 * own, origin="of the inertia stage"))
-    (scene,) = scenes_of([larger], robot, stages, options=options)
-    assert scene.motion.cutoff.hz == pytest.approx(2.0 * own)
+    for given, origin, expected in (
+        (log, "of the inertia stage", own),
+        (log, "as given", 4.0 * own),
+        (larger, "of the inertia stage", 4.0 * own),  # noise is no part of what is left there
+    ):
+        options = InertiaOptions(MotionOptions(4.0 * own, origin=origin), source="needed")
+        options = with_own_cutoffs([given], robot, stages, options)
+        (scene,) = scenes_of([given], robot, stages, options=options)
+        assert scene.motion.cutoff.hz == pytest.approx(expected)

@@ -6,12 +6,14 @@ so that the parts together are what the log as a whole gives.
 """
 
 import contextlib
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.special import beta
 
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.motion_use import motion_use
@@ -34,6 +36,9 @@ from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
 
 OUTSIDE_NOTE = 0.01  # share of samples outside the identified friction worth a note
+# Twice low-passed noise of the acceleration over that below the cut-off: 5 times the integral of
+# x^4 / (1 + x^8)^4.
+PASSED = math.sqrt(0.625 * beta(0.625, 3.375))
 
 
 @dataclass(frozen=True)
@@ -103,6 +108,43 @@ def lacking(stages: Stages, robot: Robot) -> dict[str, list[str]]:
         if without_inertia:
             found[name].append("the file holds no inertia stage")
     return found
+
+
+def encoder_notes(
+    model: TorqueModel,
+    motion: Motion,
+    log: "LogPrediction",
+    *,
+    min_share: float = 0.5,
+    places: int = 50,
+) -> Iterator[str]:
+    """Say where noise of differentiated encoders makes `min_share` or more of the squared error.
+
+    Torque that noise of the acceleration makes is taken at so many `places` of the log.
+    """
+    own = motion.cutoff.alone_hz
+    if motion.source != "encoder" or own is None or own >= motion.cutoff.hz:
+        return
+    q = motion.q[:: max(1, motion.samples // places)]
+    still = np.zeros_like(q)
+    rest, square = model.rigid(q, still, still), np.zeros_like(q)
+    for j, error in enumerate(motion.acceleration_error):
+        shaken = still.copy()
+        shaken[:, j] = error
+        square += (model.rigid(q, still, shaken) - rest) ** 2
+    noise, slides = PASSED * np.sqrt(square.mean(axis=0)), log.sliding
+    counts = np.maximum(slides.sum(axis=0), 1)
+    left = np.sqrt(np.sum(np.where(slides, log.residual, 0.0) ** 2, axis=0) / counts)
+    loud = [
+        f"{name} ({whole:.2g} N m)"
+        for name, made, whole in zip(model.robot.joint_names, noise, left, strict=True)
+        if made**2 > min_share * whole**2 > 0.0
+    ]
+    if loud:
+        yield (
+            f"at {motion.cutoff.hz:.3g} Hz noise of the encoders makes the error of "
+            f"{', '.join(loud)}, for which no model is to blame: --cutoff {own:.3g} suits them"
+        )
 
 
 def notes_on(model: TorqueModel, stages: Stages, share: Array) -> Iterator[str]:
@@ -197,7 +239,9 @@ class _PredictionOf:
         motion = torque_motion(log, self.model.robot, every, imu=imu, source=source)
         slowest = slides_from(self.model, self.options)
         part = predicted(self.model, self.effects, slowest, motion, log, slice(None))
-        return list(_described([(part, motion)], self.model, self.stages))
+        noise = tuple(encoder_notes(self.model, motion, part))
+        found = _described([(part, motion)], self.model, self.stages)
+        return [replace(one, notes=(*one.notes, *noise)) for one in found]
 
 
 @dataclass(frozen=True)

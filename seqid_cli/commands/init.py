@@ -71,7 +71,7 @@ def run(
         "torque_constant": _numbers("--torque-constant", torque_constant),
         "gear_ratio": _numbers("--gear-ratio", gear_ratio),
     }
-    files = expand(logs)
+    files = [*dict.fromkeys([*expand(logs[:1]), *expand(logs)])]  # the first decides on channels
     for file in files:
         check_log(file)
     text = read_urdf_text(urdf) if urdf is not None else None

@@ -20,7 +20,8 @@ ERRORS: Mapping[str, str] = {
     "clock_set_back": "Use --time log, or split the log there.",
     "position_in_degrees": 'Write unit = "deg" under [channels] of the robot file, or convert to '
     "rad.",
-    "position_in_mm": "Convert to m.",
+    "position_in_mm": 'Write length_unit = "mm" under [channels] of the robot file, or convert '
+    "to m.",
     "position_motor_side": "Log the joint's position, or divide by the gear ratio.",
     "position_spikes": "Look at cable and driver of the encoder; remove these samples.",
     "position_jump": "Look for lost counts or a zero that was set while recording; split the log "

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -40,26 +41,33 @@ _QUANTITY = {word: quantity for quantity, words in WORDS.items() for word in wor
 _SHORT = 2  # letters; such words are too common to stand for a quantity of one joint
 _BRACKET = re.compile(r"[\[(]\s*([^\])0-9{}]*)[\])]")  # a unit behind a name
 _UNITS = frozenset({"rad", "rads", "radians", "deg", "degs", "degrees", "grad", "nm", "amp", "s"})
-_DEGREES = frozenset({"deg", "degs", "degrees", "grad"})
+_DEGREES = frozenset({"deg", "degs", "degrees", "grad", "°"})
+_MILLIMETRES = frozenset({"mm"})
 
 
 @dataclass(frozen=True)
 class Guess:
-    """A guess by names: joints in order, `[channels]` patterns, and IMUs.
-
-    `degrees` where the names of the positions say so.
-    """
+    """A guess by names: joints in order, `[channels]` patterns, and IMUs."""
 
     joints: tuple[str, ...]
     patterns: Mapping[str, Columns] = field(default_factory=dict)
     imus: tuple[Imu, ...] = ()
 
     @property
-    def degrees(self) -> bool:
-        """Whether the positions' columns are called so."""
+    def unit(self) -> Literal["rad", "deg"]:
+        """Unit of the angles, as the names of the positions say."""
+        return "deg" if self._called(_DEGREES) else "rad"
+
+    @property
+    def length_unit(self) -> Literal["m", "mm"]:
+        """Unit of the lengths, as the names of the positions say."""
+        return "mm" if self._called(_MILLIMETRES) else "m"
+
+    def _called(self, units: frozenset[str]) -> bool:
+        """Whether the name of a position holds one of the units."""
         pattern = self.patterns.get("position", "")
-        first = pattern if isinstance(pattern, str) else str(pattern[0])
-        return "°" in first or bool(_DEGREES & set(_letters(first)))
+        names = [pattern] if isinstance(pattern, str) else map(str, pattern)
+        return any(units & {*_letters(name), *re.findall("°", name)} for name in names)
 
 
 def guess(survey: Survey) -> Guess:
@@ -87,13 +95,12 @@ def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str,
     numbered, named = _numbered(names), _named(names)
     positions = numbered.get("position", {})
     if positions:
-        numbers = max(positions.values(), key=lambda found: (_is_range(found), len(found)))
+        numbers = max(map(sorted, positions.values()), key=lambda ns: (_is_range(ns), len(ns)))
         patterns: dict[str, Columns] = {}
         for quantity, forms in numbered.items():
-            fits = {f: own for f, own in forms.items() if _serves(own, numbers)}
+            fits = [own for own in forms.values() if _serves(sorted(own), numbers)]
             if fits:
-                form = max(fits, key=lambda f: len(fits[f]))
-                patterns[quantity] = _index(form, fits[form], numbers)
+                patterns[quantity] = _index(max(fits, key=len), numbers)
         first = 1 if _is_range(numbers) else 0
         return patterns, tuple(
             f"joint_{k + 1 if first else number}" for k, number in enumerate(numbers)
@@ -117,10 +124,14 @@ def _serves(own: list[int], numbers: list[int]) -> bool:
     return set(own) >= set(numbers)
 
 
-def _index(form: str, own: list[int], numbers: list[int]) -> Columns:
-    if _is_range(own) and _is_range(numbers):
-        return form.replace("{#}", "{index0}" if own[0] == 0 else "{index}")
-    columns = tuple(form.replace("{#}", str(number)) for number in numbers)
+def _index(forms: Mapping[int, str], numbers: list[int]) -> Columns:
+    """Write the columns of the joints as one pattern where only their number differs."""
+    own = sorted(forms)
+    counted = _is_range(own) and _is_range(numbers)
+    own = own[: len(numbers)] if counted else numbers
+    if counted and len({forms[number] for number in own}) == 1:
+        return forms[own[0]].replace("{#}", "{index0}" if own[0] == 0 else "{index}")
+    columns = tuple(forms[number].replace("{#}", str(number)) for number in own)
     return columns[0] if len(columns) == 1 else columns
 
 
@@ -134,9 +145,12 @@ def _alone(names: list[str]) -> dict[str, Columns]:
     return found
 
 
-def _numbered(names: list[str], *, max_joints: int = 64) -> dict[str, dict[str, list[int]]]:
-    """Forms with `{#}` for the number, by quantity, with the numbers found."""
-    found: dict[str, dict[str, set[int]]] = {}
+def _numbered(names: list[str], *, max_joints: int = 64) -> dict[str, dict[str, dict[int, str]]]:
+    """Forms with `{#}` for the number, by quantity, their form without its unit, and number.
+
+    An arm may log one joint in degrees and another in mm.
+    """
+    found: dict[str, dict[str, dict[int, str]]] = {}
     for name in names:
         for match in re.finditer(r"[0-9]{1,3}", name):
             if any(a.start() < match.start() < a.end() for a in _BRACKET.finditer(name)):
@@ -144,9 +158,10 @@ def _numbered(names: list[str], *, max_joints: int = 64) -> dict[str, dict[str, 
             form = name[: match.start()] + "{#}" + name[match.end() :]
             quantity = _quantity(_words(form))
             if quantity:
-                found.setdefault(quantity, {}).setdefault(form, set()).add(int(match[0]))
+                forms = found.setdefault(quantity, {}).setdefault(_BRACKET.sub("", form), {})
+                forms.setdefault(int(match[0]), form)
     return {
-        quantity: {f: sorted(ns) for f, ns in forms.items() if len(ns) <= max_joints}
+        quantity: {f: own for f, own in forms.items() if len(own) <= max_joints}
         for quantity, forms in found.items()
     }
 
@@ -250,6 +265,6 @@ def stand_in(guessed: Guess, *, source: Path) -> Robot:
         imus=guessed.imus,
         channels=Channels(
             **guessed.patterns,  # type: ignore[arg-type]
-            unit="deg" if guessed.degrees else "rad",
+            unit=guessed.unit,
         ),
     )

@@ -4,7 +4,7 @@ import difflib
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,7 +17,7 @@ from seqid_cli.inspect.guess import WORDS, Guess, guess
 from seqid_cli.inspect.inspection import inspect_log, inspect_logs
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.tables.naming_schemes import find_scheme, time_names
-from seqid_cli.params.results.inspection import InspectedJoint, InspectionFinding
+from seqid_cli.params.results.inspection import InspectedJoint
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.toml.schema import Columns
 from seqid_cli.robot.toml.template import ImuTemplate, JointTemplate, RobotTemplate
@@ -78,11 +78,12 @@ def propose(
             raise InputError(first.message, hint=first.remedy, where=report.log.path)
     seen = _merged([joint for report in reports for joint in report.log.joints])
     pairs, chain = _matched(guessed.joints, urdf)
-    unit = _unit([f for report in reports for f in report.findings], degrees=guessed.degrees)
+    codes = {finding.code for report in reports for finding in report.findings}
+    units = _units(guessed, codes)
     found: list[tuple[str, UrdfJoint | None]] = [*pairs]
     found = found or [(log_name, None) for log_name in guessed.joints]
     joints = tuple(
-        _joint(log_name, joint, seen[log_name], degrees=bool(unit) and not guessed.degrees)
+        _joint(log_name, joint, seen[log_name], read_as=guessed.unit, units=units)
         for log_name, joint in found
     )
     joints = _driven(joints, drives)
@@ -99,7 +100,7 @@ def propose(
         urdf=urdf_path if pairs else None,
         effort=effort,
         imus=tuple(ImuTemplate(i.name, len(i.positions), i.gyro) for i in guessed.imus),
-        channels={**channels, **unit},
+        channels={**channels, **units},
         left_out=tuple(joint.name for joint in chain if joint.name not in taken),
     )
     return Proposal(template, (*unread, *_todo(template, guessed, pairs, urdf)))
@@ -122,10 +123,11 @@ def _driven(
     return joints
 
 
-def _unit(findings: Sequence[InspectionFinding], *, degrees: bool) -> dict[str, str]:
-    """Return the `[channels]` that say that angles are in degrees, by their names or sizes."""
-    found = degrees or any(finding.code == "position_in_degrees" for finding in findings)
-    return {"unit": "deg"} if found else {}
+def _units(guessed: Guess, codes: Container[str]) -> dict[str, str]:
+    """Return the units of `[channels]` that are not SI's, by names of columns or by findings."""
+    degrees = guessed.unit == "deg" or "position_in_degrees" in codes
+    unit = {"unit": "deg"} if degrees else {}
+    return unit | ({"length_unit": "mm"} if guessed.length_unit == "mm" else {})
 
 
 def with_gravity(
@@ -206,11 +208,20 @@ def _matched(
 
 
 def _joint(
-    log_name: str, joint: UrdfJoint | None, seen: InspectedJoint, *, degrees: bool
+    log_name: str,
+    joint: UrdfJoint | None,
+    seen: InspectedJoint,
+    *,
+    read_as: str,
+    units: Mapping[str, str],
 ) -> JointTemplate:
-    """Describe a joint; `degrees` where the inspection took its positions in deg for rad."""
-    if degrees and seen.encoder_step is not None:
-        seen = structs.replace(seen, encoder_step=math.radians(seen.encoder_step))
+    """Describe a joint, whose positions the inspection took for angles in `read_as`."""
+    if seen.encoder_step is not None:
+        angle = math.radians(1.0) if "unit" in units else 1.0
+        length = 1e-3 if "length_unit" in units else 1.0
+        factor = length if joint is not None and joint.kind == "prismatic" else angle
+        logged = math.degrees(seen.encoder_step) if read_as == "deg" else seen.encoder_step
+        seen = structs.replace(seen, encoder_step=factor * logged)
     if joint is None:
         return JointTemplate(log_name, encoder_step=seen.encoder_step, moves=seen.moves)
     limits = None
@@ -283,6 +294,8 @@ def _todo(
     todo: list[str] = []
     if "unit" in template.channels:
         todo.append('check unit = "deg" under [channels]: the angles look like degrees')
+    if "length_unit" in template.channels:
+        todo.append('check length_unit = "mm" under [channels]: so a position is called')
     if urdf is not None and pairs and template.left_out:
         names = ", ".join(template.left_out)
         todo.append(f"the log lacks joints of the URDF, taken as locked at zero: {names}")

@@ -1,4 +1,4 @@
-"""What a log's joint channels mean: angles in degrees, torque without gravity, voltage of a servo.
+"""What a log's joint channels mean: units, torque without gravity, voltage of a servo.
 
 A servo that logs its voltage u has the current i = (u - k_e w) / R, with the motor's speed
 w = gear_ratio dq and k_e = torque_constant in SI units; a duty cycle times the supply is its
@@ -10,19 +10,21 @@ import numpy as np
 from seqid_cli.logs.raw import Array, Stamps
 from seqid_cli.robot.types import Robot
 
-ANGLES = ("position", "velocity", "link_position")
+POSITIONS = ("position", "velocity", "link_position")
 
 
 def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str, Array]:
     """Turn joint channels (M, n) into the model's: rad, N m at the joint, A on the motor side.
 
-    `channels`: by quantity, as logged. `stamps` (M,) [ns]. `robot`: `unit` and `effort` under its
-    `[channels]`, and the motors' constants.
+    `channels`: by quantity, as logged. `stamps` (M,) [ns]. `robot`: `unit`, `length_unit` and
+    `effort` under its `[channels]`, and the motors' constants.
     """
     found = dict(channels)
-    if robot.channels.unit == "deg":
-        factor = np.array([1.0 if joint.prismatic else np.pi / 180.0 for joint in robot.joints])
-        found |= {name: found[name] * factor for name in ANGLES if name in found}
+    angle = np.pi / 180.0 if robot.channels.unit == "deg" else 1.0
+    length = 1e-3 if robot.channels.length_unit == "mm" else 1.0
+    if angle != 1.0 or length != 1.0:
+        factor = np.array([length if joint.prismatic else angle for joint in robot.joints])
+        found |= {name: found[name] * factor for name in POSITIONS if name in found}
     if robot.channels.effort == "gravity_compensated" and "torque" in found:
         found["torque"] = found["torque"] + _gravity(found["position"], robot)
     voltage, duty = found.pop("voltage", None), found.pop("pwm", None)

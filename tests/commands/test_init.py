@@ -308,6 +308,8 @@ def test_match_names_pairs_the_nearest_one_to_one() -> None:
          {"position": ("q2", "q3"), "current": ("i2", "i3")}, 2),
         (["time [s]", "a1 position [rad]", "a2 position [rad]"],
          {"position": "a{index} position [rad]"}, 2),
+        (["Zeit [s]", "Position A1 [°]", "Position A2 [mm]", "Strom A1 [A]", "Strom A2 [A]"],
+         {"position": ("Position A1 [°]", "Position A2 [mm]"), "current": "Strom A{index} [A]"}, 2),
         (["time", "q_des", "q_act", "tau"], {"position": "q_act", "torque": "tau"}, 1),
         (["time", "elbow/pos [deg]", "wrist/pos [deg]"], {"position": "{name}/pos [deg]"}, 2),
     ],
@@ -318,3 +320,43 @@ def test_channels_are_guessed_from_names(
     found, names = guess_channels(columns)
     assert found == patterns
     assert len(names) == joints
+
+
+def test_a_sliding_joint_in_mm_beside_a_turning_one_in_degrees(tmp_path: Path, rig: Rig) -> None:
+    """By the columns' own units; the encoder's step is written in m and rad."""
+    t = np.arange(0.0, 8.0, 0.01)
+    turn, slide = 0.01 * np.round(4e3 * np.sin(t)), 0.02 * np.round(2e3 * np.sin(0.7 * t))
+    rows = zip(t, turn, slide, strict=True)
+    lines = ["Zeit [s];Position Achse 1 [°];Position Achse 2 [mm];Moment Achse 1;Moment Achse 2"]
+    lines += [f"{a:.2f};{b:.2f};{c:.2f};1;2".replace(".", ",") for a, b, c in rows]
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    joints = "".join(
+        f'<link name="l{k}"/><joint name="Achse {k}" type="{kind}"><parent link="l{k - 1}"/>'
+        f'<child link="l{k}"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" velocity="9" effort="9"/></joint>'
+        for k, kind in ((1, "revolute"), (2, "prismatic"))
+    )
+    (tmp_path / "arm.urdf").write_text(f'<robot name="arm"><link name="l0"/>{joints}</robot>')
+    path = tmp_path / "new.toml"
+    done = rig.run(
+        "init", str(tmp_path / "log.csv"), "--urdf", str(tmp_path / "arm.urdf"), "-o", str(path)
+    )
+    assert done.code == 0, done.err
+    assert 'check length_unit = "mm"' in done.err
+    robot = load_robot(path)
+    steps = [joint.encoder_resolution for joint in robot.joints]
+    assert steps == pytest.approx([np.radians(0.01), 2e-5], rel=1e-4)
+    from seqid_cli.logs.read import read_recording
+
+    read = read_recording(tmp_path / "log.csv", robot)
+    np.testing.assert_allclose(read.q[:, 0], np.radians(turn), atol=1e-9)
+    np.testing.assert_allclose(read.q[:, 1], 1e-3 * slide, atol=1e-9)
+
+
+def test_the_log_that_is_named_first_says_which_imus_there_are(rig: Rig) -> None:
+    """In whatever order the names sort."""
+    log = log_with(rig.folder, {})
+    shutil.copy(rig.folder / log, rig.folder / "a.parquet")
+    shutil.copy(LOG, rig.folder / "b.parquet")
+    done = rig.run("init", "b.parquet", "a.parquet", "--urdf", "arm.urdf", "-o", "new.toml")
+    assert "to do: where IMU imu_a rides, and its layout" in done.err

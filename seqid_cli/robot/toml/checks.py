@@ -23,7 +23,8 @@ from seqid_cli.robot.toml.schema import Channels, EffectEntry, ImuEntry, JointEn
 
 _Problem = tuple[str, str]  # fault, hint
 _Rule = tuple[Callable[[float], bool], str]  # what a number must be, and that in words
-JOINT_CHANNELS = [n for n in Channels.__struct_fields__ if n not in ("time", "effort", "unit")]
+_OF_THE_LOG = ("time", "effort", "unit", "length_unit")  # not of each joint
+JOINT_CHANNELS = [n for n in Channels.__struct_fields__ if n not in _OF_THE_LOG]
 SMALLEST, LARGEST = 1e-12, 1e9  # in SI units, of any constant of a drive, of any number
 LEAST_AXIS = 1e-9  # length of an axis; a shorter one has no direction
 MOST_JOINTS = 16  # memory grows with the third power, the time of some checks with the fourth

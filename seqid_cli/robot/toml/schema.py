@@ -61,7 +61,8 @@ class ImuEntry(Table, frozen=True):
 class Channels(Table, frozen=True):
     """`[channels]`: names that a log uses instead of the default ones; None means the default.
 
-    `effort` says what it is; torque where it is not said. `unit` is that of the angles.
+    `effort` says what it is; torque where it is not said. `unit` is that of the angles,
+    `length_unit` that of sliding joints' positions.
     """
 
     time: str | int | None = None
@@ -76,6 +77,7 @@ class Channels(Table, frozen=True):
     temperature: Columns | None = None
     effort: Literal["torque", "current", "gravity_compensated"] | None = None
     unit: Literal["rad", "deg"] = "rad"
+    length_unit: Literal["m", "mm"] = "m"
 
 
 class EffectEntry(Table, frozen=True):

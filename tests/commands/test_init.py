@@ -329,7 +329,7 @@ def test_a_sliding_joint_in_mm_beside_a_turning_one_in_degrees(tmp_path: Path, r
     rows = zip(t, turn, slide, strict=True)
     lines = ["Zeit [s];Position Achse 1 [°];Position Achse 2 [mm];Moment Achse 1;Moment Achse 2"]
     lines += [f"{a:.2f};{b:.2f};{c:.2f};1;2".replace(".", ",") for a, b, c in rows]
-    (tmp_path / "log.csv").write_text("\n".join(lines))
+    (tmp_path / "log.csv").write_text("\n".join([*lines, ""]))
     joints = "".join(
         f'<link name="l{k}"/><joint name="Achse {k}" type="{kind}"><parent link="l{k - 1}"/>'
         f'<child link="l{k}"/><axis xyz="0 0 1"/>'

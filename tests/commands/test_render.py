@@ -11,8 +11,8 @@ from seqid_cli.commands.screen.layout import folded, format_table, shortened
 from seqid_cli.commands.screen.progress import ProgressLine
 from seqid_cli.commands.screen.render import number, percent
 from seqid_cli.commands.screen.show import verdict_text
-from seqid_cli.commands.screen.show_diagnosis import text_chart
-from seqid_cli.params.schema import Verdict
+from seqid_cli.commands.screen.show_diagnosis import parameters_text, text_chart
+from seqid_cli.params.schema import EffectOfJoint, Parameter, Verdict
 from seqid_cli.working import heard_by, step
 from tests import ROOT
 
@@ -164,3 +164,17 @@ def test_screens_of_80_columns_hold_every_number(
     numbers = {word for word in wide.split() if re.fullmatch(r"-?\d[\d.]*(e[-+]\d+)?", word)}
     assert len(numbers) > 3
     assert numbers <= set(narrow.split())
+
+
+def test_a_smooth_term_is_shown_by_what_it_depends_on() -> None:
+    """Its coefficients have no errors to state, its knots tell a person nothing."""
+    coefficients = [
+        Parameter(name=f"c_{k}", value=0.1, std_error=0.0, unit="N m", joint="elbow")
+        for k in range(12)
+    ]
+    settings: dict[str, str | float | int | bool] = {"depends_on": "load direction", "knot_0": 2.0}
+    effect = EffectOfJoint(
+        effect="unexplained", joint="elbow", parameters=coefficients, settings=settings
+    )
+    text = parameters_text(effect)
+    assert text == "a smooth function of load, direction, 12 coefficients without errors"

@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor
-from seqid_cli.model.effects.units import setting_units
+from seqid_cli.model.effects.units import UNEXPLAINED, setting_units, smooth_in_words
 from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis import (
@@ -107,6 +107,8 @@ def parameters_text(item: FindingEntry | EffectOfJoint) -> str:
     """Return the parameters of an effect with their errors, and its settings."""
     if not item.parameters:
         return "not determined by these logs"
+    if item.effect == UNEXPLAINED:
+        return smooth_in_words(item.parameters, item.settings)
     texts = [
         f"{x.name} {number(x.value)} +- {number(x.std_error, 2)}{_unit(x.unit)}"
         for x in item.parameters

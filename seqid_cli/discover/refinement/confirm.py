@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +20,6 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
 from seqid_cli.params.schema import ClosedLoop, JointRmse, RefinementRound, Stages
 from seqid_cli.shares import percent
-
-ASK = "diagnose says on what it depends, refine --with-unexplained adds a smooth term for it"
 
 
 def confirm(
@@ -54,6 +52,20 @@ def confirm(
     errors = errors if found.steps[1:] else errors[:1]
     logs = tuple(dict.fromkeys(str(log.path) for log in held_out))
     return _closed(found, rounds, errors, _floor(found, held_out), logs, (*notes, *more))
+
+
+def excess_note(times: Mapping[str, float], *, smooth: bool) -> tuple[str, ...]:
+    """Say which joints are left with more than noise, and what to do; nothing where none is.
+
+    `times`: how many times the noise floor each joint's error is. `smooth`: whether smooth terms
+    were allowed already.
+    """
+    said = [f"{name} ({x:.1f} times)" for name, x in times.items() if x > MORE_THAN_NOISE]
+    if not said:
+        return ()
+    ask = "diagnose says on what it depends"
+    ask += "" if smooth else ", refine --with-unexplained adds a smooth term for it"
+    return (f"more is left than torque noise and encoder account for: {', '.join(said)}; {ask}",)
 
 
 def _errors(
@@ -104,9 +116,8 @@ def _closed(
     changes = {names[j]: gain(before, after, [j]) for j in judged}
     lost = [f"{name} ({percent(-g.value)})" for name, g in changes.items() if g.loses]
     said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
-    excess = [j for j in judged if new[j] > MORE_THAN_NOISE * floor.rms[j]]
-    times = ", ".join(f"{names[j]} ({new[j] / floor.rms[j]:.1f} times)" for j in excess)
-    more = f"more is left than torque noise and encoder account for: {times}; {ASK}"
+    times = {names[j]: float(new[j] / floor.rms[j]) for j in judged}
+    more = excess_note(times, smooth=found.material.options.with_unexplained)
     return ClosedLoop(
         verdict="good" if all(told.confirmed for told in rounds if told.accepted) else "poor",
         rounds=[told for told in rounds if told.accepted],
@@ -121,7 +132,7 @@ def _closed(
             *found.notes,
             *notes,
             *((said,) if lost else ()),
-            *((more,) if excess else ()),
+            *more,
             *floor.doubts(new, names),
         ],
     )

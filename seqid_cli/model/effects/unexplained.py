@@ -18,11 +18,12 @@ import numpy as np
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import FACTORS, MEASURES, Axis, Factor, Measure, shape
+from seqid_cli.model.effects.units import UNEXPLAINED
 from seqid_cli.params.schema import EffectOfJoint, Parameter
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-NAME = "unexplained"
+NAME = UNEXPLAINED
 MOST_AXES = 2
 MOST_KNOTS = 64
 

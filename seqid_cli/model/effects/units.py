@@ -7,7 +7,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping, Sized
+
     from seqid_cli.typing import Array
+
+UNEXPLAINED = "unexplained"
 
 _TORQUE = re.compile(r"\bN m\b(?!\^)")
 _ANGLE = re.compile(r"\brad\b")
@@ -50,6 +54,15 @@ def setting_units(effect: str) -> dict[str, str]:
 
     settings = CATALOGUE[effect].settings if effect in CATALOGUE else ()
     return {setting.name: setting.unit for setting in settings}
+
+
+def smooth_in_words(coefficients: Sized, settings: Mapping[str, str | float | int | bool]) -> str:
+    """Say on what a smooth term that no effect explains depends; its numbers tell a person nothing.
+
+    `coefficients` and `settings` are those of its entry in a parameter file.
+    """
+    quantities = ", ".join(str(settings.get("depends_on", "")).split())
+    return f"a smooth function of {quantities}, {len(coefficients)} coefficients without errors"
 
 
 def amplitude_and_phase(

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from markupsafe import Markup
 
-from seqid_cli.model.effects.units import setting_units
+from seqid_cli.model.effects.units import UNEXPLAINED, setting_units, smooth_in_words
 from seqid_cli.params.results.diagnosis import FindingEntry
 from seqid_cli.params.results.tables import Head, Values, heads
 from seqid_cli.params.schema import EffectOfJoint, Parameter, RigidStage
@@ -186,6 +186,8 @@ def _effects(effects: Sequence[EffectOfJoint]) -> Group:
 
 def value_rows(item: EffectOfJoint | FindingEntry) -> list[tuple[str, ...]]:
     """Return the rows of an effect's parameters and settings, under `VALUE_HEADS`."""
+    if item.effect == UNEXPLAINED:
+        return [(smooth_in_words(item.parameters, item.settings), DASH, DASH, DASH, "")]
     rows = [value_row(effect_words(x.name), x.value, x.std_error, x.unit) for x in item.parameters]
     named, units = {x.name for x in item.parameters}, setting_units(item.effect)
     for name, setting in item.settings.items():

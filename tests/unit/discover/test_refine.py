@@ -11,7 +11,7 @@ import pytest
 
 from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refinement.confirm import confirm
+from seqid_cli.discover.refinement.confirm import confirm, excess_note
 from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, gain, gain_of
 from seqid_cli.discover.refinement.rounds import ALL_ALONG, LATE, quiet, refine
 from seqid_cli.discover.survey.events import Interval
@@ -182,3 +182,12 @@ def test_a_few_seconds_are_enough_for_a_large_effect(before: ParameterFile) -> N
     loop = confirm(found, changed("held_out"))
     assert [(r.effect, r.accepted) for r in loop.rounds] == [("spring", True)]
     assert loop.after["joint_1"].rmse < 0.6 * loop.before["joint_1"].rmse
+
+
+def test_smooth_terms_are_proposed_where_they_were_not_allowed_yet() -> None:
+    assert excess_note({"elbow": 1.1}, smooth=False) == ()
+    (asked,) = excess_note({"elbow": 5.0}, smooth=False)
+    assert "elbow (5.0 times)" in asked
+    assert "--with-unexplained" in asked
+    (allowed,) = excess_note({"elbow": 5.0}, smooth=True)
+    assert "--with-unexplained" not in allowed

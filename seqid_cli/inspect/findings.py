@@ -62,7 +62,7 @@ ERRORS: Mapping[str, str] = {
     "sensor_sign": "Flip its sign in the driver or in the log.",
 }
 WARNINGS: Mapping[str, str] = {
-    "salvaged": "Copy it again from the source; `mcap doctor` shows the damage.",
+    "salvaged": "Copy it again from the source; `mcap doctor` shows the damage of an MCAP file.",
     "torque_missing": "Record motor current (and give torque_constant and gear_ratio), or joint "
     "torque.",
     "values_missing": "Look for lost packets in the logger; missing samples are bridged by a "
@@ -103,7 +103,8 @@ WARNINGS: Mapping[str, str] = {
     "file.",
     "imu_channel_wrong": "Check its axis in the robot file, its scale and its offset.",
     "imu_not_moving": "Check that it is mounted where the robot file says, and its clock.",
-    "imu_delay": "Synchronise the clocks, or subtract the delay of the IMU's driver and filter.",
+    "imu_delay": "Up to 0.5 s seqid imu-calib measures it, and later stages take it off; beyond, "
+    "synchronise the clocks.",
     "gyro_scale": "Check its range setting.",
     "gyro_bias": "Calibrate its offset at rest.",
     "temperature_in_kelvin": "Subtract 273.15.",

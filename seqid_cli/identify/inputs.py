@@ -180,6 +180,8 @@ def _require(
         if name not in there:
             message = f"there is no {name} stage, which this command builds on"
             hint = f"Run seqid {_WRITTEN_BY[name]} first and give its result with -p."
+            if name == "inertia":
+                hint += " From logs of any motion, seqid simultaneous gives one."
             raise ConfigError(message, where=", ".join(name for name, _ in models), hint=hint)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
+from seqid_cli.model.effects.units import UNTOLD
 from seqid_cli.params.results.tables import Head, Values, heads, values
 from seqid_cli.params.schema import Verdict
 from seqid_cli.report.judgement import Judgement
@@ -62,7 +63,7 @@ VALUE_HEADS = heads(
 
 def value_row(name: str, value: float | None, error: float | None, unit: str) -> tuple[str, ...]:
     """Return the cells of an estimate under `VALUE_HEADS`; without an error it is fixed."""
-    if value is None or error is None:
+    if value is None or error is None or error >= UNTOLD:
         return name, "not determined", DASH, DASH, unit_text(unit)
     texts = with_error(value, error) if error > 0.0 else (number(value), "fixed")
     return name, *texts, interval(value, error), unit_text(unit)

@@ -323,4 +323,5 @@ def test_a_missing_stage(rig: Rig, library: Library, options: list[str]) -> None
     assert done.code == 2
     assert "p.json: there is no inertia stage" in done.err
     assert "Run seqid inertia first" in done.err
+    assert "From logs of any motion, seqid simultaneous gives one." in " ".join(done.err.split())
     assert library.calls == []

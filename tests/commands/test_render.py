@@ -178,3 +178,12 @@ def test_a_smooth_term_is_shown_by_what_it_depends_on() -> None:
     )
     text = parameters_text(effect)
     assert text == "a smooth function of load, direction, 12 coefficients without errors"
+
+
+def test_a_parameter_that_no_sample_shows_gets_no_number() -> None:
+    parameters = [
+        Parameter(name=name, value=0.5, std_error=error, unit="kg", joint="")
+        for name, error in (("payload_m", 1e150), ("payload_mx", 0.1))
+    ]
+    text = parameters_text(EffectOfJoint(effect="payload", joint=None, parameters=parameters))
+    assert text == "payload_mx 0.5 +- 0.1 kg, not determined: payload_m"

@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor
-from seqid_cli.model.effects.units import UNEXPLAINED, setting_units, smooth_in_words
+from seqid_cli.model.effects.units import UNEXPLAINED, UNTOLD, setting_units, smooth_in_words
 from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis import (
@@ -112,7 +112,10 @@ def parameters_text(item: FindingEntry | EffectOfJoint) -> str:
     texts = [
         f"{x.name} {number(x.value)} +- {number(x.std_error, 2)}{_unit(x.unit)}"
         for x in item.parameters
+        if x.std_error < UNTOLD
     ]
+    untold = [x.name for x in item.parameters if x.std_error >= UNTOLD]
+    texts += [f"not determined: {', '.join(untold)}"] if untold else []
     named, units = {x.name for x in item.parameters}, setting_units(item.effect)
     texts += [
         f"{name} {value if isinstance(value, str) else number(value)}{_unit(units.get(name, ''))}"

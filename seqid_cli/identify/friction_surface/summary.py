@@ -230,7 +230,7 @@ def _verdict(
     if errors[worst] > max_error:
         reason = (
             f"friction is known to {at} only; record more or longer trials there, or look at what "
-            "else moves the torque (seqid diagnose)"
+            "else moves the torque (seqid simultaneous, then seqid diagnose with its file)"
         )
         return Verdict(joint=name, good=False, reason=reason)
     overall = percent(joint.held_out_rmse / max(usual, 1e-12))

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from seqid_cli.typing import Array
 
 UNEXPLAINED = "unexplained"
+UNTOLD = 1e100  # standard error, from which on no sample shows a parameter
 
 _TORQUE = re.compile(r"\bN m\b(?!\^)")
 _ANGLE = re.compile(r"\brad\b")

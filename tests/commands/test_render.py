@@ -185,5 +185,8 @@ def test_a_parameter_that_no_sample_shows_gets_no_number() -> None:
         Parameter(name=name, value=0.5, std_error=error, unit="kg", joint="")
         for name, error in (("payload_m", 1e150), ("payload_mx", 0.1))
     ]
-    text = parameters_text(EffectOfJoint(effect="payload", joint=None, parameters=parameters))
-    assert text == "payload_mx 0.5 +- 0.1 kg, not determined: payload_m"
+    effect = EffectOfJoint(
+        effect="payload", joint=None, parameters=parameters, settings={"from_log": 2.0}
+    )
+    text = parameters_text(effect)
+    assert text == "payload_mx 0.5 +- 0.1 kg, from_log 2, not determined: payload_m"

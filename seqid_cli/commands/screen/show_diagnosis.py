@@ -114,14 +114,14 @@ def parameters_text(item: FindingEntry | EffectOfJoint) -> str:
         for x in item.parameters
         if x.std_error < UNTOLD
     ]
-    untold = [x.name for x in item.parameters if x.std_error >= UNTOLD]
-    texts += [f"not determined: {', '.join(untold)}"] if untold else []
     named, units = {x.name for x in item.parameters}, setting_units(item.effect)
     texts += [
         f"{name} {value if isinstance(value, str) else number(value)}{_unit(units.get(name, ''))}"
         for name, value in item.settings.items()
         if name not in named
     ]
+    untold = [x.name for x in item.parameters if x.std_error >= UNTOLD]
+    texts += [f"not determined: {', '.join(untold)}"] if untold else []
     return ", ".join(texts)
 
 

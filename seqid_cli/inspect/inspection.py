@@ -12,6 +12,7 @@ from seqid_cli.inspect.findings import found, located, verdict_of
 from seqid_cli.inspect.guess import guess, stand_in
 from seqid_cli.inspect.imu.readings import layout_findings
 from seqid_cli.inspect.material import read_log
+from seqid_cli.inspect.moves import serve_together
 from seqid_cli.inspect.parts import Gathered
 from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.contents import Survey, survey
@@ -53,6 +54,7 @@ def inspect_logs(
             on_progress(Progress("reading", done, len(paths), str(path)))
         inspected.append(_inspect_copy(path, robot, time_source))
     logs = [one.log for one in inspected]
+    logs = logs if robot is None else serve_together(logs)
     common = [*layout_findings(robot)] if robot is not None else []
     common += _duplicates(logs)
     findings = [*common, *(finding for one in inspected for finding in one.findings)]

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from msgspec.structs import replace
 
 from seqid_cli.inspect.channels.positions import top_speed
 from seqid_cli.inspect.channels.values import lattice
@@ -10,7 +11,12 @@ from seqid_cli.inspect.imu.motion import Following
 from seqid_cli.inspect.imu.readings import force_of, rest_rows
 from seqid_cli.inspect.material import LogData, Mask
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
-from seqid_cli.params.results.inspection import InspectedImu, InspectedJoint, InspectedMoves
+from seqid_cli.params.results.inspection import (
+    InspectedImu,
+    InspectedJoint,
+    InspectedLog,
+    InspectedMoves,
+)
 from seqid_cli.robot.types import Array, Robot
 
 
@@ -147,7 +153,7 @@ def serves(
         ways = {np.sign(s.velocity) for s in mine}
         if not torque or len(ways) < 2:
             continue
-        if _speeds(mine) >= min_speeds:
+        if _speeds([abs(s.velocity) for s in mine]) >= min_speeds:
             stages.append("friction")
         if robot.gravity.any() and (len(_postures(mine, j)) > 1 or _is_slow(robot, j, mine)):
             stages.append("gravity")
@@ -158,9 +164,36 @@ def serves(
     return tuple(dict.fromkeys(stages))
 
 
-def _speeds(stretches: list[Stretch], *, different: float = 1.25) -> int:
+def serve_together(logs: Sequence[InspectedLog], *, min_speeds: int = 3) -> list[InspectedLog]:
+    """Add `friction` to logs that serve it together, such as one log per speed.
+
+    That is of joints for which no log serves it by itself: logs that hold at least one speed of
+    such a joint, both ways, with its torque. Together they need `min_speeds`.
+    """
+    alone = {m.joint for log in logs if "friction" in log.serves for m in log.moves}
+    speeds: dict[str, list[float]] = {}
+    for log in logs:
+        for move in _both_ways(log):
+            speeds.setdefault(move.joint, []).extend((move.slowest, move.fastest))
+    added = {j for j, own in speeds.items() if j not in alone and _speeds(own) >= min_speeds}
+    return [
+        replace(log, serves=["friction", *log.serves])
+        if any(move.joint in added for move in _both_ways(log)) and "friction" not in log.serves
+        else log
+        for log in logs
+    ]
+
+
+def _both_ways(log: InspectedLog) -> list[InspectedMoves]:
+    """Moves at constant speed, both ways, of joints with a torque."""
+    driven = {joint.name for joint in log.joints if joint.effort}
+    return [m for m in log.moves if m.forward and m.backward and m.joint in driven]
+
+
+def _speeds(speeds: Sequence[float], *, different: float = 1.25) -> int:
+    """Count the speeds that differ."""
     count, last = 0, 0.0
-    for speed in sorted(abs(s.velocity) for s in stretches):
+    for speed in sorted(speeds):
         if speed > different * last:
             count, last = count + 1, speed
     return count

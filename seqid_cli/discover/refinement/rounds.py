@@ -225,9 +225,7 @@ class Outcome:
 
 def _try(loop: Loop, found: Investigation, taken: Taken) -> bool:
     """Fit the model with one effect more; keep it if that helps."""
-    candidate = _what(taken)
-    account = _account(loop, found, candidate)
-    outcome = _outcome(loop, account, taken)
+    account, outcome = _account(loop, found, taken)
     told = _shown(loop, _told(loop, taken, account, outcome), found, taken)
     if outcome.accepted:
         loop.accept(told, account)
@@ -236,22 +234,28 @@ def _try(loop: Loop, found: Investigation, taken: Taken) -> bool:
     return outcome.accepted
 
 
-def _account(loop: Loop, found: Investigation, candidate: Candidate) -> Account:
-    """Whether an effect was there all along, or came late.
+def _account(loop: Loop, found: Investigation, taken: Taken) -> tuple[Account, Outcome]:
+    """Whether an effect was there all along, or came late, and what the model with it does.
 
     What is in the logs that the file was identified from was there all along. Else the account
-    holds that explains the logs of all stages better. Where those of the file are not at hand, it
-    was there all along if the selection had to let the base leave the file.
+    holds that explains the logs of all stages better. It came late where the selection had not to
+    let the base leave the file and the file's logs are not at hand, or where it is refused then:
+    nothing speaks for what costs every stage again.
     """
-    every, late = (*candidates_of_model(loop.model.effects), candidate), loop.model.late
+    candidate, late = _what(taken), loop.model.late
+    every = (*candidates_of_model(loop.model.effects), candidate)
     early = Account(loop, every, late, kept=False)
     after = Account(loop, every, late | {candidate.key}, kept=True)
-    if loop.material.known:
-        return early
-    if not loop.logs_before:
-        return early if found.model.hold.doubt(found.ground.n) else after
+    held = not found.model.hold.doubt(found.ground.n)
+    if not loop.material.known and held:
+        outcome = _outcome(loop, after, taken)
+        if not (loop.logs_before and outcome.accepted):
+            return after, outcome
+    if loop.material.known or not loop.logs_before:
+        return early, _outcome(loop, early, taken)
     change = gain(early.everywhere, after.everywhere, range(loop.material.robot.n))
-    return after if change.value > 0.0 else early
+    account = after if change.value > 0.0 else early
+    return account, _outcome(loop, account, taken)
 
 
 def _outcome(loop: Loop, account: Account, taken: Taken) -> Outcome:

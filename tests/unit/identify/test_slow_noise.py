@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -13,6 +15,7 @@ pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
 
+DATA = Path(__file__).parent / "data"
 THETA = np.array([0.5, -0.2])
 RATE, SECONDS, TRIALS, ROWS = 100.0, 3.0, 24, 8
 
@@ -60,6 +63,16 @@ def rms_z(coloured: float, offset: float) -> tuple[float, float]:
     ours = np.array([standardised(rows) for rows in found])
     white = np.array([plain(rows) for rows in found])
     return float(np.sqrt(np.mean(ours**2))), float(np.sqrt(np.mean(white**2)))
+
+
+def test_an_offset_that_warms_up_is_no_gravity() -> None:
+    # A simulated pendulum of mx 0.039, mz -0.286 kg m; its torque has an offset of up to 0.3 N m.
+    with np.load(DATA / "warming_pendulum.npz") as file:
+        rows = Rows(**file)
+    white, truth = whitener_of(rows), np.array([0.039, -0.286])
+    A, y = white(rows.H), white(rows.y)
+    cov = np.linalg.inv(A.T @ A)
+    assert np.all(np.abs(cov @ A.T @ y - truth) < 4.0 * np.sqrt(np.diag(cov)))
 
 
 def test_white_noise_stays_white() -> None:

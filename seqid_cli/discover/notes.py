@@ -11,7 +11,7 @@ from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.spectra import DETAIL
 from seqid_cli.discover.select.results import Options
-from seqid_cli.discover.select.rows import weights_of
+from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import smooth_terms
 from seqid_cli.discover.survey.rows import extrapolated
@@ -138,8 +138,7 @@ def _fits_worse(found: Investigation, joint: int) -> bool:
         np.bincount(rows.block[joint], weights=left[joint] ** 2, minlength=rows.blocks)
         for left in (found.model.linear.left_out, found.ground.base.y)
     )
-    lost = weights_of(rows.blocks) @ (free - (1.0 + told.improvement) * file)
-    return float(np.mean(lost <= 0.0)) <= told.doubt
+    return doubt_of(free - (1.0 + told.improvement) * file) <= told.doubt
 
 
 def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[str, ...]:

@@ -105,14 +105,10 @@ def with_own_cutoffs(
     """
     if options.motion.origin == "as given":
         return options
-    alone = [log for log in logs if _chooses_less(estimate_motion(log, robot, options.motion))]
+    alone = [x for x in logs if estimate_motion(x, robot, options.motion).cutoff.above_own]
     scenes = scenes_of(alone, robot, stages, options=options) if alone else []
     own = {log.sha256 for log, scene in zip(alone, scenes, strict=True) if _is_coarse(log, scene)}
     return replace(options, motion=replace(options.motion, own=options.motion.own | own))
-
-
-def _chooses_less(motion: Motion) -> bool:
-    return motion.cutoff.alone_hz is not None and motion.cutoff.alone_hz < motion.cutoff.hz
 
 
 def _is_coarse(log: Recording, scene: Scene, *, most: float = Options.improvement) -> bool:

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.stats import t as student_t
 
 from seqid_cli.discover.noise.level import LEVEL
-from seqid_cli.discover.select.rows import weights_of
+from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, local_effects, predict
@@ -226,7 +226,7 @@ def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> 
 def doubt(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> float:
     """Probability that nothing is gained, over drawn weights of the blocks, as selection has it."""
     old, new = _weighed(before, after, joints)
-    return float(np.mean(weights_of(len(old)) @ (old - new) <= 0.0))
+    return doubt_of(old - new)
 
 
 def _weighed(

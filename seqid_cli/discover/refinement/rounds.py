@@ -246,12 +246,13 @@ def _account(loop: Loop, found: Investigation, taken: Taken) -> tuple[Account, O
     every = (*candidates_of_model(loop.model.effects), candidate)
     early = Account(loop, every, late, kept=False)
     after = Account(loop, every, late | {candidate.key}, kept=True)
-    held = not found.model.hold.doubt(found.ground.n)
-    if not loop.material.known and held:
+    if loop.material.known:
+        return early, _outcome(loop, early, taken)
+    if not found.model.hold.doubt(found.ground.n):
         outcome = _outcome(loop, after, taken)
         if not (loop.logs_before and outcome.accepted):
             return after, outcome
-    if loop.material.known or not loop.logs_before:
+    if not loop.logs_before:
         return early, _outcome(loop, early, taken)
     change = gain(early.everywhere, after.everywhere, range(loop.material.robot.n))
     account = after if change.value > 0.0 else early

@@ -151,6 +151,11 @@ def weights_of(blocks: int) -> Array:
     return np.random.default_rng(SEED).exponential(size=(DRAWS, blocks))
 
 
+def doubt_of(gains: Array) -> float:
+    """Probability that gains of blocks (B,) come to nothing, over drawn weights of the blocks."""
+    return float(np.mean(weights_of(len(gains)) @ gains <= 0.0))
+
+
 def scatter(values: Array) -> float:
     """Standard error of the sum of independent values (blocks,)."""
     if len(values) < 2:

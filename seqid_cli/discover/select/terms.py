@@ -86,9 +86,9 @@ def smooth_terms(rows: Rows, joint: int, size: Array, *, products: bool = False)
     """
     key = f"smooth {'products' if products else 'terms'} {joint}"
     if key not in rows.made:
-        functions = (smooth_products if products else smooth_functions)(rows, joint)
-        counts = rows.count(joint) > 0
-        rows.made[key] = [_smooth_term(rows, one, size) for one in functions if counts]
+        functions = smooth_products if products else smooth_functions
+        made = functions(rows, joint) if rows.count(joint) else []
+        rows.made[key] = [_smooth_term(rows, one, size) for one in made]
     found = rows.made[key]
     assert isinstance(found, list)
     return found

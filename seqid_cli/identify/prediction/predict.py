@@ -122,8 +122,7 @@ def encoder_notes(
 
     Torque that noise of the acceleration makes is taken at so many `places` of the log.
     """
-    own = motion.cutoff.alone_hz
-    if motion.source != "encoder" or own is None or own >= motion.cutoff.hz:
+    if motion.source != "encoder" or not motion.cutoff.above_own:
         return
     q = motion.q[:: max(1, motion.samples // places)]
     still = np.zeros_like(q)
@@ -143,7 +142,8 @@ def encoder_notes(
     if loud:
         yield (
             f"at {motion.cutoff.hz:.3g} Hz noise of the encoders makes the error of "
-            f"{', '.join(loud)}, for which no model is to blame: --cutoff {own:.3g} suits them"
+            f"{', '.join(loud)}, for which no model is to blame: "
+            f"--cutoff {motion.cutoff.alone_hz:.3g} suits them"
         )
 
 

@@ -61,6 +61,11 @@ class Cutoff:
         return np.asarray(np.sqrt(differentiated_error(self.noise_density, self.hz)))
 
     @property
+    def above_own(self) -> bool:
+        """Whether it is another's choice, and higher than the encoders alone would have chosen."""
+        return self.alone_hz is not None and self.alone_hz < self.hz
+
+    @property
     def encoder_noise(self) -> Array:
         """The same (n,) rad/s^2 below the cut-off that the encoders alone would have chosen."""
         hz = self.hz if self.alone_hz is None else self.alone_hz

@@ -10,7 +10,10 @@ from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import listening, show_stage
 
 Offset = Annotated[
-    bool, typer.Option("--offset", help="Give each joint's friction a constant torque besides.")
+    bool,
+    typer.Option(
+        "--offset/--no-offset", help="Give each joint a constant torque besides friction."
+    ),
 ]
 EXAMPLES = (
     "seqid simultaneous sample_logs/six_joint/inertia -r sample_logs/six_joint/robot.toml"
@@ -27,7 +30,7 @@ def run(
     robot: opt.RobotPath,
     parameters: opt.OptionalParameters = None,
     output: opt.Output = None,
-    offset: Offset = False,
+    offset: Offset = True,
     motion: opt.MotionSource = "auto",
     cutoff: opt.Cutoff = None,
     time: opt.Clock = "header",

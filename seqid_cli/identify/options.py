@@ -50,9 +50,9 @@ class RigidOptions(LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class SimultaneousOptions(RigidOptions):
-    """With `offset` each joint's friction has a constant torque besides."""
+    """`offset` says whether each joint's friction has a constant torque besides."""
 
-    offset: bool = False
+    offset: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)

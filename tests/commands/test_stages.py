@@ -74,7 +74,7 @@ def test_the_other_stages_build_on_what_was_there(
 def test_simultaneous(rig: Rig, reader: Reader, identified: Replace, offset: bool) -> None:
     found = (friction_stage(), rigid_stage())
     calls = identified("rigid.simultaneous", "identify_simultaneous", found)
-    assert rig.run("simultaneous", *COMMON, *(["--offset"] if offset else [])).code == 0
+    assert rig.run("simultaneous", *COMMON, *([] if offset else ["--no-offset"])).code == 0
     assert calls[-1] is offset
     stages = read_parameters(rig.folder / "out.json").stages
     assert stages.friction is not None

@@ -1,9 +1,10 @@
 """The classical way (Eq. 5-6): rigid body, Coulomb and viscous friction in one least squares.
 
-    tau = H(q, dq, ddq) pi + F_c sign(dq) + F_v dq (+ F_o)
+    tau = H(q, dq, ddq) pi + F_c sign(dq) + F_v dq + F_o
 
-for comparison with the sequential way, and for logs that hold no single-joint trials. The result is
-written as a friction stage of orders (0, 1) and an inertia stage with all base parameters, so that
+for comparison with the sequential way, and for logs that hold no single-joint trials. F_o is a
+constant torque per joint, as a current sensor's zero or a warm drive leaves it. Without it, base
+parameters stand in for it and are wrong beyond their errors. The result is written as a friction stage of orders (0, 1) and an inertia stage with all base parameters, so that
 every later command reads it like any other file.
 """
 
@@ -27,6 +28,7 @@ from seqid_cli.identify.regression.least_squares import Accumulator, Solution, s
 from seqid_cli.identify.rigid.parameters import residual_share, rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior, constant_moves
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.units import UNTOLD, unit_of
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import known_rotors, sliding
 from seqid_cli.motion.motion import Motion
@@ -44,7 +46,7 @@ def identify_simultaneous(
     robot: Robot,
     *,
     options: MotionOptions,
-    offset: bool = False,
+    offset: bool = True,
     imu: schema.ImuStage | None = None,
     source: str = "auto",
 ) -> tuple[schema.FrictionStage, schema.RigidStage]:
@@ -53,7 +55,7 @@ def identify_simultaneous(
     Parameters
     ----------
     offset : bool
-        Whether each joint has a constant torque F_o besides.
+        Whether each joint has the constant torque F_o.
     source : {"auto", "encoder", "imu", "fused"}
         Where motion comes from.
 
@@ -105,7 +107,7 @@ def _speed(motion: Motion) -> Array:
 class SimultaneousEquations:
     """Accumulates [H, friction columns | tau] of every joint; `width` (n,) is the sign's."""
 
-    def __init__(self, robot: Robot, basis: Basis, width: Array, *, offset: bool = False) -> None:
+    def __init__(self, robot: Robot, basis: Basis, width: Array, *, offset: bool) -> None:
         self.robot, self.basis, self.width = robot, basis, width
         self.terms = TERMS if offset else TERMS[:2]
         size = basis.size + len(self.terms) * robot.n
@@ -158,7 +160,7 @@ class SimultaneousEquations:
         posterior = Posterior(solution.covariance, {}, moves)
         moved = [j for j in range(robot.n) if self.joints[j].samples]
         named = " and ".join(", ".join(name for name, _ in self.terms).rsplit(", ", 1))
-        note = f"{named} friction from one least squares with the rigid body (Eq. 5-6)"
+        note = f"friction ({named}) from one least squares with the rigid body (Eq. 5-6)"
         cutoff = float(np.median(self.cutoffs)) if self.cutoffs else None
         friction = schema.FrictionStage(
             joints={robot.joint_names[j]: self._joint(j, solution, posterior) for j in moved},
@@ -179,18 +181,35 @@ class SimultaneousEquations:
             motion_use=self.uses,
             cutoff_hz=cutoff,
             verdicts=self._verdicts(solution, missing),
-            notes=["not excited by these logs: " + "; ".join(missing)] if missing else [],
+            notes=self._notes(solution, missing),
         )
         return friction, rigid
+
+    def _notes(self, solution: Solution, missing: list[str]) -> list[str]:
+        """What is not excited, and what to do where offsets are among it."""
+        notes = ["not excited by these logs: " + "; ".join(missing)] if missing else []
+        free = [
+            name
+            for name, joint, own in zip(self.robot.joint_names, self.joints, self.own, strict=True)
+            if joint.samples and not solution.determined[own][2:].all()
+        ]
+        if free:
+            notes.append(
+                f"the offset of {', '.join(free)} is not told apart from other torques: "
+                "record wider moves, or leave offsets out (--no-offset)"
+            )
+        return notes
 
     def _joint(self, j: int, solution: Solution, posterior: Posterior) -> schema.FrictionJoint:
         """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
         own, fast, sigma = self.own[j], float(self.fastest[j]), float(solution.sigma[j])
+        slides = self.robot.joints[j].prismatic
         values = solution.theta[own]
         ahead, back = surface_entries(fast, len(self.terms))
         directional = len(self.terms) == len(TERMS)
         both = np.vstack([ahead, back]) if directional else ahead
         errors = np.sqrt(np.maximum(np.diag(posterior.stated)[own], 0.0))
+        errors[~solution.determined[own]] = UNTOLD
         return schema.FrictionJoint(
             position_order=0,
             velocity_order=1,
@@ -206,7 +225,9 @@ class SimultaneousEquations:
             torque_constant_error=self.robot.joints[j].torque_constant_error,
             speeds=[schema.SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
             parameters=[
-                schema.Parameter(name=n, value=float(v), std_error=float(e), unit=u)
+                schema.Parameter(
+                    name=n, value=float(v), std_error=float(e), unit=unit_of(u, slides)
+                )
                 for (n, u), v, e in zip(self.terms, values, errors, strict=True)
             ],
         )

@@ -67,12 +67,12 @@ def simultaneous(
     imu: ImuStage | None = None,
     motion: MotionOptions | None = None,
 ) -> Stages:
-    """Everything in one least squares, with Coulomb and viscous friction.
+    """Everything in one least squares, with Coulomb and viscous friction alone (Eq. 5-6).
 
     With `imu` the prediction has the same motion to go by as that of the sequential way.
     """
     options = motion or MotionOptions()
-    friction, inertia = identify_simultaneous(recordings, robot, options=options)
+    friction, inertia = identify_simultaneous(recordings, robot, options=options, offset=False)
     return Stages(friction=friction, imu=imu, inertia=inertia)
 
 

@@ -33,11 +33,11 @@ def robot() -> Robot:
     return replace(plain, joints=tuple(replace(j, rotor_inertia=0.0) for j in plain.joints))
 
 
-def record(seed: int, seconds: float = 60.0) -> Recording:
-    """Exact inverse dynamics with the classical friction, on one Fourier series."""
+def record(seed: int, seconds: float = 60.0, half: float = 2.0) -> Recording:
+    """Exact inverse dynamics with the classical friction, on one Fourier series of +-`half` rad."""
     rng = np.random.default_rng(seed)
-    high = np.full(6, 2.0)
-    motion = fourier(rng, -high, high, high, 4 * high, seconds=seconds, harmonics=25, rate_hz=RATE)
+    end, top = np.full(6, half), np.full(6, 2.0)
+    motion = fourier(rng, -end, end, top, 4 * top, seconds=seconds, harmonics=25, rate_hz=RATE)
     arm = robot()
     tau = inverse_dynamics(arm.chain, arm.gravity, PHI, motion.q, motion.dq, motion.ddq)
     tau += COULOMB * np.sign(motion.dq) + VISCOUS * motion.dq + OFFSET
@@ -49,9 +49,7 @@ def record(seed: int, seconds: float = 60.0) -> Recording:
 @pytest.fixture(scope="module")
 def stages() -> Stages:
     logs = [record(1), record(2)]
-    friction, inertia = identify_simultaneous(
-        logs, robot(), options=MotionOptions(8.0), offset=True
-    )
+    friction, inertia = identify_simultaneous(logs, robot(), options=MotionOptions(8.0))
     return Stages(friction=friction, inertia=inertia)
 
 
@@ -81,6 +79,28 @@ def test_a_new_motion_is_predicted_to_the_noise(stages: Stages) -> None:
     found = list(predict([record(3, 20.0)], robot(), stages, options=options))
     # White noise below the cut-off; reversals, where the sign is smoothed, come on top.
     assert (rmse(found) < 1.5 * NOISE * np.sqrt(2 * 8.0 / RATE) + 0.05).all()
+
+
+@pytest.mark.parametrize("offset", [True, False])
+def test_offsets_do_not_go_into_the_base_parameters(*, offset: bool) -> None:
+    """On short moves of one posture gravity takes what offsets would, and is sure of it."""
+    plain, options = record(1, 30.0, 0.5), MotionOptions(8.0)
+    assert plain.tau is not None
+    found = [
+        identify_simultaneous([log], robot(), options=options, offset=offset)[1].parameters
+        for log in (plain, replace(plain, tau=plain.tau + 0.5))
+    ]
+    moves = np.array([b.value - a.value for a, b in zip(*found, strict=True)])
+    errors = np.array([b.std_error for b in found[1]])
+    assert bool((np.abs(moves) < 1e-6 * errors).all()) is offset
+    assert bool((np.abs(moves) > errors).any()) is not offset
+
+
+def test_offsets_that_moves_do_not_tell_from_gravity_are_named() -> None:
+    log = record(1, 30.0, 0.005)
+    _, inertia = identify_simultaneous([log], robot(), options=MotionOptions(8.0))
+    assert any("--no-offset" in note for note in inertia.notes), inertia.notes
+    assert not all(verdict.good for verdict in inertia.verdicts)
 
 
 def test_joints_that_rest_are_named() -> None:

@@ -4,8 +4,9 @@
 
 for comparison with the sequential way, and for logs that hold no single-joint trials. F_o is a
 constant torque per joint, as a current sensor's zero or a warm drive leaves it. Without it, base
-parameters stand in for it and are wrong beyond their errors. The result is written as a friction stage of orders (0, 1) and an inertia stage with all base parameters, so that
-every later command reads it like any other file.
+parameters stand in for it and are wrong beyond their errors. The result is written as a friction
+stage of orders (0, 1) and an inertia stage with all base parameters, so that every later command
+reads it like any other file.
 """
 
 from collections.abc import Iterable

@@ -24,7 +24,7 @@ _SAID: tuple[tuple[str, str], ...] = (
     (r"header stamps? .*zero|have no header stamp|without a usable time", "stamps_zero"),
     (r"cannot resolve less than", "time_resolution"),
     (r"are infinite or beyond", "values_absurd"),
-    (r"last line has no end", "salvaged"),
+    (r"last line has no end and", "salvaged"),
     (r"position wraps by whole turns", "position_wraps"),
     (r"cannot be turned into torque", "drive_data_missing"),
     (r"do not overlap|covers \d+ % of the joints", "imu_no_overlap"),

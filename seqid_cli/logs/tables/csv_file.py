@@ -12,12 +12,14 @@ import pyarrow.csv as pc
 from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.tables.columns import ARROW_ERRORS
-from seqid_cli.logs.tables.csv_form import MISSING, CsvForm, read_form
+from seqid_cli.logs.tables.csv_form import MISSING, CsvForm, is_number, read_form
 from seqid_cli.logs.tables.naming_schemes import stamp_parts, time_names
 from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
 
 _BLOCK = 8 << 20  # bytes; no line can be longer
+_TAIL = 64 << 10  # bytes that tell what numbers a column has
+_CUT = "the last line has no end and its last number too few digits: cut short, it is left out"
 _RAGGED_SHARE = 0.01  # of the lines, that may be left out
 _RAGGED_KEPT = 1000
 _MISSING = sorted({form for word in MISSING for form in (word, word.upper(), word.capitalize())})
@@ -43,21 +45,21 @@ class _Ragged:
 
 @dataclass(frozen=True, kw_only=True)
 class CsvTable(TableFile):
-    """An opened CSV file; `ended` says whether its last line has an end."""
+    """An opened CSV file; `size` bytes of it are whole lines, all of them if that is None."""
 
     form: CsvForm
-    ended: bool = True
+    size: int | None = None
 
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns as one table; lines with another number of fields are left out and counted.
 
-        Raises InputError: text where a number belongs, a line without end, or too many damaged
-        lines.
+        Raises InputError: text where a number belongs, a line that is too long, or too many
+        damaged lines.
         """
         places = {name: self.names.index(name) for name in columns}
         parsed = self._parse(places, threads=True)
         if isinstance(parsed, pa.Table) and not _texts(parsed):
-            yield self._ended(parsed), ""
+            yield parsed, ""
             return
         ragged = _Ragged()
         parsed = self._parse(places, threads=False, ragged=ragged)
@@ -66,11 +68,7 @@ class CsvTable(TableFile):
             parsed = again if isinstance(again, BaseException) else parsed
         if not isinstance(parsed, pa.Table):
             raise self._fault(parsed)
-        yield self._ended(parsed), self._partial(ragged, parsed.num_rows)
-
-    def _ended(self, table: pa.Table) -> pa.Table:
-        """Leave out the last row where its line does not end, unless there is no other."""
-        return table if self.ended else table.slice(0, max(1, table.num_rows - 1))
+        yield parsed, self._partial(ragged, parsed.num_rows)
 
     def _parse(
         self,
@@ -87,7 +85,7 @@ class CsvTable(TableFile):
         timed = {self.names.index(name) for name in places if not numeric and self._is_time(name)}
         try:
             table = pc.read_csv(
-                self.path,
+                self._source(),
                 pc.ReadOptions(
                     use_threads=threads,
                     block_size=_BLOCK,
@@ -110,6 +108,11 @@ class CsvTable(TableFile):
             return error
         arrays = {name: table.column(f"c{place}") for name, place in places.items()}
         return pa.table(arrays)
+
+    def _source(self) -> Path | pa.BufferReader:
+        if self.size is None:
+            return self.path
+        return pa.BufferReader(pa.memory_map(str(self.path)).read_buffer(self.size))
 
     def _is_time(self, name: str) -> bool:
         """Tell whether Arrow may find out the type itself: seconds, counts or a calendar time."""
@@ -164,17 +167,37 @@ def read_blocks(
 ) -> Iterator[RawLog]:
     """Read a CSV log as one block; see `read_table`. A line has one time."""
     del time_source
-    ended = _ends(path)
-    notes = () if ended else ("the last line has no end: it may be cut short, and is left out",)
     form = read_form(path)
-    file = CsvTable(path, form.names, notes=notes, form=form, ended=ended)
-    return read_table(file, robot, rows)
+    size = _before_cut(path, form)
+    notes = () if size is None else (_CUT,)
+    return read_table(CsvTable(path, form.names, notes=notes, form=form, size=size), robot, rows)
 
 
-def _ends(path: Path) -> bool:
+def _before_cut(path: Path, form: CsvForm, *, rare: float = 0.05) -> int | None:
+    """Bytes before a last line that stops within its last number; None where it is whole.
+
+    A line without an end is cut where its last number is none, or has as few decimals as only the
+    share `rare` of those above it have. Arrow itself tells lines with fewer fields.
+    """
     with path.open("rb") as file:
-        file.seek(max(0, file.seek(0, os.SEEK_END) - 4))
-        return file.read().rstrip(b"\0")[-1:] in (b"\n", b"\r", b"")  # of UTF-16 as well
+        size = file.seek(0, os.SEEK_END)
+        begin = file.seek(max(0, size - _TAIL))
+        *above, last = re.split(rb"\r\n|\n|\r", file.read())
+    fields = last.split(form.delimiter.encode())
+    rows = [line.split(form.delimiter.encode()) for line in above[1 if begin else form.skip :]]
+    usual = sorted(_decimals(row[-1], form.decimal) for row in rows if len(row) == len(fields))
+    if not last or not usual:
+        return None
+    fewest = usual[int(rare * len(usual))]
+    return size - len(last) if _decimals(fields[-1], form.decimal) < fewest else None
+
+
+def _decimals(field: bytes, mark: str) -> int:
+    """Characters after the decimal mark, or of a whole number; 0 of a missing one, -1 of text."""
+    text = field.decode("latin-1").strip().strip('"')
+    if text.lower() in MISSING:
+        return 0
+    return len(text.rpartition(mark)[2]) if is_number(text) else -1
 
 
 def list_columns(path: Path) -> tuple[list[str], int]:

@@ -135,10 +135,11 @@ def nameless(names: Sequence[str]) -> bool:
 
 def _all_numbers(line: str) -> bool:
     fields = [field for field in re.split(r"[,;\t ]+", line) if field]
-    return bool(fields) and all(_is_number(field) for field in fields)
+    return bool(fields) and all(is_number(field) for field in fields)
 
 
-def _is_number(field: str) -> bool:
+def is_number(field: str) -> bool:
+    """Tell whether a field is a number, with a decimal point or comma, in quotes or not."""
     stripped = field.strip().strip('"')
     return bool(_NUMBER.fullmatch(stripped) or _DECIMAL_COMMA.fullmatch(stripped))
 
@@ -177,15 +178,15 @@ def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
 
 
 def _require_numbers(row: Sequence[str], names: int, delimiter: str, line: int, where: str) -> None:
-    if delimiter == "," and names < len(row) <= 2 * names and all(map(_is_number, row)):
+    if delimiter == "," and names < len(row) <= 2 * names and all(map(is_number, row)):
         raise InputError(
             f"line {line} has {len(row)} numbers for {names} names: they seem to have decimal "
             "commas",
             hint="Write numbers with a decimal point, or separate the columns by semicolons.",
             where=where,
         )
-    numeric = [field for field in row if _is_number(field) or field.strip().lower() in MISSING]
-    if not any(_is_number(field) for field in numeric):
+    numeric = [field for field in row if is_number(field) or field.strip().lower() in MISSING]
+    if not any(is_number(field) for field in numeric):
         message = f"line {line} holds no number: it is no table of samples ({' '.join(row)[:60]!r})"
         hint = _HINT + " A line of units below the names must go."
         raise InputError(message, hint=hint, where=where)

@@ -22,6 +22,9 @@ NAMES = ["t", *(f"{name}.position" for name in JOINTS)]
 TABLE = np.column_stack([MOTION.t, MOTION.q])
 
 
+VALUES = 100.0 + 100.0 * np.random.default_rng(3).uniform(-1.0, 1.0, len(TABLE))
+
+
 def lines(table: Array = TABLE, delimiter: str = ",") -> list[str]:
     return [delimiter.join(repr(float(v)) for v in row) for row in table]
 
@@ -197,6 +200,38 @@ def test_last_line_cut_off_is_left_out_and_told(tmp_path: Path) -> None:
     recording = read(write(tmp_path / "log.csv", rows))
     assert len(recording.t) == 199
     assert recording.partial == "line 201 has 2 fields, the header 4; 1 of 200 lines were left out"
+
+
+@pytest.mark.parametrize("form", ["{!r}", "{:.6f}", "{:.9e}", "{:.0f}"])
+@pytest.mark.parametrize("tail", ["", "\0\0"])
+def test_a_last_line_without_an_end_is_read_where_it_is_whole(
+    tmp_path: Path, form: str, tail: str
+) -> None:
+    rows = [f"{line},{form.format(float(v))}" for line, v in zip(lines(), VALUES, strict=True)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([",".join([*NAMES, "more"]), *rows]))
+    recording = read(path)
+    np.testing.assert_array_equal(recording.q, MOTION.q)
+    assert (recording.partial, recording.health.warnings) == ("", ())
+
+
+@pytest.mark.parametrize(
+    ("form", "lost"), [("{!r}", 5), ("{:.6f}", 1), ("{:.9e}", 1), ("{:.9e}", 3), ("{:07.0f}", 2)]
+)
+def test_a_last_number_cut_off_is_left_out_and_told(tmp_path: Path, form: str, lost: int) -> None:
+    rows = [f"{line},{form.format(float(v))}" for line, v in zip(lines(), VALUES, strict=True)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([",".join([*NAMES, "more"]), *rows])[:-lost])
+    recording = read(path)
+    np.testing.assert_array_equal(recording.q, MOTION.q[:-1])
+    assert recording.partial == ""
+    assert any("cut short" in warning for warning in recording.health.warnings)
+
+
+def test_a_whole_last_text_without_an_end_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([",".join([*NAMES, "state"]), *(f"{x},moving" for x in lines())]))
+    np.testing.assert_array_equal(read(path).q, MOTION.q)
 
 
 def test_many_ragged_lines_are_refused(tmp_path: Path) -> None:

@@ -116,7 +116,7 @@ study-planted: $(DEV) ## which stage says which planted fault, into docs/planted
 # FIGAROH and its robots in an environment of their own; 40 iterations, after which it hardly gains.
 PEERS := $(VENV)-peers/.installed
 ROBOT_DATA = $$(echo $(VENV)-peers/lib/python3*/site-packages/cmeel.prefix/share/example-robot-data/robots)
-PEER = $(dir $(PEERS))bin/python tests/studies/planned_peer.py
+PEER = $(dir $(PEERS))bin/python tests/studies/planned/peer.py
 
 $(PEERS): | $(BIN)/python
 	$(BIN)/python -m venv $(@D)

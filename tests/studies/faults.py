@@ -28,10 +28,10 @@ from types import FrameType
 from seqid_cli.params import files
 from tests import ROOT
 from tests.studies.fuzz.answers import answer
-from tests.studies.tables import placed, table
+from tests.studies.tables import show, table
 
 SAMPLE = ROOT / "sample_logs" / "one_joint"
-PAGE = ROOT / "docs" / "trust.md"
+PAGE = "trust.md"
 AFTER = 2  # calls and returns after a file has its name, in which it may be killed as well
 OLD = b"what was there before\n"
 _R = ("-r", str(SAMPLE / "robot.toml"))
@@ -243,9 +243,7 @@ def main(arguments: Sequence[str]) -> int:
         wrong += len(forks.wrong)
         sys.stderr.write(f"{cells[-1]} {forks.wrong[:5]}\n")
     text = table(("command", "files", "kills", "while it wrote", "disk full", "not well"), cells)
-    sys.stdout.write(text + "\n")
-    if chosen.write:
-        PAGE.write_text(placed(PAGE.read_text("utf-8"), "faults", text), encoding="utf-8")
+    show(PAGE, "faults", text, kept=chosen.write)
     return 1 if wrong else 0
 
 

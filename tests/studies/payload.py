@@ -26,9 +26,9 @@ from tests.plants.experiments import inertia_trials
 from tests.plants.rigs import mounting, standard_parameters
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant
-from tests.studies.coverage import seeds_of
-from tests.studies.coverage_cases import case_of, draw, noise_seed, record, write_log
-from tests.studies.coverage_score import identified
+from tests.studies.coverage.cases import case_of, draw, noise_seed, record, write_log
+from tests.studies.coverage.score import identified
+from tests.studies.coverage.study import seeds_of
 from tests.studies.tables import number, table
 
 Array = NDArray[np.float64]

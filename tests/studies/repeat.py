@@ -19,10 +19,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tests import ROOT
-from tests.studies.tables import placed, table
+from tests.studies.tables import show, table
 
 SAMPLES = ROOT / "sample_logs"
-PAGE = ROOT / "docs" / "trust.md"
+PAGE = "trust.md"
 _OF_THE_RUN = ("created", "parameters")
 HEADER = ("robot", "what differs", "files", "bit-equal", "`compare`")
 
@@ -117,9 +117,7 @@ def main(arguments: Sequence[str]) -> int:
         with tempfile.TemporaryDirectory() as work:
             cells += rows(SAMPLES / rig, (*WAYS, *others), Path(work))
     text = table(HEADER, cells)
-    sys.stdout.write(text + "\n")
-    if chosen.write:
-        PAGE.write_text(placed(PAGE.read_text("utf-8"), "repeat", text), encoding="utf-8")
+    show(PAGE, "repeat", text, kept=chosen.write)
     return 1 if any("changed" in row for row in cells) else 0
 
 

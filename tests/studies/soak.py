@@ -22,9 +22,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tests import ROOT
-from tests.studies.tables import placed, table
+from tests.studies.tables import show, table
 
-PAGE = ROOT / "docs" / "trust.md"
+PAGE = "trust.md"
 SAMPLE = ROOT / "sample_logs" / "one_joint"
 TRIAL = SAMPLE / "inertia" / "joint_1.parquet"
 PAUSE_S, NOISE = 1.0, 0.01  # between two trials; of a channel's standard deviation
@@ -102,9 +102,7 @@ def main(arguments: Sequence[str]) -> int:
         sys.stderr.write(f"{write_log(log, chosen.hours)} rows, {log.stat().st_size >> 20} MiB\n")
         cells = [measured(line) for line in lines(log)]
     text = table(HEADER, cells)
-    sys.stdout.write(text + "\n")
-    if chosen.write:
-        PAGE.write_text(placed(PAGE.read_text("utf-8"), "soak", text), encoding="utf-8")
+    show(PAGE, "soak", text, kept=chosen.write)
     return 1 if {code for _, _, code, *_ in cells} - {"0", "1"} else 0
 
 

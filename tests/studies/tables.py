@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from tests import ROOT
+
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -58,6 +63,43 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
             raise ValueError(f"row {row[0]!r} has {len(row)} cells, the header {len(header)}")
     rule = ["---", *["---:"] * (len(header) - 1)]
     return "\n".join("| " + " | ".join(row) + " |" for row in [header, rule, *rows])
+
+
+def grouped(
+    title: str,
+    groups: Mapping[str, Sequence[T]],
+    columns: Mapping[str, Callable[[Sequence[T]], str]],
+) -> str:
+    """A table with a row per group that is not empty, a cell per column; "" without any row."""
+    rows = [
+        [name, *(cell(group) for cell in columns.values())]
+        for name, group in groups.items()
+        if group
+    ]
+    return table([title, *columns], rows) if rows else ""
+
+
+def counted(cases: Sequence[T]) -> str:
+    """How many there are, as a cell."""
+    return str(len(cases))
+
+
+def median_of(value: Callable[[T], float], digits: int = 2) -> Callable[[Sequence[T]], str]:
+    """A cell with the median of a value over a group."""
+    return lambda group: number(float(np.median([value(one) for one in group])), digits)
+
+
+def write(page: str, name: str, content: str) -> None:
+    """Put the content of study `name` into a page of docs/."""
+    path = ROOT / "docs" / page
+    path.write_text(placed(path.read_text(encoding="utf-8"), name, content), encoding="utf-8")
+
+
+def show(page: str, name: str, content: str, *, kept: bool) -> None:
+    """Print the content of study `name`; where it is `kept`, put it into a page of docs/."""
+    sys.stdout.write(content + "\n")
+    if kept:
+        write(page, name, content)
 
 
 def placed(document: str, name: str, content: str) -> str:

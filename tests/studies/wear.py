@@ -25,7 +25,7 @@ from seqid_cli.errors import SeqidWarning
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.trend import trend
 from tests.plants.simulate import Plant
-from tests.studies.coverage_cases import Case, Drawn, case_of, draw, record
+from tests.studies.coverage.cases import Case, Drawn, case_of, draw, record
 
 RISE = 0.12  # of friction at the last date
 NOISES = 1000  # seeds between two dates

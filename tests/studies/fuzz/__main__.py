@@ -18,12 +18,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from tests import ROOT
 from tests.studies.fuzz.run import Tally, fuzz, tell
 from tests.studies.fuzz.targets import Target, targets
-from tests.studies.tables import placed, table
+from tests.studies.tables import show, table
 
-PAGE = ROOT / "docs" / "trust.md"
 HEADER = ("file", "inputs", "read", "refused", "answers", "not well", "slowest, s", "peak, MiB")
 ROUND = 250  # inputs of a target before the next has its turn
 
@@ -37,10 +35,7 @@ def main(arguments: Sequence[str]) -> int:
         _run(made, tallies, Path(name), chosen)
     finds = _kept(tallies, Path(chosen.keep))
     text = _with_earlier(rows(tallies), Path(chosen.keep) / "rows.json")
-    sys.stdout.write(text + "\n")
-    if chosen.write:
-        page = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(placed(page, "fuzz", text), encoding="utf-8")
+    show("trust.md", "fuzz", text, kept=chosen.write)
     return 1 if finds else 0
 
 

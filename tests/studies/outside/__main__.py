@@ -1,28 +1,26 @@
 """Run cases: `python -m tests.studies.outside --set tuning --seeds A:B [--cache FOLDER]`.
 
-Every case is kept in the cache as `SEED.json`, its diagnosis as `SEED.diagnosis.json`: a run that
-was cut goes on, and a case is run anew when its file is gone.
+Every case is kept in the cache, a line of `outside.jsonl` and its diagnosis as
+`SEED.diagnosis.json`: a run that was cut goes on, and a case is run anew when its line is gone.
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
-from tests import ROOT
 from tests.studies.outside.cases import run_case
 from tests.studies.outside.plan import RESERVED
-from tests.studies.outside.score import Row
 from tests.studies.outside.tabulate import tables
-from tests.studies.tables import placed
-
-DOCUMENT = ROOT / "docs" / "outside.md"
+from tests.studies.records import results
+from tests.studies.tables import show
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -39,30 +37,36 @@ def main(arguments: Sequence[str]) -> int:
     seeds = range(int(first), int(last))
     if any((seed >= RESERVED) != (chosen.set == "reserved") for seed in seeds):
         parser.error(f"tuning seeds are below {RESERVED}, reserved ones are not")
-    chosen.cache.mkdir(parents=True, exist_ok=True)
-    text = tables([answered(seed, chosen.cache, chosen.keep, chosen.coarser) for seed in seeds])
-    sys.stdout.write(text + "\n")
-    if chosen.write:
-        document = DOCUMENT.read_text(encoding="utf-8")
-        DOCUMENT.write_text(placed(document, f"outside_{chosen.set}", text), encoding="utf-8")
+    rows = answers(seeds, chosen.cache, chosen.keep, chosen.coarser)
+    show("outside.md", f"outside_{chosen.set}", tables(rows), kept=chosen.write)
     return 0
 
 
-def answered(seed: int, cache: Path, keep: bool, coarser: float = 1.0) -> Row:
-    """The answer to a case, from the cache or run; `coarser` needs a cache of its own."""
-    file = cache / f"{seed}.json"
-    if not file.exists():
-        with tempfile.TemporaryDirectory() as name:
-            folder = cache / f"logs_{seed}" if keep else Path(name)
-            folder.mkdir(exist_ok=True)
-            row, found = run_case(seed, folder, coarser)
-        if found is not None:
-            (cache / f"{seed}.diagnosis.json").write_bytes(msgspec.json.encode(found))
-        file.write_text(json.dumps(row), encoding="utf-8")
-        names = [(item["effect"], item["joint"]) for item in row.get("findings", ())]
-        sys.stderr.write(f"{seed} {row['flow']} {row['kinds']}: {names} {row['error']}\n")
-    known: Row = json.loads(file.read_text(encoding="utf-8"))
-    return known
+def answers(
+    seeds: Sequence[int], cache: Path, keep: bool = False, coarser: float = 1.0
+) -> list[dict[str, Any]]:
+    """The answers to cases, from the cache or run; `coarser` needs a cache of its own."""
+    work = partial(answered, cache=cache, keep=keep, coarser=coarser)
+    cases = {str(seed): seed for seed in seeds}
+    kept = results(cases, work, dict[str, Any], cache / "outside.jsonl", told=_told)
+    return list(kept.values())
+
+
+def answered(seed: int, cache: Path, keep: bool, coarser: float) -> dict[str, Any]:
+    """Run a case, and keep its diagnosis."""
+    cache.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as name:
+        folder = cache / f"logs_{seed}" if keep else Path(name)
+        folder.mkdir(exist_ok=True)
+        row, found = run_case(seed, folder, coarser)
+    if found is not None:
+        (cache / f"{seed}.diagnosis.json").write_bytes(msgspec.json.encode(found))
+    return row
+
+
+def _told(row: dict[str, Any]) -> str:
+    names = [(item["effect"], item["joint"]) for item in row.get("findings", ())]
+    return f"{row['flow']} {row['kinds']}: {names} {row['error']}"
 
 
 if __name__ == "__main__":

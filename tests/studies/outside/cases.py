@@ -16,7 +16,7 @@ from seqid_cli.errors import SeqidWarning
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm
-from tests.studies.outside.effects import Effect
+from tests.studies.outside.effects.effect import Effect
 from tests.studies.outside.plan import Case, drawn
 from tests.studies.outside.robotfiles import robot_toml, urdf
 from tests.studies.outside.simulate import Log, simulate

@@ -9,12 +9,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.studies.outside import friction_effects as friction
-from tests.studies.outside import measured_effects as measured
-from tests.studies.outside import mechanical_effects as mechanical
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm, drawn_arm
-from tests.studies.outside.effects import Draw, Effect, Sized
+from tests.studies.outside.effects import friction, measured, mechanical
+from tests.studies.outside.effects.effect import Draw, Effect, Sized
 from tests.studies.outside.simulate import simulate
 
 Array = NDArray[np.float64]

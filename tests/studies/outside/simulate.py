@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.studies.outside.arms import Arm
-from tests.studies.outside.effects import Effect, State
+from tests.studies.outside.effects.effect import Effect, State
 from tests.studies.outside.robotfiles import STEP_S, mjcf
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from seqid_cli.identify.imu_calibration.deflection import likeliest
 from seqid_cli.identify.imu_calibration.normal_equations import Rows, Sizes
 from seqid_cli.identify.imu_calibration.result import deflecting, verdict_of
 from seqid_cli.params.schema import EffectOfJoint, ImuStage, Stages
-from tests.studies.imu_mounting import DEFLECTING, Case, calibrated, instruments, scene_of, scored
+from tests.studies.imu.mounting import DEFLECTING, Case, calibrated, instruments, scene_of, scored
 
 pytestmark = pytest.mark.slow
 

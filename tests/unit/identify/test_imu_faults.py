@@ -14,7 +14,7 @@ from seqid_cli.identify.imu_calibration.readings import cleaned
 from seqid_cli.motion.imu.array import calibrated as mended
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration
-from tests.studies.imu_mounting import (
+from tests.studies.imu.mounting import (
     CASES,
     Case,
     Scene,
@@ -48,15 +48,15 @@ def found(case: Case, seed: int) -> dict[str, ImuCalibration]:
 @pytest.mark.parametrize("case", [COARSE, FINE], ids=lambda case: case.label)
 def test_errors_of_a_faulty_array_are_those_reported(case: Case) -> None:
     """Four instruments: mounting, offset, gains and biases, all within their standard errors."""
-    seen = [score for seed in range(4) for score in scores(scene(case), seed)]
+    seen = [score for seed in range(4) for score in scores((case, seed))]
     for name in ("z_turn", "z_delay", "z_gain", "z_bias"):
-        z = np.concatenate([np.atleast_1d(getattr(score, name)) for score in seen])
+        z = np.concatenate([getattr(score, name) for score in seen])
         assert np.sqrt(np.mean(z**2)) < 2.0, name
         assert np.abs(z).max() < 5.0, name
     assert max(score.turn_deg for score in seen) < 0.5
     assert max(score.delay_error for score in seen) < 3e-4
     assert all(score.outliers > 0 for score in seen)
-    assert all(score.holdout < 1.2 for score in seen)
+    assert all((score.holdout or 9.0) < 1.2 for score in seen)
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robot.file import load_robot
 from tests.plants.sensors import AccelerometerArray
-from tests.studies.coverage_cases import case_of, draw, record
+from tests.studies.coverage.cases import case_of, draw, record
 
 CASE = case_of("planar", 10197, None, None)  # joint 2 hunts in some swings of joint 1
 STILL, HUNTING = "joint_1_posture_4.parquet", "joint_1_posture_3.parquet"

@@ -18,7 +18,7 @@ from seqid_cli.plan.stages.inertia import plan_inertia
 from seqid_cli.plan.stages.refine import refine
 from seqid_cli.robot.base_parameters import base_regressor
 from tests.plants.robots.sample import sample_robot
-from tests.studies.planned import needed_pairs, per_pair, rank_of, without
+from tests.studies.planned.sets import needed_pairs, per_pair, rank_of, without
 
 SECONDS = 6.0
 COUNT = 8

@@ -12,7 +12,7 @@ from tests.plants.experiments import inertia_trials
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import one_joint, six_joint, two_joint
 from tests.plants.simulate import Plant
-from tests.studies.coverage_cases import Case, draw
+from tests.studies.coverage.cases import Case, draw
 
 
 @pytest.mark.parametrize("plant", [one_joint(), two_joint(), six_joint()])

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tests.plants.rigs import plain
-from tests.studies.coverage import seeds_of
-from tests.studies.coverage_cases import Case, draw, record
-from tests.studies.coverage_score import compare, identified
-from tests.studies.coverage_tables import coverage as coverage_of
+from tests.studies.coverage.cases import Case, draw, record
+from tests.studies.coverage.score import compare, identified
+from tests.studies.coverage.study import seeds_of
+from tests.studies.coverage.tables import coverage as coverage_of
 
 
 def test_honest_errors_are_covered_and_halved_ones_are_not() -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from seqid_cli import identify
-from tests.studies.planted import FAULTS, answers, excused
-from tests.studies.planted_arms import ARMS
+from tests.studies.planted.arms import ARMS
+from tests.studies.planted.study import FAULTS, answers, excused
 
 BENCH = ARMS[0]()
 STAGES = ("gravity", "imu-calib", "inertia", "simultaneous", "predict")
@@ -57,6 +57,6 @@ def test_a_spike_does_not_spoil_the_prediction(tmp_path: Path) -> None:
 
 def answers_of_spike(logs: list[Path], folder: Path) -> list[Path]:
     """The same logs, the one in the middle with one damaged sample."""
-    from tests.studies.planted import _planted
+    from tests.studies.planted.study import _planted
 
     return list(_planted(BENCH, BY_NAME["one spike"], logs, folder / "logs"))

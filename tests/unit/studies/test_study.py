@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from seqid_cli.params.schema import Parameter
+from tests import ROOT
 from tests.plants.rigid import Rigid
 from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint, six_joint, two_joint
 from tests.plants.robots.lab import true_standard, true_value
 from tests.plants.simulate import simulate
 from tests.plants.trajectories import single, sweeps, trapezoid
-from tests.studies import recorded
-from tests.studies.__main__ import DOCUMENTS, MEASURED, STUDIES
-from tests.studies.bound import (
+from tests.studies.__main__ import STUDIES
+from tests.studies.recorded import classical
+from tests.studies.rigs.bound import (
     Knowledge,
     bounds,
     friction_columns,
@@ -92,11 +93,11 @@ def test_true_value_follows_the_expression() -> None:
 
 
 def test_recorded_robots_are_left_out_where_they_are_missing(tmp_path: Path) -> None:
-    text = recorded.study(tmp_path)
-    assert text.count("left out") == len(recorded.CASES)
+    text = classical.study(data=tmp_path)
+    assert text.count("left out") == len(classical.CASES)
 
 
 @pytest.mark.parametrize("name", STUDIES)
 def test_every_study_has_its_place_in_its_document(name: str) -> None:
-    text = DOCUMENTS.get(name, MEASURED).read_text(encoding="utf-8")
+    text = (ROOT / "docs" / STUDIES[name][0]).read_text(encoding="utf-8")
     assert "| new |" in placed(text, name, "| new |")

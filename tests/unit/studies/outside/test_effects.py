@@ -11,7 +11,7 @@ import pytest
 from tests.studies.outside import motions
 from tests.studies.outside.arms import GRAVITY, Arm
 from tests.studies.outside.bench import pendulum, quiet_arm, sweeps
-from tests.studies.outside.effects import Effect
+from tests.studies.outside.effects.effect import Effect
 from tests.studies.outside.plan import KINDS, LEAST, MOST, sized
 from tests.studies.outside.simulate import Log, built, simulate
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.model.effects.registry import CATALOGUE
-from tests.studies.outside.__main__ import answered, main
+from tests.studies.outside.__main__ import answers, main
 from tests.studies.outside.plan import (
     COMES_LATER,
     KINDS,
@@ -109,9 +110,10 @@ def test_reserved_seeds_are_for_the_reserved_set(capsys: pytest.CaptureFixture[s
 
 def test_a_case_goes_the_way_of_a_user_and_is_kept(tmp_path: Path) -> None:
     """Seed 5 is clean, one log of a drawn arm: recorded, identified, diagnosed, cached."""
-    row = answered(5, tmp_path, keep=False)
+    (row,) = answers([5], tmp_path)
     assert row["error"] == ""
     assert (row["kinds"], row["flow"]) == ([], "single")
     assert set(row["residuals"]) == {"j1", "j2"}
-    (tmp_path / "5.json").write_text('{"seed": 5, "kept": true}')
-    assert answered(5, tmp_path, keep=False) == {"seed": 5, "kept": True}
+    kept = {"seed": 5, "kept": True}
+    (tmp_path / "outside.jsonl").write_text(json.dumps(("5", "", kept)) + "\n")
+    assert answers([5], tmp_path) == [kept]

@@ -1,0 +1,1 @@
+"""The simulated arms, and what their drives are made for."""

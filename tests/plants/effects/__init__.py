@@ -1,0 +1,1 @@
+"""What a study puts into a plant and its robot file does not say."""

@@ -1,0 +1,1 @@
+"""How an arm moves: rigid bodies, transmissions, drives and torques."""

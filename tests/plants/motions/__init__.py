@@ -1,0 +1,1 @@
+"""Reference motions, and the logs that stages need of them."""

@@ -1,0 +1,1 @@
+"""Stated errors against truth, over drawn arms."""

@@ -1,0 +1,1 @@
+"""A fleet of robots, and those that drift."""

@@ -1,0 +1,1 @@
+"""IMUs: their calibration, and motion from them."""

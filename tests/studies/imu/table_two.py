@@ -1,0 +1,175 @@
+"""The paper's Table II on a twin of its rig: the link's inertia by four ways to get at its motion.
+
+Each seed is a rig built anew: other friction, another mounting of the array, whose sensors have the
+faults of cheap ones. All stages run on its own logs. Errors are in % of the true inertia.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.model.torque import TorqueModel, known_rotors
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.params.schema import ImuCalibration, ImuStage, Stages
+from seqid_cli.robot.base_parameters import gear_ratios
+from tests.plants.experiments import (
+    Trial,
+    friction_trials,
+    gravity_trials,
+    imu_trials,
+    inertia_trials,
+)
+from tests.plants.rigs import LINK_INERTIA, one_joint
+from tests.plants.robots.identified import before_inertia, with_inertia
+from tests.plants.robots.lab import Experiment, run
+from tests.plants.sensors import Faults
+from tests.plants.simulate import Plant
+from tests.studies.rigs.variants import another
+from tests.studies.tables import number, table
+
+Array = NDArray[np.float64]
+
+SEED = 2012
+FACTORS = (1, 4)  # 100 and 400 counts per turn of the motor
+PAPER_HZ = 20.0  # the paper filters what it differentiated, and does not say how
+WAYS: Mapping[str, str] = {
+    "raw": "encoder, differenced twice",
+    "differenced": "encoder, differenced twice, then filtered (test 1)",
+    "encoder": "encoder, torque filtered alike, cut-off chosen from the log",
+    "imu": "accelerometers, Eq. 30, mounting alone calibrated (test 2)",
+    "fused": "encoder and accelerometers in one smoother",
+}
+PAPER = {"differenced": "79", "imu": "16"}
+
+
+def faults(seed: int) -> Faults:
+    """Errors of a cheap accelerometer: bias, gain, axes, and a clock two milliseconds late."""
+    return Faults(seed=seed, bias=0.2, turn_on=0.02, scale=0.005, tilt=0.005, delay=0.002)
+
+
+def rig(factor: int, seed: int, rng: np.random.Generator) -> Plant:
+    """The rig with `factor` counts per line of its encoder."""
+    plant = another(one_joint(quadrature_factor=factor), rng)
+    imus = tuple(replace(imu, bias=0.0, faults=faults(seed)) for imu in plant.imus)
+    return replace(plant, imus=imus)
+
+
+def trials(plant: Plant, rng: np.random.Generator, *, short: bool = False) -> list[Trial]:
+    """The logs of one rig; `short` ones only show that everything runs."""
+    home = [np.zeros(1)]
+    speeds, lowest, seconds = (5, 0.2, 4.0) if short else (8, 0.08, 12.0)
+    return [
+        *friction_trials(plant, home, speeds=speeds, lowest=lowest),
+        *gravity_trials(plant, home, speeds=(0.2, 0.3) if short else (0.1, 0.2)),
+        *imu_trials(plant, home),
+        *inertia_trials(plant, home, rng, seconds=seconds),
+    ]
+
+
+def errors(factor: int, seed: int, *, short: bool = False) -> dict[str, float]:
+    """Error of the inertia, % of the true one, by each way."""
+    rng = np.random.default_rng([SEED, factor, seed])
+    plant = rig(factor, seed, rng)
+    experiment = run(
+        "one_joint", plant, trials(plant, rng, short=short), SEED + 100 * factor + seed
+    )
+    stages = before_inertia(experiment)
+    found = {
+        "raw": differenced(experiment, stages, None),
+        "differenced": differenced(experiment, stages, PAPER_HZ),
+    }
+    papers = replace_imu(stages, mounting_alone(stages.imu))
+    for source in ("encoder", "imu", "fused"):
+        known = papers if source == "imu" else stages
+        stage = with_inertia(experiment, known, InertiaOptions(source=source)).inertia
+        assert stage is not None
+        found[source] = next(p.value for p in stage.parameters if p.name == "Izz_1")
+    return {way: 100.0 * (value / LINK_INERTIA - 1.0) for way, value in found.items()}
+
+
+def mounting_alone(stage: ImuStage | None) -> ImuStage:
+    """What the paper calibrates: no bias, gain, axis or clock of a sensor."""
+    assert stage is not None
+    kept = ("rotation", "std_error_deg", "references", "noise_density")
+    return ImuStage(
+        imus={
+            name: ImuCalibration(**{field: getattr(one, field) for field in kept})
+            for name, one in stage.imus.items()
+        }
+    )
+
+
+def replace_imu(stages: Stages, imu: ImuStage) -> Stages:
+    """The stages with another calibration."""
+    return Stages(friction=stages.friction, gravity=stages.gravity, imu=imu)
+
+
+def differenced(experiment: Experiment, stages: Stages, cutoff_hz: float | None) -> float:
+    """The link's inertia, kg m^2, from differences of counts; torque as recorded.
+
+    `stages` hold friction and gravity; without `cutoff_hz` the differences are not filtered.
+    """
+    robot = experiment.robot
+    model = TorqueModel.from_stages(stages, robot)
+    reflected = float((gear_ratios(robot) ** 2 * known_rotors(robot))[0])
+    x, y = [], []
+    for log in experiment.recordings["inertia"]:
+        assert log.tau is not None
+        lowpass = Lowpass(cutoff_hz or np.inf, log.rate_hz)
+        speed = np.gradient(log.q, axis=0) * log.rate_hz
+        ddq = lowpass(np.gradient(speed, axis=0) * log.rate_hz)
+        dq, zero = lowpass(speed), np.zeros_like(log.q)
+        known = model.friction(log.q, dq) + model.rigid(log.q, zero, zero)
+        moving = np.abs(dq[:, 0]) > 0.5
+        x.append(ddq[moving, 0])
+        y.append((log.tau - known)[moving, 0])
+    a, b = np.concatenate(x), np.concatenate(y)
+    return float(a @ b / (a @ a)) - reflected
+
+
+@dataclass(frozen=True)
+class Range:
+    """Median of the magnitudes, and where 95 % of the signed errors lie."""
+
+    median: float
+    low: float
+    high: float
+
+
+def range_of(values: Sequence[float]) -> Range:
+    """Summarise signed errors (K,)."""
+    low, high = np.quantile(values, [0.025, 0.975])
+    return Range(float(np.median(np.abs(values))), float(low), float(high))
+
+
+def table_of(results: Mapping[int, Sequence[Mapping[str, float]]]) -> str:
+    """The table; results per encoder and seed."""
+    rows = []
+    for way, label in WAYS.items():
+        cells = []
+        for found in results.values():
+            r = range_of([one[way] for one in found])
+            cells += [number(r.median), f"{number(r.low)} to {number(r.high)}"]
+        rows.append([label, *cells, PAPER.get(way, "")])
+    header = ["error of the link inertia, %"]
+    for factor in results:
+        header += [f"{100 * factor} counts: median", "95 % of the rigs"]
+    return table([*header, "paper"], rows)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of this study."""
+    parser.add_argument("--rigs", type=int, default=50, help="per encoder, for table_two")
+
+
+def study(chosen: argparse.Namespace) -> str:
+    """The table with what it is made of."""
+    seeds = 1 if chosen.quick else chosen.rigs
+    results = {f: [errors(f, seed, short=chosen.quick) for seed in range(seeds)] for f in FACTORS}
+    return f"{seeds} rigs per encoder.\n\n{table_of(results)}"

@@ -1,0 +1,1 @@
+"""The loop closed where the effect is in all logs."""

@@ -1,0 +1,131 @@
+"""Arms with an undeclared effect in all of their logs, whose friction trials reach less far.
+
+The sequential experiments run at a part of the travel and of the speed that training and held-out
+logs use, as trials in a lab do; the effect is there from the first log on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from seqid_cli.logs.recording import Recording
+from seqid_cli.robot.types import Robot
+from tests.plants.experiments import Trial, friction_trials, gravity_trials, inertia_trials
+from tests.plants.samples import SIX_POSTURES
+from tests.plants.simulate import Plant
+from tests.plants.trajectories import Reference
+from tests.plants.trials import moves, waves
+from tests.studies.undeclared.cases import Condition, built, declared
+from tests.studies.undeclared.logs import TWO_POSTURES, robot_for, stored
+
+KINDS = (
+    "load_dependent_friction",
+    "gear_efficiency",
+    "thermal_friction",
+    "torque_ripple",
+    "spring",
+)
+TRAVEL, SPEED = 0.85, 0.75  # of what the other logs use, in the sequential experiments
+SPEEDS, SLOWEST = 6, 0.2  # of the friction trials; the slowest as a share of the fastest
+POSTURES = 2  # in which gravity trials are run
+PERIODS = (5.626, 6.126, 6.374)  # s, of the Fourier series
+TRIAL_EVERY, EVERY = 4, 2  # control periods per row
+HELD_OUT_S = 14.0  # of a held-out log, about
+SLOW = 0.12  # of the top speed: what a motor does in each turn is below the low-pass there
+PAUSE = 60.0  # s between logs
+STAGES = ("friction", "gravity", "inertia")
+
+
+@dataclass(frozen=True)
+class Case:
+    """One arm: its effect (None: nothing undeclared) at a joint; the seed decides the rest."""
+
+    rig: str
+    kind: str | None
+    joint: int
+    seed: int
+
+    @property
+    def condition(self) -> Condition:
+        """The case as the study of undeclared effects describes plants."""
+        effects = ((self.kind, self.joint, 1.0),) if self.kind else ()
+        return Condition("starts", self.rig, self.seed, effects, "sequential_with")
+
+    @property
+    def key(self) -> str:
+        """A name to search for."""
+        return f"{self.rig}/{self.kind or 'none'}@{self.joint}/seed {self.seed}"
+
+
+@dataclass(frozen=True)
+class Logs:
+    """What a case records: the stages' experiments, training and held-out logs."""
+
+    robot: Robot
+    earlier: Mapping[str, Sequence[Recording]]
+    training: tuple[Recording, ...]
+    held_out: tuple[Recording, ...]
+
+
+def case_of(rig: str, kind: str, seed: int) -> Case:
+    """The case of a kind and a seed; the joint goes round with both."""
+    joints = declared(Condition("starts", rig, seed, (), "sequential_with")).arm.n
+    return Case(rig, kind, (seed + KINDS.index(kind)) % joints, seed)
+
+
+def references(case: Case) -> list[tuple[str, Reference, int]]:
+    """Stage or part, motion, and control periods per row of every log, in the order of time."""
+    plant = declared(case.condition)
+    rng = np.random.default_rng([case.seed, 11])
+    small = _small(plant)
+    postures = list(TWO_POSTURES if case.rig == "two" else SIX_POSTURES)
+    postures = [0.8 * posture for posture in postures]
+    pairs = [(0, 1)] * 3 if case.rig == "two" else None
+    trials: list[Trial] = [
+        *friction_trials(small, postures[:1], speeds=SPEEDS, lowest=SLOWEST),
+        *gravity_trials(small, postures[:POSTURES], speeds=(0.3,)),
+        *inertia_trials(small, postures, rng, pairs=pairs, seconds=5.0),
+    ]
+    one, two, three = (float(x) for x in rng.permutation(PERIODS))
+    return [
+        *((trial.stage, trial.reference, TRIAL_EVERY) for trial in trials),
+        ("training", waves(plant, rng, period=one, share=0.9), EVERY),
+        ("training", moves(plant, rng, share=0.6), EVERY),
+        ("training", waves(plant, rng, period=two, share=0.45), EVERY),
+        ("held_out", waves(plant, rng, period=three, share=0.9, seconds=HELD_OUT_S), EVERY),
+        ("held_out", moves(plant, rng, share=0.7, seconds=HELD_OUT_S), EVERY),
+        ("training", waves(plant, rng, period=one, share=SLOW), EVERY),
+        ("held_out", waves(plant, rng, period=three, share=SLOW, seconds=HELD_OUT_S), EVERY),
+    ]
+
+
+def _small(plant: Plant) -> Plant:
+    middle = plant.position_limits.mean(axis=1, keepdims=True)
+    return replace(
+        plant,
+        position_limits=middle + TRAVEL * (plant.position_limits - middle),
+        velocity_limits=SPEED * plant.velocity_limits,
+    )
+
+
+def recorded(case: Case, cache: Path) -> Logs:
+    """Simulate a case's logs, or read them from the cache."""
+    plant, _ = built(case.condition)
+    found: dict[str, list[Recording]] = {}
+    start = 20.0
+    for number, (part, reference, every) in enumerate(references(case)):
+        what = f"loop|{case.rig}|{case.condition.effects!r}|{part}/{number}"
+        seed = 10_000 + 1000 * case.seed + number
+        log = stored(cache, what, plant, reference, seed, every=every, start=round(start, 3))
+        found.setdefault(part, []).append(log)
+        start += reference.duration + PAUSE
+    return Logs(
+        robot=robot_for(case.condition),
+        earlier={stage: found[stage] for stage in STAGES},
+        training=tuple(found["training"]),
+        held_out=tuple(found["held_out"]),
+    )

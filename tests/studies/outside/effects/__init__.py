@@ -1,0 +1,1 @@
+"""What a model can lack in the second simulator."""

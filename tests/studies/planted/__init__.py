@@ -1,0 +1,1 @@
+"""Planted faults against the stages that read them."""

@@ -1,0 +1,235 @@
+"""The paper's one-joint rig (Sec. 4.1): parameters, prediction, and how far from the bound."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import RigidStage
+from tests.plants.experiments import (
+    Trial,
+    friction_trials,
+    gravity_trials,
+    imu_trials,
+    inertia_trials,
+    validation_trials,
+)
+from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint
+from tests.plants.robots.identified import (
+    before_inertia,
+    held_out,
+    noise_floor,
+    simultaneous,
+    with_inertia,
+)
+from tests.plants.robots.lab import Experiment, run
+from tests.plants.simulate import Plant
+from tests.studies.rigs.bound import Knowledge, bounds
+from tests.studies.rigs.variants import another
+from tests.studies.tables import number, rms, spread, table
+
+Array = NDArray[np.float64]
+SEED, REPETITIONS = 41, 8
+FACTORS = (1, 4)
+CUTOFFS = (None, 15.0, 40.0)
+SOURCES = ("encoder", "auto")
+UNITS = {"mx_1": MOMENT, "my_1": MOMENT, "Izz_1": LINK_INERTIA}
+SYMBOLS = {"mx_1": "m r_x", "my_1": "m r_y", "Izz_1": "link inertia"}
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Error and standard error as shares of `UNITS`."""
+
+    error: float
+    std_error: float
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """Results of one rig built anew."""
+
+    gravity: dict[str, Estimate]
+    inertia: dict[tuple[str, float | None], Estimate]
+    cutoff_hz: float
+    bounds: dict[Knowledge, dict[str, float]]
+    torque: dict[str, tuple[float, float]]  # RMSE N m over all samples, over sliding ones
+
+
+def trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
+    """All logs of one repetition."""
+    home = [np.zeros(1)]
+    return [
+        *friction_trials(plant, home),
+        *gravity_trials(plant, home, speeds=(0.1, 0.2)),
+        *imu_trials(plant, home),
+        *inertia_trials(plant, home, rng, seconds=12.0),
+        *validation_trials(plant, rng, runs=1, seconds=12.0),
+    ]
+
+
+def repetition(factor: int, number_of: int) -> Repetition:
+    """Build the rig, record, identify with every source and cut-off, predict."""
+    rng = np.random.default_rng([SEED, factor, number_of])
+    plant = another(one_joint(quadrature_factor=factor), rng)
+    experiment = run("one_joint", plant, trials(plant, rng), SEED + 100 * factor + number_of)
+    stages = before_inertia(experiment)
+    found = {
+        (source, hz): with_inertia(experiment, stages, InertiaOptions(MotionOptions(hz), source))
+        for source in SOURCES
+        for hz in CUTOFFS
+    }
+    assert stages.gravity is not None
+    best = found["auto", None].inertia
+    assert best is not None
+    assert best.cutoff_hz is not None
+    inertia = {
+        key: _estimates(plant, one.inertia)["Izz_1"]
+        for key, one in found.items()
+        if one.inertia is not None
+    }
+    logs, robot, options = experiment.recordings, experiment.robot, InertiaOptions()
+    sequential = held_out(logs["validation"], robot, found["auto", None], options)
+    classical = simultaneous(
+        [*logs["friction"], *logs["gravity"], *logs["inertia"]], robot, stages.imu
+    )
+    together = held_out(logs["validation"], robot, classical, options)
+    floor = float(noise_floor(experiment, "validation", sequential.cutoff_hz)[0])
+    return Repetition(
+        gravity=_estimates(plant, stages.gravity),
+        inertia=inertia,
+        cutoff_hz=best.cutoff_hz,
+        bounds={known: bound_shares(experiment, known) for known in KNOWLEDGE},
+        torque={
+            "sequential": (float(sequential.every[0]), float(sequential.sliding[0])),
+            "simultaneous": (float(together.every[0]), float(together.sliding[0])),
+            "noise": (floor, floor),
+        },
+    )
+
+
+KNOWLEDGE = tuple(Knowledge(f, m) for m in (False, True) for f in (True, False))
+
+
+def bound_shares(experiment: Experiment, known: Knowledge) -> dict[str, float]:
+    """Bounds as shares of `UNITS`: moments from the slow logs, inertia from all."""
+    logs, plant = experiment.logs, experiment.plant
+    slow = [*logs["friction"], *logs["gravity"]]
+    found = bounds(plant, slow, known)
+    found["Izz_1"] = bounds(plant, [*slow, *logs["inertia"]], known)["Izz_1"]
+    return {name: value / UNITS[name] for name, value in found.items()}
+
+
+def _estimates(plant: Plant, stage: RigidStage) -> dict[str, Estimate]:
+    phi = plant.arm.phi[0]
+    truth = {"mx_1": phi[1], "my_1": phi[2], "Izz_1": phi[9]}
+    return {
+        p.name: Estimate(
+            float(p.value - truth[p.name]) / UNITS[p.name], p.std_error / UNITS[p.name]
+        )
+        for p in stage.parameters
+    }
+
+
+def study(chosen: Namespace) -> str:
+    """All tables of this rig."""
+    repetitions = 1 if chosen.quick else REPETITIONS
+    results = {f: [repetition(f, k) for k in range(repetitions)] for f in FACTORS}
+    return "\n\n".join(
+        [
+            f"{repetitions} rigs per encoder; error in % of the true value, m r_y in % of m r_x.",
+            parameter_table(results),
+            cutoff_table(results),
+            bound_table(results),
+            torque_table(results),
+        ]
+    )
+
+
+Results = dict[int, list[Repetition]]
+
+
+def parameter_table(results: Results) -> str:
+    """Errors next to the paper's."""
+    rows = []
+    for factor, found in results.items():
+        counts = f"{100 * factor} counts"
+        for name, paper in (("mx_1", "3.4"), ("my_1", "1.1")):
+            errors = [r.gravity[name] for r in found]
+            rows.append([f"{SYMBOLS[name]}, {counts}", *_errors(errors), paper])
+        for source, label, paper in (
+            ("encoder", "encoder", "79"),
+            ("auto", "with accelerometers", "16"),
+        ):
+            errors = [r.inertia[source, None] for r in found]
+            rows.append([f"link inertia, {label}, {counts}", *_errors(errors), paper])
+    return table(
+        ["parameter", "median error %", "worst %", "mean (signed) %", "rms z", "paper %"], rows
+    )
+
+
+def _errors(found: Sequence[Estimate]) -> list[str]:
+    s = spread([100 * e.error for e in found])
+    z = rms([e.error / e.std_error for e in found])
+    return [number(s.median), number(s.worst), number(s.mean), number(z)]
+
+
+def cutoff_table(results: Results) -> str:
+    """Link inertia with the chosen cut-off and with fixed ones."""
+    rows = []
+    for factor, found in results.items():
+        for source in SOURCES:
+            for hz in CUTOFFS:
+                s = spread([100 * r.inertia[source, hz].error for r in found])
+                chosen = float(np.median([r.cutoff_hz for r in found]))
+                label = f"{hz:g} Hz" if hz else f"chosen ({chosen:.1f} Hz)"
+                motion = "encoder" if source == "encoder" else "with accelerometers"
+                cells = [number(s.median), number(s.worst), number(s.mean)]
+                rows.append([f"{100 * factor} counts, {motion}, {label}", *cells])
+    return table(["link inertia", "median error %", "worst %", "mean (signed) %"], rows)
+
+
+def bound_table(results: Results) -> str:
+    """Standard deviation of the errors over the Cramer-Rao bounds."""
+    rows = []
+    for factor, found in results.items():
+        for name, source in (("mx_1", ""), ("my_1", ""), ("Izz_1", "encoder"), ("Izz_1", "auto")):
+            errors = [r.inertia[source, None] if source else r.gravity[name] for r in found]
+            deviation = spread([e.error for e in errors]).std
+            motion = source == "auto"
+            limits = [
+                rms([r.bounds[Knowledge(friction, motion)][name] for r in found])
+                for friction in (True, False)
+            ]
+            label = {"": "", "encoder": ", encoder", "auto": ", with accelerometers"}[source]
+            reported = rms([e.std_error for e in errors])
+            rows.append(
+                [
+                    f"{SYMBOLS[name]}{label}, {100 * factor} counts",
+                    *(number(100 * x) for x in (deviation, reported, *limits)),
+                    number(deviation / limits[0]),
+                ]
+            )
+    header = ["parameter", "std of error %", "reported std error %", "bound, friction known %"]
+    header += ["bound, its form known %", "std / bound"]
+    return table(header, rows)
+
+
+def torque_table(results: Results) -> str:
+    """RMSE on the held-out moves, mN m."""
+    rows = []
+    for factor, found in results.items():
+        for method, paper in (("sequential", "8.16"), ("simultaneous", "8.73"), ("noise", "")):
+            every = spread([1e3 * r.torque[method][0] for r in found])
+            sliding = spread([1e3 * r.torque[method][1] for r in found])
+            label = "current noise alone" if method == "noise" else method
+            cells = [number(x, 3) for x in (every.median, every.worst, sliding.median)]
+            rows.append([f"{label}, {100 * factor} counts", *cells, paper])
+    header = ["held-out torque RMSE, mN m", "median", "worst", "median while sliding", "paper"]
+    return table(header, rows)

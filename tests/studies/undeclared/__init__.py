@@ -1,0 +1,1 @@
+"""Effects that nobody declared: how often and how surely they are named."""

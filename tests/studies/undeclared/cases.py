@@ -1,0 +1,301 @@
+"""What the study of undeclared effects runs: every case, and what the right answer to it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal
+
+import numpy as np
+
+from tests.plants.cases import RIGS
+from tests.plants.drawn import SLIDING, drawn_arm
+from tests.plants.friction import SurfaceFriction
+from tests.plants.injections_arm import other
+from tests.plants.simulate import Plant
+from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE, REGISTRY, inject
+
+Group = Literal["catalogue", "clean", "pairs", "outside", "other_laws", "starts", "other_arms"]
+Start = Literal["simultaneous", "sequential", "sequential_with", "before"]
+Effects = tuple[tuple[str, int, float], ...]  # name, joint, size
+
+RIG_NAMES: Mapping[str, str] = {"two": "vertical_two_joint", "six": "six_joint"}
+ARM = "arm_"  # and a number: an arm drawn at random
+ARMS = (*range(24), *range(SLIDING, SLIDING + 8))
+ARM_KINDS = 3  # of effects on each of them
+ARM_SEED = 3000
+SEEDS = range(5)
+SIZES = (1.0, 0.4)
+WEAR = "friction_change"
+CHANGES = (
+    "payload",
+    "base_tilt",
+    "torque_constant",
+    "torque_bias",
+    "thermal_friction",
+    WEAR,
+    "rotor_inertia",
+    "time_skew",
+    "spring.counterbalance",
+)
+QUICK = (
+    "stribeck",
+    "load_dependent_friction",
+    "quadratic_drag",
+    "presliding_hysteresis",
+    "torque_ripple",
+    "joint_elasticity",
+    "spring",
+    "torque_bias",
+    "time_skew",
+    "external_contact",
+)
+PAIRS = 44
+SPRUNG = ("joint_elasticity", "backlash")  # a joint has one spring between drive and link
+CLEAN_SEED = 100
+SEEDS_APART = 100  # of the kinds of clean controls
+CLEAN_RUNS = 8  # of each kind, per rig
+PAIR_SEED = 2000
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """Instruments other than usual: factors of noise and encoder step, control periods per row.
+
+    `coloured` is the least share of the noise's variance that is 1/f; `keep` says which of the logs
+    there are.
+    """
+
+    noise: float = 1.0
+    coloured: float = 0.0
+    step: float = 1.0
+    every: int = 2
+    keep: Literal["all", "periodic", "others"] = "all"
+
+
+SENSORS: Mapping[str, Sensors] = {
+    "as usual": Sensors(),
+    "half the noise": Sensors(noise=0.5),
+    "twice the noise": Sensors(noise=2.0),
+    "encoders 4 times as coarse": Sensors(step=4.0),
+    "logs at 250 Hz": Sensors(every=4),
+    "logs at 1000 Hz": Sensors(every=1),
+    "periodic motions alone": Sensors(keep="periodic"),
+    "no periodic motion": Sensors(keep="others"),
+    "half the noise 1/f": Sensors(coloured=0.5),
+}
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One run of the study: its seed decides motions and noise, `start` the file it starts from.
+
+    simultaneous: classical least squares on the training logs, which have the effects.
+    sequential: friction, gravity and inertia from experiments without the effects.
+    sequential_with: the same with them.
+    before: classical least squares on other logs, recorded before the effects came.
+
+    The sequential ways are for a plant whose friction has Stribeck humps and waves over position.
+    """
+
+    group: Group
+    rig: str
+    seed: int
+    effects: Effects = ()
+    start: Start = "simultaneous"
+    sensors: str = "as usual"
+    seconds: float = 20.0  # of a log, but for at least three periods
+
+    @property
+    def simple_friction(self) -> bool:
+        """Whether friction is Coulomb and viscous, as the classical way takes it to be."""
+        return not self.start.startswith("sequential")
+
+    @property
+    def key(self) -> str:
+        """A name for the case, to search for in the results."""
+        effects = "+".join(f"{name}@{joint}x{size:g}" for name, joint, size in self.effects)
+        parts = (self.group, self.rig, effects or "none", f"seed {self.seed}")
+        return "/".join((*parts, self.start, self.sensors))
+
+    def without(self, number: int) -> Condition:
+        """The same without one of its effects."""
+        return replace(self, effects=self.effects[:number] + self.effects[number + 1 :])
+
+
+@dataclass(frozen=True)
+class Truth:
+    """One undeclared effect: its name in the catalogue, if any, and which joints are right.
+
+    `joints` is (None,) for an effect of the whole arm, both joints for a coupled pair.
+    """
+
+    name: str
+    kind: str | None
+    joints: tuple[str | None, ...]
+    depends_on: tuple[str, ...]
+
+
+# What a residual may depend on where an effect is not known by name, any one of each.
+QUANTITIES: Mapping[str, tuple[str, ...]] = {
+    "stribeck": ("velocity", "direction"),
+    "thermal_friction": ("temperature", "time", "velocity"),
+    "nonlinear_viscous": ("velocity",),
+    "torque_ripple": ("position",),
+    "joint_elasticity": ("acceleration", "load"),
+    "transmission_coupling": ("other_joint",),
+    "spring": ("position",),
+    "time_skew": ("acceleration", "load"),
+    "actuator_lag": ("acceleration", "load"),
+    "periodic_disturbance": ("time_frequency",),
+}
+
+
+def plant_of(rig: str, *, simple_friction: bool = False) -> Plant:
+    """A rig by its name here, or an arm drawn at random."""
+    if rig.startswith(ARM):
+        return drawn_arm(int(rig.removeprefix(ARM)), simple_friction=simple_friction)
+    return RIGS[RIG_NAMES[rig]](simple_friction=simple_friction)
+
+
+def declared(condition: Condition) -> Plant:
+    """The plant that the robot file describes, with the condition's instruments."""
+    plant = plant_of(condition.rig, simple_friction=condition.simple_friction)
+    sensors = SENSORS[condition.sensors]
+    return replace(
+        plant,
+        current_noise=sensors.noise * plant.current_noise,
+        coloured=max(sensors.coloured, plant.coloured),
+        encoder_step=sensors.step * plant.encoder_step,
+    )
+
+
+def built(condition: Condition) -> tuple[Plant, tuple[Truth, ...]]:
+    """The plant with all effects, and what they are."""
+    plant, truths = declared(condition), []
+    for name, joint, size in condition.effects:
+        plant, truth = (
+            worn(plant, joint, size) if name == WEAR else _injected(plant, name, joint, size)
+        )
+        truths.append(truth)
+    return plant, tuple(truths)
+
+
+def _injected(plant: Plant, name: str, joint: int, size: float) -> tuple[Plant, Truth]:
+    found = inject(name, plant, joint, size)
+    names = plant.arm.names
+    places: tuple[str | None, ...] = (None if found.joint is None else names[found.joint],)
+    if found.kind == "transmission_coupling":
+        places = (names[joint], names[joint - 1])
+    depends = found.depends_on or QUANTITIES.get(found.kind or "", ())
+    if depends == ("other_joint",):
+        depends = tuple(f"other_joint:{names[k]}" for k in (joint, other(plant, joint)))
+    return found.plant, Truth(name, found.kind, places, depends)
+
+
+def worn(plant: Plant, joint: int, size: float) -> tuple[Plant, Truth]:
+    """Coulomb friction of one joint higher by 30 % times size."""
+    friction = plant.friction
+    if not isinstance(friction, SurfaceFriction):
+        raise TypeError(f"friction is a {type(friction).__name__}, not a SurfaceFriction")
+    coulomb = friction.coulomb.copy()
+    coulomb[joint] *= 1.0 + 0.3 * size
+    truth = Truth(WEAR, WEAR, (plant.arm.names[joint],), ("direction", "velocity"))
+    return replace(plant, friction=replace(friction, coulomb=coulomb)), truth
+
+
+def joint_for(name: str, seed: int, joints: int) -> int:
+    """A joint that varies with the seed and the effect, among those that can have it."""
+    first = 0 if name == WEAR else REGISTRY[name].first
+    return first + (seed + sum(map(ord, name))) % (joints - first)
+
+
+def _joints(rig: str) -> int:
+    return plant_of(rig).arm.n
+
+
+def _single(
+    group: Group, rig: str, name: str, seed: int, size: float = 1.0, start: Start = "simultaneous"
+) -> Condition:
+    joint = joint_for(name, seed, _joints(rig))
+    return Condition(group, rig, seed, ((name, joint, size),), start)
+
+
+def _alone(group: Group, names: Iterable[str], sizes: Iterable[float] = SIZES) -> list[Condition]:
+    """Every kind alone, on both rigs, with every seed."""
+    every = product(SEEDS, sizes, RIG_NAMES, names)
+    return [_single(group, rig, name, seed, size) for seed, size, rig, name in every]
+
+
+def outside() -> list[Condition]:
+    """Effects that the catalogue does not have, clear and small."""
+    return _alone("outside", OUTSIDE)
+
+
+def clean() -> Iterator[Condition]:
+    """Nothing undeclared: every kind of instruments, and every file to start from."""
+    for number, sensors in enumerate(SENSORS):
+        first = CLEAN_SEED + SEEDS_APART * number
+        for seed, rig in product(range(first, first + CLEAN_RUNS), RIG_NAMES):
+            yield Condition("clean", rig, seed, sensors=sensors)
+    starts: tuple[Start, ...] = ("sequential", "before")
+    for start, seed, rig in product(starts, range(50, 54), RIG_NAMES):
+        yield Condition("clean", rig, seed, start=start)
+
+
+def pairs() -> Iterator[Condition]:
+    """Two kinds at once, drawn at random; half of them on one joint."""
+    rng = np.random.default_rng(44)
+    for number in range(PAIRS):
+        rig = ("two", "six")[number % 2]
+        n = _joints(rig)
+        while True:
+            one, two = (str(x) for x in rng.choice(CATALOGUE, 2, replace=False))
+            here, there = (int(x) for x in rng.choice(n, 2, replace=False))
+            joints = (here, here if number % 4 < 2 else there)
+            sprung = {one, two} == set(SPRUNG) and joints[0] == joints[1]
+            fits = all(j >= REGISTRY[x].first for x, j in zip((one, two), joints, strict=True))
+            if fits and not sprung:
+                break
+        effects = ((one, joints[0], 1.0), (two, joints[1], 1.0))
+        yield Condition("pairs", rig, PAIR_SEED + number, effects)
+
+
+def starts() -> Iterator[Condition]:
+    """Other files to start from: those of before a change, and sequential ones."""
+    for seed, rig, name, size in product(SEEDS, RIG_NAMES, CHANGES, SIZES):
+        yield _single("starts", rig, name, seed, size, "before")
+    for seed, rig, name in product(range(2), RIG_NAMES, CATALOGUE):
+        yield _single("starts", rig, name, seed, 1.0, "sequential")
+    for name in CATALOGUE:
+        yield _single("starts", "two", name, 0, 1.0, "sequential_with")
+
+
+def other_arms() -> Iterator[Condition]:
+    """Arms that nothing was ever set on: each clean, and with some kinds in turn."""
+    for number in ARMS:
+        rig, seed = f"{ARM}{number}", ARM_SEED + number
+        yield Condition("other_arms", rig, seed + SEEDS_APART)
+        for k in range(ARM_KINDS):
+            name = CATALOGUE[(ARM_KINDS * number + k) % len(CATALOGUE)]
+            yield _single("other_arms", rig, name, seed)
+
+
+def matrix() -> tuple[Condition, ...]:
+    """All cases of the study, seed by seed."""
+    catalogue, laws = _alone("catalogue", CATALOGUE), _alone("other_laws", OTHER_LAWS, (1.0,))
+    return (*clean(), *catalogue, *pairs(), *outside(), *laws, *starts(), *other_arms())
+
+
+def in_the_model(condition: Condition, name: str) -> bool:
+    """Whether the file of a case has the effect already: a body of logs with it is a link's."""
+    return name == "payload" and condition.start in ("simultaneous", "sequential_with")
+
+
+def quick() -> tuple[Condition, ...]:
+    """One seed of ten kinds and of the clean arm, two joints."""
+    return (
+        Condition("clean", "two", CLEAN_SEED),
+        *(_single("catalogue", "two", name, 0) for name in QUICK),
+    )

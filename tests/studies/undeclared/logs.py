@@ -1,0 +1,237 @@
+"""Logs of the study's cases, simulated once, and the parameter files that they start from."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.identify.friction_surface.stage import identify_friction
+from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.identify.prediction.predict import predict
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.types import Robot
+from tests import plants
+from tests.plants.experiments import Trial, friction_trials, gravity_trials, inertia_trials
+from tests.plants.robots.identified import simultaneous
+from tests.plants.robots.lab import recording_of, robot_of
+from tests.plants.samples import SIX_POSTURES
+from tests.plants.simulate import Plant, simulate
+from tests.plants.trajectories import Reference
+from tests.plants.trials import SEED_STRIDE, Drill, drills
+from tests.studies.records import sources_of
+from tests.studies.undeclared.cases import SENSORS, Condition, built, declared
+
+Array = NDArray[np.float64]
+
+EARLIER = 5000  # added to the seed: the logs of before a change
+TRIAL_SEED = 7000
+TRIAL_EVERY = 4  # control periods per row of the sequential experiments
+FIRST_START = 20.0  # s since power-on
+PAUSE = 10.0  # s between the sequential experiments
+TWO_POSTURES = np.array([[0.0, 0.3], [0.7, -1.0], [-0.9, 1.3], [1.5, 0.8], [-1.8, -1.6]])
+
+
+@dataclass(frozen=True)
+class Logs:
+    """What one case records, and its robot file."""
+
+    robot: Robot
+    training: tuple[Recording, ...]
+    held_out: tuple[Recording, ...]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """RMSE (n,) N m of held-out torque: low-passed, and as it is in the log."""
+
+    band: Array
+    raw: Array
+
+
+def logs_of(condition: Condition, cache: Path) -> Logs:
+    """Simulate a case's logs, or read them from the cache."""
+    sensors = SENSORS[condition.sensors]
+    plant, _ = built(condition)
+    found: dict[bool, list[Recording]] = {False: [], True: []}
+    plan = drills(declared(condition), condition.seed, seconds=condition.seconds)
+    for number, drill in enumerate(plan):
+        if _kept(drill, sensors.keep):
+            seed = SEED_STRIDE * condition.seed + number
+            what = f"{_plant_label(condition)}|{drill.name}"
+            recording = stored(
+                cache, what, plant, drill.reference, seed, every=sensors.every, start=drill.start
+            )
+            found[drill.held_out].append(recording)
+    robot = robot_for(condition)
+    return Logs(robot, tuple(found[False]), tuple(found[True]))
+
+
+def robot_for(condition: Condition) -> Robot:
+    """The robot file of a case."""
+    return robot_of(condition.rig, declared(condition))
+
+
+def _kept(drill: Drill, keep: str) -> bool:
+    return keep == "all" or (keep == "periodic") == (drill.period is not None)
+
+
+def _plant_label(condition: Condition) -> str:
+    sensors = SENSORS[condition.sensors]
+    plant = (condition.rig, condition.simple_friction, condition.effects)
+    return repr((plant, sensors.noise, sensors.coloured, sensors.step))
+
+
+def stored(
+    cache: Path,
+    what: str,
+    plant: Plant,
+    reference: Reference,
+    seed: int,
+    *,
+    every: int,
+    start: float,
+) -> Recording:
+    motion = hashlib.sha256(np.ascontiguousarray(reference.q).tobytes()).hexdigest()
+    key = hashlib.sha256(f"{what}|{motion}|{seed}|{every}|{start!r}|{plant_sources()}".encode())
+    digest = key.hexdigest()
+    path = cache / "logs" / digest[:2] / f"{digest[:24]}.npz"
+    name = what.rpartition("|")[2]
+    if not path.is_file():
+        log = simulate(plant, reference, seed, every=every, imus=False, start=start)
+        _save(path, recording_of(plant, name, log))
+    return _load(path, name, digest)
+
+
+def _save(path: Path, recording: Recording) -> None:
+    """Write what the stages read of a recording, whole or not at all."""
+    assert recording.tau is not None
+    warm = {} if recording.temperature is None else {"temperature": recording.temperature}
+    rate = np.array(recording.rate_hz)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(f".{os.getpid()}.part")
+    with part.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            allow_pickle=False,
+            q=recording.q,
+            tau=recording.tau,
+            rate=rate,
+            start=np.array(recording.start),
+            **warm,
+        )
+    part.replace(path)
+
+
+def _load(path: Path, name: str, digest: str) -> Recording:
+    with np.load(path, allow_pickle=False) as data:
+        q, rate = data["q"], float(data["rate"])
+        return Recording(
+            path=Path(name),
+            sha256=digest,
+            format="simulated",
+            t=np.arange(len(q), dtype=np.float64) / rate,
+            start=float(data["start"]),
+            q=q,
+            valid=np.ones(len(q), dtype=bool),
+            health=Health(rate_hz=rate, jitter=0.0),
+            tau=data["tau"],
+            temperature=data["temperature"] if "temperature" in data.files else None,
+        )
+
+
+def plant_sources() -> str:
+    """Hash of the simulator's sources, so that a change of physics makes new logs."""
+    return sources_of(Path(plants.__file__).parent, but=("samples",))
+
+
+def sequential_trials(plant: Plant, rig: str) -> list[Trial]:
+    """Experiments for friction, gravity and inertia."""
+    postures = list(TWO_POSTURES if rig == "two" else SIX_POSTURES)
+    rng = np.random.default_rng(TRIAL_SEED)
+    pairs = [(0, 1)] * 3 if rig == "two" else None
+    return [
+        *friction_trials(plant, postures[:1], lowest=0.08),
+        *gravity_trials(plant, postures[:5], speeds=(0.3,)),
+        *inertia_trials(plant, postures, rng, pairs=pairs, seconds=5.0),
+    ]
+
+
+def experiments_of(condition: Condition, cache: Path) -> Mapping[str, list[Recording]]:
+    """The sequential experiments' recordings, stage by stage, minutes of pauses between them."""
+    usual, (plant, _) = declared(condition), built(condition)
+    found: dict[str, list[Recording]] = {}
+    start = FIRST_START
+    for number, trial in enumerate(sequential_trials(usual, condition.rig)):
+        what = f"{_plant_label(condition)}|{trial.stage}/{trial.name}"
+        seed = TRIAL_SEED + number
+        recording = stored(
+            cache, what, plant, trial.reference, seed, every=TRIAL_EVERY, start=round(start, 3)
+        )
+        found.setdefault(trial.stage, []).append(recording)
+        start += trial.reference.duration + PAUSE
+    return found
+
+
+def earlier_logs(condition: Condition, cache: Path) -> Mapping[str, Sequence[Recording]]:
+    """Logs that the case's parameter file is made from, by stage, see `Condition`."""
+    if condition.start in ("simultaneous", "before"):
+        source = condition
+        if condition.start == "before":
+            source = replace(condition, seed=condition.seed + EARLIER, effects=())
+        return {"friction": logs_of(source, cache).training}
+    with_them = condition.start == "sequential_with"
+    return experiments_of(condition if with_them else replace(condition, effects=()), cache)
+
+
+def stages_of(condition: Condition, cache: Path) -> Stages:
+    """The parameter file that the case starts from, see `Condition`."""
+    logs, robot = earlier_logs(condition, cache), robot_for(condition)
+    if condition.simple_friction:
+        return simultaneous(logs["friction"], robot)
+    return sequential(logs, robot)
+
+
+def sequential(logs: Mapping[str, Sequence[Recording]], robot: Robot) -> Stages:
+    """Friction, gravity, inertia."""
+    friction = identify_friction(logs["friction"], robot, options=FrictionOptions())
+    stages = Stages(friction=friction)
+    slow = [*logs["friction"], *logs["gravity"]]
+    gravity = identify_gravity(slow, robot, stages)
+    stages = Stages(friction=friction, gravity=gravity)
+    inertia = identify_inertia(logs["inertia"], robot, stages, options=InertiaOptions())
+    return Stages(friction=friction, gravity=gravity, inertia=inertia)
+
+
+def errors(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> Errors:
+    """Distance of the torque to what is predicted, all logs; above the low-pass it stays."""
+    band, raw, samples = np.zeros(robot.n), np.zeros(robot.n), 0
+    found = predict(recordings, robot, stages, options=InertiaOptions())
+    for recording, p in zip(recordings, found, strict=True):
+        assert recording.tau is not None
+        finer = np.column_stack([np.interp(p.t, recording.t, tau) for tau in recording.tau.T])
+        band += np.sum(p.beyond[p.used] ** 2, axis=0)
+        raw += np.sum((finer - p.tau + p.beyond)[p.used] ** 2, axis=0)
+        samples += int(p.used.sum())
+    return Errors(np.sqrt(band / samples), np.sqrt(raw / samples))
+
+
+def excess(condition: Condition, number: int, cache: Path, with_it: Errors) -> tuple[float, ...]:
+    """By what share an effect raises each joint's held-out RMSE, (n,).
+
+    Compared with the same logs without it, and the file that they give: what a model that has the
+    effect would leave. The larger share of the low-passed and the raw error.
+    """
+    case = condition.without(number)
+    logs = logs_of(case, cache)
+    without = errors(logs.held_out, logs.robot, stages_of(case, cache))
+    more = np.maximum(with_it.band / without.band, with_it.raw / without.raw) - 1.0
+    return tuple(float(x) for x in more)

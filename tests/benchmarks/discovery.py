@@ -19,12 +19,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tests import ROOT
-from tests.plants.experiments import Trial
+from tests.plants.effects.registry import inject
+from tests.plants.motions.experiments import Trial
+from tests.plants.motions.trajectories import Reference
+from tests.plants.motions.trials import PERIODS, moves, waves, zigzags
 from tests.plants.samples import RECIPES, save
 from tests.plants.simulate import simulate
-from tests.plants.trajectories import Reference
-from tests.plants.trials import PERIODS, moves, waves, zigzags
-from tests.plants.undeclared import inject
 from tests.studies.tables import table
 
 SECONDS, EVERY, PAUSE_S = 20.0, 2, 60.0

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.rigid import Rigid
-from tests.plants.trajectories import Reference
+from tests.plants.mechanics.rigid import Rigid
+from tests.plants.motions.trajectories import Reference
 
 Array = NDArray[np.float64]
 

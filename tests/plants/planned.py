@@ -18,10 +18,10 @@ from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.robot.types import Array
-from tests.plants import rigs
+from tests.plants.arms import rigs
+from tests.plants.motions.trajectories import Reference, hold, join
 from tests.plants.robots.lab import recording_of
 from tests.plants.simulate import Plant, simulate
-from tests.plants.trajectories import Reference, hold, join
 from tests.unit.logs.writers import write_parquet
 
 RATE_HZ = 1000.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.rigid import Arm, rot_x
+from tests.plants.mechanics.rigid import Arm, rot_x
 from tests.plants.sensors import AccelerometerArray
 from tests.plants.simulate import Plant
 

@@ -13,7 +13,11 @@ import numpy as np
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tests.plants.experiments import (
+from tests.plants.arms.rigs import one_joint, six_joint, two_joint
+from tests.plants.effects.registry import Injection, inject
+from tests.plants.friction.laws import Extra
+from tests.plants.mechanics.rigid import PHI_NAMES
+from tests.plants.motions.experiments import (
     Trial,
     friction_trials,
     gravity_trials,
@@ -21,13 +25,9 @@ from tests.plants.experiments import (
     inertia_trials,
     validation_trials,
 )
-from tests.plants.laws import Extra
-from tests.plants.rigid import PHI_NAMES
-from tests.plants.rigs import one_joint, six_joint, two_joint
+from tests.plants.motions.trials import PERIODS, moves, waves, zigzags
 from tests.plants.robotfile import robot_toml, urdf_text
 from tests.plants.simulate import Log, Plant, simulate
-from tests.plants.trials import PERIODS, moves, waves, zigzags
-from tests.plants.undeclared import Injection, inject
 from tests.unit.logs.writers import write_mcap, write_parquet
 
 Array = NDArray[np.float64]

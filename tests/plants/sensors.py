@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
-from tests.plants.rigid import LinkMotion
+from tests.plants.mechanics.rigid import LinkMotion
 
 Array = NDArray[np.float64]
 

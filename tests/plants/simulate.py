@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.plants.controller import Controller, Gains, feedforward
-from tests.plants.friction import FrictionModel
-from tests.plants.heat import Heat
-from tests.plants.hidden import Hidden, Run, TorqueSource
-from tests.plants.mechanics import mechanics
-from tests.plants.rigid import Arm, Rigid, link_motion
+from tests.plants.friction.heat import Heat
+from tests.plants.friction.surface import FrictionModel
+from tests.plants.mechanics.hidden import Hidden, Run, TorqueSource
+from tests.plants.mechanics.joints import mechanics
+from tests.plants.mechanics.rigid import Arm, Rigid, link_motion
+from tests.plants.motions.trajectories import Reference
 from tests.plants.sensors import AccelerometerArray, noise, quantise
-from tests.plants.trajectories import Reference
 
 Array = NDArray[np.float64]
 

@@ -19,11 +19,11 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.friction import SurfaceFriction
-from tests.plants.rigid import Arm, link_motion
+from tests.plants.friction.surface import SurfaceFriction
+from tests.plants.mechanics.rigid import Arm, link_motion
+from tests.plants.motions.trajectories import Reference
 from tests.plants.sensors import noise, quantise
 from tests.plants.simulate import Log, Plant, Truth
-from tests.plants.trajectories import Reference
 
 Array = NDArray[np.float64]
 

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from seqid_cli.errors import SeqidWarning
 from seqid_cli.payload import payload
 from tests.plants import twin
-from tests.plants.experiments import inertia_trials
-from tests.plants.rigs import mounting, standard_parameters
+from tests.plants.arms.rigs import mounting, standard_parameters
+from tests.plants.motions.experiments import inertia_trials
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant
 from tests.studies.coverage.cases import case_of, draw, noise_seed, record, write_log

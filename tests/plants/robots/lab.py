@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.plants.drawn import drawn_arm
-from tests.plants.experiments import Trial
-from tests.plants.rigid import PHI_NAMES
+from tests.plants.arms.drawn import drawn_arm
+from tests.plants.mechanics.rigid import PHI_NAMES
+from tests.plants.motions.experiments import Trial
 from tests.plants.robotfile import robot_toml, urdf_text
 from tests.plants.simulate import Log, Plant, simulate
 

@@ -11,17 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.plants import twin
-from tests.plants.controller import gains_for
-from tests.plants.experiments import (
-    Trial,
-    friction_trials,
-    gravity_trials,
-    imu_trials,
-    inertia_trials,
-)
-from tests.plants.friction import SurfaceFriction
-from tests.plants.rigid import Arm, Rigid
-from tests.plants.rigs import (
+from tests.plants.arms.rigs import (
     GRAVITY,
     UR5E_CENTRE,
     UR5E_DH,
@@ -31,6 +21,16 @@ from tests.plants.rigs import (
     mounting,
     off_nominal,
     standard_parameters,
+)
+from tests.plants.controller import gains_for
+from tests.plants.friction.surface import SurfaceFriction
+from tests.plants.mechanics.rigid import Arm, Rigid
+from tests.plants.motions.experiments import (
+    Trial,
+    friction_trials,
+    gravity_trials,
+    imu_trials,
+    inertia_trials,
 )
 from tests.plants.robotfile import robot_toml
 from tests.plants.samples import SIX_POSTURES

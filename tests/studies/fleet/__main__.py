@@ -24,9 +24,9 @@ from seqid_cli.commands.screen.layout import format_table
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.scale.executors import cores, processes
-from tests.plants.experiments import Trial, friction_trials, inertia_trials
-from tests.plants.friction import SurfaceFriction
-from tests.plants.rigs import two_joint
+from tests.plants.arms.rigs import two_joint
+from tests.plants.friction.surface import SurfaceFriction
+from tests.plants.motions.experiments import Trial, friction_trials, inertia_trials
 from tests.plants.robotfile import robot_toml
 from tests.plants.simulate import Plant, simulate
 from tests.studies.fleet.comparison import Fleet, judge_fleet

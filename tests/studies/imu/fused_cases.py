@@ -13,13 +13,13 @@ from scipy.spatial.transform import Rotation
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Robot
-from tests.plants.experiments import inertia_trials, validation_trials
-from tests.plants.rigid import LinkMotion, link_motion
-from tests.plants.rigs import mounting, one_joint, six_joint, two_joint
+from tests.plants.arms.rigs import mounting, one_joint, six_joint, two_joint
+from tests.plants.mechanics.rigid import LinkMotion, link_motion
+from tests.plants.motions.experiments import inertia_trials, validation_trials
+from tests.plants.motions.trajectories import Reference, hold, join
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.sensors import AccelerometerArray, quantise, tetrahedral_array
 from tests.plants.simulate import Log, Plant, simulate
-from tests.plants.trajectories import Reference, hold, join
 
 Array = NDArray[np.float64]
 

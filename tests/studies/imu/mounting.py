@@ -23,10 +23,10 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Robot
-from tests.plants.experiments import swing
-from tests.plants.injections_drive import backlash, elastic
-from tests.plants.rigid import link_motion
-from tests.plants.rigs import one_joint, six_joint, two_joint
+from tests.plants.arms.rigs import one_joint, six_joint, two_joint
+from tests.plants.effects.drive import backlash, elastic
+from tests.plants.mechanics.rigid import link_motion
+from tests.plants.motions.experiments import swing
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.sensors import AccelerometerArray, Faults, quantise
 from tests.plants.simulate import Log, Plant, simulate

@@ -18,14 +18,14 @@ from seqid_cli.model.torque import TorqueModel, known_rotors
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.params.schema import ImuCalibration, ImuStage, Stages
 from seqid_cli.robot.base_parameters import gear_ratios
-from tests.plants.experiments import (
+from tests.plants.arms.rigs import LINK_INERTIA, one_joint
+from tests.plants.motions.experiments import (
     Trial,
     friction_trials,
     gravity_trials,
     imu_trials,
     inertia_trials,
 )
-from tests.plants.rigs import LINK_INERTIA, one_joint
 from tests.plants.robots.identified import before_inertia, with_inertia
 from tests.plants.robots.lab import Experiment, run
 from tests.plants.sensors import Faults

@@ -14,11 +14,11 @@ import numpy as np
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.robot.types import Robot
-from tests.plants.experiments import Trial, friction_trials, gravity_trials, inertia_trials
+from tests.plants.motions.experiments import Trial, friction_trials, gravity_trials, inertia_trials
+from tests.plants.motions.trajectories import Reference
+from tests.plants.motions.trials import moves, waves
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant
-from tests.plants.trajectories import Reference
-from tests.plants.trials import moves, waves
 from tests.studies.undeclared.cases import Condition, built, declared
 from tests.studies.undeclared.logs import TWO_POSTURES, robot_for, stored
 

@@ -24,9 +24,9 @@ from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.inertia import plan_inertia
 from seqid_cli.robot.types import Array, Robot
-from tests.plants.experiments import friction_trials, gravity_trials
+from tests.plants.arms.rigs import six_joint
+from tests.plants.motions.experiments import friction_trials, gravity_trials
 from tests.plants.planned import recorded
-from tests.plants.rigs import six_joint
 from tests.plants.robots.lab import robot_of, run
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant

@@ -23,8 +23,8 @@ from seqid_cli.plan.discrimination.discriminate import ENOUGH, plan_discriminate
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.robot.types import Robot
+from tests.plants.motions.trials import drills
 from tests.plants.planned import recorded
-from tests.plants.trials import drills
 from tests.studies.records import package_sources, results
 from tests.studies.tables import table
 from tests.studies.undeclared.cases import Condition, built, declared

@@ -19,9 +19,9 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.options import PlanOptions
-from tests.plants.experiments import Trial
+from tests.plants.arms.rigs import six_joint
+from tests.plants.motions.experiments import Trial
 from tests.plants.planned import FOLDERS, reference_of
-from tests.plants.rigs import six_joint
 from tests.plants.robots.identified import held_out, sequential
 from tests.plants.robots.lab import Experiment, recording_of, run, true_standard, true_value
 from tests.plants.robots.sample import sample_robot

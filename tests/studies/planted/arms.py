@@ -12,8 +12,9 @@ import numpy as np
 
 from seqid_cli.logs.read import read_both
 from seqid_cli.robot.file import load_robot
-from tests.plants.drawn import drawn_arm
-from tests.plants.experiments import (
+from tests.plants.arms.drawn import drawn_arm
+from tests.plants.arms.rigs import mounting
+from tests.plants.motions.experiments import (
     Trial,
     friction_trials,
     gravity_trials,
@@ -21,7 +22,6 @@ from tests.plants.experiments import (
     inertia_trials,
     validation_trials,
 )
-from tests.plants.rigs import mounting
 from tests.plants.robotfile import robot_toml, urdf_text
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
 from tests.plants.simulate import Plant, simulate
@@ -112,7 +112,7 @@ def _with_imu(plant: Plant) -> Plant:
 
 def _heaviest(plant: Plant) -> tuple[int, int]:
     """The joint that carries most, and the one that carries least of the others."""
-    from tests.plants.drawn import _loads
+    from tests.plants.arms.drawn import _loads
 
     load = _loads(plant.arm, plant.position_limits).gravity
     order = np.argsort(load)

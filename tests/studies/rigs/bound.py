@@ -18,8 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.friction import SurfaceFriction
-from tests.plants.rigid import rot_x
+from tests.plants.friction.surface import SurfaceFriction
+from tests.plants.mechanics.rigid import rot_x
 from tests.plants.simulate import Log, Plant
 
 Array = NDArray[np.float64]

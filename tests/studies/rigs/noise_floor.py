@@ -24,12 +24,12 @@ from seqid_cli.discover.noise.floor import noise_floor, rms
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.model.effects.scene import Scene
-from tests.plants.experiments import Trial, span_of, validation_trials
-from tests.plants.rigs import one_joint, two_joint
+from tests.plants.arms.rigs import one_joint, two_joint
+from tests.plants.motions.experiments import Trial, span_of, validation_trials
+from tests.plants.motions.trajectories import point_to_point
 from tests.plants.robots.identified import simultaneous
 from tests.plants.robots.lab import run
 from tests.plants.simulate import Log, Plant
-from tests.plants.trajectories import point_to_point
 from tests.plants.twin import inverse
 from tests.studies.records import mapped
 from tests.studies.rigs.variants import another

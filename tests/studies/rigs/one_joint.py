@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage
-from tests.plants.experiments import (
+from tests.plants.arms.rigs import LINK_INERTIA, MOMENT, one_joint
+from tests.plants.motions.experiments import (
     Trial,
     friction_trials,
     gravity_trials,
@@ -20,7 +21,6 @@ from tests.plants.experiments import (
     inertia_trials,
     validation_trials,
 )
-from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint
 from tests.plants.robots.identified import (
     before_inertia,
     held_out,

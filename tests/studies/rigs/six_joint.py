@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.params.schema import ImuStage, Parameter, Stages
-from tests.plants.experiments import (
+from tests.plants.arms.rigs import six_joint
+from tests.plants.motions.experiments import (
     Trial,
     friction_trials,
     gravity_trials,
@@ -20,7 +21,6 @@ from tests.plants.experiments import (
     inertia_trials,
     validation_trials,
 )
-from tests.plants.rigs import six_joint
 from tests.plants.robots.identified import HeldOut, held_out, noise_floor, sequential, simultaneous
 from tests.plants.robots.lab import run, true_standard, true_value
 from tests.plants.samples import SIX_POSTURES

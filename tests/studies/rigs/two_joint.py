@@ -13,14 +13,14 @@ from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage
-from tests.plants.experiments import (
+from tests.plants.arms.rigs import two_joint
+from tests.plants.motions.experiments import (
     Trial,
     friction_trials,
     imu_trials,
     inertia_trials,
     validation_trials,
 )
-from tests.plants.rigs import two_joint
 from tests.plants.robots.identified import held_out, noise_floor, sequential, simultaneous
 from tests.plants.robots.lab import run, true_standard, true_value
 from tests.plants.simulate import Plant

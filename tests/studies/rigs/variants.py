@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.plants.friction import SurfaceFriction
-from tests.plants.rigs import mounting
+from tests.plants.arms.rigs import mounting
+from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.simulate import Plant
 
 

@@ -9,12 +9,12 @@ from typing import Literal
 
 import numpy as np
 
+from tests.plants.arms.drawn import SLIDING, drawn_arm
 from tests.plants.cases import RIGS
-from tests.plants.drawn import SLIDING, drawn_arm
-from tests.plants.friction import SurfaceFriction
-from tests.plants.injections_arm import other
+from tests.plants.effects.arm import other
+from tests.plants.effects.registry import CATALOGUE, OTHER_LAWS, OUTSIDE, REGISTRY, inject
+from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.simulate import Plant
-from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE, REGISTRY, inject
 
 Group = Literal["catalogue", "clean", "pairs", "outside", "other_laws", "starts", "other_arms"]
 Start = Literal["simultaneous", "sequential", "sequential_with", "before"]

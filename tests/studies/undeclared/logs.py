@@ -20,13 +20,13 @@ from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests import plants
-from tests.plants.experiments import Trial, friction_trials, gravity_trials, inertia_trials
+from tests.plants.motions.experiments import Trial, friction_trials, gravity_trials, inertia_trials
+from tests.plants.motions.trajectories import Reference
+from tests.plants.motions.trials import SEED_STRIDE, Drill, drills
 from tests.plants.robots.identified import simultaneous
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant, simulate
-from tests.plants.trajectories import Reference
-from tests.plants.trials import SEED_STRIDE, Drill, drills
 from tests.studies.records import sources_of
 from tests.studies.undeclared.cases import SENSORS, Condition, built, declared
 

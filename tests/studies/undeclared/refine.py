@@ -33,7 +33,7 @@ from seqid_cli.model.effects.registry import CATALOGUE as EFFECTS
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import InputLog, ParameterFile, RefinementRound, Stages
 from seqid_cli.robot.types import Robot
-from tests.plants.undeclared import CATALOGUE
+from tests.plants.effects.registry import CATALOGUE
 from tests.studies.records import results
 from tests.studies.tables import counted, grouped, median_of, number
 from tests.studies.undeclared.cases import Condition, Truth, built

@@ -8,8 +8,8 @@ from operator import attrgetter
 
 import numpy as np
 
-from tests.plants.drawn import JOINTS
-from tests.plants.undeclared import CATALOGUE, OTHER_LAWS, OUTSIDE
+from tests.plants.arms.drawn import JOINTS
+from tests.plants.effects.registry import CATALOGUE, OTHER_LAWS, OUTSIDE
 from tests.studies.tables import counted, grouped, number
 from tests.studies.undeclared.cases import CHANGES, SENSORS, SIZES, declared
 from tests.studies.undeclared.judged import (

@@ -16,10 +16,10 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.plants.cases import Case, declared_plant, injections, motions
+from tests.plants.motions.trajectories import join
+from tests.plants.motions.trials import Drill, run_drill
 from tests.plants.robots.identified import simultaneous
 from tests.plants.robots.lab import recording_of, robot_of
-from tests.plants.trajectories import join
-from tests.plants.trials import Drill, run_drill
 
 Array = NDArray[np.float64]
 

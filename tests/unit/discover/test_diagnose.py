@@ -27,11 +27,11 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.plants.cases import Case, declared_plant, injections, motions
-from tests.plants.laws import Extra, Stribeck
+from tests.plants.friction.laws import Extra, Stribeck
+from tests.plants.motions.trials import run_drill
 from tests.plants.robots.identified import simultaneous
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.robots.two_joint import friction_surface
-from tests.plants.trials import run_drill
 
 pytestmark = pytest.mark.slow
 

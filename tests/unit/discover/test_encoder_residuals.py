@@ -15,12 +15,12 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
-from tests.plants.experiments import span_of
-from tests.plants.friction import SurfaceFriction
-from tests.plants.rigs import plain, two_joint
+from tests.plants.arms.rigs import plain, two_joint
+from tests.plants.friction.surface import SurfaceFriction
+from tests.plants.motions.experiments import span_of
+from tests.plants.motions.trajectories import fourier
 from tests.plants.robots.sample import sample_robot
 from tests.plants.simulate import simulate
-from tests.plants.trajectories import fourier
 from tests.unit.discover.drawn_logs import recording
 
 JOINTS, SECONDS, EVERY = 2, 30.0, 2

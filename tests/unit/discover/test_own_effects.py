@@ -12,7 +12,7 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.robot.formula import parse_formula
 from seqid_cli.robot.types import OwnEffect
-from tests.plants.injections_friction import clear
+from tests.plants.effects.friction import clear
 from tests.studies.undeclared.cases import declared, outside
 from tests.studies.undeclared.logs import Logs, logs_of, stages_of
 

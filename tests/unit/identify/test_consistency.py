@@ -15,7 +15,7 @@ from seqid_cli.model.torque import standard_parameters
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import free_basis, standard_names
 from seqid_cli.robot.types import Robot
-from tests.plants.rigs import six_joint, two_joint
+from tests.plants.arms.rigs import six_joint, two_joint
 from tests.plants.robots.lab import robot_of, true_standard
 from tests.plants.simulate import Plant
 

@@ -15,7 +15,7 @@ from seqid_cli.identify.rigid.cutoff_check import (
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.params.schema import Parameter, RigidStage
 from seqid_cli.robot.base_parameters import base_parameters
-from tests.plants.rigs import one_joint
+from tests.plants.arms.rigs import one_joint
 from tests.plants.robots.lab import robot_of
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
-from tests.plants.rigs import MOMENT, one_joint, six_joint
+from tests.plants.arms.rigs import MOMENT, one_joint, six_joint
 from tests.plants.robots.lab import robot_of
 
 Array = NDArray[np.float64]

@@ -13,11 +13,11 @@ from seqid_cli.errors import UsageError
 from seqid_cli.identify.imu_calibration.axis_pairs import Pair, fit_rotation
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.motion.options import MotionOptions
-from tests.plants.experiments import Trial, swing
-from tests.plants.rigs import one_joint
+from tests.plants.arms.rigs import one_joint
+from tests.plants.motions.experiments import Trial, swing
+from tests.plants.motions.trajectories import hold, join
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.simulate import Plant, simulate
-from tests.plants.trajectories import hold, join
 
 Array = NDArray[np.float64]
 

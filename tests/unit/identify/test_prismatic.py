@@ -19,10 +19,10 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.types import Chain, Joint, Robot
+from tests.plants.motions.trajectories import Reference, hold, join, sweeps, together, zigzag
 from tests.plants.robots.made import made_recording
 from tests.plants.robots.sample import rmse
 from tests.plants.sensors import quantise
-from tests.plants.trajectories import Reference, hold, join, sweeps, together, zigzag
 
 pytestmark = pytest.mark.slow
 

@@ -13,10 +13,10 @@ from seqid_cli.identify.friction_surface.trials import Ramps, Trial, collect_tri
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.robot.types import Robot
+from tests.plants.motions.trajectories import sweeps
 from tests.plants.robots.made import made_recording
 from tests.plants.robots.small import planar_2r
 from tests.plants.sensors import quantise
-from tests.plants.trajectories import sweeps
 
 Array = NDArray[np.float64]
 

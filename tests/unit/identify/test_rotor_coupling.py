@@ -13,11 +13,11 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.types import Robot
+from tests.plants.arms.rigs import standard_parameters
 from tests.plants.controller import gains_for
-from tests.plants.experiments import inertia_trials
-from tests.plants.friction import Frictionless
-from tests.plants.rigid import Arm
-from tests.plants.rigs import standard_parameters
+from tests.plants.friction.surface import Frictionless
+from tests.plants.mechanics.rigid import Arm
+from tests.plants.motions.experiments import inertia_trials
 from tests.plants.robots.lab import recording_of, robot_of, true_standard, true_value
 from tests.plants.robots.made import friction_joint
 from tests.plants.simulate import Plant, simulate

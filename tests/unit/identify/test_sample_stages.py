@@ -17,7 +17,7 @@ from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor
-from tests.plants import rigs as plants
+from tests.plants.arms import rigs as plants
 from tests.plants.robots.sample import Rig, rmse
 
 Array = NDArray[np.float64]

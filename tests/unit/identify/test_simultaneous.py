@@ -15,12 +15,12 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
-from tests.plants.rigid import PHI_NAMES
-from tests.plants.rigs import six_joint
+from tests.plants.arms.rigs import six_joint
+from tests.plants.mechanics.rigid import PHI_NAMES
+from tests.plants.motions.trajectories import fourier
 from tests.plants.robots.made import made_recording
 from tests.plants.robots.sample import rmse
 from tests.plants.robots.small import arm_6r
-from tests.plants.trajectories import fourier
 
 RATE = 100.0
 COULOMB, VISCOUS, OFFSET = 4.0 - 0.5 * np.arange(6), 2.0 - 0.2 * np.arange(6), 0.1 * np.arange(6)

@@ -22,7 +22,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.types import Robot
-from tests.plants.rigs import MOMENT, one_joint
+from tests.plants.arms.rigs import MOMENT, one_joint
 from tests.plants.robots.lab import robot_of
 from tests.plants.robots.sample import Rig
 from tests.unit.identify.test_gravity import NEGATIVE, POSITIVE, surface_of, trials

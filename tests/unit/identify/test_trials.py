@@ -25,10 +25,10 @@ from seqid_cli.motion.segmentation import Stretch
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
+from tests.plants.motions.trajectories import sweeps
 from tests.plants.robots.made import made_recording
 from tests.plants.robots.small import planar_2r, random_model, robot_from_chain
 from tests.plants.sensors import quantise
-from tests.plants.trajectories import sweeps
 
 Array = NDArray[np.float64]
 

@@ -11,13 +11,13 @@ import pytest
 
 from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.robot.file import load_robot
-from tests.plants.drawn import drawn_arm
-from tests.plants.experiments import span_of
+from tests.plants.arms.drawn import drawn_arm
+from tests.plants.motions.experiments import span_of
+from tests.plants.motions.trajectories import Reference, hold, join, sweeps
+from tests.plants.motions.trials import waves
 from tests.plants.robotfile import robot_toml
 from tests.plants.simulate import Plant as Robot
 from tests.plants.simulate import simulate
-from tests.plants.trajectories import Reference, hold, join, sweeps
-from tests.plants.trials import waves
 from tests.unit.inspect import planting as p
 from tests.unit.inspect.faults import write_columns
 from tests.unit.inspect.planting import Columns, Plant

@@ -25,8 +25,8 @@ from seqid_cli.robot.base_parameters import (
     standard_regressor,
 )
 from seqid_cli.robot.types import Robot
-from tests.plants.rigid import Rigid
-from tests.plants.rigs import six_joint
+from tests.plants.arms.rigs import six_joint
+from tests.plants.mechanics.rigid import Rigid
 from tests.plants.robots.made import made_motion
 from tests.plants.robots.small import arm_6r
 from tests.plants.robots.stages import friction_stage

@@ -19,8 +19,7 @@ from seqid_cli.motion.segmentation import (
     standing,
 )
 from seqid_cli.typing import Array
-from tests.plants.sensors import quantise
-from tests.plants.trajectories import (
+from tests.plants.motions.trajectories import (
     Reference,
     hold,
     join,
@@ -28,6 +27,7 @@ from tests.plants.trajectories import (
     sweeps,
     trapezoid,
 )
+from tests.plants.sensors import quantise
 
 COARSE, MIDDLE, FINE = (2 * np.pi / counts for counts in (600, 2**12, 2**17))
 SPEEDS = (0.1, 0.4, 1.0, 2.0, 4.0)

@@ -23,7 +23,7 @@ from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import PER_LINK, inverse_dynamics
 from seqid_cli.robot.types import Robot
 from tests import ROOT
-from tests.plants.rigs import standard_parameters
+from tests.plants.arms.rigs import standard_parameters
 
 Array = NDArray[np.float64]
 

@@ -28,9 +28,9 @@ from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.inertia import Planned
 from seqid_cli.typing import Array
+from tests.plants.arms.vertical import vertical_two_joint
 from tests.plants.robots.lab import robot_of
 from tests.plants.robots.stages import inertia_stage
-from tests.plants.vertical import vertical_two_joint
 
 PAIR = ("stribeck", "quadratic_drag")
 OPTIONS = PlanOptions(duration_s=24.0, move_s=6.0, between=PAIR, joint="elbow")

@@ -22,7 +22,7 @@ from seqid_cli.plan.stages.inertia import plan_inertia
 from seqid_cli.plan.stages.payload import loaded
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Array, Imu, Robot
-from tests.plants.drawn import drawn_arm
+from tests.plants.arms.drawn import drawn_arm
 from tests.plants.planned import limits_used
 from tests.plants.robots.lab import drawn_robot
 from tests.plants.robots.sample import sample_robot

@@ -10,8 +10,8 @@ import pytest
 
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
-from tests.plants.drawn import SLIDING, drawn_arm
-from tests.plants.rigid import Rigid
+from tests.plants.arms.drawn import SLIDING, drawn_arm
+from tests.plants.mechanics.rigid import Rigid
 from tests.plants.robotfile import robot_toml
 from tests.plants.simulate import Plant
 from tests.unit.plants.test_plants import fall

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.plants.hidden import Run
-from tests.plants.hysteresis import Bristles, Cable
-from tests.plants.injections_friction import heat_of
-from tests.plants.vertical import vertical_two_joint
+from tests.plants.arms.vertical import vertical_two_joint
+from tests.plants.effects.friction import heat_of
+from tests.plants.friction.hysteresis import Bristles, Cable
+from tests.plants.mechanics.hidden import Run
 
 Array = NDArray[np.float64]
 RUN = Run(0.0, 10.0, 1e-3, 0)

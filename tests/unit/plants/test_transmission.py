@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.plants.friction import Frictionless
-from tests.plants.hidden import Hidden, Spring
-from tests.plants.mechanics import ElasticJoints, RigidJoints, substeps, vibration
-from tests.plants.rigid import Rigid
-from tests.plants.rigs import one_joint, six_joint
+from tests.plants.arms.rigs import one_joint, six_joint
+from tests.plants.arms.vertical import vertical_two_joint
+from tests.plants.friction.surface import Frictionless
+from tests.plants.mechanics.hidden import Hidden, Spring
+from tests.plants.mechanics.joints import ElasticJoints, RigidJoints, substeps, vibration
+from tests.plants.mechanics.rigid import Rigid
+from tests.plants.motions.trajectories import Reference, fourier, hold
 from tests.plants.simulate import Plant, simulate
-from tests.plants.trajectories import Reference, fourier, hold
-from tests.plants.vertical import vertical_two_joint
 
 Array = NDArray[np.float64]
 

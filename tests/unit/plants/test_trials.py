@@ -1,15 +1,12 @@
-"""The logs of a study: what repeats, what is held out, and what the cache returns."""
+"""The logs of a study: what repeats, and what is held out."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.plants.cases import RIGS, Case, injections, motions
-from tests.plants.simulate import Log, Truth
-from tests.plants.trials import FADE, RATE_HZ, record
+from tests.plants.cases import RIGS, Case, motions
+from tests.plants.motions.trials import FADE, RATE_HZ
 
 
 @pytest.mark.parametrize("rig", sorted(RIGS))
@@ -33,30 +30,3 @@ def test_motions_are_periodic_where_they_say_so(rig: str) -> None:
             assert whole >= 3
             cycles = motion.q[edge : edge + whole * count].reshape(whole, count, -1)
             np.testing.assert_array_equal(cycles, np.broadcast_to(cycles[0], cycles.shape))
-
-
-def test_same_case_same_logs_from_the_run_and_from_the_cache(tmp_path: Path) -> None:
-    """Run, stored and read again; another effect is another file."""
-    case = Case("vertical_two_joint", 3, (("thermal_friction", 1, 1.0),), seconds=3.0)
-    plant, chosen = injections(case)[-1].plant, motions(case)[1:6:3]
-    first = record(plant, chosen, 3, cache=tmp_path, label=repr(case))
-    stored = sorted(tmp_path.iterdir())
-    assert len(stored) == 2
-    again = record(plant, chosen, 3, cache=tmp_path, label=repr(case))
-    assert sorted(tmp_path.iterdir()) == stored
-    fresh = record(plant, chosen, 3)
-    for one, two, three in zip(first, again, fresh, strict=True):
-        same(one.log, two.log)
-        same(one.log, three.log)
-        assert one.log.start == one.drill.start
-    record(plant, chosen[:1], 3, cache=tmp_path, label="another")
-    assert len(list(tmp_path.iterdir())) == 3
-
-
-def same(one: Log, two: Log) -> None:
-    """Equal to the last bit."""
-    for name in ("t", "q", "current", "temperature"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
-    for name in Truth.__dataclass_fields__:
-        np.testing.assert_array_equal(getattr(one.truth, name), getattr(two.truth, name))
-    assert one.start == two.start

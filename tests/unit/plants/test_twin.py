@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.plants import twin
-from tests.plants.experiments import inertia_trials
-from tests.plants.rigid import Rigid
-from tests.plants.rigs import one_joint, six_joint, two_joint
+from tests.plants.arms.rigs import one_joint, six_joint, two_joint
+from tests.plants.mechanics.rigid import Rigid
+from tests.plants.motions.experiments import inertia_trials
 from tests.plants.simulate import Plant
 from tests.studies.coverage.cases import Case, draw
 

@@ -9,18 +9,18 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from tests.plants.drives import Lag, Skew
-from tests.plants.friction import Friction
-from tests.plants.hidden import Hidden, Run, Spring
-from tests.plants.rated import rated_torque, tool_point
-from tests.plants.rigid import build_model
-from tests.plants.rigs import six_joint
+from tests.plants.arms.rated import rated_torque, tool_point
+from tests.plants.arms.rigs import six_joint
+from tests.plants.arms.vertical import vertical_two_joint
+from tests.plants.effects.registry import REGISTRY, inject
+from tests.plants.friction.surface import Friction
+from tests.plants.mechanics.drives import Lag, Skew
+from tests.plants.mechanics.hidden import Hidden, Run, Spring
+from tests.plants.mechanics.rigid import build_model
+from tests.plants.mechanics.torques import Contact, Counterbalance
+from tests.plants.motions.trajectories import Reference, periodic
 from tests.plants.robotfile import robot_toml
 from tests.plants.simulate import Plant, simulate
-from tests.plants.torques import Contact, Counterbalance
-from tests.plants.trajectories import Reference, periodic
-from tests.plants.undeclared import REGISTRY, inject
-from tests.plants.vertical import vertical_two_joint
 
 Array = NDArray[np.float64]
 RUN = Run(100.0, 2.0, 1e-3, 5)

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.plants.rigs import plain
+from tests.plants.arms.rigs import plain
 from tests.studies.coverage.cases import Case, draw, record
 from tests.studies.coverage.score import compare, identified
 from tests.studies.coverage.study import seeds_of

@@ -10,11 +10,11 @@ import pytest
 
 from seqid_cli.params.schema import Parameter
 from tests import ROOT
-from tests.plants.rigid import Rigid
-from tests.plants.rigs import LINK_INERTIA, MOMENT, one_joint, six_joint, two_joint
+from tests.plants.arms.rigs import LINK_INERTIA, MOMENT, one_joint, six_joint, two_joint
+from tests.plants.mechanics.rigid import Rigid
+from tests.plants.motions.trajectories import single, sweeps, trapezoid
 from tests.plants.robots.lab import true_standard, true_value
 from tests.plants.simulate import simulate
-from tests.plants.trajectories import single, sweeps, trapezoid
 from tests.studies.__main__ import STUDIES
 from tests.studies.recorded import classical
 from tests.studies.rigs.bound import (

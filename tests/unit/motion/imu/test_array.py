@@ -18,7 +18,7 @@ from seqid_cli.motion.imu.array import (
 from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robot.types import Imu
 from seqid_cli.typing import Array
-from tests.plants.rigid import LinkMotion
+from tests.plants.mechanics.rigid import LinkMotion
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
 
 OPEN = Lowpass(1e9, 100.0)  # passes everything

@@ -17,8 +17,8 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
-from tests.plants.experiments import inertia_trials
-from tests.plants.rigs import two_joint
+from tests.plants.arms.rigs import two_joint
+from tests.plants.motions.experiments import inertia_trials
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.simulate import simulate
 from tests.unit.motion.smoother.test_smooth import stage_of

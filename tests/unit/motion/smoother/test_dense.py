@@ -27,7 +27,7 @@ from seqid_cli.motion.smoother.system import linearised
 from seqid_cli.motion.smoother.terms import Jerk
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.typing import Array
-from tests.plants.rigs import two_joint
+from tests.plants.arms.rigs import two_joint
 from tests.plants.robots.lab import robot_of
 from tests.plants.robots.made import made_recording
 from tests.plants.sensors import quantise

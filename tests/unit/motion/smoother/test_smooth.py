@@ -27,8 +27,8 @@ from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.kinematics import link_motion
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
-from tests.plants.experiments import inertia_trials, validation_trials
-from tests.plants.rigs import one_joint, six_joint, two_joint
+from tests.plants.arms.rigs import one_joint, six_joint, two_joint
+from tests.plants.motions.experiments import inertia_trials, validation_trials
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.robots.small import random_model
 from tests.plants.simulate import Log, Plant, simulate

@@ -9,8 +9,7 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.simulate import Plant
-from tests.plants.trajectories import (
+from tests.plants.motions.trajectories import (
     Profile,
     Reference,
     fourier,
@@ -23,6 +22,7 @@ from tests.plants.trajectories import (
     trapezoid,
     zigzag,
 )
+from tests.plants.simulate import Plant
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from tests.plants.rigid import Rigid, build_model
+from tests.plants.mechanics.rigid import Rigid, build_model
 from tests.plants.simulate import Plant
 
 Array = NDArray[np.float64]

@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.injections_drive import at
-from tests.plants.injections_friction import clear
-from tests.plants.rated import reach, strongest, tool_point, travel
-from tests.plants.rigid import rot_x, rot_z
-from tests.plants.rigs import GRAVITY, standard_parameters
+from tests.plants.arms.rated import reach, strongest, tool_point, travel
+from tests.plants.arms.rigs import GRAVITY, standard_parameters
+from tests.plants.effects.drive import at
+from tests.plants.effects.friction import clear
+from tests.plants.mechanics.rigid import rot_x, rot_z
+from tests.plants.mechanics.torques import AccelerationCube, Contact, State
 from tests.plants.simulate import Plant
-from tests.plants.torques import AccelerationCube, Contact, State
 
 Array = NDArray[np.float64]
 

@@ -65,25 +65,6 @@ class SurfaceFriction:
 
 
 @dataclass(frozen=True)
-class LoadDependent:
-    """Adds `gain` (n,) times the magnitude of the torque passed to the link to the dry level."""
-
-    base: FrictionModel
-    gain: Array
-
-    def begin(self) -> Law:
-        """Return the law of one run."""
-        base = self.base.begin()
-
-        def law(t: float, q: Array, dq: Array, load: Array) -> Friction:
-            forward, backward, smooth = base(t, q, dq, load)
-            more = self.gain * np.abs(load)
-            return Friction(forward + more, backward + more, smooth)
-
-        return law
-
-
-@dataclass(frozen=True)
 class Frictionless:
     """No friction at all, for checks of the mechanics."""
 

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.experiments import span_of
-from tests.plants.simulate import Log, Plant, Truth, simulate
-from tests.plants.trajectories import (
+from tests.plants.motions.experiments import span_of
+from tests.plants.motions.trajectories import (
     Reference,
     hold,
     join,
@@ -21,6 +17,7 @@ from tests.plants.trajectories import (
     together,
     zigzag,
 )
+from tests.plants.simulate import Log, Plant, simulate
 
 Array = NDArray[np.float64]
 
@@ -44,14 +41,6 @@ class Drill:
     start: float
     period: float | None = None
     held_out: bool = False
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """A drill and what the plant made of it."""
-
-    drill: Drill
-    log: Log
 
 
 @dataclass(frozen=True)
@@ -131,14 +120,11 @@ def _rested(motion: Reference) -> Reference:
     return join([ends[0], motion, ends[1]])
 
 
-def drills(
-    plant: Plant, seed: int, *, seconds: float = 20.0, repeat: bool = False
-) -> tuple[Drill, ...]:
+def drills(plant: Plant, seed: int, *, seconds: float = 20.0) -> tuple[Drill, ...]:
     """Five training and two held-out logs of about `seconds` s, in the order of their starts.
 
     Fourier series fast, slow and in between, moves between postures, and trapezoids of all joints
     at once; held out are one Fourier series and one set of moves. Starts are 2 to 4 minutes apart.
-    With `repeat` the first log's motion is run again at the end, as training.
     """
     rng = np.random.default_rng([seed, 5])
     one, two, three = (float(x) for x in rng.permutation(PERIODS))
@@ -151,8 +137,6 @@ def drills(
         ("held_moves", moves(plant, rng, share=0.8, seconds=seconds), None, True),
         ("middle", waves(plant, rng, period=two, share=0.45, seconds=seconds), two, False),
     ]
-    if repeat:
-        plan.append(("fast_again", plan[0][1], one, False))
     pauses = rng.uniform(120.0, 240.0, len(plan)).round(3)
     starts = 20.0 + np.cumsum(pauses) - pauses[0]
     return tuple(
@@ -161,80 +145,6 @@ def drills(
     )
 
 
-def record(
-    plant: Plant,
-    chosen: Sequence[Drill],
-    seed: int,
-    *,
-    imus: bool = False,
-    cache: Path | None = None,
-    label: str = "",
-) -> tuple[Recorded, ...]:
-    """Run drills on a plant, noise seeds 1000 seed + number of the drill.
-
-    With a `cache` folder a run is stored under `label` (which must say what the plant is: its rig,
-    injection, joint and size), the drill, the seed and a hash of the simulator's sources, and read
-    back from there the next time.
-    """
-    out = []
-    for number, drill in enumerate(chosen):
-        noise = SEED_STRIDE * seed + number
-        if cache is None:
-            log = run_drill(plant, drill, noise, imus=imus)
-        else:
-            key = f"{label}|{drill.start!r}|{noise}|{imus}|{_digest(drill.reference)}|{_sources()}"
-            path = cache / f"{hashlib.sha256(key.encode()).hexdigest()[:24]}.npz"
-            log = _stored(path, plant, drill, noise, imus=imus)
-        out.append(Recorded(drill, log))
-    return tuple(out)
-
-
 def run_drill(plant: Plant, drill: Drill, seed: int, *, imus: bool = False) -> Log:
     """Run one drill, recorded at 500 Hz."""
     return simulate(plant, drill.reference, seed, every=EVERY, imus=imus, start=drill.start)
-
-
-def _stored(path: Path, plant: Plant, drill: Drill, seed: int, *, imus: bool) -> Log:
-    if path.is_file():
-        return load_log(path)
-    log = run_drill(plant, drill, seed, imus=imus)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_log(path, log)
-    return log
-
-
-def _digest(reference: Reference) -> str:
-    return hashlib.sha256(np.ascontiguousarray(reference.q).tobytes()).hexdigest()
-
-
-def _sources() -> str:
-    """Hash of the simulator's own files, so that a change of physics makes new logs."""
-    here = Path(__file__).parent
-    files = [x for x in sorted(here.glob("*.py")) if not x.name.startswith("test_")]
-    return hashlib.sha256(b"".join(x.read_bytes() for x in files)).hexdigest()
-
-
-def save_log(path: Path, log: Log) -> None:
-    """Write a log as npz, whole or not at all."""
-    truth = {f"truth_{x}": getattr(log.truth, x) for x in Truth.__dataclass_fields__}
-    arrays = {f"imu_{name}": readings for name, readings in log.accelerometers.items()}
-    warm = {} if log.temperature is None else {"temperature": log.temperature}
-    plain = {"t": log.t, "q": log.q, "current": log.current, "start": np.array(log.start)}
-    part = path.with_suffix(".part")
-    with part.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, **plain, **truth, **arrays, **warm)
-    part.replace(path)
-
-
-def load_log(path: Path) -> Log:
-    """Read what `save_log` wrote."""
-    with np.load(path, allow_pickle=False) as data:
-        return Log(
-            t=data["t"],
-            q=data["q"],
-            current=data["current"],
-            accelerometers={x[4:]: data[x] for x in data.files if x.startswith("imu_")},
-            truth=Truth(*(data[f"truth_{x}"] for x in Truth.__dataclass_fields__)),
-            start=float(data["start"]),
-            temperature=data["temperature"] if "temperature" in data.files else None,
-        )

@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.plants.heat import Heat, WarmingFriction
-from tests.plants.hysteresis import Bristles, Cable
-from tests.plants.laws import Asymmetry, Curve, Extra, LevelWave, MeshLoss, Power, Stribeck
-from tests.plants.rated import dry_level, rated_torque, travel
+from tests.plants.arms.rated import dry_level, rated_torque, travel
+from tests.plants.friction.heat import Heat, WarmingFriction
+from tests.plants.friction.hysteresis import Bristles, Cable
+from tests.plants.friction.laws import Asymmetry, Curve, Extra, LevelWave, MeshLoss, Power, Stribeck
+from tests.plants.mechanics.torques import Counterbalance, LinearSpring
 from tests.plants.simulate import Plant
-from tests.plants.torques import Counterbalance, LinearSpring
 
 CLEAR = 0.05  # share of rated torque at size 1
 USUAL_SPEED = 0.3  # share of the top speed at which the gears warm up

@@ -7,9 +7,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.friction import Friction, Law, stick_slip
-from tests.plants.hidden import Hidden, Spring, TorqueSource
-from tests.plants.rigid import Arm, Rigid
+from tests.plants.friction.surface import Friction, Law, stick_slip
+from tests.plants.mechanics.hidden import Hidden, Spring, TorqueSource
+from tests.plants.mechanics.rigid import Arm, Rigid
 
 Array = NDArray[np.float64]
 FINEST = 0.5  # rad of the fastest vibration per substep

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.hidden import Run, Stage
+from tests.plants.mechanics.hidden import Run, Stage
 
 Array = NDArray[np.float64]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.plants.arms.rigs import GRAVITY, mounting, off_nominal, plain, standard_parameters
 from tests.plants.controller import gains_for
-from tests.plants.friction import SurfaceFriction
-from tests.plants.rigid import Arm
-from tests.plants.rigs import GRAVITY, mounting, off_nominal, plain, standard_parameters
+from tests.plants.friction.surface import SurfaceFriction
+from tests.plants.mechanics.rigid import Arm
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
 from tests.plants.simulate import Plant
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.plants.arms.rated import TRAVEL
+from tests.plants.arms.rigs import GRAVITY, mounting, off_nominal, plain, standard_parameters
 from tests.plants.controller import gains_for
-from tests.plants.friction import SurfaceFriction
-from tests.plants.rated import TRAVEL
-from tests.plants.rigid import Arm, Rigid
-from tests.plants.rigs import GRAVITY, mounting, off_nominal, plain, standard_parameters
+from tests.plants.friction.surface import SurfaceFriction
+from tests.plants.mechanics.rigid import Arm, Rigid
 from tests.plants.simulate import Plant
 
 Array = NDArray[np.float64]

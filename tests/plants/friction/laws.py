@@ -9,7 +9,7 @@ from math import cos, exp
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.friction import Friction, FrictionModel, Law
+from tests.plants.friction.surface import Friction, FrictionModel, Law
 
 Array = NDArray[np.float64]
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.plants.controller import gains_for
-from tests.plants.friction import SurfaceFriction
-from tests.plants.rigid import Arm, rot_x, rot_z
+from tests.plants.friction.surface import SurfaceFriction
+from tests.plants.mechanics.rigid import Arm, rot_x, rot_z
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
 from tests.plants.simulate import Plant
 

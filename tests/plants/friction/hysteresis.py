@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.friction import Friction, FrictionModel, Law
-from tests.plants.hidden import Run, TorqueSource
+from tests.plants.friction.surface import Friction, FrictionModel, Law
+from tests.plants.mechanics.hidden import Run, TorqueSource
 
 Array = NDArray[np.float64]
 

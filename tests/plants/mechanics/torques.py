@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from tests.plants.hidden import Run, TorqueSource
-from tests.plants.rigid import Arm, build_model
+from tests.plants.mechanics.hidden import Run, TorqueSource
+from tests.plants.mechanics.rigid import Arm, build_model
 
 Array = NDArray[np.float64]
 

@@ -6,9 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from tests.plants import injections_arm as arm
-from tests.plants import injections_drive as drive
-from tests.plants import injections_friction as friction
+from tests.plants.effects import arm, drive, friction
 from tests.plants.simulate import Plant
 
 Maker = Callable[[Plant, int, float], Plant]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from tests.plants.friction import Friction, FrictionModel, Law
+from tests.plants.friction.surface import Friction, FrictionModel, Law
 
 Array = NDArray[np.float64]
 

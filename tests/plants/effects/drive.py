@@ -11,12 +11,21 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.drives import EncoderWave, Gain, Hum, Lag, Offset, Ripple, Saturation, Skew
-from tests.plants.hidden import Spring
-from tests.plants.injections_friction import clear
-from tests.plants.mechanics import swung
-from tests.plants.rated import rated_torque, travel
-from tests.plants.rigid import Rigid
+from tests.plants.arms.rated import rated_torque, travel
+from tests.plants.effects.friction import clear
+from tests.plants.mechanics.drives import (
+    EncoderWave,
+    Gain,
+    Hum,
+    Lag,
+    Offset,
+    Ripple,
+    Saturation,
+    Skew,
+)
+from tests.plants.mechanics.hidden import Spring
+from tests.plants.mechanics.joints import swung
+from tests.plants.mechanics.rigid import Rigid
 from tests.plants.simulate import Plant
 
 Array = NDArray[np.float64]

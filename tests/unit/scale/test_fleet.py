@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from seqid_cli.errors import UsageError
 from seqid_cli.params.schema import Parameter, ParameterFile
-from tests.studies.fleet import __main__ as fleet
+from tests.studies.fleet import study as fleet
 from tests.studies.fleet.comparison import judge_fleet
 from tests.unit.params.documents import full_file
 

@@ -137,7 +137,7 @@ def _check_module(step: Step) -> None:
     assert found is not None, str(step)
     assert found.origin is not None
     places = found.submodule_search_locations
-    files = sorted(Path(places[0]).glob("*.py")) if places else [Path(found.origin)]
+    files = sorted(Path(places[0]).rglob("*.py")) if places else [Path(found.origin)]
     source = "".join(file.read_text(encoding="utf-8") for file in files)
     for word in step.words[3:]:
         assert not word.startswith("--") or f'"{word}"' in source, f"{step}: no {word}"

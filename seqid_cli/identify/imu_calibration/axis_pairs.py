@@ -70,8 +70,13 @@ def _axis_pair(
     products: Array,
     *,
     min_acceleration: float = 0.1,
+    clear_sigma: float = 5.0,
 ) -> Pair | None:
-    """Eq. 29/32 and 33 for one joint of one log; None below an RMS of so many rad/s^2."""
+    """Eq. 29/32 and 33 for one joint of one log.
+
+    None where the encoder tells less than an RMS of `min_acceleration` rad/s^2, or where the IMU
+    does not see it: the gain is less than `clear_sigma` standard errors, and the direction noise's.
+    """
     a, encoder = dw[own], motion.ddq[own, j]
     direction = a.T @ encoder
     if np.linalg.norm(direction) < 1e-9 or np.sqrt(np.mean(encoder**2)) < min_acceleration:
@@ -87,6 +92,8 @@ def _axis_pair(
     sigma = float(np.sqrt(np.mean(np.sum(across**2, axis=1)) / 2 * memory / power))
     gain = float(along @ encoder) / power
     gain_error = float(np.sqrt(np.mean((encoder - gain * along) ** 2) * memory / power))
+    if gain < clear_sigma * gain_error:
+        return None
     axis = axes_in_link(robot, motion.q[own][:: max(1, own.sum() // 200)], imu.after_joint)[:, j]
     mean = axis.mean(axis=0)
     strongest = float(along[np.argmax(np.abs(along))])

@@ -17,6 +17,7 @@ from tests.plants.arms.rigs import one_joint
 from tests.plants.motions.experiments import Trial, swing
 from tests.plants.motions.trajectories import hold, join
 from tests.plants.robots.lab import recording_of, robot_of
+from tests.plants.robots.sample import Rig
 from tests.plants.simulate import Plant, simulate
 
 Array = NDArray[np.float64]
@@ -88,3 +89,17 @@ def test_without_an_imu_in_the_robot_file_there_is_nothing_to_calibrate() -> Non
     plant = replace(one_joint(), imus=())
     with pytest.raises(UsageError, match=r"no \[\[imu\]\]"):
         calibrate_imus([], robot_of("one", plant), options=MotionOptions())
+
+
+def test_axes_that_an_imu_does_not_see_are_no_pairs(two_joint: Rig) -> None:
+    """One of the arm's logs with an IMU that records noise alone: it says nothing of axes."""
+    *seen, blind = two_joint.logs("imu")
+    still = blind.accelerometers["imu_b"].mean(axis=0)
+    noise = 0.1 * np.random.default_rng(0).standard_normal((len(blind.t), len(still)))
+    logs = [*seen, replace(blind, accelerometers={"imu_b": still + noise})]
+    stage = calibrate_imus(logs, two_joint.robot, options=MotionOptions())
+    calibration = stage.imus["imu_b"]
+    assert calibration.configurations == len(seen)
+    assert "joint_2" not in calibration.references
+    assert calibration.axis_rmse_deg is not None
+    assert calibration.axis_rmse_deg < 1.0

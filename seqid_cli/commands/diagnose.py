@@ -57,7 +57,7 @@ def run(
     screen = told.screen
     screen.document(file)
     show_diagnosis(screen, file, explain)
-    show_motion(screen, file.motion)
+    show_motion(screen, file.motion, file.robot)
     tell_output(screen, output, robot)
     _tell_next(screen, file, robot, parameters)
     if file.verdicts:

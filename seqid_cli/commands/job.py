@@ -199,7 +199,7 @@ def show_stage(told: Told, file: ParameterFile, names: Sequence[str], following:
     """
     stages = Stages(**{name: getattr(file.stages, name) for name in names})
     told.screen.document(file)
-    show_stages(told.screen, stages)
+    show_stages(told.screen, stages, file.robot)
     verdicts, given = [v for name in names for v in getattr(stages, name).verdicts], told.given
     following = "" if any_poor(verdicts) else following
     tell_output(told.screen, given.get("output"), given["robot"], following)

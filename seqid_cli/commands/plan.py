@@ -14,6 +14,7 @@ from seqid_cli.commands.options import Output, RobotPath, Strict, positive
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.plan import EffectSeparation, PlanFile
+from seqid_cli.params.schema import RobotId
 from seqid_cli.plan.options import PlanOptions, What
 
 EXAMPLES = (
@@ -187,12 +188,13 @@ def _show(screen: Screen, plan: PlanFile) -> None:
         for note in stage.notes:
             screen.remark(note)
         if stage.separation:
-            _show_separation(screen, stage.separation)
+            _show_separation(screen, stage.separation, plan.robot)
         if stage.rank is None:
             continue
         screen.values(tables.planned_errors(stage))
         errors = ", ".join(f"{joint} {number(x)}" for joint, x in stage.torque_error.items())
-        tail = f"; torque error by the parameters, N m: {errors}" if errors else ""
+        unit = plan.robot.unit("N m", *stage.torque_error)
+        tail = f"; torque error by the parameters, {unit}: {errors}" if errors else ""
         screen.result(
             f"{name}: rank {stage.rank} of {stage.structural_rank}, condition"
             f" {number(stage.condition)}{tail}"
@@ -211,11 +213,12 @@ def _show(screen: Screen, plan: PlanFile) -> None:
     )
 
 
-def _show_separation(screen: Screen, told: EffectSeparation) -> None:
+def _show_separation(screen: Screen, told: EffectSeparation, robot: RobotId) -> None:
     first, second = told.between
     needed = told.seconds_needed
     length = "no length of them is enough" if needed is None else f"{number(needed)} s are enough"
+    unit = robot.unit("N m", *([told.joint] if told.joint else robot.joints))
     screen.result(
-        f"{first} or {second}, of {number(told.size)} N m RMS: the diagnosis tells them apart with"
-        f" probability {percent(told.power)}; for 95 % {length}"
+        f"{first} or {second}, of {number(told.size)} {unit} RMS: the diagnosis tells them apart"
+        f" with probability {percent(told.power)}; for 95 % {length}"
     )

@@ -12,7 +12,7 @@ from seqid_cli.commands.job import listening, tell_output, workers
 from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.commands.screen.show import show_motion, show_verdicts, verdict_text
 from seqid_cli.params.results.prediction import PredictionFile
-from seqid_cli.params.results.tables import values
+from seqid_cli.params.results.tables import of_joints
 
 EXAMPLES = (
     "seqid predict sample_logs/six_joint/validation -r sample_logs/six_joint/robot.toml"
@@ -85,11 +85,14 @@ def _show(screen: Screen, file: PredictionFile) -> None:
         verdict = verdict_text(file.verdicts, name) if x.samples else "not judged"
         errors = (x.rmse, x.relative_rmse, x.max_abs, x.share_sliding, x.rmse_all)
         rows.append((name, *errors, verdict))
-    titles = "joint | RMSE [N m] | relative | largest [N m] | slides in | all [N m] | verdict"
-    screen.values(values(titles, "text number share number share number text", rows))
+    titles = (
+        "joint | RMSE [{unit}] | relative | largest [{unit}] | slides in | all [{unit}] | verdict"
+    )
+    kinds = "text number share number share number text"
+    screen.values(of_joints(titles, kinds, rows, file.robot))
     notes = [*file.notes, *(f"{log.path}: {note}" for log in file.logs for note in log.notes)]
     show_verdicts(screen, file.verdicts, "prediction", notes, shown=file.joints)
-    show_motion(screen, [log.motion for log in file.logs if log.motion is not None])
+    show_motion(screen, [log.motion for log in file.logs if log.motion is not None], file.robot)
     used = sorted({number(log.cutoff_hz) for log in file.logs})
     screen.note(f"cut-off: {', '.join(used)} Hz, {file.cutoff_origin} (--cutoff overrides)")
     for log in file.logs:

@@ -69,8 +69,8 @@ def run(
     screen, loop = told.screen, file.closed_loop
     assert loop is not None
     screen.document(file)
-    show_refinement(screen, loop, file.stages.effects or [])
-    show_motion(screen, loop.motion)
+    show_refinement(screen, loop, file)
+    show_motion(screen, loop.motion, file.robot)
     tell_output(screen, output, robot, _FOLLOWING)
     if loop.verdicts:
         tell_remedies(screen, told.findings)

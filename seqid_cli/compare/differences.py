@@ -37,6 +37,7 @@ from seqid_cli.params.schema import (
     Parameter,
     ParameterFile,
     RigidStage,
+    RobotId,
     Stages,
 )
 from seqid_cli.robot.types import Array
@@ -294,7 +295,7 @@ def _predictions(a: PredictionFile, b: PredictionFile, rule: Rule) -> Iterator[D
             continue
         one, other = a.joints[joint], b.joints[joint]
         pairs = (("rmse", one.rmse, other.rmse), ("max_abs", one.max_abs, other.max_abs))
-        yield from _optional("prediction", joint, pairs, rule)
+        yield from _optional("prediction", joint, pairs, a.robot, rule)
 
 
 def _diagnoses(a: DiagnosisFile, b: DiagnosisFile, rule: Rule) -> Iterator[Difference]:
@@ -310,19 +311,20 @@ def _diagnoses(a: DiagnosisFile, b: DiagnosisFile, rule: Rule) -> Iterator[Diffe
             ("rmse", one.rmse, other.rmse),
             ("noise_floor", one.noise_floor, other.noise_floor),
         )
-        yield from _optional("diagnosis", joint, pairs, rule)
+        yield from _optional("diagnosis", joint, pairs, a.robot, rule)
 
 
 def _optional(
     stage: str,
     joint: str,
     pairs: Iterable[tuple[str, float | None, float | None]],
+    robot: RobotId,
     rule: Rule,
 ) -> Iterator[Difference]:
     """Judge numbers that either file may lack; yield nothing where both lack them."""
     for name, a, b in pairs:
         if a is not None and b is not None:
-            yield judged(stage, name, joint, "N m", (a, b), None, rule)
+            yield judged(stage, name, joint, robot.unit("N m", joint), (a, b), None, rule)
         elif a is not None or b is not None:
             yield missing(stage, name, joint=joint, there=a is not None)
 

@@ -15,7 +15,7 @@ from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import smooth_terms
 from seqid_cli.discover.survey.rows import extrapolated
-from seqid_cli.identify.imu_calibration.result import deflecting, unit_of
+from seqid_cli.identify.imu_calibration.result import deflecting
 from seqid_cli.identify.prediction.predict import OUTSIDE_NOTE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
@@ -187,9 +187,10 @@ def deflection_notes(stages: Stages, robot: Robot) -> tuple[str, ...]:
     for name, calibration in (stages.imu.imus if stages.imu else {}).items():
         bends = deflecting(calibration)
         if bends is not None and bends.joint not in has:
+            unit = robot.joints[robot.joint_names.index(bends.joint)].unit("rad/s^2")
             notes.append(
                 f"joint {bends.joint}: imu-calib saw {name} accelerate by {bends.acceleration:.2g} "
-                f"{unit_of(robot, bends.joint)} (RMS) beyond what the joint's encoder tells: that "
+                f"{unit} (RMS) beyond what the joint's encoder tells: that "
                 f"speaks for {' or '.join(DEFLECTING)} there"
             )
     return tuple(notes)

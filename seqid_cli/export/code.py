@@ -44,7 +44,7 @@ def _content(model: ExportModel) -> dict[str, object]:
         "joints": [
             {
                 "name": joint.name.encode("ascii", "replace").decode().replace("?", "."),
-                "unit": "m, N" if joint.prismatic else "rad, N m",
+                "unit": joint.unit("rad, N m"),
             }
             for joint in robot.joints
         ],

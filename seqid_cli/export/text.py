@@ -60,11 +60,10 @@ def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
     ]
     for joint, fit in zip(model.robot.joints, model.friction, strict=True):
         if fit is not None:
-            force, speed = ("N", "m/s") if joint.prismatic else ("N m", "rad/s")
             lines.append(
                 f"{joint.name}: Coulomb {fit.coulomb:.4g} and viscous {fit.viscous:.4g} friction,"
-                f" RMS misfit {fit.rms_misfit:.3g} {force} over"
-                f" {fit.speed_range[0]:.3g} to {fit.speed_range[1]:.3g} {speed}"
+                f" RMS misfit {fit.rms_misfit:.3g} {joint.unit('N m')} over"
+                f" {fit.speed_range[0]:.3g} to {fit.speed_range[1]:.3g} {joint.unit('rad/s')}"
             )
     if model.coupling == "gyroscopic":
         lines.append("Rotors turn the links that carry them as well; an armature leaves that out.")

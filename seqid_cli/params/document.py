@@ -33,7 +33,9 @@ def tool() -> schema.Tool:
 
 def robot_id(robot: "Robot") -> schema.RobotId:
     """Return the identity of a robot in the form of documents."""
-    return schema.RobotId(name=robot.name, joints=list(robot.joint_names), sha256=robot.sha256)
+    slides = [joint.name for joint in robot.joints if joint.prismatic]
+    names = list(robot.joint_names)
+    return schema.RobotId(name=robot.name, joints=names, sha256=robot.sha256, prismatic=slides)
 
 
 def present(stages: schema.Stages) -> dict[str, object]:

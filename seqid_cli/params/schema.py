@@ -8,6 +8,7 @@ from typing import Literal
 
 from seqid_cli.params.base import Document, Struct
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.units import unit_of
 
 SCHEMA = "seqid/params@1"
 
@@ -30,11 +31,16 @@ class Written(Document, kw_only=True):
 
 
 class RobotId(Struct, kw_only=True):
-    """Which robot the file is about."""
+    """Which robot the file is about; `prismatic` names those of its joints that slide."""
 
     name: str
     joints: list[str]
     sha256: str
+    prismatic: list[str] = []
+
+    def unit(self, unit: str, *joints: str) -> str:
+        """Return a unit, as for revolute joints, for these; both where they are of either kind."""
+        return " or ".join(dict.fromkeys(unit_of(unit, name in self.prismatic) for name in joints))
 
 
 class OfRobot(Written, kw_only=True):

@@ -37,8 +37,8 @@ class Place:
     """A joint, and the units of its torque and position: of a revolute or prismatic one."""
 
     joint: str
-    torque_unit: str = "N m"
-    position_unit: str = "rad"
+    torque_unit: str
+    position_unit: str
 
 
 @dataclass(frozen=True)
@@ -86,17 +86,7 @@ class Collection:
 
     def place(self, joint: str) -> Place:
         """Return a joint with its units."""
-        for model in self.models:
-            friction = model.stages.friction
-            if friction is not None and joint in friction.joints:
-                unit = friction.joints[joint].unit
-                return Place(joint, unit, "m" if unit == "N" else "rad")
-        return Place(joint)
-
-    @property
-    def torque_units(self) -> dict[str, str]:
-        """The unit of each joint's torque."""
-        return {name: self.place(name).torque_unit for name in self.robot.joints}
+        return Place(joint, self.robot.unit("N m", joint), self.robot.unit("rad", joint))
 
     def residual(self, prediction: Prediction, joint: str) -> ResidualEntry | None:
         """Return a joint's residual from a diagnosis of the prediction's own logs."""

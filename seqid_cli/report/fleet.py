@@ -9,12 +9,13 @@ from markupsafe import Markup
 
 from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results.report import TITLES
+from seqid_cli.params.results.tables import of_joints
 from seqid_cli.report.collection import Collection, collect
 from seqid_cli.report.figures.chart import RowChart
 from seqid_cli.report.judgement import Judgement, Level, judge
 from seqid_cli.report.page import Page
-from seqid_cli.report.views import Figure, Group, Key, Section, table
-from seqid_cli.report.words import listed, percent, plural, unit_text
+from seqid_cli.report.views import Figure, Group, Key, Section, table, table_of
+from seqid_cli.report.words import listed, percent, plural
 
 _WORST: tuple[Level, ...] = ("poor", "not_judged", "reservations", "good")
 _BADGES = {"good": "good", "reservations": "open", "poor": "poor", "not_judged": ""}
@@ -103,15 +104,15 @@ def _figure(robots: Sequence[_Robot]) -> Figure | None:
 
 
 def _group(place: int, robot: _Robot) -> Group:
-    units = robot.found.torque_units
-    rows = [(n, rmse, unit_text(units[n]), share) for n, (rmse, share) in robot.errors.items()]
-    titles, kinds = "joint | RMS error | unit | of RMS torque", "text number text share"
+    rows = [(name, *error) for name, error in robot.errors.items()]
+    titles, kinds = "joint | RMS error [{unit}] | of RMS torque", "text number share"
+    errors = of_joints(titles, kinds, rows, robot.found.robot)
     return Group(
         f"robot-{place}",
         robot.name,
         lead=robot.judgement.sentence,
         badge=_BADGES[robot.judgement.level],
         badge_text=robot.judgement.title,
-        tables=[table(f"Errors of {robot.name}", titles, kinds, rows)],
+        tables=[table_of(f"Errors of {robot.name}", errors)],
         notes=[point.said for point in robot.judgement.points],
     )

@@ -38,7 +38,7 @@ class Table:
 
 def table_of(caption: str, found: Values, note: str = "", **more: Any) -> Table:
     """Return values as a table of the page."""
-    cells = found.cells(number, percent, effect=effect_words, path=short_path)
+    cells = found.cells(number, percent, effect=effect_words, path=short_path, unit=unit_text)
     return Table(caption, found.heads, cells, note, **more)
 
 

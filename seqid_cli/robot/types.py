@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from seqid_cli.robot.formula import Formula
 from seqid_cli.robot.toml.schema import Channels
 from seqid_cli.robot.urdf.joints import UrdfJoint
+from seqid_cli.units import unit_of
 
 Array = NDArray[np.float64]
 
@@ -43,6 +44,10 @@ class Joint:
         if self.torque_constant is None:
             return None
         return self.torque_constant * (self.gear_ratio or 1.0)
+
+    def unit(self, unit: str) -> str:
+        """Return the joint's own unit for one that is written as for a revolute joint."""
+        return unit_of(unit, self.prismatic)
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.params.files import By, robot_names
 from seqid_cli.params.schema import FrictionJoint, ParameterFile, Stages
 from seqid_cli.robot.types import Array
+from seqid_cli.units import unit_of
 
 DAY = 86400.0
 
@@ -35,8 +36,9 @@ def quantities(
 ) -> Iterator[tuple[Quantity, tuple[float, float]]]:
     """Yield what a robot can be compared by, with value and standard error."""
     for joint, surface in (stages.friction.joints if stages.friction else {}).items():
+        pace = unit_of("rad/s", surface.unit == "N")
         for speed in speeds.get(joint, ()):
-            quantity = Quantity("friction", joint, f"at {speed:.3g} rad/s", surface.unit)
+            quantity = Quantity("friction", joint, f"at {speed:.3g} {pace}", surface.unit)
             yield quantity, _mean_friction(surface, float(speed))
     for name, stage in (("gravity", stages.gravity), ("inertia", stages.inertia)):
         for p in stage.parameters if stage else ():

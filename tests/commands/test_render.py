@@ -9,12 +9,13 @@ import pytest
 from seqid_cli.__main__ import main
 from seqid_cli.commands.screen.layout import folded, format_table, shortened
 from seqid_cli.commands.screen.progress import ProgressLine
-from seqid_cli.commands.screen.render import number, percent
-from seqid_cli.commands.screen.show import verdict_text
+from seqid_cli.commands.screen.render import Screen, number, percent
+from seqid_cli.commands.screen.show import show_stages, verdict_text
 from seqid_cli.commands.screen.show_diagnosis import parameters_text, text_chart
 from seqid_cli.params.schema import EffectOfJoint, Parameter, Verdict
 from seqid_cli.working import heard_by, step
 from tests import ROOT
+from tests.unit.params.documents import inertia_file, robot
 
 COLUMNS = ("joint", "error", "verdict")
 ROWS = [("elbow", "0.125", "good"), ("wrist_1", "12", "poor: noisy [a]"), ("w", "-", "-")]
@@ -52,6 +53,22 @@ def test_a_table_fits_the_screen_and_no_number_is_cut() -> None:
     assert all(words.count(number) == 2 for number in numbers)
     assert sum(word.startswith("a_l") and word.endswith(".parquet") for word in words) >= 2
     assert text.count("\n\n") == 2  # three tables, each with the file's name
+
+
+def test_joints_that_slide_have_units_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
+    """Every row says its unit where joints of both kinds mix; else the heads say it."""
+    screen, stages, arm = Screen("inertia"), inertia_file().stages, robot()
+    arm.prismatic = ["elbow"]
+    show_stages(screen, stages, arm)
+    mixed = capsys.readouterr().out
+    assert "N m" in mixed
+    assert not re.search(r"error +N", mixed)
+    assert re.findall(r"^(shoulder|elbow) +(N m|N) ", mixed, re.MULTILINE) == (
+        [("shoulder", "N m"), ("elbow", "N")] * 3  # friction, gravity, inertia
+    )
+    arm.prismatic = list(arm.joints)
+    show_stages(screen, stages, arm)
+    assert "RMS error N " in capsys.readouterr().out
 
 
 def test_text_folds_at_words() -> None:

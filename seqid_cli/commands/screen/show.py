@@ -7,20 +7,28 @@ from collections.abc import Collection, Sequence
 from statistics import median
 
 from seqid_cli.commands.screen.render import Screen, number
-from seqid_cli.params.results.tables import values
-from seqid_cli.params.schema import FrictionStage, ImuStage, MotionUse, RigidStage, Stages, Verdict
+from seqid_cli.params.results.tables import of_joints, values
+from seqid_cli.params.schema import (
+    FrictionStage,
+    ImuStage,
+    MotionUse,
+    RigidStage,
+    RobotId,
+    Stages,
+    Verdict,
+)
 
 
-def show_stages(screen: Screen, stages: Stages) -> None:
-    """Print the stages that are there."""
+def show_stages(screen: Screen, stages: Stages, robot: RobotId) -> None:
+    """Print the stages of a robot that are there."""
     if stages.friction is not None:
-        _friction(screen, stages.friction)
+        _friction(screen, stages.friction, robot)
     if stages.gravity is not None:
-        _rigid(screen, "gravity", stages.gravity)
+        _rigid(screen, "gravity", stages.gravity, robot)
     if stages.imu is not None:
         _imu(screen, stages.imu)
     if stages.inertia is not None:
-        _rigid(screen, "inertia", stages.inertia)
+        _rigid(screen, "inertia", stages.inertia, robot)
 
 
 def verdict_text(verdicts: Sequence[Verdict], joint: str) -> str:
@@ -51,18 +59,18 @@ def show_verdicts(
         screen.remark(note)
 
 
-def _friction(screen: Screen, stage: FrictionStage) -> None:
+def _friction(screen: Screen, stage: FrictionStage, robot: RobotId) -> None:
     rows = []
     for name, x in stage.joints.items():
         errors = (x.rmse, x.held_out_rmse, x.max_abs_error)
         orders, verdict = (x.position_order, x.velocity_order), verdict_text(stage.verdicts, name)
         rows.append((name, orders, *errors, verdict))
-    titles = "joint | orders | RMS error [N m] | held-out [N m] | largest [N m] | verdict"
-    screen.values(values(titles, "text text number number number text", rows))
+    titles = "joint | orders | RMS error [{unit}] | held-out [{unit}] | largest [{unit}] | verdict"
+    screen.values(of_joints(titles, "text text number number number text", rows, robot))
     show_verdicts(screen, stage.verdicts, "friction", stage.notes, shown=stage.joints)
 
 
-def _rigid(screen: Screen, name: str, stage: RigidStage) -> None:
+def _rigid(screen: Screen, name: str, stage: RigidStage, robot: RobotId) -> None:
     if not stage.parameters:
         screen.result(f"{name}: nothing to identify on this robot")
     rows = [(x.name, x.value, x.std_error, x.unit) for x in stage.parameters]
@@ -73,9 +81,10 @@ def _rigid(screen: Screen, name: str, stage: RigidStage) -> None:
     if stage.not_excited:
         screen.result(f"not excited by these logs: {', '.join(stage.not_excited)}")
     joints = [(joint, x, verdict_text(stage.verdicts, joint)) for joint, x in stage.rmse.items()]
-    screen.values(values("joint | RMS error [N m] | verdict", "text number text", joints))
+    titles = "joint | RMS error [{unit}] | verdict"
+    screen.values(of_joints(titles, "text number text", joints, robot))
     show_verdicts(screen, stage.verdicts, name, stage.notes, shown=stage.rmse)
-    show_motion(screen, stage.motion_use)
+    show_motion(screen, stage.motion_use, robot)
 
 
 def _imu(screen: Screen, stage: ImuStage) -> None:
@@ -88,7 +97,7 @@ def _imu(screen: Screen, stage: ImuStage) -> None:
     show_verdicts(screen, stage.verdicts, "imu", stage.notes, shown=stage.imus)
 
 
-def show_motion(screen: Screen, uses: Sequence[MotionUse]) -> None:
+def show_motion(screen: Screen, uses: Sequence[MotionUse], robot: RobotId) -> None:
     """Say which source the motion came from and what that gained, and warn of IMUs left aside."""
     for warning, count in Counter(w for use in uses for w in use.warnings).items():
         if count > 1:
@@ -96,12 +105,12 @@ def show_motion(screen: Screen, uses: Sequence[MotionUse]) -> None:
         else:
             log = next(use.log for use in uses if warning in use.warnings)
             screen.warn(f"{log}: {warning}")
-    line = motion_line(uses)
+    line = motion_line(uses, robot)
     if line:
         screen.note(line)
 
 
-def motion_line(uses: Sequence[MotionUse]) -> str:
+def motion_line(uses: Sequence[MotionUse], robot: RobotId) -> str:
     """Return the sources of motion in one line; nothing where no IMU could take part."""
     if not any(use.imus or use.warnings for use in uses):
         return ""
@@ -110,19 +119,18 @@ def motion_line(uses: Sequence[MotionUse]) -> str:
     for (source, imus), count in kinds.items():
         with_imus = f" ({', '.join(imus)})" if imus else ""
         parts.append(f"{source}{with_imus} in {count} of {len(uses)} logs")
-    return "motion: " + ", ".join(parts) + _gain([use for use in uses if use.imus])
+    return "motion: " + ", ".join(parts) + _gain([use for use in uses if use.imus], robot)
 
 
-def _gain(uses: Sequence[MotionUse]) -> str:
-    pairs = [
-        (use.acceleration_error[joint], use.encoder_error[joint])
-        for use in uses
-        for joint in use.acceleration_error
-    ]
-    if not pairs:
-        return ""
-    now, before = (median(values) for values in zip(*pairs, strict=True))
-    return (
-        f"; acceleration known to {number(now, 2)} rad/s^2, by the encoders alone"
+def _gain(uses: Sequence[MotionUse], robot: RobotId) -> str:
+    pairs: dict[str, list[tuple[float, float]]] = {}
+    for use in uses:
+        for joint, now in use.acceleration_error.items():
+            unit = robot.unit("rad/s^2", joint)
+            pairs.setdefault(unit, []).append((now, use.encoder_error[joint]))
+    medians = {unit: [median(x) for x in zip(*own, strict=True)] for unit, own in pairs.items()}
+    return "".join(
+        f"; acceleration known to {number(now, 2)} {unit}, by the encoders alone"
         f" {number(before, 2)} (medians)"
+        for unit, (now, before) in medians.items()
     )

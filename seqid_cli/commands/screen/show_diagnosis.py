@@ -22,7 +22,13 @@ from seqid_cli.params.results.diagnosis import (
     over_words,
 )
 from seqid_cli.params.results.tables import values
-from seqid_cli.params.schema import ClosedLoop, EffectOfJoint, RefinementRound
+from seqid_cli.params.schema import (
+    ClosedLoop,
+    EffectOfJoint,
+    ParameterFile,
+    RefinementRound,
+    RobotId,
+)
 
 _EVENTS_SHOWN = 10
 _COLUMNS, _ROWS = 56, 7  # of a chart
@@ -40,9 +46,9 @@ def show_diagnosis(screen: Screen, file: DiagnosisFile, joint: str | None = None
     elif not findings and not parts:
         screen.result(f"{joint}: nothing was found.")
     show_poor(screen, file.verdicts, "diagnosis")
-    _findings(screen, findings, why=why)
-    _unexplained(screen, parts, why=why)
-    screen.values(tables.joint_residuals(joints))
+    _findings(screen, findings, file.robot, why=why)
+    _unexplained(screen, parts, file.robot, why=why)
+    screen.values(tables.joint_residuals(joints, file.robot))
     if joint is not None:
         screen.values(tables.rivals(joints[joint].tried, "tried beside that"))
     _events(screen, [event for event in file.events if not joint or joint in event.joints])
@@ -77,7 +83,9 @@ def effect_at(effect: str, joint: str | None) -> str:
     return f"{effect} at {joint}" if joint else effect
 
 
-def _findings(screen: Screen, findings: Sequence[FindingEntry], *, why: bool) -> None:
+def _findings(
+    screen: Screen, findings: Sequence[FindingEntry], robot: RobotId, *, why: bool
+) -> None:
     rows = [
         (x.effect, x.joint or "whole arm", x.confidence, x.explains, parameters_text(x))
         for x in findings
@@ -99,7 +107,7 @@ def _findings(screen: Screen, findings: Sequence[FindingEntry], *, why: bool) ->
             nats = "" if item.log_gain is None else f" ({item.log_gain:.0f} nats)"
             share = f"{percent(item.gain)} of the squared error on blocks left out"
             screen.result(f"{name}: takes away {share}{nats}")
-            _shown(screen, item.evidence)
+            _shown(screen, item.evidence, robot)
             screen.values(tables.rivals(item.rivals, f"tried for {name}"))
 
 
@@ -129,7 +137,9 @@ def _unit(unit: str) -> str:
     return "" if unit in ("", "1") else f" {unit}"
 
 
-def _unexplained(screen: Screen, parts: Sequence[UnexplainedPart], *, why: bool) -> None:
+def _unexplained(
+    screen: Screen, parts: Sequence[UnexplainedPart], robot: RobotId, *, why: bool
+) -> None:
     rows = []
     for part in parts:
         near = part.closest
@@ -138,19 +148,20 @@ def _unexplained(screen: Screen, parts: Sequence[UnexplainedPart], *, why: bool)
     titles = "joint | unexplained, depends on | share | closest effect, share of its gain"
     screen.values(values(titles, "text text share text", rows))
     for part in parts:
-        _shown(screen, part.evidence)
+        _shown(screen, part.evidence, robot)
         if why:
             screen.values(tables.rivals(part.rivals, "tried for what is unexplained"))
 
 
-def _shown(screen: Screen, shown: EvidenceEntry | None) -> None:
+def _shown(screen: Screen, shown: EvidenceEntry | None, robot: RobotId) -> None:
     """Draw the residual over what an effect goes with, before and after that is taken off."""
     if shown is None:
         return
     sided = " times direction" if shown.sided else ""
     marks = ": * before, o after" if shown.after else ""
-    label, unit = f"residual of {shown.joint}{sided} N m{marks}", _unit(shown.unit)
-    over = f"{over_words(shown)}{unit}"
+    force = robot.unit("N m", shown.joint)
+    label, over = f"residual of {shown.joint}{sided} {force}{marks}", over_words(shown)
+    over += _unit(shown.unit)
     for line in text_chart(shown.x, shown.before, shown.after, x_label=over, y_label=label):
         screen.result(line)
 
@@ -173,7 +184,7 @@ def _hidden(screen: Screen, hidden: Sequence[HiddenEntry]) -> None:
         screen.note(f"{len(hidden)} effects these motions cannot show: -v lists them.")
 
 
-def show_refinement(screen: Screen, loop: ClosedLoop, effects: Sequence[EffectOfJoint]) -> None:
+def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> None:
     """Print the rounds, the errors before and after, and the effects of the refined model."""
     if loop.rounds:
         screen.result(f"Added: {_named(loop.rounds)}.")
@@ -187,12 +198,13 @@ def show_refinement(screen: Screen, loop: ClosedLoop, effects: Sequence[EffectOf
         screen.result("Verdict good: the held-out logs confirm what was added.")
     show_poor(screen, loop.verdicts, "refinement")
     screen.values(tables.rounds(loop))
-    screen.values(tables.loop_errors(loop))
+    screen.values(tables.loop_errors(loop, file.robot))
     if loop.evaluated_on:
         screen.note(
             "errors are on held-out logs where joints slide; outside: beyond the positions and"
             f" speeds at which friction was identified: {', '.join(loop.evaluated_on)}"
         )
+    effects = file.stages.effects or []
     rows = [(item.effect, item.joint or "whole arm", parameters_text(item)) for item in effects]
     screen.values(values("effect | joint | parameters", "text text text", rows))
     for note in loop.notes:

@@ -161,7 +161,7 @@ def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOp
             for group in gravity.groups
         ],
         speeds=levels,
-        unit="N" if robot.joints[j].prismatic else "N m",
+        unit=robot.joints[j].unit("N m"),
     )
     name = robot.joints[j].name
     verdict = _verdict(name, joint, unseen, surface.scaling)

@@ -221,10 +221,10 @@ def verdict_of(
         reason += f"; a log left out is predicted to {calibration.holdout:.2g} times the noise"
     bends = deflecting(calibration)
     if bends is not None:
-        good = False
+        good, unit = False, robot.joints[robot.joint_names.index(bends.joint)].unit("rad/s^2")
         reason += (
             f"; the link after {bends.joint} accelerates {bends.acceleration:.2g} "
-            f"{unit_of(robot, bends.joint)} (RMS) beyond what its encoder tells: the joint is "
+            f"{unit} (RMS) beyond what its encoder tells: the joint is "
             "elastic or has backlash; errors are widened: record slower, smoother swings, and run "
             "seqid diagnose"
         )
@@ -237,12 +237,6 @@ def deflecting(calibration: ImuCalibration) -> JointDeflection | None:
     """Return the joint that deflects by most, where one does significantly."""
     sure = [d for d in calibration.deflections if d.significance > SIGNIFICANT]
     return max(sure, key=lambda d: d.significance, default=None)
-
-
-def unit_of(robot: Robot, joint: str) -> str:
-    """Return the unit of a joint's acceleration."""
-    prismatic = robot.chain.prismatic[robot.joint_names.index(joint)]
-    return "m/s^2" if prismatic else "rad/s^2"
 
 
 def _planar(robot: Robot, link: int) -> bool:

@@ -135,8 +135,8 @@ def encoder_notes(
     counts = np.maximum(slides.sum(axis=0), 1)
     left = np.sqrt(np.sum(np.where(slides, log.residual, 0.0) ** 2, axis=0) / counts)
     loud = [
-        f"{name} ({whole:.2g} N m)"
-        for name, made, whole in zip(model.robot.joint_names, noise, left, strict=True)
+        f"{joint.name} ({whole:.2g} {joint.unit('N m')})"
+        for joint, made, whole in zip(model.robot.joints, noise, left, strict=True)
         if made**2 > min_share * whole**2 > 0.0
     ]
     if loud:

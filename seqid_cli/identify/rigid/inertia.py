@@ -216,8 +216,8 @@ def _verdicts(
             reason = "does not move in these logs, or its friction is not known"
             verdicts.append(Verdict(joint=name, good=False, reason=reason))
             continue
-        squares = float(rows.torque_squares[j])
-        share, reason = residual_share(float(solution.sigma[j]), squares, samples)
+        left = float(solution.sigma[j]), float(rows.torque_squares[j]), samples
+        share, reason = residual_share(equations.robot, j, *left)
         verdicts.append(Verdict(joint=name, good=share < poor_share, reason=reason))
     size = equations.basis.size
     good = solution.rank == size and solution.condition < poor_condition

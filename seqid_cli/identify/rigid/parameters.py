@@ -68,14 +68,17 @@ def rigid_stage(
     )
 
 
-def residual_share(sigma: float, squares: float, samples: int) -> tuple[float, str]:
-    """Share of a joint's torque that is left, and the words for it.
+def residual_share(
+    robot: Robot, j: int, sigma: float, squares: float, samples: int
+) -> tuple[float, str]:
+    """Share of the torque of joint j that is left, and the words for it.
 
     `sigma`: RMS residual, N m. `squares`: sum of squares of the measured torque, (N m)^2, over so
     many `samples`.
     """
     share = sigma / max(float(np.sqrt(squares / samples)), 1e-300)
-    return share, f"leaves {percent(share)} of the torque ({sigma:.3g} N m)"
+    unit = robot.joints[j].unit("N m")
+    return share, f"leaves {percent(share)} of the torque ({sigma:.3g} {unit})"
 
 
 def imu_moves(

@@ -29,7 +29,7 @@ from seqid_cli.identify.regression.least_squares import Accumulator, Solution, s
 from seqid_cli.identify.rigid.parameters import residual_share, rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior, constant_moves
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.units import UNTOLD, unit_of
+from seqid_cli.model.effects.units import UNTOLD
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import known_rotors, sliding
 from seqid_cli.motion.motion import Motion
@@ -204,7 +204,7 @@ class SimultaneousEquations:
     def _joint(self, j: int, solution: Solution, posterior: Posterior) -> schema.FrictionJoint:
         """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
         own, fast, sigma = self.own[j], float(self.fastest[j]), float(solution.sigma[j])
-        slides = self.robot.joints[j].prismatic
+        unit = self.robot.joints[j].unit
         values = solution.theta[own]
         ahead, back = surface_entries(fast, len(self.terms))
         directional = len(self.terms) == len(TERMS)
@@ -212,6 +212,7 @@ class SimultaneousEquations:
         errors = np.sqrt(np.maximum(np.diag(posterior.stated)[own], 0.0))
         errors[~solution.determined[own]] = UNTOLD
         return schema.FrictionJoint(
+            unit=unit("N m"),
             position_order=0,
             velocity_order=1,
             max_error=sigma / max(float(np.abs(values[0])), 1e-12),  # of Coulomb friction
@@ -226,9 +227,7 @@ class SimultaneousEquations:
             torque_constant_error=self.robot.joints[j].torque_constant_error,
             speeds=[schema.SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
             parameters=[
-                schema.Parameter(
-                    name=n, value=float(v), std_error=float(e), unit=unit_of(u, slides)
-                )
+                schema.Parameter(name=n, value=float(v), std_error=float(e), unit=unit(u))
                 for (n, u), v, e in zip(self.terms, values, errors, strict=True)
             ],
         )
@@ -250,11 +249,12 @@ class SimultaneousEquations:
                 verdicts.append(schema.Verdict(joint=name, good=False, reason="does not move"))
                 continue
             left = float(solution.sigma[j]), float(self.torque_squares[j]), samples
-            share, reason = residual_share(*left)
+            share, reason = residual_share(self.robot, j, *left)
             dry, error = float(solution.theta[at]), float(np.sqrt(solution.covariance[at, at]))
             drives = dry < -clear_sigma * error
             if drives:
-                reason += f"; Coulomb friction of {dry:.3g} N m cannot be: record moves both ways"
+                unit = self.robot.joints[j].unit("N m")
+                reason += f"; Coulomb friction of {dry:.3g} {unit} cannot be: record both ways"
             good = share < poor_share and not drives
             verdicts.append(schema.Verdict(joint=name, good=good, reason=reason))
         reason = f"condition {solution.condition:.3g}, {len(missing)} parameter(s) not excited"

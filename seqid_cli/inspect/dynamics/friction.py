@@ -145,9 +145,10 @@ def friction_findings(
             continue  # gravity of the other links could pass for anything
         value, error = fit.by_joint[j]
         if value < -SIGMAS * error and value < -SHARE * fit.spread:
+            unit = data.robot.joints[j].unit
             text = (
-                f"its friction is {value:.3g} +- {error:.2g} N m at "
-                f"{sample.rms_speed(j):.3g} rad/s: the joint would gain energy"
+                f"its friction is {value:.3g} +- {error:.2g} {unit('N m')} at "
+                f"{sample.rms_speed(j):.3g} {unit('rad/s')}: the joint would gain energy"
             )
             yield found("sign_mismatch", text, joint=names[j], channel="torque")
 

@@ -22,10 +22,11 @@ import numpy as np
 from seqid_cli.model.effects.excitation import has_rigid_body, moves
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.smooth import MEASURES, Axis, Measure
-from seqid_cli.model.effects.units import Value, unit_of
+from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
+from seqid_cli.units import unit_of
 
 Grid = Iterator[dict[str, float]]
 Settings = Mapping[str, float]

@@ -23,10 +23,11 @@ from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settin
 from seqid_cli.model.effects.measurement import MeasurementEffect
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.sensitivity import modelled_slopes
-from seqid_cli.model.effects.units import Value, amplitude_and_phase, unit_of
+from seqid_cli.model.effects.units import Value, amplitude_and_phase
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
+from seqid_cli.units import unit_of
 
 ORDERS = (1.0, 2.0)
 FINE_GEAR = 5.0  # below it an order of the joint and one of the motor are the same thing

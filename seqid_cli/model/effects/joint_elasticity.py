@@ -29,10 +29,11 @@ from scipy.linalg.blas import dtbsv
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.sensitivity import link_deviation, link_inertia
-from seqid_cli.model.effects.units import Value, unit_of
+from seqid_cli.model.effects.units import Value
 from seqid_cli.motion.filters.differentiation import differentiate, runs
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
+from seqid_cli.units import unit_of
 
 BLUNT = 0.15  # damping, of critical
 SHARPER = (0.06, 0.03, 0.015)

@@ -20,9 +20,10 @@ import numpy as np
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.spectral_lines import Signal, amplitude, refined, strongest_lines
-from seqid_cli.model.effects.units import Value, unit_of
+from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
+from seqid_cli.units import unit_of
 
 LOWEST_HZ = 1.0
 LINES = 6  # looked at

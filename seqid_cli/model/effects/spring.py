@@ -19,9 +19,10 @@ import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
-from seqid_cli.model.effects.units import Value, unit_of
+from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
+from seqid_cli.units import unit_of
 
 
 class Spring(Effect):

@@ -30,9 +30,10 @@ import numpy as np
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
 from seqid_cli.model.effects.orders import Profile, clearest, clearness, peaks
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
-from seqid_cli.model.effects.units import Value, amplitude_and_phase, unit_of
+from seqid_cli.model.effects.units import Value, amplitude_and_phase
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
+from seqid_cli.units import unit_of
 
 LAWS = ("constant", "torque", "direction", "load")
 PEAKS = 4  # per law

@@ -1,8 +1,7 @@
-"""Parameters as they are reported, and their units: of revolute joints, or of prismatic ones."""
+"""Parameters of effects as they are reported, and their units."""
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,9 +13,6 @@ if TYPE_CHECKING:
 UNEXPLAINED = "unexplained"
 UNTOLD = 1e100  # standard error, from which on no sample shows a parameter
 
-_TORQUE = re.compile(r"\bN m\b(?!\^)")
-_ANGLE = re.compile(r"\brad\b")
-
 
 @dataclass(frozen=True)
 class Value:
@@ -26,27 +22,6 @@ class Value:
     value: float
     std_error: float
     unit: str
-
-
-def unit_of(unit: str, prismatic: bool) -> str:
-    """Return the unit of a joint's parameter.
-
-    Parameters
-    ----------
-    unit : str
-        As for a revolute joint, with "N m" for torque and "rad" for the joint's position; an angle
-        that is not the joint's own (a phase, a tilt) must not be given.
-    prismatic : bool
-        Whether the joint slides: torque is then a force and the angle a length.
-
-    Returns
-    -------
-    str
-        For example "N s/m" for "N m s/rad".
-    """
-    if not prismatic:
-        return unit
-    return _ANGLE.sub("m", _TORQUE.sub("N", unit))
 
 
 def setting_units(effect: str) -> dict[str, str]:

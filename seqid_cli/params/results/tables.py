@@ -10,9 +10,9 @@ from seqid_cli.params.results.diagnosis import EventEntry, HiddenEntry, Residual
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
 from seqid_cli.params.results.trend import ChangeEntry
-from seqid_cli.params.schema import ClosedLoop, RefinementRound
+from seqid_cli.params.schema import ClosedLoop, RefinementRound, RobotId
 
-_WORDS = ("text", "effect", "path")
+_WORDS = ("text", "effect", "path", "unit")
 _HEAD = re.compile(r"(?P<title>.*?)(?: \[(?P<unit>.*)\])?")
 _KIND = re.compile(r"(?P<kind>[a-z]+)(?P<digits>[0-9]*)")
 
@@ -21,8 +21,8 @@ _KIND = re.compile(r"(?P<kind>[a-z]+)(?P<digits>[0-9]*)")
 class Head:
     """A column's title and unit, and what it holds.
 
-    `kind` is text, effect, path, count, number, share (of one), or limits, shares (both ends of an
-    interval of them); `digits` are those of its numbers.
+    `kind` is text, effect, path, unit, count, number, share (of one), or limits, shares (both ends
+    of an interval of them); `digits` are those of its numbers.
     """
 
     title: str
@@ -49,7 +49,7 @@ class Values:
         percent: Callable[[float | None], str],
         **words: Callable[[str], str],
     ) -> list[tuple[str, ...]]:
-        """Write the values as text; `words` say how effects and paths are written."""
+        """Write the values as text; `words` say how effects, paths and units are written."""
 
         def cell(head: Head, value: Any) -> str:
             if value is None:
@@ -88,15 +88,25 @@ def values(titles: str, kinds: str, rows: Iterable[Sequence[Any]], **names: str)
     return Values(heads(titles, kinds, **names), list(rows))
 
 
-def _torque_unit(units: Mapping[str, str], joints: Iterable[str]) -> str:
-    return " or ".join(dict.fromkeys(units.get(name, "N m") for name in joints)) or "N m"
+def of_joints(titles: str, kinds: str, rows: Iterable[Sequence[Any]], robot: RobotId) -> Values:
+    """Return rows that begin with a joint's name; `{unit}` in `titles` is that of its torque.
+
+    Where some joints slide and others do not, every row says its own.
+    """
+    found = list(rows)
+    units = [robot.unit("N m", row[0]) for row in found]
+    if len(set(units)) < 2:
+        return values(titles, kinds, found, unit="".join(units[:1]))
+    (joint, others), (first, more) = titles.split(" | ", 1), kinds.split(" ", 1)
+    titles = f"{joint} | unit | {others}".replace(" [{unit}]", "")
+    told = [(row[0], unit, *row[1:]) for row, unit in zip(found, units, strict=True)]
+    return values(titles, f"{first} unit {more}", told)
 
 
-def loop_errors(loop: ClosedLoop, units: Mapping[str, str] = {}) -> Values:
+def loop_errors(loop: ClosedLoop, robot: RobotId) -> Values:
     """Errors of each joint on held-out logs, before and after refinement.
 
-    Outside is beyond the positions and speeds at which friction was identified. `units`: of the
-    joints' torques, where they are not N m.
+    Outside is beyond the positions and speeds at which friction was identified.
     """
     rows = []
     for name, old in loop.before.items():
@@ -106,12 +116,12 @@ def loop_errors(loop: ClosedLoop, units: Mapping[str, str] = {}) -> Values:
         errors = (name, old.rmse, after, loop.noise_floor.get(name), floor)
         gain = loop.gain_interval.get(name, ())
         rows.append((*errors, less, gain, old.share_outside, old.rmse_outside, there))
-    return values(
+    return of_joints(
         "joint | before [{unit}] | after [{unit}] | noise floor [{unit}] | its 95 % interval | "
         "variance less by | 95 % interval | outside | before there [{unit}] | after there [{unit}]",
         "text number number number limits share shares share number number",
         rows,
-        unit=_torque_unit(units, loop.before),
+        robot,
     )
 
 
@@ -139,19 +149,19 @@ def rivals(tried: Sequence[RivalEntry], title: str = "tried") -> Values:
     return values(titles, "effect text count text", rows, title=title)
 
 
-def joint_residuals(joints: Mapping[str, ResidualEntry], units: Mapping[str, str] = {}) -> Values:
+def joint_residuals(joints: Mapping[str, ResidualEntry], robot: RobotId) -> Values:
     """What a model leaves of some joints' torque, against the noise floor."""
     rows = []
     for name, x in joints.items():
         times = x.rmse / x.noise_floor if x.rmse is not None and x.noise_floor else None
         floor = (x.noise_floor, x.noise_floor_interval)
         rows.append((name, x.rmse, *floor, times, x.rmse_explained, "yes" if x.white else "no"))
-    return values(
+    return of_joints(
         "joint | RMSE [{unit}] | noise floor [{unit}] | 95 % interval | ratio | "
         "with findings [{unit}] | white",
         "text number number limits number number text",
         rows,
-        unit=_torque_unit(units, joints),
+        robot,
     )
 
 
@@ -170,8 +180,8 @@ def hidden(effects: Sequence[HiddenEntry]) -> Values:
 def payload_joints(file: PayloadFile) -> Values:
     """Torque error of each joint without and with the load, where it slides."""
     rows = [(n, x.before, x.after, x.relative, x.friction_change) for n, x in file.joints.items()]
-    titles = "joint | RMSE without [N m] | with [N m] | of the torque | friction differs by"
-    return values(titles, "text number number share share", rows)
+    titles = "joint | RMSE without [{unit}] | with [{unit}] | of the torque | friction differs by"
+    return of_joints(titles, "text number number share share", rows, file.robot)
 
 
 def moves(planned: Sequence[PlannedMove]) -> Values:

@@ -26,7 +26,7 @@ from seqid_cli.plan.stages.refine import refine
 from seqid_cli.robot.types import Array
 
 DENSE_HZ = 200.0  # of the samples on which the limits of the final moves are held
-OVERLOADED = "no move of {count} keeps the torque limit of joint {joint!r}: {torque:.4g} N m"
+OVERLOADED = "no move of {count} keeps the torque limit of joint {joint!r}: {torque:.4g} {unit}"
 
 
 @dataclass(frozen=True)
@@ -109,8 +109,9 @@ def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
         hint = "Narrow position_limits, or widen --workspace and --keep-out."
         raise ConfigError(message, where=where, hint=hint)
     j = int(np.argmax(load.min(axis=(0, 1))))
+    joint, torque = belief.robot.joints[j], belief.limits.torque[j]
     text = OVERLOADED.format(
-        count=options.pool, joint=belief.robot.joint_names[j], torque=belief.limits.torque[j]
+        count=options.pool, joint=joint.name, torque=torque, unit=joint.unit("N m")
     )
     hint = "Correct effort in the URDF, or lower speeds with a longer --ramp."
     raise ConfigError(text, where=where, hint=hint)

@@ -85,9 +85,7 @@ def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Gro
             timeline(file.events),
         ],
         tables=[
-            table_of(
-                "Residual per joint", tables.joint_residuals(file.joints, collection.torque_units)
-            ),
+            table_of("Residual per joint", tables.joint_residuals(file.joints, collection.robot)),
             *(
                 rivals_table(f"Tried for what is unexplained at {part.joint}", part.rivals)
                 for part in file.unexplained

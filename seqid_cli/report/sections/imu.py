@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from seqid_cli.params.schema import ImuCalibration, RigidStage, Verdict
+from seqid_cli.params.schema import ImuCalibration, RigidStage, RobotId, Verdict
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.views import Absent, Group, Section, Table, badge, reasons, table
 from seqid_cli.report.words import number, short_path, with_error
@@ -31,7 +31,7 @@ def imu(collection: Collection) -> Section:
         for place, (name, item) in enumerate(stage.imus.items())
     ]
     inertia = model.stages.inertia if model else None
-    motion = [_motion(inertia)] if inertia else []
+    motion = [_motion(inertia, collection.robot)] if inertia else []
     notes = [*stage.notes, *(_warnings(inertia) if inertia else [])]
     return Section("imu", title, lead, groups, tables=motion, notes=notes)
 
@@ -94,14 +94,16 @@ def _warnings(stage: RigidStage) -> list[str]:
     return [f"{warning} ({', '.join(names)})" for warning, names in logs.items()]
 
 
-def _motion(stage: RigidStage) -> Table:
+def _motion(stage: RigidStage, robot: RobotId) -> Table:
     rows = []
     for use in stage.motion_use:
         what = (short_path(use.log), use.source, ", ".join(use.imus))
         for joint, error in use.acceleration_error.items():
             rows.append((*what, joint, error, use.encoder_error.get(joint)))
             what = ("", "", "")  # is said once
-    titles = "log | motion from | IMUs | joint | std error of acceleration [rad/s^2]"
-    titles += " | by encoders alone [rad/s^2]"
+    titles = "log | motion from | IMUs | joint | std error of acceleration [{unit}]"
+    titles += " | by encoders alone [{unit}]"
+    joints = [joint for use in stage.motion_use for joint in use.acceleration_error]
+    unit = robot.unit("rad/s^2", *joints)
     kinds = "text text text text number2 number2"
-    return table("Where the motion of the inertia logs came from", titles, kinds, rows)
+    return table("Where the motion of the inertia logs came from", titles, kinds, rows, unit=unit)

@@ -37,9 +37,7 @@ def closed_loop(collection: Collection) -> Section:
         badge="poor" if loop.verdict == "poor" else "",
         figures=[_figure(collection, loop), *shown],
         tables=[
-            table_of(
-                "RMS error on the held-out logs", tables.loop_errors(loop, collection.torque_units)
-            ),
+            table_of("RMS error on the held-out logs", tables.loop_errors(loop, collection.robot)),
             table_of("What was tried", tables.rounds(loop)),
             *(rivals_table(f"Tried in place of {name}", x.rivals) for name, x in added),
         ],

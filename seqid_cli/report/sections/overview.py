@@ -28,7 +28,7 @@ def _glance(collection: Collection) -> Table | None:
     for place, name in enumerate(collection.robot.joints):
         if name not in errors:
             continue
-        unit = unit_text(collection.place(name).torque_unit)
+        unit = unit_text(collection.robot.unit("N m", name))
         error, floor = errors[name], collection.noise_floor(used, name)
         share = error.relative_rmse
         state = badge([verdict for verdict in used.content.verdicts if verdict.joint == name])

@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from seqid_cli.model.effects.units import UNEXPLAINED, setting_units, smooth_in_words
 from seqid_cli.params.results.diagnosis import FindingEntry
-from seqid_cli.params.results.tables import Head, Values, heads
+from seqid_cli.params.results.tables import Head, Values, heads, of_joints
 from seqid_cli.params.schema import EffectOfJoint, Parameter, RigidStage
 from seqid_cli.report.collection import Collection, Model
 from seqid_cli.report.figures.chart import drawing
@@ -20,7 +20,6 @@ from seqid_cli.report.views import (
     Section,
     Table,
     badge,
-    table,
     table_of,
     value_row,
 )
@@ -87,13 +86,11 @@ def _rigid(name: str, stage: RigidStage, collection: Collection) -> Group:
     if stage.not_excited:
         notes.insert(0, f"Not determined by these logs: {listed(stage.not_excited, 40)}.")
     state = badge(own) if stage.parameters else ""
-    reasons, units = {v.joint: v.reason for v in own}, collection.torque_units
-    fit = table(
-        f"{_TITLES[name]}: error of the fit per joint",
-        "joint | RMS error | unit | verdict",
-        "text number text text",
-        [(n, x, unit_text(units.get(n, "N m")), reasons.get(n, "")) for n, x in stage.rmse.items()],
-    )
+    reasons = {v.joint: v.reason for v in own}
+    rows = [(n, x, reasons.get(n, "")) for n, x in stage.rmse.items()]
+    titles = "joint | RMS error [{unit}] | verdict"
+    errors = of_joints(titles, "text number text", rows, collection.robot)
+    fit = table_of(f"{_TITLES[name]}: error of the fit per joint", errors)
     return Group(
         f"{name}-parameters",
         _TITLES[name],

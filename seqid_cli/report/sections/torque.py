@@ -71,8 +71,12 @@ def _side_by_side(collection: Collection) -> Group:
     columns = heads("joint | unit", "text text")
     columns += [Head(collection.label(p), "number") for p in collection.predictions]
     rows = [
-        (name, unit_text(unit), *(_error_on(p, name, common) for p in collection.predictions))
-        for name, unit in collection.torque_units.items()
+        (
+            name,
+            unit_text(collection.robot.unit("N m", name)),
+            *(_error_on(p, name, common) for p in collection.predictions),
+        )
+        for name in collection.robot.joints
     ]
     note = f"RMS error, and its share of the RMS torque, on the {plural(len(common), 'log')} that "
     found = Values(columns, rows)

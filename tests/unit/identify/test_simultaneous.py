@@ -21,11 +21,13 @@ from tests.plants.motions.trajectories import fourier
 from tests.plants.robots.made import made_recording
 from tests.plants.robots.sample import rmse
 from tests.plants.robots.small import arm_6r
+from tests.plants.robots.two_joint import two_joint_robot
 
 RATE = 100.0
 COULOMB, VISCOUS, OFFSET = 4.0 - 0.5 * np.arange(6), 2.0 - 0.2 * np.arange(6), 0.1 * np.arange(6)
 NOISE = 0.3
 PHI = six_joint().arm.phi
+LIMIT = np.full(2, 1.0)
 
 
 def robot() -> Robot:
@@ -125,6 +127,24 @@ def test_a_log_that_hardly_moves_a_joint_does_not_say_how_fast_it_slides() -> No
     for name, joint in friction.joints.items():
         assert joint.sign_width == pytest.approx(other.joints[name].sign_width)
         assert joint.sign_width > 1e-3 * joint.speed_range[1]
+
+
+def test_a_joint_that_slides_has_units_of_its_own() -> None:
+    rng = np.random.default_rng(0)
+    motion = fourier(rng, -LIMIT, LIMIT, LIMIT, 4 * LIMIT, seconds=20.0, harmonics=10, rate_hz=RATE)
+    arm = two_joint_robot(prismatic=True, drives=False)
+    phi = np.zeros((2, 10))
+    phi[:, [0, 1, 4, 6, 9]] = 2.0, 0.3, 0.1, 0.2, 0.2
+    tau = inverse_dynamics(arm.chain, arm.gravity, phi, motion.q, motion.dq, motion.ddq)
+    log = made_recording(motion.q, tau + 3.0 * np.tanh(motion.dq / 0.01), rate_hz=RATE)
+    friction, inertia = identify_simultaneous([log], arm, options=MotionOptions(8.0))
+    turns, slides = friction.joints.values()
+    assert (turns.unit, slides.unit) == ("N m", "N")
+    assert [p.unit for p in turns.parameters] == ["N m", "N m s/rad", "N m"]
+    assert [p.unit for p in slides.parameters] == ["N", "N s/m", "N"]
+    told = {verdict.joint: verdict.reason for verdict in inertia.verdicts}
+    assert told["joint_1"].endswith(" N m)")
+    assert told["joint_2"].endswith(" N)")
 
 
 def test_friction_that_drives_is_not_good() -> None:

@@ -242,8 +242,7 @@ def test_a_planar_arm_has_nothing_to_identify_and_that_is_said() -> None:
 
 def test_a_joint_that_slides_along_has_its_own_units() -> None:
     file = friction_file()
-    assert file.stages.friction is not None
-    file.stages.friction.joints["elbow"].unit = "N"
+    file.robot.prismatic = ["elbow"]
     html = make_report([source("friction.json", file)]).html
     elbow = html.split('id="friction-2"')[1].split("</section>")[0]
     assert "velocity, m/s" in elbow

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from seqid_cli.model.effects.units import unit_of
+from seqid_cli.units import unit_of
 
 PAIRS = {
     "N m": "N",

@@ -1,0 +1,27 @@
+"""Units of joints' quantities: of revolute joints, or of prismatic ones."""
+
+import re
+
+_TORQUE = re.compile(r"\bN m\b(?!\^)")
+_ANGLE = re.compile(r"\brad\b")
+
+
+def unit_of(unit: str, prismatic: bool) -> str:
+    """Return the unit of a joint's parameter.
+
+    Parameters
+    ----------
+    unit : str
+        As for a revolute joint, with "N m" for torque and "rad" for the joint's position; an angle
+        that is not the joint's own (a phase, a tilt) must not be given.
+    prismatic : bool
+        Whether the joint slides: torque is then a force and the angle a length.
+
+    Returns
+    -------
+    str
+        For example "N s/m" for "N m s/rad".
+    """
+    if not prismatic:
+        return unit
+    return _ANGLE.sub("m", _TORQUE.sub("N", unit))

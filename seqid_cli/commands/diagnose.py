@@ -37,9 +37,9 @@ def run(
     robot: opt.RobotPath,
     parameters: opt.Parameters,
     output: opt.Output = None,
-    motion: opt.MotionSource = "auto",
-    cutoff: opt.Cutoff = None,
-    time: opt.Clock = "header",
+    source: opt.MotionSource = "auto",
+    cutoff_hz: opt.Cutoff = None,
+    time_source: opt.Clock = "header",
     strict: opt.Strict = False,
     explain: Explain = None,
 ) -> int:

@@ -40,7 +40,7 @@ def run(
     robot: OptionalRobot = None,
     plan: Plan = None,
     output: Output = None,
-    time: Clock = "header",
+    time_source: Clock = "header",
     strict: StrictErrors = False,
 ) -> int:
     """Look through logs: channels, rates, clocks, units, joints that move, and what is wrong.
@@ -51,7 +51,9 @@ def run(
     with listening(context) as told:
         from seqid_cli.inspect import inspect
 
-        report = inspect(logs, robot, time_source=time, plan=plan, output=output, on_progress=told)
+        report = inspect(
+            logs, robot, time_source=time_source, plan=plan, output=output, on_progress=told
+        )
     screen = told.screen
     screen.document(report)
     show_inspection(screen, report)

@@ -26,15 +26,6 @@ if TYPE_CHECKING:
     from seqid_cli.params.results.inspection import InspectionFinding
 
 T = TypeVar("T")
-RENAMED = {  # options of commands, and what functions call them
-    "cutoff": "cutoff_hz",
-    "time": "time_source",
-    "motion": "source",
-    "ramp": "ramp_s",
-    "duration": "duration_s",
-    "move_duration": "move_s",
-    "load": "load_kg",
-}
 EXIT_DONE, EXIT_UNTRUSTED, EXIT_PARTIAL = 0, 1, 3
 # Below this many bytes of logs one process is done before others have imported what they need.
 WORTH_BYTES = 32_000_000
@@ -57,9 +48,8 @@ class Told:
 
     def options(self, form: type[T]) -> T:
         """Return the options of a function, fields of `form`, as the command line has them."""
-        given = {RENAMED.get(name, name): value for name, value in self.given.items()}
         names = {field.name for field in fields(form)}  # type: ignore[arg-type]
-        return form(**{name: value for name, value in given.items() if name in names})
+        return form(**{name: value for name, value in self.given.items() if name in names})
 
     def __call__(self, progress: Progress) -> None:
         """Take what is told."""

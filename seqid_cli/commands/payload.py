@@ -38,9 +38,9 @@ def run(
     parameters: opt.Parameters,
     output: opt.Output = None,
     friction_change: FrictionChange = 0.2,
-    motion: opt.MotionSource = "auto",
-    cutoff: opt.Cutoff = None,
-    time: opt.Clock = "header",
+    source: opt.MotionSource = "auto",
+    cutoff_hz: opt.Cutoff = None,
+    time_source: opt.Clock = "header",
     skip_failed: opt.SkipFailed = False,
     strict: opt.Strict = False,
 ) -> int:

@@ -74,12 +74,17 @@ Trajectories = Annotated[
 ]
 Duration = Annotated[
     float,
-    typer.Option(metavar="S", callback=_seconds, help="Time that the inertia moves may take."),
+    typer.Option(
+        "--duration", metavar="S", callback=_seconds, help="Time that the inertia moves may take."
+    ),
 ]
 MoveDuration = Annotated[
     float | None,
     typer.Option(
-        metavar="S", callback=_seconds, help="Length of each of these moves; 20 ramps by default."
+        "--move-duration",
+        metavar="S",
+        callback=_seconds,
+        help="Length of each of these moves; 20 ramps by default.",
     ),
 ]
 Together = Annotated[
@@ -88,6 +93,7 @@ Together = Annotated[
 Ramp = Annotated[
     float,
     typer.Option(
+        "--ramp",
         metavar="S",
         callback=_seconds,
         help="Time from rest to the largest speed: what limits the acceleration.",
@@ -115,7 +121,9 @@ OfJoint = Annotated[
 ]
 Load = Annotated[
     float,
-    typer.Option(metavar="KG", min=0.0, help="Of payload: the heaviest, for the torque limits."),
+    typer.Option(
+        "--load", metavar="KG", min=0.0, help="Of payload: the heaviest, for the torque limits."
+    ),
 ]
 KeepOut = Annotated[
     list[str] | None,
@@ -135,16 +143,16 @@ def run(
     have: Have = None,
     output: Output = None,
     trajectories: Trajectories = None,
-    duration: Duration = PlanOptions.duration_s,
-    move_duration: MoveDuration = None,
+    duration_s: Duration = PlanOptions.duration_s,
+    move_s: MoveDuration = None,
     together: Together = False,
-    ramp: Ramp = PlanOptions.ramp_s,
+    ramp_s: Ramp = PlanOptions.ramp_s,
     share: LimitShare = PlanOptions.share,
     lock: Lock = None,
     speed_scale: SpeedScale = PlanOptions.speed_scale,
     between: Between = None,
     joint: OfJoint = None,
-    load: Load = PlanOptions.load_kg,
+    load_kg: Load = PlanOptions.load_kg,
     keep_out: KeepOut = None,
     workspace: Workspace = None,
     seed: Seed = PlanOptions.seed,

@@ -49,9 +49,9 @@ def run(
     output: opt.Output = None,
     rounds: Rounds = 4,
     with_unexplained: WithUnexplained = False,
-    motion: opt.MotionSource = "auto",
-    cutoff: opt.Cutoff = None,
-    time: opt.Clock = "header",
+    source: opt.MotionSource = "auto",
+    cutoff_hz: opt.Cutoff = None,
+    time_source: opt.Clock = "header",
     strict: opt.Strict = False,
 ) -> int:
     """Add the effects that a model lacks, as long as left-out blocks are predicted better.

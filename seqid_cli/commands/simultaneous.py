@@ -31,9 +31,9 @@ def run(
     parameters: opt.OptionalParameters = None,
     output: opt.Output = None,
     offset: Offset = True,
-    motion: opt.MotionSource = "auto",
-    cutoff: opt.Cutoff = None,
-    time: opt.Clock = "header",
+    source: opt.MotionSource = "auto",
+    cutoff_hz: opt.Cutoff = None,
+    time_source: opt.Clock = "header",
     consistent: opt.Consistent = False,
     strict: opt.Strict = False,
 ) -> int:

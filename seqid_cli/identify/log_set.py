@@ -4,7 +4,6 @@ Parts of different logs are independent of each other, so an executor may make t
 here in the order of the logs; the result is the same to the last bit, whoever made the parts.
 """
 
-import contextlib
 import functools
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -85,13 +84,7 @@ class LogSet:
         return logs
 
     def __iter__(self) -> Iterator[Recording]:
-        self._next()
-        for given in self.logs:
-            log, findings = _Task(self.robot, self.time_source, None, self.imus).read(given)
-            assert isinstance(log, Recording)
-            self._done(replace(note_of(log), findings=findings))
-            yield log
-            self._next()
+        return self.mapped(_itself)
 
     def mapped(self, part: PartOf[Any, P]) -> Iterator[P]:
         """Yield the parts of all logs in their order."""
@@ -137,17 +130,17 @@ class LogSet:
         self._next()
         errors: list[Exception] = []
         for given, reply in zip(self.logs, self._replies(part), strict=True):
-            error = reply.error
+            found, error = None, reply.error
             if error is None:
                 found = reply.get()
                 self._done(found[0])
-                yield found
-                continue
-            if isinstance(error, UsageError | ConfigError) or not self.skip_failed:
+            elif isinstance(error, UsageError | ConfigError) or not self.skip_failed:
                 raise error  # also where it is no matter of one log
-            errors.append(error)
-            self._failed(_name(given), error)
-            yield None
+            else:
+                errors.append(error)
+                self._failed(_name(given), error)
+            yield found
+            self._next()
         if errors and len(errors) == len(self.logs):
             first = errors[0]
             hint = first.hint if isinstance(first, SeqidError) else ""
@@ -229,6 +222,11 @@ def note_of(log: Recording | SurveyedLog) -> LogNote:
     )
 
 
+def _itself(log: Recording, number: int) -> Recording:
+    del number
+    return log
+
+
 def _name(log: Path | Recording) -> str:
     return str(log.path if isinstance(log, Recording) else log)
 
@@ -239,9 +237,9 @@ class _Task(Generic[P]):
 
     robot: Robot
     time_source: TimeSource
-    part: PartOf[Any, P] | None
+    part: PartOf[Any, P]
     imus: bool
-    folder: Path | None = None
+    folder: Path
 
     def __call__(self, item: tuple[int, Path | Recording]) -> tuple[LogNote, P]:
         """Work on one log and its number.
@@ -249,24 +247,18 @@ class _Task(Generic[P]):
         Raises SeqidError: the log cannot be read or is of no use.
         """
         number, given = item
+        if isinstance(given, Recording):
+            return note_of(given), self.part(given, number)
         # Those that pass over a log read it again and again: a stored one's copy must last.
-        with contextlib.ExitStack() as stack:
-            file = None
-            if isinstance(given, Path):
-                file = stack.enter_context(local_copy(given))
-            log, findings = self.read(given, file)
-            assert self.part is not None
+        with local_copy(given) as file:
+            log, findings = self._read(given, file)
             return replace(note_of(log), findings=findings), self.part(log, number)
 
-    def read(
-        self, name: Path | Recording, file: Path | None = None
+    def _read(
+        self, name: Path, file: Path
     ) -> tuple[Recording | SurveyedLog, tuple[InspectionFinding, ...]]:
-        """Read and check one log, from a local copy where there is one."""
-        if isinstance(name, Recording):
-            return name, ()
-        place = name if file is None else file
-        if self.folder is not None and not place.is_absolute() and self.folder != Path.cwd():
-            place = self.folder / place
+        """Read and check one log from a local copy."""
+        place = file if file.is_absolute() or self.folder == Path.cwd() else self.folder / file
         opened = None
         if isinstance(self.part, LogOpener):
             opened = self.part.open_log(place, self.robot, self.time_source)

@@ -35,17 +35,7 @@ ENCODER = identify.PredictOptions(source="encoder")
 ON_SCREEN_ONLY = {"context", "strict", "form", "explain"}
 OTHERWISE = {"jobs", "engine", "scheduler"}  # an executor
 WITHOUT = {"completion", "init", "run"}  # a shell's script, a template, and the others in a row
-RENAMED = {
-    "cutoff": "cutoff_hz",
-    "time": "time_source",
-    "motion": "source",
-    "ramp": "ramp_s",
-    "lock": "locked",
-    "duration": "duration_s",
-    "move_duration": "move_s",
-    "load": "load_kg",
-    "files": "parameters",
-}
+RENAMED = {"lock": "locked", "files": "parameters"}
 
 
 def function_of(name: str) -> Callable[..., object]:
@@ -146,6 +136,19 @@ def test_progress_is_told() -> None:
     assert done == [(k, len(logs), str(log)) for k, log in enumerate(logs, start=1)]
     notes = [one.note for one in told if one.note is not None]
     assert all(note.samples > 0 and note.rate_hz > 0.0 for note in notes)
+
+
+def test_logs_that_fail_are_left_out_of_one_least_squares(tmp_path: Path) -> None:
+    broken = tmp_path / "broken.parquet"
+    broken.write_bytes(b"PAR1 and no more")
+    logs = [broken, *sorted((SAMPLES / "inertia").glob("*.parquet"))]
+    with pytest.raises(InputError, match="broken"):
+        identify.simultaneous(logs, ROBOT)
+    with pytest.warns(SeqidWarning, match="left out: .*broken"):
+        file = identify.simultaneous(
+            logs, ROBOT, (), identify.SimultaneousOptions(skip_failed=True)
+        )
+    assert [log.path for log in file.inputs] == [str(log) for log in logs[1:]]
 
 
 def test_problems_are_exceptions(tmp_path: Path) -> None:

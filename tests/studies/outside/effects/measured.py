@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,77 +14,60 @@ from tests.studies.outside.robotfiles import STEP_S
 Array = NDArray[np.float64]
 
 
-def _at(tau: Array, j: int, values: Array) -> Array:
-    changed = tau.copy()
-    changed[:, j] = values
-    return changed
+Change = Callable[[float, Array, Array], Array]  # scale, torque (N,), t (N,) -> what is logged
+
+
+def _told(j: int, name: str, change: Change, most: float = 20.0) -> Sized:
+    """Another torque of a joint in the log than the motor's."""
+
+    def make(scale: float) -> Effect:
+        def told(tau: Array, t: Array) -> Array:
+            changed = tau.copy()
+            changed[:, j] = change(scale, tau[:, j], t)
+            return changed
+
+        return Effect(name, j, told=told)
+
+    return Sized(name, j, make, most=most)
 
 
 def torque_constant(arm: Arm, j: int, rng: np.random.Generator) -> Sized:
     """More amperes per newton metre than before."""
     side = float(rng.choice([-1.0, 1.0]))
-
-    def make(scale: float) -> Effect:
-        def told(tau: Array, t: Array) -> Array:
-            return _at(tau, j, (1.0 + 0.05 * side * scale) * tau[:, j])
-
-        return Effect("torque_constant", j, told=told)
-
-    return Sized("torque_constant", j, make, most=6.0)
+    return _told(j, "torque_constant", lambda c, tau, t: (1.0 + 0.05 * side * c) * tau, most=6.0)
 
 
 def torque_saturation(arm: Arm, j: int, rng: np.random.Generator) -> Sized:
     """Iron that saturates: more and more amperes for the last newton metres."""
+    rated = 10.0 * arm.drives[j].coulomb
 
-    def make(scale: float) -> Effect:
-        def told(tau: Array, t: Array) -> Array:
-            own, rated = tau[:, j], 10.0 * arm.drives[j].coulomb
-            return _at(tau, j, own * (1.0 + 0.05 * scale * (own / rated) ** 2))
+    def change(scale: float, tau: Array, t: Array) -> Array:
+        return tau * (1.0 + 0.05 * scale * (tau / rated) ** 2)
 
-        return Effect("torque_saturation", j, told=told)
-
-    return Sized("torque_saturation", j, make, most=6.0)
+    return _told(j, "torque_saturation", change, most=6.0)
 
 
 def torque_bias(arm: Arm, j: int, rng: np.random.Generator) -> Sized:
     """A current sensor with an offset."""
-    side = float(rng.choice([-1.0, 1.0]))
-
-    def make(scale: float) -> Effect:
-        def told(tau: Array, t: Array) -> Array:
-            return _at(tau, j, tau[:, j] + 0.4 * side * scale * arm.drives[j].coulomb)
-
-        return Effect("torque_bias", j, told=told)
-
-    return Sized("torque_bias", j, make)
+    side, level = float(rng.choice([-1.0, 1.0])), arm.drives[j].coulomb
+    return _told(j, "torque_bias", lambda scale, tau, t: tau + 0.4 * side * scale * level)
 
 
 def drift(arm: Arm, j: int, rng: np.random.Generator) -> Sized:
     """An offset that creeps while the drive warms up."""
-    side = float(rng.choice([-1.0, 1.0]))
-
-    def make(scale: float) -> Effect:
-        def told(tau: Array, t: Array) -> Array:
-            crept = side * scale * arm.drives[j].coulomb * t / 60.0
-            return _at(tau, j, tau[:, j] + crept)
-
-        return Effect("drift", j, told=told)
-
-    return Sized("drift", j, make)
+    side, level = float(rng.choice([-1.0, 1.0])), arm.drives[j].coulomb
+    return _told(j, "drift", lambda scale, tau, t: tau + side * scale * level * t / 60.0)
 
 
 def periodic_disturbance(arm: Arm, j: int, rng: np.random.Generator) -> Sized:
     """A pump, a fan or the mains in the current sensor."""
     hertz, phase = float(rng.choice([3.7, 8.3, 14.6, 29.5, 50.0])), float(rng.uniform(0.0, 6.3))
 
-    def make(scale: float) -> Effect:
-        def told(tau: Array, t: Array) -> Array:
-            wave = np.sin(2.0 * np.pi * hertz * t + phase)
-            return _at(tau, j, tau[:, j] + 0.3 * scale * arm.drives[j].coulomb * wave)
+    def change(scale: float, tau: Array, t: Array) -> Array:
+        wave = np.sin(2.0 * np.pi * hertz * t + phase)
+        return tau + 0.3 * scale * arm.drives[j].coulomb * wave
 
-        return Effect("periodic_disturbance", j, told=told)
-
-    return Sized("periodic_disturbance", j, make)
+    return _told(j, "periodic_disturbance", change)
 
 
 def _joint_or_all(j: int, rng: np.random.Generator) -> int | None:

@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-import resource
-import subprocess
 import sys
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,6 +16,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from tests import ROOT
+from tests.benchmarks.measure import child_cpu_s
 from tests.plants.effects.registry import inject
 from tests.plants.motions.experiments import Trial
 from tests.plants.motions.trajectories import Reference
@@ -99,9 +97,5 @@ def recorded(subject: Subject, folder: Path) -> tuple[list[str], int]:
 
 def _run(*arguments: str) -> float:
     """CPU s of a command."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    command: Sequence[str] = [sys.executable, "-m", "seqid_cli", *arguments]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    subprocess.run(command, capture_output=True, check=True, env=environment)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return child_cpu_s([sys.executable, "-m", "seqid_cli", *arguments], environment)

@@ -7,15 +7,13 @@ rounds; peak memory is that of the whole process.
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 
 from tests.benchmarks.make_logs import write_cdr, write_columns, write_json, write_protobuf
+from tests.benchmarks.measure import module, told_by
 from tests.studies.tables import table
 
 ROUNDS = 3
@@ -54,15 +52,7 @@ def measure(subjects: list[Subject], rounds: int) -> list[Measured]:
 
 
 def _run(subject: Subject) -> dict[str, float]:
-    command = [
-        sys.executable,
-        "-m",
-        "tests.benchmarks.ingestion_cases",
-        subject.case,
-        str(subject.path),
-    ]
-    done = subprocess.run(command, capture_output=True, check=True, text=True)
-    result: dict[str, float] = json.loads(done.stdout)
+    result = told_by(module("ingestion_cases", subject.case, subject.path))
     if subject.case != "decompress" and result["count"] != subject.count:
         raise RuntimeError(f"{subject.case} read {result['count']} of {subject.count}")
     return result
@@ -82,73 +72,57 @@ def study(*, quick: bool = False) -> str:
         )
 
 
+HEADER = ["reader", "messages", "CPU us/message", "times blocks", "peak MiB"]
+Comparison = list[tuple[str, Subject, int]]  # its row's name, and the row that it is compared with
+
+
+def _compared(title: str, header: list[str], subjects: Comparison, rounds: int) -> str:
+    found = measure([subject for _, subject, _ in subjects], rounds)
+    rows = []
+    for (name, subject, other), own in zip(subjects, found, strict=True):
+        ratio = own.us / found[other].us
+        cells = [f"{subject.count:,}", f"{own.us:.2f}", f"{ratio:.2f}", f"{own.peak:.0f}"]
+        rows.append([name, *cells])
+    return f"{title}:\n\n{table(header, rows)}"
+
+
 def _cdr(folder: Path, size: int, rounds: int) -> str:
-    long = write_cdr(folder / "long.mcap", size)
-    short = write_cdr(folder / "short.mcap", size // 10)
+    few = size // 10
+    long, short = write_cdr(folder / "long.mcap", size), write_cdr(folder / "short.mcap", few)
     subjects = [
-        Subject("decompress", long, size),
-        Subject("seqid_blocks", long, size),
-        Subject("seqid", long, size),
-        Subject("rosbags", short, size // 10),
-        Subject("mcap_ros2", short, size // 10),
-        Subject("seqid_blocks", short, size // 10),
-        Subject("seqid", short, size // 10),
+        ("read and unpack only", Subject("decompress", long, size), 1),
+        ("seqid, by blocks", Subject("seqid_blocks", long, size), 1),
+        ("seqid, whole log", Subject("seqid", long, size), 1),
+        ("rosbags AnyReader", Subject("rosbags", short, few), 1),
+        ("mcap + mcap-ros2-support", Subject("mcap_ros2", short, few), 1),
+        ("seqid, by blocks", Subject("seqid_blocks", short, few), 1),
+        ("seqid, whole log", Subject("seqid", short, few), 1),
     ]
-    unpacked, blocks, whole, bags, official, short_blocks, short_whole = measure(subjects, rounds)
-    rows = [
-        ["read and unpack only", *_cells(unpacked, blocks, size)],
-        ["seqid, by blocks", *_cells(blocks, blocks, size)],
-        ["seqid, whole log", *_cells(whole, blocks, size)],
-        ["rosbags AnyReader", *_cells(bags, blocks, size // 10)],
-        ["mcap + mcap-ros2-support", *_cells(official, blocks, size // 10)],
-        ["seqid, by blocks", *_cells(short_blocks, blocks, size // 10)],
-        ["seqid, whole log", *_cells(short_whole, blocks, size // 10)],
-    ]
-    return "JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB:\n\n" + table(
-        ["reader", "messages", "CPU us/message", "times blocks", "peak MiB"], rows
-    )
+    title = "JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB"
+    return _compared(title, HEADER, subjects, rounds)
 
 
 def _others(folder: Path, size: int, rounds: int) -> str:
     text = write_json(folder / "json.mcap", size)
     protobuf = write_protobuf(folder / "protobuf.mcap", size)
     subjects = [
-        Subject("seqid_blocks", text, size),
-        Subject("json_loads", text, size),
-        Subject("seqid_blocks", protobuf, size),
-        Subject("mcap_protobuf", protobuf, size),
+        ("JSON: seqid, by blocks", Subject("seqid_blocks", text, size), 0),
+        ("JSON: mcap + json.loads", Subject("json_loads", text, size), 0),
+        ("protobuf: seqid, by blocks", Subject("seqid_blocks", protobuf, size), 2),
+        ("protobuf: mcap + mcap-protobuf-support", Subject("mcap_protobuf", protobuf, size), 2),
     ]
-    ours, loads, ours_too, official = measure(subjects, rounds)
-    rows = [
-        ["JSON: seqid, by blocks", *_cells(ours, ours, size)],
-        ["JSON: mcap + json.loads", *_cells(loads, ours, size)],
-        ["protobuf: seqid, by blocks", *_cells(ours_too, ours_too, size)],
-        ["protobuf: mcap + mcap-protobuf-support", *_cells(official, ours_too, size)],
-    ]
-    return "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd):\n\n" + table(
-        ["reader", "messages", "CPU us/message", "times blocks", "peak MiB"], rows
-    )
+    title = "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)"
+    return _compared(title, HEADER, subjects, rounds)
 
 
 def _parquet(folder: Path, size: int, rounds: int) -> str:
     path = write_columns(folder / "table.parquet", size)
     short = write_columns(folder / "short.parquet", size // 2)
     subjects = [
-        Subject("parquet_blocks", path, size),
-        Subject("iter_batches", path, size),
-        Subject("parquet_blocks", short, size // 2),
+        ("seqid, by blocks", Subject("parquet_blocks", path, size), 0),
+        ("pyarrow iter_batches", Subject("iter_batches", path, size), 0),
+        ("seqid, by blocks", Subject("parquet_blocks", short, size // 2), 0),
     ]
-    ours, theirs, half = measure(subjects, rounds)
-    rows = [
-        ["seqid, by blocks", *_cells(ours, ours, size)],
-        ["pyarrow iter_batches", *_cells(theirs, ours, size)],
-        ["seqid, by blocks", *_cells(half, ours, size // 2)],
-    ]
-    return "Parquet, 14 of 29 columns, zstd, row groups of 131,072:\n\n" + table(
-        ["reader", "rows", "CPU us/row", "times blocks", "peak MiB"], rows
-    )
-
-
-def _cells(measured: Measured, reference: Measured, count: int) -> list[str]:
-    ratio = measured.us / reference.us
-    return [f"{count:,}", f"{measured.us:.2f}", f"{ratio:.2f}", f"{measured.peak:.0f}"]
+    title = "Parquet, 14 of 29 columns, zstd, row groups of 131,072"
+    header = ["reader", "rows", "CPU us/row", "times blocks", "peak MiB"]
+    return _compared(title, header, subjects, rounds)

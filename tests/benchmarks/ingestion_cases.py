@@ -6,7 +6,6 @@ Every case turns the same numbers of a file into arrays. Imports are not counted
 from __future__ import annotations
 
 import json
-import resource
 import struct
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tests.benchmarks.figaroh_case import usage
 from tests.benchmarks.make_logs import JOINTS
 from tests.unit.logs.samples import GYRO, make_robot
 
@@ -22,22 +22,6 @@ Array = NDArray[np.float64]
 Case = Callable[[], Callable[[Path], int]]  # imports, and returns what is measured
 _IMU = "/hand/data"
 TABLE_COLUMNS = tuple(f"{name}.{kind}" for kind in ("position", "current") for name in JOINTS)
-
-
-def cpu_s() -> float:
-    """User and system time of this process."""
-    used = resource.getrusage(resource.RUSAGE_SELF)
-    return used.ru_utime + used.ru_stime
-
-
-def peak_mib() -> float:
-    """Largest memory of this process so far."""
-    try:  # getrusage starts from the parent's size
-        status = Path("/proc/self/status").read_text(encoding="ascii")
-    except OSError:
-        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    (line,) = (line for line in status.splitlines() if line.startswith("VmHWM:"))
-    return int(line.split()[1]) / 1024
 
 
 def decompress() -> Callable[[Path], int]:
@@ -217,9 +201,10 @@ CASES: dict[str, Case] = {
 def main(name: str, path: Path) -> None:
     """Measure one case once; print CPU seconds, peak MiB and what the case counted."""
     run = CASES[name]()
-    start = cpu_s()
+    start = usage()[0]
     count = run(path)
-    sys.stdout.write(json.dumps({"cpu_s": cpu_s() - start, "peak": peak_mib(), "count": count}))
+    after, peak = usage()
+    sys.stdout.write(json.dumps({"cpu_s": after - start, "peak": peak, "count": count}) + "\n")
 
 
 if __name__ == "__main__":

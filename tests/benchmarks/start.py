@@ -6,14 +6,12 @@ Byte code is there beforehand, as it is once a package is installed.
 from __future__ import annotations
 
 import os
-import resource
-import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
 from pathlib import Path
 from statistics import median
 
+from tests.benchmarks.measure import child_cpu_s
 from tests.studies.tables import table
 
 
@@ -33,20 +31,13 @@ def study(*, quick: bool = False) -> str:
         environment = {**os.environ, "PYTHONPYCACHEPREFIX": folder}
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
         for _, command in subjects:
-            _cpu_s(command, environment)
+            child_cpu_s(command, environment)
         for _ in range(1 if quick else 11):
             for (_, command), times in zip(subjects, spent, strict=True):
-                times.append(_cpu_s(command, environment))
+                times.append(child_cpu_s(command, environment))
     typer = median(spent[1])
     rows = [
         [name, f"{1e3 * median(times):.0f}", f"{median(times) / typer:.2f}"]
         for (name, _), times in zip(subjects, spent, strict=True)
     ]
     return table(["", "CPU ms", "times import typer"], rows)
-
-
-def _cpu_s(command: list[str], environment: Mapping[str, str]) -> float:
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(command, capture_output=True, check=True, env=environment)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime

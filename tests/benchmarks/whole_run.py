@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import json
 import os
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from seqid_cli.robot.file import load_robot
 from tests.benchmarks import whole_run_figaroh
+from tests.benchmarks.measure import module, told_by
 from tests.plants.robots.seven_joint import write_arm, write_log
 from tests.studies.tables import table
 
@@ -89,9 +88,7 @@ def _all_runs(
 
 
 def _run(case: str, arm: Path, log: Path, samples: int) -> Run:
-    command = [sys.executable, "-m", "tests.benchmarks.whole_run_cases", case, str(arm), str(log)]
-    done = subprocess.run(command, capture_output=True, check=True, text=True)
-    found = json.loads(done.stdout)
+    found: dict[str, Any] = told_by(module("whole_run_cases", case, arm, log))
     return Run(samples, found["cpu_s"], found["peak"], found["values"])
 
 

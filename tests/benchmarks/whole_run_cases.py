@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.benchmarks.ingestion_cases import cpu_s, peak_mib
+from tests.benchmarks.figaroh_case import usage
 from tests.plants.robots.seven_joint import JOINTS, RATE_HZ, SIGN_WIDTH, known_friction
 
 Array = NDArray[np.float64]
@@ -124,9 +124,10 @@ def main(arguments: Sequence[str]) -> int:
     """Run one case and print what it took and what it found."""
     case, robot_path, log = arguments
     run = CASES[case](Path(robot_path), Path(log))
-    before = cpu_s()
+    before = usage()[0]
     values = run()
-    result = {"cpu_s": cpu_s() - before, "peak": peak_mib(), "values": values}
+    after, peak = usage()
+    result = {"cpu_s": after - before, "peak": peak, "values": values}
     sys.stdout.write(json.dumps(result) + "\n")
     return 0
 

@@ -23,6 +23,7 @@ import numpy as np
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
 from tests.benchmarks import figaroh_case
+from tests.benchmarks.measure import module, told_by
 from tests.plants.robots.seven_joint import RATE_HZ, motion
 from tests.studies.tables import table
 
@@ -48,15 +49,8 @@ def study(folder: Path, robot_path: Path, *, quick: bool, rounds: int) -> str:
     theirs: list[Result] = []
     ours: list[Result] = []
     for _ in range(rounds):
-        theirs.append(_measured([other, figaroh_case.__file__, str(urdf), str(arrays)]))
-        own = [
-            sys.executable,
-            "-m",
-            "tests.benchmarks.whole_run_figaroh",
-            str(robot_path),
-            str(arrays),
-        ]
-        ours.append(_measured(own))
+        theirs.append(told_by([other, figaroh_case.__file__, str(urdf), str(arrays)]))
+        ours.append(told_by(module("whole_run_figaroh", robot_path, arrays)))
     rows = [_row("FIGAROH 1.0.2", theirs, theirs), _row("seqid", ours, theirs)]
     heads = ["", "CPU s", "times less", "peak MiB", "above its imports and the arrays, MiB"]
     gap = abs(ours[0]["rms"] / theirs[0]["rms"] - 1)
@@ -86,12 +80,6 @@ def _has_figaroh(interpreter: str) -> bool:
         return subprocess.run(command, capture_output=True, check=False).returncode == 0
     except OSError:
         return False
-
-
-def _measured(command: Sequence[str]) -> Result:
-    done = subprocess.run(command, capture_output=True, check=True, text=True)
-    result: Result = json.loads(done.stdout.splitlines()[-1])
-    return result
 
 
 def _row(name: str, runs: Sequence[Result], reference: Sequence[Result]) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +15,7 @@ from tests.benchmarks.measure import module, told_by
 from tests.plants.robots.seven_joint import write_arm, write_log
 from tests.studies.tables import table
 
-COMPARED, LONGER, LONGEST, VERY_LONG = 200_000, 1_000_000, 2_000_000, 10_000_000
-SWITCH = "SEQID_BENCH_LONG"  # set it to have the longest log VERY_LONG: 0.6 GB, some minutes
+COMPARED, LONGER, LONGEST = 200_000, 1_000_000, 2_000_000
 ROUNDS = 2
 CASES = {
     "straightforward": "script",
@@ -43,8 +41,7 @@ class Run:
 
 def study(*, quick: bool = False) -> str:
     """Return the tables."""
-    longest = VERY_LONG if os.environ.get(SWITCH) else LONGEST
-    sizes = (20_000, 30_000, 40_000) if quick else (COMPARED, LONGER, longest)
+    sizes = (20_000, 30_000, 40_000) if quick else (COMPARED, LONGER, LONGEST)
     rounds = 1 if quick else ROUNDS
     with TemporaryDirectory() as name:
         folder = Path(name)

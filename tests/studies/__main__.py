@@ -51,7 +51,6 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--only", nargs="+", choices=list(STUDIES), default=usual)
     undeclared.add_arguments(parser)
     table_two.add_arguments(parser)
-    coverage.add_arguments(parser)
     chosen = parser.parse_args(arguments)
     for name in chosen.only:  # a missing marker shows before the work is done
         if written(name, chosen):

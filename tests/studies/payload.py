@@ -58,7 +58,7 @@ def loaded(plant: Plant, body: Array) -> Plant:
 
 def errors_of(seed: int) -> dict[str, tuple[float, float, float]]:
     """Estimate, standard error and truth of every number of one seed's body, by name."""
-    case = case_of("six", seed, None, None)
+    case = case_of("six", seed)
     drawn = draw(case)
     rng = np.random.default_rng([STREAM, seed])
     body = drawn_body(rng)

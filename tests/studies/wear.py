@@ -48,7 +48,7 @@ class Robot:
 
 def identified(robot: Robot, number: int, dates: int, path: Path) -> None:
     """Record one date and identify it."""
-    case = case_of("one", robot.seed, None, None)
+    case = case_of("one", robot.seed)
     drawn = draw(case)
     trials = [trial for trial in drawn.trials if trial.stage in ("friction", "gravity", "inertia")]
     plant = replace(robot.worn(drawn.plant, number / max(dates - 1, 1)), imus=())

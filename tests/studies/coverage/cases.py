@@ -76,10 +76,9 @@ class Drawn:
     every: int = EVERY
 
 
-def case_of(rig: str, seed: int, noise: str | None, encoder: str | None) -> Case:
-    """The case of a seed; what is not asked for changes from seed to seed."""
-    own_noise, own_encoder = list(product(NOISES, ENCODERS))[seed % 4]
-    return Case(rig, seed, noise or own_noise, encoder or own_encoder)
+def case_of(rig: str, seed: int) -> Case:
+    """The case of a seed; noise and encoder change from seed to seed."""
+    return Case(rig, seed, *list(product(NOISES, ENCODERS))[seed % 4])
 
 
 def draw(case: Case) -> Drawn:

@@ -1,10 +1,10 @@
 """Do the stated errors hold? Estimates, stated standard errors and truth over many drawn arms.
 
-    python -m tests.studies --only coverage --rig planar --seeds 0:40 --noise coloured --jobs 2
+    python -m tests.studies --only coverage --rig planar --seeds 0:40 --jobs 2
 
 Every seed draws an arm anew (one joint, two joints planar, six joints), records its logs and runs
 friction, gravity, imu-calib and inertia on the files. Noise (white, or half its variance 1/f) and
-encoder (fine or coarse) change from seed to seed unless they are asked for. What a seed gives is
+encoder (fine or coarse) change from seed to seed. What a seed gives is
 kept as one JSON line in `<cache>/coverage/<rig>.jsonl`, so that a run that was cut short goes on
 where it stopped; lines of another state of the package stay and do not count.
 
@@ -14,10 +14,10 @@ judging: nothing is set by them. A table never has both.
 
 from __future__ import annotations
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 from collections.abc import Sequence
 
-from tests.studies.coverage.cases import ENCODERS, NOISES, RIGS, case_of
+from tests.studies.coverage.cases import RIGS, case_of
 from tests.studies.coverage.score import Result, score
 from tests.studies.coverage.tables import tables_of
 from tests.studies.records import package_sources, results
@@ -29,13 +29,6 @@ QUICK = "0:2"
 NAMES = {"one": "One joint", "planar": "Two joints, planar", "six": "Six joints"}
 
 
-def add_arguments(parser: ArgumentParser) -> None:
-    """Options that only this study has; others are shared with that of undeclared effects."""
-    own = parser.add_argument_group("coverage")
-    own.add_argument("--noise", choices=NOISES, help="of the current; else by the seed")
-    own.add_argument("--encoder", choices=ENCODERS, help="else by the seed")
-
-
 def study(chosen: Namespace) -> str:
     """Run what is not there yet, and make the tables."""
     seeds = seeds_of(chosen.seeds or (QUICK if chosen.quick else SEEDS))
@@ -44,7 +37,7 @@ def study(chosen: Namespace) -> str:
     for rig in rigs:
         if rig not in RIGS:
             raise SystemExit(f"coverage has no rig {rig!r}, only {', '.join(RIGS)}")
-        cases = [case_of(rig, seed, chosen.noise, chosen.encoder) for seed in seeds]
+        cases = [case_of(rig, seed) for seed in seeds]
         kept = results(
             {case.label: case for case in cases},
             score,
@@ -64,7 +57,7 @@ def study(chosen: Namespace) -> str:
 
 def whole(chosen: Namespace) -> bool:
     """Whether these are the tables of the document."""
-    parts = (chosen.rig, chosen.noise, chosen.encoder, chosen.seeds)
+    parts = (chosen.rig, chosen.seeds)
     return not (chosen.quick or chosen.any_sources or any(parts))
 
 

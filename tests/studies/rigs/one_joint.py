@@ -21,16 +21,11 @@ from tests.plants.motions.experiments import (
     inertia_trials,
     validation_trials,
 )
-from tests.plants.robots.identified import (
-    before_inertia,
-    held_out,
-    noise_floor,
-    simultaneous,
-    with_inertia,
-)
+from tests.plants.robots.identified import before_inertia, with_inertia
 from tests.plants.robots.lab import Experiment, run
 from tests.plants.simulate import Plant
 from tests.studies.rigs.bound import Knowledge, bounds
+from tests.studies.rigs.repetition import predicted
 from tests.studies.rigs.variants import another
 from tests.studies.tables import number, rms, spread, table
 
@@ -94,21 +89,16 @@ def repetition(factor: int, number_of: int) -> Repetition:
         for key, one in found.items()
         if one.inertia is not None
     }
-    logs, robot, options = experiment.recordings, experiment.robot, InertiaOptions()
-    sequential = held_out(logs["validation"], robot, found["auto", None], options)
-    classical = simultaneous(
-        [*logs["friction"], *logs["gravity"], *logs["inertia"]], robot, stages.imu
-    )
-    together = held_out(logs["validation"], robot, classical, options)
-    floor = float(noise_floor(experiment, "validation", sequential.cutoff_hz)[0])
+    torque = predicted(experiment, found["auto", None])
+    ways = {"sequential": torque.sequential, "simultaneous": torque.simultaneous}
+    floor = float(torque.floor[0])
     return Repetition(
         gravity=_estimates(plant, stages.gravity),
         inertia=inertia,
         cutoff_hz=best.cutoff_hz,
         bounds={known: bound_shares(experiment, known) for known in KNOWLEDGE},
         torque={
-            "sequential": (float(sequential.every[0]), float(sequential.sliding[0])),
-            "simultaneous": (float(together.every[0]), float(together.sliding[0])),
+            **{way: (float(one.every[0]), float(one.sliding[0])) for way, one in ways.items()},
             "noise": (floor, floor),
         },
     )

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.params.schema import ImuStage, Parameter, Stages
 from tests.plants.arms.rigs import six_joint
 from tests.plants.motions.experiments import (
@@ -21,10 +20,11 @@ from tests.plants.motions.experiments import (
     inertia_trials,
     validation_trials,
 )
-from tests.plants.robots.identified import HeldOut, held_out, noise_floor, sequential, simultaneous
+from tests.plants.robots.identified import sequential
 from tests.plants.robots.lab import run, true_standard, true_value
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant
+from tests.studies.rigs.repetition import Predicted, predicted
 from tests.studies.rigs.variants import another
 from tests.studies.tables import number, rms, share_within, table
 
@@ -45,9 +45,7 @@ class Mounting:
 class Repetition:
     """Results of one arm built anew."""
 
-    predicted: HeldOut
-    together: HeldOut
-    floor: Array
+    torque: Predicted
     z: dict[str, list[float]]  # by stage
     rank: str
     imus: dict[str, Mounting]
@@ -70,18 +68,11 @@ def repetition(number_of: int) -> Repetition:
     rng = np.random.default_rng([SEED, number_of])
     plant = another(six_joint(), rng)
     experiment = run("six_joint", plant, trials(plant, rng), SEED + number_of, every=EVERY)
-    logs, robot, options = experiment.recordings, experiment.robot, InertiaOptions()
     stages = sequential(experiment)
-    predicted = held_out(logs["validation"], robot, stages, options)
-    classical = simultaneous(
-        [*logs["friction"], *logs["gravity"], *logs["inertia"]], robot, stages.imu
-    )
     assert stages.inertia is not None
     assert stages.imu is not None
     return Repetition(
-        predicted=predicted,
-        together=held_out(logs["validation"], robot, classical, options),
-        floor=noise_floor(experiment, "validation", predicted.cutoff_hz),
+        torque=predicted(experiment, stages),
         z=deviations(plant, stages),
         rank=f"{stages.inertia.rank} of {stages.inertia.structural_rank}",
         imus=mountings(plant, stages.imu),
@@ -129,11 +120,11 @@ def study(chosen: Namespace) -> str:
 def torque_table(found: list[Repetition]) -> str:
     """RMSE per joint on held-out moves, N m, RMS over the repetitions."""
     columns = {
-        "sequential": [r.predicted.every for r in found],
-        "simultaneous": [r.together.every for r in found],
-        "current noise alone": [r.floor for r in found],
-        "sequential, sliding": [r.predicted.sliding for r in found],
-        "simultaneous, sliding": [r.together.sliding for r in found],
+        "sequential": [r.torque.sequential.every for r in found],
+        "simultaneous": [r.torque.simultaneous.every for r in found],
+        "current noise alone": [r.torque.floor for r in found],
+        "sequential, sliding": [r.torque.sequential.sliding for r in found],
+        "simultaneous, sliding": [r.torque.simultaneous.sliding for r in found],
     }
     rows = [
         [name, *(number(rms(joint), 3) for joint in np.array(values).T)]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface.stage import identify_friction
-from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage
 from tests.plants.arms.rigs import two_joint
@@ -21,9 +21,10 @@ from tests.plants.motions.experiments import (
     inertia_trials,
     validation_trials,
 )
-from tests.plants.robots.identified import held_out, noise_floor, sequential, simultaneous
+from tests.plants.robots.identified import sequential
 from tests.plants.robots.lab import run, true_standard, true_value
 from tests.plants.simulate import Plant
+from tests.studies.rigs.repetition import predicted
 from tests.studies.rigs.variants import another
 from tests.studies.tables import number, rms, spread, table
 
@@ -78,7 +79,7 @@ def repetition(number_of: int) -> Repetition:
     rng = np.random.default_rng([SEED, number_of])
     plant = another(two_joint(), rng)
     experiment = run("two_joint", plant, trials(plant, rng), SEED + number_of)
-    logs, robot, options = experiment.recordings, experiment.robot, InertiaOptions()
+    logs, robot = experiment.recordings, experiment.robot
     stages = sequential(experiment)
     assert stages.inertia is not None
     error, z = table_iv(plant, stages.inertia)
@@ -86,18 +87,15 @@ def repetition(number_of: int) -> Repetition:
     refused: dict[str, str] = {}
     for label, orders in ORDERS.items():
         try:
-            found = identify_friction(logs["friction"], robot, options=orders)
+            fitted = identify_friction(logs["friction"], robot, options=orders)
         except QualityError as problem:
             refused[label] = str(problem)
             continue
         for j, joint in enumerate(plant.arm.names):
-            surface[label, joint] = surface_error(plant, found, j)
-    predicted = held_out(logs["validation"], robot, stages, options)
-    classical = simultaneous([*logs["friction"], *logs["inertia"]], robot, stages.imu)
-    together = held_out(logs["validation"], robot, classical, options)
-    floor = noise_floor(experiment, "validation", predicted.cutoff_hz)
-    torque = {"sequential": predicted.every, "simultaneous": together.every, "noise": floor}
-    return Repetition(error, z, surface, refused, torque)
+            surface[label, joint] = surface_error(plant, fitted, j)
+    found = predicted(experiment, stages)
+    torque = {"sequential": found.sequential.every, "simultaneous": found.simultaneous.every}
+    return Repetition(error, z, surface, refused, torque | {"noise": found.floor})
 
 
 def table_iv(plant: Plant, stage: RigidStage) -> tuple[dict[str, float], dict[str, float]]:

@@ -18,7 +18,7 @@ from seqid_cli.robot.file import load_robot
 from tests.plants.sensors import AccelerometerArray
 from tests.studies.coverage.cases import case_of, draw, record
 
-CASE = case_of("planar", 10197, None, None)  # joint 2 hunts in some swings of joint 1
+CASE = case_of("planar", 10197)  # joint 2 hunts in some swings of joint 1
 STILL, HUNTING = "joint_1_posture_4.parquet", "joint_1_posture_3.parquet"
 
 SWINGS = ("joint_1_posture_1", "joint_1_posture_3", "joint_1_posture_4", "joint_2")

@@ -16,8 +16,17 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from tests.studies.fuzz.mutations import BYTES, mutated
-from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot, read_raw
-from tests.unit.logs.writers import rewrite, write_mcap, write_parquet
+from tests.unit.logs.samples import (
+    ARRAY,
+    GYRO,
+    JOINTS,
+    grid,
+    make_motion,
+    make_robot,
+    read_raw,
+    write_motion,
+)
+from tests.unit.logs.writers import rewrite, write_parquet
 
 ROBOT = make_robot(imus=(ARRAY, GYRO), constants=0.1)
 
@@ -27,17 +36,7 @@ def samples(folder: Path) -> Mapping[str, Path]:
     motion = make_motion(grid(300))
     found = {}
     for encoding in ("cdr", "json"):
-        source = write_mcap(
-            folder / f"{encoding}.mcap",
-            motion.t,
-            JOINTS,
-            motion.q,
-            encoding=encoding,  # type: ignore[arg-type]
-            dq=motion.dq,
-            effort=motion.tau,
-            accelerometers=motion.accelerometers,
-            gyros=motion.gyros,
-        )
+        source = write_motion(folder / f"{encoding}.mcap", motion, encoding=encoding)
         for compression in ("none", "lz4", "zstd"):
             for crc in (True, False):
                 name = f"{encoding}-{compression}-{'crc' if crc else 'no_crc'}"

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.robot.types import Chain, Channels, Imu, Joint, Robot
+from tests.unit.logs.writers import write_mcap, write_parquet
 
 Array = NDArray[np.float64]
 JOINTS = ("shoulder", "elbow", "wrist")
@@ -76,6 +78,16 @@ def make_motion(t: Array, n: int = 3) -> Motion:
         accelerometers={"array": curve(t, 6) + gravity, "hand": curve(t, 3, 2.0) + gravity[:3]},
         gyros={"hand": curve(t, 3, 3.0)},
     )
+
+
+def write_motion(path: Path, motion: Motion, **options: Any) -> Path:
+    """Write all of a motion, efforts as torque, as MCAP or Parquet by the suffix."""
+    more: dict[str, Any] = {"accelerometers": motion.accelerometers, "gyros": motion.gyros}
+    more |= {"dq": motion.dq, **options}
+    if path.suffix == ".mcap":
+        more = {"encoding": "cdr", "effort": motion.tau} | more
+        return write_mcap(path, motion.t, JOINTS, motion.q, **more)
+    return write_parquet(path, motion.t, JOINTS, motion.q, torque=motion.tau, **more)
 
 
 def grid(count: int = 200, rate_hz: float = 100.0) -> Array:

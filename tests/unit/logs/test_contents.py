@@ -13,23 +13,14 @@ from seqid_cli.inspect.guess import guess, stand_in
 from seqid_cli.logs.contents import survey
 from seqid_cli.logs.read import read_recording
 from tests.unit.logs.format_writers import EXACT, FLOAT32, Data
-from tests.unit.logs.samples import JOINTS, grid, make_motion
-from tests.unit.logs.writers import write_mcap
+from tests.unit.logs.samples import JOINTS, grid, make_motion, write_motion
 
 MOTION = make_motion(grid(100))
 
 
 @pytest.mark.parametrize("encoding", ["cdr", "json"])
 def test_mcap(tmp_path: Path, encoding: str) -> None:
-    path = write_mcap(
-        tmp_path / "log.mcap",
-        MOTION.t,
-        JOINTS,
-        MOTION.q,
-        encoding=encoding,  # type: ignore[arg-type]
-        accelerometers=MOTION.accelerometers,
-    )
-    found = survey(path)
+    found = survey(write_motion(tmp_path / "log.mcap", MOTION, encoding=encoding))
     assert found.joints == JOINTS
     counts = {channel.name: channel.samples for channel in found.channels}
     assert counts["/joint_states"] == counts["/array/accel_2"] == 100

@@ -15,8 +15,8 @@ from seqid_cli.logs.pieces import cut, read_pieces, whole_of
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.tables import parquet
-from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot
-from tests.unit.logs.writers import write_mcap, write_parquet
+from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot, write_motion
+from tests.unit.logs.writers import write_parquet
 
 ROBOT = make_robot(imus=(ARRAY, GYRO))
 RANGES = [(3.0, 7.5), (12.0, 14.0), (6.0, 9.0)]  # two of them overlap
@@ -35,31 +35,11 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def written(folder: Path, form: str) -> Path:
     motion = make_motion(grid(SAMPLES))
-    imus, turns = motion.accelerometers, motion.gyros
     if form == "mcap":
-        return write_mcap(
-            folder / "log.mcap",
-            motion.t,
-            JOINTS,
-            motion.q,
-            encoding="cdr",
-            dq=motion.dq,
-            effort=motion.tau,
-            accelerometers=imus,
-            gyros=turns,
-        )
+        return write_motion(folder / "log.mcap", motion)
     warm = 20.0 + 0.1 * motion.t[:, None] + np.arange(3.0)
-    return write_parquet(
-        folder / "log.parquet",
-        START + motion.t,
-        JOINTS,
-        motion.q,
-        dq=motion.dq,
-        torque=motion.tau,
-        temperature=warm,
-        accelerometers=imus,
-        gyros=turns,
-    )
+    later = replace(motion, t=START + motion.t)
+    return write_motion(folder / "log.parquet", later, temperature=warm)
 
 
 def assert_same(one: Recording, other: Recording) -> None:

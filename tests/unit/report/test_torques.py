@@ -8,6 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from msgspec.structs import replace
 from scipy.signal import lfilter
 
 from seqid_cli.errors import InputError, UsageError
@@ -25,7 +26,7 @@ from seqid_cli.report.figures.torque import (
 from seqid_cli.report.make import make_report
 from seqid_cli.report.plots import plot_torques
 from seqid_cli.report.torques import Series, TorqueTable
-from tests.unit.params.documents import inertia_file
+from tests.unit.params.documents import JOINTS, inertia_file
 from tests.unit.report.pages import (
     LINE_HZ,
     LOGS,
@@ -288,25 +289,13 @@ def test_residuals_over_a_quantity_are_those_of_the_samples(tmp_path: Path, quan
 def test_many_logs_show_the_worst_only(tmp_path: Path) -> None:
     logs = tuple(f"v/{k}.parquet" for k in range(8))
     prediction = prediction_file()
-    entry = prediction.logs[0]
+    (entry, _), error = prediction.logs, prediction.joints["elbow"]
     prediction.logs = [
-        type(entry)(
+        replace(
+            entry,
             path=path,
             sha256=path.ljust(64, "0"),
-            samples=SAMPLES,
-            cutoff_hz=30.0,
-            joints={
-                name: type(error)(
-                    rmse=0.1,
-                    relative_rmse=0.01 * (k + 1),
-                    max_abs=0.2,
-                    samples=SAMPLES,
-                    rmse_all=0.1,
-                    samples_all=SAMPLES,
-                    share_sliding=1.0,
-                )
-                for name, error in prediction.joints.items()
-            },
+            joints=dict.fromkeys(JOINTS, replace(error, relative_rmse=0.01 * (k + 1))),
         )
         for k, path in enumerate(logs)
     ]

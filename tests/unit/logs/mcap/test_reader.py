@@ -13,7 +13,16 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap.reader import list_topics
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
-from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, Motion, grid, make_motion, make_robot
+from tests.unit.logs.samples import (
+    ARRAY,
+    GYRO,
+    JOINTS,
+    Motion,
+    grid,
+    make_motion,
+    make_robot,
+    write_motion,
+)
 from tests.unit.logs.writers import (
     imu_messages,
     joint_messages,
@@ -29,21 +38,6 @@ ROBOT = make_robot(imus=(ARRAY, GYRO))
 
 def stamps(t: np.ndarray) -> np.ndarray:
     return T0 + np.rint(t * 1e9).astype(np.int64)
-
-
-def write_full(path: Path, motion: Motion, encoding: str = "cdr", **options: object) -> Path:
-    return write_mcap(  # type: ignore[arg-type]
-        path,
-        motion.t,
-        JOINTS,
-        motion.q,
-        encoding=encoding,
-        dq=motion.dq,
-        effort=motion.tau,
-        accelerometers=motion.accelerometers,
-        gyros=motion.gyros,
-        **options,
-    )
 
 
 def assert_holds(recording: Recording, motion: Motion, atol: float = 1e-9) -> None:
@@ -82,7 +76,7 @@ def test_joint_states_split_over_two_messages(tmp_path: Path, delay_s: float) ->
 
 def test_header_stamps_and_log_times(tmp_path: Path) -> None:
     motion = make_motion(grid(100))
-    path = write_full(tmp_path / "log.mcap", motion, log_offset_ns=3_000_000)
+    path = write_motion(tmp_path / "log.mcap", motion, log_offset_ns=3_000_000)
     recording = read_recording(path, ROBOT)
     assert recording.health.log_minus_header_s == pytest.approx(0.003)
     assert_holds(read_recording(path, ROBOT, time_source="log"), motion)
@@ -90,7 +84,7 @@ def test_header_stamps_and_log_times(tmp_path: Path) -> None:
 
 def test_zero_header_stamps_fall_back_to_log_times(tmp_path: Path) -> None:
     motion = make_motion(grid(100))
-    path = write_full(tmp_path / "log.mcap", motion, zero_stamps=True)
+    path = write_motion(tmp_path / "log.mcap", motion, zero_stamps=True)
     recording = read_recording(path, ROBOT)
     assert_holds(recording, motion)
     assert recording.health.log_minus_header_s is None
@@ -129,7 +123,7 @@ def test_imu_on_another_clock_is_left_out(tmp_path: Path) -> None:
 
 def test_half_an_accelerometer_array_is_an_error(tmp_path: Path) -> None:
     motion = make_motion(grid(100))
-    source = write_full(tmp_path / "source.mcap", motion)
+    source = write_motion(tmp_path / "source.mcap", motion)
     path = rewrite(source, tmp_path / "log.mcap", keep=lambda topic: topic != "/array/accel_2")
     with pytest.raises(InputError, match="/array/accel_2"):
         read_recording(path, ROBOT)
@@ -220,7 +214,7 @@ def test_recording_that_was_not_closed(tmp_path: Path) -> None:
 
 def test_nothing_to_salvage_is_an_error(tmp_path: Path) -> None:
     motion = make_motion(grid(200))
-    source = write_full(tmp_path / "source.mcap", motion)
+    source = write_motion(tmp_path / "source.mcap", motion)
     path = tmp_path / "log.mcap"
     path.write_bytes(source.read_bytes()[:60])
     with pytest.raises(InputError, match="nothing can be salvaged"):
@@ -229,7 +223,7 @@ def test_nothing_to_salvage_is_an_error(tmp_path: Path) -> None:
 
 def test_checksum_of_unchunked_data(tmp_path: Path) -> None:
     motion = make_motion(grid(200))
-    source = write_full(tmp_path / "source.mcap", motion)
+    source = write_motion(tmp_path / "source.mcap", motion)
     path = rewrite(source, tmp_path / "log.mcap", chunking=False)
     assert read_recording(path, ROBOT).partial == ""
     data = bytearray(path.read_bytes())

@@ -13,7 +13,7 @@ import pytest
 from seqid_cli.errors import InputError
 from seqid_cli.logs.read import read_recording
 from seqid_cli.robot.types import Channels, Robot
-from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot
+from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot, write_motion
 from tests.unit.logs.writers import write_parquet
 
 MOTION = make_motion(grid())
@@ -31,17 +31,7 @@ def write(path: Path, columns: Columns) -> Path:
 
 
 def test_default_names(tmp_path: Path) -> None:
-    path = write_parquet(
-        tmp_path / "log.parquet",
-        MOTION.t,
-        JOINTS,
-        MOTION.q,
-        dq=MOTION.dq,
-        torque=MOTION.tau,
-        temperature=MOTION.q + 30.0,
-        accelerometers=MOTION.accelerometers,
-        gyros=MOTION.gyros,
-    )
+    path = write_motion(tmp_path / "log.parquet", MOTION, temperature=MOTION.q + 30.0)
     recording = read_recording(path, make_robot(imus=(ARRAY, GYRO)))
     np.testing.assert_array_equal(recording.q, MOTION.q)
     assert recording.dq is not None
@@ -196,14 +186,7 @@ def test_no_torque_at_all_and_torque_of_some(tmp_path: Path) -> None:
 @pytest.mark.parametrize("dropped", ["array.a3", "hand.az", "hand.gx"])
 def test_half_an_imu_names_the_columns(tmp_path: Path, dropped: str) -> None:
     robot: Robot = make_robot(imus=(ARRAY, GYRO))
-    path = write_parquet(
-        tmp_path / "log.parquet",
-        MOTION.t,
-        JOINTS,
-        MOTION.q,
-        accelerometers=MOTION.accelerometers,
-        gyros=MOTION.gyros,
-    )
+    path = write_motion(tmp_path / "log.parquet", MOTION)
     table = pq.read_table(path)
     pq.write_table(table.drop_columns([dropped]), path)
     with pytest.raises(InputError, match=dropped):

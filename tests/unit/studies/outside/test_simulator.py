@@ -15,7 +15,7 @@ from seqid_cli.inspect.screening import read_screened
 from seqid_cli.robot.file import load_robot
 from tests.studies.outside import motions
 from tests.studies.outside.arms import GRAVITY, drawn_arm
-from tests.studies.outside.bench import pendulum, quiet_arm, sweeps
+from tests.studies.outside.bench import pendulum, quiet_arm
 from tests.studies.outside.cases import SPEEDS, write
 from tests.studies.outside.plan import PUBLISHED
 from tests.studies.outside.robotfiles import robot_toml, urdf
@@ -32,21 +32,6 @@ def test_a_swing_without_friction_keeps_its_energy() -> None:
         mujoco.mj_step(model, data)
         energies.append(data.energy.sum())
     assert np.ptp(energies) < 0.01 * 2.0 * 2.0 * GRAVITY * 0.4
-
-
-def test_the_torque_at_rest_is_the_weight() -> None:
-    log = simulate(pendulum(), np.full((1500, 1), 0.7), seed=1)
-    assert log.true_torque[-1, 0] == pytest.approx(-2.0 * GRAVITY * 0.4 * np.sin(0.7), rel=1e-3)
-    assert log.torque[-1, 0] == pytest.approx(log.true_torque[-1, 0], rel=1e-9)
-
-
-def test_friction_holds_and_then_slides() -> None:
-    """At constant speed both ways the torques differ by twice the friction."""
-    arm = pendulum(coulomb=3.0)
-    log = simulate(arm, motions.trial(arm, 0, np.zeros(1), np.array([0.2])), seed=1)
-    up, down = sweeps(log.t, log.q[:, 0], 0.6, 0.5)
-    half = 0.5 * (log.true_torque[up].mean() - log.true_torque[down].mean())
-    assert half == pytest.approx(3.0 * (1.0 + 0.1 * np.sin(0.5)), rel=0.02)
 
 
 @pytest.mark.parametrize("label", [*PUBLISHED, "drawn"])

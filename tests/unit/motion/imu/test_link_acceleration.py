@@ -21,7 +21,7 @@ from tests.plants.arms.rigs import two_joint
 from tests.plants.motions.experiments import inertia_trials
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.simulate import simulate
-from tests.unit.motion.smoother.test_smooth import stage_of
+from tests.studies.imu.fused_cases import stage_of
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def scene() -> Scene:
     posture = np.array([0.0, 0.5])
     trial = inertia_trials(plant, [posture], np.random.default_rng(0), seconds=3.0)[0]
     log = simulate(plant, trial.reference, 0, every=4)
-    stage = stage_of(plant)
+    stage = stage_of(plant, np.random.default_rng(0), off_deg=0.0)
     robot, recording = robot_of("two_joint", plant), recording_of(plant, "log", log)
     motion = estimate_motion(recording, robot, MotionOptions())
     return Scene(recording, robot, stage, motion, motion.lowpass(log.truth.ddq))

@@ -21,20 +21,20 @@ from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
-from tests.unit.motion.smoother.test_smooth import Scene
+from tests.studies.imu.fused_cases import Case
 from tests.unit.motion.smoother.test_smooth import scene as simulated
 
 pytestmark = pytest.mark.slow
 
 
 @cache
-def scene(name: str) -> Scene:
+def scene(name: str) -> Case:
     """A rig of the smoother's own tests, with torque that is its acceleration."""
     made = simulated(name)
     return replace(made, recording=replace(made.recording, tau=made.log.truth.ddq.copy()))
 
 
-def encoder(s: Scene, hz: float | None = None) -> Motion:
+def encoder(s: Case, hz: float | None = None) -> Motion:
     return estimate_motion(s.recording, s.robot, MotionOptions(hz))
 
 
@@ -44,7 +44,7 @@ def fused(name: str, hz: float | None = None) -> Motion:
     return fused_motion(s.recording, s.robot, s.stage, encoder(s, hz))
 
 
-def error(s: Scene, motion: Motion) -> Array:
+def error(s: Case, motion: Motion) -> Array:
     """RMS error (n,) of low-passed accelerations."""
     true = motion.lowpass(s.log.truth.ddq)
     return np.asarray(np.sqrt(np.mean((motion.ddq - true)[motion.usable] ** 2, axis=0)))
@@ -91,14 +91,14 @@ def test_an_inertia_is_not_shrunk_by_the_smoothers_error() -> None:
         np.testing.assert_allclose(slope, 1.0, atol=limit)
 
 
-def changed(s: Scene, readings: Mapping[str, Array | None]) -> Scene:
+def changed(s: Case, readings: Mapping[str, Array | None]) -> Case:
     """The scene with some IMUs' readings replaced, or gone."""
     all_of_them = {**s.recording.accelerometers, **readings}
     kept = {name: values for name, values in all_of_them.items() if values is not None}
     return replace(s, recording=replace(s.recording, accelerometers=kept))
 
 
-def best(s: Scene, source: str, stage: ImuStage | None = None) -> Motion:
+def best(s: Case, source: str, stage: ImuStage | None = None) -> Motion:
     return best_motion(s.recording, s.robot, stage or s.stage, encoder(s), source=source)
 
 

@@ -7,8 +7,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.document import join
@@ -179,56 +177,6 @@ def test_older_files_are_migrated_step_by_step(tmp_path: Path) -> None:
     assert (file.schema, file.created) == ("seqid/params@3", "migrated")
     with pytest.raises(ConfigError, match="old version seqid/params@1"):
         read_parameters(path, version=3, migrations={1: second})
-
-
-scalars = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text()
-values = scalars | st.lists(scalars, max_size=3) | st.dictionaries(st.text(), scalars, max_size=3)
-
-
-def places(node: object, at: Path_ = ()) -> list[Path_]:
-    if isinstance(node, dict):
-        inner = [place for key, item in node.items() for place in places(item, (*at, key))]
-    elif isinstance(node, list):
-        inner = [place for i, item in enumerate(node) for place in places(item, (*at, i))]
-    else:
-        inner = []
-    return [at, *inner] if at else inner
-
-
-PLACES = places(json.loads(encode(full_file())))
-
-
-def reads_or_refuses(path: Path) -> None:
-    try:
-        file: object = read_parameters(path)
-    except ConfigError as error:
-        file = error
-    if isinstance(file, ConfigError):
-        assert file.where == str(path)
-        assert file.message
-        assert file.hint
-    else:
-        assert json.loads(encode(file))["schema"] == "seqid/params@1"
-
-
-@given(at=st.sampled_from(PLACES), value=values)
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
-def test_any_edit_is_read_or_refused(tmp_path: Path, at: Path_, value: object) -> None:
-    path = tmp_path / "p.json"
-    path.write_text(json.dumps(edited(at, value)))
-    reads_or_refuses(path)
-
-
-@given(data=st.data())
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
-def test_any_damage_is_read_or_refused(tmp_path: Path, data: st.DataObject) -> None:
-    raw = bytearray(encode(full_file()).encode())
-    start = data.draw(st.integers(0, len(raw)))
-    length = data.draw(st.integers(0, 40))
-    raw[start : start + length] = data.draw(st.binary(max_size=40))
-    path = tmp_path / "p.json"
-    path.write_bytes(raw)
-    reads_or_refuses(path)
 
 
 def write(folder: Path, name: str, make: Callable[[], ParameterFile]) -> Path:

@@ -13,10 +13,9 @@ from hypothesis import strategies as st
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of, typical
-from seqid_cli.plan.limits import Limits, limits_of
+from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.moves.fourier import COEFFICIENTS, Drawn, Shapes
-from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions, What
 from seqid_cli.plan.stages.inertia import plan_inertia
 from seqid_cli.plan.stages.payload import loaded
@@ -56,22 +55,6 @@ def test_limits_hold_on_dense_samples_of_drawn_arms(
     assert np.all(np.abs(moves.ddq) <= limits.acceleration * (1 + 1e-9))
     for rest in (moves.dq[:, [0, -1]], moves.ddq[:, [0, -1]]):
         assert np.abs(rest).max() < 1e-9
-
-
-@pytest.mark.parametrize("seed", [3, pytest.param(51, marks=pytest.mark.slow)])
-def test_a_planned_move_keeps_all_limits_between_its_samples(tmp_path: Path, seed: int) -> None:
-    robot = drawn_robot(tmp_path, seed)  # number 51 slides in some joints
-    limits = limits_of(robot, ramp_s=0.3)
-    torque = np.full(robot.n, np.inf)
-    torque[0] = 60.0
-    limits = Limits(
-        limits.lower, limits.upper, limits.speed, limits.acceleration, torque, limits.moves
-    )
-    belief = belief_of(robot, Stages(), limits)
-    options = PlanOptions(duration_s=24.0, move_s=6.0, pool=40, sweeps=1)
-    for move in plan_inertia(belief, Stages(), options).moves:
-        assert np.all(limits_used(belief, move) <= 1 + ROUNDING * np.array([2, 1, 10, 10]))
-        assert np.abs(sampled(move, robot.joint_names, DENSE_HZ)[2][[0, -1]]).max() < 1e-9
 
 
 KINDS = ("friction", "gravity", "imu-calib", "inertia", "payload", "validation", "discriminate")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,7 +24,6 @@ from seqid_cli.plan.stages.imu import POSTURES, plan_imu
 from seqid_cli.plan.stages.validation import plan_validation
 from seqid_cli.robot.base_parameters import base_regressor
 from tests.plants.planned import limits_used
-from tests.plants.robots.lab import drawn_robot
 from tests.plants.robots.sample import sample_robot
 
 OPTIONS = PlanOptions(duration_s=24.0, move_s=6.0, pool=60, sweeps=1)
@@ -82,17 +80,6 @@ def test_friction_sweeps_every_joint_both_ways_over_its_range(belief: Belief) ->
         assert move.torque_share is not None
         assert move.torque_share <= 1.0
     assert planned.stage.duration_s == sum(move.duration_s for move in planned.moves)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", [4, 52])  # number 52 slides in some joints
-def test_sweeps_of_drawn_arms_keep_their_limits(tmp_path: Path, seed: int) -> None:
-    robot = drawn_robot(tmp_path, seed)
-    limits = replace(limits_of(robot, ramp_s=0.3), torque=np.full(robot.n, np.inf))
-    belief = belief_of(robot, Stages(), limits)
-    gravity = plan_gravity(belief, Stages(), OPTIONS)
-    for move in [*plan_friction(belief, OPTIONS).moves, *gravity.moves]:
-        assert_within_limits(belief, move)
 
 
 def test_a_joint_that_cannot_lift_the_arm_is_named(belief: Belief) -> None:

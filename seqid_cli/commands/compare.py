@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -10,6 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
+from seqid_cli.commands.options import only
 from seqid_cli.commands.screen.render import Screen, percent, screen_of
 from seqid_cli.params.results.comparison import ComparisonFile, Difference
 from seqid_cli.params.results.tables import values
@@ -20,15 +20,7 @@ EXAMPLES = (
     "seqid compare sample_logs/two_joint/golden.json inertia.json --format github",
 )
 _SHOWN = 8  # unchanged numbers that the screen shows without -v
-
-
-def _limit(value: float | None) -> float | None:
-    if value is not None and not (math.isfinite(value) and value >= 0.0):
-        message = f"{value} is not a number from 0 on"
-        raise typer.BadParameter(message)
-    return value
-
-
+_limit = only("a number from 0 on", lambda x: x >= 0.0)
 First = Annotated[Path, typer.Argument(metavar="A.json", help="What was, or what should be.")]
 Second = Annotated[Path, typer.Argument(metavar="B.json", help="What is now.")]
 Relative = Annotated[

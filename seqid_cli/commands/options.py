@@ -13,12 +13,14 @@ from typer.core import TyperOption
 TimeSource = Literal["header", "log"]
 
 
-def positive(noun: str) -> Callable[[float | None], float | None]:
-    """Return a callback that refuses what is not a positive `noun`."""
+def only(
+    what: str, allowed: Callable[[float], bool] = lambda x: x > 0.0
+) -> Callable[[float | None], float | None]:
+    """Return a callback that refuses a number that is infinite or not `allowed`: not `what`."""
 
     def check(value: float | None) -> float | None:
-        if value is not None and not (math.isfinite(value) and value > 0.0):
-            message = f"{value} is not a positive {noun}"
+        if value is not None and not (math.isfinite(value) and allowed(value)):
+            message = f"{value} is not {what}"
             raise typer.BadParameter(message)
         return value
 
@@ -59,7 +61,7 @@ Cutoff = Annotated[
     typer.Option(
         "--cutoff",
         metavar="HZ",
-        callback=positive("number"),
+        callback=only("a positive number"),
         help="Low-pass cut-off frequency; that of the model, or chosen from the logs, if left out.",
     ),
 ]

@@ -25,7 +25,7 @@ FrictionChange = Annotated[
     typer.Option(
         "--friction-change",
         metavar="SHARE",
-        callback=opt.positive("number"),
+        callback=opt.only("a positive number"),
         help="Standard deviation by which friction may differ from the model's, as a share of it.",
     ),
 ]

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from seqid_cli.commands.job import any_poor, exit_code, listening
-from seqid_cli.commands.options import Output, RobotPath, Strict, positive
+from seqid_cli.commands.options import Output, RobotPath, Strict, only
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.plan import EffectSeparation, PlanFile
@@ -27,13 +27,6 @@ EXAMPLES = (
 )
 
 
-def _share(value: float) -> float:
-    if not 0.0 < value <= 1.0:
-        message = f"{value} is not above 0 and at most 1"
-        raise typer.BadParameter(message)
-    return value
-
-
 def _box(text: str) -> tuple[float, ...]:
     try:
         corners = tuple(float(word) for word in text.split(","))
@@ -45,7 +38,8 @@ def _box(text: str) -> tuple[float, ...]:
     return corners
 
 
-_seconds = positive("time")
+_seconds = only("a positive time")
+_share = only("above 0 and at most 1", lambda x: 0.0 < x <= 1.0)
 
 Chosen = Annotated[
     What,

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
-from seqid_cli.commands.options import Output
+from seqid_cli.commands.options import Output, only
 from seqid_cli.commands.screen.render import Screen, screen_of
 from seqid_cli.params.files import By
 from seqid_cli.params.results import tables
@@ -19,15 +18,7 @@ EXAMPLES = (
     "seqid trend sample_logs/two_joint/golden.json inertia.json -o trend.json",
     "seqid trend sample_logs/*_joint/golden.json cell_*/*.json --by folder --table trend.parquet",
 )
-
-
-def _share(value: float) -> float:
-    if not (math.isfinite(value) and 0.0 < value < 1.0):
-        message = f"{value} is not between 0 and 1"
-        raise typer.BadParameter(message)
-    return value
-
-
+_share = only("between 0 and 1", lambda x: 0.0 < x < 1.0)
 Files = Annotated[
     list[Path], typer.Argument(metavar="PARAMS.json...", help="Parameter files of several dates.")
 ]

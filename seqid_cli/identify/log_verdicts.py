@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
+from seqid_cli.inspect.findings import grouped
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.params.schema import Verdict
 
@@ -13,7 +14,7 @@ def verdicts_of_logs(findings: Iterable[InspectionFinding]) -> list[Verdict]:
     joint and channel, however many logs show it; the joint is empty where the whole log is meant.
     """
     verdicts = []
-    for alike in _grouped(findings, "error"):
+    for alike in grouped(f for f in findings if f.severity == "error"):
         verdicts += [
             Verdict(joint=name, good=False, reason=_text(alike) + f". {alike[0].remedy}")
             for name in alike[0].joint.split(", ")
@@ -26,17 +27,9 @@ def notes_of_logs(findings: Iterable[InspectionFinding], known: Iterable[str] = 
     given = set(known)
     return [
         (f"{alike[0].joint}: " if alike[0].joint else "") + _text(alike)
-        for alike in _grouped(findings, "warning")
+        for alike in grouped(f for f in findings if f.severity == "warning")
         if alike[0].message not in given
     ]
-
-
-def _grouped(findings: Iterable[InspectionFinding], severity: str) -> list[list[InspectionFinding]]:
-    groups: dict[tuple[str, str, str], list[InspectionFinding]] = {}
-    for finding in findings:
-        if finding.severity == severity:
-            groups.setdefault((finding.code, finding.joint, finding.channel), []).append(finding)
-    return list(groups.values())
 
 
 def as_note(finding: InspectionFinding) -> str:

@@ -28,7 +28,7 @@ from seqid_cli.inspect.channels.torques import (
 from seqid_cli.inspect.channels.velocities import velocity_findings
 from seqid_cli.inspect.dynamics.equations import geometry_findings
 from seqid_cli.inspect.dynamics.friction import friction_findings, sample_of
-from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.findings import found, grouped
 from seqid_cli.inspect.imu.link_fit import FOLLOWS
 from seqid_cli.inspect.imu.motion import Following, follow, motion_findings
 from seqid_cli.inspect.imu.readings import imu_findings
@@ -97,9 +97,8 @@ def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
     breaks = breaks_of(data.robot, data.t, data.joints.channels["position"])
     sound = without(data, breaks)
     following = tuple(follow(sound)) if imus else ()
-    findings = [*_findings(data, sound, breaks, following, imus=imus, quality=quality)]
-    unique = {(f.code, f.joint, f.channel): f for f in reversed(findings)}
-    return Checked(sound, tuple(reversed(unique.values())), following)
+    findings = _findings(data, sound, breaks, following, imus=imus, quality=quality)
+    return Checked(sound, tuple(first for first, *_ in grouped(findings)), following)
 
 
 def without(data: LogData, breaks: Sequence[Break]) -> LogData:

@@ -131,6 +131,14 @@ def located(findings: Iterable[InspectionFinding], log: object) -> tuple[Inspect
     return tuple(replace(finding, log=str(log)) for finding in findings)
 
 
+def grouped(findings: Iterable[InspectionFinding]) -> list[list[InspectionFinding]]:
+    """Findings of one code, joint and channel together, in the order of the first of each."""
+    groups: dict[tuple[str, str, str], list[InspectionFinding]] = {}
+    for finding in findings:
+        groups.setdefault((finding.code, finding.joint, finding.channel), []).append(finding)
+    return list(groups.values())
+
+
 def verdict_of(findings: Sequence[InspectionFinding]) -> InspectionVerdict:
     """Judge by the worst finding."""
     if any(finding.code == "unreadable" for finding in findings):

@@ -14,7 +14,7 @@ from msgspec import structs
 from seqid_cli.errors import InputError
 from seqid_cli.inspect.channels.clock import gap_finding, gaps_of
 from seqid_cli.inspect.checks import check
-from seqid_cli.inspect.findings import found, located, verdict_of
+from seqid_cli.inspect.findings import found, grouped, located, verdict_of
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.moves import (
     imu_summaries,
@@ -152,10 +152,7 @@ class Gathered:
 
     def _merged(self) -> list[InspectionFinding]:
         """Each finding once, where it was first."""
-        alike: dict[tuple[str, str, str], list[InspectionFinding]] = {}
-        for finding in self._findings:
-            alike.setdefault((finding.code, finding.joint, finding.channel), []).append(finding)
-        result = [self._told(some) for some in alike.values()]
+        result = map(self._told, grouped(self._findings))
         return [*result, *(found("channel_hole", error.message) for error in self.lost)]
 
     def _told(self, alike: Sequence[InspectionFinding]) -> InspectionFinding:

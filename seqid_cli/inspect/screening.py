@@ -15,7 +15,7 @@ import numpy as np
 
 from seqid_cli.inspect.channels.positions import Break, breaks_of
 from seqid_cli.inspect.checks import check, without
-from seqid_cli.inspect.findings import located
+from seqid_cli.inspect.findings import grouped, located
 from seqid_cli.inspect.material import log_data
 from seqid_cli.logs.clocks import GAP_INTERVALS, GAP_LEAST_S
 from seqid_cli.logs.long import READERS, Block, Bridge
@@ -101,8 +101,7 @@ def screened_long(
         data = log_data(*_held(piece, log, first, warnings), robot, modelled=True)
         findings += check(data, imus=False, quality=False).findings
         warnings = ()  # they are the log's, and said once
-    unique = {(f.code, f.joint, f.channel): f for f in reversed(findings)}
-    return sound, located([*unique.values()][::-1], log.path)
+    return sound, located([first for first, *_ in grouped(findings)], log.path)
 
 
 def _bridged(damage: Break, window: Block, rate_hz: float) -> Iterator[Bridge]:

@@ -15,7 +15,7 @@ from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.results.prediction import FileId, PredictionFile
 from seqid_cli.params.schema import ParameterFile, RobotId, Stages
-from seqid_cli.report.words import short_path
+from seqid_cli.report.words import short_path, unit_text
 
 Kind = Literal["identified", "refined", "simultaneous"]
 KINDS: tuple[Kind, ...] = ("refined", "identified", "simultaneous")
@@ -34,11 +34,11 @@ D = TypeVar("D", bound=Document)
 
 @dataclass(frozen=True)
 class Place:
-    """A joint, and the units of its torque and position: of a revolute or prismatic one."""
+    """A joint, and the units of its torque and its position as they stand on the page."""
 
     joint: str
-    torque_unit: str
-    position_unit: str
+    unit: str
+    length: str
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Collection:
 
     def place(self, joint: str) -> Place:
         """Return a joint with its units."""
-        return Place(joint, self.robot.unit("N m", joint), self.robot.unit("rad", joint))
+        return Place(joint, *(unit_text(self.robot.unit(unit, joint)) for unit in ("N m", "rad")))
 
     def residual(self, prediction: Prediction, joint: str) -> ResidualEntry | None:
         """Return a joint's residual from a diagnosis of the prediction's own logs."""

@@ -106,7 +106,7 @@ class Group:
     lead: str = ""
     joint: str = ""  # that it is about
     badge: str = ""  # good, poor, open, or nothing
-    badge_text: str = ""
+    badge_text: str = ""  # if other than the badge
     facts: Sequence[tuple[str, str]] = ()
     figures: Sequence[Figure | None] = ()
     tables: Sequence[Table] = ()  # those without rows are left out

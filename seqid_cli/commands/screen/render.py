@@ -106,11 +106,6 @@ def number(value: float | None, digits: int = 3) -> str:
     return "-" if value is None else f"{value:.{digits}g}"
 
 
-def limits(interval: Sequence[float]) -> str:
-    """Return an interval for people, with a dash where there is none."""
-    return f"{number(interval[0])} to {number(interval[1])}" if interval else "-"
-
-
 def percent(share: float | None) -> str:
     """Return a share in percent."""
     return "-" if share is None else shares.percent(share)

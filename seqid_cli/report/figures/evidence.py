@@ -22,7 +22,7 @@ def evidence_figure(
     """Draw a joint's residual over the effect's quantity, before and after it is taken off."""
     if shown is None or len(shown.x) < 2 or not min(shown.x) < max(shown.x):
         return None
-    unit = unit_text(collection.robot.unit("N m", shown.joint))
+    unit = collection.place(shown.joint).unit
     quantity, sided = over_words(shown), " times direction" if shown.sided else ""
     none = [None] * len(shown.x)
     curves = {"before": ("residual", "faint", shown.before, shown.before_spread)}

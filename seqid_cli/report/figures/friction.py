@@ -13,7 +13,7 @@ from seqid_cli.report.collection import Place
 from seqid_cli.report.figures.chart import small_figure, small_panel
 from seqid_cli.report.figures.svg import line, padded
 from seqid_cli.report.views import Figure, Key, Table, table, table_of
-from seqid_cli.report.words import Z95, number, unit_text
+from seqid_cli.report.words import Z95, number
 from seqid_cli.robot.types import Array
 
 _CELLS = (22, 11)  # of the surface: along position, along speed in either direction
@@ -43,11 +43,10 @@ def surface_figure(joint: FrictionJoint, place: Place) -> Figure:
     grids = [(np.repeat(q, len(v)), np.tile(v, len(q))) for v in halves]
     torques = [surface.torque(*grid).reshape(len(q), -1) for grid in grids]
     low, high = min(map(np.min, torques)), max(map(np.max, torques))
-    x_unit, unit = unit_text(place.position_unit), unit_text(place.torque_unit)
     panel = small_panel(
-        ("position", x_unit),
+        ("position", place.length),
         padded(q[0], q[-1], 0.0),
-        f"velocity, {x_unit}/s",
+        f"velocity, {place.length}/s",
         padded(-speed[-1], speed[-1], 0.0),
         height=_HEIGHT,
         read=False,
@@ -60,26 +59,25 @@ def surface_figure(joint: FrictionJoint, place: Place) -> Figure:
             panel.band(q[i : i + 2], v[[k, k]], v[[k + 1, k + 1]], f"heat h{shade}")
     title = f"Friction of {place.joint} over position and velocity"
     text = (
-        f"Map of friction torque from {number(low)} to {number(high)} {place.torque_unit}, "
-        f"positions {number(q[0])} to {number(q[-1])} {place.position_unit}, speeds "
-        f"{number(speed[0])} to {number(speed[-1])} {place.position_unit}/s in both directions."
+        f"Map of friction torque from {number(low)} to {number(high)} {place.unit}, "
+        f"positions {number(q[0])} to {number(q[-1])} {place.length}, speeds "
+        f"{number(speed[0])} to {number(speed[-1])} {place.length}/s in both directions."
     )
     marks = [(k, low + k / (_COLOURS - 1) * (high - low)) for k in (0, 4, 7, _COLOURS - 1)]
-    legend = [Key(f"heat h{k}", f"{number(at, 2)} {unit}") for k, at in marks]
+    legend = [Key(f"heat h{k}", f"{number(at, 2)} {place.unit}") for k, at in marks]
     values = _grid(surface, q, speed, place, title)
     return small_figure(panel, title, text, legend, values, name="Over position and velocity")
 
 
 def _grid(surface: FrictionSurface, q: Array, speed: Array, place: Place, title: str) -> Table:
     some_q, some_v = np.linspace(q[0], q[-1], 5), np.linspace(speed[0], speed[-1], 5)
-    unit = place.position_unit
-    heads = [Head("velocity", "number", f"{unit}/s")]
-    heads += [Head(f"at {number(at)}", "number", unit) for at in some_q]
+    heads = [Head("velocity", "number", f"{place.length}/s")]
+    heads += [Head(f"at {number(at)}", "number", place.length) for at in some_q]
     rows = [
         (at, *surface.torque(some_q, np.full(len(some_q), at)).tolist())
         for at in (*(-some_v[::-1]).tolist(), *some_v.tolist())
     ]
-    return table_of(f"{title}, {unit_text(place.torque_unit)}", Values(heads, rows))
+    return table_of(f"{title}, {place.unit}", Values(heads, rows))
 
 
 def over_velocity(joint: FrictionJoint, place: Place) -> Figure:
@@ -109,20 +107,21 @@ def _cuts(
             q, v = (np.full(len(x), at), x) if along else (x, np.full(len(x), at))
             curves.append((at, k, x, surface.torque(q, v), Z95 * surface.stated_error(q, v)))
     every = np.concatenate([np.concatenate([y - e, y + e]) for *_, y, e in curves])
-    unit, length = unit_text(place.torque_unit), unit_text(place.position_unit)
-    x_unit, cut_unit = (f"{length}/s", length) if along else (length, f"{length}/s")
+    x_unit, cut_unit = (
+        (f"{place.length}/s", place.length) if along else (place.length, f"{place.length}/s")
+    )
     names = [f"at {at:g} {cut_unit}".replace("-", "\u2212") for at in cuts]
     panel = small_panel(
         (over, x_unit),
         padded(float(pieces[0][0]), float(pieces[-1][-1]), 0.02),
-        f"friction, {unit}",
+        f"friction, {place.unit}",
         padded(float(every.min()), float(every.max())),
         height=_HEIGHT,
     )
     for _, k, x, y, e in curves:
         panel.band(x, y - e, y + e, f"cut{k}")
     for _, k, x, y, _ in curves:
-        panel.line(x, y, f"cut{k}", name=names[k], unit=unit)
+        panel.line(x, y, f"cut{k}", name=names[k], unit=place.unit)
     bottom, speeds = panel.box.bottom, [item.speed for item in joint.speeds] if along else []
     for speed in (*speeds, *(-speed for speed in speeds)):
         panel.add(line("rug", panel.x(speed), bottom, panel.x(speed), bottom - 6))
@@ -139,7 +138,7 @@ def _cuts(
         title,
         "Three cuts through the surface with 95 % intervals.",
         [Key(f"cut{k}", name) for k, name in enumerate(names)],
-        table(f"{title}, {unit}", titles, kinds, rows, **own),
+        table(f"{title}, {place.unit}", titles, kinds, rows, **own),
         name=f"Over {over}",
         note="Small marks below: the speeds that were recorded." if speeds else "",
     )

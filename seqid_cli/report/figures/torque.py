@@ -28,7 +28,7 @@ from seqid_cli.report.figures.downsample import extremes, pieces
 from seqid_cli.report.figures.svg import padded
 from seqid_cli.report.torques import Series
 from seqid_cli.report.views import Figure, Key, Table, table
-from seqid_cli.report.words import number, plural, short_path, unit_text
+from seqid_cli.report.words import number, plural, short_path
 from seqid_cli.robot.types import Array
 
 Mask = NDArray[np.bool_]
@@ -48,7 +48,7 @@ def over_time(
     """
     series = next(iter(models.values()))
     t, good = series.t - series.t[0], _known(series)
-    unit, name = unit_text(place.torque_unit), short_path(series.log)
+    unit, name = place.unit, short_path(series.log)
     counted = good & series.used & series.sliding
     shown = counted if np.any(counted) else good
     torque, residual = _panels(models, t, shown, unit)
@@ -76,7 +76,7 @@ def over_time(
             kept = extremes(at[piece], values[piece], columns)
             panel.line(at[piece][kept], values[piece][kept], style, name=label, unit=unit)
     title = f"{place.joint}, {name}"
-    text = _described(series, shown, place.torque_unit)
+    text = _described(series, shown, unit)
     svg = drawing(WIDE, 348, f"Torque of {title} over time", text, [torque, residual])
     legend = [Key("measured", "measured"), *map(Key, styles, names), Key("residual", "residual")]
     legend += [Key("faint", "held at rest")] if np.any(rests) else []
@@ -165,26 +165,25 @@ def over_quantity(logs: Sequence[Series], place: Place, quantity: str, unit: str
     bins = _binned(x, r) if len(x) else []
     if not bins:
         return None
-    torque_unit = unit_text(place.torque_unit)
     panel = small_panel(
-        (quantity, unit_text(unit)),
+        (quantity, unit),
         padded(float(x.min()), float(x.max()), 0.02),
-        f"residual, {torque_unit}",
+        f"residual, {place.unit}",
         _limits(r, zero=True),
     )
     centre, least, low, middle, high, most = zip(*bins, strict=True)
     panel.band(centre, least, most, "faint")
     panel.band(centre, low, high, "residual")
-    panel.line(centre, middle, "residual", name="median", unit=torque_unit)
+    panel.line(centre, middle, "residual", name="median", unit=place.unit)
     title = f"Residual of {place.joint} over {quantity}"
     text = (
         f"Median, 90 % range and extremes of the residual in {plural(len(bins), 'bin')} of "
         f"{quantity}. The median lies between {number(min(middle))} and "
-        f"{number(max(middle))} {place.torque_unit}."
+        f"{number(max(middle))} {place.unit}."
     )
     legend = [Key("residual", "median"), Key("band-residual", "90 %"), Key("faint", "extremes")]
     heads = "{over} [{x}] | least [{y}] | 5 % [{y}] | median [{y}] | 95 % [{y}] | most [{y}]"
-    own = {"over": quantity, "x": unit, "y": torque_unit}
+    own = {"over": quantity, "x": unit, "y": place.unit}
     values = table(title, heads, "number number number number number number", bins, **own)
     return small_figure(panel, title, text, legend, values, name=f"Residual over {quantity}")
 
@@ -224,7 +223,7 @@ def spectrum(
         return None
     f, density = f[inside], density[inside]
     lines = sorted(certain_lines(signals, float(top)))
-    unit = f"{unit_text(place.torque_unit)}/\u221aHz"
+    unit = f"{place.unit}/\u221aHz"
     panel = small_panel(
         ("frequency", "Hz"),
         (0.0, float(top)),
@@ -253,7 +252,7 @@ def spectrum(
             "count number",
             rows,
             "" if rows else "No frequency stands out of its neighbourhood.",
-            unit=place.torque_unit,
+            unit=place.unit,
         ),
         name="Spectrum of the residual",
         note=f"Lines: {found}" if lines else "No line stands out.",

@@ -16,7 +16,7 @@ from seqid_cli.report.views import (
     table,
     value_row,
 )
-from seqid_cli.report.words import number, percent, unit_text
+from seqid_cli.report.words import number, percent
 
 _CALL = "seqid friction LOG... -r robot.toml -o friction.json"
 
@@ -44,15 +44,15 @@ def friction(collection: Collection) -> Section:
 
 
 def _joint(joint: FrictionJoint, stage: FrictionStage, place: Place, index: int) -> Group:
-    name, unit = place.joint, unit_text(place.torque_unit)
+    name = place.joint
     own = [verdict for verdict in stage.verdicts if verdict.joint == name]
     sound = drawable(joint)
     facts = [
         ("orders", f"{joint.position_order}, {joint.velocity_order}"),
-        ("RMS error of the fit", f"{number(joint.rmse)} {unit}"),
+        ("RMS error of the fit", f"{number(joint.rmse)} {place.unit}"),
     ]
     if joint.held_out_rmse is not None:
-        facts.append(("at left-out speeds", f"{number(joint.held_out_rmse)} {unit}"))
+        facts.append(("at left-out speeds", f"{number(joint.held_out_rmse)} {place.unit}"))
     if joint.asymmetry is not None:
         facts.append(("depends on direction", percent(joint.asymmetry)))
     terms = [value_row(x.name, x.value, x.std_error, x.unit) for x in joint.parameters]
@@ -62,7 +62,6 @@ def _joint(joint: FrictionJoint, stage: FrictionStage, place: Place, index: int)
         joint=name,
         lead=reasons(own),
         badge=badge(own),
-        badge_text=badge(own),
         facts=facts,
         figures=[draw(joint, place) for draw in FIGURES] if sound else [],
         absent=[] if sound else [Absent("Its surface is not finite: identify it anew.", _CALL)],
@@ -72,8 +71,8 @@ def _joint(joint: FrictionJoint, stage: FrictionStage, place: Place, index: int)
                 "speed [{length}/s] | moves forward | backward | RMS error [{unit}]",
                 "number count count number",
                 [(x.speed, x.forward, x.backward, x.rmse) for x in joint.speeds],
-                unit=place.torque_unit,
-                length=place.position_unit,
+                unit=place.unit,
+                length=place.length,
             ),
             Table(f"Friction parameters of {name}", VALUE_HEADS, terms),
         ],

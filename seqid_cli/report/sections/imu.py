@@ -58,7 +58,6 @@ def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdi
         name,
         lead=reasons(verdicts),
         badge=badge(verdicts),
-        badge_text=badge(verdicts),
         facts=facts,
         tables=[
             _rotation(name, item),

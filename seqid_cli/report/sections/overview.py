@@ -9,7 +9,7 @@ from seqid_cli.report.figures.chart import drawing
 from seqid_cli.report.figures.svg import rect
 from seqid_cli.report.judgement import Judgement
 from seqid_cli.report.views import Section, Table, badge, badge_text, table
-from seqid_cli.report.words import number, percent, short_path, unit_text
+from seqid_cli.report.words import number, percent, short_path
 
 
 def overview(collection: Collection, judgement: Judgement) -> Section:
@@ -25,16 +25,15 @@ def _glance(collection: Collection) -> Table | None:
     caption = f"Predicted torque, joint by joint ({short_path(used.path)}, made with {made})"
     errors, rows = used.content.joints, []
     largest = max([0.01, *(error.relative_rmse or 0.0 for error in errors.values())])
-    for place, name in enumerate(collection.robot.joints):
+    for k, name in enumerate(collection.robot.joints, start=1):
         if name not in errors:
             continue
-        unit = unit_text(collection.robot.unit("N m", name))
         error, floor = errors[name], collection.noise_floor(used, name)
-        share = error.relative_rmse
+        share, unit = error.relative_rmse, collection.place(name).unit
         state = badge([verdict for verdict in used.content.verdicts if verdict.joint == name])
         rows.append(
             (
-                Markup('<a href="#torque-{}">{}</a>').format(place + 1, name),
+                Markup('<a href="#torque-{}">{}</a>').format(k, name),
                 None if error.rmse is None else f"{number(error.rmse)} {unit}",
                 share,
                 "" if share is None else _bar(name, share, largest, state),

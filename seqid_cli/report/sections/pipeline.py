@@ -86,19 +86,14 @@ def _stage_steps(collection: Collection, model: Model) -> Iterator[Sequence[str]
             yield _step(_COMMANDS[name])
             continue
         logs = [log for log in model.file.inputs if log.stage == name]
-        made = _first_file(collection, name) or model.path
-        yield _step(_COMMANDS[name], logs, file_name(made), *_state(name, model))
+        made = file_name(_first_file(collection, name))
+        yield _step(_COMMANDS[name], logs, made, *_state(name, model))
 
 
 def _first_file(collection: Collection, stage: str) -> str:
     """Return the file that a stage was made in: the file with the fewest stages that holds it."""
-    holding = [
-        item
-        for item in of_kind(collection.sources, ParameterFile)
-        if getattr(item.content.stages, stage) is not None
-    ]
-    first = min(holding, key=lambda item: len(present(item.content.stages)), default=None)
-    return first.path if first else ""
+    known = {s.path: present(s.content.stages) for s in of_kind(collection.sources, ParameterFile)}
+    return min((path for path in known if stage in known[path]), key=lambda path: len(known[path]))
 
 
 def _state(name: str, model: Model) -> tuple[str, str]:

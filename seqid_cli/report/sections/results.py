@@ -50,7 +50,6 @@ def _carried(place: int, file: PayloadFile) -> Group:
         f"Payload, frame {file.payload.frame}",
         lead=reasons(file.verdicts),
         badge=state,
-        badge_text=state,
         tables=[
             Table("The body", VALUE_HEADS, body),
             table("As controllers take it", "for | setting", "text text", file.settings.items()),

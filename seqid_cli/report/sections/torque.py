@@ -10,7 +10,7 @@ from seqid_cli.report.collection import Collection, Place, Prediction
 from seqid_cli.report.figures.torque import Event, over_quantity, over_time, spectrum
 from seqid_cli.report.torques import Series, TorqueTable
 from seqid_cli.report.views import Absent, Figure, Group, Section, Table, badge, table, table_of
-from seqid_cli.report.words import command, limits, number, percent, plural, short_path, unit_text
+from seqid_cli.report.words import command, limits, number, percent, plural, short_path
 
 _MOST_LOGS = 3  # with a figure each; the tables hold all
 _BUDGET = 60_000  # points of all time series together
@@ -73,7 +73,7 @@ def _side_by_side(collection: Collection) -> Group:
     rows = [
         (
             name,
-            unit_text(collection.robot.unit("N m", name)),
+            collection.place(name).unit,
             *(_error_on(p, name, common) for p in collection.predictions),
         )
         for name in collection.robot.joints
@@ -103,8 +103,8 @@ def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str, col
     cutoffs = [log.cutoff_hz for item in collection.predictions for log in item.content.logs]
     if series:
         figures += [
-            over_quantity(series, place, "position", place.position_unit),
-            over_quantity(series, place, "velocity", f"{place.position_unit}/s"),
+            over_quantity(series, place, "position", place.length),
+            over_quantity(series, place, "velocity", f"{place.length}/s"),
             spectrum(series, place, max(cutoffs, default=None), columns),
         ]
         if series[0].position is None:
@@ -178,7 +178,7 @@ def _events(collection: Collection, log: str, joint: str) -> list[Event]:
 
 
 def _facts(collection: Collection, place: Place) -> list[tuple[str, str]]:
-    unit, facts = unit_text(place.torque_unit), []
+    unit, facts = place.unit, []
     for item in collection.predictions[:1]:
         error = item.content.joints.get(place.joint)
         if error is not None:
@@ -209,4 +209,4 @@ def _errors(collection: Collection, place: Place) -> Table:
     kinds = f"text {'text ' * several}number share number count share number number"
     caption = f"Errors of {place.joint}, {plural(len(rows), 'log')}"
     titles += " | with rests [{unit}] | cut-off [Hz]"
-    return table(caption, titles, kinds, rows, unit=place.torque_unit)
+    return table(caption, titles, kinds, rows, unit=place.unit)

@@ -34,15 +34,10 @@ def gains_for(inertia: Array, *, bandwidth: float, observer: float) -> Gains:
     )
 
 
-def feedforward(nominal: Rigid, reference: Reference, coulomb: Array, every: int = 1) -> Array:
-    """Nominal torque of the reference, (N, n) N m; computed at every `every`-th sample and held."""
-    rows = [
-        nominal.inverse(q, dq, ddq)
-        for q, dq, ddq in zip(
-            reference.q[::every], reference.dq[::every], reference.ddq[::every], strict=True
-        )
-    ]
-    rigid = np.repeat(np.array(rows), every, axis=0)[: len(reference.q)]
+def feedforward(nominal: Rigid, reference: Reference, coulomb: Array) -> Array:
+    """Nominal torque of the reference, (N, n) N m."""
+    states = zip(reference.q, reference.dq, reference.ddq, strict=True)
+    rigid = np.array([nominal.inverse(q, dq, ddq) for q, dq, ddq in states])
     return np.asarray(rigid + coulomb * np.sign(reference.dq))
 
 

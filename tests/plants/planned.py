@@ -65,27 +65,26 @@ def recorded(
     *,
     every: int = 2,
     start: float = 0.0,
-    imus: bool = False,
 ) -> list[Recording]:
     """Run planned moves one after the other, a log each."""
     logs = []
     for number, move in enumerate(moves):
         motion = reference_of(move, plant)
         noise = int(np.random.default_rng([seed, number]).integers(2**31))
-        log = simulate(plant, motion, noise, every=every, imus=imus, start=start)
+        log = simulate(plant, motion, noise, every=every, start=start)
         logs.append(recording_of(plant, move.name, log))
         start += motion.duration + PAUSE_S
     return logs
 
 
-def record(plan: PlanFile, folder: Path, *, every: int = 4, pause_s: float = PAUSE_S) -> None:
+def record(plan: PlanFile, folder: Path) -> None:
     """Write the logs of a plan for a sample robot as `STAGE/MOVE.parquet`."""
     plant: Plant = getattr(rigs, plan.robot.name)()
     start = 0.0
     for seed, move in enumerate(plan.moves):
         motion, imus = reference_of(move, plant), move.stage not in ("friction", "gravity")
-        log = simulate(plant, motion, seed, every=every, imus=imus, start=start)
-        start += motion.duration + pause_s
+        log = simulate(plant, motion, seed, every=4, imus=imus, start=start)
+        start += motion.duration + PAUSE_S
         target = folder / FOLDERS.get(move.stage, move.stage) / f"{move.name}.parquet"
         target.parent.mkdir(parents=True, exist_ok=True)
         arrays = log.accelerometers or None

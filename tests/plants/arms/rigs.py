@@ -91,7 +91,7 @@ def one_joint(*, quadrature_factor: int = 1) -> Plant:
     )
 
 
-def two_joint(*, quadrature_factor: int = 1) -> Plant:
+def two_joint() -> Plant:
     """Sec. 4.2: planar, axes along gravity, base parameters of Eq. 44 as in Table IV (CAD)."""
     reflected = GEAR**2 * ROTOR
     inner = PI_1 - reflected - LINK_MASS * UPPER_LENGTH**2
@@ -140,7 +140,7 @@ def two_joint(*, quadrature_factor: int = 1) -> Plant:
         friction=friction,
         gains=gains_for(np.array([0.042, 0.0020]), bandwidth=10.0, observer=50.0),
         torque_constant=np.full(2, TORQUE_CONSTANT),
-        encoder_step=np.full(2, 2 * np.pi / (COUNTS * quadrature_factor * GEAR)),
+        encoder_step=np.full(2, 2 * np.pi / (COUNTS * GEAR)),
         current_noise=np.array([0.045, 0.036]),
         coulomb_guess=np.array([0.037, 0.025]),
         position_limits=np.array([[-2.6, 2.6], [-2.6, 2.6]]),

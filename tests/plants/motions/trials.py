@@ -145,6 +145,6 @@ def drills(plant: Plant, seed: int, *, seconds: float = 20.0) -> tuple[Drill, ..
     )
 
 
-def run_drill(plant: Plant, drill: Drill, seed: int, *, imus: bool = False) -> Log:
+def run_drill(plant: Plant, drill: Drill, seed: int) -> Log:
     """Run one drill, recorded at 500 Hz."""
-    return simulate(plant, drill.reference, seed, every=EVERY, imus=imus, start=drill.start)
+    return simulate(plant, drill.reference, seed, every=EVERY, start=drill.start)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.stage import identify_friction
@@ -25,40 +26,29 @@ from tests.plants.robots.lab import Experiment
 Array = NDArray[np.float64]
 
 
-def sequential(
-    experiment: Experiment,
-    *,
-    friction: FrictionOptions | None = None,
-    inertia: InertiaOptions | None = None,
-) -> Stages:
-    """Friction, gravity, IMUs, inertia."""
-    stages = before_inertia(experiment, friction=friction)
-    return with_inertia(experiment, stages, inertia or InertiaOptions())
+Logs = Mapping[str, Sequence[Recording]]  # of each stage
 
 
-def before_inertia(experiment: Experiment, *, friction: FrictionOptions | None = None) -> Stages:
+def sequential(logs: Logs, robot: Robot) -> Stages:
+    """Friction, gravity, IMUs if there are logs for them, inertia."""
+    return with_inertia(logs, robot, before_inertia(logs, robot), InertiaOptions())
+
+
+def before_inertia(logs: Logs, robot: Robot) -> Stages:
     """All stages but the last."""
-    logs, robot = experiment.recordings, experiment.robot
-    surface = identify_friction(logs["friction"], robot, options=friction or FrictionOptions())
-    found = Stages(friction=surface)
-    motion = MotionOptions()
+    surface = identify_friction(logs["friction"], robot, options=FrictionOptions())
     slow = [*logs["friction"], *logs.get("gravity", ())]
     return Stages(
         friction=surface,
-        gravity=identify_gravity(slow, robot, found),
-        imu=calibrate_imus(logs["imu"], robot, options=motion),
+        gravity=identify_gravity(slow, robot, Stages(friction=surface)),
+        imu=calibrate_imus(logs["imu"], robot, options=MotionOptions()) if "imu" in logs else None,
     )
 
 
-def with_inertia(experiment: Experiment, stages: Stages, options: InertiaOptions) -> Stages:
+def with_inertia(logs: Logs, robot: Robot, stages: Stages, options: InertiaOptions) -> Stages:
     """The stages with inertia identified as `options` say."""
-    logs, robot = experiment.recordings["inertia"], experiment.robot
-    return Stages(
-        friction=stages.friction,
-        gravity=stages.gravity,
-        imu=stages.imu,
-        inertia=identify_inertia(logs, robot, stages, options=options),
-    )
+    found = identify_inertia(logs["inertia"], robot, stages, options=options)
+    return replace(stages, inertia=found)
 
 
 def simultaneous(

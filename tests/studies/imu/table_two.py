@@ -79,7 +79,8 @@ def errors(factor: int, seed: int, *, short: bool = False) -> dict[str, float]:
     experiment = run(
         "one_joint", plant, trials(plant, rng, short=short), SEED + 100 * factor + seed
     )
-    stages = before_inertia(experiment)
+    logs, robot = experiment.recordings, experiment.robot
+    stages = before_inertia(logs, robot)
     found = {
         "raw": differenced(experiment, stages, None),
         "differenced": differenced(experiment, stages, PAPER_HZ),
@@ -87,7 +88,7 @@ def errors(factor: int, seed: int, *, short: bool = False) -> dict[str, float]:
     papers = replace_imu(stages, mounting_alone(stages.imu))
     for source in ("encoder", "imu", "fused"):
         known = papers if source == "imu" else stages
-        stage = with_inertia(experiment, known, InertiaOptions(source=source)).inertia
+        stage = with_inertia(logs, robot, known, InertiaOptions(source=source)).inertia
         assert stage is not None
         found[source] = next(p.value for p in stage.parameters if p.name == "Izz_1")
     return {way: 100.0 * (value / LINK_INERTIA - 1.0) for way, value in found.items()}

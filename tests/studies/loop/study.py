@@ -20,11 +20,11 @@ from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.held_out import held_out_error
 from seqid_cli.discover.refinement.material import Material
 from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
+from tests.plants.robots.identified import sequential
 from tests.studies.loop.logs import KINDS, Case, case_of, recorded
 from tests.studies.records import results
 from tests.studies.tables import counted, grouped, median_of, number
 from tests.studies.undeclared.cases import built
-from tests.studies.undeclared.logs import sequential
 from tests.studies.undeclared.refine import NEAR, file_of, told_model
 
 SEEDS = (19, 20, 21, 22)  # nothing was set on these; 11 to 14 were looked at

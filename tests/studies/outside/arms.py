@@ -152,10 +152,8 @@ def _sizes(links: tuple[Link, ...], joint: int) -> tuple[float, float]:
     return weight, inertia
 
 
-def drawn_drives(
-    rng: np.random.Generator, links: tuple[Link, ...], n: int, wavy: tuple[float, float]
-) -> tuple[Drive, ...]:
-    """Motors and gears for the first n joints; friction varies over the positions by `wavy`."""
+def drawn_drives(rng: np.random.Generator, links: tuple[Link, ...], n: int) -> tuple[Drive, ...]:
+    """Motors and gears for the first n joints; friction varies over the positions."""
     drives = []
     for k in range(n):
         weight, inertia = _sizes(links, k)
@@ -163,7 +161,7 @@ def drawn_drives(
             Drive(
                 rotor=float(rng.uniform(0.05, 0.3)) * inertia,
                 coulomb=float(rng.uniform(0.03, 0.1)) * weight,
-                waviness=float(rng.uniform(*wavy)),
+                waviness=float(rng.uniform(0.03, 0.15)),
                 phase=float(rng.uniform(0.0, 6.0)),
                 viscous=float(rng.uniform(0.02, 0.06)) * weight,
                 ratio=float(round(rng.uniform(20.0, 120.0))),
@@ -193,19 +191,13 @@ def drawn_imus(rng: np.random.Generator, n: int) -> tuple[Imu, ...]:
     )
 
 
-def drawn_arm(
-    rng: np.random.Generator,
-    label: str,
-    n: int,
-    imus: bool,
-    wavy: tuple[float, float] = (0.03, 0.15),
-) -> Arm:
+def drawn_arm(rng: np.random.Generator, label: str, n: int, imus: bool) -> Arm:
     """An arm: `label` is "drawn", or the name of a published one whose first n joints move."""
     links = drawn_links(rng, n) if label == "drawn" else published_links(label)
     return Arm(
         label,
         links,
-        drawn_drives(rng, links, n, wavy),
+        drawn_drives(rng, links, n),
         rate_hz=float(rng.choice([125.0, 250.0, 500.0])),
         noise=float(rng.uniform(0.02, 0.08)),
         bandwidth=float(rng.uniform(40.0, 90.0)),

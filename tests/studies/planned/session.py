@@ -76,7 +76,7 @@ def session(plant: Plant, trials: Sequence[Trial]) -> Session:
     seconds = {
         stage: sum(t.reference.duration for t in kept if t.stage == stage) for stage in ORDER
     }
-    return Session(seconds, sequential(experiment))
+    return Session(seconds, sequential(experiment.recordings, experiment.robot))
 
 
 def truth_of(plant: Plant, trials: Sequence[Trial]) -> list[Recording]:

@@ -130,16 +130,16 @@ def _single(data: Path) -> list[Answer]:
     return answers
 
 
-def closed(case: Case, folder: Path, most: int = MOST) -> Closed:
+def closed(case: Case, folder: Path) -> Closed:
     """Fit the training logs, refine with them, look at the held-out ones."""
     robot = load_robot(folder / "robot.toml")
     train = [read_recording(folder / name, robot) for name in case.train]
     rest = [read_recording(folder / name, robot) for name in case.held_out]
     file = fitted(train, robot)
     start = time.process_time()
-    named = diagnosed(train, robot, most)
+    named = diagnosed(train, robot, MOST)
     middle = time.process_time()
-    options = DiscoverOptions(max_effects=most)
+    options = DiscoverOptions(max_effects=MOST)
     decided = refine(train, robot, file, earlier={"friction": train}, options=options)
     stages, loop = decided.stages, confirm(decided, rest)
     took = time.process_time() - middle

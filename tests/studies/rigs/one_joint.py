@@ -74,9 +74,10 @@ def repetition(factor: int, number_of: int) -> Repetition:
     rng = np.random.default_rng([SEED, factor, number_of])
     plant = another(one_joint(quadrature_factor=factor), rng)
     experiment = run("one_joint", plant, trials(plant, rng), SEED + 100 * factor + number_of)
-    stages = before_inertia(experiment)
+    logs, robot = experiment.recordings, experiment.robot
+    stages = before_inertia(logs, robot)
     found = {
-        (source, hz): with_inertia(experiment, stages, InertiaOptions(MotionOptions(hz), source))
+        (source, hz): with_inertia(logs, robot, stages, InertiaOptions(MotionOptions(hz), source))
         for source in SOURCES
         for hz in CUTOFFS
     }

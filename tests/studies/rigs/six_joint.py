@@ -68,7 +68,7 @@ def repetition(number_of: int) -> Repetition:
     rng = np.random.default_rng([SEED, number_of])
     plant = another(six_joint(), rng)
     experiment = run("six_joint", plant, trials(plant, rng), SEED + number_of, every=EVERY)
-    stages = sequential(experiment)
+    stages = sequential(experiment.recordings, experiment.robot)
     assert stages.inertia is not None
     assert stages.imu is not None
     return Repetition(

@@ -80,7 +80,7 @@ def repetition(number_of: int) -> Repetition:
     plant = another(two_joint(), rng)
     experiment = run("two_joint", plant, trials(plant, rng), SEED + number_of)
     logs, robot = experiment.recordings, experiment.robot
-    stages = sequential(experiment)
+    stages = sequential(experiment.recordings, experiment.robot)
     assert stages.inertia is not None
     error, z = table_iv(plant, stages.inertia)
     surface: dict[tuple[str, str], SurfaceError] = {}

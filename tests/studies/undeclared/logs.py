@@ -11,11 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.friction_surface.stage import identify_friction
-from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
-from seqid_cli.identify.rigid.gravity import identify_gravity
-from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
@@ -23,7 +20,7 @@ from tests import plants
 from tests.plants.motions.experiments import Trial, friction_trials, gravity_trials, inertia_trials
 from tests.plants.motions.trajectories import Reference
 from tests.plants.motions.trials import SEED_STRIDE, Drill, drills
-from tests.plants.robots.identified import simultaneous
+from tests.plants.robots.identified import sequential, simultaneous
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant, simulate
@@ -198,17 +195,6 @@ def stages_of(condition: Condition, cache: Path) -> Stages:
     if condition.simple_friction:
         return simultaneous(logs["friction"], robot)
     return sequential(logs, robot)
-
-
-def sequential(logs: Mapping[str, Sequence[Recording]], robot: Robot) -> Stages:
-    """Friction, gravity, inertia."""
-    friction = identify_friction(logs["friction"], robot, options=FrictionOptions())
-    stages = Stages(friction=friction)
-    slow = [*logs["friction"], *logs["gravity"]]
-    gravity = identify_gravity(slow, robot, stages)
-    stages = Stages(friction=friction, gravity=gravity)
-    inertia = identify_inertia(logs["inertia"], robot, stages, options=InertiaOptions())
-    return Stages(friction=friction, gravity=gravity, inertia=inertia)
 
 
 def errors(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> Errors:

@@ -29,12 +29,7 @@ from seqid_cli.params.results.diagnosis import (
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
-from tests.unit.params.documents import (
-    diagnosis_file,
-    diagnosis_of,
-    gravity_file,
-    inertia_file,
-)
+from tests.unit.params.documents import diagnosis_file, diagnosis_of, gravity_file, inertia_file
 from tests.unit.params.generate import json_schema
 
 BASE = ["diagnose", "a.parquet", "b.parquet", "-r", "robot.toml", "-p", "p.json"]

@@ -95,9 +95,7 @@ def fitted_and_found(case: LongCase, folder: Path) -> tuple[Excerpts, EarlierLog
     )
     digests = [read_recording(path, case.robot).sha256 for path in (paths[0], other)]
     found = EarlierLogs(
-        dict(zip(digests, paths, strict=True)),
-        {"friction": digests, "inertia": digests},
-        (),
+        dict(zip(digests, paths, strict=True)), {"friction": digests, "inertia": digests}, ()
     )
     return fitted, found
 

@@ -13,10 +13,7 @@ import pytest
 from seqid_cli.__main__ import main
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.io import write_json_atomic
-from seqid_cli.params.schema import (
-    EffectOfJoint,
-    FrictionStage,
-)
+from seqid_cli.params.schema import EffectOfJoint, FrictionStage
 from seqid_cli.robot.file import load_robot
 from tests.plants.robots.made import friction_joint
 

@@ -23,14 +23,7 @@ from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Rig
-from tests.plants.robots.seven_joint import (
-    COULOMB,
-    JOINTS,
-    RATE_HZ,
-    known_model,
-    motion,
-    write_arm,
-)
+from tests.plants.robots.seven_joint import COULOMB, JOINTS, RATE_HZ, known_model, motion, write_arm
 from tests.unit.logs.writers import joint_messages, write_messages
 
 pytestmark = pytest.mark.slow

@@ -344,10 +344,7 @@ def test_a_log_that_is_fitted_again_is_read_once(rig: Rig, library: Library) -> 
 
 
 def test_a_held_out_log_is_never_fitted_as_an_earlier_one(rig: Rig, library: Library) -> None:
-    earlier_file(
-        rig,
-        {"inertia": ("b.parquet", content(1)), "gravity": ("c.parquet", content(2))},
-    )
+    earlier_file(rig, {"inertia": ("b.parquet", content(1)), "gravity": ("c.parquet", content(2))})
     done = rig.run(*BASE)
     assert library.earlier == {"gravity": ["c.parquet"]}
     assert "the model that came in was identified from it: b.parquet" in done.err

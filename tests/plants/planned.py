@@ -59,12 +59,7 @@ def reference_of(move: PlannedMove, plant: Plant) -> Reference:
 
 
 def recorded(
-    plant: Plant,
-    moves: Sequence[PlannedMove],
-    seed: int,
-    *,
-    every: int = 2,
-    start: float = 0.0,
+    plant: Plant, moves: Sequence[PlannedMove], seed: int, *, every: int = 2, start: float = 0.0
 ) -> list[Recording]:
     """Run planned moves one after the other, a log each."""
     logs = []

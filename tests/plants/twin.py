@@ -122,11 +122,7 @@ def _turns(dh, q, out):  # type: ignore[no-untyped-def]
 
 @_compiled
 def _cross(a, b):  # type: ignore[no-untyped-def]
-    return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
-    )
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 @_compiled

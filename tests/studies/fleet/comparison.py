@@ -163,9 +163,7 @@ def _check(robots: Mapping[str, ParameterFile], alpha: float, *, least_robots: i
 
 
 def _notes(
-    names: list[str],
-    tables: list[dict[Quantity, tuple[float, float]]],
-    shared: list[Quantity],
+    names: list[str], tables: list[dict[Quantity, tuple[float, float]]], shared: list[Quantity]
 ) -> Iterator[str]:
     everything = dict.fromkeys(q for table in tables for q in table)
     for quantity in everything:

@@ -203,12 +203,7 @@ def _told(stage: FrictionStage | RigidStage | ImuStage | None) -> Told:
 
 
 ORDERS = identify.FrictionOptions(position_order=4, velocity_order=4)  # of all, for speed
-BEFORE = {
-    "gravity": "friction",
-    "imu-calib": "gravity",
-    "inertia": "gravity",
-    "predict": "inertia",
-}
+BEFORE = {"gravity": "friction", "imu-calib": "gravity", "inertia": "gravity", "predict": "inertia"}
 
 
 def answers(

@@ -125,7 +125,7 @@ def _single(data: Path) -> list[Answer]:
     if logs_of_it:
         robot = load_robot(folder / "robot.toml")
         answers.append(
-            echoes("DFKI pendulum", lambda p: read_recording(p, robot), logs_of_it, robot),
+            echoes("DFKI pendulum", lambda p: read_recording(p, robot), logs_of_it, robot)
         )
     return answers
 

@@ -97,10 +97,7 @@ SYMPTOMS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("keeps its frequency, whatever the speed", ("periodic_disturbance",)),
     ("spikes at reversals of the velocity", ("presliding_hysteresis", "stribeck", "time_skew")),
     ("spikes where the load changes its sign", ("backlash",)),
-    (
-        "looks like the slope of the torque",
-        ("time_skew", "actuator_lag", "joint_elasticity"),
-    ),
+    ("looks like the slope of the torque", ("time_skew", "actuator_lag", "joint_elasticity")),
     ("proportional to the joint's own acceleration", ("rotor_inertia", "payload")),
     ("depends on the speed of a neighbour", ("transmission_coupling", "rotor_inertia")),
     ("a burst in several joints that does not repeat", ("external_contact",)),

@@ -18,14 +18,7 @@ from seqid_cli.params.results import diagnosis, inspection, plan, prediction
 from tests.unit.docs.markdown import ROOT
 
 PAGE = ROOT / "docs" / "files.md"
-MODULES = (
-    schema,
-    prediction,
-    evidence_schema,
-    diagnosis,
-    inspection,
-    plan,
-)
+MODULES = (schema, prediction, evidence_schema, diagnosis, inspection, plan)
 STRUCTS: dict[str, type[msgspec.Struct]] = {
     name: kind
     for module in MODULES

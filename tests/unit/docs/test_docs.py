@@ -58,7 +58,7 @@ TAKEN_BY_PYTHON: dict[str, dict[str, Path]] = {
     "docs/inspect.md": {
         "run.parquet": SAMPLES / "one_joint" / "imu" / "joint_1_posture_1.parquet",
         "robot.toml": SAMPLES / "one_joint" / "robot.toml",
-    },
+    }
 }
 # What the reader is told to write between two blocks, after the first TOML of the page.
 COMPLETED: dict[str, dict[str, Path]] = {

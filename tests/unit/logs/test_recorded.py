@@ -17,8 +17,7 @@ POSITION, VELOCITY, CURRENT, TORQUE = "q_{index}", "dq_{index}", "current_{index
 SIX = [f"joint_{i + 1}" for i in range(6)]
 ROBOTS: dict[str, Robot] = {
     "dfki_simple_pendulum": make_robot(
-        ["pivot"],
-        channels=Channels(time="t", position=POSITION, velocity=VELOCITY, torque=TORQUE),
+        ["pivot"], channels=Channels(time="t", position=POSITION, velocity=VELOCITY, torque=TORQUE)
     ),
     "laas_cogging": make_robot(
         ["motor"],

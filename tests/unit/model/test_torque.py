@@ -9,11 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.model.friction_samples import sampled_friction
-from seqid_cli.model.torque import (
-    TorqueModel,
-    friction_surfaces,
-    sliding,
-)
+from seqid_cli.model.torque import TorqueModel, friction_surfaces, sliding
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion

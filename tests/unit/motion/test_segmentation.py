@@ -19,14 +19,7 @@ from seqid_cli.motion.segmentation import (
     standing,
 )
 from seqid_cli.typing import Array
-from tests.plants.motions.trajectories import (
-    Reference,
-    hold,
-    join,
-    side_by_side,
-    sweeps,
-    trapezoid,
-)
+from tests.plants.motions.trajectories import Reference, hold, join, side_by_side, sweeps, trapezoid
 from tests.plants.sensors import quantise
 
 COARSE, MIDDLE, FINE = (2 * np.pi / counts for counts in (600, 2**12, 2**17))

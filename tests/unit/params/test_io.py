@@ -91,11 +91,7 @@ WRONG = [  # a key of the full file, its value, what is said of it, or of anothe
     ("stages.imu.imus.imu_a.rotation.0.0", 1.0, "$.stages.imu.imus.imu_a.rotation: is no rotation"),
     ("stages.effects.0.joint", "knee", "joint 'knee'"),
     ("stages.effects.0.covariance", [[1.0, 0.0], [0.0, 1.0]], "must be square with 1"),
-    (
-        SESSION,
-        {"logs": ["a"], "starts": [0.0, 1.0], "origin": 0.0},
-        f"{IT}.starts",
-    ),
+    (SESSION, {"logs": ["a"], "starts": [0.0, 1.0], "origin": 0.0}, f"{IT}.starts"),
     (SESSION, {"logs": ["a"], "starts": [0.0]}, f"{IT}.origin"),
     (SESSION, {"logs": ["a"], "origin": 5.0}, f"{IT}.origin"),
     (f"{LOOP}.rounds.0.joint", "knee", "joint 'k"),

@@ -8,10 +8,7 @@ import pytest
 from seqid_cli.params.encode import encode
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
 from seqid_cli.params.schema import SCHEMA
-from tests.unit.params.documents import (
-    diagnosis_file,
-    full_file,
-)
+from tests.unit.params.documents import diagnosis_file, full_file
 from tests.unit.params.generate import DOCUMENTS, json_schema, schema_path
 
 REMEDY = "run python -m tests.unit.params.generate"

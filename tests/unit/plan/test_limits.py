@@ -65,11 +65,7 @@ KINDS = ("friction", "gravity", "imu-calib", "inertia", "payload", "validation",
 @settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck))
 @given(seed=st.integers(0, 60), spare=st.floats(1.3, 3.0), together=st.booleans())
 def test_every_kind_of_move_keeps_all_limits_of_drawn_arms(
-    tmp_path_factory: pytest.TempPathFactory,
-    what: What,
-    seed: int,
-    spare: float,
-    together: bool,
+    tmp_path_factory: pytest.TempPathFactory, what: What, seed: int, spare: float, together: bool
 ) -> None:
     imu = Imu("tool", 1, np.zeros((3, 3)), np.eye(3), gyro=True)
     robot = replace(drawn_robot(tmp_path_factory.getbasetemp(), seed), imus=(imu,))

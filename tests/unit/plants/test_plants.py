@@ -10,16 +10,10 @@ import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from tests.plants.arms.rigs import (
-    one_joint,
-    six_joint,
-    two_joint,
-)
+from tests.plants.arms.rigs import one_joint, six_joint, two_joint
 from tests.plants.friction.surface import Friction, Frictionless, stick_slip
 from tests.plants.mechanics.rigid import Rigid, build_model, link_motion
-from tests.plants.motions.experiments import (
-    validation_trials,
-)
+from tests.plants.motions.experiments import validation_trials
 from tests.plants.motions.trajectories import Reference, hold
 from tests.plants.robotfile import robot_toml, urdf_text
 from tests.plants.simulate import Plant, simulate

@@ -16,13 +16,7 @@ from seqid_cli.model.effects.spectral_lines import Signal
 from seqid_cli.params.encode import encode
 from seqid_cli.params.io import Document, Source
 from seqid_cli.report.collection import collect
-from seqid_cli.report.figures.torque import (
-    Place,
-    certain_lines,
-    over_quantity,
-    over_time,
-    spectrum,
-)
+from seqid_cli.report.figures.torque import Place, certain_lines, over_quantity, over_time, spectrum
 from seqid_cli.report.make import make_report
 from seqid_cli.report.plots import plot_torques
 from seqid_cli.report.torques import Series, TorqueTable

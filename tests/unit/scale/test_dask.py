@@ -89,10 +89,7 @@ def test_predictions_come_in_order(
 def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("seqid_cli.scale.executors.PATIENCE_S", 0.2)
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
-        with (
-            pytest.raises(UsageError, match="no Dask scheduler answers"),
-            dask_cluster(address),
-        ):
+        with pytest.raises(UsageError, match="no Dask scheduler answers"), dask_cluster(address):
             raise AssertionError
 
 

@@ -54,11 +54,7 @@ def test_columns_reproduce_the_torque_of_the_plant() -> None:
     total = LINK_INERTIA + float(plant.arm.reflected[0])
     rigid = rigid_columns(plant, log) @ np.array([MOMENT, 0.0, total])
     surface = surface_of(plant)
-    level, amplitude, phase = (
-        float(surface.coulomb[0]),
-        surface.amplitude[0],
-        surface.phase[0],
-    )
+    level, amplitude, phase = (float(surface.coulomb[0]), surface.amplitude[0], surface.phase[0])
     waves = [*(level * amplitude * np.cos(phase)), *(level * amplitude * np.sin(phase))]
     values = [level, *waves, float(surface.stribeck[0]), float(surface.viscous[0])]
     torque = rigid + friction_columns(plant, log) @ np.array(values)

@@ -7,9 +7,7 @@ from collections.abc import Sequence
 from msgspec import structs
 
 from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry, UnexplainedPart
-from tests.studies.undeclared.cases import (
-    Truth,
-)
+from tests.studies.undeclared.cases import Truth
 from tests.studies.undeclared.score import both_found, score
 from tests.unit.params.documents import diagnosis_of
 

@@ -15,12 +15,7 @@ from seqid_cli.logs.messages import fields, parsers
 from seqid_cli.logs.messages.batch import NameMap, Payloads
 from seqid_cli.logs.read import read_recording
 from tests.unit.logs.samples import JOINTS, grid, make_motion, make_robot
-from tests.unit.logs.writers import (
-    DEFINITIONS,
-    JOINT_STATE,
-    header,
-    payloads,
-)
+from tests.unit.logs.writers import DEFINITIONS, JOINT_STATE, header, payloads
 
 NAMES = ("a", "joint_with_a_long_name", "c3")
 

@@ -141,8 +141,7 @@ def test_joint_state_messages_in_a_table(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("form", "effort"),
-    [("{name}/position", "{name}/effort"), ("position.{name}", "effort.{name}")],
+    ("form", "effort"), [("{name}/position", "{name}/effort"), ("position.{name}", "effort.{name}")]
 )
 @pytest.mark.parametrize("current", [False, True])
 def test_effort_is_what_the_robot_file_says(

@@ -57,11 +57,7 @@ def wander(
 
 
 def motion_of(
-    q: Array,
-    *,
-    rate_hz: float = RATE_HZ,
-    cutoff_hz: float = CUTOFF_HZ,
-    tau: Array | None = None,
+    q: Array, *, rate_hz: float = RATE_HZ, cutoff_hz: float = CUTOFF_HZ, tau: Array | None = None
 ) -> Motion:
     """Wrap positions q (N, n): low-passed once, differentiated; raw torque tau twice low-passed."""
     lowpass = Lowpass(cutoff_hz, rate_hz)

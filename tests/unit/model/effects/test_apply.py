@@ -31,12 +31,7 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.model.effects.unexplained import SmoothTerm
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import (
-    EffectOfJoint,
-    EffectSession,
-    FrictionStage,
-    Stages,
-)
+from seqid_cli.params.schema import EffectOfJoint, EffectSession, FrictionStage, Stages
 from tests.plants.robots.made import friction_joint, made_recording
 from tests.plants.robots.two_joint import SIGN_WIDTH, two_joint_robot
 from tests.unit.model.effects.scenes import (
@@ -229,11 +224,7 @@ def test_a_recording_is_freed_of_its_effects() -> None:
     clean = scene.model.friction(q, dq)
     hump = np.exp(-((dq[:, 0] / 0.1) ** 2)) * np.tanh(dq[:, 0] / 0.01)
     dirty = clean + np.column_stack([hump + 0.3, 0.05 * clean[:, 1]])
-    effects = [
-        stribeck(),
-        fitted("torque_bias", 0, [0.3]),
-        fitted("torque_constant", 1, [0.05]),
-    ]
+    effects = [stribeck(), fitted("torque_bias", 0, [0.3]), fitted("torque_constant", 1, [0.05])]
     freed = without_effects(
         recording_of(q, dirty),
         ROBOT,

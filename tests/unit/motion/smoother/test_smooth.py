@@ -15,14 +15,7 @@ from seqid_cli.robot.kinematics import link_motion
 from seqid_cli.typing import Array
 from tests.plants.robots.small import random_model
 from tests.studies.imu.fused_cases import Case, Rig, case
-from tests.studies.imu.fused_motion import (
-    LINES_400,
-    SETTLED,
-    bound,
-    differentiated,
-    from_imus,
-    rms,
-)
+from tests.studies.imu.fused_motion import LINES_400, SETTLED, bound, differentiated, from_imus, rms
 
 pytestmark = pytest.mark.slow
 

@@ -197,23 +197,24 @@ def test_protobuf(tmp_path: Path, optional: bool) -> None:
     np.testing.assert_array_equal(values_of(raw.joints), wanted)
 
 
+def positions(q: np.ndarray, frame: str = "base_link") -> list[Message]:
+    """A message of positions alone for each row (N, 3)."""
+    return [
+        (
+            "/joint_states",
+            i,
+            SimpleNamespace(
+                header=header(i, frame), name=[*JOINTS], position=row, velocity=[], effort=[]
+            ),
+        )
+        for i, row in enumerate(q.tolist(), start=1)
+    ]
+
+
 def test_padding_is_not_structure(tmp_path: Path) -> None:
     """Some middleware leaves what was in memory between the fields."""
     rng = np.random.default_rng(5)
-    messages: list[Message] = [
-        (
-            "/joint_states",
-            i + 1,
-            SimpleNamespace(
-                header=header(i + 1, "abcd"),
-                name=list(JOINTS),
-                position=rng.normal(size=3).tolist(),
-                velocity=[],
-                effort=[],
-            ),
-        )
-        for i in range(400)
-    ]
+    messages = positions(rng.normal(size=(400, 3)), frame="abcd")
     source = write_messages(tmp_path / "source.mcap", messages, encoding="cdr")
     padded = []
     for log_ns, content in enumerate(payloads(source), start=1):
@@ -253,22 +254,7 @@ def test_chunks_without_needed_topics_are_not_unpacked(tmp_path: Path) -> None:
 
 
 def test_index_that_lies_is_not_believed(tmp_path: Path) -> None:
-    rng = np.random.default_rng(6)
-    t = np.arange(200) + 1
-    messages: list[Message] = [
-        (
-            "/joint_states",
-            int(i),
-            SimpleNamespace(
-                header=header(int(i)),
-                name=list(JOINTS),
-                position=rng.normal(size=3).tolist(),
-                velocity=[],
-                effort=[],
-            ),
-        )
-        for i in t
-    ]
+    messages = positions(np.random.default_rng(6).normal(size=(200, 3)))
     path = write_messages(tmp_path / "log.mcap", messages, encoding="cdr", chunk_size=8_000)
     data = path.read_bytes()
     for lie in (0, 1 << 62, 7):

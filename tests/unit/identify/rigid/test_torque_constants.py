@@ -25,7 +25,7 @@ from seqid_cli.robot.types import Robot
 from tests.plants.arms.rigs import MOMENT, one_joint
 from tests.plants.robots.lab import robot_of
 from tests.plants.robots.sample import Rig
-from tests.unit.identify.test_gravity import NEGATIVE, POSITIVE, surface_of, trials
+from tests.unit.identify.rigid.test_gravity import NEGATIVE, POSITIVE, surface_of, trials
 
 Array = NDArray[np.float64]
 

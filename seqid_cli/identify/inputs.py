@@ -16,7 +16,7 @@ from seqid_cli.identify.options import LogOptions
 from seqid_cli.logs.given import Log, Logs, PathLike, expanded, is_place, listed, optional, warn
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.logs.storage.remote import StoredLog
-from seqid_cli.params.document import join, present
+from seqid_cli.params.document import COMMAND_OF, join, present
 from seqid_cli.params.encode import encode
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import check_robot, file_sha256, read_parameters
@@ -31,13 +31,6 @@ if TYPE_CHECKING:
 
 Model: TypeAlias = "PathLike | ParameterFile"
 Models: TypeAlias = "Model | Sequence[Model]"
-
-_WRITTEN_BY = {
-    "friction": "friction",
-    "gravity": "gravity",
-    "imu": "imu-calib",
-    "inertia": "inertia",
-}
 
 
 @dataclass(frozen=True)
@@ -179,7 +172,7 @@ def _require(
     for name in needs:
         if name not in there:
             message = f"there is no {name} stage, which this command builds on"
-            hint = f"Run seqid {_WRITTEN_BY[name]} first and give its result with -p."
+            hint = f"Run seqid {COMMAND_OF[name]} first and give its result with -p."
             if name == "inertia":
                 hint += " From logs of any motion, seqid simultaneous gives one."
             raise ConfigError(message, where=", ".join(name for name, _ in models), hint=hint)

@@ -3,7 +3,6 @@
 import difflib
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from msgspec import structs
 
@@ -13,7 +12,7 @@ from seqid_cli.inspect.guess import guess, stand_in
 from seqid_cli.inspect.imu.readings import layout_findings
 from seqid_cli.inspect.material import read_log
 from seqid_cli.inspect.moves import serve_together
-from seqid_cli.inspect.parts import Gathered
+from seqid_cli.inspect.parts import Gathered, Inspected
 from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.raw import TimeSource
@@ -28,13 +27,6 @@ from seqid_cli.params.results.inspection import (
     InspectionFinding,
 )
 from seqid_cli.robot.types import Robot
-
-
-class Inspected(NamedTuple):
-    """One log and its findings."""
-
-    log: InspectedLog
-    findings: tuple[InspectionFinding, ...]
 
 
 def inspect_logs(
@@ -86,21 +78,18 @@ def inspect_log(
         surveyed = survey(path)
     except InputError as error:
         return _unreadable(path, error)
-    names = [channel.name for channel in surveyed.channels]
-    problem: InputError | None = None
+    inspected, problem = None, None
     if robot is not None:
         missing, findings = missing_imus(robot, surveyed)
         try:
-            found_in = _read(path, robot, surveyed, findings, time_source, modelled=True)
+            inspected = _read(path, robot, surveyed, findings, time_source, modelled=True)
         except InputError as error:
             problem = error
-        else:
-            return _with(found_in, channels=names, missing=missing)
-    return _with(_guessed(path, surveyed, robot, problem, time_source), channels=names)
-
-
-def _with(found: Inspected, **known: Any) -> Inspected:
-    return found._replace(log=structs.replace(found.log, **known))
+    if inspected is None:
+        missing, inspected = _guessed(path, surveyed, robot, problem, time_source)
+    names = [channel.name for channel in surveyed.channels]
+    log = structs.replace(inspected.log, channels=names, missing=missing)
+    return Inspected(log, inspected.findings)
 
 
 def _guessed(
@@ -109,8 +98,8 @@ def _guessed(
     robot: Robot | None,
     problem: InputError | None,
     time_source: TimeSource,
-) -> Inspected:
-    """Inspect a log without a robot file, or one that the robot file does not fit."""
+) -> tuple[dict[str, str], Inspected]:
+    """Inspect a log without a robot file, or one that it does not fit; first what this lacks."""
     guessed = guess(surveyed)
     missing: dict[str, str] = {}
     findings: list[InspectionFinding] = []
@@ -131,12 +120,10 @@ def _guessed(
                 'in chain order (position = ["...", "..."], current = [...]), and give it with -r.',
             )
         alone = stand_in(guessed, source=path)
-        found_in = _read(path, alone, surveyed, findings, time_source, modelled=False)
+        return missing, _read(path, alone, surveyed, findings, time_source, modelled=False)
     except InputError as error:
         kept = [f for f in findings if f.joint]
-        unreadable = _unreadable(path, problem or error, surveyed.format, kept)
-        return _with(unreadable, missing=missing)
-    return _with(found_in, missing=missing)
+        return missing, _unreadable(path, problem or error, surveyed.format, kept)
 
 
 def _read(
@@ -154,7 +141,7 @@ def _read(
     for data in read_log(path, robot, modelled=modelled, time_source=clock, failed=failed):
         gathered.push(data)
         del data  # it is large, and the next one comes
-    return Inspected(*gathered.log(path, surveyed.format, before))
+    return gathered.log(path, surveyed.format, before)
 
 
 def _unreadable(

@@ -7,6 +7,7 @@ place and how many parts show it.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
@@ -37,6 +38,13 @@ from seqid_cli.params.results.inspection import (
 from seqid_cli.robot.types import Array, Robot
 
 Gap = tuple[float, float]
+
+
+class Inspected(NamedTuple):
+    """One log and its findings."""
+
+    log: InspectedLog
+    findings: tuple[InspectionFinding, ...]
 
 
 @dataclass
@@ -112,7 +120,7 @@ class Gathered:
                     replace(one, start=one.start + offset, stop=one.stop + offset)
                 )
 
-    def log(self, path: object, form: str, before: Sequence[InspectionFinding]) -> "Told":
+    def log(self, path: object, form: str, before: Sequence[InspectionFinding]) -> Inspected:
         """Tell what is in the log, and its faults; `before` are those that were found first.
 
         Raises InputError: no part is of use.
@@ -148,7 +156,7 @@ class Gathered:
             serves=list(stages) if self.modelled else [],
             partial="; ".join(self._partial),
         )
-        return log, findings
+        return Inspected(log, findings)
 
     def _merged(self) -> list[InspectionFinding]:
         """Each finding once, where it was first."""
@@ -165,9 +173,6 @@ class Gathered:
             return first
         message = f"{first.message} (of {parts} parts of the log {len(alike)} show it)"
         return structs.replace(first, message=message)
-
-
-Told = tuple[InspectedLog, tuple[InspectionFinding, ...]]
 
 
 def _clock(health: Sequence[Health], samples: Array) -> tuple[float, float]:

@@ -11,7 +11,13 @@ from seqid_cli.params import schema
 if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
 
-STAGE_NAMES = ("friction", "gravity", "imu", "inertia", "effects")
+COMMAND_OF = {  # each stage, in their order
+    "friction": "friction",
+    "gravity": "gravity",
+    "imu": "imu-calib",
+    "inertia": "inertia",
+    "effects": "refine",
+}
 # What was identified with the help of each stage, and is stale once that stage is done again.
 _DEPENDENTS: Mapping[str, tuple[str, ...]] = {
     "friction": ("gravity", "inertia", "effects"),
@@ -40,7 +46,7 @@ def robot_id(robot: "Robot") -> schema.RobotId:
 
 def present(stages: schema.Stages) -> dict[str, object]:
     """Return the stages that are there, by name, in their order."""
-    found = {name: getattr(stages, name) for name in STAGE_NAMES}
+    found = {name: getattr(stages, name) for name in COMMAND_OF}
     return {name: stage for name, stage in found.items() if stage is not None}
 
 
@@ -50,7 +56,7 @@ def stale_stages(previous: schema.ParameterFile | None, names: Sequence[str]) ->
         return ()
     there = present(previous.stages)
     lost = {late for name in names if name in there for late in _DEPENDENTS.get(name, ())}
-    return tuple(name for name in STAGE_NAMES if name in lost & there.keys() - set(names))
+    return tuple(name for name in COMMAND_OF if name in lost & there.keys() - set(names))
 
 
 def with_stage(

@@ -166,15 +166,11 @@ def _stage(
     posterior = Posterior(covariance, sensitivity, moves)
     own = np.arange(rows.size)
     stage = rigid_stage(robot, basis, solution, posterior, own, np.zeros(robot.n))
-    missing, notes = stage.not_excited, []
-    if missing:
-        notes.append(
-            f"not excited by these logs: {'; '.join(missing)}. Move the joints that carry them "
-            "with the others locked in other configurations"
-        )
+    remedy = "Move the joints that carry them with the others locked in other configurations"
+    notes = [f"{note}. {remedy}" for note in stage.notes]
     if rows.skipped:
         notes.append("trials without a friction surface left out: " + ", ".join(set(rows.skipped)))
-    good = not missing and solution.condition < poor_condition
+    good = not stage.not_excited and solution.condition < poor_condition
     reason = f"rank {solution.rank} of {rows.size}, condition {solution.condition:.3g}"
     verdict = Verdict(good=good, reason=reason)
     return replace(stage, structural_rank=rows.size, verdicts=[verdict], notes=notes)

@@ -24,7 +24,7 @@ from seqid_cli.identify.regression.streaming import open_if_long, streams
 from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
 from seqid_cli.identify.rigid.excitation import missing_pairs
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, InertiaRows
-from seqid_cli.identify.rigid.parameters import residual_share, rigid_stage
+from seqid_cli.identify.rigid.parameters import joint_verdicts, rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import Coupling, decide
 from seqid_cli.logs.raw import TimeSource
@@ -170,11 +170,10 @@ def _described(
     known = {p.name for p in gravity.parameters} if gravity else set()
     own = np.array([k for k in range(basis.size) if basis.names[k] not in known], dtype=int)
     stage = rigid_stage(robot, basis, solution, posterior, own, equations.rotors)
-    missing = stage.not_excited
-    pairs = missing_pairs(robot, basis, solution.left_open) if missing else []
+    pairs = missing_pairs(robot, basis, solution.left_open) if stage.not_excited else []
     moved, cutoff = [j for j in range(robot.n) if rows.joints[j].samples], np.median(rows.cutoffs)
     # Say which parameters the logs leave open, and which moves would determine them.
-    notes = ["not excited by these logs: " + "; ".join(missing)] if missing else []
+    notes = list(stage.notes)
     if pairs:
         text = ", ".join(" + ".join(pair) for pair in pairs)
         notes.append(f"moving these joints together as well would give full rank: {text}")
@@ -209,16 +208,9 @@ def _verdicts(
     """A verdict for each joint, and one for all parameters."""
     # A joint is poor where more than `poor_share` of its torque's RMS is left, the parameters where
     # the condition number of their scaled equations is `poor_condition` or more.
-    verdicts = []
-    for j, name in enumerate(equations.robot.joint_names):
-        samples = rows.joints[j].samples
-        if not samples:
-            reason = "does not move in these logs, or its friction is not known"
-            verdicts.append(Verdict(joint=name, good=False, reason=reason))
-            continue
-        left = float(solution.sigma[j]), float(rows.torque_squares[j]), samples
-        share, reason = residual_share(equations.robot, j, *left)
-        verdicts.append(Verdict(joint=name, good=share < poor_share, reason=reason))
+    idle = "does not move in these logs, or its friction is not known"
+    known, squares = (equations.robot, solution, rows.joints), rows.torque_squares
+    verdicts = joint_verdicts(*known, squares, poor_share=poor_share, idle=idle)
     size = equations.basis.size
     good = solution.rank == size and solution.condition < poor_condition
     reason = f"rank {solution.rank} of {size}, condition {solution.condition:.3g}"

@@ -1,12 +1,12 @@
 """From a least-squares solution to a stage of the parameter file; shared by gravity and inertia."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from seqid_cli.identify.regression.least_squares import Solution
+from seqid_cli.identify.regression.least_squares import Accumulator, Solution
 from seqid_cli.identify.rigid.posterior import Posterior
-from seqid_cli.params.schema import Parameter, RigidStage
+from seqid_cli.params.schema import Parameter, RigidStage, Verdict
 from seqid_cli.robot.base_parameters import Basis, standard_names
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
@@ -46,7 +46,8 @@ def rigid_stage(
 
     `rotors` (n,) kg m^2 are the known rotor inertias that the representative has besides.
     """
-    determined = own[solution.determined[own]]
+    determined, left = own[solution.determined[own]], own[~solution.determined[own]]
+    missing = [basis.expression_text(int(k)) for k in left]
     theta = np.zeros(basis.size)
     theta[: min(len(solution.theta), basis.size)] = solution.theta[: basis.size]
     names = robot.joint_names
@@ -64,21 +65,35 @@ def rigid_stage(
         torque_constant_moves={
             names[j]: move[determined].tolist() for j, move in posterior.constants.items()
         },
-        not_excited=[basis.expression_text(int(k)) for k in own if not solution.determined[int(k)]],
+        not_excited=missing,
+        notes=["not excited by these logs: " + "; ".join(missing)] if missing else [],
     )
 
 
-def residual_share(
-    robot: Robot, j: int, sigma: float, squares: float, samples: int
-) -> tuple[float, str]:
-    """Share of the torque of joint j that is left, and the words for it.
+def joint_verdicts(
+    robot: Robot,
+    solution: Solution,
+    joints: Sequence[Accumulator],
+    squares: Array,
+    *,
+    poor_share: float,
+    idle: str,
+) -> list[Verdict]:
+    """A joint is poor where more than `poor_share` of its torque's RMS is left, or none was used.
 
-    `sigma`: RMS residual, N m. `squares`: sum of squares of the measured torque, (N m)^2, over so
-    many `samples`.
+    `squares` (n,): sums of the squared torque of the rows of `joints`, (N m)^2. `idle`: the reason
+    where there are none.
     """
-    share = sigma / max(float(np.sqrt(squares / samples)), 1e-300)
-    unit = robot.joints[j].unit("N m")
-    return share, f"leaves {percent(share)} of the torque ({sigma:.3g} {unit})"
+    verdicts = []
+    for joint, rows, sigma, square in zip(
+        robot.joints, joints, solution.sigma, squares, strict=True
+    ):
+        share, reason = np.inf, idle
+        if rows.samples:
+            share = sigma / max(float(np.sqrt(square / rows.samples)), 1e-300)
+            reason = f"leaves {percent(share)} of the torque ({sigma:.3g} {joint.unit('N m')})"
+        verdicts.append(Verdict(joint=joint.name, good=bool(share < poor_share), reason=reason))
+    return verdicts
 
 
 def imu_moves(

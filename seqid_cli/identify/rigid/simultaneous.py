@@ -9,7 +9,7 @@ stage of orders (0, 1) and an inertia stage with all base parameters, so that ev
 reads it like any other file.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from copy import deepcopy
 from pathlib import Path
 
@@ -26,7 +26,7 @@ from seqid_cli.identify.regression.equations import (
     torque_motion,
 )
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
-from seqid_cli.identify.rigid.parameters import residual_share, rigid_stage
+from seqid_cli.identify.rigid.parameters import joint_verdicts, rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior, constant_moves
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.units import UNTOLD
@@ -182,24 +182,22 @@ class SimultaneousEquations:
             motion_use=self.uses,
             cutoff_hz=cutoff,
             verdicts=self._verdicts(solution, missing),
-            notes=self._notes(solution, missing),
+            notes=[*stage.notes, *self._notes(solution)],
         )
         return friction, rigid
 
-    def _notes(self, solution: Solution, missing: list[str]) -> list[str]:
-        """What is not excited, and what to do where offsets are among it."""
-        notes = ["not excited by these logs: " + "; ".join(missing)] if missing else []
+    def _notes(self, solution: Solution) -> Iterator[str]:
+        """What to do where offsets are not determined."""
         free = [
             name
             for name, joint, own in zip(self.robot.joint_names, self.joints, self.own, strict=True)
             if joint.samples and not solution.determined[own][2:].all()
         ]
         if free:
-            notes.append(
+            yield (
                 f"the offset of {', '.join(free)} is not told apart from other torques: "
                 "record wider moves, or leave offsets out (--no-offset)"
             )
-        return notes
 
     def _joint(self, j: int, solution: Solution, posterior: Posterior) -> schema.FrictionJoint:
         """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
@@ -242,21 +240,14 @@ class SimultaneousEquations:
     ) -> list[schema.Verdict]:
         """A joint is poor where more than `poor_share` of its torque is left."""
         # So it is where Coulomb friction is negative by more than `clear_sigma` standard errors.
-        verdicts = []
-        for j, name in enumerate(self.robot.joint_names):
-            samples, at = self.joints[j].samples, self.own[j].start
-            if not samples:
-                verdicts.append(schema.Verdict(joint=name, good=False, reason="does not move"))
-                continue
-            left = float(solution.sigma[j]), float(self.torque_squares[j]), samples
-            share, reason = residual_share(self.robot, j, *left)
-            dry, error = float(solution.theta[at]), float(np.sqrt(solution.covariance[at, at]))
-            drives = dry < -clear_sigma * error
-            if drives:
-                unit = self.robot.joints[j].unit("N m")
-                reason += f"; Coulomb friction of {dry:.3g} {unit} cannot be: record both ways"
-            good = share < poor_share and not drives
-            verdicts.append(schema.Verdict(joint=name, good=good, reason=reason))
+        known, squares = (self.robot, solution, self.joints), self.torque_squares
+        verdicts = joint_verdicts(*known, squares, poor_share=poor_share, idle="does not move")
+        for j, (joint, own) in enumerate(zip(self.robot.joints, self.own, strict=True)):
+            dry, error = solution.theta[own.start], np.sqrt(solution.covariance[(own.start,) * 2])
+            if self.joints[j].samples and dry < -clear_sigma * error:
+                text = f"Coulomb friction of {dry:.3g} {joint.unit('N m')} cannot be"
+                reason = f"{verdicts[j].reason}; {text}: record both ways"
+                verdicts[j] = replace(verdicts[j], good=False, reason=reason)
         reason = f"condition {solution.condition:.3g}, {len(missing)} parameter(s) not excited"
         return [*verdicts, schema.Verdict(good=not missing, reason=reason)]
 

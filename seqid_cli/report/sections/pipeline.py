@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from seqid_cli.params.document import present
+from seqid_cli.params.document import COMMAND_OF, present
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.schema import InputLog, ParameterFile
 from seqid_cli.report.collection import WRITTEN_BY, Collection, Model, models_of, of_kind
@@ -13,13 +13,6 @@ from seqid_cli.report.torques import TorqueTable
 from seqid_cli.report.views import Group, Section, Table, badge, badge_text, table
 from seqid_cli.report.words import effect_at, file_name, listed, plural
 
-_COMMANDS = {
-    "friction": "friction",
-    "gravity": "gravity",
-    "imu": "imu-calib",
-    "inertia": "inertia",
-    "effects": "refine",
-}
 _MOST_LOGS = 500
 
 
@@ -56,7 +49,7 @@ def _steps(collection: Collection, tables: Sequence[TorqueTable]) -> Iterator[Se
         yield _step("diagnose")
     for model in collection.models:
         if model.kind == "refined":
-            logs = [x for x in model.file.inputs if _COMMANDS.get(x.stage, "refine") == "refine"]
+            logs = [x for x in model.file.inputs if COMMAND_OF.get(x.stage, "refine") == "refine"]
             effects = [effect_at(x.effect, x.joint) for x in model.stages.effects or []]
             loop = model.file.closed_loop
             state = "poor" if loop is not None and loop.verdict == "poor" else "good"
@@ -83,11 +76,11 @@ def _stage_steps(collection: Collection, model: Model) -> Iterator[Sequence[str]
         return
     for name in ("friction", "gravity", "imu", "inertia"):
         if getattr(model.stages, name) is None:
-            yield _step(_COMMANDS[name])
+            yield _step(COMMAND_OF[name])
             continue
         logs = [log for log in model.file.inputs if log.stage == name]
         made = file_name(_first_file(collection, name))
-        yield _step(_COMMANDS[name], logs, made, *_state(name, model))
+        yield _step(COMMAND_OF[name], logs, made, *_state(name, model))
 
 
 def _first_file(collection: Collection, stage: str) -> str:
@@ -131,7 +124,7 @@ def _logs(collection: Collection) -> Table:
         content = item.content
         default = WRITTEN_BY.get(type(content), "refine")
         for log in [] if isinstance(content, PlanFile) else content.inputs:
-            by = _COMMANDS.get(log.stage, log.stage) or default
+            by = COMMAND_OF.get(log.stage, log.stage) or default
             found.setdefault((by, log.sha256, log.path), log)
         if isinstance(content, ParameterFile) and content.closed_loop is not None:
             for log in content.closed_loop.held_out:

@@ -381,6 +381,11 @@ class ClosedLoop(Struct, kw_only=True):
     verdicts: list[Verdict] = []
     notes: list[str] = []
 
+    @property
+    def unconfirmed(self) -> list[RefinementRound]:
+        """The effects that were added, but that the held-out logs do not confirm."""
+        return [item for item in self.rounds if item.confirmed is False]
+
 
 class Stages(Struct, kw_only=True, omit_defaults=True):
     """What has been identified so far."""

@@ -8,12 +8,13 @@ from typing import Literal
 
 from seqid_cli.params.results.diagnosis import (
     DiagnosisFile,
+    UnexplainedPart,
     beyond_noise,
     nothing_found,
     times_noise,
 )
 from seqid_cli.params.results.report import TITLES
-from seqid_cli.params.schema import RigidStage, Stages, Verdict
+from seqid_cli.params.schema import ClosedLoop, RigidStage, Stages, Verdict
 from seqid_cli.report.collection import Collection, Model, Prediction
 from seqid_cli.report.words import (
     command,
@@ -199,13 +200,22 @@ def _stage_points(collection: Collection, judged: bool) -> Iterator[Point]:
     if model is None:
         return
     loop = model.file.closed_loop
-    yield from _poor(loop.verdicts if loop else (), "the refinement", model.path)
+    if loop is not None:
+        yield from _poor(loop.verdicts, "the refinement", model.path)
+        for text in unconfirmed(loop):
+            yield Point("open" if judged else "poor", text, model.path)
     for name, verdict in stage_verdicts(model.stages):
         if not verdict.good:
             what = f"{name} of {verdict.joint}" if verdict.joint else f"the {name} stage"
             yield Point("open" if judged else "poor", f"{what}: {verdict.reason}", model.path)
     for name, stage in (("gravity", model.stages.gravity), ("inertia", model.stages.inertia)):
         yield from _not_excited(name, stage, model)
+
+
+def unconfirmed(loop: ClosedLoop) -> list[str]:
+    """Return, in words, what the held-out logs do not confirm: a sentence or none."""
+    names = [effect_at(item.effect, item.joint) for item in loop.unconfirmed]
+    return [f"the held-out logs do not confirm {listed(names)}"] if names else []
 
 
 def _not_excited(name: str, stage: RigidStage | None, model: Model) -> Iterator[Point]:
@@ -264,12 +274,14 @@ def _diagnosis_points(collection: Collection) -> Iterator[Point]:
         if file.verdict == "nothing_missing" and _leaves_more(file):
             yield Point("open", nothing_found(file), item.path)
         for part in file.unexplained:
-            on = listed([name.replace("_", " ") for name in part.depends_on])
-            text = (
-                f"{part.joint}: {percent(part.share, 0)} of the residual above the noise depends "
-                f"on {on or 'nothing that was logged'}, but fits no known effect"
-            )
-            yield Point("open", text, item.path)
+            yield Point("open", f"{unexplained(part)}, but fits no known effect", item.path)
+
+
+def unexplained(part: UnexplainedPart) -> str:
+    """Return how much of the residual is not explained, and what it depends on."""
+    on = listed([name.replace("_", " ") for name in part.depends_on]) or "nothing that was logged"
+    share = percent(part.share, 0)
+    return f"{part.joint}: {share} of the residual above the noise depends on {on}"
 
 
 def known_effects(collection: Collection) -> frozenset[tuple[str, str | None]]:

@@ -18,6 +18,7 @@ from seqid_cli.params.results.diagnosis import (
     FindingEntry,
     HiddenEntry,
     UnexplainedPart,
+    nothing_added,
     nothing_found,
     over_words,
 )
@@ -189,11 +190,9 @@ def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> No
     if loop.rounds:
         screen.result(f"Added: {_named(loop.rounds)}.")
     else:
-        why = "no effect predicts left-out blocks better" if loop.refused else "nothing was found"
-        screen.result(f"Nothing was added: {why}.")
-    doubtful = [item for item in loop.rounds if not item.confirmed]
-    if doubtful:
-        screen.warn(f"verdict poor: the held-out logs do not confirm {_named(doubtful)}")
+        screen.result(f"{nothing_added(loop)}.")
+    if loop.unconfirmed:
+        screen.warn(f"verdict poor: the held-out logs do not confirm {_named(loop.unconfirmed)}")
     elif loop.rounds and not loop.verdicts:
         screen.result("Verdict good: the held-out logs confirm what was added.")
     show_poor(screen, loop.verdicts, "refinement")

@@ -5,7 +5,7 @@ from typing import Literal
 from seqid_cli.params.base import Struct
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import InputLog, MotionUse, OfRobot, Verdict
+from seqid_cli.params.schema import ClosedLoop, InputLog, MotionUse, OfRobot, Verdict
 
 DiagnosisVerdict = Literal["effect_found", "nothing_missing", "unexplained"]
 DIAGNOSIS_SCHEMA = "seqid/diagnosis@1"
@@ -155,6 +155,12 @@ def nothing_found(file: DiagnosisFile) -> str:
         )
     each = "; ".join(f"{name}: {text}" for name, text in rest.items())
     return f"No effect was found, but not all that is left is noise ({each})."
+
+
+def nothing_added(loop: ClosedLoop) -> str:
+    """Return why a refinement added nothing."""
+    why = "no effect predicts left-out blocks better" if loop.refused else "nothing was found"
+    return f"Nothing was added: {why}"
 
 
 def beyond_noise(joint: ResidualEntry) -> str:

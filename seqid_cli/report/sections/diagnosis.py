@@ -10,7 +10,7 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile, EventEntry, Findin
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.chart import RowChart
 from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
-from seqid_cli.report.judgement import known_effects
+from seqid_cli.report.judgement import known_effects, unexplained
 from seqid_cli.report.sections.parameters import value_rows
 from seqid_cli.report.views import VALUE_HEADS, Absent, Figure, Group, Key, Section, Table, table_of
 from seqid_cli.report.words import (
@@ -64,11 +64,6 @@ def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Gro
         badge, text = "good", "found, and in the refined model"
     left_out = len(file.events) - _MOST_EVENTS
     more = f"and {left_out} more" if left_out > 0 else ""
-    unexplained = [
-        f"{part.joint}: {percent(part.share, 0)} of the residual above the noise floor depends on "
-        f"{listed([name.replace('_', ' ') for name in part.depends_on]) or 'nothing logged'}."
-        for part in file.unexplained
-    ]
     return Group(
         key,
         short_path(item.path),
@@ -94,7 +89,7 @@ def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Gro
             table_of("Events", tables.events(file.events[:_MOST_EVENTS]), more),
             table_of("Effects that these motions cannot show", tables.hidden(file.hidden)),
         ],
-        notes=[*unexplained, *file.notes],
+        notes=[*(f"{unexplained(part)}." for part in file.unexplained), *file.notes],
     )
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from seqid_cli.params.results import tables
+from seqid_cli.params.results.diagnosis import nothing_added
 from seqid_cli.params.schema import ClosedLoop
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.chart import RowChart
 from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
+from seqid_cli.report.judgement import unconfirmed
 from seqid_cli.report.views import Absent, Figure, Group, Key, Section, table_of
 from seqid_cli.report.words import command, effect_at, listed, number, short_path
 
@@ -30,10 +32,13 @@ def closed_loop(collection: Collection) -> Section:
     )
     added = [(effect_at(item.effect, item.joint), item) for item in loop.rounds]
     shown = [evidence_figure(x.evidence, collection, f"{name}: residual") for name, x in added]
+    poor = [v for v in loop.verdicts if not v.good]
+    faults = [": ".join(filter(None, (v.joint, v.reason))) for v in poor]
     measured = listed([short_path(path) for path in loop.evaluated_on])
     group = Group(
         "loop-errors",
-        _headline(loop),
+        f"Added: {listed([name for name, _ in added])}" if added else nothing_added(loop),
+        lead="; ".join([*unconfirmed(loop), *faults]),
         badge="poor" if loop.verdict == "poor" else "",
         figures=[_figure(collection, loop), *shown],
         tables=[
@@ -45,14 +50,6 @@ def closed_loop(collection: Collection) -> Section:
         unfolded=True,
     )
     return Section("loop", title, lead, [group])
-
-
-def _headline(loop: ClosedLoop) -> str:
-    if not loop.rounds:
-        why = "no effect predicts left-out blocks better" if loop.refused else "nothing was found"
-        return f"Nothing was added: {why}"
-    said = f"Added: {listed([effect_at(item.effect, item.joint) for item in loop.rounds])}"
-    return said if loop.verdict == "good" else f"{said}; not confirmed by the held-out logs"
 
 
 def _figure(collection: Collection, loop: ClosedLoop) -> Figure | None:

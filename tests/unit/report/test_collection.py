@@ -12,6 +12,7 @@ from seqid_cli.params.results.prediction import FileId, PredictionFile
 from seqid_cli.params.schema import Verdict
 from seqid_cli.report.collection import collect
 from seqid_cli.report.judgement import judge
+from seqid_cli.report.sections.loop import closed_loop
 from tests.unit.params.documents import (
     diagnosis_file,
     friction_file,
@@ -327,3 +328,27 @@ def test_a_reference_to_another_file_does_not_count_as_stale() -> None:
     moved = prediction_file()
     moved.parameters = [FileId(path="moved/inertia.json", sha256=parameters.sha256)]
     assert collect([parameters, source("prediction.json", moved)]).warnings == ()
+
+
+def test_effects_that_held_out_logs_do_not_confirm_are_a_point_of_the_verdict() -> None:
+    file = full_file()
+    assert file.closed_loop is not None
+    refined = source("refined.json", file)
+    tested = source("prediction.json", made_with(prediction_file(), refined))
+    said = "the held-out logs do not confirm stribeck at elbow"
+    assert said not in [point.text for point in judge(collect([refined, tested])).points]
+    file.closed_loop.rounds[0].confirmed, file.closed_loop.verdict = False, "poor"
+    for documents, weight in (([refined], "poor"), ([refined, tested], "open")):
+        found = collect(documents)
+        assert [p.weight for p in judge(found).points if p.text == said] == [weight]
+    (group,) = closed_loop(found).groups
+    assert (group.title, group.lead) == ("Added: stribeck at elbow", said)
+
+
+def test_faults_of_the_logs_are_not_taken_for_effects_that_are_not_confirmed() -> None:
+    file = full_file()
+    assert file.closed_loop is not None
+    file.closed_loop.verdict = "poor"
+    file.closed_loop.verdicts = [Verdict(joint="elbow", good=False, reason="is stuck")]
+    (group,) = closed_loop(collect([source("refined.json", file)])).groups
+    assert (group.title, group.lead) == ("Added: stribeck at elbow", "elbow: is stuck")

@@ -302,8 +302,10 @@ def _support(collection: Collection, independent: list[Prediction]) -> Iterator[
             yield f"Torque predicted on {logs} with an RMS error of {span} of the RMS torque."
     stages = collection.model.stages if collection.model else Stages()
     if stages.friction is not None and all(v.good for v in stages.friction.verdicts):
-        count = plural(len(stages.friction.joints), "joint")
-        yield f"Friction of {count} holds at speeds that were left out of the fit."
+        tested = [x for x in stages.friction.joints.values() if x.held_out_rmse is not None]
+        if tested:
+            count = plural(len(tested), "joint")
+            yield f"Friction of {count} holds at speeds that were left out of the fit."
     for name, stage in (("Gravity", stages.gravity), ("Inertia", stages.inertia)):
         if stage is not None and stage.parameters and not stage.not_excited:
             yield (

@@ -34,10 +34,10 @@ def _steps(collection: Collection, tables: Sequence[TorqueTable]) -> Iterator[Se
     if collection.model is not None:
         yield from _stage_steps(collection, collection.model)
     for prediction in collection.predictions:
-        state = badge(prediction.content.verdicts) or "good"
+        state = badge(prediction.content.verdicts)
         torques = [table.path for table in tables if table.prediction == prediction]
         made = ", ".join(map(file_name, (prediction.path, *torques)))
-        yield _step("predict", prediction.content.inputs, made, state, state)
+        yield _step("predict", prediction.content.inputs, made, state, state or "not judged")
     if not collection.predictions:
         yield _step("predict")
     for item in collection.diagnoses:
@@ -94,8 +94,7 @@ def _state(name: str, model: Model) -> tuple[str, str]:
     if getattr(getattr(model.stages, name), "parameters", None) == []:
         return "", "nothing to identify"
     own = [verdict for stage, verdict in stage_verdicts(model.stages) if stage == name]
-    state = badge(own) or "good"
-    return state, state
+    return badge(own), badge(own) or "not judged"
 
 
 def _thousands(count: int) -> str:

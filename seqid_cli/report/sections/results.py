@@ -43,13 +43,12 @@ def payload(collection: Collection) -> Section | None:
 
 
 def _carried(place: int, file: PayloadFile) -> Group:
-    state = badge(file.verdicts) or "good"
     body = [value_row(n, x.value, x.std_error, x.unit) for n, x in file.payload.numbers()]
     return Group(
         f"payload-{place + 1}",
         f"Payload, frame {file.payload.frame}",
         lead=reasons(file.verdicts),
-        badge=state,
+        badge=badge(file.verdicts),
         tables=[
             Table("The body", VALUE_HEADS, body),
             table("As controllers take it", "for | setting", "text text", file.settings.items()),

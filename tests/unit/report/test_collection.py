@@ -13,6 +13,7 @@ from seqid_cli.params.schema import Verdict
 from seqid_cli.report.collection import collect
 from seqid_cli.report.judgement import judge
 from seqid_cli.report.sections.loop import closed_loop
+from seqid_cli.report.sections.pipeline import pipeline
 from tests.unit.params.documents import (
     diagnosis_file,
     friction_file,
@@ -352,3 +353,23 @@ def test_faults_of_the_logs_are_not_taken_for_effects_that_are_not_confirmed() -
     file.closed_loop.verdicts = [Verdict(joint="elbow", good=False, reason="is stuck")]
     (group,) = closed_loop(collect([source("refined.json", file)])).groups
     assert (group.title, group.lead) == ("Added: stribeck at elbow", "elbow: is stuck")
+
+
+def test_only_friction_that_was_tested_at_speeds_left_out_speaks_for_the_model() -> None:
+    file = inertia_file()
+    said = "Friction of 1 joint holds at speeds that were left out of the fit."
+    assert file.stages.friction is not None
+    assert said not in judge(collect([source("inertia.json", file)])).support
+    file.stages.friction.joints["elbow"].held_out_rmse = 0.1
+    assert said in judge(collect([source("inertia.json", file)])).support
+
+
+def test_what_has_no_verdict_is_not_called_good() -> None:
+    file, prediction = friction_file(), prediction_file()
+    assert file.stages.friction is not None
+    file.stages.friction.verdicts, prediction.verdicts = [], []
+    found = collect([source("friction.json", file), source("prediction.json", prediction)])
+    steps = pipeline(found, []).groups[0].tables[0].rows
+    told = {row[0]: row[-1] for row in steps}
+    for command in ("seqid friction", "seqid predict"):
+        assert "not judged" in told[command]

@@ -12,6 +12,7 @@ import msgspec
 
 Json = None | bool | int | float | str | list["Json"] | dict[str, "Json"]
 _DIGITS = 12
+LARGEST = 1e29  # of a result: whoever reads it refuses 1e30 and more
 _SCALARS = (str, int, float, bool, type(None))
 
 
@@ -36,7 +37,7 @@ def plain(value: object, path: str = "$") -> Json:
         if not math.isfinite(value):
             message = f"{path} is {value}: every number of a result must be finite"
             raise ValueError(message)
-        return float(f"{value:.{_DIGITS}g}")
+        return float(f"{min(max(value, -LARGEST), LARGEST):.{_DIGITS}g}")
     if isinstance(value, int):
         return value
     if isinstance(value, msgspec.Raw):

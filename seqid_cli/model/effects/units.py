@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from seqid_cli.typing import Array
 
 UNEXPLAINED = "unexplained"
-UNTOLD = 1e100  # standard error, from which on no sample shows a parameter
+UNTOLD = 1e29  # standard error, from which on no sample shows a parameter; files hold no larger
 
 
 @dataclass(frozen=True)

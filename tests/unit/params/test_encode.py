@@ -2,15 +2,18 @@ from __future__ import annotations
 
 import json
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from seqid_cli.params.encode import encode, plain
+from seqid_cli.model.effects.units import UNTOLD
+from seqid_cli.params.encode import LARGEST, encode, plain
+from seqid_cli.params.io import read_parameters
 from tests.unit.params.documents import full_file, rigid_stage
 
-finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e300, max_value=1e300)
+finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-LARGEST, max_value=LARGEST)
 documents = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**53), 2**53) | finite | st.text(),
     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
@@ -30,6 +33,16 @@ def test_twelve_digits_are_kept_and_rounding_is_final(value: float) -> None:
     assert rounded == pytest.approx(value, rel=1e-11, abs=0.0)
     assert plain(rounded) == rounded
     assert len(f"{rounded!r}".split("e")[0].lstrip("-0.").replace(".", "").rstrip("0")) <= 12
+
+
+def test_what_no_sample_shows_is_written_as_a_file_may_hold_it(tmp_path: Path) -> None:
+    file = full_file()
+    assert file.stages.gravity is not None
+    file.stages.gravity.parameters[0].std_error = 1e150
+    (tmp_path / "model.json").write_text(encode(file))
+    stage = read_parameters(tmp_path / "model.json").stages.gravity
+    assert stage is not None
+    assert stage.parameters[0].std_error == LARGEST == UNTOLD
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

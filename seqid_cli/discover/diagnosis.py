@@ -31,7 +31,7 @@ from seqid_cli.discover.notes import (
     shown_offsets,
 )
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.rivals import load_note, rivals_of, tried_at
+from seqid_cli.discover.rivals import rivals_of, tried_at
 from seqid_cli.discover.scenes import with_own_cutoffs
 from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.results import Taken
@@ -223,7 +223,7 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
             for v in values
         ],
         settings=dict(what.settings),
-        note=effect.lacking(robot, what.joint) or load_note(robot, taken),
+        note=effect.lacking(robot, what.joint),
         log_gain=taken.one.predicted.total,
         evidence=evidence_of(found, robot, taken),
         rivals=rivals_of(robot, taken, name.others),

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 
-from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.select.results import Options, Ranked, Taken
-from seqid_cli.model.effects.effect import rotor_hidden
 from seqid_cli.params.evidence_schema import RivalEntry
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
@@ -22,24 +20,6 @@ def rivals_of(robot: Robot, taken: Taken, alike: Collection[str] = ()) -> list[R
     told += [one for one in others if one not in told]
     ranked = sorted(told[:MOST], key=lambda one: -one.predicted.total)
     return [_rival(robot, one, _beside(one, taken, alike)) for one in ranked]
-
-
-def load_note(robot: Robot, taken: Taken) -> str:
-    """Say that the load of a joint is not known, where the effect or its nearest rival needs it."""
-    joint, own = taken.term.joint, taken.term.what
-    ranked = sorted(taken.rivals, key=lambda one: -one.predicted.total)
-    others = [r.term.what for r in ranked if r.term.key != taken.term.key]
-    effects = [w.effect for w in (own, *others) if isinstance(w, Candidate)][:2]
-    if joint is None or not any("load" in effect.needs for effect in effects):
-        return ""
-    if not rotor_hidden(robot, joint):
-        return ""
-    name = robot.joint_names[joint]
-    return (
-        "no motion tells the rotor's inertia from the link's here, so that the load of the gear is "
-        "not known, and friction that depends on it may be taken for another: give rotor_inertia "
-        f"of {name} in the robot file"
-    )
 
 
 def tried_at(found: Investigation, robot: Robot, joint: int) -> list[RivalEntry]:

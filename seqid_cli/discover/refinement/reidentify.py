@@ -69,7 +69,7 @@ def refitted(
         stages, candidates = _in_turns(material, stages, candidates, late)
     if not candidates:
         return Refitted(stages, (), late)
-    fit = _fitted(material, stages, candidates, HELD)
+    fit = _fitted(material, stages, candidates, HELD if kept else FREE)
     # Their errors are beside a base that may move; but it is the file's that they are written to.
     effects = _effects_of(material, fit)
     fit.hold = FIRM

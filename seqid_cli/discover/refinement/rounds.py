@@ -152,7 +152,7 @@ def _add_effects(loop: Loop, found: Investigation) -> Investigation:
         left = [x for x in found.found.effects if not _among(_what(x), known)]
         if not left:
             break
-        taken = max(left, key=lambda taken: taken.one.predicted.total)
+        taken = max(left, key=lambda taken: taken.evidence)
         step("trying effects", loop.added, loop.added + max(len(left), len(rest)))
         rest = [other for other in rest if not _same(other, _what(taken))]
         accepted = _try(loop, found, taken)

@@ -18,7 +18,7 @@ GOLDEN = 0.381966
 STEPS = 8
 NEAR = 1.5  # ratio by which a setting may move when another one takes its next value
 SHARPENED = 3  # times that settings are moved to where the coefficients say
-USUAL = 0.02  # of the evidence, that another value than the usual one must gain
+USUAL = 3.0  # log evidence, that another value than the usual one must gain
 
 
 @dataclass(frozen=True)
@@ -67,14 +67,19 @@ class Tuner:
     def tuned(self, tried: Tried, spacing: float = SPACING) -> Tried:
         """Search the continuous settings, then follow those that have more values."""
         best = tried
-        for setting in tried.candidate.effect.settings:
-            if setting.continuous:
-                best = self._usual(self._searched(best, setting, spacing), setting)
+        for setting in _between(tried):
+            best = self._usual(self._searched(best, setting, spacing), setting)
         return self._sharpened(self._followed(best))
 
     def _moved(self, tried: Tried, **settings: float) -> Tried | None:
         c = tried.candidate
         found = self.tried([replace(c, settings={**c.settings, **settings})])
+        return found[0] if found else None
+
+    def _without(self, tried: Tried, setting: Setting) -> Tried | None:
+        c = tried.candidate
+        rest = {name: value for name, value in c.settings.items() if name != setting.name}
+        found = self.tried([replace(c, settings=rest)])
         return found[0] if found else None
 
     def _searched(self, tried: Tried, setting: Setting, spacing: float) -> Tried:
@@ -104,9 +109,10 @@ class Tuner:
         return best
 
     def _usual(self, tried: Tried, setting: Setting) -> Tried:
-        """The same with a usual value of a setting, where no other does clearly better."""
+        """The same with a usual value of a setting, or none, where no other does clearly better."""
         every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
-        near = [one for one in every if one and one.evidence > (1.0 - USUAL) * tried.evidence]
+        every += [] if setting.asked else [self._without(tried, setting)]
+        near = [one for one in every if one and one.evidence > tried.evidence - USUAL]
         return max(near, key=lambda one: one.evidence, default=tried)
 
     def _followed(self, tried: Tried) -> Tried:
@@ -117,8 +123,8 @@ class Tuner:
             first = setting.then.index(now) + 1 if now in setting.then else 0
             for value in setting.then[first:]:
                 found = self._moved(best, **{setting.name: value})
-                for other in specs if found else ():
-                    if other.continuous and found:
+                for other in _between(found) if found else ():
+                    if found:
                         found = self._searched(found, other, NEAR)
                 if found is None or found.evidence <= best.evidence:
                     break
@@ -141,6 +147,10 @@ class Tuner:
                 return best
             best = found
         return best
+
+
+def _between(tried: Tried) -> tuple[Setting, ...]:
+    return tried.candidate.effect.between(tried.candidate.settings)
 
 
 def best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tried]:

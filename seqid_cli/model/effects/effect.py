@@ -59,7 +59,8 @@ class Setting:
     (an order, the number of a log) keeps the grid's value. `logarithmic` ones are searched by
     ratio. A `usual` value is taken where no other does clearly better. From the grid's value on
     those of `then` are followed one after the other while the gain grows, with the other settings
-    searched anew at each: of a shape that is found only in its blunt form.
+    searched anew at each: of a shape that is found only in its blunt form. One that is not `asked`
+    for is left out where that does not do clearly worse.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Setting:
     logarithmic: bool = False
     usual: tuple[float, ...] = ()
     then: tuple[float, ...] = ()
+    asked: bool = True
 
     def bracket(self, value: float, spacing: float = SPACING) -> tuple[float, float]:
         """Interval about a value that is searched; in logarithms where it is searched by ratio."""
@@ -169,9 +171,13 @@ class Effect(abc.ABC):
         """Return the quantity that it is shown over at a joint; None for what it makes itself."""
         return Axis(cast(Measure, self.over), joint) if self.over in MEASURES else None
 
+    def between(self, settings: Settings) -> tuple[Setting, ...]:
+        """Settings that are searched between the grid's values."""
+        return tuple(setting for setting in self.settings if setting.continuous)
+
     def searched(self, settings: Settings) -> int:
-        """How many parameters are searched beside the coefficients: the continuous settings."""
-        return sum(setting.continuous or bool(setting.then) for setting in self.settings)
+        """How many parameters are searched beside the coefficients."""
+        return len(self.between(settings)) + sum(bool(one.then) for one in self.settings)
 
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the linear parameters, in the order of the columns; by default `linear`."""
@@ -226,11 +232,11 @@ class Effect(abc.ABC):
     def reached(self, settings: Settings, *, points: int = 15) -> Grid:
         """Yield settings at which a search from a grid's may end, `points` to every interval."""
         yield dict(settings)
+        for one in self.between(settings):
+            low, high = one.bracket(settings[one.name])
+            for x in np.linspace(low, high, points):
+                yield {**settings, one.name: one.at(float(x))}
         for one in self.settings:
-            if one.continuous:
-                low, high = one.bracket(settings[one.name])
-                for x in np.linspace(low, high, points):
-                    yield {**settings, one.name: one.at(float(x))}
             for value in (*one.usual, *one.then):
                 yield {**settings, one.name: value}
 

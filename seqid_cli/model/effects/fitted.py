@@ -174,6 +174,8 @@ def _settings(key: str, effect: Effect, entry: EffectOfJoint) -> dict[str, float
     for setting in effect.settings:
         value = entry.settings.get(setting.name)
         where = f"{key}.settings.{setting.name}"
+        if value is None and not setting.asked:
+            continue
         if value is None:
             raise _damaged(where, f"is missing, and {effect.name} needs it")
         if isinstance(value, str | bool) or not np.isfinite(value):

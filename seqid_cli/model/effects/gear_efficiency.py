@@ -14,25 +14,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
+from seqid_cli.model.effects.gear_load import LoadLoss
 from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 
-class GearEfficiency(Effect):
+class GearEfficiency(LoadLoss):
     """Losses in proportion to the transmitted torque, of their own in either power direction."""
 
     name = "gear_efficiency"
-    family = "friction"
     over = "driving_load"
-    sided = True
     linear = (
         Coefficient("driving_loss", "1", low=0.0, high=1.5),
         Coefficient("backdriving_loss", "1", low=0.0, high=1.0),
     )
-    needs = ("motion", "load")
     alike = ("load_dependent_friction", "torque_saturation", "asymmetric_friction")
     separate_by = (
         "lift and lower the same load at the same constant speed, then with another payload: the "
@@ -42,7 +40,7 @@ class GearEfficiency(Effect):
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Magnitude of the load times direction, where the gear drives and where it is driven."""
         assert joint is not None
-        load, sign = scene.load[:, joint], scene.sign[:, joint]
+        load, sign = self.load(scene, joint, settings), scene.sign[:, joint]
         loss = np.abs(load) * sign
         drives = load * sign > 0.0
         return {joint: np.stack([np.where(drives, loss, 0.0), np.where(drives, 0.0, loss)], axis=1)}

@@ -3,7 +3,8 @@
     tau = k_l |tau_L| s(v)
 
 tau_L [N m] is the torque that the gear passes to the link, without the joint's own rotor; k_l [-]
-the share of it that is lost, both when the gear drives and when it is driven. Hamon, Gautier,
+the share of it that is lost, both when the gear drives and when it is driven. See `gear_load` for a
+rotor that nobody knows. Hamon, Gautier,
 Garrec, "New dry friction model with load- and velocity-dependence and dynamic identification of
 multi-DOF robots", ICRA 2011.
 """
@@ -12,19 +13,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
+from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
+from seqid_cli.model.effects.gear_load import LoadLoss
 from seqid_cli.model.effects.scene import Joint, Scene
 
 
-class LoadDependentFriction(Effect):
+class LoadDependentFriction(LoadLoss):
     """Friction in proportion to the transmitted torque."""
 
     name = "load_dependent_friction"
-    family = "friction"
     over = "load_size"
-    sided = True
     linear = (Coefficient("load_coefficient", "1", low=0.0, high=0.5),)
-    needs = ("motion", "load")
     alike = ("gear_efficiency", "torque_saturation")
     separate_by = (
         "the same speed, both ways, at different gravity loads or with two payloads: lift and "
@@ -34,4 +33,5 @@ class LoadDependentFriction(Effect):
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Magnitude of the load times direction."""
         assert joint is not None
-        return {joint: (np.abs(scene.load[:, joint]) * scene.sign[:, joint])[:, None]}
+        load = self.load(scene, joint, settings)
+        return {joint: (np.abs(load) * scene.sign[:, joint])[:, None]}

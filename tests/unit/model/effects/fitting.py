@@ -106,7 +106,7 @@ def base(scene: Scene, joint: int, offset: bool) -> Array:
 def _refined(
     effect: Effect, point: dict[str, float], loss: Callable[[Settings], float]
 ) -> dict[str, float]:
-    names = [s for s in effect.settings if s.continuous]
+    names = effect.between(point)
     if not names:
         return point
 

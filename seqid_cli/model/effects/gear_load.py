@@ -1,0 +1,63 @@
+"""Losses that grow with the torque which a gear passes on, where its rotor may not be known.
+
+The gear passes to the link what turns the joint but for its own rotor,
+
+    tau_L = tau_rigid - I_r ddq.
+
+At the joints near the base no motion tells the reflected rotor inertia I_r [kg m^2] from the
+link's. Where the robot file does not give it either, losses tell: they do not grow with the torque
+that the rotor takes. I_r is then searched, from none to all of the smallest inertia about the joint
+that the logs show. Hamon, Gautier, Garrec, "New dry friction model with load- and
+velocity-dependence and dynamic identification of multi-DOF robots", ICRA 2011.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from seqid_cli.model.effects.effect import Effect, Grid, Setting, Settings, rotor_hidden
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.sensitivity import link_inertia
+from seqid_cli.typing import Array
+
+ROTOR = "reflected_rotor_inertia"
+SHARES = (0.02, 0.06, 0.2, 0.6)  # of the smallest inertia about the joint
+
+
+class LoadLoss(Effect):
+    """An effect of the torque that a gear passes on."""
+
+    family = "friction"
+    sided = True
+    settings = (Setting(ROTOR, "kg m^2", low=1e-12, high=1e9, logarithmic=True, asked=False),)
+    needs = ("motion", "load")
+
+    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
+        """Yield no rotor, and some where neither robot file nor motion nor a sensor tells it."""
+        assert joint is not None
+        yield {}
+        measured = all(scene.sensor is not None for scene in scenes)
+        most = _most(scenes, joint)
+        if most > 0.0 and rotor_hidden(scenes[0].robot, joint) and not measured:
+            for share in SHARES:
+                yield {ROTOR: share * most}
+
+    def between(self, settings: Settings) -> tuple[Setting, ...]:
+        """The rotor inertia, where there is one to search."""
+        return self.settings if ROTOR in settings else ()
+
+    def load(self, scene: Scene, joint: int, settings: Settings) -> Array:
+        """Torque (N,) N m that the gear passes to the link."""
+        load, rotor = scene.load[:, joint], settings.get(ROTOR, 0.0)
+        return load if scene.sensor is not None else load - rotor * scene.motion.ddq[:, joint]
+
+    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
+        """Ask for bounded losses, and for a link that has inertia of its own."""
+        assert joint is not None
+        possible = ROTOR not in settings or settings[ROTOR] <= _most(scenes, joint)
+        return possible and super().plausible(scenes, joint, settings, c)
+
+
+def _most(scenes: Scenes, joint: int) -> float:
+    """The smallest modelled inertia kg m^2 about a joint that the logs show, never negative."""
+    return max(min(float(link_inertia(s, joint)[:, joint].min()) for s in scenes), 0.0)

@@ -185,8 +185,7 @@ class Selection:
             self._search.changed(best)
             self.model.terms.append(best)
             self.model.settle()
-            if len(self.model.terms) > 1:
-                self.model.polish()
+            self.model.polish()
             gone = self.eliminate()
             refused |= gone
             if best.key in gone:

@@ -66,10 +66,19 @@ class Tuner:
 
     def tuned(self, tried: Tried, spacing: float = SPACING) -> Tried:
         """Search the continuous settings, then follow those that have more values."""
-        best = tried
-        for setting in _between(tried):
+        best = self._opened(tried)
+        for setting in _between(best):
             best = self._usual(self._searched(best, setting, spacing), setting)
         return self._sharpened(self._followed(best))
+
+    def _opened(self, tried: Tried) -> Tried:
+        """The same with a setting that it lacks, at the best of its first values."""
+        c = tried.candidate
+        more = c.effect.beyond(self.stage.scenes, c.joint)
+        lacking = [
+            replace(c, settings={**c.settings, **s}) for s in more if not s.keys() & c.settings
+        ]
+        return max([tried, *self.tried(lacking)], key=lambda one: one.evidence)
 
     def _moved(self, tried: Tried, **settings: float) -> Tried | None:
         c = tried.candidate

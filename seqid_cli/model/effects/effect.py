@@ -225,6 +225,10 @@ class Effect(abc.ABC):
         for values in product(*axes.values()):
             yield dict(zip(axes, values, strict=True))
 
+    def beyond(self, scenes: Scenes, joint: Joint) -> Grid:
+        """Yield first values of settings that are not asked for."""
+        return iter(())
+
     def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Return the grid's values of each setting; the default `grid` is their product."""
         return {}

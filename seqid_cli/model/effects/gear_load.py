@@ -33,9 +33,13 @@ class LoadLoss(Effect):
     needs = ("motion", "load")
 
     def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
-        """Yield no rotor, and some where neither robot file nor motion nor a sensor tells it."""
-        assert joint is not None
+        """Yield no rotor, then some that it may have."""
         yield {}
+        yield from self.beyond(scenes, joint)
+
+    def beyond(self, scenes: Scenes, joint: Joint) -> Grid:
+        """Yield rotor inertias where neither robot file nor motion nor a sensor tells them."""
+        assert joint is not None
         measured = all(scene.sensor is not None for scene in scenes)
         most = _most(scenes, joint)
         if most > 0.0 and rotor_hidden(scenes[0].robot, joint) and not measured:

@@ -239,8 +239,9 @@ def _account(loop: Loop, found: Investigation, taken: Taken) -> tuple[Account, O
 
     What is in the logs that the file was identified from was there all along. Else the account
     holds that explains the logs of all stages better. It came late where the selection had not to
-    let the base leave the file and the file's logs are not at hand, or where it is refused then:
-    nothing speaks for what costs every stage again.
+    let the base leave the file and the file's logs are not at hand, or where it is refused then,
+    and no other term made up for the file at its joints: nothing speaks for what costs every stage
+    again.
     """
     candidate, late = _what(taken), loop.model.late
     every = (*candidates_of_model(loop.model.effects), candidate)
@@ -250,7 +251,8 @@ def _account(loop: Loop, found: Investigation, taken: Taken) -> tuple[Account, O
         return early, _outcome(loop, early, taken)
     if not found.model.hold.doubt(found.ground.n):
         outcome = _outcome(loop, after, taken)
-        if not (loop.logs_before and outcome.accepted):
+        company = len([x for x in found.found.taken if x.term.channels & taken.term.channels]) > 1
+        if not (loop.logs_before and (outcome.accepted or company)):
             return after, outcome
     if not loop.logs_before:
         return early, _outcome(loop, early, taken)

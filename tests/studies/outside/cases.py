@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -87,7 +88,11 @@ def run_case(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SeqidWarning)
         try:
-            row["stages"], found = _answer(case, folder)
+            ready = prepared(case, folder)
+            row["stages"], found = (
+                ready.poor,
+                discover.diagnose(ready.logs, ready.robot, ready.file),
+            )
             row |= told(found)
         except Exception as error:  # a case that fails is an answer too
             row["error"] = f"{type(error).__name__}: {error}"
@@ -135,7 +140,19 @@ def told(found: DiagnosisFile) -> dict[str, Any]:
     }
 
 
-def _answer(case: Case, folder: Path) -> tuple[str, DiagnosisFile]:
+@dataclass(frozen=True)
+class Prepared:
+    """What a user has when something may be missing; `poor` is what the stages say of themselves."""
+
+    robot: Path
+    logs: list[Path]
+    file: Path
+    poor: str
+    recorder: Recorder
+
+
+def prepared(case: Case, folder: Path) -> Prepared:
+    """Record, identify, and record the logs that are asked about."""
     robot = folder / "robot.toml"
     robot.write_text(robot_toml(case.arm))
     (folder / "arm.urdf").write_text(urdf(case.arm))
@@ -149,7 +166,7 @@ def _answer(case: Case, folder: Path) -> tuple[str, DiagnosisFile]:
     else:
         file, poor = _sequential(case, robot, recorder, folder)
         logs = recorder.moves(2, 18.0, case.effects)
-    return poor, discover.diagnose(logs, robot, file)
+    return Prepared(robot, logs, file, poor, recorder)
 
 
 def _one_step(case: Case, robot: Path, logs: list[Path], folder: Path) -> tuple[Path, str]:

@@ -18,7 +18,8 @@ GOLDEN = 0.381966
 STEPS = 8
 NEAR = 1.5  # ratio by which a setting may move when another one takes its next value
 SHARPENED = 3  # times that settings are moved to where the coefficients say
-USUAL = 3.0  # log evidence, that another value than the usual one must gain
+USUAL = 0.02  # of the evidence, that another value than the usual one must gain
+NEEDED = 3.0  # log evidence, that a setting must gain that is not asked for
 
 
 @dataclass(frozen=True)
@@ -120,8 +121,10 @@ class Tuner:
     def _usual(self, tried: Tried, setting: Setting) -> Tried:
         """The same with a usual value of a setting, or none, where no other does clearly better."""
         every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
-        every += [] if setting.asked else [self._without(tried, setting)]
-        near = [one for one in every if one and one.evidence > tried.evidence - USUAL]
+        near = [one for one in every if one and one.evidence > (1.0 - USUAL) * tried.evidence]
+        bare = None if setting.asked else self._without(tried, setting)
+        if bare is not None and bare.evidence > tried.evidence - NEEDED:
+            return bare
         return max(near, key=lambda one: one.evidence, default=tried)
 
     def _followed(self, tried: Tried) -> Tried:

@@ -29,7 +29,7 @@ class LoadLoss(Effect):
 
     family = "friction"
     sided = True
-    settings = (Setting(ROTOR, "kg m^2", low=1e-12, high=1e9, logarithmic=True, asked=False),)
+    settings = (Setting(ROTOR, "kg m^2", low=1e-12, high=1e6, logarithmic=True, asked=False),)
     needs = ("motion", "load")
 
     def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:

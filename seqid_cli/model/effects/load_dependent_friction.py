@@ -3,10 +3,10 @@
     tau = k_l |tau_L| s(v)
 
 tau_L [N m] is the torque that the gear passes to the link, without the joint's own rotor; k_l [-]
-the share of it that is lost, both when the gear drives and when it is driven. See `gear_load` for a
-rotor that nobody knows. Hamon, Gautier,
-Garrec, "New dry friction model with load- and velocity-dependence and dynamic identification of
-multi-DOF robots", ICRA 2011.
+the share of it that is lost, both when the gear drives and when it is driven. Where neither robot
+file nor motion tells the rotor's inertia, the losses do: `reflected_rotor_inertia`, at the joint.
+Hamon, Gautier, Garrec, "New dry friction model with load- and velocity-dependence and dynamic
+identification of multi-DOF robots", ICRA 2011.
 """
 
 from __future__ import annotations

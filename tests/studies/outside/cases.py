@@ -142,7 +142,7 @@ def told(found: DiagnosisFile) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a user has when something may be missing; `poor` is what the stages say of themselves."""
+    """What a user has when something may be missing; `poor` is what the stages say."""
 
     robot: Path
     logs: list[Path]

@@ -132,7 +132,7 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
             *file_notes(found, robot, ordinary, named_already),
             *outside_notes(found, robot, ordinary),
             *free_base_notes(found, robot),
-            *found.floor.doubts(np.minimum(found.model.rms(), found.start), robot.joint_names),
+            *found.floor.doubts(np.minimum(found.model.rms(), found.start), robot.joints),
         ],
     )
 

@@ -119,8 +119,8 @@ def free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
     """
     touched, left = _touched(found), found.model.rms()
     worse = [
-        f"{name} ({left[j]:.3g} against {found.start[j]:.3g} N m)"
-        for j, name in enumerate(robot.joint_names)
+        f"{joint.name} ({left[j]:.3g} against {found.start[j]:.3g} {joint.unit('N m')})"
+        for j, joint in enumerate(robot.joints)
         if j not in touched and _fits_worse(found, j)
     ]
     if not worse:

@@ -245,11 +245,11 @@ def _residual_note(surveys: Sequence[ResidualSurvey], robot: Robot) -> str:
     counts = sum(survey.counts.sum(axis=0) for survey in surveys)
     squares = sum(survey.squares.sum(axis=0) for survey in surveys)
     known = [
-        f"{name} {np.sqrt(s / c):.3g}"
-        for name, s, c in zip(robot.joint_names, squares, counts, strict=True)
+        f"{joint.name} {np.sqrt(s / c):.3g} {joint.unit('N m')}"
+        for joint, s, c in zip(robot.joints, squares, counts, strict=True)
         if c
     ]
-    return f"RMS residual of all logs as a whole, where joints slide, N m: {', '.join(known)}"
+    return f"RMS residual of all logs as a whole, where joints slide: {', '.join(known)}"
 
 
 def _time_notes(surveys: Sequence[ResidualSurvey], robot: Robot) -> Iterator[str]:

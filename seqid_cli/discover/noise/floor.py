@@ -44,6 +44,7 @@ from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.differentiation import runs, shrink
 from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.motion.segmentation import unmoved
+from seqid_cli.robot.types import Joint
 from seqid_cli.typing import Array, Mask
 
 Way = Literal["rests", "spectrum"]
@@ -86,21 +87,20 @@ class NoiseFloor:
         """95 % interval of one joint's floor, N m."""
         return float(self.low[joint]), float(self.high[joint])
 
-    def doubts(self, left: Array, names: Sequence[str]) -> tuple[str, ...]:
+    def doubts(self, left: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
         """Joints at which a model leaves less than the interval's lower end.
 
         Parameters
         ----------
         left : (n,) array
             RMS, N m, of what a model leaves of the samples that the floor is of; NaN where unknown.
-        names : sequence of str
-            Of the joints.
+        joints : sequence of Joint
         """
         return tuple(
-            f"joint {name}: {rest:.3g} N m is left, less than the noise floor's interval, "
-            f"{low:.3g} to {high:.3g} N m: the floor's estimate is doubtful there; a log with "
-            "rests of several seconds gives a better one"
-            for name, rest, low, high in zip(names, left, self.low, self.high, strict=True)
+            f"joint {joint.name}: {rest:.3g} {joint.unit('N m')} is left, less than the noise "
+            f"floor's interval, {low:.3g} to {high:.3g} {joint.unit('N m')}: the floor's estimate "
+            "is doubtful there; a log with rests of several seconds gives a better one"
+            for joint, rest, low, high in zip(joints, left, self.low, self.high, strict=True)
             if rest < low
         )
 

@@ -133,7 +133,7 @@ def _closed(
             *notes,
             *((said,) if lost else ()),
             *more,
-            *floor.doubts(new, names),
+            *floor.doubts(new, found.material.robot.joints),
         ],
     )
 

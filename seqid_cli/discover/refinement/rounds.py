@@ -2,11 +2,11 @@
 
 An investigation of the training logs names the effects that the model lacks, each beside all
 others, by how much better it predicts blocks that were left out (see `select`). They are taken one
-after the other, the largest gain first: model and effects are fitted anew, under two accounts where
-the file is of other logs: that the effect was there all along, or that it came after the file was
-identified (see `reidentify`). The errors on all logs, those of the earlier stages among them, tell
-which. An effect that does not help the model fitted anew, or helps one joint at the expense of
-another, is refused, with that reason.
+after the other, first what a base that leaves the file explains least. Model and effects are fitted
+anew, under two accounts where the file is of other logs: that the effect was there all along, or
+that it came after the file was identified (see `reidentify`). The errors on all logs, those of the
+earlier stages among them, tell which. An effect that does not help the model fitted anew, or helps
+one joint at the expense of another, is refused, with that reason.
 
 Held-out logs play no part in any of this: `refine` is not given them. What they say of the result
 is in `confirm`.
@@ -140,7 +140,7 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
 
 
 def _add_effects(loop: Loop, found: Investigation) -> Investigation:
-    """Try the effects that are found, the largest gain first; return what is found at last.
+    """Try the effects that are found, the largest evidence first; return what is found at last.
 
     After each that is added the rest are judged anew: what the stages had taken in of it looks like
     a second effect, until they are identified without it. Before what is small, more is looked for.

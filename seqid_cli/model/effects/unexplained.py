@@ -70,8 +70,9 @@ class SmoothTerm:
             settings[f"axis_{number}_joint"] = robot.joint_names[axis.joint]
             for k, knot in enumerate(axis.knots):
                 settings[f"axis_{number}_knot_{k}"] = float(knot)
+        unit = robot.joints[self.joint].unit("N m")
         parameters = [
-            Parameter(name=f"c_{k}", value=float(c), std_error=0.0, unit="N m", joint=name)
+            Parameter(name=f"c_{k}", value=float(c), std_error=0.0, unit=unit, joint=name)
             for k, c in enumerate(self.coefficients)
         ]
         return EffectOfJoint(effect=NAME, joint=name, parameters=parameters, settings=settings)

@@ -106,7 +106,7 @@ def test_the_notes_say_what_was_looked_at(folder: Path) -> None:
     survey = pieces.surveys[0]
     seen = np.sqrt(survey.squares.sum(axis=0) / survey.counts.sum(axis=0))
     np.testing.assert_allclose(seen, rms, rtol=1e-7)
-    assert residual.endswith(f"shoulder {rms[0]:.3g}, elbow {rms[1]:.3g}")
+    assert residual.endswith(f"shoulder {rms[0]:.3g} N m, elbow {rms[1]:.3g} N m")
     assert not others
 
 

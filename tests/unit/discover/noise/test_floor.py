@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor, rms
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.robot.types import Joint
 from tests.plants.sensors import noise, quantise
 from tests.unit.discover.drawn_logs import (
     RATE_HZ,
@@ -96,9 +97,10 @@ def test_the_residual_does_not_bound_the_floor() -> None:
 
 def test_less_than_the_interval_makes_the_floor_doubtful() -> None:
     floor = NoiseFloor(np.full(3, 2.0), np.full(3, 1.5), np.full(3, 3.0), ("rests",) * 3)
-    (note,) = floor.doubts(np.array([1.4, 1.6, np.nan]), ("hip", "knee", "foot"))
-    assert note.startswith("joint hip: 1.4 N m is left")
-    assert "1.5 to 3 N m" in note
+    arm = (Joint("lift", prismatic=True), Joint("knee"), Joint("foot"))
+    (note,) = floor.doubts(np.array([1.4, 1.6, np.nan]), arm)
+    assert note.startswith("joint lift: 1.4 N is left")
+    assert "1.5 to 3 N:" in note
 
 
 def test_a_controller_that_hunts_at_rest_is_no_noise() -> None:

@@ -8,7 +8,6 @@ and its joint, and identified anew with it from the same logs.
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 import time
@@ -25,9 +24,11 @@ from seqid_cli.discover.refinement.rounds import on_the_same_samples
 from seqid_cli.errors import SeqidWarning
 from seqid_cli.logs.read import read_recording
 from seqid_cli.params.io import read_parameters
+from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
 from tests.studies.outside.cases import Prepared, prepared
 from tests.studies.outside.plan import Case, drawn
+from tests.studies.records import results
 from tests.studies.undeclared.cases import Truth
 from tests.studies.undeclared.refine import NEAR, told_model
 
@@ -46,22 +47,26 @@ def refined_case(seed: int, folder: Path) -> dict[str, Any]:
         clock = time.process_time()
         found = discover.refine(ready.logs, held_out, ready.robot, ready.file)
         row["seconds"] = round(time.process_time() - clock, 1)
-        told = _told(case, ready, held_out, joints)
+        after, told = _errors(case, ready, found, held_out, joints)
     loop = found.closed_loop
     assert loop is not None
     row["added"] = [(r.effect, r.joint, r.confirmed, r.reason) for r in loop.rounds]
     row["refused"] = [(r.effect, r.joint, r.reason) for r in loop.refused]
     worst = max(loop.before, key=lambda j: loop.before[j].rmse / loop.noise_floor[j])
     at = joints[0] if joints and joints[0] in loop.before else worst
-    row |= {"at": at, "before": loop.before[at].rmse, "after": loop.after[at].rmse}
-    row |= {"floor": loop.noise_floor[at], "told": None if told is None else told.get(at)}
+    row |= {"at": at, "before": loop.before[at].rmse, "floor": loop.noise_floor[at]}
+    row |= {"after": after[at], "told": None if told is None else told[at]}
     return row
 
 
-def _told(
-    case: Case, ready: Prepared, held_out: Sequence[Path], joints: Sequence[str]
-) -> dict[str, float] | None:
-    """Held-out RMSE N m by joint of the model that is told, under the better account."""
+def _errors(
+    case: Case,
+    ready: Prepared,
+    found: ParameterFile,
+    held_out: Sequence[Path],
+    joints: Sequence[str],
+) -> tuple[dict[str, float], dict[str, float] | None]:
+    """Held-out RMSE N m by joint: as refined, and told under the better account."""
     robot, file = load_robot(ready.robot), read_parameters(ready.file)
     earlier: dict[str, list[Any]] = {}
     for log in file.inputs:
@@ -74,45 +79,42 @@ def _told(
     accounts = (False,) if material.known else (False, True)
     models = [told_model(material, file.stages, [truth], late=late) for late in accounts]
     logs = [read_recording(path, robot) for path in held_out]
-    errors = [
+    refined, *told = [
         held_out_error(logs, robot, model, options=options.motion).rmse()
-        for model in models
+        for model in (found.stages, *models)
         if model is not None
     ]
-    if not errors:
-        return None
-    best = min(errors, key=lambda rms: float(sum(rms**2)))
-    return dict(zip(robot.joint_names, map(float, best), strict=True))
+    best = min(told, key=lambda rms: float(sum(rms**2)), default=None)
+    names = robot.joint_names
+    by_joint = dict(zip(names, refined.tolist(), strict=True))
+    return by_joint, None if best is None else dict(zip(names, best.tolist(), strict=True))
+
+
+def answered(seed: int) -> dict[str, Any]:
+    """Run a case; one that fails is an answer too."""
+    with tempfile.TemporaryDirectory() as name:
+        try:
+            return refined_case(seed, Path(name))
+        except Exception as error:
+            return {"seed": seed, "kind": "", "added": [], "error": repr(error)}
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the cases of one effect that the cache does not hold, and say how many closed."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies.outside.refined")
     parser.add_argument("--seeds", default="1000:1030", metavar="A:B")
-    parser.add_argument("--cache", type=Path, default=Path("out") / "outside_refined")
+    parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
     chosen = parser.parse_args(arguments)
     first, _, last = chosen.seeds.partition(":")
-    chosen.cache.mkdir(parents=True, exist_ok=True)
-    rows = []
-    for seed in range(int(first), int(last)):
-        file = chosen.cache / f"{seed}.json"
-        if len(drawn(seed).effects) != 1:
-            continue
-        if not file.exists():
-            with tempfile.TemporaryDirectory() as name:
-                try:
-                    row = refined_case(seed, Path(name))
-                except Exception as error:  # a case that fails is an answer too
-                    row = {"seed": seed, "error": f"{type(error).__name__}: {error}"}
-            file.write_text(json.dumps(row), encoding="utf-8")
-            sys.stderr.write(f"{json.dumps(row)}\n")
-        rows.append(json.loads(file.read_text(encoding="utf-8")))
-    right = [r for r in rows if r.get("told") and r["kind"] in {x[0] for x in r["added"]}]
-    near = [r for r in right if r["after"] <= NEAR * r["told"]]
-    sure = [r for r in right if all(x[2] for x in r["added"])]
+    cases = {str(s): s for s in range(int(first), int(last)) if len(drawn(s).effects) == 1}
+    kept = results(cases, answered, dict[str, Any], chosen.cache / "refined.jsonl", told=str)
+    right = [r for r in kept.values() if r["kind"] in {added[0] for added in r["added"]}]
+    sure = [r for r in right if all(added[2] for added in r["added"])]
+    asked = [r for r in right if r["told"]]
+    near = [r for r in asked if r["after"] <= NEAR * r["told"]]
     sys.stdout.write(
-        f"{len(rows)} cases, {len(right)} with the right name added: {len(sure)} confirmed, "
-        f"{len(near)} within {NEAR} of the model that is told\n"
+        f"{len(kept)} cases, {len(right)} with the right name added, {len(sure)} of them with "
+        f"nothing unconfirmed; {len(near)} of {len(asked)} within {NEAR} of a model that is told\n"
     )
     return 0
 

@@ -31,6 +31,7 @@ from seqid_cli.typing import Array, Mask
 from seqid_cli.working import step
 
 LAW = 0.02  # of the swing of the model's torque: less may be the error of any of its laws
+GUESSED = 0.5  # of the samples of a push, at which an effect may have any torque
 AROUND_S = 0.5
 
 
@@ -82,10 +83,10 @@ def investigate(
     step("choosing effects", 4, 10)
     found = select(_ground(rows, stages), selection)
     step("looking for events", 8, 10)
-    events = events_of(found.model)
+    guess = guessed(found.model)
+    events = events_of(found.model, guess)
     gone = [
-        guess | event[:, None]
-        for guess, event in zip(guessed(found.model), event_masks(rows, events), strict=True)
+        own | event[:, None] for own, event in zip(guess, event_masks(rows, events), strict=True)
     ]
     sure = rows.without(gone)
     step("choosing effects again", 8, 10)
@@ -147,14 +148,23 @@ def guessed(model: Model) -> list[Mask]:
     return masks
 
 
-def events_of(model: Model) -> list[Interval]:
-    """Stretches that stand out in what the model leaves, and are no errors of its laws."""
+def events_of(model: Model, guess: Sequence[Mask]) -> list[Interval]:
+    """Stretches that stand out in what the model leaves, and are no errors of its laws.
+
+    Nor are they mostly samples (N, n) of `guess`, at which an effect may have any torque.
+    """
     rows, left = model.ground.stage.rows, model.left()
     return [
         event
         for event in find_events(rows, model.scaled())
         if not of_law(event, rows.scenes[event.scene], left[event.scene])
+        and not _may_be_any(event, rows.scenes[event.scene], guess[event.scene])
     ]
+
+
+def _may_be_any(event: Interval, scene: Scene, guess: Mask) -> bool:
+    there = guess[event.inside(scene)][:, list(event.joints)]
+    return bool(np.mean(there) > GUESSED)
 
 
 def of_law(event: Interval, scene: Scene, residual: Array) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from seqid_cli.discover import investigate
 from seqid_cli.discover.investigate import of_law
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.survey.events import Interval
@@ -26,3 +27,15 @@ def test_a_little_beside_all_of_the_models_torque_is_the_error_of_a_law(model: M
     for share, expected in ((0.01, True), (0.04, False)):
         residual = np.full_like(scene.motion.q, share * swing)
         assert of_law(PUSH, scene, residual) == expected
+
+
+def test_a_push_where_an_effect_may_have_any_torque_is_no_event(
+    model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(investigate, "find_events", lambda *_: [PUSH])
+    monkeypatch.setattr(investigate, "of_law", lambda *_: False)
+    scenes = model.ground.stage.scenes
+    for end, expected in ((5.1, [PUSH]), (5.25, [])):  # of the push from 5 to 5.3 s
+        sticks = [(s.motion.t > 4.9) & (s.motion.t < end) for s in scenes]
+        guess = [np.column_stack([np.zeros_like(one), one]) for one in sticks]
+        assert investigate.events_of(model, guess) == expected

@@ -7,7 +7,7 @@ import msgspec
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params import schema
-from seqid_cli.params.evidence_schema import EvidenceEntry
+from seqid_cli.params.evidence_schema import EvidenceEntry, RefinementRound
 from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry, UnexplainedPart
 from seqid_cli.params.results.prediction import LogPredictionError, PredictionFile
 
@@ -129,7 +129,7 @@ def _closed_loop(key: str, loop: schema.ClosedLoop) -> Iterator[_Problem]:
             yield from _interval(f"{key}.{name}.{joint}", interval)
 
 
-def _round(key: str, tried: schema.RefinementRound) -> Iterator[_Problem]:
+def _round(key: str, tried: RefinementRound) -> Iterator[_Problem]:
     yield from _interval(f"{key}.interval", tried.interval)
     yield from _interval(f"{key}.training_interval", tried.training_interval)
 
@@ -161,7 +161,7 @@ _CHECKS: Mapping[type, Callable[[str, Any], Iterator[_Problem]]] = {
     schema.ImuCalibration: _imu,
     schema.EffectOfJoint: _effect,
     schema.ClosedLoop: _closed_loop,
-    schema.RefinementRound: _round,
+    RefinementRound: _round,
     EvidenceEntry: _evidence,
 }
 # Where documents name joints: in a field, or as the keys of a dictionary in it.
@@ -170,7 +170,7 @@ _JOINTS: Mapping[type, Sequence[str]] = {
     schema.Parameter: ("joint",),
     schema.RigidStage: ("torque_constant_moves",),
     schema.EffectOfJoint: ("joint",),
-    schema.RefinementRound: ("joint",),
+    RefinementRound: ("joint",),
     schema.ClosedLoop: (
         "before", "after", "noise_floor", "noise_floor_interval", "gain_interval"
     ),

@@ -1,4 +1,4 @@
-"""Evidence of findings, in diagnoses and refined parameter files."""
+"""Evidence of findings in diagnoses, and rounds of refinement that rest on it."""
 
 from seqid_cli.params.base import Struct
 
@@ -47,3 +47,26 @@ class RivalEntry(Struct, kw_only=True):
     joint: str | None
     log_gain: float
     why_not: str
+
+
+class RefinementRound(Struct, kw_only=True):
+    """One round of refinement: an effect was tried.
+
+    Gains are shares of the squared error that the effect took away where its joints slide:
+    `training_gain`, on left-out blocks of the logs that were fitted, decided; `held_out_gain` was
+    looked at afterwards, and `confirmed` says whether it is certainly more than nothing. Intervals
+    are 95 % (empty: not known), `interval` that of the held-out gain. `evidence` and `rivals` are
+    of the logs that were fitted, beside the effects of the rounds before.
+    """
+
+    effect: str
+    joint: str | None = None
+    accepted: bool = True
+    confirmed: bool | None = None
+    training_gain: float | None = None
+    training_interval: list[float] = []
+    held_out_gain: float | None = None
+    interval: list[float] = []
+    reason: str = ""
+    evidence: EvidenceEntry | None = None
+    rivals: list[RivalEntry] = []

@@ -7,7 +7,7 @@ Every number is finite: what the logs do not determine is listed by name, never 
 from typing import Literal
 
 from seqid_cli.params.base import Document, Struct
-from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
+from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.units import unit_of
 
 SCHEMA = "seqid/params@1"
@@ -317,29 +317,6 @@ class EffectOfJoint(Struct, kw_only=True):
     coefficients: list[float] = []
     covariance: Matrix = []
     session: EffectSession | None = None
-
-
-class RefinementRound(Struct, kw_only=True):
-    """One round of refinement: an effect was tried.
-
-    Gains are shares of the squared error that the effect took away where its joints slide:
-    `training_gain`, on left-out blocks of the logs that were fitted, decided; `held_out_gain` was
-    looked at afterwards, and `confirmed` says whether it is certainly more than nothing. Intervals
-    are 95 % (empty: not known), `interval` that of the held-out gain. `evidence` and `rivals` are
-    of the logs that were fitted, beside the effects of the rounds before.
-    """
-
-    effect: str
-    joint: str | None = None
-    accepted: bool = True
-    confirmed: bool | None = None
-    training_gain: float | None = None
-    training_interval: list[float] = []
-    held_out_gain: float | None = None
-    interval: list[float] = []
-    reason: str = ""
-    evidence: EvidenceEntry | None = None
-    rivals: list[RivalEntry] = []
 
 
 class JointRmse(Struct, kw_only=True, omit_defaults=True):

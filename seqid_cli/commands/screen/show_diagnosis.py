@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor
 from seqid_cli.model.effects.units import UNEXPLAINED, UNTOLD, setting_units, smooth_in_words
-from seqid_cli.params.evidence_schema import EvidenceEntry
+from seqid_cli.params.evidence_schema import EvidenceEntry, RefinementRound
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis import (
     DiagnosisFile,
@@ -27,7 +27,6 @@ from seqid_cli.params.schema import (
     ClosedLoop,
     EffectOfJoint,
     ParameterFile,
-    RefinementRound,
     RobotId,
 )
 

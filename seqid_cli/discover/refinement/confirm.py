@@ -17,8 +17,9 @@ from seqid_cli.discover.refinement.rounds import Refinement
 from seqid_cli.discover.scenes import scenes_of, with_own_cutoffs
 from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.logs.recording import Recording
+from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
-from seqid_cli.params.schema import ClosedLoop, JointRmse, RefinementRound, Stages
+from seqid_cli.params.schema import ClosedLoop, JointRmse, Stages
 from seqid_cli.shares import percent
 
 

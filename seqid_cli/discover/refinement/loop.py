@@ -17,7 +17,8 @@ from seqid_cli.discover.refinement.material import Key, Material, Refitted, iden
 from seqid_cli.discover.refinement.reidentify import refitted
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect, as_stage
-from seqid_cli.params.schema import RefinementRound, Stages
+from seqid_cli.params.evidence_schema import RefinementRound
+from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
 

@@ -38,7 +38,8 @@ from seqid_cli.identify.prediction.predict import slides_from
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedTerm, fitted_effects
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.params.schema import ParameterFile, RefinementRound, Stages
+from seqid_cli.params.evidence_schema import RefinementRound
+from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.working import step
 

@@ -5,12 +5,12 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from seqid_cli.params.evidence_schema import RivalEntry
+from seqid_cli.params.evidence_schema import RefinementRound, RivalEntry
 from seqid_cli.params.results.diagnosis import EventEntry, HiddenEntry, ResidualEntry
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
 from seqid_cli.params.results.trend import ChangeEntry
-from seqid_cli.params.schema import ClosedLoop, RefinementRound, RobotId
+from seqid_cli.params.schema import ClosedLoop, RobotId
 
 _WORDS = ("text", "effect", "path", "unit")
 _HEAD = re.compile(r"(?P<title>.*?)(?: \[(?P<unit>.*)\])?")

@@ -31,7 +31,8 @@ from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE as EFFECTS
 from seqid_cli.params.document import robot_id, with_stage
-from seqid_cli.params.schema import InputLog, ParameterFile, RefinementRound, Stages
+from seqid_cli.params.evidence_schema import RefinementRound
+from seqid_cli.params.schema import InputLog, ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 from tests.plants.effects.registry import CATALOGUE
 from tests.studies.records import results

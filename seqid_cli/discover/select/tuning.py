@@ -81,16 +81,16 @@ class Tuner:
         ]
         return max([tried, *self.tried(lacking)], key=lambda one: one.evidence)
 
-    def _moved(self, tried: Tried, **settings: float) -> Tried | None:
-        c = tried.candidate
-        found = self.tried([replace(c, settings={**c.settings, **settings})])
+    def _at(self, tried: Tried, settings: dict[str, float]) -> Tried | None:
+        found = self.tried([replace(tried.candidate, settings=settings)])
         return found[0] if found else None
 
+    def _moved(self, tried: Tried, **settings: float) -> Tried | None:
+        return self._at(tried, {**tried.candidate.settings, **settings})
+
     def _without(self, tried: Tried, setting: Setting) -> Tried | None:
-        c = tried.candidate
-        rest = {name: value for name, value in c.settings.items() if name != setting.name}
-        found = self.tried([replace(c, settings=rest)])
-        return found[0] if found else None
+        every = tried.candidate.settings.items()
+        return self._at(tried, {name: value for name, value in every if name != setting.name})
 
     def _searched(self, tried: Tried, setting: Setting, spacing: float) -> Tried:
         """Golden-section search over one setting, by ratio where it is logarithmic."""

@@ -41,10 +41,11 @@ class LoadLoss(Effect):
         """Yield rotor inertias where neither robot file nor motion nor a sensor tells them."""
         assert joint is not None
         measured = all(scene.sensor is not None for scene in scenes)
+        if measured or not rotor_hidden(scenes[0].robot, joint):
+            return
         most = _most(scenes, joint)
-        if most > 0.0 and rotor_hidden(scenes[0].robot, joint) and not measured:
-            for share in SHARES:
-                yield {ROTOR: share * most}
+        if most > 0.0:
+            yield from ({ROTOR: share * most} for share in SHARES)
 
     def between(self, settings: Settings) -> tuple[Setting, ...]:
         """The rotor inertia, where there is one to search."""

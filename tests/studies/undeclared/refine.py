@@ -10,7 +10,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,11 +34,10 @@ from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.schema import InputLog, ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 from tests.plants.effects.registry import CATALOGUE
-from tests.studies.records import results
 from tests.studies.tables import counted, grouped, median_of, number
 from tests.studies.undeclared.cases import Condition, Truth, built
 from tests.studies.undeclared.logs import earlier_logs, errors, logs_of, stages_of
-from tests.studies.undeclared.run import Choice, sources
+from tests.studies.undeclared.run import Choice, kept
 
 Array = NDArray[np.float64]
 GROUPS = ("catalogue", "clean", "outside", "pairs")
@@ -157,20 +155,12 @@ def _plain(values: Array) -> tuple[float, ...]:
 
 def refinements(choice: Choice) -> list[Refined]:
     """Refine the cases of `GROUPS` that are not there yet; return what is there of all of them."""
-    found = results(
-        {case.key: case for case in choice.cases if case.group in GROUPS},
-        partial(refine_case, cache=choice.cache),
-        Refined,
-        choice.cache / "refined.jsonl",
-        sources=sources(),
-        any_sources=choice.any_sources,
-        run=choice.run,
-        limit=choice.limit,
-        processes=choice.processes,
-        told=lambda record: record.error or ", ".join(record.added) or "nothing added",
-        failed=lambda record: bool(record.error),
-    )
-    return list(found.values())
+    cases = [case for case in choice.cases if case.group in GROUPS]
+    return kept(choice, cases, refine_case, Refined, "refined.jsonl", _added)
+
+
+def _added(record: Refined) -> str:
+    return record.error or ", ".join(record.added) or "nothing added"
 
 
 def share_left(record: Refined, reference: Sequence[float] | None = None) -> float:

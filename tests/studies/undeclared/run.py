@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -17,6 +18,7 @@ from tests.studies.records import encoded, package_sources, results
 from tests.studies.undeclared.cases import Condition
 from tests.studies.undeclared.logs import errors, excess, logs_of, plant_sources, stages_of
 
+R = TypeVar("R")
 PARTS = ("discover", "identify", "model", "motion", "robot")  # what a diagnosis depends on
 
 
@@ -86,20 +88,36 @@ def _lap(seconds: dict[str, float], name: str, since: float) -> float:
 
 def run(choice: Choice) -> list[Record]:
     """Run the cases that are not there yet; return the records of all of them."""
+    return kept(choice, choice.cases, run_case, Record, "undeclared.jsonl", _told)
+
+
+def kept(
+    choice: Choice,
+    cases: Iterable[Condition],
+    work: Callable[[Condition, Path], R],
+    kind: type[R],
+    name: str,
+    told: Callable[[R], str],
+) -> list[R]:
+    """Results of some cases, each with an `error`, from a file of the cache or run."""
     found = results(
-        {case.key: case for case in choice.cases},
-        partial(run_case, cache=choice.cache),
-        Record,
-        choice.cache / "undeclared.jsonl",
+        {case.key: case for case in cases},
+        partial(work, cache=choice.cache),
+        kind,
+        choice.cache / name,
         sources=sources(),
         any_sources=choice.any_sources,
         run=choice.run,
         limit=choice.limit,
         processes=choice.processes,
-        told=_told,
-        failed=lambda record: bool(record.error),
+        told=told,
+        failed=_failed,
     )
     return list(found.values())
+
+
+def _failed(result: Any) -> bool:
+    return bool(result.error)
 
 
 def _told(record: Record) -> str:

@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from msgspec import structs
@@ -16,6 +17,7 @@ from seqid_cli.inspect.parts import Gathered, Inspected
 from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.raw import TimeSource
+from seqid_cli.logs.read import TorqueLackingError
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.table import missing_columns
@@ -120,10 +122,24 @@ def _guessed(
                 'in chain order (position = ["...", "..."], current = [...]), and give it with -r.',
             )
         alone = stand_in(guessed, source=path)
-        return missing, _read(path, alone, surveyed, findings, time_source, modelled=False)
+        try:
+            return missing, _read(path, alone, surveyed, findings, time_source, modelled=False)
+        except TorqueLackingError as lacking:
+            if guessed.patterns:  # of columns by the joints' order
+                raise
+            driven = tuple(name for name in guessed.joints if name not in lacking.joints)
+            alone = stand_in(replace(guessed, joints=driven), source=path)
+            findings += [_undriven(name) for name in lacking.joints]
+            return missing, _read(path, alone, surveyed, findings, time_source, modelled=False)
     except InputError as error:
         kept = [f for f in findings if f.joint]
         return missing, _unreadable(path, problem or error, surveyed.format, kept)
+
+
+def _undriven(joint: str) -> InspectionFinding:
+    """Say that a joint, such as a gripper's, is left out of a log that is read without a robot."""
+    text = "neither torque nor current is logged, but of other joints; it is left out"
+    return found("torque_missing", text, joint=joint)
 
 
 def _read(

@@ -77,6 +77,8 @@ def propose(
             first = report.findings[0]
             raise InputError(first.message, hint=first.remedy, where=report.log.path)
     seen = _merged([joint for report in reports for joint in report.log.joints])
+    undriven = [name for name in guessed.joints if name not in seen]
+    guessed = replace(guessed, joints=tuple(n for n in guessed.joints if n in seen))
     pairs, chain = _matched(guessed.joints, urdf)
     codes = {finding.code for report in reports for finding in report.findings}
     units = _units(guessed, codes)
@@ -103,6 +105,9 @@ def propose(
         channels={**channels, **units},
         left_out=tuple(joint.name for joint in chain if joint.name not in taken),
     )
+    if undriven:
+        lacking = f"the log has neither torque nor current of {', '.join(undriven)}: left out"
+        unread = (*unread, lacking)
     return Proposal(template, (*unread, *_todo(template, guessed, pairs, urdf)))
 
 

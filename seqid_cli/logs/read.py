@@ -1,6 +1,7 @@
 """From a log file to a `Recording`."""
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -121,6 +122,15 @@ def read_whole(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> 
         for name, count in found.items()
     ]
     return replace(raw, joints=joints, warnings=(*raw.warnings, *said))
+
+
+class TorqueLackingError(InputError):
+    """`joints` have neither torque nor current, and others of the robot do."""
+
+    def __init__(self, joints: Sequence[str], where: str) -> None:
+        message = f"neither torque nor current of joint {', '.join(joints)}, but of others"
+        super().__init__(message, hint="Log it for every joint of the robot file.", where=where)
+        self.joints = tuple(joints)
 
 
 @dataclass(frozen=True)
@@ -254,8 +264,7 @@ def with_torque(
         return joints
     if not present.all():
         lacking = [n for n, there in zip(robot.joint_names, present, strict=True) if not there]
-        message = f"neither torque nor current of joint {', '.join(lacking)}, but of others"
-        raise InputError(message, hint="Log it for every joint of the robot file.", where=where)
+        raise TorqueLackingError(lacking, where)
     return replace(joints, channels={**joints.channels, "tau": tau})
 
 

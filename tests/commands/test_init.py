@@ -19,6 +19,7 @@ from seqid_cli.robot.toml.schema import Columns
 from tests.commands.conftest import Rig
 from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
 from tests.unit.logs.format_writers import Data, Write, rosbag1, rosbag2_mcap, rosbag2_sqlite
+from tests.unit.logs.writers import joint_messages, write_messages
 
 URDF = SAMPLES / "six_joint" / "six_joint.urdf"
 LOG = SAMPLES / "six_joint" / "validation" / "fourier_1.parquet"
@@ -360,3 +361,25 @@ def test_the_log_that_is_named_first_says_which_imus_there_are(rig: Rig) -> None
     shutil.copy(LOG, rig.folder / "b.parquet")
     done = rig.run("init", "b.parquet", "a.parquet", "--urdf", "arm.urdf", "-o", "new.toml")
     assert "to do: where IMU imu_a rides, and its layout" in done.err
+
+
+def test_a_gripper_on_the_same_topic_is_left_out(rig: Rig) -> None:
+    columns = read_columns(LOG)
+    t = columns["t"]
+    q, tau = (np.column_stack([columns[f"{j}.{k}"] for j in SIX]) for k in ("position", "current"))
+    stamps = 1_700_000_000_000_000_000 + np.rint(t * 1e9).astype(np.int64)
+    own = joint_messages(stamps, SIX, q, effort=tau)
+    finger = joint_messages(stamps[::50] + 1_000_000, ["finger"], np.full((len(t), 1), 0.02))
+    messages = sorted([*own, *finger], key=lambda message: message[1])
+    write_messages(rig.folder / "log.mcap", messages, encoding="cdr")
+    shutil.copy(URDF, rig.folder / "arm.urdf")
+    seen = rig.run("inspect", "log.mcap", "--json")
+    assert seen.code == 0, seen.err
+    found = json.loads(seen.out)
+    assert tuple(joint["name"] for joint in found["logs"][0]["joints"]) == SIX
+    (lacking,) = found["findings"]  # nor are its messages samples that the arm's joints miss
+    assert (lacking["code"], lacking["joint"]) == ("torque_missing", "finger")
+    done = rig.run("init", "log.mcap", "--urdf", "arm.urdf", "-o", "new.toml")
+    assert done.code == 0, done.err
+    assert "to do: the log has neither torque nor current of finger: left out" in done.err
+    assert load_robot(rig.folder / "new.toml").joint_names == SIX

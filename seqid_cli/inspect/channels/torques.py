@@ -70,10 +70,13 @@ def _spikes(
     min_share: float = 1.0,  # of the span of the usual values
     max_spikes: int = 16,
 ) -> NDArray[np.intp]:
-    """Samples far from their neighbours on both sides, which agree with each other."""
+    """One sample, or two, far from their neighbours on both sides, which agree with each other.
+
+    What lasts longer may be the torque of a short, hard acceleration.
+    """
     if len(values) <= 4 * max_spikes:
         return np.zeros(0, dtype=np.intp)
-    off = np.abs(values - median_filter(values, 7, mode="nearest"))
+    off = np.abs(values - median_filter(values, 5, mode="nearest"))
     usual = float(np.partition(off, len(off) - max_spikes)[-max_spikes - 1])
     span = float(np.ptp(np.quantile(values, (0.01, 0.99))))
     found_at: NDArray[np.intp] = np.flatnonzero(off > max(min_ratio * usual, min_share * span))

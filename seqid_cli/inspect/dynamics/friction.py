@@ -230,7 +230,10 @@ def _alien(
     *,
     max_own: float = 0.25,  # of the alien friction
 ) -> bool:
-    """Whether the motion of joint i shows as friction in the torque of j and not in its own."""
+    """Whether the motion of joint i shows as friction in the torque of j and not in its own.
+
+    Its own friction must be known well enough that it would show, were it as large.
+    """
     own, own_error = fits[i].by_joint[i]
     alien, error = fits[j].by_joint[i]
     certain = (abs(fit.by_joint[i][0]) - 2.0 * fit.by_joint[i][1] for fit in fits.values())
@@ -239,6 +242,7 @@ def _alien(
         alien > SIGMAS * error
         and alien > SHARE * fits[j].spread
         and abs(alien) >= largest
+        and 2.0 * own_error < alien
         and abs(own) < max(max_own * alien, 2.0 * own_error)
     )
 

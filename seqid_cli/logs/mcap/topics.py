@@ -105,7 +105,8 @@ class Streams:
             if name == "position" or any_finite(values)
         }
         stamps, keep = self._clock(topic, samples)
-        return _taken(Stream(topic, stamps, in_si(recorded, stamps, self.robot)), keep)
+        stream = _taken(Stream(topic, stamps, in_si(recorded, stamps, self.robot)), keep)
+        return _taken(stream, _about_robot(samples.decoded.values, keep))
 
     def _imu(self, imu: Imu, topic: str, samples: Samples) -> Stream:
         count, triads = len(imu.positions), triad_topics(imu)
@@ -145,6 +146,19 @@ class Streams:
 def any_finite(values: Array) -> bool:
     """Tell whether any value is a number; the first row mostly knows."""
     return bool(np.isfinite(values[:1]).any() or np.isfinite(values).any())
+
+
+def _about_robot(values: Array, keep: Mask | None) -> Mask | None:
+    """Which of the kept messages (M, 3 n) hold any value of the robot's joints; None: all.
+
+    A gripper or a second arm may tell of its joints on the same topic, at times of its own.
+    """
+    values = values if keep is None else values[keep]
+    about: Mask = np.isfinite(values[:, 0])
+    if about.all():
+        return None
+    about[~about] = np.isfinite(values[~about]).any(axis=1)
+    return None if about.all() else about
 
 
 def _taken(stream: Stream, keep: Mask | None) -> Stream:

@@ -101,7 +101,8 @@ def official(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray
                 for name, value in reversed(list(zip(message.name, values, strict=False))):
                     if name in JOINTS:
                         row[k, JOINTS.index(name)] = value
-            joints.append((stamp, row.ravel()))
+            if np.isfinite(row).any():  # else it is of other joints, and no sample of the robot's
+                joints.append((stamp, row.ravel()))
     return (
         np.array([stamp for stamp, _ in joints], np.int64),
         np.array([row for _, row in joints]),

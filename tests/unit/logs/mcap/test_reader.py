@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -149,6 +150,20 @@ def test_other_joint_names_are_listed(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "two.mcap", motion.t, JOINTS[:2], motion.q[:, :2], encoding="cdr")
     with pytest.raises(InputError, match="no position of joint wrist"):
         read_recording(path, make_robot())
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "json"])
+def test_messages_of_another_publisher_are_no_samples(tmp_path: Path, encoding: str) -> None:
+    motion = replace(make_motion(grid(200)), accelerometers={}, gyros={})
+    own = joint_messages(stamps(motion.t), JOINTS, motion.q, dq=motion.dq, effort=motion.tau)
+    still = np.full((20, 1), 0.01)
+    gripper = joint_messages(stamps(motion.t[::10] + 0.0033), ["finger"], still)
+    messages = sorted([*own, *gripper], key=lambda message: message[1])
+    path = write_messages(tmp_path / "log.mcap", messages, encoding=encoding)
+    recording = read_recording(path, make_robot())
+    assert_holds(recording, motion)
+    assert not recording.health.resampled
+    assert recording.health.warnings == ()
 
 
 def test_unknown_encoding_is_named(tmp_path: Path) -> None:

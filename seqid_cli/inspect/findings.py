@@ -41,10 +41,12 @@ ERRORS: Mapping[str, str] = {
     "<joint>.current.",
     "effort_is_torque": 'Write effort = "torque" under [channels], or name the column '
     "<joint>.torque.",
+    "effort_without_gravity": 'Write effort = "gravity_compensated" under [channels]: gravity is '
+    "added again by the URDF's inertials, which must be those of the driver.",
     "effort_unclear": 'Write effort = "torque" under [channels] where it is joint torque, effort = '
     '"current" (or name the column <joint>.current) where it is motor current.',
-    "torque_scale": "Check torque_constant, gear_ratio, the unit, and whether torque is motor "
-    "side.",
+    "torque_scale": "Check torque_constant, gear_ratio, the unit, whether torque is motor side, "
+    "and whether the driver subtracts gravity.",
     "sign_mismatch": "Flip the sign of the torque (or of gear_ratio), or of the position.",
     "axis_flipped": "Reverse the joint's axis in the URDF, or position and torque of the log.",
     "position_zero": "Add the offset to the positions, or correct the joint's origin in the URDF.",

@@ -157,8 +157,12 @@ def _stage(
     rows: GravityRows,
     *,
     poor_condition: float = 300.0,
+    clear_sigma: float = 4.0,
 ) -> RigidStage:
-    """The stage; it is poor from a condition number of `poor_condition` on."""
+    """The stage; it is poor from a condition number of `poor_condition` on.
+
+    Gravity shows where a parameter is more than `clear_sigma` standard errors from zero.
+    """
     sensitivity = rows.sensitivity(solution)
     covariance = solution.covariance + rows.acceleration_part(solution)
     covariance += friction_covariance(sensitivity, rows.surfaces, rows.size)
@@ -170,6 +174,11 @@ def _stage(
     notes = [f"{note}. {remedy}" for note in stage.notes]
     if rows.skipped:
         notes.append("trials without a friction surface left out: " + ", ".join(set(rows.skipped)))
+    if all(abs(p.value) < clear_sigma * p.std_error for p in stage.parameters):
+        notes.append(
+            "no gravity shows in the torque: either no joint carries a weight, or a driver has "
+            'subtracted it (then write effort = "gravity_compensated" under [channels])'
+        )
     good = not stage.not_excited and solution.condition < poor_condition
     reason = f"rank {solution.rank} of {rows.size}, condition {solution.condition:.3g}"
     verdict = Verdict(good=good, reason=reason)

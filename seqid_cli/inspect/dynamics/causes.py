@@ -9,6 +9,7 @@ import numpy as np
 from seqid_cli.inspect.dynamics.friction import Sample
 from seqid_cli.inspect.material import LogData
 from seqid_cli.robot.base_parameters import base_parameters
+from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Array, Robot
 
 Change = Callable[[Robot, Sample], tuple[Robot, Sample]]
@@ -66,6 +67,23 @@ def units_of(data: LogData) -> Iterator[Cause]:
     yield Cause(
         code, every, text, lambda r, sample: (r, replace(sample, tau=sample.tau * scale)), effort[0]
     )
+
+
+def compensated(data: LogData) -> Iterator[Cause]:
+    """Yield torques that lack gravity as the URDF's inertials give it: a driver subtracts it."""
+    effort, robot = data.effort(), data.robot
+    told = robot.channels.effort == "gravity_compensated" or robot.nominal is None
+    if effort is None or effort[0] != "torque" or told or not robot.gravity.any():
+        return
+
+    def change(robot: Robot, sample: Sample) -> tuple[Robot, Sample]:
+        assert robot.nominal is not None
+        still = np.zeros_like(sample.q)
+        weight = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, sample.q, still, still)
+        return robot, replace(sample, tau=sample.tau + weight)
+
+    every = tuple(range(robot.n))
+    yield Cause("effort_without_gravity", every, "gravity is not in it", change, "torque")
 
 
 def mounted(gravity: Array) -> Cause:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize
 
-from seqid_cli.inspect.dynamics.causes import Cause, causes_of, mounted, units_of
+from seqid_cli.inspect.dynamics.causes import Cause, causes_of, compensated, mounted, units_of
 from seqid_cli.inspect.dynamics.friction import Sample, joint_columns, position_columns
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
@@ -88,7 +88,7 @@ def _structural(
     if error < suspicious:
         return
     free = _structural_error(robot, thin, own_law=True).error
-    causes = [*causes_of(robot, thin), *units_of(data)]
+    causes = [*causes_of(robot, thin), *units_of(data), *compensated(data)]
     mended, _ = _mending(robot, thin, left, _structural_error, causes, free=free)
     if mended is not None:
         yield mended
@@ -139,14 +139,16 @@ def _mending(
     if robot.nominal is not None:
         chosen.sort(key=lambda cause: _nominal_error(*cause.change(robot, sample)).error)
     fall = f"falls from {percent(before.error)} to {percent(least)}"
-    return _found(robot, chosen, fall), least
+    return _found(robot, sample, chosen, fall), least
 
 
-def _found(robot: Robot, alike: Sequence[Cause], fall: str) -> InspectionFinding:
+def _found(robot: Robot, sample: Sample, alike: Sequence[Cause], fall: str) -> InspectionFinding:
     """Tell the first of causes that mend a fit alike, and the others."""
     cause, names = alike[0], robot.joint_names
     if not cause.joints:
         told = " or ".join(each.text for each in alike[: 1 if robot.nominal is not None else 2])
+        if not _felt(*cause.change(robot, sample)):
+            told += ", where no joint that moves feels it, or the driver takes it off the torque"
         return found(cause.code, f"gravity acts along {told}; the equations' error {fall}")
     others = [
         f"{', '.join(names[j] for j in other.joints)}: {other.text}"
@@ -157,6 +159,14 @@ def _found(robot: Robot, alike: Sequence[Cause], fall: str) -> InspectionFinding
     text += f" (as well with {'; or '.join(others)})" if others else ""
     joint = ", ".join(names[j] for j in cause.joints)
     return found(cause.code, text, joint=joint, channel=cause.channel)
+
+
+def _felt(robot: Robot, sample: Sample, *, share: float = 0.05) -> bool:
+    """Whether gravity acts on a joint that moves, by more than `share` of what it could."""
+    assert sample.basis is not None
+    still = np.zeros_like(sample.q)
+    columns = base_regressor(robot, sample.basis, sample.q, still, still)[:, list(sample.moving)]
+    return bool(np.abs(columns).max() > share * np.linalg.norm(robot.gravity))
 
 
 def _slanted(
@@ -331,7 +341,8 @@ def _scale(
     if not off:
         return
     thin = _thinned(sample)
-    before, causes = _nominal_error(data.robot, thin), [*causes_of(data.robot, thin)]
+    before = _nominal_error(data.robot, thin)
+    causes = [*causes_of(data.robot, thin), *compensated(data)]
     mended, error = _mending(data.robot, thin, before, _nominal_error, causes)
     unit = _nominal_error(data.robot, thin, scaled=True).error
     pulls = all(w.low > 0.0 for w in off)  # gravity acts, in the right direction

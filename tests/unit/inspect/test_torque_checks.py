@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+import shutil
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from seqid_cli.inspect.channels.torques import _spikes
 from seqid_cli.inspect.dynamics.friction import Friction, _exchanged
+from seqid_cli.inspect.inspection import inspect_log
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.regressor import inverse_dynamics
+from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
 
 
 @pytest.mark.parametrize(
@@ -25,3 +32,25 @@ def test_what_lasts_three_samples_is_no_spike(length: int, found: int) -> None:
     values = np.sin(np.arange(1000) / 100.0)
     values[400 : 400 + length] += 5.0
     assert len(_spikes(values)) == found
+
+
+@pytest.mark.parametrize("log", ["validation/fourier_1", "inertia/shoulder_lift__elbow"])
+def test_a_driver_that_subtracts_gravity_is_told_from_a_mounting(tmp_path: Path, log: str) -> None:
+    folder = SAMPLES / "six_joint"
+    robot = load_robot(folder / "robot.toml")
+    assert robot.nominal is not None
+    columns = read_columns(folder / f"{log}.parquet")
+    q = np.column_stack([columns[f"{name}.position"] for name in SIX])
+    still = np.zeros_like(q)
+    weight = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)
+    for joint, own in zip(robot.joints, weight.T, strict=True):
+        current = columns.pop(f"{joint.name}.current")
+        columns[f"{joint.name}.torque"] = current * joint.torque_per_ampere - own
+    write_columns(tmp_path / "log.parquet", columns)
+    shutil.copy(folder / "six_joint.urdf", tmp_path)
+    text = (folder / "robot.toml").read_text()
+    for effort, codes in (("torque", {"effort_without_gravity"}), ("gravity_compensated", set())):
+        own_text = text.replace('effort = "current"', f'effort = "{effort}"')
+        (tmp_path / "robot.toml").write_text(own_text)
+        found = inspect_log(tmp_path / "log.parquet", load_robot(tmp_path / "robot.toml")).findings
+        assert {finding.code for finding in found} == codes

@@ -39,6 +39,7 @@ from seqid_cli.params.schema import (
     RigidStage,
     RobotId,
     Stages,
+    Verdict,
 )
 from seqid_cli.robot.types import Array
 
@@ -329,15 +330,23 @@ def _optional(
             yield missing(stage, name, joint=joint, there=a is not None)
 
 
+def _poor(verdicts: Sequence[Verdict]) -> dict[str, str]:
+    """Why each joint is poor, empty where it is good: all verdicts on it must be."""
+    reasons: dict[str, list[str]] = {}
+    for verdict in verdicts:
+        reasons.setdefault(verdict.joint, []).extend([] if verdict.good else [verdict.reason])
+    return {joint: "; ".join(own) for joint, own in reasons.items()}
+
+
 def _verdict_notes(a: Stages, b: Stages) -> list[str]:
     notes = []
     for name in ("friction", "gravity", "imu", "inertia"):
         one, other = getattr(a, name), getattr(b, name)
         if one is None or other is None:
             continue
-        good = {v.joint: v.good for v in one.verdicts}
-        for verdict in other.verdicts:
-            if good.get(verdict.joint, verdict.good) != verdict.good:
-                now = "good" if verdict.good else f"poor: {verdict.reason}"
-                notes.append(f"{name}: the verdict on {verdict.joint or 'the stage'} is now {now}")
+        before, after = _poor(one.verdicts), _poor(other.verdicts)
+        for joint, reason in after.items():
+            if bool(before.get(joint, reason)) != bool(reason):
+                now = f"poor: {reason}" if reason else "good"
+                notes.append(f"{name}: the verdict on {joint or 'the stage'} is now {now}")
     return notes

@@ -225,8 +225,8 @@ def verdict_of(
         reason += (
             f"; the link after {bends.joint} accelerates {bends.acceleration:.2g} "
             f"{unit} (RMS) beyond what its encoder tells: the joint is "
-            "elastic or has backlash; errors are widened: record slower, smoother swings, and run "
-            "seqid diagnose"
+            "elastic or has backlash, or the clocks of IMU and encoders drift apart; errors are "
+            "widened: record slower, smoother swings, and run seqid diagnose"
         )
     if not layout(imu).acceleration and not calibration.gyro_axes:
         reason += "; without a gyro this layout does not see angular acceleration"

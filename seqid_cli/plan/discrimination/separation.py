@@ -114,10 +114,15 @@ class Separation:
     true: tuple[list[Reading], list[Reading]]
     size: float
 
-    def effects(self, total: Array) -> Array:
-        """Gram matrix of the effects' columns with the base free, (..., k, k)."""
+    def effects(self, total: Array, *, ridge: float = 1e-12) -> Array:
+        """Gram matrix of the effects' columns with the base free, (..., k, k).
+
+        The ridge, of columns of unit length, is for parts of the base that no move shows.
+        """
         G, b = total + self.prior, self.base
-        gain = np.linalg.solve(G[..., :b, :b], G[..., :b, b:])
+        size = np.sqrt(np.maximum(np.diagonal(G, axis1=-2, axis2=-1)[..., :b], 1e-300))[..., None]
+        base = G[..., :b, :b] / size / np.swapaxes(size, -1, -2) + ridge * np.eye(b)
+        gain = np.linalg.solve(base, G[..., :b, b:] / size) / size
         return np.asarray(G[..., b:, b:] - np.swapaxes(G[..., :b, b:], -1, -2) @ gain)
 
     def told(self, total: Array, true: int) -> Told:

@@ -172,6 +172,19 @@ def test_a_verdict_that_turned_is_a_note() -> None:
     assert found.notes == ("friction: the verdict on elbow is now poor: too few speeds",)
 
 
+def test_of_several_verdicts_on_a_joint_all_must_be_good() -> None:
+    a, b = inertia_file(), inertia_file()
+    for each in (a, b):
+        assert each.stages.friction is not None
+        hole = Verdict(joint="elbow", good=False, reason="no values for a while")
+        each.stages.friction.verdicts = [*each.stages.friction.verdicts, hole]
+    assert compared(a, b).notes == ()
+    assert a.stages.friction is not None
+    a.stages.friction.verdicts.pop()
+    note = "friction: the verdict on elbow is now poor: no values for a while"
+    assert compared(a, b).notes == (note,)
+
+
 def test_another_robot_file_is_a_note_and_another_robot_an_error() -> None:
     a, b = inertia_file(), inertia_file()
     b.robot.sha256 = "1" * 64

@@ -94,6 +94,16 @@ def _separation(belief: Belief, options: PlanOptions, scenes: Sequence[Scene]) -
     return separation_of(belief, Question.of(effects, joint, scenes), scenes, 1.0)
 
 
+def test_parts_of_the_base_that_no_move_shows_take_nothing_of_an_effect() -> None:
+    # Base columns: one that moves show, its double, and one that is zero; then the effect's.
+    rows = np.random.default_rng(0).normal(size=(50, 2))
+    X = np.column_stack([rows[:, 0], 2.0 * rows[:, 0], np.zeros(50), rows[:, 1]])
+    gram = X.T @ X
+    found = Separation(3, ([], []), np.zeros((4, 4)), gram[None], ([], []), 1.0)
+    left = rows[:, 1] - rows[:, 0] * (rows[:, 0] @ rows[:, 1]) / (rows[:, 0] @ rows[:, 0])
+    assert found.effects(gram) == pytest.approx(left @ left, rel=1e-6)
+
+
 def test_power_is_what_the_diagnosis_asks() -> None:
     gain = 4000.0
     asked_for = BEHIND * TEMPER * gain  # 4.7 % of it

@@ -81,9 +81,11 @@ def propose(
     guessed = replace(guessed, joints=tuple(n for n in guessed.joints if n in seen))
     pairs, chain = _matched(guessed.joints, urdf)
     codes = {finding.code for report in reports for finding in report.findings}
-    units = _units(guessed, codes)
     found: list[tuple[str, UrdfJoint | None]] = [*pairs]
     found = found or [(log_name, None) for log_name in guessed.joints]
+    units = _units(guessed, codes)
+    if any(_in_mm(joint, seen[log_name], read_as=guessed.unit) for log_name, joint in pairs):
+        units["length_unit"] = "mm"
     joints = tuple(
         _joint(log_name, joint, seen[log_name], read_as=guessed.unit, units=units)
         for log_name, joint in found
@@ -133,6 +135,21 @@ def _units(guessed: Guess, codes: Container[str]) -> dict[str, str]:
     degrees = guessed.unit == "deg" or "position_in_degrees" in codes
     unit = {"unit": "deg"} if degrees else {}
     return unit | ({"length_unit": "mm"} if guessed.length_unit == "mm" else {})
+
+
+def _in_mm(joint: UrdfJoint, seen: InspectedJoint, *, read_as: str, margin: float = 0.02) -> bool:
+    """Whether positions of a sliding joint are within its limits only if they are in mm.
+
+    `margin`: share of the limits' span by which they may be outside.
+    """
+    if joint.kind != "prismatic" or joint.lower is None or joint.upper is None:
+        return False
+    span = joint.upper - joint.lower
+    low, high = np.degrees([seen.low, seen.high]) if read_as == "deg" else (seen.low, seen.high)
+    beyond = max(joint.lower - low, high - joint.upper)
+    slack = margin * span
+    inside = joint.lower - slack <= 1e-3 * low and 1e-3 * high <= joint.upper + slack
+    return bool(beyond > span and inside)
 
 
 def with_gravity(
@@ -300,7 +317,7 @@ def _todo(
     if "unit" in template.channels:
         todo.append('check unit = "deg" under [channels]: the angles look like degrees')
     if "length_unit" in template.channels:
-        todo.append('check length_unit = "mm" under [channels]: so a position is called')
+        todo.append('check length_unit = "mm" under [channels]: positions are called or look so')
     if urdf is not None and pairs and template.left_out:
         names = ", ".join(template.left_out)
         todo.append(f"the log lacks joints of the URDF, taken as locked at zero: {names}")

@@ -323,6 +323,25 @@ def test_channels_are_guessed_from_names(
     assert len(names) == joints
 
 
+def test_a_sliding_joint_in_mm_is_told_by_its_limits(tmp_path: Path, rig: Rig) -> None:
+    t = np.arange(0.0, 8.0, 0.01)
+    q = 0.5 * np.round(800.0 * np.sin(0.7 * t))  # mm
+    table = {"t": t, "z.position": q, "z.torque": np.cos(0.7 * t)}
+    write_columns(tmp_path / "log.parquet", table)
+    (tmp_path / "arm.urdf").write_text(
+        '<robot name="arm"><link name="l0"/><link name="l1"/><joint name="z" type="prismatic">'
+        '<parent link="l0"/><child link="l1"/><axis xyz="0 0 1"/>'
+        '<limit lower="-0.5" upper="0.5" velocity="1" effort="9"/></joint></robot>'
+    )
+    path, log = tmp_path / "new.toml", str(tmp_path / "log.parquet")
+    done = rig.run("init", log, "--urdf", str(tmp_path / "arm.urdf"), "-o", str(path))
+    assert done.code == 0, done.err
+    assert 'check length_unit = "mm"' in done.err
+    robot = load_robot(path)
+    assert robot.channels.length_unit == "mm"
+    assert robot.joints[0].encoder_resolution == pytest.approx(5e-4, rel=1e-4)
+
+
 def test_a_sliding_joint_in_mm_beside_a_turning_one_in_degrees(tmp_path: Path, rig: Rig) -> None:
     """By the columns' own units; the encoder's step is written in m and rad."""
     t = np.arange(0.0, 8.0, 0.01)

@@ -257,11 +257,34 @@ def _logs_in(folder: Path, note: Note) -> list[Path]:
 def _is_meant(path: Path, note: Note) -> bool:
     """Tell whether a file that was not named itself is a log: CSV files are all sorts of things."""
     if path.suffix.lower() not in CSV_SUFFIXES:
-        return True
+        if predicted := _holds_predictions(path):
+            note(f"{path} is left out, it is no log: seqid predict wrote it")
+        return not predicted
     reason, _ = _fault_of(path)
     if reason:
         note(f"{path} is left out, it is no log: it {reason}; name the file itself if it is one")
     return not reason
+
+
+def _holds_predictions(path: Path, *, largest: int = 1 << 20) -> bool:
+    """Tell a table of `predict --torques`, whose filtered torques are of logs that count already.
+
+    By the names in the footer, which stands before its length and `PAR1`; `largest` [bytes].
+    """
+    if path.suffix.lower() != ".parquet":
+        return False
+    try:
+        with path.open("rb") as file:
+            end = file.seek(0, os.SEEK_END) - 8
+            file.seek(max(0, end))
+            length = int.from_bytes(file.read(4), "little")
+            if not 0 < length <= min(end, largest):
+                return False
+            file.seek(end - length)
+            footer = file.read(length)
+    except OSError:
+        return False
+    return all(name in footer for name in (b".predicted", b".residual", b".sliding"))
 
 
 def _fault_of(path: Path) -> tuple[str, str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.inspect.channels.torques import _spikes
+from seqid_cli.inspect.channels.torques import _spikes, _starts_or_stops
 from seqid_cli.inspect.dynamics.friction import Friction, _exchanged
 from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.robot.file import load_robot
@@ -32,6 +32,16 @@ def test_what_lasts_three_samples_is_no_spike(length: int, found: int) -> None:
     values = np.sin(np.arange(1000) / 100.0)
     values[400 : 400 + length] += 5.0
     assert len(_spikes(values)) == found
+
+
+def test_a_torque_that_starts_or_stops_a_motion_is_no_spike() -> None:
+    speed = np.repeat([0.0, 0.2, 0.0, 0.2, 0.25], 100)
+    at = np.array([50, 100, 150, 200, 300, 350, 400])
+    ends = np.isin(at, (100, 200, 300))
+    step = 1e-4
+    q = np.round(np.cumsum(speed) / 100.0 / step) * step
+    q[20:80:3] += step  # noise of the encoder at rest
+    np.testing.assert_array_equal(_starts_or_stops(q, at, step), ends)
 
 
 @pytest.mark.parametrize("log", ["validation/fourier_1", "inertia/shoulder_lift__elbow"])

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.errors import InputError
@@ -184,3 +186,17 @@ def test_missing_file_folder_and_unreadable_file(tmp_path: Path) -> None:
         pytest.skip("this user may read everything")
     with pytest.raises(InputError, match="may not be read"):
         check_log(path)
+
+
+def test_a_table_of_predicted_torques_in_a_folder_is_no_log(tmp_path: Path) -> None:
+    column = pa.array([0.0, 1.0])
+    kinds = ("position", "torque", "predicted", "residual", "sliding")
+    log = {"t": column, "a.position": column, "a.torque": column}
+    pq.write_table(pa.table(log), tmp_path / "log.parquet")
+    predicted = pa.table({"t": column, **{f"a.{kind}": column for kind in kinds}})
+    pq.write_table(predicted, tmp_path / "torques.parquet")
+    notes: list[str] = []
+    assert expand([str(tmp_path)], note=notes.append) == [tmp_path / "log.parquet"]
+    (note,) = notes
+    assert "seqid predict wrote it" in note
+    assert expand([str(tmp_path / "torques.parquet")]) == [tmp_path / "torques.parquet"]

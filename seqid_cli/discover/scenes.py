@@ -20,19 +20,12 @@ from seqid_cli.model.effects.scene import (
     temperature_at,
 )
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.motion.imu.link_acceleration import best_motion
+from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
 SAMPLES_PER_CUTOFF = 24  # enough for steps of friction, whose time is known to half a sample
-
-
-def motions_of(
-    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: InertiaOptions
-) -> list[Motion]:
-    """Motion of every log at its own rate; of the stages it is that of the IMUs which it needs."""
-    return [_motion(recording, robot, stages, options) for recording in recordings]
 
 
 def scenes_of(
@@ -41,7 +34,6 @@ def scenes_of(
     stages: Stages,
     *,
     options: InertiaOptions,
-    motions: Sequence[Motion] | None = None,
 ) -> list[Scene]:
     """Build the data set of every log.
 
@@ -54,8 +46,6 @@ def scenes_of(
         The model as it stands.
     options : InertiaOptions
         Cut-off and source of the motion.
-    motions : sequence of Motion, optional
-        Of the same logs, where they are known (see `motions_of`).
 
     Raises
     ------
@@ -63,8 +53,7 @@ def scenes_of(
         If a log carries neither torque nor current.
     """
     logs = list(recordings)
-    if motions is None:
-        motions = motions_of(logs, robot, stages, options=options)
+    motions = [_motion(log, robot, stages, options) for log in logs]
     model = TorqueModel.from_stages(stages, robot)
     starts, shared = shared_starts(logs)
     top = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
@@ -92,8 +81,8 @@ def scenes_of(
 def _motion(recording: Recording, robot: Robot, stages: Stages, options: InertiaOptions) -> Motion:
     """Motion of a log at its own rate."""
     torque_of(recording)
-    encoder = estimate_motion(recording, robot, options.motion)
-    return best_motion(recording, robot, stages.imu, encoder, source=options.source)
+    imu, source = stages.imu, options.source
+    return log_motion(recording, robot, options.motion, imu=imu, source=source)
 
 
 def with_own_cutoffs(

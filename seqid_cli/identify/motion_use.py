@@ -9,8 +9,8 @@ import numpy as np
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.imu.link_acceleration import best_motion
-from seqid_cli.motion.motion import Motion, estimate_motion
+from seqid_cli.motion.imu.link_acceleration import log_motion
+from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import ImuStage, MotionUse
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -51,7 +51,6 @@ def motion_uses(
     uses = []
     for recording in recordings:
         with contextlib.suppress(InputError):
-            encoder = estimate_motion(recording, robot, options.motion)
-            motion = best_motion(recording, robot, imu, encoder, source=options.source)
+            motion = log_motion(recording, robot, options.motion, imu=imu, source=options.source)
             uses.append(motion_use(recording.path, robot, motion))
     return uses

@@ -1,6 +1,7 @@
 """What a user may set about motion; kept free of heavy imports for the command line."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 # "auto": fused where it can be had; "needed": only where the encoders are much the worse as well.
 SOURCES = ("auto", "needed", "encoder", "imu", "fused")
@@ -14,6 +15,9 @@ class MotionOptions:
     each log choose its own. After the low-pass `samples_per_cutoff` samples at least stay per
     period of the cut-off; infinite keeps all. `encoder_hz` is the cut-off that would suit the
     encoders alone. Logs of `own` (their SHA-256) choose for themselves whatever the cut-off.
+
+    `kept` is a dictionary in which motions are kept, for whoever works on the same logs again and
+    again (see `log_motion`).
     """
 
     cutoff_hz: float | None = None
@@ -21,3 +25,4 @@ class MotionOptions:
     origin: str = ""
     encoder_hz: float | None = None
     own: frozenset[str] = frozenset()
+    kept: dict[Any, Any] | None = field(default=None, compare=False, repr=False)

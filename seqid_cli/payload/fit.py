@@ -19,8 +19,8 @@ from seqid_cli.identify.regression.least_squares import Prior, Solution, solve
 from seqid_cli.identify.rigid.posterior import constant_moves, moves_covariance
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.bodies.demand import identified
-from seqid_cli.motion.imu.link_acceleration import best_motion
-from seqid_cli.motion.motion import Motion, estimate_motion
+from seqid_cli.motion.imu.link_acceleration import log_motion
+from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.payload.rows import FRICTION_TERMS, LoadedModel, PayloadRows
 from seqid_cli.robot.regressor import PER_LINK
@@ -90,8 +90,7 @@ def fit_payload(
 
 def _motion(log: Recording, robot: Robot, stages: Stages, options: InertiaOptions) -> Motion:
     torque_of(log)
-    encoder = estimate_motion(log, robot, options.motion)
-    return best_motion(log, robot, stages.imu, encoder, source=options.source)
+    return log_motion(log, robot, options.motion, imu=stages.imu, source=options.source)
 
 
 def _solved(

@@ -162,7 +162,7 @@ def _floor(found: Refinement, held_out: Sequence[Recording]) -> NoiseFloor:
     """Noise floor of the held-out logs; the training logs help to find it."""
     material, model = found.material, found.steps[-1]
     logs = [*held_out, *material.training]
-    freed = material.freed(logs, model.stages, model.effects)
+    freed = [material.without(log, model.stages, model.effects) for log in logs]
     scenes = scenes_of(freed, material.robot, model.stages, options=material.options.motion)
     left, echo = [residual_of(scene) for scene in scenes], encoder_residuals(freed, scenes)
     return noise_floor(freed, scenes, left, echo, judged=len(held_out))

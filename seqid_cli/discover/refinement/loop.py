@@ -12,7 +12,7 @@ from functools import cached_property
 import msgspec
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.refinement.held_out import HeldOutError, held_out_error, joined
+from seqid_cli.discover.refinement.held_out import HeldOutError, gain, held_out_error, joined
 from seqid_cli.discover.refinement.material import Key, Material, Refitted, identity, unique
 from seqid_cli.discover.refinement.reidentify import refitted
 from seqid_cli.logs.recording import Recording
@@ -27,18 +27,22 @@ class Account:
     """A model with one effect more, the model `without` it, and when the effects came.
 
     `late` are those that came after the file was identified; `kept` says whether the stages stayed
-    as they were in this fit.
+    as they were in this fit. It is not finished where it is clearly worse than a `rival`.
     """
 
     loop: Loop
     candidates: tuple[Candidate, ...]
     late: frozenset[Key]
     kept: bool
+    rival: Account | None = None
 
     @cached_property
     def model(self) -> Refitted:
         """Fitted to all logs."""
-        return self.loop.refitted(self.candidates, self.late, kept=self.kept)
+        loop, rival = self.loop, self.rival
+        asked = loop.material, loop.model, self.candidates
+        beaten = None if rival is None else rival.beats
+        return refitted(*asked, late=self.late, kept=self.kept, beaten=beaten)
 
     @cached_property
     def without(self) -> Refitted:
@@ -54,7 +58,12 @@ class Account:
     @property
     def everywhere(self) -> HeldOutError:
         """The same, beside those on the logs of earlier stages: they tell when effects came."""
-        return joined([self.error, self.loop.error_before(self.model)])
+        return self.loop.error_everywhere(self.model)
+
+    def beats(self, other: Refitted) -> bool:
+        """Whether all logs are predicted better than by another model, and not by chance."""
+        joints = range(self.loop.material.robot.n)
+        return gain(self.loop.error_everywhere(other), self.everywhere, joints).certain
 
 
 @dataclass
@@ -70,6 +79,7 @@ class Loop:
     without: Refitted
     rounds: list[RefinementRound] = field(default_factory=list)
     _errors: dict[Refitted, HeldOutError] = field(default_factory=dict)
+    _before: list[tuple[Refitted, HeldOutError]] = field(default_factory=list)
 
     @property
     def model(self) -> Refitted:
@@ -85,21 +95,18 @@ class Loop:
     def anew(self) -> Refitted:
         """The file identified anew with the training logs: what that gains is no effect's."""
         start = self.steps[0]
-        return self.refitted(candidates_of_model(start.effects), start.late, kept=False)
-
-    def refitted(
-        self, candidates: Sequence[Candidate], late: frozenset[Key], *, kept: bool
-    ) -> Refitted:
-        """The model as it stands, fitted anew with these effects."""
-        return refitted(self.material, self.model, candidates, late=late, kept=kept)
+        candidates = candidates_of_model(start.effects)
+        return refitted(self.material, start, candidates, late=start.late, kept=False)
 
     def error_of(self, model: Refitted) -> HeldOutError:
         """Squared errors of a model on the logs that are fitted."""
         if model not in self._errors:
-            logs, robot = self.material.training, self.material.robot
-            stages, motion = with_effects(model, robot), self.material.options.motion
-            self._errors[model] = held_out_error(logs, robot, stages, options=motion)
+            self._errors[model] = self._error(self.material.training, model)
         return self._errors[model]
+
+    def error_everywhere(self, model: Refitted) -> HeldOutError:
+        """The same, beside those on the logs of earlier stages; what came late is not in these."""
+        return joined([self.error_of(model), self._error_before(model)])
 
     @cached_property
     def logs_before(self) -> list[Recording]:
@@ -108,12 +115,18 @@ class Loop:
         every = unique([log for own in self.material.earlier.values() for log in own])
         return [x for x in every if identity(x) not in fitted and x.tau is not None]
 
-    def error_before(self, model: Refitted) -> HeldOutError:
-        """Squared errors of a model on those; what came late is not in them."""
-        material = self.material
-        stages = with_effects(replace(model, effects=tuple(model.lasting)), material.robot)
-        motion = material.options.motion
-        return held_out_error(self.logs_before, material.robot, stages, options=motion)
+    def _error_before(self, model: Refitted) -> HeldOutError:
+        """Squared errors on those; models that differ in what came late alone have the same."""
+        lasting = replace(model, effects=tuple(model.lasting))
+        for known, error in self._before:
+            if known.stages is lasting.stages and not (known.effects or lasting.effects):
+                return error
+        self._before.append((lasting, self._error(self.logs_before, lasting)))
+        return self._before[-1][1]
+
+    def _error(self, logs: Sequence[Recording], model: Refitted) -> HeldOutError:
+        robot, options = self.material.robot, self.material.options.motion
+        return held_out_error(logs, robot, with_effects(model, robot), options=options)
 
     def accept(self, told: RefinementRound, account: Account) -> None:
         """Take an effect into the model."""

@@ -7,13 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from seqid_cli.discover.base import base_of
+from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.scenes import motions_of, scenes_of
+from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.select.model import Ground
+from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
-from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Mask
@@ -51,55 +53,41 @@ class Material:
     earlier: Mapping[str, Sequence[Recording]]
     robot: Robot
     options: DiscoverOptions
-    _motions: list[Motion] = field(init=False, default_factory=list, compare=False, repr=False)
+    _grounds: list[tuple[Stages, Ground]] = field(
+        init=False, default_factory=list, compare=False, repr=False
+    )
 
-    def scenes(self, stages: Stages) -> list[Scene]:
-        """Data sets of the training logs; their motion is the same whatever the model."""
-        options = self.options.motion
-        if not self._motions:
-            found = motions_of(self.training, self.robot, stages, options=options)
-            self._motions.extend(found)
-        return scenes_of(self.training, self.robot, stages, options=options, motions=self._motions)
+    def ground(self, stages: Stages) -> Ground:
+        """Rows of the training logs with the base of these stages; the last two are kept."""
+        known = next((pair for pair in self._grounds if pair[0] is stages), None)
+        others = [pair for pair in self._grounds if pair is not known]
+        if known is None:
+            options = self.options.motion
+            rows = rows_of(scenes_of(self.training, self.robot, stages, options=options))
+            known = stages, Ground.of(Stage(rows), base_of(rows, stages))
+        self._grounds[:] = [known, *others[:1]]
+        return known[1]
 
-    def freed(
-        self, logs: Sequence[Recording], stages: Stages, effects: Sequence[Fitted]
-    ) -> list[Recording]:
-        """The logs without the effects' torque."""
+    def without(self, log: Recording, stages: Stages, effects: Sequence[Fitted]) -> Recording:
+        """A log without the torque of some effects."""
         motion = self.options.motion
-        return [
-            without_effects(
-                log, self.robot, stages, effects, motion=motion.motion, source=motion.source
-            )
-            for log in logs
-        ]
+        given = log, self.robot, stages, effects
+        return without_effects(*given, motion=motion.motion, source=motion.source)
 
-    def before(self, stage: str, model: Refitted) -> list[Recording]:
-        """The logs of an earlier stage without what was there all along, each once.
-
-        Those that are fitted are left to `now`.
-        """
-        fitted = {identity(log) for log in self.training}
-        logs = [x for x in unique(self.earlier.get(stage, ())) if identity(x) not in fitted]
-        return self.freed(logs, model.stages, model.lasting)
+    def freed(self, log: Recording, model: Refitted) -> Recording:
+        """A log without effects: any, if it is fitted, else those that were there all along."""
+        fitted = identity(log) in map(identity, self.training)
+        return self.without(log, model.stages, model.effects if fitted else model.lasting)
 
     def now(self, model: Refitted) -> list[Recording]:
         """The training logs without any effect."""
-        return self.freed(self.training, model.stages, model.effects)
+        return [self.freed(log, model) for log in self.training]
 
-    def before_or_now(self, stage: str, model: Refitted) -> list[Recording]:
-        """All logs of an earlier stage; those that are fitted as well, without any effect."""
-        own = {identity(log) for log in self.earlier.get(stage, ())}
-        fitted = [log for log in self.training if identity(log) in own]
-        return [*self.before(stage, model), *self.freed(fitted, model.stages, model.effects)]
-
-    def as_they_were(self, stage: str, freed: Sequence[Recording]) -> bool:
-        """Whether logs of an earlier stage are still what it was identified from."""
-        logs = {identity(log): log for log in self.earlier.get(stage, ())}
-        return len(logs) == len(freed) and not any(
-            changed_joints(logs[identity(log)], log).any()
-            or not np.array_equal(logs[identity(log)].valid, log.valid)
-            for log in freed
-        )
+    def logs_of(self, stage: str) -> list[Recording]:
+        """The logs of an earlier stage, each once; those that are fitted last."""
+        fitted = {identity(log) for log in self.training}
+        logs = unique(self.earlier.get(stage, ()))
+        return sorted(logs, key=lambda log: identity(log) in fitted)
 
     @property
     def known(self) -> bool:

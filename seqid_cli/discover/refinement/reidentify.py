@@ -4,8 +4,8 @@
 base are fitted together on the training logs. The base is free where those stages have taken in
 what looked like friction in their trials. Then the effects' torque is taken out of all recordings,
 friction trials as well, and every stage runs again on them by its own recipe. This repeats until
-the effects settle. Where the logs of the earlier stages are not at hand, the base moves as the
-joint fit on the training logs says.
+the effects settle, or a rival is clearly better after the first time. Where the logs of the earlier
+stages are not at hand, the base moves as the joint fit on the training logs says.
 
 *Late*: it came with the training logs. The stages stay as they are, and only the effects are
 fitted, beside a base that may move within the errors that the file gives.
@@ -13,28 +13,35 @@ fitted, beside a base that may move within the errors that the file gives.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 
 import msgspec
 import numpy as np
 
-from seqid_cli.discover.base import base_of
-from seqid_cli.discover.candidates import Candidate, Stage
-from seqid_cli.discover.refinement.material import Key, Material, Refitted, changed_joints, identity
+from seqid_cli.discover.candidates import Candidate
+from seqid_cli.discover.refinement.material import (
+    Key,
+    Material,
+    Refitted,
+    changed_joints,
+    identity,
+    unique,
+)
 from seqid_cli.discover.refinement.moved_stages import held, moved
 from seqid_cli.discover.scenes import shared_starts
-from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Hold, Model
-from seqid_cli.discover.survey.rows import rows_of
+from seqid_cli.discover.select.model import FIRM, FREE, HELD, Hold, Model
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.identify.rigid.simultaneous import TERMS, identify_simultaneous
+from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import session_of
 from seqid_cli.model.effects.fitted import FittedEffect
 from seqid_cli.params.schema import FrictionStage, Stages
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 TURNS = 4  # of effects and stages, at most
@@ -49,6 +56,7 @@ def refitted(
     *,
     late: frozenset[Key],
     kept: bool,
+    beaten: Callable[[Refitted], bool] | None = None,
 ) -> Refitted:
     """Fit effects and model together.
 
@@ -63,38 +71,59 @@ def refitted(
         Those of them that the logs of the earlier stages do not have.
     kept : bool
         Whether the stages are right as they are, and only the effects are fitted.
+    beaten : callable, optional
+        Whether a model need not be improved any more that has been through a single turn.
     """
-    stages = model.stages
-    if not kept:
-        stages, candidates = _in_turns(material, stages, candidates, late)
+    if kept:
+        return _with_values(material, model.stages, candidates, late, HELD)
+    turns = _turns(material, model.stages, candidates, late)
+    if beaten is not None:
+        first = _with_values(material, *next(turns), late, FREE)
+        if beaten(first):
+            return first
+    *_, last = turns
+    return _with_values(material, *last, late, FREE)
+
+
+def _with_values(
+    material: Material,
+    stages: Stages,
+    candidates: Sequence[Candidate],
+    late: frozenset[Key],
+    hold: Hold,
+) -> Refitted:
+    """Stages with effects that are fitted beside them."""
     if not candidates:
         return Refitted(stages, (), late)
-    fit = _fitted(material, stages, candidates, HELD if kept else FREE)
+    fit = _fitted(material, stages, candidates, hold)
     # Their errors are beside a base that may move; but it is the file's that they are written to.
     effects = _effects_of(material, fit)
     fit.hold = FIRM
     fit.settle()
-    values = [x.coefficients for x in _effects_of(material, fit)]
+    values = map(fit.coefficients, fit.terms)
     pairs = zip(effects, values, strict=True)
     return Refitted(stages, tuple(replace(x, coefficients=c) for x, c in pairs), late)
 
 
-def _in_turns(
+def _turns(
     material: Material, stages: Stages, candidates: Sequence[Candidate], late: frozenset[Key]
-) -> tuple[Stages, Sequence[Candidate]]:
-    """Fit effects, then identify the stages without them, until the effects settle."""
-    before, effects = list[FittedEffect](), list[FittedEffect]()
-    for _ in range(TURNS):
+) -> Iterator[tuple[Stages, Sequence[Candidate]]]:
+    """Fit effects, then identify the stages without them, until the effects settle.
+
+    Of each turn the stages, and the effects with the settings that they have by then.
+    """
+    effects = list[FittedEffect]()
+    for left in reversed(range(TURNS)):
         fit = cache(partial(_fitted, material, stages, candidates, FREE))
+        before = effects
         if candidates:
-            before, effects = effects, _effects_of(material, fit())
-        stages = _stages(material, Refitted(stages, tuple(effects), late), fit)
-        if not candidates:
-            break
-        candidates = fit().candidates
-        if before and _step(before, effects) <= SETTLED:
-            break
-    return stages, candidates
+            effects, candidates = _effects_of(material, fit()), fit().candidates
+        settled = bool(before) and _step(before, effects) <= SETTLED
+        last = not (left and candidates) or settled
+        stages = _stages(material, Refitted(stages, tuple(effects), late), fit, last=last)
+        yield stages, candidates
+        if last:
+            return
 
 
 def _step(before: Sequence[FittedEffect], after: Sequence[FittedEffect]) -> float:
@@ -113,8 +142,7 @@ def _fitted(
     material: Material, stages: Stages, candidates: Sequence[Candidate], hold: Hold
 ) -> Model:
     """Base and effects fitted to the training logs, settings searched once more."""
-    rows = rows_of(material.scenes(stages))
-    fit = Model(Ground.of(Stage(rows), base_of(rows, stages)), hold)
+    fit = Model(material.ground(stages), hold)
     fit.add(candidates)
     return fit
 
@@ -136,44 +164,65 @@ def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
     ]
 
 
-def _stages(material: Material, model: Refitted, fit: Callable[[], Model]) -> Stages:
+def _stages(material: Material, model: Refitted, fit: Callable[[], Model], *, last: bool) -> Stages:
     """Every stage again, on logs without the effects; `fit` where stages move as it says."""
     robot, motion, stages = material.robot, material.options.motion, model.stages
     friction, earlier = stages.friction, material.earlier
     if friction is not None and friction.method == "simultaneous":
-        freed = [*material.before("friction", model), *material.now(model)]
+        logs = unique([*material.logs_of("friction"), *material.training])
+        freed = [material.freed(log, model) for log in logs]
         offset = any(len(j.parameters) == len(TERMS) for j in friction.joints.values())
         new, inertia = identify_simultaneous(freed, robot, options=motion.motion, offset=offset)
         found = Stages(friction=new, imu=stages.imu, inertia=inertia)
         return held(found, stages, fit()) if material.known else found
     needed = [s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None]
     if all(earlier.get(stage) for stage in needed):
-        return _sequential(material, model)
+        return _sequential(material, model, last=last)
     joint = fit()
     return moved(stages, joint, joint.linear.theta)
 
 
-def _sequential(material: Material, model: Refitted) -> Stages:
+def _sequential(material: Material, model: Refitted, *, last: bool) -> Stages:
+    """Friction, gravity and inertia again; only the last time is inertia asked at other cut-offs.
+
+    That adds to its errors, and says something of its verdict.
+    """
     robot, motion, stages = material.robot, material.options.motion, model.stages
     new = Stages(friction=stages.friction, gravity=stages.gravity, imu=stages.imu)
     new.inertia = stages.inertia
+    known = {identity(log): log for own in material.earlier.values() for log in own}
+    now = known | {identity(log): log for log in material.training}
+    freed = cache(lambda name: material.freed(now[name], model))
+    friction, gravity, inertia = (
+        [freed(identity(log)) for log in material.logs_of(stage)]
+        for stage in ("friction", "gravity", "inertia")
+    )
     if stages.friction is not None:
-        new.friction = _friction(material, model, stages.friction)
-    if stages.gravity is not None:
-        freed = material.before_or_now("gravity", model)
-        if new.friction is not stages.friction or not material.as_they_were("gravity", freed):
-            new.gravity = identify_gravity(freed, robot, new)
+        new.friction = _friction(robot, known, friction, stages.friction)
+    changed = new.friction is not stages.friction or any(
+        changed_joints(known[identity(log)], log).any()
+        or not np.array_equal(known[identity(log)].valid, log.valid)
+        for log in gravity
+    )
+    if stages.gravity is not None and changed:
+        new.gravity = identify_gravity(gravity, robot, new)
     if stages.inertia is not None:
-        freed = [*material.before("inertia", model), *material.now(model)]
-        new.inertia = identify_inertia(freed, robot, new, options=motion)
+        inertia = unique([*inertia, *(freed(identity(log)) for log in material.training)])
+        options = motion if last else replace(motion, neighbours=())
+        new.inertia = identify_inertia(inertia, robot, new, options=options)
     return new
 
 
-def _friction(material: Material, model: Refitted, old: FrictionStage) -> FrictionStage:
-    """Friction again, of the joints whose torque or position the effects change in its logs."""
-    robot = material.robot
-    freed = material.before_or_now("friction", model)
-    known = {identity(log): log for log in material.earlier["friction"]}
+def _friction(
+    robot: Robot,
+    known: Mapping[tuple[str, str], Recording],
+    freed: Sequence[Recording],
+    old: FrictionStage,
+) -> FrictionStage:
+    """Friction again, of the joints whose torque or position the effects change in its logs.
+
+    `known` are the logs with the effects, `freed` those without.
+    """
     changed = np.any([changed_joints(known[identity(log)], log) for log in freed], axis=0)
     travel = np.array([np.ptp(log.q, axis=0) for log in freed])
     moves = travel > MOVES * travel.max(axis=0)

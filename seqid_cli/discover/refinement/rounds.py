@@ -102,7 +102,8 @@ def refine(
     """
     training, notes = usable_logs(training, robot)
     options = on_the_same_samples(options, file.stages, robot)
-    motion = with_own_cutoffs(training, robot, file.stages, options.motion)
+    kept = replace(options.motion, motion=replace(options.motion.motion, kept={}))
+    motion = with_own_cutoffs(training, robot, file.stages, kept)
     options = replace(options, motion=motion)
     material = Material(tuple(training), earlier, robot, options)
     known = fitted_effects(file.stages, robot, unexplained=True)
@@ -143,8 +144,8 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
 def _add_effects(loop: Loop, found: Investigation) -> Investigation:
     """Try the effects that are found, the largest evidence first; return what is found at last.
 
-    After each that is added the rest are judged anew: what the stages had taken in of it looks like
-    a second effect, until they are identified without it. Before what is small, more is looked for.
+    What the stages had taken in of one that is added looks like a second effect, until they are
+    identified without it: then the rest are judged anew. Before what is small, more is looked for.
     """
     refused, rest, looked = list[Candidate](), [*map(_what, found.found.effects)], True
     several = len(rest) > 1 or loop.material.options.with_unexplained
@@ -156,10 +157,11 @@ def _add_effects(loop: Loop, found: Investigation) -> Investigation:
         taken = max(left, key=lambda taken: taken.evidence)
         step("trying effects", loop.added, loop.added + max(len(left), len(rest)))
         rest = [other for other in rest if not _same(other, _what(taken))]
+        stages = loop.model.stages
         accepted = _try(loop, found, taken)
         if not accepted:
             refused.append(_what(taken))
-        if several and (accepted or (len(left) == 1 and not looked)):
+        if several and (loop.model.stages is not stages or (len(left) == 1 and not looked)):
             model, material = loop.model, loop.material
             found, looked = investigate_beside(
                 found,
@@ -239,27 +241,40 @@ def _account(loop: Loop, found: Investigation, taken: Taken) -> tuple[Account, O
     """Whether an effect was there all along, or came late, and what the model with it does.
 
     What is in the logs that the file was identified from was there all along. Else the account
-    holds that explains the logs of all stages better. It came late where the selection had not to
-    let the base leave the file and the file's logs are not at hand, or where it is refused then,
-    and no other term made up for the file at its joints: nothing speaks for what costs every stage
-    again.
+    holds that explains the logs of all stages better; where the file's logs are not at hand, that
+    which the base speaks for at the effect's joints. An effect that is refused as a late one is not
+    asked about if it is no finding, or if nothing speaks for the other account: that costs every
+    stage again.
     """
     candidate, late = _what(taken), loop.model.late
     every = (*candidates_of_model(loop.model.effects), candidate)
-    early = Account(loop, every, late, kept=False)
     after = Account(loop, every, late | {candidate.key}, kept=True)
-    if loop.material.known:
+    early = Account(loop, every, late, kept=False)
+    freed = _freed(found, taken)
+    if loop.material.known or (freed and not loop.logs_before):
         return early, _outcome(loop, early, taken)
-    if not found.model.hold.doubt(found.ground.n):
-        outcome = _outcome(loop, after, taken)
-        company = len([x for x in found.found.taken if x.term.channels & taken.term.channels]) > 1
-        if not (loop.logs_before and (outcome.accepted or company)):
-            return after, outcome
-    if not loop.logs_before:
-        return early, _outcome(loop, early, taken)
+    outcome = _outcome(loop, after, taken)
+    finding = taken.one.predicted.share > Options.improvement
+    asked = outcome.accepted or (finding and (freed or _has_company(loop, found, taken)))
+    if not (loop.logs_before and asked):
+        return after, outcome
+    early = replace(early, rival=after)
     change = gain(early.everywhere, after.everywhere, range(loop.material.robot.n))
     account = after if change.value > 0.0 else early
     return account, _outcome(loop, account, taken)
+
+
+def _freed(found: Investigation, taken: Taken) -> bool:
+    """Whether the selection had to let the base leave the file at an effect's joints."""
+    hold, n = found.model.hold, found.ground.n
+    return max(hold.rigid, *(hold.of(c % n) for c in taken.term.channels)) > 1.0
+
+
+def _has_company(loop: Loop, found: Investigation, taken: Taken) -> bool:
+    """Whether a term that the model has not made up for the file at an effect's joints."""
+    known = [*candidates_of_model(loop.model.effects), _what(taken)]
+    others = [x for x in found.found.taken if x.term.smooth or not _among(_what(x), known)]
+    return any(x.term.channels & taken.term.channels for x in others)
 
 
 def _outcome(loop: Loop, account: Account, taken: Taken) -> Outcome:

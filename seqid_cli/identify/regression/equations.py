@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 
 from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.motion.imu.link_acceleration import best_motion
-from seqid_cli.motion.motion import Motion, decimated, estimate_motion
+from seqid_cli.motion.imu.link_acceleration import log_motion
+from seqid_cli.motion.motion import Motion, decimated
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.base_parameters import Basis, base_regressor, loaded_columns
@@ -34,8 +34,7 @@ def torque_motion(
     insists on.
     """
     torque_of(recording)
-    encoder = estimate_motion(recording, robot, options)
-    motion = best_motion(recording, robot, imu, encoder, source=source)
+    motion = log_motion(recording, robot, options, imu=imu, source=source)
     return decimated(motion, options.samples_per_cutoff)
 
 

@@ -23,8 +23,8 @@ from seqid_cli.model.effects.scene import (
     temperature_at,
 )
 from seqid_cli.model.torque import Added, TorqueModel
-from seqid_cli.motion.imu.link_acceleration import best_motion
-from seqid_cli.motion.motion import Motion, estimate_motion
+from seqid_cli.motion.imu.link_acceleration import log_motion
+from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import EffectSession, Stages
 from seqid_cli.robot.types import Robot
@@ -209,8 +209,7 @@ def without_effects(
     if not rest:
         return recording
     assert recording.tau is not None
-    encoder = estimate_motion(recording, robot, motion)
-    best = best_motion(recording, robot, stages.imu, encoder, source=source)
+    best = log_motion(recording, robot, motion, imu=stages.imu, source=source)
     scene = scene_of_log(recording, robot, TorqueModel.from_stages(stages, robot), best)
     torque = np.zeros_like(recording.tau)
     for place, items in _by_session(scene, recording, rest):

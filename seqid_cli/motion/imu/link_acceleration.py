@@ -18,8 +18,8 @@ from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.imu.array import calibrated, layout, read_angular
-from seqid_cli.motion.motion import Motion
-from seqid_cli.motion.options import SOURCES
+from seqid_cli.motion.motion import Motion, estimate_motion, filtered_torque
+from seqid_cli.motion.options import SOURCES, MotionOptions
 from seqid_cli.motion.smoother.fused import absent_imus, fused_motion, needed, promising
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.kinematics import forward, link_angular_motion
@@ -34,6 +34,50 @@ class LinkReading:
     imu: Imu
     dw: Array
     noise: float
+
+
+def log_motion(
+    recording: Recording,
+    robot: Robot,
+    options: MotionOptions,
+    *,
+    imu: ImuStage | None,
+    source: str,
+) -> Motion:
+    """Motion of a log at its own rate, of the encoders or better.
+
+    With `options.kept` the motion of logs that differ in their torque alone is made once.
+
+    Parameters
+    ----------
+    imu : ImuStage or None
+        Calibrations of the IMUs.
+    source : {"auto", "needed", "encoder", "imu", "fused"}
+        As of `best_motion`.
+
+    Raises
+    ------
+    UsageError
+        If `source` is unknown.
+    InputError
+        If no stretch of the log is long enough to filter, or it has not the IMU that `source`
+        insists on.
+    """
+    if options.kept is None:
+        encoder = estimate_motion(recording, robot, options)
+        return best_motion(recording, robot, imu, encoder, source=source)
+    sha256 = recording.sha256
+    arrays = id(recording.q), id(recording.valid), id(imu)
+    key = (sha256, *arrays, source, options.cutoff_hz, sha256 in options.own)
+    if key not in options.kept:
+        made = log_motion(recording, robot, replace(options, kept=None), imu=imu, source=source)
+        options.kept[key] = recording, imu, made  # what is kept keeps its place in memory
+    known: Recording
+    motion: Motion
+    known, _, motion = options.kept[key]
+    if recording.tau is known.tau:
+        return motion
+    return replace(motion, tau=filtered_torque(recording, motion.lowpass)[0])
 
 
 def best_motion(

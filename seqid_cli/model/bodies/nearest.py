@@ -30,18 +30,19 @@ class Expected:
 
 
 def expected_links(
-    robot: Robot, kept: Array, E: Array, values: Array, *, min_mass: float = 1e-6
+    robot: Robot, kept: Array, E: Array, values: Array, G: Array, *, min_mass: float = 1e-6
 ) -> Expected:
     """Return the expected inertials of each link.
 
     `robot`: with `nominal` where its URDF has inertials. `kept` (n, 10): parts of the bodies that
     stay as they are; not part of the links. `E` (b, 10 n): identified combinations of link
-    parameters; they scale the guess. `values` (b,): their values.
+    parameters; they scale the guess. `values` (b,): their values. `G` (b, k): the same of rotors.
     """
     lengths, shapes = _shapes(robot.chain)
     cad = np.zeros((robot.n, 10)) if robot.nominal is None else robot.nominal - kept
     given = cad[:, 0] > min_mass
-    masses = _masses(shapes, E, values - E @ np.where(given[:, None], cad, 0.0).ravel(), given)
+    left = values - E @ np.where(given[:, None], cad, 0.0).ravel()
+    masses = _masses(shapes, E, left, given, G.any(axis=1))
     J = np.stack(
         [
             _solid(pseudo_inertia(cad[i]), lengths[i]) if given[i] else masses[i] * shapes[i]
@@ -74,19 +75,35 @@ def _shapes(
 
 
 def _masses(
-    shapes: Array, E: Array, values: Array, given: NDArray[np.bool_], *, lightest: float = 0.05
+    shapes: Array,
+    E: Array,
+    values: Array,
+    given: NDArray[np.bool_],
+    turned: NDArray[np.bool_],
+    *,
+    lightest: float = 0.05,
 ) -> Array:
-    """Masses (n,) kg of guessed links that come nearest to the identified values."""
+    """Masses (n,) kg of guessed links that come nearest to the identified values.
+
+    `turned` (b,): values that hold a rotor of unknown inertia. A link that shows in such ones alone
+    (the first of an arm on the floor) has the mean mass of the others: the rotor may be all of it.
+    """
     n = len(shapes)
     columns = np.stack(
         [E[:, 10 * i : 10 * i + 10] @ standard_of(J) for i, J in enumerate(shapes)], axis=1
     )
     columns[:, given] = 0.0
-    size = np.abs(values) + np.abs(columns).max(axis=1, initial=0.0)
+    hidden = columns.any(axis=0) & ~columns[~turned].any(axis=0)
+    if hidden.any() and not (hidden | given).all():
+        columns[columns[:, hidden].any(axis=1)] = 0.0
+    else:
+        hidden[:] = False
+    size = np.where(columns.any(axis=1), np.abs(values) + np.abs(columns).max(axis=1), 0.0)
     rows = size > 0.0
     if not rows.any():
         return np.ones(n)
     masses, _ = nnls(columns[rows] / size[rows, None], values[rows] / size[rows])
+    masses[hidden] = masses[~given & ~hidden].mean()
     mean = float(masses[~given].mean()) if (~given).any() else 1.0
     return np.maximum(masses, lightest * mean if mean > 0.0 else 1.0)
 
@@ -125,7 +142,7 @@ def nearest_bodies(robot: Robot, found: Identified, kept: Array | None = None) -
     demand = found.demand
     kept = np.zeros((robot.n, 10)) if kept is None else kept
     own = replace(demand, values=demand.values - demand.E @ kept.ravel())
-    expected = expected_links(robot, kept, own.E, own.values)
+    expected = expected_links(robot, kept, own.E, own.values, own.G)
     ratio = gear_ratios(robot)
     sizes = np.array([_turning(expected.J[j]) / ratio[j] ** 2 for j in found.free])
     bodies = consistent_links(expected.J, sizes, own)

@@ -15,6 +15,7 @@ from seqid_cli.export.model import simple_friction
 from seqid_cli.export.text import plain, real
 from seqid_cli.export.urdf_tree import bodies_of_urdf
 from seqid_cli.model.bodies.consistent import Demand, consistent_links
+from seqid_cli.model.bodies.nearest import expected_links
 from seqid_cli.model.bodies.pseudo_inertia import Body, pseudo_inertia, standard_of
 from seqid_cli.model.effects.fitted import FittedEffect, as_stage
 from seqid_cli.model.effects.registry import CATALOGUE
@@ -26,12 +27,25 @@ from tests.plants.robots.made import friction_joint
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.small import NAMES_6R, joint, link, urdf, urdf_6r
 from tests.plants.robots.stages import random_bodies, save_robot, stages_of
+from tests.unit.logs.samples import make_robot
 
 
 def test_pseudo_inertia_and_back() -> None:
     phi = random_bodies(np.random.default_rng(0), 5)
     np.testing.assert_allclose(standard_of(pseudo_inertia(phi)), phi, atol=1e-14)
     np.testing.assert_allclose([Body.of(row).standard for row in phi], phi, atol=1e-13)
+
+
+@pytest.mark.parametrize("rotor", [True, False])
+def test_inertia_that_may_be_a_rotors_makes_no_link_heavy(rotor: bool) -> None:
+    """A first link shows in one number alone, which holds the rotor of its drive as well."""
+    E = np.zeros((2, 20))
+    E[0, 9] = E[1, 19] = 1.0  # Izz of both
+    G = np.array([[1.0], [0.0]]) if rotor else np.zeros((2, 0))
+    robot = make_robot(["first", "second"])
+    J = expected_links(robot, np.zeros((2, 10)), E, np.array([0.7, 0.01]), G).J
+    first, second = J[:, 3, 3]
+    assert (first == pytest.approx(second)) == rotor
 
 
 def test_the_solution_is_the_minimum_of_the_divergence() -> None:

@@ -42,7 +42,7 @@ def expected_links(
     cad = np.zeros((robot.n, 10)) if robot.nominal is None else robot.nominal - kept
     given = cad[:, 0] > min_mass
     left = values - E @ np.where(given[:, None], cad, 0.0).ravel()
-    masses = _masses(shapes, E, left, given, G.any(axis=1))
+    masses = _masses(shapes, E, left, given, np.asarray(G.any(axis=1)))
     J = np.stack(
         [
             _solid(pseudo_inertia(cad[i]), lengths[i]) if given[i] else masses[i] * shapes[i]
@@ -93,7 +93,7 @@ def _masses(
         [E[:, 10 * i : 10 * i + 10] @ standard_of(J) for i, J in enumerate(shapes)], axis=1
     )
     columns[:, given] = 0.0
-    hidden = columns.any(axis=0) & ~columns[~turned].any(axis=0)
+    hidden = np.asarray(columns.any(axis=0) & ~columns[~turned].any(axis=0))
     if hidden.any() and not (hidden | given).all():
         columns[columns[:, hidden].any(axis=1)] = 0.0
     else:

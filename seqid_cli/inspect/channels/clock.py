@@ -33,6 +33,10 @@ _SAID: tuple[tuple[str, str], ...] = (
 )
 
 
+# Holes that the reader lays between episodes [s].
+_EPISODES = re.compile(r"episodes .* are read as stretches with a gap of ([0-9.e+]+) s")
+
+
 def clock_findings(
     data: LogData,
     *,
@@ -81,11 +85,19 @@ def gap_finding(gaps: Sequence[tuple[float, float]]) -> InspectionFinding:
 
 
 def gaps_of(data: LogData) -> list[tuple[float, float]]:
-    """Gaps without a row; holes of single channels are another matter (`hole_findings`)."""
-    if not data.recording.health.gaps:
+    """Gaps without a row, but for the holes between episodes.
+
+    Holes of single channels are another matter (`hole_findings`).
+    """
+    health = data.recording.health
+    if not health.gaps:
         return []
     t = data.t
-    wide = np.flatnonzero(np.diff(t) > gap_limit(np.diff(t)))
+    steps = np.diff(t)
+    wide = np.flatnonzero(steps > gap_limit(steps))
+    for said in filter(None, map(_EPISODES.search, health.warnings)):
+        between = float(said[1])  # to three digits
+        wide = wide[np.abs(steps[wide] - between) > 0.01 * between]
     return [(float(t[k]), float(t[k + 1])) for k in wide]
 
 

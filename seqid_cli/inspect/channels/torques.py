@@ -91,7 +91,7 @@ def _starts_or_stops(
     step: float,
     *,
     apart: int = 2,
-    over: int = 6,
+    over: int = 10,
     min_change: float = 10.0,
 ) -> NDArray[np.bool_]:
     """Whether the speed over `over` samples changes `min_change` times there; it takes torque.

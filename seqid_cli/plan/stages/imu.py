@@ -1,4 +1,4 @@
-"""Plan the calibration of IMUs: the first joint turns in k postures, then each by itself.
+"""Plan the calibration of IMUs: the first joint turns in k postures, then each before an IMU.
 
 An IMU sees the first joint's axis in its own frame (Eq. 29-31). Its mounting follows from k such
 directions d_i, and rotations about an axis u have the information sum_i |u x d_i|^2. Postures are
@@ -51,7 +51,8 @@ def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planne
     moves = [
         _swing(reduced, first, postures[k], ends[k], f"_{i}") for i, k in enumerate(chosen, start=1)
     ]
-    for j in belief.limits.moving[1:]:
+    last = max(imu.after_joint for imu in robot.imus)  # no IMU rides behind later joints
+    for j in (j for j in belief.limits.moving[1:] if j <= last):
         own, posture, span = lightest_posture(belief, j, rng, share=SPAN)
         moves.append(_swing(own, j, posture, np.array(span)))
     least = _least_information(_directions(belief, first, postures)[:, chosen])

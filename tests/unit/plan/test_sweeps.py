@@ -153,6 +153,14 @@ def test_imus_see_the_first_joint_from_many_sides(belief: Belief) -> None:
         plan_imu(replace(belief, robot=replace(belief.robot, imus=())), OPTIONS)
 
 
+def test_no_joint_behind_all_imus_turns_for_them(belief: Belief) -> None:
+    (imu, *_) = belief.robot.imus
+    for last in (1, belief.robot.n - 1):
+        robot = replace(belief.robot, imus=(replace(imu, after_joint=last),))
+        moves = plan_imu(replace(belief, robot=robot), OPTIONS).moves
+        assert {j for move in moves for j in move.joints} == {*robot.joint_names[: last + 1]}
+
+
 def test_validation_is_drawn_by_itself(belief: Belief) -> None:
     planned = plan_validation(belief, OPTIONS)
     assert all(len(move.joints) == 6 for move in planned.moves)

@@ -47,6 +47,7 @@ class LogSet:
 
     Iterate over it once, or have it `reduced` or `mapped` once; what was `read`, the `findings`,
     what is `partial` or `left_out` is complete afterwards. Warnings come as the logs are read.
+    Of logs with the same content the first counts.
     `logs`: a recording is taken as it is, without checks. `time_source` {"header", "log"}: which
     stamps of an MCAP log count. `imus`: whether the readings of IMUs are used, and hence checked.
     `skip_failed`: whether logs that cannot be used are left out. `executor`: who reads and reduces
@@ -64,6 +65,7 @@ class LogSet:
     findings: list[InspectionFinding] = field(default_factory=list)
     partial: list[str] = field(default_factory=list)
     read: list[LogNote] = field(default_factory=list)
+    _first: dict[str, Path] = field(default_factory=dict)  # log of each content, by SHA-256
 
     @classmethod
     def of(cls, inputs: Inputs, *, imus: bool | None = None) -> "LogSet":
@@ -133,7 +135,10 @@ class LogSet:
             found, error = None, reply.error
             if error is None:
                 found = reply.get()
-                self._done(found[0])
+                if self._is_copy(found[0]):
+                    found = None
+                else:
+                    self._done(found[0])
             elif isinstance(error, UsageError | ConfigError) or not self.skip_failed:
                 raise error  # also where it is no matter of one log
             else:
@@ -157,6 +162,16 @@ class LogSet:
         done = len(self.read) + len(self.left_out)
         if done < len(self.logs):
             self.tell("reading", log=_name(self.logs[done]))
+
+    def _is_copy(self, note: LogNote) -> bool:
+        """Leave out a log with the content of an earlier one: it would count twice."""
+        first = self._first.setdefault(note.sha256, note.path) if note.sha256 else note.path
+        if first == note.path:
+            return False
+        text = f"{note.path}: has the same content as {first} and would count twice"
+        self.left_out.append(text)
+        warn(f"left out: {text}")
+        return True
 
     def _done(self, note: LogNote) -> None:
         """Take account of a log that was read, and warn of what cannot wait for the result."""

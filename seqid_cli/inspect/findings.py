@@ -69,7 +69,7 @@ WARNINGS: Mapping[str, str] = {
     "torque.",
     "values_missing": "Look for lost packets in the logger; missing samples are bridged by a "
     "curve.",
-    "duplicate_log": "Give one of them only: it would count twice.",
+    "duplicate_log": "Give one of them only; stages take the first.",
     "reader": "See the message.",
     "rate_low": "Record at 100 Hz or more.",
     "jitter": "Log with the controller's own clock, in the control loop.",

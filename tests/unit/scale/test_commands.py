@@ -87,6 +87,21 @@ def test_the_first_log_that_fails_stops_the_command_by_name(
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_copy_of_a_log_does_not_count_twice(
+    jobs: str, logs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy, stages = str(shutil.copy(logs[0], tmp_path / "copy.parquet")), []
+    for given in ([logs[0]], [logs[0], copy]):
+        output = tmp_path / "out.json"
+        words = ["friction", *VELOCITY, "--position-order", "2", *given, "-r", str(ROBOT)]
+        assert run([*words, "-o", str(output), "--jobs", jobs]) == 0
+        stages.append(json.loads(output.read_text())["stages"]["friction"]["joints"])
+    assert stages[0] == stages[1]
+    text = f"left out: {copy}: has the same content as {logs[0]} and would count twice"
+    assert text in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
 def test_on_request_a_command_goes_on_without_failed_logs(
     jobs: str, logs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

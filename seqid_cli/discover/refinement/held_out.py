@@ -123,7 +123,8 @@ def held_out_error(
     """
     sums: list[BlockSums] = []
     logs = cast("Iterable[Recording]", recordings)  # those that are passed over are predicted alike
-    for log in predict(logs, robot, stages, options=options, unexplained=True):
+    every = predict(logs, robot, stages, options=options, unexplained=True, sliding_only=True)
+    for log in every:
         if log.part == 0:
             sums.append(BlockSums.of(log))
         sums[-1].add(log, log.sliding)

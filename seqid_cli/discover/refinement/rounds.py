@@ -114,13 +114,21 @@ def refine(
     smooth = options.with_unexplained and bool(found.found.smooth)
     if not (found.found.effects or smooth):
         return Refinement(material, file.stages, (), (start,), start, notes)
-    heard = replace(material, training=quiet(training, found.events)) if found.events else material
-    loop = Loop(heard, [start], start)
+    loop = Loop(_heard(material, found), [start], start)
     found = _add_effects(loop, found)
     if options.with_unexplained:
         _add_smooth(loop, found)
     rounds, steps = tuple(loop.rounds), tuple(loop.steps)
     return Refinement(material, file.stages, rounds, steps, loop.without, notes)
+
+
+def _heard(material: Material, found: Investigation) -> Material:
+    """What the model is fitted to: without events, and by encoders alone if no log needs more."""
+    options, scenes = material.options, found.ground.stage.scenes
+    if options.motion.source == "needed" and all(s.motion.source == "encoder" for s in scenes):
+        options = replace(options, motion=replace(options.motion, source="encoder"))
+    training = quiet(material.training, found.events) if found.events else material.training
+    return replace(material, training=training, options=options)
 
 
 def on_the_same_samples(options: DiscoverOptions, stages: Stages, robot: Robot) -> DiscoverOptions:

@@ -26,7 +26,7 @@ from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
-from seqid_cli.model.torque import TorqueModel, friction_surfaces, sliding
+from seqid_cli.model.torque import Predicted, TorqueModel, friction_surfaces, sliding
 from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, motion_blocks, overlapping
 from seqid_cli.motion.motion import Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
@@ -177,6 +177,7 @@ def predict(
     *,
     options: InertiaOptions,
     unexplained: bool = False,
+    sliding_only: bool = False,
 ) -> Iterator[LogPrediction]:
     """Predict the torque of any logs, with the effects that the parameter file names.
 
@@ -186,6 +187,9 @@ def predict(
         Whatever has been identified; what is missing is taken as zero and noted.
     unexplained : bool
         Whether smooth terms of no known cause count as well.
+    sliding_only : bool
+        Whether only samples count at which a joint slides: of logs that are held no interval is
+        worked out at rest, no friction of a joint that stays there, and no note on the encoders.
 
     Yields
     ------
@@ -201,7 +205,7 @@ def predict(
     """
     model = TorqueModel.from_stages(stages, robot)
     effects = tuple(fitted_effects(stages, robot, unexplained=unexplained))
-    for found in mapped(recordings, _PredictionOf(model, stages, options, effects)):
+    for found in mapped(recordings, _PredictionOf(model, stages, options, effects, sliding_only)):
         yield from found
 
 
@@ -222,6 +226,7 @@ class _PredictionOf:
     stages: Stages
     options: InertiaOptions
     effects: tuple[Fitted, ...]
+    sliding_only: bool
 
     def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
         """Open a log that is better passed over than read; None for others."""
@@ -238,8 +243,9 @@ class _PredictionOf:
         imu, source = self.stages.imu, self.options.source
         motion = torque_motion(log, self.model.robot, every, imu=imu, source=source)
         slowest = slides_from(self.model, self.options)
-        part = predicted(self.model, self.effects, slowest, motion, log, slice(None))
-        noise = tuple(encoder_notes(self.model, motion, part))
+        given = self.effects, slowest, motion, log, slice(None)
+        part = predicted(self.model, *given, sliding_only=self.sliding_only)
+        noise = () if self.sliding_only else tuple(encoder_notes(self.model, motion, part))
         found = _described([(part, motion)], self.model, self.stages)
         return [replace(one, notes=(*one.notes, *noise)) for one in found]
 
@@ -330,15 +336,24 @@ def predicted(
     motion: Motion,
     log: Recording,
     inner: slice,
+    *,
+    sliding_only: bool = False,
 ) -> LogPrediction:
     """Predict the inner samples of a motion.
 
     `slowest` (n,): speeds [rad/s; m/s where prismatic] from which joints certainly slide.
+    `sliding_only`: whether other samples do not count.
     """
     slides, added = sliding(motion, slowest), None
     if effects:
         added = added_torque(scene_of_log(log, model.robot, model, motion), log, effects, slowest)
-    allowed = model.predict_set(motion, slides, added)
+    if sliding_only:
+        known = [own if slides[:, j].any() else None for j, own in enumerate(model.surfaces)]
+        model = replace(model, surfaces=known)
+        value = model.predict(motion) + (0.0 if added is None else added.torque)
+        allowed = Predicted(value, value, value)
+    else:
+        allowed = model.predict_set(motion, slides, added)
     own = motion.part(inner)
     assert own.tau is not None
     return LogPrediction(

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from seqid_cli.discover.drive import drive_rows
 from seqid_cli.discover.select.rows import Channels
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
 from seqid_cli.discover.survey.rows import TOGETHER, Rows
@@ -71,6 +72,7 @@ class Stage:
     def __init__(self, rows: Rows) -> None:
         self.rows = rows
         self.high = high_band(rows)
+        self.drive = drive_rows(rows)
         self._made: dict[tuple[object, ...], Channels] = {}
         self.precisions: dict[tuple[object, ...], Array] = {}  # of columns that are kept
 
@@ -95,7 +97,17 @@ class Stage:
                 part = list(some.items())[first : first + together]
                 made = self._computed([c for _, c in part], passes)
                 self._made.update(zip([k for k, _ in part], made, strict=True))
-        return [self._made[key] for key in keys]
+        made = [self._made[key] for key in keys]
+        return [
+            self.with_drive(own) if candidate.effect.drive else own
+            for own, candidate in zip(made, candidates, strict=True)
+        ]
+
+    def with_drive(self, columns: Channels) -> dict[int, Array]:
+        """The same columns on the rows of the drive as well, where there are some."""
+        n = self.rows.n
+        seen = {2 * n + c: X for c, X in columns.items() if c < n and self.drive.of(c)}
+        return {**columns, **seen}
 
     def _wide(self, candidate: Candidate) -> Channels:
         """Columns below and above the cut-off; none apart if all is above."""

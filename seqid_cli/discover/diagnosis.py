@@ -29,6 +29,7 @@ from seqid_cli.discover.notes import (
     offset_notes,
     outside_notes,
     shown_offsets,
+    taken_in_notes,
 )
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.rivals import rivals_of, tried_at
@@ -130,6 +131,7 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
             *offset_notes(offsets, robot),
             *excess_notes(excess, robot),
             *file_notes(found, robot, ordinary, named_already),
+            *taken_in_notes(found, robot),
             *outside_notes(found, robot, ordinary),
             *free_base_notes(found, robot),
             *found.floor.doubts(np.minimum(found.model.rms(), found.start), robot.joints),
@@ -165,10 +167,10 @@ def _contact(found: Investigation, robot: Robot) -> FindingEntry:
 
 
 def _event_energies(found: Investigation) -> list[float]:
-    """Squared residual inside each event above what the rest of the logs has, in noise units."""
-    scenes, sigma = found.ground.stage.scenes, found.model.noise.sigma[: found.ground.n]
-    left = found.model.left()
-    return [event.energy(scenes[event.scene], left[event.scene] / sigma) for event in found.events]
+    """Squared residual inside each event beyond the noise floor, in its units."""
+    scenes, left = found.ground.stage.scenes, found.model.left()
+    floor = np.maximum(found.floor.rms, 1e-12)
+    return [event.energy(scenes[event.scene], left[event.scene] / floor) for event in found.events]
 
 
 def _apart(found: Investigation, energies: Sequence[float]) -> float:
@@ -177,8 +179,7 @@ def _apart(found: Investigation, energies: Sequence[float]) -> float:
     A push stands alone. Where much more than noise is left all along, the largest moment of it may
     be nothing else.
     """
-    rms, floor = found.model.rms(), found.floor.rms
-    unknown = 1.0 - np.minimum(floor / np.maximum(rms, 1e-12), 1.0) ** 2
+    unknown = np.maximum((found.model.rms() / np.maximum(found.floor.rms, 1e-12)) ** 2 - 1.0, 0.0)
     beyond = [unknown[j] * found.ground.stage.rows.count(j) for j in range(found.ground.n)]
     shares = [0.0]
     for event, energy in zip(found.events, energies, strict=True):
@@ -251,7 +252,8 @@ def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int 
 
 def _explains(found: Investigation, taken: Taken) -> float:
     """What `share_above` says of the effect's joints, on blocks that were left out."""
-    joints = [c for c in sorted(taken.term.channels) if c < found.ground.n]
+    n = found.ground.n
+    joints = sorted({c % n for c in taken.term.channels if c // n != 1})
     after = found.model.rms()[joints]
     return share_above(taken.without[joints], after, found.floor.rms[joints])
 

@@ -65,7 +65,7 @@ def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEnt
     term, model = taken.term, found.model
     theta, channel = model.linear.theta[model.where(term)], _channel_of(term, model)
     j, stage = channel % model.ground.n, model.ground.stage
-    narrow = channel == j
+    narrow = channel // model.ground.n != 1
     take = stage.rows.of if narrow else stage.high.of
     scenes = stage.scenes if narrow else [scene.full or scene for scene in stage.scenes]
     over = _over(term.what, theta[term.part.at(channel)], scenes, j)

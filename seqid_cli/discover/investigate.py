@@ -31,6 +31,7 @@ from seqid_cli.typing import Array, Mask
 from seqid_cli.working import step
 
 LAW = 0.02  # of the swing of the model's torque: less may be the error of any of its laws
+MADE = 0.25  # of its square: what the file leaves of a push that is none of the terms' making
 GUESSED = 0.5  # of the samples of a push, at which an effect may have any torque
 AROUND_S = 0.5
 
@@ -151,15 +152,20 @@ def guessed(model: Model) -> list[Mask]:
 def events_of(model: Model, guess: Sequence[Mask]) -> list[Interval]:
     """Stretches that stand out in what the model leaves, and are no errors of its laws.
 
-    Nor are they mostly samples (N, n) of `guess`, at which an effect may have any torque.
+    Nor are they mostly samples (N, n) of `guess`, at which an effect may have any torque, nor
+    what terms make where the file leaves less.
     """
-    rows, left = model.ground.stage.rows, model.left()
-    return [
-        event
-        for event in find_events(rows, model.scaled())
-        if not of_law(event, rows.scenes[event.scene], left[event.scene])
-        and not _may_be_any(event, rows.scenes[event.scene], guess[event.scene])
-    ]
+    rows, left, found = model.ground.stage.rows, model.left(), list[Interval]()
+    for event in find_events(rows, model.scaled()):
+        scene, own = rows.scenes[event.scene], left[event.scene]
+        file = model.ground.base.whole[event.scene].residual
+        if (
+            not of_law(event, scene, own)
+            and not _may_be_any(event, scene, guess[event.scene])
+            and event.squares(scene, file) > MADE * event.squares(scene, own)
+        ):
+            found.append(event)
+    return found
 
 
 def _may_be_any(event: Interval, scene: Scene, guess: Mask) -> bool:

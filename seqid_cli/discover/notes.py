@@ -71,7 +71,7 @@ def excess_residuals(found: Investigation, ordinary: Array) -> tuple[Excess, ...
 def looks_like(found: Investigation, joint: int) -> SmoothFunction | None:
     """The smooth term that a joint's residual is most like, however little it predicts."""
     ground = found.ground
-    given = ground.stage.rows, joint, ground.size
+    given = ground.stage, joint, ground.size
     terms = [*smooth_terms(*given), *smooth_terms(*given, products=True)]
     gained = found.model.linear.gained([term.part for term in terms])
     best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
@@ -110,6 +110,17 @@ def file_notes(
         else:
             notes.append(f"{many}, but that does not go with the motion, as slow noise does not")
     return tuple(notes)
+
+
+def taken_in_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
+    """Effects that were there when the file was identified, as its friction shows."""
+    return tuple(
+        f"joint {robot.joint_names[joint]}: {effect} was there when the file was identified, and "
+        f"its friction holds a part of it, for which {term} makes up here: refine identifies "
+        "friction anew"
+        for (term, joint), (effect, _) in found.found.made_up.items()
+        if joint is not None
+    )
 
 
 def free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:

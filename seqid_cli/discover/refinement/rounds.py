@@ -5,8 +5,8 @@ others, by how much better it predicts blocks that were left out (see `select`).
 after the other, first what a base that leaves the file explains least. Model and effects are fitted
 anew, under two accounts where the file is of other logs: that the effect was there all along, or
 that it came after the file was identified (see `reidentify`). The errors on all logs, those of the
-earlier stages among them, tell which. An effect that does not help the model fitted anew, or helps
-one joint at the expense of another, is refused, with that reason.
+earlier stages among them, tell which. An effect that does not help the model fitted anew, or by
+which other joints lose more than its own gain, is refused, with that reason.
 
 Held-out logs play no part in any of this: `refine` is not given them. What they say of the result
 is in `confirm`.
@@ -45,8 +45,6 @@ from seqid_cli.working import step
 
 ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
-# Of its squared error a joint may lose where others gain: so much, or a share of what these gain.
-TOLERATED, EXCHANGE = 0.05, 0.2
 TRIED = Options(improvement=LEAST_GAIN)  # what is tried need not be worth a finding
 PROBABLE = 0.5  # probability of being there from which an effect is added
 SAME = 0.01  # of an order or a frequency, by which two lines may differ and be one
@@ -195,10 +193,14 @@ def _among(one: Candidate, others: Sequence[Candidate]) -> bool:
 
 
 def _same(one: Candidate, other: Candidate) -> bool:
-    """Whether two are one effect; a joint may have several lines, and ripples of several orders."""
+    """Whether two are one effect; a joint may have several lines, and ripples of several orders.
+
+    Of what is looked for to first order the settings say about which size.
+    """
     if one.key != other.key:
         return False
-    told = [s.name for s in one.effect.settings if one.effect.wide or not s.continuous]
+    every = () if one.effect.first_order else one.effect.settings
+    told = [s.name for s in every if one.effect.wide or not s.continuous]
     return all(math.isclose(one.settings[s], other.settings[s], rel_tol=SAME) for s in told)
 
 
@@ -221,7 +223,7 @@ class Outcome:
     change: Gain  # of the squared error
     doubt: float  # probability that nothing is gained
     likely: float  # probability of being there, by that change
-    losing: tuple[int, ...]  # joints that lose more than is tolerated
+    losing: tuple[int, ...]  # joints that lose more than all others gain
 
     @property
     def gains(self) -> bool:
@@ -282,16 +284,17 @@ def _has_company(loop: Loop, found: Investigation, taken: Taken) -> bool:
     """Whether a term that the model has not made up for the file at an effect's joints."""
     known = [*candidates_of_model(loop.model.effects), _what(taken)]
     others = [x for x in found.found.taken if x.term.smooth or not _among(_what(x), known)]
-    return any(x.term.channels & taken.term.channels for x in others)
+    beside = any(x.term.channels & taken.term.channels for x in others)
+    return beside or taken.term.key in found.found.made_up.values()
 
 
 def _outcome(loop: Loop, account: Account, taken: Taken) -> Outcome:
     before, after, n = loop.error_of(account.without), account.error, loop.material.robot.n
-    own = [j for j in taken.term.channels if j < n]
+    own = sorted({c % n for c in taken.term.channels if c // n != 1})
     change = gain(before, after, own)
-    tolerated = max(TOLERATED, EXCHANGE * change.value)
     each = [gain(before, after, [j]) for j in range(n)]
-    losing = tuple(j for j, g in enumerate(each) if g.loses and g.value < -tolerated)
+    better = gain(before, after, range(n)).value > 0.0
+    losing = () if better else tuple(j for j, g in enumerate(each) if g.loses)
     likely = reality(max(change.value, taken.one.predicted.share), taken.evidence)
     return Outcome(change, doubt(before, after, own), likely, losing)
 

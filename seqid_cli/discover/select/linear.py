@@ -27,6 +27,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from seqid_cli.discover.select.rows import (
+    Channels,
     Gained,
     Part,
     Predicted,
@@ -168,6 +169,18 @@ class Linear:
         """Covariance (p, p) of `theta`."""
         return self._solved(self._whole[0], np.eye(self.size))
 
+    def of_torque(self, part: Part, torque: Channels) -> Array:
+        """Coefficients (k,) that a part has of a torque (M_c,) at some channels alone."""
+        b = np.zeros(self.size)
+        for channel, values in torque.items():
+            index, _ = self._own[channel]
+            B, _ = self._weighted(channel)
+            b[index] += B.T @ (values * self._root[channel])
+        return self._solved(self._whole[0], b)[self._at(part)]
+
+    def _at(self, part: Part) -> slice:
+        return next(w for p, w in zip(self.parts, self.where, strict=True) if p is part)
+
     def jackknife(self, at: slice) -> Array:
         """Covariance (k, k) of some of `theta`, from leaving out each block."""
         values = np.array([theta[at] for _, theta in self._without])
@@ -180,7 +193,7 @@ class Linear:
         The log Bayes factor is the density of its coefficients at zero, beforehand over given the
         rows (Savage's ratio: J. M. Dickey, Annals of Mathematical Statistics 42, 1971).
         """
-        at = next(w for p, w in zip(self.parts, self.where, strict=True) if p is part)
+        at = self._at(part)
         every, alone = (
             _taken_back(*self._of(x, at), part) for x in (self._whole, self._without_file)
         )

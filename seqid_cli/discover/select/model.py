@@ -21,6 +21,7 @@ from seqid_cli.typing import Array
 FAR = 30.0  # standard errors of the file, in multiples, that a free base may move by
 SCALES = (1.0, 3.0, 10.0, FAR)  # of which the evidence chooses
 WRONG = 0.8  # of standard errors: spread of the logarithm of how many times too small they are
+TAKEN_BACK = 0.5  # share of the square that may be left of what the file has taken in of an effect
 OWN_OFFSET = 0.75  # sample periods: time offset that every drive has, and no effect
 
 
@@ -65,11 +66,15 @@ class Ground:
     @classmethod
     def of(cls, stage: Stage, base: Base) -> Ground:
         """Rows of a stage, and what they have to be explained by."""
-        own, high = stage.rows, stage.high
-        y = (*base.y, *high.y)
-        block = (*(own.blocks_of(j) for j in range(own.n)), *high.block)
+        own, high, drive = stage.rows, stage.high, stage.drive
+        below = tuple(own.blocks_of(j) for j in range(own.n))
+        y = (*base.y, *high.y, *drive.y)
+        seen = tuple(b[: len(v)] for b, v in zip(below, drive.y, strict=False))
+        block = (*below, *high.block, *seen)
         size = np.array([np.sqrt(np.mean(v**2)) if len(v) else 1.0 for v in y])
-        return cls(stage, base, Rows(y, block, len(own.fold)), np.maximum(size, 1e-12))
+        return cls(
+            stage, base, Rows(y, block, len(own.fold), len(drive.y)), np.maximum(size, 1e-12)
+        )
 
     @property
     def n(self) -> int:
@@ -96,14 +101,16 @@ class Ground:
 
     def parts(self, hold: Hold, timed: Sequence[bool]) -> list[Part]:
         """The base: rigid body, friction by joint, time offset by joint where it has its own."""
-        base, joints = self.base, range(self.n)
+        base, stage, joints, n = self.base, self.stage, range(self.n), self.n
+        drives = [j for j in joints if stage.drive.of(j)]
         rigid, *friction = self.precisions(hold)
         timing = [np.diag(base.bounds[2][j] ** 2 + self.own_offset**-2) for j in joints]
         own = [np.diag(bound**2) for bound in base.bounds[1]]
         return [
             Part(dict(enumerate(base.rigid)), rigid, np.diag(base.bounds[0] ** 2)),
-            *(Part({j: base.friction[j]}, friction[j], own[j]) for j in joints),
+            *(Part(stage.with_drive({j: base.friction[j]}), friction[j], own[j]) for j in joints),
             *(Part({j: base.timing[j]} if timed[j] else {}, timing[j]) for j in joints),
+            *(stage.drive.part(j, 2 * n + j, self.size[2 * n + j]) for j in drives),
         ]
 
 
@@ -215,16 +222,34 @@ class Model:
 
     def squares(self, term: Term, channels: frozenset[int]) -> float:
         """Weighted square of a term's torque at some channels."""
-        theta, weight = self.linear.theta[self.where(term)], self.noise.weight
-        there = term.channels & channels
+        return self._square(term, channels, self.linear.theta[self.where(term)])
+
+    def _square(self, term: Term, channels: frozenset[int], theta: Array) -> float:
+        weight, there = self.noise.weight, term.channels & channels
         return sum(float(weight[c] @ term.part.torque(c, theta) ** 2) for c in there)
+
+    def _torque(self, term: Term, channel: int) -> Array:
+        """Torque (M_c,) N m of a term at a channel."""
+        return term.part.torque(channel, self.linear.theta[self.where(term)])
+
+    def makes_up_for(self, term: Term, other: Term) -> bool:
+        """Whether a term takes off what it would have, beside the base, of another one's torque.
+
+        So does one that takes back what the file has taken in of it: all but `TAKEN_BACK`.
+        """
+        alone = self.beside(*(one for one in self.terms if one is not term))
+        there = term.channels & other.channels
+        share = alone.of_torque(term.part, {c: self._torque(other, c) for c in there})
+        own = self.linear.theta[self.where(term)]
+        left, whole = (self._square(term, there, a) for a in (own + share, share))
+        return left < TAKEN_BACK * whole
 
     def is_detail(self, term: Term) -> bool:
         """Whether a term is small beside the torque of the model, which ends at the cut-off."""
-        channels, torque = term.channels, self.ground.torque
-        if max(channels) >= len(torque):
+        channels, torque, n = term.channels, self.ground.torque, self.ground.n
+        if any(c // n == 1 for c in channels):
             return False
-        whole = sum(float(self.noise.weight[c] @ torque[c] ** 2) for c in channels)
+        whole = sum(float(self.noise.weight[c] @ torque[c % n] ** 2) for c in channels)
         return self.squares(term, channels) < DETAIL**2 * whole
 
     @cached_property

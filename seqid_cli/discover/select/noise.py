@@ -40,8 +40,10 @@ class Noise:
 
     def slow(self, stage: Stage) -> list[Part]:
         """What of it is slower than a block of time, by joint."""
-        joints = range(stage.rows.n)
-        return [slow_noise(stage, j, self.sigma[j]) for j in joints if stage.rows.count(j)]
+        n = stage.rows.n
+        below = [c for c in range(len(self.sigma)) if c // n != 1 and stage.rows.count(c % n)]
+        seen = [c for c in below if c < n or stage.drive.of(c % n)]
+        return [slow_noise(stage, c, self.sigma[c]) for c in seen]
 
 
 def settled(stage: Stage, rows: Rows, size: Array, parts: Sequence[Part]) -> tuple[Linear, Noise]:
@@ -51,26 +53,28 @@ def settled(stage: Stage, rows: Rows, size: Array, parts: Sequence[Part]) -> tup
     noise = Noise(size, tuple(weight))
     linear = Linear(rows, parts, noise.weight)
     for _ in range(ROUNDS):
-        noise = _of_residual(linear.residual(), noise.sigma, windows, stage.high.weight)
+        noise = _of_residual(linear.residual(), noise.sigma, windows, stage)
         linear = Linear(rows, [*parts, *noise.slow(stage)], noise.weight)
     return linear, noise
 
 
 def _of_residual(
-    left: Sequence[Array], sigma: Array, windows: Sequence[Index], above: Array
+    left: Sequence[Array], sigma: Array, windows: Sequence[Index], stage: Stage
 ) -> Noise:
+    """Noise of every channel; rows that show a drive again count half each."""
     n, found, weight = len(windows), sigma.copy(), []
     for c, r in enumerate(left):
         if not len(r):
             weight.append(r)
             continue
-        shared = np.ones(len(r))
-        if c < n:
-            found[c], shared = _student(r, sigma[c], windows[c])
-        else:
+        if c // n == 1:
             found[c] = max(float(np.sqrt(np.mean(r**2))), 1e-12)
-        own = found[c] if c < n else found[c] * above[c - n]
-        weight.append(shared / (ALIKE * own**2))
+            own = found[c] * stage.high.weight[c - n]
+            weight.append(np.full(len(r), 1.0 / (ALIKE * own**2)))
+        else:
+            found[c], shared = _student(r, sigma[c], windows[c % n])
+            views = 2.0 if stage.drive.of(c % n) else 1.0
+            weight.append(shared / (views * ALIKE * found[c] ** 2))
     return Noise(found, tuple(weight))
 
 
@@ -85,7 +89,7 @@ def _student(r: Array, sigma: float, window: Index) -> tuple[float, Array]:
     return sigma, weight
 
 
-def slow_noise(stage: Stage, joint: int, size: float) -> Part:
+def slow_noise(stage: Stage, channel: int, size: float) -> Part:
     """Torque noise that is slower than a block of time: an offset and cosines, of 1/f power.
 
     Each log has its own. Blocks that are left out tell nothing of it, and a function of time would
@@ -94,11 +98,13 @@ def slow_noise(stage: Stage, joint: int, size: float) -> Part:
     Parameters
     ----------
     stage : Stage
-    joint : int
+    channel : int
+        Rows of a joint, or of its drive.
     size : float
-        Standard deviation [N m] of the joint's noise, of which it is `SLOW`.
+        Standard deviation [N m] of their noise, of which it is `SLOW`.
     """
     rows = stage.rows
+    joint = channel % rows.n
     order = np.arange(WAVES)
     wide = np.zeros((rows.count(joint), WAVES * len(rows.scenes)))
     first = 0
@@ -110,7 +116,7 @@ def slow_noise(stage: Stage, joint: int, size: float) -> Part:
         first += len(t)
     power = 1.0 / np.maximum(order, 0.5)
     variance = 2.0 * (SLOW * size) ** 2 * power / np.sum(power)
-    return Part({joint: wide}, np.diag(np.tile(1.0 / variance, len(rows.scenes))))
+    return Part({channel: wide}, np.diag(np.tile(1.0 / variance, len(rows.scenes))))
 
 
 def _windows(stage: Stage) -> list[Index]:

@@ -36,17 +36,21 @@ class Rows:
         Block of time of every row, ascending.
     blocks : int
         Number of blocks.
+    again : int
+        Number of channels, the last ones, whose rows show again what those of others do.
     """
 
     y: tuple[Array, ...]
     block: tuple[Index, ...]
     blocks: int
+    again: int = 0
 
     @cached_property
     def independent(self) -> Array:
         """Number (channels, blocks) of independent rows."""
-        counts = [np.bincount(block, minlength=self.blocks) for block in self.block]
-        return np.stack(counts) / ALIKE
+        counts = np.stack([np.bincount(block, minlength=self.blocks) for block in self.block])
+        counts[len(counts) - self.again :] = 0
+        return np.asarray(counts / ALIKE)
 
     @cached_property
     def at(self) -> tuple[tuple[slice, ...], ...]:

@@ -115,7 +115,8 @@ class Search:
         (marginality: J. A. Nelder, Journal of the Royal Statistical Society A 140, 1977).
         """
         found = []
-        for j in sorted(channels & set(range(self.model.ground.n))):
+        n = self.model.ground.n
+        for j in sorted({c % n for c in channels if c // n != 1}):
             own = self._smooth_tried(linear, j, had)
             if any(one.evidence > 0.0 for one in own):
                 own += self._smooth_tried(linear, j, had, products=True)
@@ -126,7 +127,7 @@ class Search:
         self, linear: Linear, joint: int, had: Collection[Key], *, products: bool = False
     ) -> list[Tried]:
         g = self.model.ground
-        terms = smooth_terms(g.stage.rows, joint, g.size, products=products)
+        terms = smooth_terms(g.stage, joint, g.size, products=products)
         return _tried(linear, [term for term in terms if term.key not in had])
 
     def _tuner(self, linear: Linear) -> Tuner:

@@ -251,7 +251,8 @@ class Selection:
         taken = {term.key for term in self.model.terms}
         hidden = {key: share for key, share in self._search.visible.items() if key not in taken}
         left = tuple(one for one in tried if one.term.key not in taken)
-        return Selected(self.model, told, hidden, left)
+        made_up = {t.key: o.key for t in self.model.terms if (o := self._made_up_for(t))}
+        return Selected(self.model, told, hidden, left, made_up)
 
     def largest(self) -> Selected:
         """Of the effects that were taken the one of the largest gain, with its rivals."""
@@ -263,8 +264,19 @@ class Selection:
         """A term as it gains beside all others, if it is told."""
         linear, one = self.model.beside(term), _again(term, self.model)
         gain = min(one.predicted.total, self.model.margin(linear))
-        there = reality(one.predicted.share, gain) >= least
-        return one if there and self._passes(one) and not self._of_a_law(one) else None
+        there = reality(one.predicted.share, gain) >= least and self._passes(one)
+        other = self._of_a_law(one) or self._made_up_for(term) is not None
+        return one if there and not other else None
+
+    def _made_up_for(self, term: Term) -> Term | None:
+        """The effect of which a term takes back what the file's friction has taken in.
+
+        That is what an effect shows over position and speed, where it was there all along.
+        """
+        whole = [t for t in self.model.terms if not (t.smooth or t.in_surface)]
+        lasting = [t for t in whole if isinstance(t.what, Candidate) and not t.what.effect.change]
+        every = lasting if term.in_surface else []
+        return next((t for t in every if self.model.makes_up_for(term, t)), None)
 
     def _all_taken(self, least: float) -> tuple[Taken, ...]:
         """Terms that are told, with their rivals; they give way to simpler ones."""
@@ -277,7 +289,7 @@ class Selection:
             return tuple(told.values())
         model.terms = [better.get(term, term) for term in model.terms]
         model.settle()
-        return tuple(self._taken(term) for term in better.values())
+        return tuple(self._taken(t) for t in better.values() if self._made_up_for(t) is None)
 
     def _better(self, taken: Taken, gone: set[Key]) -> Term:
         """The simplest of a term and of its rivals that do as well."""

@@ -12,7 +12,6 @@ from seqid_cli.discover.base import LIKELY
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.select.rows import Channels, Part
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions, smooth_products
-from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.typing import Array
 
 
@@ -49,6 +48,12 @@ class Term:
         return self.part.size + self.what.effect.searched(self.what.settings)
 
     @property
+    def in_surface(self) -> bool:
+        """Whether a file's friction may hold it."""
+        what = self.what
+        return not isinstance(what, SmoothFunction) and what.effect.in_surface
+
+    @property
     def key(self) -> tuple[str, int | None]:
         """What it is, whatever the settings."""
         return self.name, self.joint
@@ -69,37 +74,45 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
     size : (channels,) array
         RMS [N m] of what the file leaves: no term is likely to be much more.
     """
-    known, found = stage.precisions, list[Term]()
+    known, found, n = stage.precisions, list[Term](), stage.rows.n
     for candidate, columns in zip(candidates, stage.columns(candidates), strict=True):
         if columns and next(iter(columns.values())).shape[1] and any(map(len, columns.values())):
-            first = {c: candidate.size for c in columns if candidate.apart and c >= stage.rows.n}
+            first = {c: candidate.size for c in columns if candidate.apart and c // n == 1}
             if candidate.address not in known:
                 known[candidate.address] = np.diag(_precision(columns, size, first))
             found.append(Term(candidate, Part(columns, known[candidate.address], first=first)))
     return found
 
 
-def smooth_terms(rows: Rows, joint: int, size: Array, *, products: bool = False) -> list[Term]:
+def smooth_terms(stage: Stage, joint: int, size: Array, *, products: bool = False) -> list[Term]:
     """Smooth functions of everything measured, or of two quantities, for one joint.
 
     What bends more is smaller beforehand.
     """
+    rows = stage.rows
     key = f"smooth {'products' if products else 'terms'} {joint}"
     if key not in rows.made:
         functions = smooth_products if products else smooth_functions
         made = functions(rows, joint) if rows.count(joint) else []
-        rows.made[key] = [_smooth_term(rows, one, size) for one in made]
+        rows.made[key] = [_smooth_term(stage, one, size) for one in made]
     found = rows.made[key]
     assert isinstance(found, list)
     return found
 
 
-def _smooth_term(rows: Rows, one: SmoothFunction, size: Array) -> Term:
-    j = one.joint
+def _smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
+    """Make a term of a function; of a drive it is another one, with coefficients of its own.
+
+    A measured load holds all that acts on the link: of that it explains the drive alone.
+    """
+    rows, j = stage.rows, one.joint
     basis = rows.columns([{j: one.source.basis(scene)} for scene in rows.scenes], passes=2)
-    columns = {j: basis[j] @ one.mixing}
-    precision = _precision(columns, size) * one.bending**2
-    return Term(one, Part(columns, np.diag(precision)))
+    columns = stage.with_drive({j: basis[j] @ one.mixing})
+    if len(columns) > 1 and "load" in one.quantities:
+        del columns[j]
+    first = {c: one.size for c in columns if c != j and j in columns}
+    precision = _precision(columns, size, first) * np.tile(one.bending, len(columns)) ** 2
+    return Term(one, Part(columns, np.diag(precision), first=first))
 
 
 def _precision(columns: Channels, size: Array, first: Mapping[int, int] = {}) -> Array:

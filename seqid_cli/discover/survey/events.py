@@ -71,6 +71,11 @@ class Interval:
         t = scene.motion.t - scene.motion.t[0]
         return np.asarray((t >= self.start - margin) & (t <= self.end + margin))
 
+    def squares(self, scene: Scene, residual: Array) -> float:
+        """Sum of the squared residual (N, n) of its joints in it, where they slide."""
+        there = np.where(scene.slides, residual, 0.0)[self.inside(scene)]
+        return float(np.sum(there[:, list(self.joints)] ** 2))
+
     def energy(self, scene: Scene, scaled: Array) -> float:
         """Squared residual (N, n) in it beyond that of noise, by samples as far apart as rows.
 

@@ -22,6 +22,7 @@ class AsymmetricFriction(Effect):
 
     name = "asymmetric_friction"
     family = "friction"
+    drive = True
     over = "velocity"
     linear = (
         Coefficient("coulomb_asymmetry", "N m"),

@@ -22,6 +22,7 @@ class Drift(Effect):
 
     name = "drift"
     family = "measurement"
+    drive = True
     slow = True
     passes = 1
     settings = (Setting("duration", "s", low=0.0, continuous=False),)

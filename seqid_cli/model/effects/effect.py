@@ -122,6 +122,9 @@ class Effect(abc.ABC):
         is then visible against earlier parameters only.
     apart : bool
         Whether motor and link move apart, so that the parameters take the link's inertia alone.
+    drive : bool
+        Whether its torque arises between the motor's current and a torque sensor behind the gear,
+        which does not see it.
     later : tuple of str
         Coefficients, the last ones, that files of earlier versions do not have: zero there.
     over : str
@@ -153,6 +156,7 @@ class Effect(abc.ABC):
     slow: bool = False
     change: bool = False
     apart: bool = False
+    drive: bool = False
     later: tuple[str, ...] = ()
     over: Over = "torque"
     sided: bool = False
@@ -166,6 +170,11 @@ class Effect(abc.ABC):
         Not so where it remembers more, or needs another channel of the log.
         """
         return True
+
+    @property
+    def in_surface(self) -> bool:
+        """Whether it is friction of a joint's own motion, which a file's friction may hold."""
+        return self.family == "friction" and "load" not in self.needs
 
     def axis(self, joint: int, settings: Settings) -> Axis | None:
         """Return the quantity that it is shown over at a joint; None for what it makes itself."""

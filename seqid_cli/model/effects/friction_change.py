@@ -24,6 +24,7 @@ class FrictionChange(Effect):
 
     name = "friction_change"
     family = "friction"
+    drive = True
     change = True
     over = "speed"
     sided = True

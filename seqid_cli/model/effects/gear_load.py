@@ -28,6 +28,7 @@ class LoadLoss(Effect):
     """An effect of the torque that a gear passes on."""
 
     family = "friction"
+    drive = True
     sided = True
     settings = (Setting(ROTOR, "kg m^2", low=1e-12, high=1e6, logarithmic=True, asked=False),)
     needs = ("motion", "load")

@@ -29,6 +29,7 @@ class NonlinearViscous(Effect):
 
     name = "nonlinear_viscous"
     family = "friction"
+    drive = True
     settings = (Setting("exponent", "1", low=0.3, high=4.0),)
     over = "speed"
     sided = True

@@ -27,6 +27,7 @@ class PositionDependentFriction(Effect):
 
     name = "position_dependent_friction"
     family = "friction"
+    drive = True
     settings = (
         Setting("period", "rad", low=0.0, continuous=False),
         Setting("waves", "1", low=1.0, continuous=False),

@@ -35,6 +35,7 @@ class PreslidingHysteresis(Effect):
 
     name = "presliding_hysteresis"
     family = "friction"
+    drive = True
     settings = (Setting("presliding_distance", "rad", low=1e-7, high=0.5, logarithmic=True),)
     linear = (Coefficient("presliding_torque", "N m", low=0.0),)
     needs = ("motion",)

@@ -19,6 +19,7 @@ class QuadraticDrag(Effect):
 
     name = "quadratic_drag"
     family = "friction"
+    drive = True
     over = "speed"
     sided = True
     linear = (Coefficient("drag_coefficient", "N m s^2/rad^2", low=0.0),)

@@ -25,6 +25,7 @@ class RotorInertia(Effect):
 
     name = "rotor_inertia"
     family = "body"
+    drive = True
     settings = (Setting("coupling", "1", low=0.0, high=1.0, continuous=False),)
     passes = 1
     over = "acceleration"

@@ -115,8 +115,11 @@ class Scene:
     @cached_property
     def load(self) -> Array:
         """Torque (N, n) that the gear passes to the link: measured, else modelled without rotor."""
-        if self.sensor is not None:
-            return self.sensor
+        return self.modelled_load if self.sensor is None else self.sensor
+
+    @cached_property
+    def modelled_load(self) -> Array:
+        """The same (N, n) N m as the model has it, rotors left out."""
         rotor = known_rotors(self.robot) if self.model.rotor is None else self.model.rotor
         return self.rigid - self.gear**2 * rotor * self.motion.ddq
 

@@ -31,6 +31,7 @@ class Stribeck(Effect):
 
     name = "stribeck"
     family = "friction"
+    drive = True
     settings = (
         Setting("stribeck_speed", "rad/s", low=1e-6, high=100.0, logarithmic=True),
         Setting("exponent", "1", low=0.5, high=2.0, continuous=False),

@@ -35,6 +35,7 @@ class ThermalFriction(Effect):
 
     name = "thermal_friction"
     family = "friction"
+    drive = True
     settings = (
         Setting("warm_up_time", "s", low=SHORTEST_S, high=LONGEST_S, logarithmic=True),
         Setting("logged", "1", low=0.0, high=1.0, continuous=False),

@@ -21,6 +21,7 @@ class TorqueBias(TorqueMeasurement):
 
     name = "torque_bias"
     family = "measurement"
+    drive = True
     slow = True
     change = True
     over = "session_time"

@@ -20,6 +20,7 @@ class TorqueConstant(TorqueMeasurement):
 
     name = "torque_constant"
     family = "measurement"
+    drive = True
     change = True
     linear = (Coefficient("relative_error", "1", low=-0.5, high=1.0),)
     alike = ("payload", "torque_saturation", "load_dependent_friction")

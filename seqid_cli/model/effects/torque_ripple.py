@@ -60,6 +60,7 @@ class TorqueRipple(Effect):
 
     name = "torque_ripple"
     family = "transmission"
+    drive = True
     settings = (
         Setting("order", "cycles per motor turn", low=0.0, continuous=False),
         Setting("law", "1", low=0.0, high=len(LAWS) - 1.0, continuous=False),

@@ -32,6 +32,7 @@ class TorqueSaturation(TorqueMeasurement):
 
     name = "torque_saturation"
     family = "measurement"
+    drive = True
     settings = (Setting("around", "1/(N m)^2", low=0.0, continuous=False),)
     first_order = True
     over = "load"

@@ -39,3 +39,15 @@ def test_a_push_where_an_effect_may_have_any_torque_is_no_event(
         sticks = [(s.motion.t > 4.9) & (s.motion.t < end) for s in scenes]
         guess = [np.column_stack([np.zeros_like(one), one]) for one in sticks]
         assert investigate.events_of(model, guess) == expected
+
+
+def test_what_terms_make_where_the_file_leaves_less_is_no_event(
+    model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(investigate, "find_events", lambda *_: [PUSH])
+    monkeypatch.setattr(investigate, "of_law", lambda *_: False)
+    left = [whole.residual for whole in model.ground.base.whole]
+    guess = [np.zeros_like(one, dtype=bool) for one in left]
+    for times, expected in ((1.9, [PUSH]), (2.1, [])):
+        monkeypatch.setattr(model, "left", lambda times=times: [times * one for one in left])
+        assert investigate.events_of(model, guess) == expected

@@ -12,16 +12,26 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
 from seqid_cli.discover.select.smoothest import knots_of, smoothest
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.smooth import Axis, Factor, Measure, greville, shape, splines
+from seqid_cli.model.effects.smooth import (
+    Axis,
+    Factor,
+    Measure,
+    greville,
+    row_product,
+    shape,
+    splines,
+)
 from seqid_cli.model.effects.unexplained import SmoothTerm
 from seqid_cli.typing import Array
 
+SLOW = {"position", "velocity", "temperature", "time", "session_time"}
 SIZE = 12  # functions of one quantity, the constant among them
 TENSOR_SIZE = 6  # the same per quantity of a product
 
@@ -74,6 +84,24 @@ class SmoothFunction:
         place = np.arange(1.0, self.size + 1.0)
         return np.sqrt(place) if len(self.source.axes) > 1 else place
 
+    def columns(self, rows: Rows) -> Array:
+        """Compute the columns (M, k) on the joint's rows.
+
+        Functions of what is slow beside the low-pass pass it as they are: only the direction has
+        steps. Low-passed one by one, they cost as much as all effects.
+        """
+        axes, j, scenes = self.source.axes, self.joint, rows.scenes
+        if not {axis.measure for axis in axes} <= SLOW:
+            wide = rows.columns(({j: self.source.basis(scene)} for scene in scenes), passes=2)
+            return wide[j] @ self.mixing
+        values = [[_known(axis.values(scene)) for scene in scenes] for axis in axes]
+        every = zip(values, axes, strict=True)
+        basis = reduce(row_product, [splines(rows.of(j, v), axis.knots) for v, axis in every])
+        if self.source.factor == "direction":
+            sign = [s.motion.filtered(s.sign[:, [j]], times=2) for s in scenes]
+            basis = basis * rows.of(j, sign)
+        return rows.whitened(j, basis @ self.mixing)
+
     def add_torque(
         self, total: Sequence[Array], scenes: Sequence[Scene], coefficients: Array
     ) -> None:
@@ -86,6 +114,11 @@ class SmoothFunction:
         """Return the torque of coefficients (k,) as a model has it."""
         c = self.mixing @ coefficients
         return SmoothTerm(self.joint, self.quantities, self.source.axes, self.source.factor, c)
+
+
+def _known(values: Array | None) -> Array:
+    assert values is not None
+    return values
 
 
 def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:

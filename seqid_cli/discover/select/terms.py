@@ -105,9 +105,8 @@ def _smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:
 
     A measured load holds all that acts on the link: of that it explains the drive alone.
     """
-    rows, j = stage.rows, one.joint
-    basis = rows.columns([{j: one.source.basis(scene)} for scene in rows.scenes], passes=2)
-    columns = stage.with_drive({j: basis[j] @ one.mixing})
+    j = one.joint
+    columns = stage.with_drive({j: one.columns(stage.rows)})
     if len(columns) > 1 and "load" in one.quantities:
         del columns[j]
     first = {c: one.size for c in columns if c != j and j in columns}

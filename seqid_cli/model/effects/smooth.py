@@ -125,12 +125,13 @@ def shape(scene: Scene, joint: int, axes: Sequence[Axis], factor: Factor) -> Arr
     (N, product of the axes' sizes) array
         Unfiltered; the last axis runs fastest.
     """
-    basis = reduce(_row_product, [axis.basis(scene) for axis in axes])
+    basis = reduce(row_product, [axis.basis(scene) for axis in axes])
     if factor == "direction":
         return basis * scene.sign[:, joint, None]
     return basis
 
 
-def _row_product(A: Array, B: Array) -> Array:
+def row_product(A: Array, B: Array) -> Array:
+    """Products (N, a b) of the functions A (N, a) and B (N, b); those of B run fastest."""
     product: Array = (A[:, :, None] * B[:, None, :]).reshape(len(A), -1)
     return product

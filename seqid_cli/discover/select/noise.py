@@ -53,15 +53,15 @@ def settled(stage: Stage, rows: Rows, size: Array, parts: Sequence[Part]) -> tup
     noise = Noise(size, tuple(weight))
     linear = Linear(rows, parts, noise.weight)
     for _ in range(ROUNDS):
-        noise = _of_residual(linear.residual(), noise.sigma, windows, stage)
+        noise = _of_residual(linear.residual(), noise.sigma, windows, stage, rows.shared)
         linear = Linear(rows, [*parts, *noise.slow(stage)], noise.weight)
     return linear, noise
 
 
 def _of_residual(
-    left: Sequence[Array], sigma: Array, windows: Sequence[Index], stage: Stage
+    left: Sequence[Array], sigma: Array, windows: Sequence[Index], stage: Stage, views: Array
 ) -> Noise:
-    """Noise of every channel; rows that show a drive again count half each."""
+    """Noise of every channel; what two channels show counts half in each."""
     n, found, weight = len(windows), sigma.copy(), []
     for c, r in enumerate(left):
         if not len(r):
@@ -73,8 +73,7 @@ def _of_residual(
             weight.append(np.full(len(r), 1.0 / (ALIKE * own**2)))
         else:
             found[c], shared = _student(r, sigma[c], windows[c % n])
-            views = 2.0 if stage.drive.of(c % n) else 1.0
-            weight.append(shared / (views * ALIKE * found[c] ** 2))
+            weight.append(shared / (views[c] * ALIKE * found[c] ** 2))
     return Noise(found, tuple(weight))
 
 

@@ -36,21 +36,25 @@ class Rows:
         Block of time of every row, ascending.
     blocks : int
         Number of blocks.
-    again : int
-        Number of channels, the last ones, whose rows show again what those of others do.
+    views : tuple of float
+        Of each channel, how many channels show the same; once where it is empty.
     """
 
     y: tuple[Array, ...]
     block: tuple[Index, ...]
     blocks: int
-    again: int = 0
+    views: tuple[float, ...] = ()
 
     @cached_property
     def independent(self) -> Array:
         """Number (channels, blocks) of independent rows."""
         counts = np.stack([np.bincount(block, minlength=self.blocks) for block in self.block])
-        counts[len(counts) - self.again :] = 0
-        return np.asarray(counts / ALIKE)
+        return counts / (ALIKE * self.shared[:, None])
+
+    @property
+    def shared(self) -> Array:
+        """`views` of all channels."""
+        return np.array(self.views or (1.0,) * len(self.y))
 
     @cached_property
     def at(self) -> tuple[tuple[slice, ...], ...]:

@@ -186,10 +186,7 @@ class Selection:
             self.model.terms.append(best)
             self.model.settle()
             self.model.polish()
-            gone = self.eliminate()
-            refused |= gone
-            if best.key in gone:
-                return
+            refused |= self.eliminate()
 
     def _best(self, refused: set[Key]) -> Term | None:
         """The term to take next; none where none is worth it."""

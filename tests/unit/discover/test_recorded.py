@@ -30,6 +30,7 @@ pytestmark = pytest.mark.slow
 DATA = ROOT / ".." / "shared" / "data"
 SAMPLES = ROOT / "sample_logs"
 PENDULUM, TX40, UR10E = "dfki_simple_pendulum", "staubli_tx40", "ur10e_innopolis"
+XMATE = "rokae_xmate"
 ECHOES = {"gravity_compensation.parquet", "pd_1nm_torque_limited_swingup_failure.parquet"}
 
 
@@ -100,6 +101,15 @@ def test_load_friction_of_the_ur10e() -> None:
         for f in found.findings
         if f.joint == "wrist_3_joint" and f.effect in ("load_dependent_friction", "gear_efficiency")
     ]
+
+
+def test_losses_of_the_xmate_beside_its_torque_sensors() -> None:
+    found = diagnosed(XMATE, ["train.parquet", "holdout.parquet"], most=4)
+    # with the sensor as the measured load, others found 0.089 and 0.108
+    for joint, coefficient in (("joint_2", 0.089), ("joint_4", 0.108)):
+        loss = named(found, "load_dependent_friction", joint)
+        assert value(loss, "load_coefficient") == pytest.approx(coefficient, rel=0.25)
+    assert {f.joint for f in found.findings} == {"joint_2", "joint_4"}
 
 
 def test_ripple_of_a_harmonic_drive() -> None:

@@ -183,7 +183,7 @@ def _apart(found: Investigation, energies: Sequence[float]) -> float:
     beyond = [unknown[j] * found.ground.stage.rows.count(j) for j in range(found.ground.n)]
     shares = [0.0]
     for event, energy in zip(found.events, energies, strict=True):
-        shares.append(energy / max(energy + max(beyond[j] for j in event.joints), 1e-300))
+        shares.append(energy / max(energy + sum(beyond[j] for j in event.joints), 1e-300))
     return float(max(shares))
 
 

@@ -77,13 +77,14 @@ class Interval:
         return float(np.sum(there[:, list(self.joints)] ** 2))
 
     def energy(self, scene: Scene, scaled: Array) -> float:
-        """Squared residual (N, n) in it beyond that of noise, by samples as far apart as rows.
+        """Squared residual (N, n) of its joints in it, beyond noise, by samples as far as rows.
 
         `scaled` is in units of each joint's noise.
         """
         motion = scene.motion
         thin = SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz / motion.rate_hz
-        return thin * float(np.sum(np.maximum(scaled[self.inside(scene)] ** 2 - 1.0, 0.0)))
+        own = scaled[self.inside(scene)][:, list(self.joints)]
+        return thin * float(np.sum(np.maximum(own**2 - 1.0, 0.0)))
 
 
 def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:

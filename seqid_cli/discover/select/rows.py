@@ -7,7 +7,7 @@ sure, if nothing speaks against it elsewhere.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -151,6 +151,14 @@ class Predicted:
     def _share_of(self, gain: float | Array) -> Array:
         rows = max(float(self.rows.sum()), 1.0)
         return np.asarray(2.0 * np.asarray(gain) / (2.0 * np.maximum(gain, 0.0) + rows))
+
+
+def joints_of(channels: Iterable[int], n: int) -> list[int]:
+    """Joints of n whose torque below the cut-off some channels show.
+
+    Channel j is that of joint j, n + j what lies above its cut-off, 2 n + j its drive alone.
+    """
+    return sorted({c % n for c in channels if c // n != 1})
 
 
 @lru_cache

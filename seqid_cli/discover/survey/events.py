@@ -41,7 +41,7 @@ EDGE_SHARE = 0.4  # of an event's peak, down to which it reaches
 MOST_TIME = 0.05  # share of a log (or LONGEST_S, whichever is more) that events may fill
 LONGEST_S = 2.0  # of one event
 TOUCH_S = 0.1  # between intervals that are one event
-FEW, RARE_S = 3, 10.0  # events that a log may have: this number, or one in so many seconds
+FEW, RARE_S = 3, 10.0  # occasions that a log may have: this number, or one in so many seconds
 NEIGHBOURS = 24
 APART_S = 1.5  # windows nearer in time are no comparison
 SPEEDS = 4  # classes of speed
@@ -104,9 +104,20 @@ def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
     for number in range(len(rows.scenes)):
         events = _places(number, scored)
         length = max(w.length_s * np.count_nonzero(w.scene == number) / OVERLAP for w in every)
-        taken = sum(event.end - event.start for event in events)
-        few = len(events) <= max(FEW, length / RARE_S)
+        occasions = _occasions(events)
+        taken = sum(end - start for start, end in occasions)
+        few = len(occasions) <= max(FEW, length / RARE_S)
         found += events if few and taken <= max(MOST_TIME * length, LONGEST_S) else []
+    return found
+
+
+def _occasions(events: Sequence[Interval]) -> list[tuple[float, float]]:
+    """Start and end of what stands out, where events nearer than `APART_S` are one."""
+    found: list[tuple[float, float]] = []
+    for event in events:
+        near = found and event.start - found[-1][1] <= APART_S
+        start, end = found.pop() if near else (event.start, event.end)
+        found.append((start, max(end, event.end)))
     return found
 
 

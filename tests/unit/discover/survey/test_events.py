@@ -131,3 +131,16 @@ def test_pushes_all_the_time_are_not_events(many_rows: list[Rows]) -> None:
         return np.sum(every, axis=0)
 
     assert find_events(rows, scaled_residual(rows, 3, extra)) == []
+
+
+def test_a_push_that_shows_in_pieces_is_one(many_rows: list[Rows]) -> None:
+    rows = many_rows[0]
+    starts = (6.0, 6.5, 7.0, 7.5)
+
+    def extra(number: int, scene: Scene) -> Array:
+        every = [push(1, start, 0.15, 20.0, [0, 1])(number, scene) for start in starts]
+        return np.sum(every, axis=0)
+
+    found = find_events(rows, scaled_residual(rows, 3, extra))
+    assert found
+    assert all(one.end > 6.0 and one.start < 7.7 for one in found)

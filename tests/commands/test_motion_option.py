@@ -61,7 +61,7 @@ def bench(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Bench:
     (rig.folder / "robot.toml").write_text(robot_toml("two", s.plant), encoding="ascii")
     robot = load_robot(rig.folder / "robot.toml")
     write_json_atomic(rig.folder / "p.json", with_stage(None, robot_id(robot), [], imu=s.stage))
-    logs = [replace(s.recording, path=Path(f"{name}.parquet")) for name in "ab"]
+    logs = [replace(s.recording, path=Path(f"{name}.parquet"), sha256=name * 64) for name in "ab"]
     made = Bench(lambda *a: (lambda d: (d.code, d.out, d.err))(rig.run(*a)), logs)
 
     def read(path: Path, robot: Robot, **options: object) -> Screened:

@@ -266,25 +266,18 @@ def _is_meant(path: Path, note: Note) -> bool:
     return not reason
 
 
-def _holds_predictions(path: Path, *, largest: int = 1 << 20) -> bool:
-    """Tell a table of `predict --torques`, whose filtered torques are of logs that count already.
-
-    By the names in the footer, which stands before its length and `PAR1`; `largest` [bytes].
-    """
+def _holds_predictions(path: Path) -> bool:
+    """Tell a table of `predict --torques`: its filtered torques are of logs that count already."""
     if path.suffix.lower() != ".parquet":
         return False
+    from seqid_cli.logs.tables.parquet import list_columns
+
     try:
-        with path.open("rb") as file:
-            end = file.seek(0, os.SEEK_END) - 8
-            file.seek(max(0, end))
-            length = int.from_bytes(file.read(4), "little")
-            if not 0 < length <= min(end, largest):
-                return False
-            file.seek(end - length)
-            footer = file.read(length)
-    except OSError:
+        names = [name for name, *_ in list_columns(path)]
+    except InputError:
         return False
-    return all(name in footer for name in (b".predicted", b".residual", b".sliding"))
+    ends = {name.rpartition(".")[2] for name in names}
+    return {"predicted", "residual", "sliding"} <= ends
 
 
 def _fault_of(path: Path) -> tuple[str, str]:

@@ -36,7 +36,7 @@ from seqid_cli.discover.rivals import rivals_of, tried_at
 from seqid_cli.discover.scenes import with_own_cutoffs
 from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.results import Taken
-from seqid_cli.discover.select.rows import joints_of
+from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.discover.survey.usable import usable_logs
@@ -253,7 +253,7 @@ def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int 
 
 def _explains(found: Investigation, taken: Taken) -> float:
     """What `share_above` says of the effect's joints, on blocks that were left out."""
-    joints = joints_of(taken.term.channels, found.ground.n)
+    joints = joints_below(taken.term.channels, found.ground.n)
     after = found.model.rms()[joints]
     return share_above(taken.without[joints], after, found.floor.rms[joints])
 

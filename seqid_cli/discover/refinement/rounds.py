@@ -31,7 +31,7 @@ from seqid_cli.discover.rivals import rivals_of
 from seqid_cli.discover.scenes import with_own_cutoffs
 from seqid_cli.discover.select.naming import named, reality
 from seqid_cli.discover.select.results import Options, Taken
-from seqid_cli.discover.select.rows import joints_of
+from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.discover.survey.usable import usable_logs
@@ -291,7 +291,7 @@ def _has_company(loop: Loop, found: Investigation, taken: Taken) -> bool:
 
 def _outcome(loop: Loop, account: Account, taken: Taken) -> Outcome:
     before, after, n = loop.error_of(account.without), account.error, loop.material.robot.n
-    own = joints_of(taken.term.channels, n)
+    own = joints_below(taken.term.channels, n)
     change = gain(before, after, own)
     each = [gain(before, after, [j]) for j in range(n)]
     better = gain(before, after, range(n)).value > 0.0

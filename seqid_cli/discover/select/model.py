@@ -72,8 +72,8 @@ class Ground:
         seen = tuple(b[: len(v)] for b, v in zip(below, drive.y, strict=False))
         block = (*below, *high.block, *seen)
         size = np.array([np.sqrt(np.mean(v**2)) if len(v) else 1.0 for v in y])
-        twice = [c // own.n != 1 and drive.of(c % own.n) for c in range(len(y))]
-        rows = Rows(y, block, len(own.fold), tuple(2.0 if both else 1.0 for both in twice))
+        views = tuple(1 + (c // own.n != 1 and drive.of(c % own.n)) for c in range(len(y)))
+        rows = Rows(y, block, len(own.fold), views)
         return cls(stage, base, rows, np.maximum(size, 1e-12))
 
     @property

@@ -36,14 +36,14 @@ class Rows:
         Block of time of every row, ascending.
     blocks : int
         Number of blocks.
-    views : tuple of float
+    views : tuple of int
         Of each channel, how many channels show the same; once where it is empty.
     """
 
     y: tuple[Array, ...]
     block: tuple[Index, ...]
     blocks: int
-    views: tuple[float, ...] = ()
+    views: tuple[int, ...] = ()
 
     @cached_property
     def independent(self) -> Array:
@@ -54,7 +54,7 @@ class Rows:
     @property
     def shared(self) -> Array:
         """`views` of all channels."""
-        return np.array(self.views or (1.0,) * len(self.y))
+        return np.array(self.views or (1,) * len(self.y), dtype=np.float64)
 
     @cached_property
     def at(self) -> tuple[tuple[slice, ...], ...]:
@@ -153,7 +153,7 @@ class Predicted:
         return np.asarray(2.0 * np.asarray(gain) / (2.0 * np.maximum(gain, 0.0) + rows))
 
 
-def joints_of(channels: Iterable[int], n: int) -> list[int]:
+def joints_below(channels: Iterable[int], n: int) -> list[int]:
     """Joints of n whose torque below the cut-off some channels show.
 
     Channel j is that of joint j, n + j what lies above its cut-off, 2 n + j its drive alone.

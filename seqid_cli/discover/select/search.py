@@ -13,7 +13,7 @@ from seqid_cli.discover.candidates import Candidate, candidates_of
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.results import Key
-from seqid_cli.discover.select.rows import joints_of
+from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.terms import Term, smooth_terms
 from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, most_visible, shape_of
 from seqid_cli.model.effects.effect import Effect
@@ -116,7 +116,7 @@ class Search:
         (marginality: J. A. Nelder, Journal of the Royal Statistical Society A 140, 1977).
         """
         found = []
-        for j in joints_of(channels, self.model.ground.n):
+        for j in joints_below(channels, self.model.ground.n):
             own = self._smooth_tried(linear, j, had)
             if any(one.evidence > 0.0 for one in own):
                 own += self._smooth_tried(linear, j, had, products=True)

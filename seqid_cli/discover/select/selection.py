@@ -262,8 +262,8 @@ class Selection:
         linear, one = self.model.beside(term), _again(term, self.model)
         gain = min(one.predicted.total, self.model.margin(linear))
         there = reality(one.predicted.share, gain) >= least and self._passes(one)
-        other = self._of_a_law(one) or self._made_up_for(term) is not None
-        return one if there and not other else None
+        alone = there and not self._of_a_law(one) and self._made_up_for(term) is None
+        return one if alone else None
 
     def _made_up_for(self, term: Term) -> Term | None:
         """The effect of which a term takes back what the file's friction has taken in.

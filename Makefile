@@ -7,7 +7,6 @@ RIGS ?= one_joint two_joint six_joint
 OUT ?= out
 CACHE ?= $(OUT)/studies
 FUZZ_SECONDS ?= 60
-ROBOTS ?= 50
 
 SHELL := /bin/bash
 .SHELLFLAGS := -euo pipefail -c
@@ -109,10 +108,6 @@ study-effects: $(DEV) ## how well undeclared effects are found, into docs/effect
 study-coverage: $(DEV) ## do the stated errors hold: 200 drawn arms of each kind, into docs/coverage.md (hours)
 	$(BIN)/python -m tests.studies --only coverage --processes $(WORKERS)
 
-.PHONY: study-planted
-study-planted: $(DEV) ## which stage says which planted fault, into docs/planted_faults.md (an hour)
-	$(BIN)/python -m tests.studies --only planted
-
 # FIGAROH and its robots in an environment of their own; 40 iterations, after which it hardly gains.
 PEERS := $(VENV)-peers/.installed
 ROBOT_DATA = $$(echo $(VENV)-peers/lib/python3*/site-packages/cmeel.prefix/share/example-robot-data/robots)
@@ -124,12 +119,12 @@ $(PEERS): | $(BIN)/python
 	touch $@
 
 .PHONY: study-plan
-study-plan: $(DEV) $(PEERS) ## plans against chance, a peer and plants, into docs/plan.md and docs/afternoon.md (an hour)
+study-plan: $(DEV) $(PEERS) ## plans against chance, a peer and plants, into docs/plan.md (an hour)
 	mkdir -p $(CACHE)/peers
 	$(PEER) $(ROBOT_DATA)/ur_description/urdf/ur10_robot.urdf $(CACHE)/peers/ur10.npz --iterations 40
 	$(PEER) $(ROBOT_DATA)/panda_description/urdf/panda.urdf $(CACHE)/peers/panda.npz --iterations 40 \
 		--lock panda_finger_joint1 panda_finger_joint2
-	$(BIN)/python -m tests.studies --only planned planned_errors planned_session planned_separation --cache $(CACHE)
+	$(BIN)/python -m tests.studies --only planned planned_errors planned_separation --cache $(CACHE)
 
 .PHONY: study-outside
 study-outside: $(DEV) ## cases of the second simulator, into docs/outside.md (20 s a case)
@@ -144,15 +139,9 @@ fuzz: $(DEV) ## read damaged files of every kind for FUZZ_SECONDS; finds go to $
 	$(BIN)/python -m tests.studies.fuzz --seconds $(FUZZ_SECONDS) --seed $$RANDOM --keep $(OUT)/fuzz
 
 .PHONY: study-trust
-study-trust: $(DEV) ## damaged files, kills, full disks, repeats, two hours of log, into docs/trust.md (hours)
+study-trust: $(DEV) ## damaged files, two hours of log, into docs/trust.md (hours)
 	$(BIN)/python -m tests.studies.fuzz --count 10000 --keep $(OUT)/fuzz --write
-	$(BIN)/python -m tests.studies.faults --write
-	$(BIN)/python -m tests.studies.repeat --write
 	$(BIN)/python -m tests.studies.soak --write
-
-.PHONY: fleet
-fleet: $(DEV) ## identify ROBOTS simulated robots, name those that drift (minutes)
-	$(BIN)/python -m tests.studies.fleet $(OUT)/fleet --robots $(ROBOTS) --jobs $(WORKERS)
 
 # ---- the documents as a site
 

@@ -7,7 +7,7 @@ import time
 import numpy as np
 
 from seqid_cli.motion.smoother.smooth import smoothed_motion
-from tests.studies.imu.fused_cases import Case, Rig, case
+from tests.plants.fused import Case, Rig, case
 from tests.studies.tables import table
 
 SECONDS = 40.0

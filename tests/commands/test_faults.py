@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.studies.faults import COMMANDS, torment
+from tests.commands.torment import COMMANDS, torment
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,6 @@ def _joint(plant: Plant, joint: int, *, with_dh: bool) -> list[str]:
     if with_dh:
         alpha, a, d, theta0 = (float(x) for x in plant.arm.dh[joint])
         lines.append(f"dh = {{ alpha = {alpha!r}, a = {a!r}, d = {d!r}, theta0 = {theta0!r} }}")
-        lines += ["prismatic = true"] if joint in plant.arm.slides else []
     return [
         *lines,
         f"torque_constant = {float(plant.torque_constant[joint])!r}",

@@ -103,8 +103,6 @@ def inverse(arm: Arm, q: Array, dq: Array, ddq: Array) -> Array:
 
 def _body(arm: Arm) -> tuple[Array, Array, Array, Array, Array]:
     """Arrays of an arm; the last one is the spin (n,) by which rotors act on their carriers."""
-    if arm.slides:
-        raise TypeError("joints that slide are not simulated here")
     spin = arm.gear * arm.rotor_inertia * float(arm.rotor_coupling)
     return arm.dh, arm.phi, arm.gravity, arm.reflected, spin
 

@@ -10,12 +10,10 @@ from collections.abc import Callable, Mapping, Sequence
 from tests import ROOT
 from tests.studies import tables
 from tests.studies.coverage import study as coverage
-from tests.studies.imu import fused_motion, motion_sources, mounting, table_two
 from tests.studies.loop import study as closed_loop
-from tests.studies.planned import errors, separation, session, sets
-from tests.studies.planted import study as planted
+from tests.studies.planned import errors, separation, sets
 from tests.studies.recorded import classical, effects
-from tests.studies.rigs import noise_floor, one_joint, six_joint, two_joint
+from tests.studies.rigs import one_joint, six_joint, table_two, two_joint
 from tests.studies.undeclared import study as undeclared
 
 USUAL = "measured.md"  # its studies run where none is named
@@ -25,22 +23,15 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {  # pa
     "six_joint": (USUAL, six_joint.study),
     "recorded": (USUAL, classical.study),
     "table_two": ("motion.md", table_two.study),
-    "motion_sources": ("motion.md", motion_sources.study),
-    "imu_mounting": ("imu.md", mounting.study),
-    "imu_deflecting": ("imu.md", mounting.deflecting_study),
-    "fused_motion": ("fused_motion.md", fused_motion.study),
-    "noise_floor": ("method.md", noise_floor.study),
     "undeclared": ("effects_study.md", undeclared.study),
     "closed_loop": ("closed_loop_study.md", closed_loop.study),
     "coverage": ("coverage.md", coverage.study),
-    "planted": ("planted_faults.md", planted.study),
     "planned": ("plan.md", sets.study),
     "planned_errors": ("plan.md", errors.study),
-    "planned_session": ("afternoon.md", session.study),
     "planned_separation": ("plan.md", separation.study),
     "recorded_effects": ("effects_study.md", effects.study),
 }
-SLOW = ("six_joint", "planned_errors", "planned_session", "recorded_effects")  # even of one rig
+SLOW = ("six_joint", "planned", "planned_errors", "recorded_effects")  # even of one rig
 
 
 def main(arguments: Sequence[str]) -> int:

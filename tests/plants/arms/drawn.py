@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.arms.rated import TRAVEL
-from tests.plants.arms.rigs import GRAVITY, mounting, off_nominal, plain, standard_parameters
+from tests.plants.arms.rigs import GRAVITY, mounting, off_nominal, standard_parameters
 from tests.plants.controller import gains_for
 from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.mechanics.rigid import Arm, Rigid
@@ -20,8 +19,6 @@ JOINTS = (3, 4, 5, 7)
 TURNS = (0.0, np.pi / 2, -np.pi / 2)  # rad, alpha of modified DH
 POSTURES = 200
 DRIVE_SEED = 77
-SLIDING = 50  # the arms from this number on have one or two joints that slide
-SLIDING_GEAR = 6.0  # rad/m of a screw or a belt, over the gear of a joint that turns
 
 
 @dataclass(frozen=True)
@@ -32,26 +29,22 @@ class _Loads:
     gravity: Array
 
 
-def drawn_arm(seed: int, *, simple_friction: bool = False) -> Plant:
+def drawn_arm(seed: int) -> Plant:
     """Draw an arm of three to seven joints that reaches 0.4 to 1.5 m.
 
-    Those from number 50 on slide in one or two joints, the others only turn. Consecutive axes
-    are parallel or at right angles; masses fall off towards the tool; drives have gears from 30 to
-    160, friction of 5 to 15 % of what the joint carries, encoders from 14 to 19 bits a joint turn
-    and current noise of 0.2 to 0.8 % of that load. A metre of a slide counts as ten rad.
+    Consecutive axes are parallel or at right angles; masses fall off towards the tool; drives have
+    gears from 30 to 160, friction of 5 to 15 % of what the joint carries, encoders from 14 to 19
+    bits a joint turn and current noise of 0.2 to 0.8 % of that load.
     """
     rng = np.random.default_rng([DRIVE_SEED, seed])
     n = JOINTS[seed % len(JOINTS)]
-    slides = _slides(seed, n)
-    unit, stage = np.ones(n), np.ones(n)
-    unit[list(slides)], stage[list(slides)] = TRAVEL, SLIDING_GEAR
-    gear = rng.uniform(30.0, 160.0, n) * stage
-    bare = replace(_chain(rng, n, gear), slides=slides)
-    limits = (rng.uniform(1.4, 2.9, n) * unit)[:, None] * np.array([-1.0, 1.0])
+    gear = rng.uniform(30.0, 160.0, n)
+    bare = _chain(rng, n, gear)
+    limits = rng.uniform(1.4, 2.9, n)[:, None] * np.array([-1.0, 1.0])
     loads = _loads(bare, limits)
     rotors = loads.inertia * rng.uniform(0.2, 1.2, n) / gear**2
     arm = replace(bare, rotor_inertia=rotors)
-    speed = rng.uniform(1.5, 3.2, n) * unit
+    speed = rng.uniform(1.5, 3.2, n)
     accel = rng.uniform(4.0, 9.0, n) * speed
     inertia = loads.inertia + arm.reflected
     carried = loads.gravity + 0.6 * inertia * accel
@@ -61,10 +54,10 @@ def drawn_arm(seed: int, *, simple_friction: bool = False) -> Plant:
     return Plant(
         arm=arm,
         nominal=off_nominal(arm, 0.12),
-        friction=plain(friction) if simple_friction else friction,
+        friction=friction,
         gains=gains_for(inertia, bandwidth=15.0, observer=120.0),
         torque_constant=drive,
-        encoder_step=unit * 2 * np.pi / 2.0 ** rng.uniform(14.0, 19.0, n),
+        encoder_step=2 * np.pi / 2.0 ** rng.uniform(14.0, 19.0, n),
         current_noise=hiss,
         coulomb_guess=0.85 * friction.coulomb,
         position_limits=limits,
@@ -73,15 +66,6 @@ def drawn_arm(seed: int, *, simple_friction: bool = False) -> Plant:
         current_step=0.3 * hiss,
         coloured=float(rng.uniform(0.0, 0.2)),
     )
-
-
-def _slides(seed: int, n: int) -> tuple[int, ...]:
-    """Choose which joints slide; the last one turns."""
-    if seed < SLIDING:
-        return ()
-    rng = np.random.default_rng([DRIVE_SEED, seed, 1])
-    count = 1 + int(n > 3 and rng.uniform() < 0.4)
-    return tuple(sorted(int(k) for k in rng.choice(n - 1, count, replace=False)))
 
 
 def _chain(rng: np.random.Generator, n: int, gear: Array) -> Arm:

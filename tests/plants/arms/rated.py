@@ -13,7 +13,6 @@ Array = NDArray[np.float64]
 
 BUSY = 0.6  # share of the limits of speed and acceleration that busy motion uses at once
 STATES = 400
-TRAVEL = 0.1  # m of a joint that slides, for one rad of one that turns
 
 
 def rated_torque(plant: Plant) -> Array:
@@ -44,18 +43,9 @@ def tool_point(plant: Plant) -> Array:
     return np.asarray(2.0 * plant.arm.phi[-1, 1:4] / plant.arm.phi[-1, 0])
 
 
-def travel(plant: Plant, joint: int) -> float:
-    """How far a joint moves where a law says one rad: 1, or metres of a joint that slides."""
-    return TRAVEL if joint in plant.arm.slides else 1.0
-
-
 def strongest(plant: Plant) -> float:
-    """Rated torque of the strongest joint that turns, N m."""
-    return float(rated_torque(plant)[_turning(plant)].max())
-
-
-def _turning(plant: Plant) -> list[int]:
-    return [joint for joint in range(plant.arm.n) if joint not in plant.arm.slides]
+    """Rated torque of the strongest joint, N m."""
+    return float(rated_torque(plant).max())
 
 
 def reach(plant: Plant) -> float:
@@ -70,5 +60,5 @@ def reach(plant: Plant) -> float:
         jac = pin.getJointJacobian(model, data, last, pin.LOCAL_WORLD_ALIGNED)
         lever = data.oMi[last].rotation @ point
         moved = jac[:3] + np.cross(jac[3:].T, lever).T
-        most = max(most, float(np.linalg.norm(moved, axis=0)[_turning(plant)].max()))
+        most = max(most, float(np.linalg.norm(moved, axis=0).max()))
     return most

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.arms.rated import reach, strongest, tool_point, travel
+from tests.plants.arms.rated import reach, strongest, tool_point
 from tests.plants.arms.rigs import GRAVITY, standard_parameters
 from tests.plants.effects.drive import at
 from tests.plants.effects.friction import clear
@@ -70,7 +70,7 @@ def bump(plant: Plant, joint: int, size: float) -> Plant:
 def other_speed(plant: Plant, joint: int, size: float) -> Plant:
     """Torque sin(4 v_other + 0.6)."""
     torque, source = clear(plant, joint, size), other(plant, joint)
-    pace = 4.0 / travel(plant, source)
+    pace = 4.0
 
     def law(q: Array, dq: Array) -> float:
         return -torque * float(np.sin(pace * dq[source] + 0.6))
@@ -88,7 +88,7 @@ def acceleration_cube(plant: Plant, joint: int, size: float) -> Plant:
 def two_positions(plant: Plant, joint: int, size: float) -> Plant:
     """Torque sin(3 q_j) cos(2 q_k + 0.5) of this joint and the one before."""
     torque, source = clear(plant, joint, size), other(plant, joint)
-    one, two = 3.0 / travel(plant, joint), 2.0 / travel(plant, source)
+    one, two = 3.0, 2.0
 
     def law(q: Array, dq: Array) -> float:
         return -torque * float(np.sin(one * q[joint]) * np.cos(two * q[source] + 0.5))

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants.arms.rated import rated_torque, travel
+from tests.plants.arms.rated import rated_torque
 from tests.plants.effects.friction import clear
 from tests.plants.mechanics.drives import (
     EncoderWave,
@@ -43,52 +43,16 @@ def at(plant: Plant, joint: int, value: float) -> Array:
     return out
 
 
-def _ripple(
-    plant: Plant, joint: int, order: float, constant: float, proportional: float = 0.0
-) -> Plant:
-    gear = float(plant.arm.gear[joint])
-    stage = Ripple(joint, order, gear, 0.7, constant, proportional)
-    return replace(plant, hidden=plant.hidden.with_drive(stage))
-
-
 def ripple(plant: Plant, joint: int, size: float) -> Plant:
     """Order 2 of the motor (strain wave), independent of torque."""
-    return _ripple(plant, joint, 2.0, clear(plant, joint, size))
-
-
-def cogging_6(plant: Plant, joint: int, size: float) -> Plant:
-    """Order 6 of the motor, independent of torque."""
-    return _ripple(plant, joint, 6.0, clear(plant, joint, size))
-
-
-def cogging_12(plant: Plant, joint: int, size: float) -> Plant:
-    """Order 12 of the motor, independent of torque."""
-    return _ripple(plant, joint, 12.0, clear(plant, joint, size))
-
-
-def torque_ripple(plant: Plant, joint: int, size: float) -> Plant:
-    """Order 2 of the motor, 10 % of the torque times size."""
-    return _ripple(plant, joint, 2.0, 0.0, 0.10 * size)
+    gear = float(plant.arm.gear[joint])
+    stage = Ripple(joint, 2.0, gear, 0.7, clear(plant, joint, size))
+    return replace(plant, hidden=plant.hidden.with_drive(stage))
 
 
 def elastic(plant: Plant, joint: int, size: float) -> Plant:
     """Joint that bends by 20 mrad times size at rated torque, damping ratio 3 %."""
     return _spring(plant, joint, BEND * size, 0.03)
-
-
-def elastic_two(plant: Plant, joint: int, size: float) -> Plant:
-    """Stiffness K1 up to a knee at 30 % of rated torque, twice as stiff beyond it."""
-    rated = float(rated_torque(plant)[joint])
-    soft = rated / (BEND * size * travel(plant, joint))
-    damping = _damping(plant, joint, soft, 0.03)
-    part = Spring(joint, soft, damping, knee=0.3 * rated / soft, hard=2.0 * soft)
-    return replace(plant, hidden=plant.hidden.with_spring(part))
-
-
-def elastic_link_encoder(plant: Plant, joint: int, size: float) -> Plant:
-    """As `elastic`; the log reads encoders at the links, the controller those of the motors."""
-    bent = elastic(plant, joint, size)
-    return replace(bent, hidden=replace(bent.hidden, link_encoders=True))
 
 
 def backlash(plant: Plant, joint: int, size: float) -> Plant:
@@ -102,24 +66,18 @@ def _damping(plant: Plant, joint: int, stiffness: float, ratio: float) -> float:
 
 
 def _spring(plant: Plant, joint: int, bend: float, ratio: float, gap: float = 0.0) -> Plant:
-    unit = travel(plant, joint)
-    stiffness = float(rated_torque(plant)[joint]) / (bend * unit)
-    part = Spring(joint, stiffness, _damping(plant, joint, stiffness, ratio), gap * unit)
+    stiffness = float(rated_torque(plant)[joint]) / bend
+    part = Spring(joint, stiffness, _damping(plant, joint, stiffness, ratio), gap)
     return replace(plant, hidden=plant.hidden.with_spring(part))
 
 
-def coupling(plant: Plant, joint: int, size: float, *, rotors: bool = False) -> Plant:
+def coupling(plant: Plant, joint: int, size: float) -> Plant:
     """Drive of this joint also turns with the one before: rate = dq_j + 0.2 size dq_(j-1)."""
     if joint == 0:
         raise ValueError("the first joint has no joint before it to be coupled with")
     a = np.eye(plant.arm.n)
-    a[joint, joint - 1] = 0.2 * size * travel(plant, joint) / travel(plant, joint - 1)
-    return replace(plant, hidden=replace(plant.hidden, coupling=a, coupled_rotors=rotors))
-
-
-def coupling_rotors(plant: Plant, joint: int, size: float) -> Plant:
-    """As `coupling`, and the rotor turns with both joints as well."""
-    return coupling(plant, joint, size, rotors=True)
+    a[joint, joint - 1] = 0.2 * size
+    return replace(plant, hidden=replace(plant.hidden, coupling=a))
 
 
 def encoder(plant: Plant, joint: int, size: float) -> Plant:
@@ -145,26 +103,9 @@ def lag(plant: Plant, joint: int, size: float) -> Plant:
     return replace(plant, hidden=plant.hidden.with_drive(Lag(at(plant, joint, 0.004 * size))))
 
 
-def lag_all(plant: Plant, joint: int, size: float) -> Plant:
-    """All motors lag by 4 ms times size."""
-    return replace(plant, hidden=plant.hidden.with_drive(Lag(np.full(plant.arm.n, 0.004 * size))))
-
-
 def skew_all(plant: Plant, joint: int, size: float) -> Plant:
     """All currents are logged 4 ms times size late."""
     late = Skew(np.full(plant.arm.n, 0.004 * size))
-    return replace(plant, hidden=plant.hidden.with_current(late))
-
-
-def skew_early(plant: Plant, joint: int, size: float) -> Plant:
-    """All currents are logged 3 ms times size early."""
-    early = Skew(np.full(plant.arm.n, -0.003 * size))
-    return replace(plant, hidden=plant.hidden.with_current(early))
-
-
-def skew_one(plant: Plant, joint: int, size: float) -> Plant:
-    """This joint's current is logged 4 ms times size late."""
-    late = Skew(at(plant, joint, 0.004 * size))
     return replace(plant, hidden=plant.hidden.with_current(late))
 
 
@@ -185,17 +126,7 @@ def drift(plant: Plant, joint: int, size: float) -> Plant:
     return replace(plant, hidden=plant.hidden.with_current(error))
 
 
-def mains(plant: Plant, joint: int, size: float, frequency: float = 50.0) -> Plant:
+def mains(plant: Plant, joint: int, size: float) -> Plant:
     """Hum of 50 Hz in the current reading, 2 % of rated times size."""
-    error = Hum(at(plant, joint, 0.4 * _amperes(plant, joint, size)), frequency)
+    error = Hum(at(plant, joint, 0.4 * _amperes(plant, joint, size)), 50.0)
     return replace(plant, hidden=plant.hidden.with_current(error))
-
-
-def mains_60(plant: Plant, joint: int, size: float) -> Plant:
-    """Hum of 60 Hz."""
-    return mains(plant, joint, size, 60.0)
-
-
-def hum_odd(plant: Plant, joint: int, size: float) -> Plant:
-    """Hum of 37.31 Hz, a pump or a fan."""
-    return mains(plant, joint, size, 37.31)

@@ -10,9 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from tests.plants.arms.rated import dry_level, rated_torque, travel
+from tests.plants.arms.rated import dry_level, rated_torque
 from tests.plants.friction.heat import Heat, WarmingFriction
-from tests.plants.friction.hysteresis import Bristles, Cable
+from tests.plants.friction.hysteresis import Bristles
 from tests.plants.friction.laws import Asymmetry, Curve, Extra, LevelWave, MeshLoss, Power, Stribeck
 from tests.plants.mechanics.torques import Counterbalance, LinearSpring
 from tests.plants.simulate import Plant
@@ -37,15 +37,10 @@ def _add(plant: Plant, joint: int, curve: Curve) -> Plant:
     return replace(plant, friction=Extra(plant.friction, joint, curve))
 
 
-def stribeck(plant: Plant, joint: int, size: float, exponent: float = 2.0) -> Plant:
+def stribeck(plant: Plant, joint: int, size: float) -> Plant:
     """Stribeck hump; its speed is 6 % of the top speed."""
     speed = 0.06 * top_speed(plant, joint)
-    return _add(plant, joint, Stribeck(clear(plant, joint, size), speed, exponent))
-
-
-def stribeck_soft(plant: Plant, joint: int, size: float) -> Plant:
-    """Stribeck with exponent 0.6."""
-    return stribeck(plant, joint, size, 0.6)
+    return _add(plant, joint, Stribeck(clear(plant, joint, size), speed))
 
 
 def asymmetric(plant: Plant, joint: int, size: float) -> Plant:
@@ -84,7 +79,7 @@ def root_viscous(plant: Plant, joint: int, size: float) -> Plant:
 
 def presliding(plant: Plant, joint: int, size: float) -> Plant:
     """Bristles (LuGre) that slip after 20 mrad times size at the joint."""
-    stiffness = dry_level(plant, joint) / (0.020 * size * travel(plant, joint))
+    stiffness = dry_level(plant, joint) / (0.020 * size)
     inertia = float(plant.arm.reflected[joint])
     return replace(
         plant,
@@ -95,13 +90,7 @@ def presliding(plant: Plant, joint: int, size: float) -> Plant:
 def level_wave(plant: Plant, joint: int, size: float) -> Plant:
     """Coulomb level that varies as cos(3 q), by at most 80 % of it."""
     more = min(clear(plant, joint, size), 0.8 * dry_level(plant, joint))
-    return _add(plant, joint, LevelWave(more, 3.0 / travel(plant, joint), 0.0))
-
-
-def flipping_ripple(plant: Plant, joint: int, size: float) -> Plant:
-    """Ripple of order 2 of the motor that flips with direction, at most 80 % of the dry level."""
-    more = min(clear(plant, joint, size), 0.8 * dry_level(plant, joint))
-    return _add(plant, joint, LevelWave(more, 2.0 * float(plant.arm.gear[joint]), 0.7))
+    return _add(plant, joint, LevelWave(more, 3.0, 0.0))
 
 
 def heat_of(plant: Plant) -> Heat:
@@ -128,11 +117,6 @@ def thermal(plant: Plant, joint: int, size: float) -> Plant:
     return replace(plant, friction=WarmingFriction(plant.friction, heat, thinning, zero), heat=heat)
 
 
-def thermal_unlogged(plant: Plant, joint: int, size: float) -> Plant:
-    """The same without temperatures in the logs."""
-    return replace(thermal(plant, joint, size), heat=None)
-
-
 def _middle(plant: Plant, joint: int) -> tuple[float, float]:
     low, high = plant.position_limits[joint]
     return float(0.5 * (low + high)), float(0.5 * (high - low))
@@ -146,20 +130,10 @@ def spring(plant: Plant, joint: int, size: float) -> Plant:
     return replace(plant, hidden=plant.hidden.with_torque(model))
 
 
-def cable(plant: Plant, joint: int, size: float) -> Plant:
-    """Cubic spring with Maxwell slip of 0.15 rad of half its torque; sized as the spring."""
-    middle, half = _middle(plant, joint)
-    torque = clear(plant, joint, size)
-    reach = 0.15 * travel(plant, joint)
-    model = Cable(joint, torque / (0.6 * half) ** 3, middle, 0.5 * torque, reach)
-    return replace(plant, hidden=plant.hidden.with_torque(model))
-
-
 def counterbalance(plant: Plant, joint: int, size: float) -> Plant:
     """Coil spring between two points, always in tension; at most four times clear."""
     middle, half = _middle(plant, joint)
-    unit = travel(plant, joint)
-    model = Counterbalance(joint, 1.0, 0.3, 0.5, middle - 0.5 * unit, unit)
+    model = Counterbalance(joint, 1.0, 0.3, 0.5, middle - 0.5)
     most = max(abs(model.torque(q)) for q in np.linspace(middle - half, middle + half, 200))
     model = replace(model, stiffness=4.0 * clear(plant, joint, size) / most)
     return replace(plant, hidden=plant.hidden.with_torque(model))

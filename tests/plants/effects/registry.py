@@ -72,24 +72,9 @@ REGISTRY: Mapping[str, Entry] = {
     "periodic_disturbance": Entry("periodic_disturbance", drive.mains),
     "drift": Entry("drift", drive.drift),
     "external_contact": Entry("external_contact", arm.contact, "arm"),
-    # the same effects by another law or in another place
-    "stribeck.soft": Entry("stribeck", friction.stribeck_soft),
-    "thermal_friction.unlogged": Entry("thermal_friction", friction.thermal_unlogged),
+    # the same effects by another law
     "nonlinear_viscous.root": Entry("nonlinear_viscous", friction.root_viscous),
-    "torque_ripple.cogging_6": Entry("torque_ripple", drive.cogging_6),
-    "torque_ripple.cogging_12": Entry("torque_ripple", drive.cogging_12),
-    "torque_ripple.torque": Entry("torque_ripple", drive.torque_ripple),
-    "torque_ripple.direction": Entry("torque_ripple", friction.flipping_ripple),
-    "joint_elasticity.two_stiffnesses": Entry("joint_elasticity", drive.elastic_two),
-    "joint_elasticity.link_encoder": Entry("joint_elasticity", drive.elastic_link_encoder),
-    "transmission_coupling.rotors": Entry("transmission_coupling", drive.coupling_rotors, first=1),
-    "spring.cable": Entry("spring", friction.cable),
     "spring.counterbalance": Entry("spring", friction.counterbalance),
-    "time_skew.early": Entry("time_skew", drive.skew_early, "arm"),
-    "time_skew.one_joint": Entry("time_skew", drive.skew_one),
-    "actuator_lag.all": Entry("actuator_lag", drive.lag_all, "arm"),
-    "periodic_disturbance.60_hz": Entry("periodic_disturbance", drive.mains_60),
-    "periodic_disturbance.fan": Entry("periodic_disturbance", drive.hum_odd),
     # outside the catalogue
     "outside.bump": Entry(None, arm.bump, depends_on=("position",)),
     "outside.other_speed": Entry(None, arm.other_speed, depends_on=("other_joint",)),
@@ -98,7 +83,6 @@ REGISTRY: Mapping[str, Entry] = {
     "outside.two_positions": Entry(None, arm.two_positions, depends_on=("position", "other_joint")),
 }
 CATALOGUE = tuple(name for name, entry in REGISTRY.items() if entry.kind == name)
-OTHER_LAWS = tuple(name for name in REGISTRY if "." in name and not name.startswith("outside."))
 OUTSIDE = tuple(name for name, entry in REGISTRY.items() if entry.kind is None)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.plants.friction.surface import Friction, FrictionModel, Law
-from tests.plants.mechanics.hidden import Run, TorqueSource
 
 Array = NDArray[np.float64]
 
@@ -52,32 +51,3 @@ def slip(bend: float, way: float, limit: float) -> float:
     """Bend of the bristles after a move of `way` rad, exact for any length of it, rad."""
     goal = limit if way >= 0 else -limit
     return float(goal + (bend - goal) * np.exp(-abs(way) / limit))
-
-
-@dataclass(frozen=True)
-class Cable:
-    """Torque on a joint: -(cubic x^3 + an element that slips at `level`), x = q - rest.
-
-    The element's stiffness is level/reach: it slips after `reach` rad. N m/rad^3, N m, rad.
-    """
-
-    joint: int
-    cubic: float
-    rest: float
-    level: float
-    reach: float
-
-    def begin(self, run: Run) -> TorqueSource:
-        """Return the source of one run, its element unloaded."""
-        i, held = self.joint, np.nan
-
-        def source(t: float, q: Array, dq: Array) -> Array:
-            nonlocal held
-            here = float(q[i])
-            held = here if np.isnan(held) else min(max(held, here - self.reach), here + self.reach)
-            out = np.zeros_like(q)
-            pull = self.cubic * (here - self.rest) ** 3
-            out[i] = -pull - self.level * (here - held) / self.reach
-            return out
-
-        return source

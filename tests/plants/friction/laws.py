@@ -42,14 +42,13 @@ class Extra:
 
 @dataclass(frozen=True)
 class Stribeck:
-    """level exp(-|v/speed|^exponent) sign(v)."""
+    """level exp(-(v/speed)^2) sign(v)."""
 
     level: float
     speed: float
-    exponent: float = 2.0
 
     def __call__(self, q: float, v: float, load: float) -> tuple[float, float, float]:
-        more = self.level * exp(-(abs(v / self.speed) ** self.exponent))
+        more = self.level * exp(-((v / self.speed) ** 2))
         return more, more, 0.0
 
 

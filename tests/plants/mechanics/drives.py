@@ -71,7 +71,7 @@ class Lag:
 
 @dataclass(frozen=True)
 class Ripple:
-    """Adds (constant + proportional torque) sin(order gear angle + phase) at one joint.
+    """Adds constant sin(order gear angle + phase) at one joint.
 
     `angle` is the drive's, at the joint; `constant` N m at the joint, also without current.
     """
@@ -80,8 +80,7 @@ class Ripple:
     order: float
     gear: float
     phase: float
-    constant: float = 0.0
-    proportional: float = 0.0
+    constant: float
 
     def begin(self, run: Run) -> Stage:
         """Return the stage of one run."""
@@ -89,8 +88,7 @@ class Ripple:
 
         def stage(t: float, torque: Array, angle: Array) -> Array:
             out = torque.copy()
-            size = self.constant + self.proportional * torque[i]
-            out[i] += size * np.sin(pace * angle[i] + self.phase)
+            out[i] += self.constant * np.sin(pace * angle[i] + self.phase)
             return out
 
         return stage

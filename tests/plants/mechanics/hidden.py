@@ -53,16 +53,14 @@ class CurrentError(Protocol):
 class Spring:
     """Stiff element between drive and link of one joint; angles at the joint, odd in the wind.
 
-    No torque within +-gap/2 (backlash), `stiffness` N m/rad after it, `hard` N m/rad beyond
-    `knee` rad; `damping` N m s/rad while in contact, which never pulls across a gap.
+    No torque within +-gap/2 (backlash), `stiffness` N m/rad after it; `damping` N m s/rad while in
+    contact, which never pulls across a gap.
     """
 
     joint: int
     stiffness: float
     damping: float
     gap: float = 0.0
-    knee: float = np.inf
-    hard: float = 0.0
 
     def torque(self, wind: float, rate: float) -> float:
         """Torque on the link, N m, for drive minus link of `wind` rad and `rate` rad/s."""
@@ -70,31 +68,20 @@ class Spring:
         depth = sign * wind - 0.5 * self.gap
         if depth <= 0.0:
             return 0.0
-        push = self.stiffness * min(depth, self.knee) + self.damping * sign * rate
-        if depth > self.knee:
-            push += self.hard * (depth - self.knee)
+        push = self.stiffness * depth + self.damping * sign * rate
         return sign * max(push, 0.0) if self.gap > 0.0 else sign * push
 
     def wind_at(self, torque: float) -> float:
         """Wind, rad, that carries `torque` N m at rest."""
-        load = abs(torque)
-        bend = self.stiffness * self.knee
-        depth = load / self.stiffness if load <= bend else self.knee + (load - bend) / self.hard
-        return float(np.sign(torque)) * (depth + 0.5 * self.gap)
-
-    @property
-    def steepest(self) -> float:
-        """Largest stiffness, N m/rad."""
-        return max(self.stiffness, self.hard)
+        return float(np.sign(torque)) * (abs(torque) / self.stiffness + 0.5 * self.gap)
 
 
 @dataclass(frozen=True)
 class Hidden:
     """Everything undeclared; the empty one leaves the plant as its robot file says.
 
-    `coupling` is A (n, n) in drive rates = A dq; friction acts on them and maps back with A^T, and
-    so do the rotors where `coupled_rotors`. `springs` lie between drive and link; controller and
-    log read the drives' angles, with `link_encoders` the log reads the links'.
+    `coupling` is A (n, n) in drive rates = A dq; friction acts on them and maps back with A^T.
+    `springs` lie between drive and link; controller and log read the drives' angles.
     """
 
     torques: tuple[TorqueModel, ...] = ()
@@ -103,8 +90,6 @@ class Hidden:
     encoders: tuple[EncoderError, ...] = ()
     currents: tuple[CurrentError, ...] = ()
     coupling: Array | None = None
-    coupled_rotors: bool = False
-    link_encoders: bool = False
 
     def with_torque(self, model: TorqueModel) -> Hidden:
         """Add a torque on the links."""

@@ -52,12 +52,8 @@ class RigidJoints:
         self._rigid, self._law, self._sources, self._dt = rigid, law, sources, dt
         self._reflected = rigid.arm.reflected
         self._a = hidden.coupling
-        self._extra = np.zeros((len(start), len(start)))
         if self._a is not None:
             self._back = np.linalg.inv(self._a)
-            if hidden.coupled_rotors:
-                turned = self._a.T @ np.diag(self._reflected) @ self._a
-                self._extra = turned - np.diag(self._reflected)
         self._q, self._half = start.copy(), np.zeros(len(start))
         self._ddq, self._load, self._sign = (np.zeros(len(start)) for _ in range(3))
         self._first = True
@@ -94,7 +90,7 @@ class RigidJoints:
             return ddq, rub + dry.smooth
         a, back = self._a, self._back
         dry = self._law(t, a @ q, a @ dq, self._load)
-        turned = back.T @ (mass + self._extra) @ back
+        turned = back.T @ mass @ back
         force = back.T @ push - dry.smooth
         rates = a @ self._half
         spin, rub, self._sign = stick_slip(turned, force, rates, self._dt, dry, self._sign)
@@ -122,7 +118,7 @@ class ElasticJoints:
         if hidden.coupling is not None:
             raise ValueError("a plant with springs cannot have coupled transmissions as well")
         self._rigid, self._law, self._sources = rigid, law, sources
-        self._springs, self._at_link = hidden.springs, hidden.link_encoders
+        self._springs = hidden.springs
         self._joints = np.array([spring.joint for spring in hidden.springs])
         self._n = n = len(start)
         self._reflected = rigid.arm.reflected
@@ -198,9 +194,7 @@ class ElasticJoints:
     def _row(self, h: float, friction: Array) -> Row:
         """Truth at this substep's instant."""
         n, rate = self._n, self._v + 0.5 * h * self._a
-        q = self._x[:n].copy()
-        seen = q if self._at_link else self._x[self._drive]
-        return Row(q, rate[:n], self._a[:n].copy(), friction, seen)
+        return Row(self._x[:n].copy(), rate[:n], self._a[:n].copy(), friction, self._x[self._drive])
 
 
 def substeps(rigid: Rigid, hidden: Hidden, start: Array, dt: float) -> int:
@@ -212,7 +206,7 @@ def substeps(rigid: Rigid, hidden: Hidden, start: Array, dt: float) -> int:
 
 def vibration(rigid: Rigid, spring: Spring, q: Array) -> float:
     """Fastest vibration of drive against link with the other joints free, rad/s."""
-    return float(np.sqrt(spring.steepest / swung(rigid, spring.joint, q)))
+    return float(np.sqrt(spring.stiffness / swung(rigid, spring.joint, q)))
 
 
 def swung(rigid: Rigid, joint: int, q: Array) -> float:

@@ -1,8 +1,8 @@
 """Rigid-body forward dynamics of a serial arm, written apart from the package.
 
 Geometry is modified DH (Craig): T_i = RotX(alpha) TransX(a) RotZ(q) TransZ(d); the axis is the
-link frame's z, along which a joint that slides moves by q. Inertial parameters are in Pinocchio's
-order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz), inertia about the link frame's origin.
+link frame's z. Inertial parameters are in Pinocchio's order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz,
+Iyz, Izz), inertia about the link frame's origin.
 """
 
 from __future__ import annotations
@@ -23,9 +23,8 @@ class Arm:
     """Constants of the arm.
 
     `dh` (n, 4) alpha [rad], a [m], d [m], theta0 [rad]; `phi` (n, 10); `gravity` (3,) m/s^2 in the
-    base frame; `gear` (n,), rad/m of joints that slide, which `slides` lists by number;
-    `rotor_inertia` (n,) kg m^2, motor side. With `rotor_coupling` the rotors, which spin about
-    their joint's axis on the link before it, also react on that link.
+    base frame; `gear` (n,); `rotor_inertia` (n,) kg m^2, motor side. With `rotor_coupling` the
+    rotors, which spin about their joint's axis on the link before it, also react on that link.
     """
 
     names: tuple[str, ...]
@@ -35,7 +34,6 @@ class Arm:
     gear: Array
     rotor_inertia: Array
     rotor_coupling: bool = False
-    slides: tuple[int, ...] = ()
 
     @property
     def n(self) -> int:
@@ -75,10 +73,9 @@ def build_model(arm: Arm) -> pin.Model:
     model = pin.Model()
     model.gravity.linear = arm.gravity
     parent = 0
-    for i, (name, row, phi) in enumerate(zip(arm.names, arm.dh, arm.phi, strict=True)):
+    for name, row, phi in zip(arm.names, arm.dh, arm.phi, strict=True):
         rotation, origin = placement(row)
-        kind = pin.JointModelPZ() if i in arm.slides else pin.JointModelRZ()
-        parent = model.addJoint(parent, kind, pin.SE3(rotation, origin), name)
+        parent = model.addJoint(parent, pin.JointModelRZ(), pin.SE3(rotation, origin), name)
         inertia = pin.Inertia.FromDynamicParameters(phi)
         model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
     return model
@@ -161,8 +158,6 @@ class LinkMotion:
 
 def link_motion(arm: Arm, link: int, q: Array, dq: Array, ddq: Array) -> LinkMotion:
     """Move along the chain to `link` (0-based), vectorised over the N samples of q, dq, ddq."""
-    if any(joint <= link for joint in arm.slides):
-        raise ValueError("accelerometers beyond a joint that slides are not simulated")
     count = len(q)
     rotation = np.broadcast_to(np.eye(3), (count, 3, 3))
     omega, alpha = np.zeros((count, 3)), np.zeros((count, 3))

@@ -52,7 +52,7 @@ class Counterbalance:
     """A coil spring between a point of either link, `arm` of the other's distance from the axis.
 
     Distances are in that of the point on the base, so that the stiffness is N m; the angle at the
-    axis between the two is (q - zero) / unit, `slack` the spring's length without tension.
+    axis between the two is q - zero, `slack` the spring's length without tension.
     """
 
     joint: int
@@ -60,7 +60,6 @@ class Counterbalance:
     arm: float
     slack: float
     zero: float
-    unit: float
 
     def begin(self, run: Run) -> TorqueSource:
         """Return the source of one run."""
@@ -68,10 +67,10 @@ class Counterbalance:
 
     def torque(self, q: float) -> float:
         """Minus the slope of the energy of the stretched spring, N m."""
-        angle = (q - self.zero) / self.unit
+        angle = q - self.zero
         length = float(np.sqrt(1.0 + self.arm**2 - 2.0 * self.arm * np.cos(angle)))
         pull = self.stiffness * max(length - self.slack, 0.0)
-        return -pull * self.arm * float(np.sin(angle)) / (length * self.unit)
+        return -pull * self.arm * float(np.sin(angle)) / length
 
 
 @dataclass(frozen=True)

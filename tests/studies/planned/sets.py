@@ -1,12 +1,11 @@
-"""Planned moves against random sets, a peer's optimiser, and sets without one of their pairs."""
+"""Planned moves against random sets and a peer's optimiser."""
 
 from __future__ import annotations
 
 import time
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -18,13 +17,11 @@ from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.moves.fourier import COARSE_HZ, Moves, Shapes
 from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.choose import Goal, Pool, choose, draw_pool, groups_of
+from seqid_cli.plan.stages.choose import Goal, Pool, draw_pool, groups_of
 from seqid_cli.plan.stages.inertia import plan_inertia
 from seqid_cli.plan.stages.predicted_errors import rank_and_condition
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Array, Robot
-from tests.plants.robots.sample import sample_robot
-from tests.plants.robots.seven_joint import write_arm
 from tests.studies.tables import number, table
 
 PEERS = ("ur10", "panda")
@@ -77,12 +74,12 @@ class Yardstick:
 def study(chosen: Namespace) -> str:
     """All tables; those of the peers' arms where their motions are in the cache."""
     folder = chosen.cache / "peers"
-    arms = {} if chosen.quick else {name: folder / f"{name}.npz" for name in PEERS}
+    arms = {name: folder / f"{name}.npz" for name in PEERS}
     missing = [str(path) for path in arms.values() if not path.is_file()]
     if missing:
         raise SystemExit(f"{', '.join(missing)} missing: run make study-plan")
     parts = [against_all(name, path) for name, path in arms.items()]
-    return "\n\n".join([*parts, pairs_table(quick=chosen.quick)])
+    return "\n\n".join(parts)
 
 
 def against_all(name: str, path: Path) -> str:
@@ -152,75 +149,3 @@ def random_sets(stick: Yardstick, count: int, *, together: bool) -> Array:
     rng = np.random.default_rng(SEED)
     sets = [rng.choice(len(pool.joints), count, replace=False) for _ in range(SETS)]
     return np.array([pool.information[s].sum(axis=0) for s in sets])
-
-
-def pairs_table(*, quick: bool) -> str:
-    """How many pairs full rank needs, and what leaving one out of a plan costs."""
-    arms = ["two_joint"] if quick else ["two_joint", "six_joint", "seven_joint"]
-    head = ["arm", "pairs", "needed for full rank", "rank without one of them", "pairs in a plan"]
-    tail = ["of them, rank falls without", "error without another one"]
-    return table([*head, *tail], [pairs_row(name) for name in arms])
-
-
-def pairs_row(name: str) -> list[str]:
-    """Rank and error of an arm without any one of the pairs that it needs, or that a plan has."""
-    stick = Yardstick.of(arm_of(name))
-    pool = stick.pool(together=False, size=PlanOptions.pool, seed=SEED)
-    by_pair, size = per_pair(pool.joints, pool.information), stick.belief.basis.size
-    needed = needed_pairs(by_pair)
-    less = [rank_of(without(by_pair, needed, pair)) for pair in needed]
-    chosen = choose(stick.goal, pool, 15, np.zeros_like(stick.goal.W))
-    of_plan = per_pair([pool.joints[k] for k in chosen], pool.information[chosen])
-    whole = stick.judged(np.sum(list(of_plan.values()), axis=0))[1]
-    grown = [stick.judged(without(of_plan, list(of_plan), p))[1] / whole for p in of_plan]
-    kept = sorted(x for x in grown if np.isfinite(x))
-    return [
-        name.replace("_", " "),
-        str(len(by_pair)),
-        str(len(needed)),
-        f"{', '.join(map(str, sorted(less)))} of {size}",
-        str(len(of_plan)),
-        str(len(grown) - len(kept)),
-        f"{number(kept[0], 3)} to {number(kept[-1], 3)} times" if kept else "-",
-    ]
-
-
-def arm_of(name: str) -> Robot:
-    """A sample robot, or one of seven joints."""
-    if name != "seven_joint":
-        return sample_robot(name)
-    with TemporaryDirectory() as folder:
-        return load_robot(write_arm(Path(folder)))
-
-
-Pair = tuple[int, ...]
-
-
-def per_pair(joints: Sequence[Pair], information: Array) -> dict[Pair, Array]:
-    """Information of all moves of each pair."""
-    return {
-        pair: information[[k for k, own in enumerate(joints) if own == pair]].sum(axis=0)
-        for pair in dict.fromkeys(joints)
-    }
-
-
-def needed_pairs(by_pair: Mapping[Pair, Array]) -> list[Pair]:
-    """The fewest pairs whose moves together have full rank."""
-    full = rank_of(np.sum(list(by_pair.values()), axis=0))
-    return next(
-        list(pairs)
-        for count in range(1, len(by_pair) + 1)
-        for pairs in combinations(by_pair, count)
-        if rank_of(np.sum([by_pair[pair] for pair in pairs], axis=0)) == full
-    )
-
-
-def without(by_pair: Mapping[Pair, Array], pairs: Sequence[Pair], one: Pair) -> Array:
-    """Information of some pairs but one."""
-    rest = [by_pair[pair] for pair in pairs if pair != one]
-    return np.sum(rest, axis=0) if rest else np.zeros_like(by_pair[one])
-
-
-def rank_of(information: Array) -> int:
-    """Rank of a scaled information matrix."""
-    return rank_and_condition(information)[0]

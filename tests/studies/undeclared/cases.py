@@ -9,22 +9,17 @@ from typing import Literal
 
 import numpy as np
 
-from tests.plants.arms.drawn import SLIDING, drawn_arm
 from tests.plants.cases import RIGS
 from tests.plants.effects.arm import other
-from tests.plants.effects.registry import CATALOGUE, OTHER_LAWS, OUTSIDE, REGISTRY, inject
+from tests.plants.effects.registry import CATALOGUE, OUTSIDE, REGISTRY, inject
 from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.simulate import Plant
 
-Group = Literal["catalogue", "clean", "pairs", "outside", "other_laws", "starts", "other_arms"]
+Group = Literal["catalogue", "clean", "pairs", "outside", "starts"]
 Start = Literal["simultaneous", "sequential", "sequential_with", "before"]
 Effects = tuple[tuple[str, int, float], ...]  # name, joint, size
 
 RIG_NAMES: Mapping[str, str] = {"two": "vertical_two_joint", "six": "six_joint"}
-ARM = "arm_"  # and a number: an arm drawn at random
-ARMS = (*range(24), *range(SLIDING, SLIDING + 8))
-ARM_KINDS = 3  # of effects on each of them
-ARM_SEED = 3000
 SEEDS = range(5)
 SIZES = (1.0, 0.4)
 WEAR = "friction_change"
@@ -153,9 +148,7 @@ QUANTITIES: Mapping[str, tuple[str, ...]] = {
 
 
 def plant_of(rig: str, *, simple_friction: bool = False) -> Plant:
-    """A rig by its name here, or an arm drawn at random."""
-    if rig.startswith(ARM):
-        return drawn_arm(int(rig.removeprefix(ARM)), simple_friction=simple_friction)
+    """A rig by its name here."""
     return RIGS[RIG_NAMES[rig]](simple_friction=simple_friction)
 
 
@@ -272,20 +265,9 @@ def starts() -> Iterator[Condition]:
         yield _single("starts", "two", name, 0, 1.0, "sequential_with")
 
 
-def other_arms() -> Iterator[Condition]:
-    """Arms that nothing was ever set on: each clean, and with some kinds in turn."""
-    for number in ARMS:
-        rig, seed = f"{ARM}{number}", ARM_SEED + number
-        yield Condition("other_arms", rig, seed + SEEDS_APART)
-        for k in range(ARM_KINDS):
-            name = CATALOGUE[(ARM_KINDS * number + k) % len(CATALOGUE)]
-            yield _single("other_arms", rig, name, seed)
-
-
 def matrix() -> tuple[Condition, ...]:
     """All cases of the study, seed by seed."""
-    catalogue, laws = _alone("catalogue", CATALOGUE), _alone("other_laws", OTHER_LAWS, (1.0,))
-    return (*clean(), *catalogue, *pairs(), *outside(), *laws, *starts(), *other_arms())
+    return (*clean(), *_alone("catalogue", CATALOGUE), *pairs(), *outside(), *starts())
 
 
 def in_the_model(condition: Condition, name: str) -> bool:

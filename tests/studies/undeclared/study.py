@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import get_args
 
 from tests.studies.coverage.cases import RIGS
-from tests.studies.undeclared.cases import ARM, RIG_NAMES, Condition, Group, matrix, quick
+from tests.studies.undeclared.cases import RIG_NAMES, Condition, Group, matrix, quick
 from tests.studies.undeclared.refine import refined_table, refinements
 from tests.studies.undeclared.run import Choice, run, sources
 from tests.studies.undeclared.tables import tables
@@ -36,8 +36,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     jobs = ("--processes", "--jobs")
     own.add_argument(*jobs, type=int, default=1, help="cases at a time (%(default)s)")
     own.add_argument("--only-kind", nargs="+", metavar="NAME", help="with one of these effects")
-    rigs = list(dict.fromkeys([*RIG_NAMES, ARM, *RIGS]))
-    own.add_argument("--rig", choices=rigs, help="one robot, or drawn arms, alone")
+    rigs = list(dict.fromkeys([*RIG_NAMES, *RIGS]))
+    own.add_argument("--rig", choices=rigs, help="one robot alone")
     own.add_argument("--seeds", metavar="A-B", help="these seeds alone (coverage: A:B)")
     own.add_argument(
         "--fresh",
@@ -76,7 +76,7 @@ def _chosen(condition: Condition, arguments: Namespace) -> bool:
     sizes = {size for _, _, size in condition.effects}
     first, _, last = (arguments.seeds or "").partition("-")
     return (
-        (arguments.rig is None or condition.rig.startswith(arguments.rig))
+        (arguments.rig is None or condition.rig == arguments.rig)
         and (arguments.groups is None or condition.group in arguments.groups)
         and (arguments.only_kind is None or bool(names & set(arguments.only_kind)))
         and (arguments.size is None or arguments.size in sizes)

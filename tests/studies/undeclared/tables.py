@@ -8,10 +8,9 @@ from operator import attrgetter
 
 import numpy as np
 
-from tests.plants.arms.drawn import JOINTS
-from tests.plants.effects.registry import CATALOGUE, OTHER_LAWS, OUTSIDE
+from tests.plants.effects.registry import CATALOGUE, OUTSIDE
 from tests.studies.tables import counted, grouped, number
-from tests.studies.undeclared.cases import CHANGES, SENSORS, SIZES, declared
+from tests.studies.undeclared.cases import CHANGES, SENSORS, SIZES
 from tests.studies.undeclared.judged import (
     Cases,
     Judged,
@@ -42,13 +41,10 @@ def tables(records: Sequence[Record], wanted: int) -> str:
         f"{len(records)} of {wanted} cases; {len(failed)} failed, which counts as wrong.",
         _seconds(records),
         _section("Alone, by kind", kinds(cases)),
-        _section("Effects that leave nothing to find", invisible(cases)),
         _section("Clean", clean(cases)),
         _section("Two at once", pairs(cases)),
         _section("Outside the catalogue", outside(cases)),
-        _section("Other laws", other_laws(cases)),
         _section("Other files to start from", starts(cases)),
-        _section("Arms that nothing was set on", other_arms(cases)),
         _section("What the stated confidence is worth", reliability(cases)),
         "\n".join(f"- failed: {r.condition.key}: {r.error}" for r in failed),
     ]
@@ -118,30 +114,6 @@ def kinds(cases: Cases) -> str:
     return content and f"{note}\n\n{content}"
 
 
-def invisible(cases: Cases) -> str:
-    """Effects that the file's own parameters absorb: nothing should be found in them."""
-    groups = ("catalogue", "other_laws", "outside", "starts")
-    hidden = [c for c in cases if c.condition.group in groups and not c.seen]
-    names = sorted({c.truths[0].name for c in hidden})
-    return grouped(
-        "invisible on these logs",
-        {name: [c for c in hidden if c.truths[0].name == name] for name in names},
-        {
-            "cases": counted,
-            "nothing missing": share(_quiet),
-            "right": share(_right),
-            "wrong finding": share(lambda c: c.score.alarm and not c.score.right),
-            WRONG: share(_sure_and_wrong),
-            "listed as hidden": share(_called_hidden),
-        },
-    )
-
-
-def _called_hidden(case: Judged) -> bool:
-    truth = case.truths[0]
-    return any(h.effect == truth.kind and h.joint in truth.joints for h in case.diagnosis.hidden)
-
-
 def clean(cases: Cases) -> str:
     """False alarms."""
     alone = [c for c in cases if c.condition.group == "clean"]
@@ -199,53 +171,6 @@ def outside(cases: Cases) -> str:
             "some effect named": share(_alarm),
             f"named above {SURE:g}": share(_sure_and_wrong),
             "most often": mistaken(lambda c: not c.score.alarm),
-        },
-    )
-
-
-def other_laws(cases: Cases) -> str:
-    """The right family by another law."""
-    return grouped(
-        "another law",
-        by_name(of_group(cases, "other_laws"), OTHER_LAWS),
-        {
-            "family, or unexplained with a right quantity": share(_family_or_quantity),
-            "family and joint": share(_right),
-            "unexplained so": share(_explained_away),
-            WRONG: share(_sure_and_wrong),
-            "if not right": mistaken(_family_or_quantity),
-        },
-    )
-
-
-def _family_or_quantity(case: Judged) -> bool:
-    return case.score.right or case.score.explained_away
-
-
-def other_arms(cases: Cases) -> str:
-    """Arms drawn at random, by the number of their joints."""
-    alone = [c for c in cases if c.condition.group == "other_arms"]
-    arms = {c.condition.key: declared(c.condition).arm for c in alone}
-    sliding = [c for c in alone if arms[c.condition.key].slides]
-    turning = [c for c in alone if not arms[c.condition.key].slides]
-    groups = {f"{n} joints": [c for c in turning if arms[c.condition.key].n == n] for n in JOINTS}
-
-    def bare(case: Judged) -> bool:
-        return not case.condition.effects
-
-    def seen(case: Judged) -> bool:
-        return bool(case.condition.effects) and case.seen
-
-    return grouped(
-        "arms drawn at random",
-        groups | {"some that slide": sliding, "all": alone},
-        {
-            "clean: finding": share(_alarm, bare),
-            "clean: verdict not nothing_missing": share(lambda c: not c.score.quiet, bare),
-            "one effect: right": share(_right, seen),
-            "found at all": share(_anywhere, seen),
-            WRONG: share(_sure_and_wrong, seen),
-            "if not right": mistaken(_right, seen),
         },
     )
 

@@ -18,7 +18,6 @@ from seqid_cli.plan.stages.inertia import plan_inertia
 from seqid_cli.plan.stages.refine import refine
 from seqid_cli.robot.base_parameters import base_regressor
 from tests.plants.robots.sample import sample_robot
-from tests.studies.planned.sets import needed_pairs, per_pair, rank_of, without
 
 SECONDS = 6.0
 COUNT = 8
@@ -84,15 +83,6 @@ def test_what_is_there_already_changes_the_choice(goal: Goal, pool: Pool) -> Non
     with_new = float(goal.errors(have + pool.information[later].sum(axis=0)))
     again = float(goal.errors(have + pool.information[first[:4]].sum(axis=0)))
     assert with_new < again
-
-
-def test_full_rank_needs_few_pairs_and_each_of_them(goal: Goal, pool: Pool) -> None:
-    by_pair = per_pair(pool.joints, pool.information)
-    needed = needed_pairs(by_pair)
-    assert len(by_pair) == 15
-    assert 3 <= len(needed) <= 5  # three pairs hold six joints
-    assert rank_of(np.sum([by_pair[pair] for pair in needed], axis=0)) == len(goal.W)
-    assert all(rank_of(without(by_pair, needed, pair)) < len(goal.W) for pair in needed)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tests.plants.arms.vertical import vertical_two_joint
 from tests.plants.effects.friction import heat_of
-from tests.plants.friction.hysteresis import Bristles, Cable
+from tests.plants.friction.hysteresis import Bristles
 from tests.plants.mechanics.hidden import Run
 
 Array = NDArray[np.float64]
@@ -48,18 +48,6 @@ def test_bristles_only_take_energy() -> None:
         force = torques(Bristles(base, 0, 500.0).begin(), path)
         loop = slice(2000, 6001)
         assert np.trapezoid(force[loop], path[loop]) > 0.0
-
-
-def test_cable_loop_is_that_of_maxwell_slip() -> None:
-    """Area 4 level (amplitude - reach), no loss inside the reach."""
-    cable = Cable(0, 2.0, 0.1, 0.6, 0.15)
-    for amplitude, area in ((1.0, 4 * 0.6 * 0.85), (0.1, 0.0)):
-        source = cable.begin(RUN)
-        path = amplitude * np.sin(2.0 * np.pi * np.arange(12001) / 4000.0)
-        force = np.array([source(0.0, np.array([q]), np.zeros(1))[0] for q in path])
-        loop = slice(4000, 8001)
-        work = -np.trapezoid(force[loop], path[loop])
-        assert work == pytest.approx(area, rel=1e-3, abs=1e-6)
 
 
 def test_heat_flows_until_loss_is_power() -> None:

@@ -12,7 +12,7 @@ from tests.plants.arms.rigs import one_joint, six_joint
 from tests.plants.arms.vertical import vertical_two_joint
 from tests.plants.friction.surface import Frictionless
 from tests.plants.mechanics.hidden import Hidden, Spring
-from tests.plants.mechanics.joints import ElasticJoints, RigidJoints, substeps, vibration
+from tests.plants.mechanics.joints import ElasticJoints, substeps, vibration
 from tests.plants.mechanics.rigid import Rigid
 from tests.plants.motions.trajectories import Reference, fourier, hold
 from tests.plants.simulate import Plant, simulate
@@ -41,9 +41,6 @@ def test_elastic_arm_rests_on_its_springs() -> None:
     assert wind[0] == pytest.approx(gravity[0] / 1500.0, rel=1e-3)
     assert wind[1] == 0.0
     assert np.abs(log.q - start).max() < 1e-3
-    at_link = replace(soft, hidden=replace(soft.hidden, link_encoders=True))
-    seen = simulate(at_link, hold(start, 0.5, 1000.0), 0, imus=False)
-    np.testing.assert_allclose(seen.q, seen.truth.q, atol=rig.encoder_step.max())
 
 
 @pytest.mark.parametrize("rig", [vertical_two_joint(), six_joint()], ids=["two", "six"])
@@ -110,23 +107,3 @@ def test_coupled_friction_maps_back_with_the_transpose() -> None:
     same = simulate(replace(rig, hidden=Hidden(coupling=np.eye(2))), motion, 0, imus=False).truth
     plain = simulate(rig, motion, 0, imus=False).truth
     np.testing.assert_allclose(same.q, plain.q, atol=1e-9)
-
-
-def test_coupled_rotors_keep_energy() -> None:
-    """Rotors that turn with two joints: kinetic energy 1/2 (A dq)^T J (A dq)."""
-    rig = vertical_two_joint()
-    arm, dt = rig.arm, 5e-4
-    a = np.array([[1.0, 0.0], [0.6, 1.0]])
-    links = Rigid(replace(arm, rotor_inertia=np.zeros(2)))
-    hidden = Hidden(coupling=a, coupled_rotors=True)
-    start = np.array([0.4, 0.8])
-    body = RigidJoints(Rigid(arm), Frictionless().begin(), (), hidden, start, dt)
-    rows = [body.step(k * dt, np.zeros(2)) for k in range(1000)]
-    total = [
-        links.energy(row.q, row.dq) + 0.5 * (a @ row.dq) @ (arm.reflected * (a @ row.dq))
-        for row in rows[::20]
-    ]
-    still = np.zeros(2)
-    fallen = links.energy(rows[-1].q, still) - links.energy(start, still)
-    assert abs(fallen) > 1.0
-    assert np.ptp(total) < 1e-3 * abs(fallen)

@@ -13,16 +13,20 @@ from seqid_cli.identify.imu_calibration.deflection import likeliest
 from seqid_cli.identify.imu_calibration.normal_equations import Rows, Sizes
 from seqid_cli.identify.imu_calibration.result import deflecting, verdict_of
 from seqid_cli.params.schema import EffectOfJoint, ImuStage, Stages
-from tests.studies.imu.mounting import DEFLECTING, Case, calibrated, instruments, scene_of, scored
+from tests.plants.instruments import (
+    BACKLASH,
+    ELASTIC,
+    STIFF,
+    Case,
+    calibrated,
+    instruments,
+    scene_of,
+    scored,
+)
 
 pytestmark = pytest.mark.slow
 
 Array = NDArray[np.float64]
-
-STIFF, ELASTIC, BACKLASH = (
-    next(case for case in DEFLECTING if case.label == label)
-    for label in ("stiff joint 1, 0", "elastic joint 2, 1", "backlash joint 2, 1")
-)
 
 
 def drawn(sizes: Array, noise: Array, *, nodes: int = 3000, channels: int = 6) -> Rows:

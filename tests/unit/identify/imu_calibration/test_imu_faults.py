@@ -14,8 +14,10 @@ from seqid_cli.identify.imu_calibration.readings import cleaned
 from seqid_cli.motion.imu.array import calibrated as mended
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration
-from tests.studies.imu.mounting import (
-    CASES,
+from tests.plants.instruments import (
+    COARSE,
+    FINE,
+    GYRO,
     Case,
     Scene,
     instruments,
@@ -27,9 +29,6 @@ from tests.studies.imu.mounting import (
 )
 
 Array = NDArray[np.float64]
-
-COARSE, FINE, PLANAR = CASES[0], CASES[1], CASES[2]
-GYRO = CASES[6]
 
 
 @lru_cache(maxsize=4)

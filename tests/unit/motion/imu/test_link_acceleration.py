@@ -18,10 +18,10 @@ from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 from tests.plants.arms.rigs import two_joint
+from tests.plants.fused import stage_of
 from tests.plants.motions.experiments import inertia_trials
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.simulate import simulate
-from tests.studies.imu.fused_cases import stage_of
 
 
 @dataclass(frozen=True)

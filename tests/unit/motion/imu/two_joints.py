@@ -31,14 +31,6 @@ def joint_acceleration(dw: Array, dw_reference: Array, reference: float) -> Arra
     return reference * ratio
 
 
-def joint_speed(products: Array, w_reference: Array, reference: float) -> Array:
-    """Eq. 31 without its sign: joint speed (N,) rad/s from the products (N, 3, 3) of w."""
-    axis = w_reference / np.linalg.norm(w_reference)
-    along = np.sqrt(np.maximum(np.einsum("nij,i,j->n", products, axis, axis), 0.0))
-    speed: Array = abs(reference) * along / np.linalg.norm(w_reference)
-    return speed
-
-
 def second_joint_velocity(R_lm: Array, w_m: Array, w_l: Array, axis: Array) -> Array:
     """Eq. 41: velocity (N,) rad/s of joint l.
 

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.typing import Array
-from tests.studies.imu.fused_cases import Case, Fault, Rig, case
+from tests.plants.fused import Case, Fault, Rig, case
 
 pytestmark = pytest.mark.slow
 COARSE = 600  # counts per turn

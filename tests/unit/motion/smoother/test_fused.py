@@ -21,7 +21,7 @@ from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
-from tests.studies.imu.fused_cases import Case
+from tests.plants.fused import Case
 from tests.unit.motion.smoother.test_smooth import scene as simulated
 
 pytestmark = pytest.mark.slow

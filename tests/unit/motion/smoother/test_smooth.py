@@ -13,9 +13,16 @@ from seqid_cli.motion.imu.sensor import Mounting, link_slopes, link_state
 from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.robot.kinematics import link_motion
 from seqid_cli.typing import Array
+from tests.plants.fused import Case, Rig, case
 from tests.plants.robots.small import random_model
-from tests.studies.imu.fused_cases import Case, Rig, case
-from tests.studies.imu.fused_motion import LINES_400, SETTLED, bound, differentiated, from_imus, rms
+from tests.unit.motion.smoother.bounds import (
+    LINES_400,
+    SETTLED,
+    bound,
+    differentiated,
+    from_imus,
+    rms,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -53,13 +60,13 @@ def error_of(s: Case, got: Smoothed) -> Array:
 
 @pytest.mark.parametrize(("name", "share"), [("one", 0.05), ("one_400", 0.05), ("two", 0.06)])
 def test_coarse_encoders_with_arrays_beat_differentiation_tenfold(name: str, share: float) -> None:
-    assert (error_of(scene(name), smoothed(name)) < share * differentiated(scene(name))[1]).all()
+    assert (error_of(scene(name), smoothed(name)) < share * differentiated(scene(name))).all()
 
 
 @pytest.mark.parametrize("name", RIGS)
 def test_both_sources_together_beat_each(name: str) -> None:
     error = error_of(scene(name), smoothed(name))
-    assert (error < 0.75 * differentiated(scene(name))[1]).all()
+    assert (error < 0.75 * differentiated(scene(name))).all()
     assert (error < 0.75 * from_imus(scene(name))).all()
 
 
@@ -100,7 +107,7 @@ def test_without_imus_it_is_as_good_as_the_best_differentiation(name: str) -> No
     s = scene(name)
     got = smoothed_motion(s.recording, s.robot, None)
     assert tuple(got.mounted) == ()
-    assert (error_of(s, got) < 1.1 * differentiated(scene(name))[1]).all()
+    assert (error_of(s, got) < 1.1 * differentiated(scene(name))).all()
     deviation = np.sqrt(got.covariance[:, :, 2, 2])
     assert (rms((got.ddq - s.log.truth.ddq) / deviation) < 2.5).all()
 

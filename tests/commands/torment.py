@@ -1,15 +1,13 @@
-"""Kill commands while they write, and fill the disk under them: `python -m tests.studies.faults`.
+"""Kill commands while they write, and fill the disk under them.
 
 A command runs once on the sample robot. Whenever it begins to write a file, it is forked: each fork
 goes on from there and is killed at a random call or return of the writing, or may write so many
 bytes only. After each the old file or the new one must be there, whole. In the end the first
-process writes, and nothing else may lie in the folder. With --write the table goes into
-docs/trust.md.
+process writes, and nothing else may lie in the folder.
 """
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import os
@@ -18,7 +16,6 @@ import resource
 import shutil
 import signal
 import sys
-import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -28,10 +25,8 @@ from types import FrameType
 from seqid_cli.params import files
 from tests import ROOT
 from tests.studies.fuzz.answers import answer
-from tests.studies.tables import show, table
 
 SAMPLE = ROOT / "sample_logs" / "one_joint"
-PAGE = "trust.md"
 AFTER = 2  # calls and returns after a file has its name, in which it may be killed as well
 OLD = b"what was there before\n"
 _R = ("-r", str(SAMPLE / "robot.toml"))
@@ -222,30 +217,3 @@ def _hooked(before: Callable[[Path], object]) -> Iterator[None]:
         yield
     finally:
         files._without_leftovers = own
-
-
-def main(arguments: Sequence[str]) -> int:
-    """Torment all commands; 1 if something was wrong."""
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.faults", description=__doc__)
-    parser.add_argument("--kills", type=int, default=200, help="of each command")
-    parser.add_argument("--points", type=int, default=50, help="at which the disk is full")
-    parser.add_argument("--only", default="", help="commands with this in their name")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/trust.md")
-    chosen = parser.parse_args(arguments)
-    cells, wrong = [], 0
-    for name, line in COMMANDS.items():
-        if chosen.only not in name:
-            continue
-        with tempfile.TemporaryDirectory() as work:
-            forks = torment(line, Path(work), kills=chosen.kills, points=chosen.points)
-        numbers = (len(forks.sizes), forks.killed, forks.inside, forks.full, len(forks.wrong))
-        cells.append((name, *map(str, numbers)))
-        wrong += len(forks.wrong)
-        sys.stderr.write(f"{cells[-1]} {forks.wrong[:5]}\n")
-    text = table(("command", "files", "kills", "while it wrote", "disk full", "not well"), cells)
-    show(PAGE, "faults", text, kept=chosen.write)
-    return 1 if wrong else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -1,24 +1,20 @@
-"""How well `imu-calib` finds IMUs whose sensors have faults, and whether its intervals hold.
+"""IMUs whose sensors have faults, on arms that swing, and what a calibration finds of them.
 
 The arm's motion is simulated once per case; encoders (their codes' phase), instruments (gains,
-axes, biases) and noise are drawn anew for every seed. Results are kept seed by seed, so that a
-study that was cut short goes on where it stopped.
+axes, biases) and noise are drawn anew for every seed.
 """
 
 from __future__ import annotations
 
-from argparse import Namespace
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
-from seqid_cli.identify.imu_calibration.result import deflecting
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage
@@ -30,14 +26,12 @@ from tests.plants.motions.experiments import swing
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.sensors import AccelerometerArray, Faults, quantise
 from tests.plants.simulate import Log, Plant, simulate
-from tests.studies.records import results
-from tests.studies.tables import rms, share_within, table
 
 Array = NDArray[np.float64]
 
 EVERY = 4  # control periods of 1 ms per row
+SPAN = 0.4  # share of the joints' ranges that a swing takes
 TURNS: Mapping[str, int] = {"one": 4, "two": 3, "six": 1}
-SHARE: Mapping[str, float] = {"one": 1.0, "two": 1.0, "six": 0.3}  # of the seeds
 FAULTS = Faults(bias=0.15, drift=0.002, turn_on=0.01, scale=0.01, tilt=np.deg2rad(0.5), spikes=2e-4)
 GYRO_FAULTS = Faults(
     bias=0.01, drift=1e-4, turn_on=1e-3, scale=0.005, tilt=np.deg2rad(0.3), spikes=2e-4
@@ -63,42 +57,21 @@ class Case:
     step: float
     gyro: bool = False
     delay: float = 0.002
-    span: float = 0.4  # share of the joints' ranges that a swing takes
     turns: int | None = None  # swings, where it is not as many as usual
-    share: float = 1.0  # of the seeds
     hidden: str | None = None  # effect of `DRIVES`
     joint: int = 0  # that has it
-    size: float = 1.0
 
 
 DRIVES: Mapping[str, Callable[[Plant, int, float], Plant]] = {
     "elastic": elastic,
     "backlash": backlash,
 }
-CASES = (
-    Case("one joint, 400 counts", "one", 2 * np.pi / 400),
-    Case("one joint, 17 bits", "one", 2 * np.pi / 2**17),
-    Case("two joints, 400 counts", "two", 2 * np.pi / 400, delay=0.02),
-    Case("two joints, 17 bits", "two", 2 * np.pi / 2**17),
-    Case("six joints, 400 counts", "six", 2 * np.pi / 400),
-    Case("six joints, 17 bits", "six", 2 * np.pi / 2**17, delay=-0.02),
-    Case("six joints, 17 bits, gyro", "six", 2 * np.pi / 2**17, gyro=True),
-    Case("two joints, 400 counts, long", "two", 2 * np.pi / 400, span=0.8, turns=4, share=0.3),
-    Case("six joints, 17 bits, long", "six", 2 * np.pi / 2**17, span=0.8, turns=2, share=0.5),
-)
-DEFLECTING = tuple(
-    Case(f"{hidden} joint {joint + 1}, {size:g}", "two", 2 * np.pi / 2**17, turns=1, **own)
-    for hidden, joint, size in (
-        ("stiff", 0, 0.0),
-        ("elastic", 0, 0.5),
-        ("elastic", 1, 1.0),
-        ("elastic", 1, 0.3),
-        ("backlash", 0, 1.0),
-        ("backlash", 1, 1.0),
-        ("backlash", 1, 0.3),
-    )
-    for own in ({"hidden": hidden if size else None, "joint": joint, "size": size},)
-)
+COARSE = Case("one joint, 400 counts", "one", 2 * np.pi / 400)
+FINE = Case("one joint, 17 bits", "one", 2 * np.pi / 2**17)
+GYRO = Case("six joints, 17 bits, gyro", "six", 2 * np.pi / 2**17, gyro=True)
+STIFF = Case("stiff joint 1", "two", 2 * np.pi / 2**17, turns=1)
+ELASTIC = replace(STIFF, label="elastic joint 2", hidden="elastic", joint=1)
+BACKLASH = replace(STIFF, label="backlash joint 2", hidden="backlash", joint=1)
 
 
 @dataclass(frozen=True)
@@ -116,16 +89,13 @@ class Score:
     """One calibration of one IMU: errors over standard errors, and the errors themselves."""
 
     turn_deg: float
-    stated_deg: float
     z_turn: tuple[float, ...]
     z_delay: tuple[float, ...]
-    z_lever: tuple[float, ...]
     z_gain: tuple[float, ...]
     z_bias: tuple[float, ...]
     delay_error: float
     holdout: float | None
     outliers: int
-    deflects: str = ""  # joint that the calibration names
 
 
 @cache
@@ -133,7 +103,7 @@ def scene_of(case: Case) -> Scene:
     """Simulate the arm's motion of a case."""
     plant = _plant(case.robot)
     if case.hidden is not None:
-        plant = DRIVES[case.hidden](plant, case.joint, case.size)
+        plant = DRIVES[case.hidden](plant, case.joint, 1.0)
     plant = replace(plant, imus=tuple(_instrument(imu, case) for imu in plant.imus))
     postures = [np.array(posture) for posture in POSTURES[case.robot]]
     moves = [(posture, 0) for posture in postures]
@@ -142,7 +112,7 @@ def scene_of(case: Case) -> Scene:
     logs = [
         simulate(
             plant,
-            swing(plant, posture, joint, turns, share=case.span, rate_hz=1000.0),
+            swing(plant, posture, joint, turns, share=SPAN, rate_hz=1000.0),
             number,
             every=EVERY,
             imus=False,
@@ -218,7 +188,6 @@ def scored(imu: AccelerometerArray, found: ImuCalibration) -> Score:
     off = np.degrees(Rotation.from_matrix(R @ true_mounting(imu).T).as_rotvec())
     sigma = np.array(found.std_errors_deg)
     known = sigma < 5.0
-    lever = _z(found.lever, found.lever_std_errors, imu.lever)
     k = len(imu.axes)
     gain = _z(found.accelerometer_scale, found.accelerometer_scale_std_errors, imu.faults.gains(k))
     errors = found.accelerometer_bias_std_errors
@@ -226,16 +195,13 @@ def scored(imu: AccelerometerArray, found: ImuCalibration) -> Score:
     late = found.time_offset_s - imu.faults.delay
     return Score(
         turn_deg=float(np.linalg.norm(off[known])),
-        stated_deg=float(np.linalg.norm(sigma[known])),
         z_turn=tuple((off[known] / sigma[known]).tolist()),
         z_delay=(late / found.time_offset_std_error_s,) if found.time_offset_std_error_s else (),
-        z_lever=lever,
         z_gain=gain,
         z_bias=bias,
         delay_error=abs(late),
         holdout=found.holdout or None,
         outliers=found.outliers,
-        deflects=getattr(deflecting(found), "joint", ""),
     )
 
 
@@ -265,72 +231,3 @@ def scores(of: tuple[Case, int]) -> list[Score]:
     scene = scene_of(case)
     stage = calibrated(scene, seed)
     return [scored(imu, stage.imus[imu.name]) for imu in instruments(scene, seed)]
-
-
-def row(case: Case, found: Sequence[Score]) -> list[str]:
-    """One line of the study's table."""
-    turn = np.array([s.turn_deg for s in found])
-
-    def held(name: str) -> str:
-        """Share of 95 % intervals that hold the truth."""
-        z = np.concatenate([getattr(s, name) for s in found])
-        return f"{100 * share_within(z, 1.96):.0f} %" if len(z) else "-"
-
-    named = Counter(s.deflects for s in found if s.deflects)
-    return [
-        case.label,
-        str(len(found)),
-        f"{np.median(turn):.3f}",
-        f"{np.median([s.stated_deg for s in found]):.3f}",
-        f"{turn.max():.3f}",
-        *(held(f"z_{name}") for name in ("turn", "delay", "lever", "gain", "bias")),
-        f"{1e3 * case.delay:.0f}",
-        f"{1e3 * rms([s.delay_error for s in found]):.3f}",
-        f"{np.median([np.nan if s.holdout is None else s.holdout for s in found]):.2f}",
-        f"{rms(np.concatenate([s.z_turn for s in found])):.2f}",
-        ", ".join(f"{name} {count}" for name, count in sorted(named.items())) or "-",
-    ]
-
-
-HEADER = [
-    "case",
-    "IMUs",
-    "median error, deg",
-    "stated",
-    "largest",
-    "mounting held",
-    "offset",
-    "lever",
-    "scale",
-    "bias",
-    "offset, ms",
-    "its RMS error",
-    "held-out / noise",
-    "rms z",
-    "deflects",
-]
-
-
-def study(chosen: Namespace, *, cases: Sequence[Case] = CASES, count: int = 100) -> str:
-    """Table over the cases, `count` seeds for one joint and fewer for more; two if quick."""
-    count = max(1, count // 50) if chosen.quick else count
-    kept = results(
-        {
-            f"{case.label}, seed {seed}": (case, seed)
-            for case in cases
-            for seed in range(max(1, round(count * SHARE[case.robot] * case.share)))
-        },
-        scores,
-        list[Score],
-        None if chosen.quick else chosen.cache / "imu_mounting.jsonl",
-    )
-    rows = []
-    for case in cases:
-        own = [
-            s for key, found in kept.items() if key.startswith(f"{case.label}, seed") for s in found
-        ]
-        rows += [row(case, own)] if own else []
-    return table(HEADER, rows)
-
-
-deflecting_study = partial(study, cases=DEFLECTING, count=10)

@@ -1,4 +1,4 @@
-"""Rigs, encoders and faulty IMUs for the study of fused motion, read off a simulated truth."""
+"""Rigs, encoders and faulty IMUs for motion from all sensors, read off a simulated truth."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from seqid_cli.robot.types import Robot
 from tests.plants.arms.rigs import mounting, one_joint, six_joint, two_joint
 from tests.plants.mechanics.rigid import LinkMotion, link_motion
 from tests.plants.motions.experiments import inertia_trials, validation_trials
-from tests.plants.motions.trajectories import Reference, hold, join
+from tests.plants.motions.trajectories import Reference
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.sensors import AccelerometerArray, quantise, tetrahedral_array
 from tests.plants.simulate import Log, Plant, simulate
@@ -64,10 +64,8 @@ class Rig:
     counts: int = 0
     layout: str = "two"  # of six joints: "end", "two" or "each"
     gyro: bool = False
-    pauses: bool = False
     fault: Fault = field(default_factory=Fault)
     seconds: float = 4.0
-    seed: int = 0
 
 
 def _arrays(plant: Plant, layout: str) -> tuple[AccelerometerArray, ...]:
@@ -100,25 +98,19 @@ def built(rig: Rig) -> Plant:
 
 
 def reference(rig: Rig, plant: Plant, rng: np.random.Generator) -> Reference:
-    """Inertia trials of one or two joints, a validation run of six; with rests where asked."""
+    """Inertia trials of one or two joints, a validation run of six."""
     if rig.joints == 6:
-        motion = validation_trials(plant, rng, runs=1, seconds=rig.seconds)[0].reference
-    else:
-        posture = np.array([0.0, 0.5])[: rig.joints]
-        motion = inertia_trials(plant, [posture], rng, seconds=rig.seconds)[0].reference
-    if not rig.pauses:
-        return motion
-    still = hold(motion.q[-1], 1.0, motion.rate_hz)
-    back = Reference(motion.q[::-1], -motion.dq[::-1], motion.ddq[::-1], motion.rate_hz)
-    return join([motion, still, back])
+        return validation_trials(plant, rng, runs=1, seconds=rig.seconds)[0].reference
+    posture = np.array([0.0, 0.5])[: rig.joints]
+    return inertia_trials(plant, [posture], rng, seconds=rig.seconds)[0].reference
 
 
 @cache
 def simulated(rig: Rig) -> Log:
     """The truth does not depend on the faults."""
-    rng = np.random.default_rng(rig.seed)
+    rng = np.random.default_rng(0)
     plant = built(rig)
-    return simulate(plant, reference(rig, plant, rng), rig.seed, imus=False)
+    return simulate(plant, reference(rig, plant, rng), 0, imus=False)
 
 
 def _late(log: Log, delay: float, plant: Plant, link: int) -> LinkMotion:
@@ -149,11 +141,8 @@ def readings(
 def case(rig: Rig) -> Case:
     """Record a rig."""
     plant = built(rig)
-    base = Rig(
-        rig.joints, rig.counts, rig.layout, False, rig.pauses, Fault(), rig.seconds, rig.seed
-    )
-    log = simulated(base)
-    rng = np.random.default_rng(1000 + rig.seed)
+    log = simulated(replace(rig, gyro=False, fault=Fault()))
+    rng = np.random.default_rng(1000)
     robot = robot_of("rig", plant)
     accelerometers, gyros, imus = {}, {}, []
     for imu, array in zip(robot.imus, plant.imus, strict=True):

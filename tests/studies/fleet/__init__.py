@@ -1,1 +1,0 @@
-"""A fleet of robots, and those that drift."""

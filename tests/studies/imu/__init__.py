@@ -1,1 +1,0 @@
-"""IMUs: their calibration, and motion from them."""

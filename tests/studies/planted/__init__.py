@@ -1,1 +1,0 @@
-"""Planted faults against the stages that read them."""

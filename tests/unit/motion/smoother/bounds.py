@@ -1,0 +1,88 @@
+"""What the smoother is measured by: errors of its sources alone, and the bound."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from seqid_cli.errors import SeqidError
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate
+from seqid_cli.motion.imu.link_acceleration import best_motion
+from seqid_cli.motion.motion import estimate_motion
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.motion.smoother.chunk import Chunk
+from seqid_cli.motion.smoother.encoder import encoder_view
+from seqid_cli.motion.smoother.imus import mounted_imus, read
+from seqid_cli.motion.smoother.solve import probed_covariance, solved
+from seqid_cli.motion.smoother.system import linearised, normal_equations
+from seqid_cli.motion.smoother.terms import Jerk
+from tests.plants.fused import GYRO_NOISE, Case, Rig
+
+Array = NDArray[np.float64]
+
+SETTLED = slice(200, -200)
+ENCODER_HZ = np.geomspace(2.0, 120.0, 30)
+IMU_HZ = (10.0, 30.0, 90.0, 200.0, 400.0)
+LINES_400 = 2400  # counts per joint turn behind the gear of 6
+
+
+def rms(values: Array) -> Array:
+    """RMS (n,) away from the ends."""
+    return np.asarray(np.sqrt(np.mean(values[SETTLED] ** 2, axis=0)))
+
+
+def differentiated(c: Case) -> Array:
+    """Errors (n,) of the acceleration of encoders, each with the cut-off of least error.
+
+    Only who knows the truth can choose so.
+    """
+    rate = c.recording.rate_hz
+    found = [differentiate(Lowpass(float(hz), rate)(c.recording.q), rate) for hz in ENCODER_HZ]
+    return np.asarray(np.min([rms(ddq - c.truth) for _, ddq in found], axis=0))
+
+
+def from_imus(c: Case) -> Array | None:
+    """Errors (n,) of the IMUs sample by sample, with the best of several cut-offs."""
+    errors = []
+    for hz in IMU_HZ:
+        motion = estimate_motion(c.recording, c.robot, MotionOptions(cutoff_hz=hz))
+        try:
+            got = best_motion(c.recording, c.robot, c.stage, motion, source="imu")
+        except SeqidError:
+            continue
+        errors.append(rms(got.ddq - c.truth))
+    return np.asarray(np.min(errors, axis=0)) if errors else None
+
+
+def bound(c: Case, rig: Rig) -> Array:
+    """Cramer-Rao bound (n,) of the acceleration, for a white jerk of the true size.
+
+    It knows the sensors' noise and faults, where they sit, and the motion.
+    """
+    views = [
+        encoder_view(c.recording.q[:, j], float(c.plant.encoder_step[j])) for j in range(c.robot.n)
+    ]
+    imus = []
+    for x, array in zip(mounted_imus(c.recording, c.robot, c.stage), c.plant.imus, strict=True):
+        noise = np.full(x.place.channels, np.hypot(array.noise, array.resolution / np.sqrt(12)))
+        noise[len(x.place.positions) :] = GYRO_NOISE
+        place = replace(x.place, R=array.rotation, lever=array.lever)
+        taken = read(x, c.recording, slice(None))
+        imus.append(replace(taken, place=place, noise=noise, delay=rig.fault.delay_s))
+    dt, truth = 1.0 / c.recording.rate_hz, c.log.truth
+    chunk = Chunk(c.robot, tuple(views), dt, 1, tuple(imus)).gathered()
+    found = np.diff(truth.ddq, axis=0) / dt
+    second = found.T @ found / len(found)
+    size = np.sqrt(np.diag(second))
+    jerk = Jerk(size, second / np.outer(size, size), np.ones_like(truth.q))
+    q = truth.q - dt**2 * truth.ddq / 6
+    coefficients = np.vstack([q[:1], q, q[-1:], q[-1:]])
+    normal = normal_equations(
+        chunk, coefficients, jerk, linearised(chunk, coefficients), constants="place"
+    )
+    solution = replace(solved(chunk, coefficients, jerk, normal), constants="place")
+    covariance = probed_covariance(solution, solution)[1]
+    return np.asarray(np.sqrt(np.mean(covariance[:, :, 2, 2], axis=0)))

@@ -108,23 +108,9 @@ study-effects: $(DEV) ## how well undeclared effects are found, into docs/effect
 study-coverage: $(DEV) ## do the stated errors hold: 200 drawn arms of each kind, into docs/coverage.md (hours)
 	$(BIN)/python -m tests.studies --only coverage --processes $(WORKERS)
 
-# FIGAROH and its robots in an environment of their own; 40 iterations, after which it hardly gains.
-PEERS := $(VENV)-peers/.installed
-ROBOT_DATA = $$(echo $(VENV)-peers/lib/python3*/site-packages/cmeel.prefix/share/example-robot-data/robots)
-PEER = $(dir $(PEERS))bin/python tests/studies/planned/peer.py
-
-$(PEERS): | $(BIN)/python
-	$(BIN)/python -m venv $(@D)
-	$(@D)/bin/python -m pip install --quiet --disable-pip-version-check figaroh==1.0.2 cyipopt-wheels example-robot-data
-	touch $@
-
 .PHONY: study-plan
-study-plan: $(DEV) $(PEERS) ## plans against chance, a peer and plants, into docs/plan.md (an hour)
-	mkdir -p $(CACHE)/peers
-	$(PEER) $(ROBOT_DATA)/ur_description/urdf/ur10_robot.urdf $(CACHE)/peers/ur10.npz --iterations 40
-	$(PEER) $(ROBOT_DATA)/panda_description/urdf/panda.urdf $(CACHE)/peers/panda.npz --iterations 40 \
-		--lock panda_finger_joint1 panda_finger_joint2
-	$(BIN)/python -m tests.studies --only planned planned_errors planned_separation --cache $(CACHE)
+study-plan: $(DEV) ## predicted errors and pairs told apart against plants, into docs/plan.md (an hour)
+	$(BIN)/python -m tests.studies --only planned_errors planned_separation --cache $(CACHE)
 
 .PHONY: study-outside
 study-outside: $(DEV) ## cases of the second simulator, into docs/outside.md (20 s a case)

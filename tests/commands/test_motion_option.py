@@ -21,7 +21,7 @@ from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
 from tests.plants.robotfile import robot_toml
 from tests.unit.motion.smoother.test_smooth import scene
-from tests.unit.params.documents import full_file, gravity_file
+from tests.unit.params.documents import full_file
 from tests.unit.params.generate import json_schema
 
 LOGS = ["a.parquet", "-r", "robot.toml"]
@@ -38,12 +38,6 @@ def test_imus_need_their_calibration(rig: Rig, reader: Reader, command: str, sou
     assert done.code == 2
     assert "there is no imu stage" in done.err
     assert "seqid imu-calib" in done.err
-
-
-def test_an_unknown_source_is_a_usage_error(rig: Rig, reader: Reader) -> None:
-    done = rig.run("inertia", *LOGS, "-p", rig.params("p.json", gravity_file()), "--motion", "gps")
-    assert done.code == 2
-    assert "gps" in done.err
 
 
 @dataclass

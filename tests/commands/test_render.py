@@ -7,13 +7,12 @@ from pathlib import Path
 import pytest
 
 from seqid_cli.__main__ import main
-from seqid_cli.commands.screen.layout import folded, format_table, shortened
+from seqid_cli.commands.screen.layout import format_table
 from seqid_cli.commands.screen.progress import ProgressLine
-from seqid_cli.commands.screen.render import Screen, number, percent
+from seqid_cli.commands.screen.render import Screen
 from seqid_cli.commands.screen.show import show_stages, verdict_text
-from seqid_cli.commands.screen.show_diagnosis import parameters_text, text_chart
+from seqid_cli.commands.screen.show_diagnosis import parameters_text
 from seqid_cli.params.schema import EffectOfJoint, Parameter, Verdict
-from seqid_cli.working import heard_by, step
 from tests import ROOT
 from tests.unit.params.documents import inertia_file, robot
 
@@ -28,18 +27,6 @@ def test_a_plain_table_is_aligned() -> None:
         "wrist_1     12  poor: noisy [a]\n"
         "w            -  -\n"
     )
-
-
-def test_a_coloured_table_says_the_same() -> None:
-    def style(cell: str, head: bool) -> str:
-        return "\x1b[1m" if head or cell == "good" else ""
-
-    text = format_table(COLUMNS, ROWS, style=style)
-    assert text.count("\x1b[1m") == 4
-    plain = re.sub(r"\x1b\[[0-9]*m", "", text)
-    assert [line.rstrip() for line in plain.splitlines()] == format_table(
-        COLUMNS, ROWS
-    ).splitlines()
 
 
 def test_a_table_fits_the_screen_and_no_number_is_cut() -> None:
@@ -69,20 +56,6 @@ def test_joints_that_slide_have_units_of_their_own(capsys: pytest.CaptureFixture
     arm.prismatic = list(arm.joints)
     show_stages(screen, stages, arm)
     assert "RMS error N " in capsys.readouterr().out
-
-
-def test_text_folds_at_words() -> None:
-    line = "error: the torque of the elbow is -3.0905e-08 N m throughout"
-    text = folded(line, 40)
-    assert max(map(len, text.splitlines())) <= 40
-    assert " ".join(text.split()) == line
-    assert folded(line, None) == line
-    assert shortened("logs/friction/pan.parquet", 20) == "logs...n/pan.parquet"
-
-
-def test_numbers() -> None:
-    assert [number(None), number(0.12345), number(1234.5, 5)] == ["-", "0.123", "1234.5"]
-    assert [percent(None), percent(0.125)] == ["-", "12.5 %"]
 
 
 def test_a_verdict_names_every_reason() -> None:
@@ -122,31 +95,6 @@ def test_progress_shows_after_a_second_and_vanishes() -> None:
     before = stream.getvalue()
     line.show(3, 4, "c.mcap")
     assert stream.getvalue() == before
-
-
-def test_the_steps_of_long_work_are_heard_in_their_block() -> None:
-    heard: list[tuple[int, int, str]] = []
-    step("before", 0, 1)
-    with heard_by(lambda done, total, text: heard.append((done, total, text))):
-        step("filtering", 0, 2)
-        step("choosing", 1, 2)
-    step("after", 0, 1)
-    assert heard == [(0, 2, "filtering"), (1, 2, "choosing")]
-
-
-def test_a_chart_shows_shape_and_ranges() -> None:
-    x = [k / 27.5 - 1.0 for k in range(56)]
-    lines = text_chart(x[::-1], [at**2 for at in x[::-1]], x_label="position rad", y_label="N m")
-    top, bottom = lines[1], lines[-3]
-    assert lines[0].strip() == "N m"
-    assert top.split() == ["1", "|**", "**"]
-    assert bottom.split("|")[0].strip() == "0.000331"  # (1 / 55)^2
-    middle = bottom.index("|") + 28
-    assert bottom[middle : middle + 2] == "**"
-    assert lines[-1].split() == ["-1", "1", "position", "rad"]
-    assert all(line.count("*") == 0 for line in lines[-2:])
-    columns = {line.index("|") for line in lines[1:-2]}
-    assert len(columns) == 1
 
 
 ONE, TWO, SIX = (ROOT / "sample_logs" / name for name in ("one_joint", "two_joint", "six_joint"))

@@ -11,7 +11,7 @@ from tests import ROOT
 from tests.studies import tables
 from tests.studies.coverage import study as coverage
 from tests.studies.loop import study as closed_loop
-from tests.studies.planned import errors, separation, sets
+from tests.studies.planned import errors, separation
 from tests.studies.recorded import classical, effects
 from tests.studies.rigs import one_joint, six_joint, table_two, two_joint
 from tests.studies.undeclared import study as undeclared
@@ -26,12 +26,11 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {  # pa
     "undeclared": ("effects_study.md", undeclared.study),
     "closed_loop": ("closed_loop_study.md", closed_loop.study),
     "coverage": ("coverage.md", coverage.study),
-    "planned": ("plan.md", sets.study),
     "planned_errors": ("plan.md", errors.study),
     "planned_separation": ("plan.md", separation.study),
     "recorded_effects": ("effects_study.md", effects.study),
 }
-SLOW = ("six_joint", "planned", "planned_errors", "recorded_effects")  # even of one rig
+SLOW = ("six_joint", "planned_errors", "recorded_effects")  # even of one rig
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,10 +13,9 @@ from numpy.typing import NDArray
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.plants.arms.drawn import drawn_arm
 from tests.plants.mechanics.rigid import PHI_NAMES
 from tests.plants.motions.experiments import Trial
-from tests.plants.robotfile import robot_toml, urdf_text
+from tests.plants.robotfile import robot_toml
 from tests.plants.simulate import Log, Plant, simulate
 
 Array = NDArray[np.float64]
@@ -40,16 +38,6 @@ def robot_of(name: str, plant: Plant) -> Robot:
         path = Path(folder) / "robot.toml"
         path.write_text(robot_toml(name, plant), encoding="ascii")
         return load_robot(path)
-
-
-@cache
-def drawn_robot(folder: Path, seed: int) -> Robot:
-    """Robot file and URDF of a drawn arm."""
-    plant = drawn_arm(seed)
-    (folder / f"arm_{seed}.urdf").write_text(urdf_text("arm", plant), encoding="ascii")
-    path = folder / f"robot_{seed}.toml"
-    path.write_text(robot_toml("arm", plant, urdf=f"arm_{seed}.urdf"), encoding="ascii")
-    return load_robot(path)
 
 
 def recording_of(plant: Plant, name: str, log: Log) -> Recording:

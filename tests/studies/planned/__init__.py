@@ -1,1 +1,1 @@
-"""Planned moves against chance, a peer, and what comes of them."""
+"""What comes of planned moves."""

@@ -13,25 +13,18 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
-from seqid_cli.logs.checks.echo import echoes
 from seqid_cli.logs.read import read_recording
-from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.logs.storage.files import expand
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.file import load_robot
-from seqid_cli.robot.types import Robot
 from tests import ROOT
-from tests.plants.robots.sample import sample_robot
 
 pytestmark = pytest.mark.slow
 
 DATA = ROOT / ".." / "shared" / "data"
-SAMPLES = ROOT / "sample_logs"
 PENDULUM, TX40, UR10E = "dfki_simple_pendulum", "staubli_tx40", "ur10e_innopolis"
 XMATE = "rokae_xmate"
-ECHOES = {"gravity_compensation.parquet", "pd_1nm_torque_limited_swingup_failure.parquet"}
 
 
 def folder_of(name: str) -> Path:
@@ -122,36 +115,8 @@ def test_ripple_of_a_harmonic_drive() -> None:
     assert not any(abs(order - 177.0 / 101.0) < 0.03 for order in orders)
 
 
-def echoed(log: Recording, robot: Robot) -> list[int]:
-    return echoes(robot, log.t, log.q, torque_of(log), log.valid)
-
-
-def test_echoes_of_the_pendulum_and_no_others() -> None:
-    folder = folder_of(PENDULUM)
-    robot = load_robot(folder / "robot.toml")
-    recordings = [read_recording(path, robot) for path in expand([str(folder)])]
-    assert len(recordings) == 10
-    told = {r.path.name for r in recordings if echoed(r, robot)}
-    assert told == ECHOES
-
-
 def test_diagnosis_of_an_echo_is_refused() -> None:
     with pytest.raises(InputError, match="echo of the command") as caught:
         diagnosed(PENDULUM, ["gravity_compensation.parquet"], most=4, fitted=["sac.parquet"])
     assert caught.value.where.endswith("gravity_compensation.parquet")
     assert "motor current" in caught.value.hint
-
-
-@pytest.mark.parametrize("name", [TX40, "laas_cogging", UR10E])
-def test_torque_of_other_robots_is_no_echo(name: str) -> None:
-    folder = folder_of(name)
-    robot = load_robot(folder / "robot.toml")
-    for recording in (read_recording(path, robot) for path in expand([str(folder)])):
-        assert not echoed(recording, robot), recording.path.name
-
-
-@pytest.mark.parametrize("name", ["one_joint", "two_joint", "six_joint"])
-def test_torque_of_the_sample_logs_is_no_echo(name: str) -> None:
-    robot = sample_robot(name)
-    for recording in (read_recording(path, robot) for path in expand([str(SAMPLES / name)])):
-        assert not echoed(recording, robot), recording.path.name

@@ -20,29 +20,22 @@ from seqid_cli.plan.options import PlanOptions, What
 from seqid_cli.plan.stages.inertia import plan_inertia
 from seqid_cli.plan.stages.payload import loaded
 from seqid_cli.robot.file import load_robot
-from seqid_cli.robot.types import Array, Imu, Robot
-from tests.plants.arms.drawn import drawn_arm
+from seqid_cli.robot.types import Array, Imu
+from tests.plants.arms.rigs import six_joint, two_joint
 from tests.plants.planned import limits_used
-from tests.plants.robots.lab import drawn_robot
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.stages import inertia_stage
 
+RIGS = ("one_joint", "two_joint", "six_joint")
+BODIES = {"two_joint": two_joint().arm.phi, "six_joint": six_joint().arm.phi}
 DENSE_HZ = 1000.0
 ROUNDING = 1e-3  # between the samples on which the amplitude was found, of which 5 % are spare
 
 
-def without_limits(robot: Robot, joint: int) -> Robot:
-    joints = list(robot.joints)
-    joints[joint] = replace(joints[joint], position_limits=None)
-    return replace(robot, joints=tuple(joints))
-
-
 @settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
-@given(seed=st.integers(0, 60), draw=st.integers(0, 2**31), seconds=st.floats(2.0, 20.0))
-def test_limits_hold_on_dense_samples_of_drawn_arms(
-    tmp_path_factory: pytest.TempPathFactory, seed: int, draw: int, seconds: float
-) -> None:
-    robot = drawn_robot(tmp_path_factory.getbasetemp(), seed)
+@given(rig=st.sampled_from(RIGS), draw=st.integers(0, 2**31), seconds=st.floats(2.0, 20.0))
+def test_limits_hold_on_dense_samples(rig: str, draw: int, seconds: float) -> None:
+    robot = sample_robot(rig)
     limits = limits_of(robot, ramp_s=0.3)
     rng = np.random.default_rng(draw)
     size = (3, robot.n)
@@ -63,13 +56,13 @@ KINDS = ("friction", "gravity", "imu-calib", "inertia", "payload", "validation",
 @pytest.mark.slow
 @pytest.mark.parametrize("what", KINDS)
 @settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck))
-@given(seed=st.integers(0, 60), spare=st.floats(1.3, 3.0), together=st.booleans())
-def test_every_kind_of_move_keeps_all_limits_of_drawn_arms(
-    tmp_path_factory: pytest.TempPathFactory, what: What, seed: int, spare: float, together: bool
+@given(rig=st.sampled_from(list(BODIES)), spare=st.floats(1.3, 3.0), together=st.booleans())
+def test_every_kind_of_move_keeps_all_limits(
+    what: What, rig: str, spare: float, together: bool
 ) -> None:
     imu = Imu("tool", 1, np.zeros((3, 3)), np.eye(3), gyro=True)
-    robot = replace(drawn_robot(tmp_path_factory.getbasetemp(), seed), imus=(imu,))
-    stages = Stages(inertia=inertia_stage(robot, drawn_arm(seed).arm.phi, error=0.01))
+    robot = replace(sample_robot(rig), imus=(imu,))
+    stages = Stages(inertia=inertia_stage(robot, BODIES[rig], error=0.01))
     limits = limits_of(robot, ramp_s=0.3)
     belief = belief_of(robot, stages, limits)
     limits = replace(limits, torque=spare * busy_torque(belief))

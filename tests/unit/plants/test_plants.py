@@ -15,7 +15,6 @@ from tests.plants.friction.surface import Friction, Frictionless, stick_slip
 from tests.plants.mechanics.rigid import Rigid, build_model, link_motion
 from tests.plants.motions.experiments import validation_trials
 from tests.plants.motions.trajectories import Reference, hold
-from tests.plants.robotfile import robot_toml, urdf_text
 from tests.plants.simulate import Plant, simulate
 
 Array = NDArray[np.float64]
@@ -71,14 +70,6 @@ def test_energy_is_conserved_without_friction_and_control(name: str, coupled: bo
     assert np.abs(total - total[0]).max() < 2e-4 * moved
 
 
-def test_rest_stays_at_rest(plant: Plant) -> None:
-    """A held arm does not move by an encoder count, though its drives hold it against gravity."""
-    start = np.linspace(0.4, 0.9, plant.arm.n)
-    log = simulate(plant, hold(start, 1.0, 1000.0), 5, imus=False)
-    assert np.ptp(log.truth.q, axis=0).max() < plant.encoder_step.min()
-    assert np.ptp(log.q[100:], axis=0).max() <= 0.0
-
-
 def test_accelerometers_match_differentiated_positions(plant: Plant) -> None:
     """Specific force is the second derivative of the sensor's place, minus gravity."""
     step, t0 = 1e-4, 0.7
@@ -125,15 +116,3 @@ def test_stick_slip_holds_below_the_level_and_slips_above() -> None:
         got, friction, _ = stick_slip(one, np.array([push]), rest, 1e-3, dry, np.zeros(1))
         assert got[0] == pytest.approx(ddq)
         assert friction[0] == pytest.approx(rub)
-
-
-def test_urdf_is_the_nominal_arm() -> None:
-    """Pinocchio reads the URDF back as the geometry of the DH table and the nominal bodies."""
-    rig = six_joint()
-    model = pin.buildModelFromXML(urdf_text("six_joint", rig))
-    own = build_model(rig.nominal)
-    assert list(model.names)[1:] == list(rig.arm.names)
-    q, dq, ddq = np.random.default_rng(1).uniform(-1, 1, (3, 6))
-    read = pin.rnea(model, model.createData(), q, dq, ddq)
-    np.testing.assert_allclose(read, pin.rnea(own, own.createData(), q, dq, ddq), rtol=1e-6)
-    assert 'after_joint = "elbow"' in robot_toml("six_joint", rig, urdf="six_joint.urdf")

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.plants.arms.rigs import one_joint, six_joint
+from tests.plants.arms.rigs import one_joint
 from tests.plants.arms.vertical import vertical_two_joint
 from tests.plants.friction.surface import Frictionless
 from tests.plants.mechanics.hidden import Hidden, Spring
 from tests.plants.mechanics.joints import ElasticJoints, substeps, vibration
 from tests.plants.mechanics.rigid import Rigid
-from tests.plants.motions.trajectories import Reference, fourier, hold
-from tests.plants.simulate import Plant, simulate
+from tests.plants.motions.trajectories import Reference, fourier
+from tests.plants.simulate import simulate
 
 Array = NDArray[np.float64]
 
@@ -27,47 +27,6 @@ def swing(seconds: float = 1.5) -> Reference:
     top, push = 0.8 * rig.velocity_limits, 0.8 * rig.acceleration_limits
     rng = np.random.default_rng(3)
     return fourier(rng, low, high, top, push, seconds=seconds, harmonics=2, rate_hz=1000.0)
-
-
-def test_elastic_arm_rests_on_its_springs() -> None:
-    """At rest the wind is gravity over stiffness, and the encoder says where it should be."""
-    rig = vertical_two_joint(simple_friction=True)
-    soft = replace(rig, hidden=Hidden(springs=(Spring(0, 1500.0, 5.0),)))
-    start = np.array([0.3, -0.5])
-    log = simulate(soft, hold(start, 0.5, 1000.0), 0, imus=False)
-    truth = log.truth
-    wind = truth.angle[-1] - truth.q[-1]
-    gravity = Rigid(rig.arm).gravity_torque(truth.q[-1])
-    assert wind[0] == pytest.approx(gravity[0] / 1500.0, rel=1e-3)
-    assert wind[1] == 0.0
-    assert np.abs(log.q - start).max() < 1e-3
-
-
-@pytest.mark.parametrize("rig", [vertical_two_joint(), six_joint()], ids=["two", "six"])
-def test_energy_stays_in_links_drives_and_springs(rig: Plant) -> None:
-    """An arm without friction falls on an undamped spring."""
-    arm = rig.arm
-    joint, start = arm.n - 1, np.linspace(0.5, 1.0, arm.n)
-    spring, dt = Spring(joint, 300.0, 0.0), 5e-4
-    rigid = Rigid(arm)
-    shed = np.zeros(arm.n)
-    shed[joint] = arm.rotor_inertia[joint]
-    links = Rigid(replace(arm, rotor_inertia=arm.rotor_inertia - shed))
-    body = ElasticJoints(rigid, Frictionless().begin(), (), Hidden(springs=(spring,)), start, dt)
-    total, wound, before = [], [], None
-    for k in range(800):
-        row = body.step(k * dt, np.zeros(arm.n))
-        wind = float(row.angle[joint] - row.q[joint])
-        if before is not None:
-            rate = (float(row.angle[joint]) - before) / dt
-            energy = links.energy(row.q, row.dq) + 0.5 * 300.0 * wind**2
-            total.append(energy + 0.5 * float(arm.reflected[joint]) * rate**2)
-            wound.append(wind)
-        before = float(row.angle[joint])
-    fallen = rigid.energy(row.q, np.zeros(arm.n)) - rigid.energy(start, np.zeros(arm.n))
-    assert abs(fallen) > 1.0
-    assert np.ptp(wound) > 1e-4
-    assert np.ptp(total) < 0.02 * abs(fallen)
 
 
 def test_two_masses_swing_at_their_own_frequency() -> None:

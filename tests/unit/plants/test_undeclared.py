@@ -5,25 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from numpy.typing import NDArray
 
-from tests.plants.arms.rated import rated_torque, tool_point
-from tests.plants.arms.rigs import six_joint
+from tests.plants.arms.rated import rated_torque
 from tests.plants.arms.vertical import vertical_two_joint
 from tests.plants.effects.registry import REGISTRY, inject
 from tests.plants.friction.surface import Friction
-from tests.plants.mechanics.drives import Lag, Skew
-from tests.plants.mechanics.hidden import Hidden, Run, Spring
-from tests.plants.mechanics.rigid import build_model
-from tests.plants.mechanics.torques import Contact, Counterbalance
+from tests.plants.mechanics.hidden import Hidden, Spring
 from tests.plants.motions.trajectories import Reference, periodic
 from tests.plants.robotfile import robot_toml
 from tests.plants.simulate import Plant, simulate
 
 Array = NDArray[np.float64]
-RUN = Run(100.0, 2.0, 1e-3, 5)
 STIFF = Hidden(springs=(Spring(1, 1e6, 30.0),))
 PAIR = "transmission_coupling"
 SMOOTH = (  # name, share of the top speed, share of rated torque there
@@ -102,63 +96,3 @@ def test_friction_is_as_large_as_promised(name: str, share: float, promised: flo
         after = friction_at(inject(name, plant, 1, size).plant, 1, speed)
         more = after.forward - before.forward + after.smooth - before.smooth
         assert more == pytest.approx(promised * size * rated_torque(plant)[1], rel=1e-4)
-
-
-def test_gears_lose_more_when_driving() -> None:
-    """Forward against a load it drives, backward it is driven; mirrored for the other sign."""
-    plant = rig()
-    lossy = inject("gear_efficiency", plant, 1).plant
-    level = friction_at(plant, 1, 1.0).forward
-    for load in (4.0, -4.0):
-        dry = friction_at(lossy, 1, 1.0, load)
-        driving, driven = (dry.forward, dry.backward)[:: int(np.sign(load))]
-        assert driving - level == pytest.approx(0.15 * 4.0)
-        assert driven - level == pytest.approx(0.03 * 4.0)
-    both = friction_at(inject("load_dependent_friction", plant, 1).plant, 1, 1.0, -4.0)
-    assert both.forward == both.backward == pytest.approx(level + 0.4)
-
-
-def test_lag_and_skew_delay_by_their_times() -> None:
-    """A ramp is late by the lag; a skewed reading is the true one of before."""
-    stage = Lag(np.array([0.004])).begin(RUN)
-    ramp = [stage(0.0, np.array([float(k)]), np.zeros(1))[0] for k in range(200)]
-    assert 199.0 - ramp[-1] == pytest.approx(4.0, abs=1e-6)
-    t = np.arange(1000, dtype=np.float64) / 1000.0
-    wave = np.asarray(np.sin(np.outer(t, [5.0, 9.0])), dtype=np.float64)
-    late = Skew(np.array([0.004, -0.0025])).read(t, wave, RUN)
-    wanted = np.column_stack([np.sin(5.0 * (t - 0.004)), np.sin(9.0 * (t + 0.0025))])
-    np.testing.assert_allclose(late[10:-10], wanted[10:-10], atol=2e-5)
-
-
-@pytest.mark.parametrize("plant", [vertical_two_joint(), six_joint()], ids=["two", "six"])
-def test_push_does_the_work_of_its_force(plant: Plant) -> None:
-    """J^T F times a small joint move is F times the point's move."""
-    point, n = tool_point(plant), plant.arm.n
-    contact = Contact(plant.arm, point, 10.0)
-    model = build_model(plant.arm)
-    data = model.createData()
-    rng = np.random.default_rng(2)
-    for _ in range(10):
-        q, way = rng.uniform(-1, 1, (2, n))
-        force = rng.standard_normal(3)
-        places = []
-        for step in (-1e-6, 1e-6):
-            pin.forwardKinematics(model, data, q + step * way)
-            places.append(data.oMi[n].act(point))
-        moved = (places[1] - places[0]) / 2e-6
-        torque = contact.torque(model, data, q, force)
-        assert torque @ way == pytest.approx(force @ moved, abs=1e-7)
-
-
-def test_a_counterbalance_is_conservative_and_sized() -> None:
-    """Its torque is the slope of the energy of its spring, at most four times what is clear."""
-    plant = rig()
-    law = inject("spring.counterbalance", plant, 1).plant.hidden.torques[-1]
-    assert isinstance(law, Counterbalance)
-    q = np.linspace(*plant.position_limits[1], 2001)
-    torque = np.array([law.torque(float(x)) for x in q])
-    angle = q - law.zero
-    length = np.sqrt(1.0 + law.arm**2 - 2.0 * law.arm * np.cos(angle))
-    energy = 0.5 * law.stiffness * np.maximum(length - law.slack, 0.0) ** 2
-    np.testing.assert_allclose(torque, -np.gradient(energy, q), atol=0.01 * np.abs(torque).max())
-    assert np.abs(torque).max() == pytest.approx(0.2 * rated_torque(plant)[1], rel=1e-3)

@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from seqid_cli.params.schema import Parameter
 from tests import ROOT
-from tests.plants.arms.rigs import LINK_INERTIA, MOMENT, one_joint, six_joint, two_joint
+from tests.plants.arms.rigs import LINK_INERTIA, MOMENT, one_joint
 from tests.plants.mechanics.rigid import Rigid
-from tests.plants.motions.trajectories import single, sweeps, trapezoid
-from tests.plants.robots.lab import true_standard, true_value
+from tests.plants.motions.trajectories import sweeps
 from tests.plants.simulate import simulate
 from tests.studies.__main__ import STUDIES
-from tests.studies.recorded import classical
 from tests.studies.rigs.bound import (
-    Knowledge,
-    bounds,
     friction_columns,
     rigid_columns,
     surface_of,
@@ -61,36 +53,6 @@ def test_columns_reproduce_the_torque_of_the_plant() -> None:
     np.testing.assert_allclose(torque[sliding], log.truth.tau[sliding, 0], atol=1e-4)
     state = [log.truth.q[700], log.truth.dq[700], log.truth.ddq[700]]
     assert rigid[700] == pytest.approx(Rigid(plant.arm).inverse(*state)[0], abs=1e-12)
-
-
-def test_bound_grows_with_noise_and_with_what_is_not_known() -> None:
-    plant = one_joint()
-    profile = trapezoid(-1.5, 1.5, 4.0, 60.0, 1000.0)
-    log = simulate(plant, single(np.zeros(1), 0, profile, 1000.0), 1, imus=False)
-    known = bounds(plant, [log], Knowledge(friction=True, motion=True))
-    blind = bounds(plant, [log], Knowledge(friction=True, motion=False))
-    loud = replace(plant, current_noise=2 * plant.current_noise, current_step=2.0**-7)
-    doubled = bounds(loud, [log], Knowledge(friction=True, motion=True))
-    for name, value in known.items():
-        assert doubled[name] == pytest.approx(2 * value, rel=1e-9)
-        assert blind[name] > value
-    twice = bounds(plant, [log, log], Knowledge(friction=True, motion=True))
-    assert twice["Izz_1"] == pytest.approx(known["Izz_1"] / np.sqrt(2.0), rel=1e-9)
-
-
-def test_true_value_follows_the_expression() -> None:
-    standard = true_standard(two_joint())
-    parameter = Parameter(
-        name="Izz_1", value=0.0, std_error=1.0, unit="", terms={"Izz_1": 1.0, "m_2": 0.09}
-    )
-    inner = two_joint().arm.phi[0, 9]
-    assert true_value(parameter.terms, standard) == pytest.approx(inner + 0.09 * 0.12)
-    assert len(true_standard(six_joint())) == 66
-
-
-def test_recorded_robots_are_left_out_where_they_are_missing(tmp_path: Path) -> None:
-    text = classical.study(data=tmp_path)
-    assert text.count("left out") == len(classical.CASES)
 
 
 @pytest.mark.parametrize("name", STUDIES)

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from msgspec import structs
-
 from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry, UnexplainedPart
 from tests.studies.undeclared.cases import Truth
 from tests.studies.undeclared.score import both_found, score
@@ -13,7 +11,6 @@ from tests.unit.params.documents import diagnosis_of
 
 SPRING = Truth("spring", "spring", ("elbow",), ("position",))
 PAYLOAD = Truth("payload", "payload", (None,), ())
-COUPLED = Truth("transmission_coupling", "transmission_coupling", ("elbow", "shoulder"), ())
 BUMP = Truth("outside.bump", None, ("elbow",), ("position", "direction"))
 
 
@@ -58,35 +55,6 @@ def test_stated_confusable_effects_count_at_the_same_joint() -> None:
     assert away.kind_right
     assert not away.right
     assert away.sure_and_wrong
-
-
-def test_arm_effects_have_no_joint_and_pairs_of_joints_have_two() -> None:
-    assert score(diagnosis(finding("payload", None)), [PAYLOAD]).right
-    assert not score(diagnosis(finding("payload", "elbow")), [PAYLOAD]).right
-    for joint in ("elbow", "shoulder"):
-        assert score(diagnosis(finding("transmission_coupling", joint)), [COUPLED]).right
-
-
-def test_only_confident_errors_count_as_such() -> None:
-    drift = finding("drift", "elbow", 0.8)
-    assert not score(diagnosis(drift), [SPRING]).sure_and_wrong
-    assert score(diagnosis(structs.replace(drift, confidence=0.81)), [SPRING]).sure_and_wrong
-    assert score(diagnosis(structs.replace(drift, confidence=0.81)), []).sure_and_wrong
-    both = diagnosis(finding("spring", "elbow"), finding("payload", None))
-    assert score(both, [SPRING]).sure_and_wrong
-    assert not score(both, [SPRING, PAYLOAD]).sure_and_wrong
-
-
-def test_clean_runs_are_judged_by_silence() -> None:
-    silent = score(diagnosis(), [])
-    assert silent.quiet
-    assert not silent.alarm
-    assert score(diagnosis(finding("spring", "elbow")), []).alarm
-    unknown = diagnosis(
-        unexplained=[UnexplainedPart(joint="elbow", depends_on=["position"], share=0.4)]
-    )
-    assert not score(unknown, []).quiet
-    assert not score(unknown, []).alarm
 
 
 def test_unexplained_needs_the_joint_and_a_quantity() -> None:

@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.__main__ import main
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression import streaming
 from seqid_cli.identify.rigid import inertia_equations
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion import blocks
 from seqid_cli.motion.blocks import SurveyedLog, open_surveyed
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.document import robot_id, with_stage
-from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import RigidStage
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
@@ -106,37 +100,3 @@ def test_a_log_shorter_than_the_filter_is_refused(
     options = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=2.0))
     with pytest.raises(InputError, match="long enough"):
         identify_inertia([surveyed(path, robot)], robot, known_friction(), options=options)
-
-
-def test_the_command_passes_over_long_logs(
-    folder: Path, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    friction = known_friction().friction
-    nothing = RigidStage(parameters=[], condition=0.0, rank=0)
-    given = with_stage(None, robot_id(robot), [], friction=friction, gravity=nothing)
-    write_json_atomic(tmp_path / "gravity.json", given)
-    passed: list[Path] = []
-    pass_over = inertia_equations.pass_over
-
-    def spy(log: SurveyedLog, *to: Any) -> object:
-        passed.extend([log.path] if isinstance(log, SurveyedLog) else [])
-        return pass_over(log, *to)
-
-    monkeypatch.setattr("seqid_cli.identify.rigid.inertia_equations.pass_over", spy)
-    results = []
-    for least in (SAMPLES + 1, SAMPLES):
-        monkeypatch.setattr(streaming, "LONG", least)
-        output = tmp_path / f"{least}.json"
-        arguments = ["inertia", str(folder / "log.parquet"), "-r", str(folder / "robot.toml")]
-        arguments += ["-p", str(tmp_path / "gravity.json"), "-o", str(output), "--cutoff", "12"]
-        assert main(arguments) == 0
-        results.append(json.loads(output.read_text(encoding="utf-8")))
-    held, long = results
-    assert passed == [folder / "log.parquet"]
-    assert long["inputs"] == held["inputs"]
-    for a, b in zip(
-        long["stages"]["inertia"]["parameters"],
-        held["stages"]["inertia"]["parameters"],
-        strict=True,
-    ):
-        assert abs(a["value"] - b["value"]) < 1e-3 * b["std_error"]

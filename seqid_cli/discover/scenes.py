@@ -90,8 +90,10 @@ def with_own_cutoffs(
 ) -> InertiaOptions:
     """Options that filter logs at their own cut-off where encoders are too coarse for the model's.
 
-    Unless the user gave the cut-off, and where no IMU helps.
+    Unless the user gave the cut-off, and where no IMU helps. What motion is made is kept.
     """
+    if options.motion.kept is None:
+        options = replace(options, motion=replace(options.motion, kept={}))
     if options.motion.origin == "as given":
         return options
     alone = [x for x in logs if estimate_motion(x, robot, options.motion).cutoff.above_own]

@@ -101,8 +101,7 @@ def refine(
     """
     training, notes = usable_logs(training, robot)
     options = on_the_same_samples(options, file.stages, robot)
-    kept = replace(options.motion, motion=replace(options.motion.motion, kept={}))
-    motion = with_own_cutoffs(training, robot, file.stages, kept)
+    motion = with_own_cutoffs(training, robot, file.stages, options.motion)
     options = replace(options, motion=motion)
     material = Material(tuple(training), earlier, robot, options)
     known = fitted_effects(file.stages, robot, unexplained=True)
@@ -296,7 +295,7 @@ def _outcome(loop: Loop, account: Account, taken: Taken) -> Outcome:
     each = [gain(before, after, [j]) for j in range(n)]
     better = gain(before, after, range(n)).value > 0.0
     losing = () if better else tuple(j for j, g in enumerate(each) if g.loses)
-    likely = reality(max(change.value, taken.one.predicted.share), taken.evidence)
+    likely = reality(max(change.value, taken.share), taken.evidence)
     return Outcome(change, doubt(before, after, own), likely, losing)
 
 

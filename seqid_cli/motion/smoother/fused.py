@@ -106,7 +106,7 @@ def promising(
     encoder: Motion,
     *,
     piece_s: float = 3.0,
-    min_gain: float = 1.5,
+    min_gain: float = 2.0,
 ) -> bool:
     """Whether IMUs may be `needed`: what `piece_s` seconds about the fastest moment say of it.
 
@@ -131,9 +131,8 @@ def _gain_of_piece(
     middle = float(recording.t[np.argmax(speed)])
     first = min(max(middle - 0.5 * length_s, 0.0), float(recording.t[-1]) - length_s)
     piece = cut(recording, [(first, first + length_s)])[0]
-    given = None if encoder.cutoff.chosen else encoder.cutoff.hz
     try:
-        alone = estimate_motion(piece, robot, MotionOptions(cutoff_hz=given))
+        alone = estimate_motion(piece, robot, MotionOptions(cutoff_hz=encoder.cutoff.hz))
         return _gain(fused_motion(piece, robot, stage, alone), alone)
     except InputError:  # nothing of the piece can be filtered
         return np.inf

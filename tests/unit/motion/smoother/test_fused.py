@@ -222,7 +222,7 @@ def test_joints_beyond_all_imus_keep_their_encoders() -> None:
 def test_a_piece_promises_what_the_whole_log_gives(name: str) -> None:
     s = scene(name)
     assert promising(s.recording, s.robot, s.stage, encoder(s), piece_s=2.0) == needed(
-        fused(name), encoder(s), min_gain=1.5
+        fused(name), encoder(s), min_gain=2.0
     )
     alone = replace(s.recording, accelerometers={}, gyros={})
     assert promising(alone, s.robot, s.stage, encoder(s))  # nothing to be gained by asking

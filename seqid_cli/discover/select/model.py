@@ -232,6 +232,15 @@ class Model:
         """Torque (M_c,) N m of a term at a channel."""
         return term.part.torque(channel, self.linear.theta[self.where(term)])
 
+    def beyond_file(self, channels: frozenset[int]) -> float:
+        """Share of the squared error that goes where it was not fitted, of what the file leaves.
+
+        A model of a log that is too short takes off what its own freedom has added.
+        """
+        scale, parts = self.noise.sigma, (self.linear.left_out, self.ground.rows.y)
+        left, file = (sum(float(r[c] @ r[c]) / scale[c] ** 2 for c in channels) for r in parts)
+        return 1.0 - left / max(file, 1e-300)
+
     def makes_up_for(self, term: Term, other: Term) -> bool:
         """Whether a term takes off what it would have, beside the base, of another one's torque.
 

@@ -55,7 +55,8 @@ class Taken:
 
     `rivals` ranks all that touches its channels, itself included, in its place; `left` (M_c,) N m
     is what the model without it leaves of every channel's blocks, each fitted to all others.
-    `margin` is the log evidence for it against a base that may leave the file instead.
+    `margin` is the log evidence for it against a base that may leave the file instead; `beyond` the
+    share of what the file leaves of the squared error that the model takes away.
     `instead` are effects that other finished models have in its place, and how far these are
     behind in log evidence. `untried` are effects that look alike and that these logs lack the
     channels to look for.
@@ -65,6 +66,7 @@ class Taken:
     rivals: tuple[Ranked, ...]
     left: Sequence[Array]
     margin: float
+    beyond: float
     instead: Mapping[str, float]
     untried: tuple[str, ...] = ()
 
@@ -77,6 +79,11 @@ class Taken:
     def evidence(self) -> float:
         """Log evidence for it, the lesser of both."""
         return min(self.one.predicted.total, self.margin)
+
+    @property
+    def share(self) -> float:
+        """Share of the squared error that it takes away, of the lesser of both as well."""
+        return min(self.one.predicted.share, self.beyond)
 
     @property
     def term(self) -> Term:

@@ -147,7 +147,6 @@ class Selection:
 
     def proceed(self) -> None:
         """Go on with a base that is held in another way."""
-        self._search = Search(self.model, self.catalogue)
         self.eliminate()
         self.run()
 
@@ -261,7 +260,9 @@ class Selection:
         """A term as it gains beside all others, if it is told."""
         linear, one = self.model.beside(term), _again(term, self.model)
         gain = min(one.predicted.total, self.model.margin(linear))
-        there = reality(one.predicted.share, gain) >= least and self._passes(one)
+        share = min(one.predicted.share, self.model.beyond_file(term.channels))
+        worth = self._passes(one) and share > self.options.improvement
+        there = worth and reality(share, gain) >= least
         alone = there and not self._of_a_law(one) and self._made_up_for(term) is None
         return one if alone else None
 
@@ -286,7 +287,7 @@ class Selection:
             return tuple(told.values())
         model.terms = [better.get(term, term) for term in model.terms]
         model.settle()
-        return tuple(self._taken(t) for t in better.values() if self._made_up_for(t) is None)
+        return tuple(self._taken(t) for t in better.values() if self._is_told(t, least))
 
     def _better(self, taken: Taken, gone: set[Key]) -> Term:
         """The simplest of a term and of its rivals that do as well."""
@@ -307,7 +308,8 @@ class Selection:
         ]
         ranked = tuple(sorted([one, *_ranked(linear, near)], key=_by_gain))
         margin, instead = self.model.margin(linear), self._instead_of(term)
-        return Taken(one, ranked, linear.left_out, margin, instead, self._untried(term))
+        beyond = self.model.beyond_file(term.channels)
+        return Taken(one, ranked, linear.left_out, margin, beyond, instead, self._untried(term))
 
     def _instead_of(self, term: Term) -> dict[str, float]:
         """Effects that other finished models have where they lack a term; how far these are behind.

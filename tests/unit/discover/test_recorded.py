@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -103,6 +104,23 @@ def test_losses_of_the_xmate_beside_its_torque_sensors() -> None:
         loss = named(found, "load_dependent_friction", joint)
         assert value(loss, "load_coefficient") == pytest.approx(coefficient, rel=0.25)
     assert {f.joint for f in found.findings} == {"joint_2", "joint_4"}
+
+
+def test_nothing_is_told_of_joints_that_the_file_predicts_better() -> None:
+    """13 s for seven joints: what predicts other blocks better than chance may be overfitted."""
+    robot = load_robot(folder_of(XMATE) / "robot.toml")
+    log = replace(read_recording(folder_of(XMATE) / "train.parquet", robot), load=None)
+    friction, inertia = identify_simultaneous([log], robot, options=MotionOptions(), offset=True)
+    options = DiscoverOptions(InertiaOptions(MotionOptions()), max_effects=4)
+    found = diagnose([log], robot, Stages(friction=friction, inertia=inertia), options=options)
+    told = {f.joint for f in found.findings} | {u.joint for u in found.unexplained}
+    assert told
+    for joint in told:
+        left = found.joints[joint or ""]
+        assert left.rmse_explained < left.rmse
+    worse = [n for n, left in found.joints.items() if left.rmse_explained > left.rmse]
+    assert worse
+    assert any("too short to judge" in note and worse[0] in note for note in found.notes)
 
 
 def test_ripple_of_a_harmonic_drive() -> None:

@@ -30,7 +30,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 from seqid_cli.working import step
 
-LAW = 0.02  # of the swing of the model's torque: less may be the error of any of its laws
 MADE = 0.25  # of its square: what the file leaves of a push that is none of the terms' making
 GUESSED = 0.5  # of the samples of a push, at which an effect may have any torque
 AROUND_S = 0.5
@@ -178,4 +177,4 @@ def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     joints = list(event.joints)
     left = np.sqrt(np.mean(residual[inside][:, joints] ** 2, axis=0))
-    return bool(np.all(left < LAW * np.ptp(scene.modelled[around][:, joints], axis=0)))
+    return bool(np.all(left < Options.law * np.ptp(scene.modelled[around][:, joints], axis=0)))

@@ -239,7 +239,7 @@ class Model:
         """
         scale, parts = self.noise.sigma, (self.linear.left_out, self.ground.rows.y)
         left, file = (sum(float(r[c] @ r[c]) / scale[c] ** 2 for c in channels) for r in parts)
-        return 1.0 - left / max(file, 1e-300)
+        return float(1.0 - left / max(file, 1e-300))
 
     def makes_up_for(self, term: Term, other: Term) -> bool:
         """Whether a term takes off what it would have, beside the base, of another one's torque.

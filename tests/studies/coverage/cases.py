@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.plants import twin
 from tests.plants.arms.rigs import (
     GRAVITY,
     UR5E_CENTRE,
@@ -35,7 +34,7 @@ from tests.plants.motions.experiments import (
 from tests.plants.robotfile import robot_toml
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
-from tests.plants.simulate import Log, Plant
+from tests.plants.simulate import Log, Plant, simulate
 from tests.unit.logs.writers import write_parquet
 
 Array = NDArray[np.float64]
@@ -94,23 +93,19 @@ def draw(case: Case) -> Drawn:
     return replace(drawn, plant=plant)
 
 
-def record(case: Case, drawn: Drawn, folder: Path, *, noisy: bool = True) -> dict[str, list[Log]]:
+def record(case: Case, drawn: Drawn, folder: Path) -> None:
     """Simulate all trials; write `robot.toml` and `<stage>/<trial>.parquet` into `folder`."""
     text = robot_toml(case.rig, drawn.plant)
     (folder / "robot.toml").write_text(text, encoding="ascii")
-    logs: dict[str, list[Log]] = {}
     for number, trial in enumerate(drawn.trials):
-        log = twin.simulate(
+        log = simulate(
             drawn.plant,
             trial.reference,
             noise_seed(case, number),
             every=drawn.every,
             imus=trial.imus,
-            noisy=noisy,
         )
         write_log(folder / trial.stage / f"{trial.name}.parquet", drawn.plant, log)
-        logs.setdefault(trial.stage, []).append(log)
-    return logs
 
 
 def noise_seed(case: Case, number: int) -> int:

@@ -18,17 +18,15 @@ from seqid_cli.robot.file import load_robot
 from tests.plants.sensors import AccelerometerArray
 from tests.studies.coverage.cases import case_of, draw, record
 
-CASE = case_of("planar", 10197)  # joint 2 hunts in some swings of joint 1
+CASE = case_of("planar", 10039)  # joint 2 hunts in some swings of joint 1
 STILL, HUNTING = "joint_1_posture_4.parquet", "joint_1_posture_3.parquet"
-
-SWINGS = ("joint_1_posture_1", "joint_1_posture_3", "joint_1_posture_4", "joint_2")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("hunting")
     drawn = draw(CASE)
-    swings = [trial for trial in drawn.trials if trial.stage == "imu" and trial.name in SWINGS]
+    swings = [trial for trial in drawn.trials if trial.stage == "imu"]
     record(CASE, replace(drawn, trials=swings), out)
     return out
 
@@ -61,7 +59,7 @@ def test_a_joint_that_hunts_is_an_unknown_and_one_that_stands_is_locked(folder: 
 
 @pytest.mark.slow
 def test_the_lever_and_the_scales_hold(calibration: ImuCalibration) -> None:
-    """With joint 2 taken for locked the lever is 1.1 mm off at 0.15 mm, the scales 0.4 %."""
+    """With joint 2 taken for locked the scales are 0.1 % off."""
     lever = np.array(calibration.lever[:2], dtype=float)
     errors = np.array(calibration.lever_std_errors[:2], dtype=float)
     assert np.all(np.abs(lever - array().lever[:2]) < 3.0 * errors)

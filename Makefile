@@ -102,7 +102,7 @@ study: $(DEV) ## measure against truth and bounds, rewrite the tables in docs/me
 
 .PHONY: study-effects
 study-effects: $(DEV) ## how well undeclared effects are found, into docs/effects_study.md (hours)
-	$(BIN)/python -m tests.studies --only undeclared --refine --processes $(WORKERS)
+	$(BIN)/python -m tests.studies --only undeclared --processes $(WORKERS)
 
 .PHONY: study-coverage
 study-coverage: $(DEV) ## do the stated errors hold: 200 drawn arms of each kind, into docs/coverage.md (hours)

@@ -14,10 +14,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
 
 from seqid_cli.identify.regression.least_squares import Accumulator, triangular
-from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.robot.base_parameters import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import torque_regressor
@@ -28,13 +26,12 @@ Array = NDArray[np.float64]
 Job = Callable[[], object]
 
 HEAD = ["", "CPU", "unit", "faster", "largest difference"]
-CHUNK = 65_536
 
 
 def study(*, quick: bool = False) -> str:
     """Return the tables."""
     rounds = 1 if quick else 9
-    parts = [_filter(rounds, quick=quick), _regressor(rounds), _least_squares(rounds, quick=quick)]
+    parts = [_regressor(rounds), _least_squares(rounds, quick=quick)]
     return table(HEAD, [row for part in parts for row in part])
 
 
@@ -47,42 +44,6 @@ def _cpu(jobs: list[Job], rounds: int) -> list[float]:
             job()
             times.append(time.process_time() - before)
     return [median(times) for times in spent]
-
-
-def _filter(rounds: int, *, quick: bool) -> list[list[str]]:
-    """Zero-phase low-pass, in chunks, of 14 channels and of 190 columns of a regressor."""
-    found = []
-    for channels, chunks in ((14, 8), (190, 1)):
-        found += _filter_of(rounds, channels, CHUNK if quick else chunks * CHUNK)
-    return found
-
-
-def _filter_of(rounds: int, channels: int, samples: int) -> list[list[str]]:
-    rows = np.cumsum(np.random.default_rng(0).normal(size=(channels, samples)), axis=1)
-    sos, lowpass = butter(4, 20.0, fs=1000.0, output="sos"), Lowpass(20.0, 1000.0)
-    reach = lowpass.memory
-
-    def whole() -> Array:
-        return np.asarray(sosfiltfilt(sos, rows, padtype="odd", padlen=6 * lowpass.settling))
-
-    out = np.empty_like(rows)
-
-    def chunks() -> Array:
-        for start in range(0, samples, CHUNK):
-            low = max(0, start - reach)
-            part = rows[:, low : start + CHUNK + reach].copy()
-            lowpass.filter_rows(part)
-            out[:, start : start + CHUNK] = part[:, start - low : start - low + CHUNK]
-        return out
-
-    of, unit = f"low-pass, {channels} signals", "ns/value"
-    theirs, ours = _cpu([whole, chunks], rounds)
-    per = 1e9 / rows.size
-    error = float(np.abs(whole() - chunks()).max() / np.abs(rows).max())
-    return [
-        [f"{of}: sosfiltfilt on all", f"{theirs * per:.1f}", unit, "1.0", ""],
-        _result(f"{of}: in chunks", ours * per, unit, theirs / ours, error),
-    ]
 
 
 def _regressor(rounds: int) -> list[list[str]]:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
 
 import msgspec
 
@@ -18,7 +17,6 @@ from tests.studies.records import encoded, package_sources, results
 from tests.studies.undeclared.cases import Condition
 from tests.studies.undeclared.logs import errors, excess, logs_of, plant_sources, stages_of
 
-R = TypeVar("R")
 PARTS = ("discover", "identify", "model", "motion", "robot")  # what a diagnosis depends on
 
 
@@ -88,36 +86,20 @@ def _lap(seconds: dict[str, float], name: str, since: float) -> float:
 
 def run(choice: Choice) -> list[Record]:
     """Run the cases that are not there yet; return the records of all of them."""
-    return kept(choice, choice.cases, run_case, Record, "undeclared.jsonl", _told)
-
-
-def kept(
-    choice: Choice,
-    cases: Iterable[Condition],
-    work: Callable[[Condition, Path], R],
-    kind: type[R],
-    name: str,
-    told: Callable[[R], str],
-) -> list[R]:
-    """Results of some cases, each with an `error`, from a file of the cache or run."""
     found = results(
-        {case.key: case for case in cases},
-        partial(work, cache=choice.cache),
-        kind,
-        choice.cache / name,
+        {case.key: case for case in choice.cases},
+        partial(run_case, cache=choice.cache),
+        Record,
+        choice.cache / "undeclared.jsonl",
         sources=sources(),
         any_sources=choice.any_sources,
         run=choice.run,
         limit=choice.limit,
         processes=choice.processes,
-        told=told,
-        failed=_failed,
+        told=_told,
+        failed=lambda record: bool(record.error),
     )
     return list(found.values())
-
-
-def _failed(result: Any) -> bool:
-    return bool(result.error)
 
 
 def _told(record: Record) -> str:

@@ -10,7 +10,6 @@ from typing import get_args
 
 from tests.studies.coverage.cases import RIGS
 from tests.studies.undeclared.cases import RIG_NAMES, Condition, Group, matrix, quick
-from tests.studies.undeclared.refine import refined_table, refinements
 from tests.studies.undeclared.run import Choice, run, sources
 from tests.studies.undeclared.tables import tables
 
@@ -19,13 +18,9 @@ def study(arguments: Namespace) -> str:
     """Run what is not there yet; return the tables."""
     choice = choice_of(arguments)
     records = run(choice)
-    parts = [tables(records, len(choice.cases))]
-    if arguments.refine:
-        content = refined_table(refinements(choice))
-        parts += ["#### The loop closed", content] if content else []
-    command = "python -m tests.studies --only undeclared" + " --refine" * arguments.refine
+    command = "python -m tests.studies --only undeclared"
     made = f"Made by `{command}`, sources {sources()[:12]}."
-    return "\n\n".join([made, *parts])
+    return f"{made}\n\n{tables(records, len(choice.cases))}"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -49,7 +44,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     own.add_argument("--size", type=float, help="effects of this size alone")
     own.add_argument("--groups", nargs="+", choices=get_args(Group), help="parts of the study")
     own.add_argument("--limit", type=int, metavar="N", help="at most N new cases this time")
-    own.add_argument("--refine", action="store_true", help="close the loop as well")
     own.add_argument("--tables", action="store_true", help="no runs, tables of what is there")
     own.add_argument(
         "--any-sources", action="store_true", help="results of an older package count as well"

@@ -82,7 +82,7 @@ def _steady(
     tau = trial.tau - off
     noise = PER_MEDIAN * float(np.median(np.abs(np.diff(tau, 2)))) / np.sqrt(6.0)
     kept = np.abs(pushed) <= max_ratio * np.hypot(noise, float(np.median(np.abs(pushed))))
-    steady = {name: getattr(trial, name)[kept] for name in ("q", "dq", "ddq", "t")}
+    steady = {name: getattr(trial, name)[kept] for name in ("q", "dq", "ddq", "t", "places")}
     return replace(trial, tau=tau[kept], **steady)
 
 

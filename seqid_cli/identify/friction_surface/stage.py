@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface.fit import SurfaceFit, choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
+from seqid_cli.identify.friction_surface.held_joints import HeldJoints
 from seqid_cli.identify.friction_surface.prior import Sizes
 from seqid_cli.identify.friction_surface.ramps import without_acceleration
 from seqid_cli.identify.friction_surface.reduction import (
@@ -78,34 +79,43 @@ def identify_friction(
             hint="record trapezoidal moves of one joint at a time, or use seqid simultaneous",
             where=_named(getattr(recordings, "logs", recordings)),
         )
-    joints, verdicts, notes = {}, [], []
+    firsts: dict[int, Fit] = {}
+    reasons: dict[int, str] = {}
     last: UnpairedError | None = None
-    for j, joint in enumerate(robot.joints):
+    for j in range(robot.n):
         own = by_joint(trials, j)
         if not own:
-            reason = "no constant-velocity trial moves this joint"
-            verdicts.append(Verdict(joint=joint.name, good=False, reason=reason))
+            reasons[j] = "no constant-velocity trial moves this joint"
             continue
         try:
-            joints[joint.name], verdict, said = _identify_joint(robot, j, own, options)
+            firsts[j] = _fit(robot, j, own, options)
         except UnpairedError as error:
-            verdicts.append(Verdict(joint=joint.name, good=False, reason=error.message))
-            last = error
+            reasons[j], last = error.message, error
+    if not firsts and last is not None:
+        raise last
+    surfaces = [firsts[j].surface if j in firsts else None for j in range(robot.n)]
+    held = HeldJoints.of(robot, trials, surfaces)
+    joints, verdicts, notes = {}, [], []
+    for j, joint in enumerate(robot.joints):
+        if j in reasons:
+            verdicts.append(Verdict(joint=joint.name, good=False, reason=reasons[j]))
             continue
+        joints[joint.name], verdict, said = _identify_joint(robot, j, firsts[j], held, options)
         verdicts.append(verdict)
         notes += said
-    if not joints and last is not None:
-        raise last
     notes += constants_note(robot)
     return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
 
 
 def _identify_joint(
-    robot: Robot, j: int, trials: list[Trial], options: FrictionOptions
+    robot: Robot, j: int, first: Fit, held: HeldJoints, options: FrictionOptions
 ) -> JointFit:
-    """Fit twice: the first surface shows what acceleration is left in the trials."""
-    first = _fit(robot, j, trials, options)
-    paired = [trial for group in first.gravity.groups for trial in group.trials]
+    """Fit again: the first surfaces show what acceleration is left, and how others gave way."""
+    paired = [
+        trial
+        for group in first.gravity.groups
+        for trial in held.standing(group.trials, group.configuration)
+    ]
     groups = without_acceleration(robot, paired, first.surface)
     steady = [trial for group in groups for trial in group.trials]
     unpaired = first.gravity.unpaired

@@ -6,7 +6,7 @@ slice replace a low-pass. The log may be too long to be held.
 
 import operator
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -104,9 +104,10 @@ class Trial:
 
     `q`, `dq` (K,) rad, rad/s and `tau` (K,) N m are slice averages; `ddq` (K,) rad/s^2 is what
     acceleration is left, `ramps` how the joint got up to speed and back, `configuration` (n,) rad
-    where every joint stood, the moving one at the middle of its range. `celsius` is the mean of the
-    joint's temperature, NaN where none was logged; `inertia_error` kg m^2 is the standard error of
-    the inertia whose torque was taken off.
+    where every joint stood, the moving one at the middle of its range, `places` (K, n) rad where
+    they were slice by slice, to the `count` (n,) rad of their encoders.
+    `celsius` is the mean of the joint's temperature, NaN where none was logged; `inertia_error`
+    kg m^2 is the standard error of the inertia whose torque was taken off.
     """
 
     joint: int
@@ -118,22 +119,18 @@ class Trial:
     ramps: Ramps
     weight: float  # samples per slice
     configuration: Array
+    places: Array
     t: Array  # (K,) s since the log began
     seconds: float  # of a slice
     log: int = 0  # which one
     celsius: float = np.nan
     inertia_error: float = 0.0
+    count: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def speed(self) -> float:
         """Magnitude of the velocity, rad/s."""
         return abs(self.velocity)
-
-    def positions(self, n: int) -> Array:
-        """Positions of all joints (K, n) rad, slice by slice."""
-        full = np.tile(self.configuration, (len(self.q), 1))
-        full[:, self.joint] = self.q
-        return full[:, :n]
 
 
 def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
@@ -157,11 +154,12 @@ class TrialsOf:
 
     def __call__(self, log: Recording | SurveyedLog, number: int) -> list[Trial]:
         """Find them."""
-        step = survey_of(log).noise_step(encoder_resolution(self.robot))
+        survey, resolution = survey_of(log), encoder_resolution(self.robot)
+        count = survey.count(resolution)
         temperature = log.temperature if isinstance(log, Recording) else None
         return [
-            _trial(block, each, log.rate_hz, number, temperature)
-            for block, own in pieces(log, step, rows=self.rows)
+            replace(_trial(block, each, log.rate_hz, number, temperature), count=count)
+            for block, own in pieces(log, survey.noise_step(resolution), rows=self.rows)
             for each in own
         ]
 
@@ -176,7 +174,9 @@ def _trial(
     own, move = slice(stretch.start, stop), slice(stretch.move_start, stretch.move_stop)
     half = (stop - stretch.start) / rate_hz / 2
     middles = (np.arange(slices) + 0.5) / slices * 2 - 1
-    path = _path(middles, block.q[own, j].reshape(slices, length).mean(axis=1))
+    places = block.q[own].reshape(slices, length, -1).mean(axis=1)
+    path = _path(middles, places[:, j])
+    places[:, j] = path(middles)
     celsius = np.nan
     if temperature is not None:
         # Mean of what is finite; NaN where nothing is.
@@ -186,13 +186,14 @@ def _trial(
     return Trial(
         joint=j,
         velocity=stretch.velocity,
-        q=np.asarray(path(middles), dtype=np.float64),
+        q=places[:, j].copy(),
         dq=np.asarray(path.deriv()(middles) / half, dtype=np.float64),
         ddq=np.asarray(path.deriv(2)(middles) / half**2, dtype=np.float64),
         tau=block.tau[own, j].reshape(slices, length).mean(axis=1),
         ramps=_ramps(block.q[move, j], block.tau[move, j], rate_hz, stretch),
         weight=float(length),
         configuration=np.array(stretch.configuration),
+        places=places,
         t=np.asarray(
             (block.start + stretch.start) / rate_hz + (middles + 1) * half, dtype=np.float64
         ),

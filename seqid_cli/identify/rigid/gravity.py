@@ -11,6 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError, UsageError
+from seqid_cli.identify.friction_surface.held_joints import HeldJoints
 from seqid_cli.identify.friction_surface.ramps import without_acceleration
 from seqid_cli.identify.friction_surface.trials import Trial, by_joint, collect_trials
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
@@ -26,9 +27,9 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
-from seqid_cli.robot.base_parameters import Basis, base_parameters, base_regressor
+from seqid_cli.robot.base_parameters import Basis, base_parameters
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 
 def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stages) -> RigidStage:
@@ -60,8 +61,8 @@ def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stag
         note = "gravity loads no joint of this robot: nothing to identify (Sec. 4.2)"
         return RigidStage(parameters=[], condition=0.0, rank=0, notes=[note])
     joints = [Accumulator(size) for _ in range(robot.n)]
-    cross = GravityRows(robot, basis, friction_surfaces(stages, robot))
-    trials = collect_trials(recordings, robot)
+    trials, surfaces = collect_trials(recordings, robot), friction_surfaces(stages, robot)
+    cross = GravityRows(HeldJoints.of(robot, trials, surfaces), surfaces)
     for j in range(robot.n):
         cross.add_joint(by_joint(trials, j), joints)
     if not cross.used:
@@ -81,13 +82,13 @@ class GravityRows:
     Rows are divided by the root of their noise's covariance (see `slow_noise`).
     """
 
-    def __init__(self, robot: Robot, basis: Basis, surfaces: list[FrictionSurface | None]) -> None:
-        self.robot, self.basis, self.surfaces = robot, basis, surfaces
-        self.size = int(basis.gravity.sum())
+    def __init__(self, held: HeldJoints, surfaces: list[FrictionSurface | None]) -> None:
+        self.robot, self.held, self.surfaces = held.robot, held, surfaces
+        self.size = len(held.theta)
         self.used = 0
         self.skipped: list[str] = []
         self._cross: dict[int, Array] = {}
-        self._accelerated: list[tuple[int, Array]] = []
+        self._unseen: list[tuple[int, Array]] = []
 
     def add_joint(self, trials: list[Trial], joints: list[Accumulator]) -> None:
         """Add the trials of one joint, the torque of what acceleration is left taken off."""
@@ -106,7 +107,8 @@ class GravityRows:
         t, weight, seconds = table[:, -6:-3].T
         trial, log, group = table[:, -3:].T.astype(np.intp)
         white = whitener_of(Rows(H, y, t, weight, seconds, trial, log))(table[:, :-6])
-        H, F, accelerated, y = np.split(white, [self.size, -2, -1], axis=1)
+        parts_of = [self.size, -2 - self.robot.n, -2, -1]
+        H, F, stood, accelerated, y = np.split(white, parts_of, axis=1)
         for number in np.unique(trial):  # each is a block
             self.used += 1
             for k, joint in enumerate(joints):
@@ -114,23 +116,25 @@ class GravityRows:
                 joint.add(H[kept], y[kept, 0])
         self._cross[j] = H.T @ F
         for k, each in enumerate(groups):
-            self._accelerated.append(
-                (j, each.std_error * (H.T @ (accelerated[:, 0] * (group == k))))
-            )
+            pushed = each.std_error * accelerated[:, 0] * (group == k)
+            self._unseen.append((j, H.T @ pushed))
+            for number in np.unique(log[group == k]):  # each with the same reading all along
+                there = (group == k) & (log == number)
+                self._unseen += [(j, H.T @ (column * there)) for column in stood.T]
 
     def _rows(self, trial: Trial, surface: FrictionSurface, about: list[int]) -> Array | None:
-        """Rows of one trial: H, F, acceleration, torque, time, samples, length, `about`."""
+        """Rows of one trial: H, F, where others stand, acceleration, torque, time, samples, ..."""
         v = np.full(len(trial.q), trial.velocity)
-        inside = ~surface.outside(trial.q, v)
+        inside = _settled(trial) & ~surface.outside(trial.q, v)
         count = int(inside.sum()) // GROUP
         if count == 0:
             return None
-        q = trial.positions(self.robot.n)[inside]
-        zero = np.zeros_like(q)
-        H = base_regressor(self.robot, self.basis, q, zero, zero)[:, trial.joint, : self.size]
+        q = trial.places[inside]
+        H = self.held.means(trial, q)
         F = surface.columns(trial.q[inside], v[inside])
         y = trial.tau[inside] - surface.torque(trial.q[inside], v[inside])
-        wide = np.column_stack([H, F, trial.ddq[inside], y, trial.t[inside]])
+        stood = self.held.unseen(trial, q)
+        wide = np.column_stack([H, F, stood, trial.ddq[inside], y, trial.t[inside]])
         means = np.stack([part.mean(axis=0) for part in np.array_split(wide, count)])
         slices = float(inside.sum()) / count
         return np.column_stack(
@@ -144,10 +148,20 @@ class GravityRows:
             for j, crossed in self._cross.items()
         }
 
-    def acceleration_part(self, solution: Solution) -> Array:
-        """Covariance of what is not known of the trials' own acceleration (see `ramps`)."""
-        moves = [solution.bread @ c / solution.sigma[j] ** 2 for j, c in self._accelerated]
+    def unseen_part(self, solution: Solution) -> Array:
+        """Covariance of what is not known of the trials' acceleration and of the other joints."""
+        moves = [solution.bread @ c / solution.sigma[j] ** 2 for j, c in self._unseen]
         return sum((np.outer(move, move) for move in moves), np.zeros_like(solution.bread))
+
+
+def _settled(trial: Trial, *, settling_s: float = 0.1, most_share: float = 0.125) -> Mask:
+    """Slices (K,) at which a trial's joint no longer speeds up and does not slow down yet.
+
+    `settling_s`: from either end, but no more than so much of the trial (`most_share`).
+    """
+    middle = (trial.t[0] + trial.t[-1]) / 2.0
+    half = (trial.t[-1] - trial.t[0] + trial.seconds) / 2.0
+    return np.asarray(np.abs(trial.t - middle) < half - min(settling_s, 2.0 * most_share * half))
 
 
 def _stage(
@@ -164,7 +178,7 @@ def _stage(
     Gravity shows where a parameter is more than `clear_sigma` standard errors from zero.
     """
     sensitivity = rows.sensitivity(solution)
-    covariance = solution.covariance + rows.acceleration_part(solution)
+    covariance = solution.covariance + rows.unseen_part(solution)
     covariance += friction_covariance(sensitivity, rows.surfaces, rows.size)
     moves = constant_moves(solution, robot.torque_constant_errors, {})
     posterior = Posterior(covariance, sensitivity, moves)

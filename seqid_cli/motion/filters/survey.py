@@ -150,6 +150,10 @@ class Survey:
             self._step = np.concatenate(steps)
         return self._step
 
+    def count(self, resolution: Array) -> Array:
+        """Step of each encoder (n,) rad: that of the robot file, else that of the positions."""
+        return np.where(resolution > 0, resolution, self.encoder_step())
+
     def noise_step(self, resolution: Array) -> Array:
         """As `segmentation.noise_step`."""
         step = np.maximum(self.encoder_step(), resolution)
@@ -195,8 +199,7 @@ class Survey:
 
     def _steps(self, resolution: Array) -> tuple[Array, Index]:
         """Encoder steps (n,) rad and the joints that move."""
-        step = np.where(resolution > 0, resolution, self.encoder_step())
-        return step, np.flatnonzero(self.moving(self.noise_step(resolution)))
+        return self.count(resolution), np.flatnonzero(self.moving(self.noise_step(resolution)))
 
     def _widest(self, joints: Index) -> float:
         """Bandwidth of the motion, Hz: the largest of some joints."""

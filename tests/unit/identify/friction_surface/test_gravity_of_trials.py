@@ -13,10 +13,12 @@ from seqid_cli.identify.friction_surface.gravity_separation import (
     fit_gravity,
     gravity_columns,
 )
+from seqid_cli.identify.friction_surface.held_joints import HeldJoints
 from seqid_cli.identify.friction_surface.ramps import without_acceleration
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
+from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.small import arm_6r
@@ -36,6 +38,8 @@ def robot() -> Robot:
 
 
 def trial(joint: int, velocity: float, q: Array, tau: Array, configuration: Array) -> Trial:
+    places = np.tile(configuration, (len(q), 1))
+    places[:, joint] = q
     return Trial(
         joint=joint,
         velocity=velocity,
@@ -46,6 +50,7 @@ def trial(joint: int, velocity: float, q: Array, tau: Array, configuration: Arra
         ramps=Ramps.none(),
         weight=20.0,
         configuration=configuration,
+        places=places,
         t=np.arange(len(q)) * 0.01,
         seconds=0.01,
     )
@@ -116,6 +121,30 @@ def test_trials_without_twins_are_counted(robot: Robot) -> None:
     none = fit_gravity(robot, JOINT, alone)
     assert none.groups == []
     assert none.unpaired == len(alone)
+
+
+def test_a_held_joint_that_gives_way_is_no_friction_unless_it_stays_within_its_count(
+    robot: Robot,
+) -> None:
+    basis, q = base_parameters(robot, rotor=()), np.linspace(-2, 2, SLICES)
+    held = HeldJoints(robot, basis, np.ones(int(basis.gravity.sum())))
+    both = [trial(JOINT, way, q[::way], np.zeros(SLICES), CONFIGURATIONS[0]) for way in (1, -1)]
+    still = [held.columns(JOINT, each.places) @ held.theta for each in both]
+    for each in both:  # the wrist turns with the direction
+        each.places[:, 3] += 0.002 * each.velocity
+    moved = [held.columns(JOINT, each.places) @ held.theta for each in both]
+    assert np.abs(np.array(moved) - still).max() > 0.01
+    for count, tau, found in ((1e-3, moved, still), (5e-3, still, still)):
+        given = [
+            replace(each, tau=own, count=np.full(6, count))
+            for each, own in zip(both, tau, strict=True)
+        ]
+        stood = held.standing(given, CONFIGURATIONS[0])
+        np.testing.assert_allclose([each.tau for each in stood], found, atol=1e-9)
+        doubt = held.unseen(given[0], given[0].places)
+        slope = (moved[0] - still[0]) / 0.002
+        np.testing.assert_allclose(doubt[:, 3], slope * count / np.sqrt(12), atol=1e-4)
+        assert not doubt[:, JOINT].any()
 
 
 def test_a_joint_along_gravity_has_no_p_xi(robot: Robot) -> None:

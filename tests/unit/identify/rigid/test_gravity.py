@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from seqid_cli.identify.friction_surface.held_joints import HeldJoints
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.identify.rigid.gravity import GravityRows, _stage
@@ -47,7 +48,7 @@ def trials(rng: np.random.Generator) -> list[Trial]:
             still = np.zeros(64)
             t = 10.0 * len(result) + np.arange(64) * 0.02
             motion = (0, direction * speed, q, v, still, tau)
-            result.append(Trial(*motion, Ramps.none(), 20.0, np.zeros(1), t, 0.02))
+            result.append(Trial(*motion, Ramps.none(), 20.0, np.zeros(1), q[:, None], t, 0.02))
     return result
 
 
@@ -60,7 +61,8 @@ def errors_of(robot: Robot, seed: int) -> tuple[Array, Array, Array]:
         POSITIVE + off[:6].reshape(shape), NEGATIVE + off[6:].reshape(shape), np.diag(SPREAD**2)
     )
     basis = base_parameters(robot, rotor=())
-    rows, joints = GravityRows(robot, basis, [surface]), [Accumulator(2)]
+    held = HeldJoints(robot, basis, np.zeros(2))
+    rows, joints = GravityRows(held, [surface]), [Accumulator(2)]
     rows.add_joint(trials(rng), joints)
     solution = solve(joints)
     error = solution.theta - np.array([MOMENT, 0.0])
@@ -91,7 +93,7 @@ def test_the_covariance_is_that_of_the_parameters_that_were_determined() -> None
         own = slice(None) if j == robot.n - 1 else slice(0, 0)
         joint.add(H[own], (H @ np.ones(size) + 0.01 * rng.normal(size=400))[own])
     solution = solve(joints)
-    rows = GravityRows(robot, basis, [None] * robot.n)
+    rows = GravityRows(HeldJoints(robot, basis, np.zeros(size)), [None] * robot.n)
     stage = _stage(robot, basis, solution, rows)
     assert 0 < len(stage.parameters) < size
     assert np.shape(stage.covariance) == (len(stage.parameters),) * 2
@@ -107,7 +109,8 @@ def test_the_covariance_is_that_of_the_parameters_that_were_determined() -> None
 
 def test_trials_of_joints_without_friction_are_left_out() -> None:
     robot = robot_of("one", one_joint())
-    rows, joints = GravityRows(robot, base_parameters(robot, rotor=()), [None]), [Accumulator(2)]
+    held = HeldJoints(robot, base_parameters(robot, rotor=()), np.zeros(2))
+    rows, joints = GravityRows(held, [None]), [Accumulator(2)]
     rows.add_joint(trials(np.random.default_rng(0)), joints)
     assert rows.used == joints[0].samples == 0
     assert rows.skipped == ["joint_1"] * 8

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.compare.differences import _torque_constants_held
+from seqid_cli.identify.friction_surface.held_joints import HeldJoints
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
@@ -165,7 +166,8 @@ def gravity_of(robot: Robot, seed: int) -> RigidStage:
     factor = 1.0 + ERROR * rng.standard_normal()
     surface = surface_of(factor * POSITIVE, factor * NEGATIVE, np.zeros((12, 12)))
     basis = base_parameters(robot, rotor=())
-    rows, joints = GravityRows(robot, basis, [surface]), [Accumulator(2)]
+    held = HeldJoints(robot, basis, np.zeros(2))
+    rows, joints = GravityRows(held, [surface]), [Accumulator(2)]
     rows.add_joint([replace(t, tau=factor * t.tau) for t in trials(rng)], joints)
     return _stage(robot, basis, solve(joints), rows)
 

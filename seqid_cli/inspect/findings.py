@@ -13,7 +13,6 @@ ERRORS: Mapping[str, str] = {
     "channel_missing": "Name it in the robot file as the log does ([channels], joint and IMU "
     "names), or log it.",
     "drive_data_missing": "Give torque_constant and gear_ratio of the joint in the robot file.",
-    "channel_hole": "Look for lost packets between drive and logger; these samples are left out.",
     "values_absurd": "Look at the driver that writes the channel; the values were taken as "
     "missing.",
     "time_unit": "Write time in seconds, or as a timestamp column.",
@@ -73,6 +72,7 @@ WARNINGS: Mapping[str, str] = {
     "reader": "See the message.",
     "rate_low": "Record at 100 Hz or more.",
     "jitter": "Log with the controller's own clock, in the control loop.",
+    "channel_hole": "Look for lost packets between drive and logger; the rest of the log is used.",
     "clock_gap": "Look for lost packets or a full disk; the rest of the log is used.",
     "samples_lost": "Log with the controller's own clock, or give every row the stamp of its "
     "measurement. The time base is repaired and the holes are bridged; every command says so.",

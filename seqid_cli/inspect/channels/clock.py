@@ -123,11 +123,8 @@ def hole_findings(data: LogData) -> Iterator[InspectionFinding]:
             holes = _holes(data.t, values[:, j])
             if holes:
                 start, end = max(holes, key=lambda hole: hole[1] - hole[0])
-                text = (
-                    f"has no values from {start:.3f} to {end:.3f} s"
-                    + (f" and {len(holes) - 1} more times" if len(holes) > 1 else "")
-                    + "; these samples are left out"
-                )
+                more = f" and {len(holes) - 1} more times" if len(holes) > 1 else ""
+                text = f"has no values from {start:.3f} to {end:.3f} s{more}"
                 yield found("channel_hole", text, joint=joint.name, channel=quantity)
 
 

@@ -76,7 +76,7 @@ def test_a_log_that_is_passed_over_is_told_the_same(
     assert np.abs(q - read_recording(LOG, robot).q).max() < 0.06
 
 
-def test_a_hole_of_one_channel_is_an_error(robot: Robot, tmp_path: Path) -> None:
+def test_a_hole_of_one_channel_is_left_out_and_told(robot: Robot, tmp_path: Path) -> None:
     def hole(columns: dict[str, np.ndarray], rng: np.random.Generator) -> None:
         columns[POSITION][500:600] = np.nan
 

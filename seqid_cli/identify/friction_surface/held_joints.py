@@ -2,8 +2,7 @@
 
 A controller holds a joint as well as its stiffness and friction let it. What it gives way by turns
 with the direction of the joint that moves, and gravity with it, so that Eq. 15 would take it for
-friction. Readings show it unless they stay within a count of each other, as those of a joint that
-stands do. Where it stands within that count they do not show: its place has the standard deviation
+friction. Readings show it to a count: where a joint stands within that has the standard deviation
 of a count over the root of 12.
 
 Both become torque by the base parameters of gravity, of which a first estimate is enough:
@@ -62,17 +61,27 @@ class HeldJoints:
 
     def standing(self, group: Sequence[Trial], configuration: Array) -> list[Trial]:
         """The trials of one joint as if the others had stood at a configuration (n,)."""
-        places = np.concatenate([trial.places for trial in group])
-        moved = np.ptp(places, axis=0) > group[0].count
-        moved[group[0].joint] = True
         result = []
         for trial in group:
             stood = np.tile(configuration, (len(trial.q), 1))
             stood[:, trial.joint] = trial.q
-            found = np.where(moved, trial.places, stood)
-            change = self.columns(trial.joint, found) - self.columns(trial.joint, stood)
+            change = self.columns(trial.joint, trial.places) - self.columns(trial.joint, stood)
             result.append(replace(trial, tau=trial.tau - change @ self.theta))
         return result
+
+    def doubt(self, group: Sequence[Trial]) -> list[Array]:
+        """Torque (K,) N m of one standard error of how far joints gave way, trial by trial.
+
+        The readings of both directions have errors of their own, of which friction feels half the
+        difference. Those of joints whose readings never change are no part of it.
+        """
+        moved = np.ptp(np.concatenate([trial.places for trial in group]), axis=0) > 0.0
+        found = []
+        for trial in group:
+            each = self.unseen(trial, trial.places) * moved / np.sqrt(2.0)
+            most = int(np.argmax(np.sum(each**2, axis=0)))
+            found.append(np.copysign(np.linalg.norm(each, axis=1), each[:, most]))
+        return found
 
     def unseen(self, trial: Trial, q: Array) -> Array:
         """Torque (K, n) N m of one standard deviation of where each other joint stands.

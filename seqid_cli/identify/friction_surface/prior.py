@@ -9,10 +9,11 @@ and e_k what the trial has for itself: an offset of variance s_t^2 and terms of 
 s_s^2 / j, which is how 1/f noise over the length of a trial spreads over polynomials; torque of a
 speed that changes by a share of itself along its way, I dv/dt ~ v^2, of variance
 s_a^2 (v / v_max)^4 / max(j, 1); and at its ends what is left of acceleration, of variance s_e^2
-(R_k has columns for it). All trials share the error of the inertia whose torque was taken off them:
-an entry of D beside the surface, of variance 1, whose column is the torque of one standard error
-times the acceleration. The other entries of D are Gaussian too. Coulomb and viscous friction, d_00
-and d_01, are as large as they like; others have variances that fall with their degrees,
+(R_k has columns for it). All trials share the error of the inertia whose torque was taken off them,
+and that of how far held joints gave way: entries of D beside the surface, of variance 1, whose
+columns are the torque of one standard error. The other entries of D are Gaussian too. Coulomb and
+viscous friction, d_00 and d_01, are as large as they like; others have variances that fall with
+their degrees,
 
     var d_j0 = s_q^2 / j^a,   var d_0r = s_v^2 / r^b,   var d_jr = s_qv^2 / (j^a r^b).
 
@@ -32,7 +33,7 @@ from scipy.linalg import cho_factor
 from scipy.linalg.lapack import dpotri
 from scipy.optimize import minimize
 
-from seqid_cli.identify.friction_surface.reduction import EDGES, EXTRA, Orders, Reduced
+from seqid_cli.identify.friction_surface.reduction import EDGES, EXTRA, SHARED, Orders, Reduced
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.typing import Array
 
@@ -67,10 +68,10 @@ class Sizes:
     broad: float
 
     def prior(self, scaling: Scaling, size: int, orders: Orders) -> Array:
-        """Standard deviations (size + 3, l + 1) of a surface's entries.
+        """Standard deviations (size + 4, l + 1) of a surface's entries.
 
         They are 0 above position order m, and for the ends of a trial, which the surface has not.
-        The last is that of the inertia's error, one and the same in all trials.
+        The last two are those of errors that are one and the same in all trials.
         """
         over_position = scaling.over_position
         j = over_position.degrees(over_position.order(size))[:, None]
@@ -80,11 +81,11 @@ class Sizes:
         kind = np.where(j == 0, self.speed, np.where(r == 0, self.position, self.both))
         found = np.where((j == 0) & (r <= 1), self.broad, kind * fall)
         found[over_position.size(orders.position) :] = 0.0
-        inertia = np.eye(1, found.shape[1])
-        return np.vstack([found, np.zeros((EDGES, found.shape[1])), inertia])
+        shared = np.tile(np.eye(1, found.shape[1]), (SHARED, 1))
+        return np.vstack([found, np.zeros((EDGES, found.shape[1])), shared])
 
     def own(self, scaling: Scaling, size: int, speeds: Array) -> Array:
-        """Variances (4, T, size + 3) of own terms of trials at speeds (T,), by their causes."""
+        """Variances (4, T, size + 4) of own terms of trials at speeds (T,), by their causes."""
         degree = scaling.over_position.degrees(scaling.over_position.order(size))
         spread = np.append(1.0 / np.maximum(degree, 1.0), np.zeros(EXTRA))
         first = np.append(degree == 0, np.zeros(EXTRA))

@@ -4,8 +4,9 @@ With A (K, p) the functions of position at the slices of one trial, W their weig
 friction there, ||W^1/2 (A c - y)||^2 = ||R c - z||^2 + rest. R, z and rest hold as much of the
 surface as the slices do, so speeds and orders can be left out without going back to them. Two
 columns more have what is left of speeding up and of slowing down at the ends of a trial,
-exp(-s / `edge_s`), s the time from the end. The last has the torque that one standard error of the
-joint's inertia makes of its acceleration; its coefficient is the same in all trials.
+exp(-s / `edge_s`), s the time from the end. The last two have the torque that one standard error of
+the joint's inertia makes of its acceleration, and that of how far held joints gave way; their
+coefficients are the same in all trials.
 
 What the slices of a trial weigh: by their own noise, and little where they do not belong to it.
 
@@ -70,7 +71,8 @@ def _biweight(ratio: Array, *, max_ratio: float = 4.685) -> Array:
 
 
 EDGES = 2  # ends of a trial
-EXTRA = EDGES + 1  # columns beside those of position: the ends, and the inertia's error
+SHARED = 2  # errors that all trials have in common: of the inertia, of where others gave way
+EXTRA = EDGES + SHARED  # columns beside those of position
 COUNTS = 0.1  # of a trial's largest weight, from which a slice counts as one
 MAX_POSITION_ORDER, MAX_VELOCITY_ORDER = 10, 11
 
@@ -88,7 +90,8 @@ class SpeedData:
     """One trial: slice positions (K,) rad, friction (K,) N m, weights (K,) in samples.
 
     `edges` (K, 2) are how near, in time, each slice is to the begin and to the end; `push` (K,) N m
-    is what friction is wrong by if the joint's inertia is wrong by one standard error.
+    and `doubt` (K,) N m are what friction is wrong by if the joint's inertia, and how far others
+    gave way, are wrong by one standard error.
     """
 
     speed: float
@@ -98,13 +101,14 @@ class SpeedData:
     weight: Array
     edges: Array
     push: Array
+    doubt: Array
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """Trials after step 1: T of them, p functions of position and three columns more each.
+    """Trials after step 1: T of them, p functions of position and four columns more each.
 
-    `speeds` (T,) rad/s, `u` (T,) scaled, `R` (T, p + 3, p + 3), `z` (T, p + 3), `rest` (T,) squares
+    `speeds` (T,) rad/s, `u` (T,) scaled, `R` (T, p + 4, p + 4), `z` (T, p + 4), `rest` (T,) squares
     that no such function takes, `total` (T,) sums of weights, `slices` (T,) how many.
     """
 
@@ -155,7 +159,7 @@ def _reduced(
 ) -> tuple[Array, Array, float, float, float]:
     root = np.sqrt(data.weight)
     over_position = scaling.over_position.values(data.q, MAX_POSITION_ORDER)
-    A = np.column_stack([over_position, data.edges, data.push]) * root[:, None]
+    A = np.column_stack([over_position, data.edges, data.push, data.doubt]) * root[:, None]
     y = root * data.friction
     size = A.shape[1]
     padded = np.zeros((max(len(y), size), size + 1))  # few slices: rows of zeros

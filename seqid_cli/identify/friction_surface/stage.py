@@ -119,7 +119,7 @@ def _identify_joint(
     groups = without_acceleration(robot, paired, first.surface)
     steady = [trial for group in groups for trial in group.trials]
     unpaired = first.gravity.unpaired
-    second = _fit(robot, j, steady, options, near=first.parts[0][1].sizes)
+    second = _fit(robot, j, steady, options, near=first.parts[0][1].sizes, held=held)
     return summarise(robot, j, second, unpaired, options)
 
 
@@ -130,6 +130,7 @@ def _fit(
     options: FrictionOptions,
     *,
     near: Sizes | None = None,
+    held: HeldJoints | None = None,
 ) -> Fit:
     """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`."""
     gravity = fit_gravity(robot, j, trials)
@@ -137,7 +138,7 @@ def _fit(
         message = "no pair of forward and backward trials at one speed in one configuration"
         hint = "record every speed in both directions over the same range (Eq. 15)"
         raise UnpairedError(message, hint=hint, where=f"joint {robot.joints[j].name}")
-    data = friction_data(gravity)
+    data = friction_data(gravity, held)
     _check_orders(robot, j, data, options.velocity_order)
     sides = (1, -1) if gravity.directional else (0,)
     sets = [[item for item in data if side in (0, item.direction)] for side in sides]
@@ -199,17 +200,19 @@ def _scalings(data: list[SpeedData], *, wide_range: float = 4.0) -> list[Scaling
     ]
 
 
-def friction_data(gravity: GravityFit) -> list[SpeedData]:
+def friction_data(gravity: GravityFit, held: HeldJoints | None = None) -> list[SpeedData]:
     """Friction by Eq. 16, one entry per trial, all trials of a level at the level's mean speed."""
     data = []
     for group in gravity.groups:
-        for trial in group.trials:
+        doubts = held.doubt(group.trials) if held else [0.0 * trial.q for trial in group.trials]
+        for trial, doubt in zip(group.trials, doubts, strict=True):
             direction = 1 if trial.velocity > 0 else -1
             friction = direction * (trial.tau - group.torque(trial.q))
             weight = np.full(len(trial.q), trial.weight)
             edges = edges_of(trial.t, trial.seconds)
             push = direction * trial.inertia_error * trial.ddq
-            data.append(SpeedData(trial.speed, direction, trial.q, friction, weight, edges, push))
+            own = trial.q, friction, weight, edges, push, doubt
+            data.append(SpeedData(trial.speed, direction, *own))
     found = []
     for level in speed_levels(data):
         speed = float(np.mean([item.speed for item in level]))

@@ -80,7 +80,8 @@ def data_of(
             error = own @ (spread * rng.standard_normal(own.shape[1]))
             error += sizes.noise / np.sqrt(weight) * rng.standard_normal(SLICES)
             friction = A @ D.ravel() + error
-            result.append(SpeedData(float(speed), direction, q, friction, weight, edges, push))
+            own = q, friction, weight, edges, push, doubt * np.cos(q)
+            result.append(SpeedData(float(speed), direction, *own))
     return result
 
 
@@ -97,7 +98,7 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
         columns.append(SCALING.basis(item.q, speed, orders.position, orders.velocity))
         y.append(item.friction)
         values = SCALING.over_position.values(item.q, MAX_POSITION_ORDER)
-        own = np.column_stack([values, item.edges, item.push])
+        own = np.column_stack([values, item.edges, item.push, item.doubt])
         variance = sizes.own(SCALING, MAX_POSITION_ORDER + 1, np.array([item.speed])).sum(axis=0)
         shared = own * np.sqrt(variance)
         blocks.append(shared @ shared.T + np.diag(sizes.noise**2 / item.weight))
@@ -107,8 +108,9 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
     for block in blocks:
         V[start : start + len(block), start : start + len(block)] = block
         start += len(block)
-    push = np.concatenate([item.push for item in data])
-    V += np.outer(push, push)  # one and the same error in all trials
+    for name in ("push", "doubt"):  # each one and the same error in all trials
+        error = np.concatenate([getattr(item, name) for item in data])
+        V += np.outer(error, error)
     prior = sizes.prior(SCALING, orders.position + 1, orders)[: orders.position + 1].ravel()
     weighing = np.linalg.solve(V, A)
     covariance = np.linalg.inv(A.T @ weighing + np.diag(prior**-2.0))

@@ -16,7 +16,6 @@ from seqid_cli.robot.kinematics import DhRow, chain_from_dh
 from seqid_cli.robot.regressor import gravity_regressor
 from seqid_cli.robot.types import Array, Robot
 from tests.plants.robots.small import (
-    GRAVITY,
     HALF,
     arm_6r,
     planar_2r,
@@ -111,52 +110,6 @@ def test_planar_arm_has_the_papers_five_parameters() -> None:
     assert basis.terms(0) == pytest.approx({"Izz_1": 1.0, "m_2": 0.09, "Ia_1": 36.0})
     assert [basis.expression_text(k) for k in range(1, 5)] == ["mx_2", "my_2", "Izz_2", "Ia_2"]
     assert basis.expression_text(0) == "Izz_1 + 0.09*m_2 + 36*Ia_1"
-
-
-def test_planar_arm_has_the_papers_regressor() -> None:
-    robot = planar_2r()
-    basis = base_parameters(robot, rotor=[0, 1])
-    q, dq, ddq = states(np.random.default_rng(14), 50, 2)
-    H = base_regressor(robot, basis, q, dq, ddq)
-    (v1, v2), (a1, a2), length = dq.T, ddq.T, 0.3
-    sine, cosine, zero = np.sin(q[:, 1]), np.cos(q[:, 1]), np.zeros(50)
-    centrifugal, both = 2 * v1 * v2 + v2**2, 2 * a1 + a2
-    first = [  # Eq. 43, columns in our order
-        a1,
-        length * (-centrifugal * sine + both * cosine),
-        length * (-centrifugal * cosine - both * sine),
-        a1 + a2,
-        zero,
-    ]
-    second = [
-        zero,
-        length * (v1**2 * sine + a1 * cosine),
-        length * (v1**2 * cosine - a1 * sine),
-        a1 + a2,
-        36.0 * a2,
-    ]
-    np.testing.assert_allclose(H, np.array([first, second]).transpose(2, 0, 1), atol=1e-12)
-
-
-def test_no_gravity_parameters_where_gravity_is_zero_or_along_skew_parallel_axes() -> None:
-    assert not base_parameters(planar_2r(gravity=np.zeros(3)), rotor=[]).gravity.any()
-    tilt = chain_from_dh([DhRow(0.7, 0.0, 0.0, 0.0), DhRow(0.0, 0.3, 0.0, 0.0)])
-    along = 9.81 * np.array([0.0, np.sin(0.7), -np.cos(0.7)])
-    basis = base_parameters(robot_from_chain(tilt, gravity=along), rotor=[])
-    assert basis.size == 4
-    assert not basis.gravity.any()
-    tipped = base_parameters(robot_from_chain(tilt, gravity=GRAVITY), rotor=[])
-    assert tipped.gravity.sum() == 4  # mx and my of both links: then 6 in all
-    assert tipped.size == 6
-
-
-@pytest.mark.parametrize(
-    ("name", "without", "with_rotors"), [("arm_6r", 36, 40), ("seven", 43, 48), ("planar", 4, 5)]
-)
-def test_counts_known_from_the_literature(name: str, without: int, with_rotors: int) -> None:
-    robot = ROBOTS[name]()
-    assert base_parameters(robot, rotor=[]).size == without
-    assert base_parameters(robot, rotor=range(robot.n)).size == with_rotors
 
 
 def test_expressions_are_tidy_and_agree_with_the_matrix() -> None:

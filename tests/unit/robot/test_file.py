@@ -209,16 +209,3 @@ def test_prismatic_that_contradicts_the_urdf(tmp_path: Path) -> None:
     joint = '[[joint]]\nname = "elbow"\nprismatic = true\n'
     with pytest.raises(ConfigError, match=r"joint\[0\].prismatic .* revolute joint"):
         _load(tmp_path, f'{HEAD}urdf = "arm.urdf"\n{joint}')
-
-
-@pytest.mark.parametrize(
-    ("folder", "joints"),
-    [("staubli_tx40", 6), ("ur10e_innopolis", 6), ("dfki_simple_pendulum", 1), ("laas_cogging", 1)],
-)
-def test_recorded_robots_load(folder: str, joints: int) -> None:
-    path = DATA / folder / "robot.toml"
-    if not path.exists():
-        pytest.skip("the recorded robots are not beside the project")
-    robot = load_robot(path)
-    assert robot.n == joints
-    assert robot.channels.position == "q_{index}"

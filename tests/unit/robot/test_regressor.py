@@ -8,15 +8,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from seqid_cli.robot.kinematics import forward, link_motion
+from seqid_cli.robot.kinematics import link_motion
 from seqid_cli.robot.regressor import (
-    gravity_regressor,
     inverse_dynamics,
     rotor_regressor,
     torque_regressor,
 )
 from seqid_cli.robot.types import Array, Chain
-from tests.plants.robots.small import arm_6r, oracle_regressor, random_model, states
+from tests.plants.robots.small import oracle_regressor, random_model, states
 
 MIXED = [False, False, True, False, False, True, False]
 
@@ -49,27 +48,6 @@ def test_newton_euler_is_regressor_times_parameters_and_pinocchios_rnea() -> Non
     Y = torque_regressor(chain, gravity, q, dq, ddq)
     np.testing.assert_allclose(tau, rnea, rtol=1e-11, atol=1e-10)
     np.testing.assert_allclose(Y @ phi.ravel(), rnea, rtol=1e-11, atol=1e-10)
-
-
-def test_gravity_regressor_is_the_regressor_at_rest_and_the_gradient_of_potential_energy() -> None:
-    rng = np.random.default_rng(5)
-    robot = arm_6r()
-    q, _, _ = states(rng, 1, 6)
-    phi = rng.normal(size=60)
-    torque = (gravity_regressor(robot.chain, robot.gravity, q) @ phi)[0]
-
-    def potential(q: Array) -> float:
-        frames = forward(robot.chain, q[None])
-        total = 0.0
-        for i, (mass, *moment) in enumerate(phi.reshape(6, 10)[:, :4]):
-            total -= robot.gravity @ (mass * frames.p[0, i] + frames.R[0, i] @ np.array(moment))
-        return total
-
-    step = 1e-6 * np.eye(6)
-    gradient = [(potential(q[0] + e) - potential(q[0] - e)) / 2e-6 for e in step]
-    np.testing.assert_allclose(torque, gradient, atol=1e-6)
-    inertia_columns = [10 * i + k for i in range(6) for k in range(4, 10)]
-    assert not gravity_regressor(robot.chain, robot.gravity, q)[:, :, inertia_columns].any()
 
 
 def _spin_energy(chain: Chain, q: Array, dq: Array, i: int, ratio: float) -> float:

@@ -11,15 +11,12 @@ import pytest
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.file import load_robot
-from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.regressor import inverse_dynamics, torque_regressor
 from seqid_cli.robot.types import Array, Robot
 from tests.plants.robots.small import (
-    ARM_6R,
     GRAVITY,
     NAMES_6R,
     NAMES_GANTRY,
-    arm_6r,
     joint,
     link,
     states,
@@ -65,25 +62,6 @@ def test_regressor_and_nominal_torque_are_pinocchios(
         expected = pin.computeJointTorqueRegressor(model, data, *state)
         np.testing.assert_allclose(Y[k], expected, rtol=0.0, atol=1e-10)
         np.testing.assert_allclose(tau[k], pin.rnea(model, data, *state), rtol=0.0, atol=1e-10)
-
-
-def test_urdf_and_dh_of_the_same_arm_agree(tmp_path: Path) -> None:
-    robot, twin = _load(tmp_path, urdf_6r(), NAMES_6R), arm_6r()
-    q, dq, ddq = states(np.random.default_rng(1), 5, len(ARM_6R))
-    np.testing.assert_allclose(
-        torque_regressor(robot.chain, GRAVITY, q, dq, ddq),
-        torque_regressor(twin.chain, GRAVITY, q, dq, ddq),
-        atol=1e-11,
-    )
-    assert robot.joint_names == NAMES_6R
-    assert base_parameters(robot, rotor=[]).names == base_parameters(twin, rotor=[]).names
-
-
-def test_prismatic_joints_come_from_the_urdf(tmp_path: Path) -> None:
-    robot = _load(tmp_path, urdf_gantry(), NAMES_GANTRY)
-    assert [joint.prismatic for joint in robot.joints] == [True, False, True, False]
-    moved = forward(robot.chain, np.array([[0.25, 0.0, 0.0, 0.0]])).p[0, 0]
-    np.testing.assert_allclose(moved, [0.25, 0.0, 0.5])
 
 
 def test_joints_that_are_not_named_are_locked_at_zero_and_merged(tmp_path: Path) -> None:

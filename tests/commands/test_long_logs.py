@@ -1,8 +1,7 @@
-"""`diagnose` on a log that is too long to be held, and what `refine` reads of earlier stages."""
+"""What `refine` reads of earlier stages whose logs are too long to be held."""
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -19,18 +18,12 @@ from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions, LogOptions
 from seqid_cli.logs.read import read_recording
 from seqid_cli.params.document import robot_id, with_stage
-from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.schema import ParameterFile
-from seqid_cli.robot.file import load_robot
-from tests.commands.conftest import Rig
-from tests.plants.cases import RIGS
-from tests.plants.robotfile import robot_toml
-from tests.unit.discover.long_logs import RIG, LongCase, long_case
+from tests.unit.discover.long_logs import LongCase, long_case
 
 Array = NDArray[np.float64]
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
 
-PUSHED = 66.0
 MOST = 429_760
 
 
@@ -39,42 +32,12 @@ def file_of(case: LongCase) -> ParameterFile:
     return with_stage(None, identity, [], friction=friction, inertia=inertia)
 
 
-def push(t: Array) -> Array:
-    shape = np.exp(-(((t - PUSHED) / 0.1) ** 2))
-    return np.asarray(shape[:, None] * np.array([4.0, 1.5]))
-
-
 @pytest.fixture(autouse=True)
 def _passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(excerpts, "PASSED_OVER", 1000)
     defaults = take_excerpts.__kwdefaults__
     assert defaults is not None
     monkeypatch.setitem(defaults, "most_values", MOST)
-
-
-def test_a_long_log_is_diagnosed_in_pieces(rig: Rig) -> None:
-    case = long_case().with_torque(push)
-    plant = RIGS[RIG](simple_friction=True)
-    (rig.folder / "robot.toml").write_text(robot_toml(RIG, plant), encoding="ascii")
-    case.written(rig.folder / "long.parquet")
-    file = file_of(case)
-    file.robot = robot_id(load_robot(rig.folder / "robot.toml"))
-    write_json_atomic(rig.folder / "model.json", file)
-    done = rig.run(
-        "diagnose", "long.parquet", "-r", "robot.toml", "-p", "model.json", "-o", "out.json"
-    )
-    assert done.code == 0, done.err
-    document = json.loads((rig.folder / "out.json").read_text())
-    (log,) = document["inputs"]
-    assert (log["path"], log["samples"]) == ("long.parquet", len(case.log.t))
-    (event,) = document["events"]
-    assert event["log"] == "long.parquet"
-    assert event["start"] < PUSHED < event["end"]
-    assert document["verdict"] == "effect_found"
-    assert "of 72 s 40 s were looked at, in 2 pieces" in document["notes"][0]
-    assert "1 about places that stand out" in document["notes"][0]
-    assert len(document["motion"]) == 1
-    assert "40 s were looked at" in done.out + done.err
 
 
 def inputs_of(case: LongCase, folder: Path) -> Inputs:

@@ -1,19 +1,14 @@
-"""Logs as strangers have them: `python -m tests.plants.strangers OUTDIR [--run]`.
+"""Logs as strangers have them: `python -m tests.plants.strangers OUTDIR`.
 
 The sample logs of the six-joint arm, written as other loggers would: `ur/` (RTDE, CSV), `ros/`
 (ROS 2 bags, MCAP), `lerobot/` (a data set in degrees at 50 Hz), `german/` (CSV of a spreadsheet,
-degrees). Each has `train` and `test`. With --run the commands of docs/from_files.md follow, and a
-table of the CPU seconds that they took.
+degrees). Each has `train` and `test`.
 """
 
 from __future__ import annotations
 
 import json
-import re
-import resource
-import shlex
 import shutil
-import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -27,7 +22,6 @@ from tests import ROOT
 from tests.unit.logs.format_writers import Data, csv_rtde, lerobot_table, rosbag2_mcap
 
 SIX = ROOT / "sample_logs" / "six_joint"
-PAGE = ROOT / "docs" / "from_files.md"
 SETS = {"train": "inertia", "test": "validation"}
 
 
@@ -90,22 +84,5 @@ def make(folder: Path) -> None:
                 write(folder / name / part / log.stem, data_of(log))
 
 
-def run(folder: Path) -> None:
-    """Run the commands of the page, and print the CPU seconds of each way."""
-    text = PAGE.read_text(encoding="utf-8")
-    sys.stdout.write("| files | CPU s |\n|---|---:|\n")
-    for block in re.findall(r"```sh\n(seqid init .*?)```", text, flags=re.DOTALL):
-        before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        commands = block.replace("\\\n", " ").splitlines()
-        for command in commands:
-            words = [sys.executable, "-m", "seqid_cli", *shlex.split(command)[1:]]
-            subprocess.run(words, cwd=folder, check=True, capture_output=True)
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        sys.stdout.write(f"| `{commands[0].split()[2].split('/')[0]}` | {spent:.0f} |\n")
-
-
 if __name__ == "__main__":
     make(Path(sys.argv[1]))
-    if "--run" in sys.argv:
-        run(Path(sys.argv[1]))

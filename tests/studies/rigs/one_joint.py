@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage
 from tests.plants.arms.rigs import LINK_INERTIA, MOMENT, one_joint
 from tests.plants.motions.experiments import (
@@ -32,7 +31,6 @@ from tests.studies.tables import number, rms, spread, table
 Array = NDArray[np.float64]
 SEED, REPETITIONS = 41, 8
 FACTORS = (1, 4)
-CUTOFFS = (None, 15.0, 40.0)
 SOURCES = ("encoder", "auto")
 UNITS = {"mx_1": MOMENT, "my_1": MOMENT, "Izz_1": LINK_INERTIA}
 SYMBOLS = {"mx_1": "m r_x", "my_1": "m r_y", "Izz_1": "link inertia"}
@@ -51,8 +49,7 @@ class Repetition:
     """Results of one rig built anew."""
 
     gravity: dict[str, Estimate]
-    inertia: dict[tuple[str, float | None], Estimate]
-    cutoff_hz: float
+    inertia: dict[str, Estimate]  # by the source of motion
     bounds: dict[Knowledge, dict[str, float]]
     torque: dict[str, tuple[float, float]]  # RMSE N m over all samples, over sliding ones
 
@@ -70,33 +67,28 @@ def trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
 
 
 def repetition(factor: int, number_of: int) -> Repetition:
-    """Build the rig, record, identify with every source and cut-off, predict."""
+    """Build the rig, record, identify with every source, predict."""
     rng = np.random.default_rng([SEED, factor, number_of])
     plant = another(one_joint(quadrature_factor=factor), rng)
     experiment = run("one_joint", plant, trials(plant, rng), SEED + 100 * factor + number_of)
     logs, robot = experiment.recordings, experiment.robot
     stages = before_inertia(logs, robot)
     found = {
-        (source, hz): with_inertia(logs, robot, stages, InertiaOptions(MotionOptions(hz), source))
+        source: with_inertia(logs, robot, stages, InertiaOptions(source=source))
         for source in SOURCES
-        for hz in CUTOFFS
     }
     assert stages.gravity is not None
-    best = found["auto", None].inertia
-    assert best is not None
-    assert best.cutoff_hz is not None
     inertia = {
         key: _estimates(plant, one.inertia)["Izz_1"]
         for key, one in found.items()
         if one.inertia is not None
     }
-    torque = predicted(experiment, found["auto", None])
+    torque = predicted(experiment, found["auto"])
     ways = {"sequential": torque.sequential, "simultaneous": torque.simultaneous}
     floor = float(torque.floor[0])
     return Repetition(
         gravity=_estimates(plant, stages.gravity),
         inertia=inertia,
-        cutoff_hz=best.cutoff_hz,
         bounds={known: bound_shares(experiment, known) for known in KNOWLEDGE},
         torque={
             **{way: (float(one.every[0]), float(one.sliding[0])) for way, one in ways.items()},
@@ -136,7 +128,6 @@ def study(chosen: Namespace) -> str:
         [
             f"{repetitions} rigs per encoder; error in % of the true value, m r_y in % of m r_x.",
             parameter_table(results),
-            cutoff_table(results),
             bound_table(results),
             torque_table(results),
         ]
@@ -158,7 +149,7 @@ def parameter_table(results: Results) -> str:
             ("encoder", "encoder", "79"),
             ("auto", "with accelerometers", "16"),
         ):
-            errors = [r.inertia[source, None] for r in found]
+            errors = [r.inertia[source] for r in found]
             rows.append([f"link inertia, {label}, {counts}", *_errors(errors), paper])
     return table(
         ["parameter", "median error %", "worst %", "mean (signed) %", "rms z", "paper %"], rows
@@ -171,27 +162,12 @@ def _errors(found: Sequence[Estimate]) -> list[str]:
     return [number(s.median), number(s.worst), number(s.mean), number(z)]
 
 
-def cutoff_table(results: Results) -> str:
-    """Link inertia with the chosen cut-off and with fixed ones."""
-    rows = []
-    for factor, found in results.items():
-        for source in SOURCES:
-            for hz in CUTOFFS:
-                s = spread([100 * r.inertia[source, hz].error for r in found])
-                chosen = float(np.median([r.cutoff_hz for r in found]))
-                label = f"{hz:g} Hz" if hz else f"chosen ({chosen:.1f} Hz)"
-                motion = "encoder" if source == "encoder" else "with accelerometers"
-                cells = [number(s.median), number(s.worst), number(s.mean)]
-                rows.append([f"{100 * factor} counts, {motion}, {label}", *cells])
-    return table(["link inertia", "median error %", "worst %", "mean (signed) %"], rows)
-
-
 def bound_table(results: Results) -> str:
     """Standard deviation of the errors over the Cramer-Rao bounds."""
     rows = []
     for factor, found in results.items():
         for name, source in (("mx_1", ""), ("my_1", ""), ("Izz_1", "encoder"), ("Izz_1", "auto")):
-            errors = [r.inertia[source, None] if source else r.gravity[name] for r in found]
+            errors = [r.inertia[source] if source else r.gravity[name] for r in found]
             deviation = spread([e.error for e in errors]).std
             motion = source == "auto"
             limits = [

@@ -14,9 +14,7 @@ from seqid_cli.motion.segmentation import (
     SMALLEST_STEP,
     Stretch,
     constant_velocity,
-    moving_mask,
     noise_step,
-    standing,
 )
 from seqid_cli.typing import Array
 from tests.plants.motions.trajectories import Reference, hold, join, side_by_side, sweeps, trapezoid
@@ -66,16 +64,6 @@ def test_every_constant_part_of_every_trial_is_found_once(trapezoids: Case) -> N
         assert start <= stretch.start
         assert stretch.stop <= stop
         assert stretch.samples > 0.5 * (stop - start)
-
-
-def test_stretches_have_the_true_velocity(trapezoids: Case) -> None:
-    for (start, _), stretch in zip(trapezoids.true_parts(0), trapezoids.found, strict=True):
-        true = trapezoids.reference.dq[start + 1, 0]
-        assert stretch.velocity == pytest.approx(true, rel=1e-3)
-        own = slice(stretch.start, stretch.stop)
-        centre = trapezoids.reference.q[own].mean(axis=0)
-        step = noise_step(trapezoids.q)
-        np.testing.assert_allclose(stretch.configuration, centre, atol=float(step.max()))
 
 
 def test_a_reversal_without_rest_is_two_stretches() -> None:
@@ -151,20 +139,6 @@ def test_a_noisy_position_without_steps() -> None:
     for (start, stop), stretch in zip(parts, found, strict=True):
         assert start <= stretch.start < stretch.stop <= stop
         assert stretch.velocity == pytest.approx(reference.dq[start + 1, 0], rel=2e-3)
-
-
-@pytest.mark.parametrize("step", [COARSE, MIDDLE, FINE])
-def test_moving_and_standing_cover_motion_and_rest(step: float) -> None:
-    reference = sweeps(np.zeros(2), 0, (-1.0, 1.0), [0.5, 2.0], 10.0, rate_hz=250.0, dwell=1.5)
-    q = quantise(reference.q, step)
-    moving = moving_mask(q, 250.0, noise_step(q))
-    travelling = np.abs(reference.dq[:, 0]) > 0.3
-    assert moving[travelling, 0].all()
-    assert not moving[:, 1].any()
-    still = standing(moving, 250.0)
-    assert not still[travelling, 0].any()
-    assert still[:, 0].sum() > 0.3 * (reference.dq[:, 0] == 0).sum()
-    assert not (still & moving).any()
 
 
 def test_noise_step_sees_counts_and_noise() -> None:

@@ -3,12 +3,10 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from seqid_cli.report.figures.downsample import extremes, pieces
-from seqid_cli.report.figures.svg import Scale, padded, round_ticks, tick_texts
 from seqid_cli.report.words import (
     command,
     expression,
@@ -43,46 +41,12 @@ def test_every_column_keeps_its_extremes(values: list[float], columns: int) -> N
             assert shown.min() == y[mine].min()
 
 
-def test_a_constant_time_is_one_column() -> None:
-    y = np.sin(np.arange(100.0))
-    kept = extremes(np.zeros(100), y, 10)
-    assert {int(np.argmax(y)), int(np.argmin(y))} <= set(kept.tolist())
-
-
 def test_lines_break_at_gaps_and_missing_values() -> None:
     t = np.array([0.0, 0.1, 0.2, 5.0, 5.1, 5.2, 5.3])
     good = np.array([True, True, True, True, True, False, True])
     assert pieces(t, good) == [slice(0, 3), slice(3, 5), slice(6, 7)]
     assert pieces(t[:0], good[:0]) == []
     assert pieces(np.array([1.0, 1.0]), np.array([True, True])) == [slice(0, 2)]
-
-
-@settings(max_examples=100, deadline=None)
-@given(finite, st.floats(1e-6, 1e6), st.integers(2, 8))
-def test_ticks_lie_inside_and_read_differently(low: float, span: float, count: int) -> None:
-    ticks = round_ticks(low, low + span, count)
-    slack = 1e-6 * span + 1e-9 * abs(low)
-    assert all(low - slack <= tick <= low + span + slack for tick in ticks)
-    assert len(ticks) <= count + 2
-    if span > 1e-4 * abs(low):
-        texts = tick_texts(ticks)
-        assert len(set(texts)) == len(texts)
-
-
-def test_scales_map_and_hold_at_their_ends() -> None:
-    scale = Scale(0.01, 10.0, 100.0, 400.0, log=True)
-    assert scale(0.1) == pytest.approx(200.0)
-    assert scale(1e9) == 400.0
-    assert scale(0.0) == 100.0
-    assert scale.ticks(5) == pytest.approx([0.01, 0.1, 1.0, 10.0])
-    assert Scale(2.0, 2.0, 0.0, 10.0)(2.0) == 5.0
-    assert Scale(0.3, 0.7, 0.0, 1.0, log=True).ticks(4) == pytest.approx([0.5])
-
-
-@pytest.mark.parametrize("pair", [(0.0, 0.0), (3.0, 3.0), (-1e9, -1e9), (float("nan"), 1.0)])
-def test_limits_are_never_of_no_width(pair: tuple[float, float]) -> None:
-    low, high = padded(*pair)
-    assert high > low
 
 
 def test_numbers_carry_as_many_digits_as_their_error() -> None:

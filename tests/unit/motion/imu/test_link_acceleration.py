@@ -84,15 +84,6 @@ def test_what_imus_leave_of_error_is_said(scene: Scene) -> None:
     np.testing.assert_array_equal(best.encoder_error, scene.motion.acceleration_error)
 
 
-@pytest.mark.parametrize("name", ["imu_a", "imu_b"])
-def test_an_imu_with_its_sign_flipped_is_left_out(scene: Scene, name: str) -> None:
-    flipped = {name: -scene.recording.accelerometers[name]}
-    other = {"imu_a": "imu_b", "imu_b": "imu_a"}[name]
-    got = scene.best(flipped, source="imu")
-    assert got.imus == (other,)
-    assert got.warnings == (f"{name} is left out: it contradicts the encoders",)
-
-
 def test_flipped_or_dead_imus_alone_are_an_error_that_names_them(scene: Scene) -> None:
     for factor in (-1.0, 0.0):
         bad = {k: factor * v for k, v in scene.recording.accelerometers.items()}
@@ -100,13 +91,6 @@ def test_flipped_or_dead_imus_alone_are_an_error_that_names_them(scene: Scene) -
             scene.best(bad, source="imu")
         assert "--motion encoder" in caught.value.hint
         assert caught.value.where == "log"
-
-
-def test_constant_biases_of_the_accelerometers_do_not_matter(scene: Scene) -> None:
-    bias = np.random.default_rng(1).normal(0, 0.1, 12)
-    shifted = {name: values + bias for name, values in scene.recording.accelerometers.items()}
-    got, plain = scene.best(shifted, source="imu"), scene.best(source="imu")
-    np.testing.assert_allclose(got.ddq, plain.ddq, atol=0.03)
 
 
 def test_what_calibration_found_is_taken_off(scene: Scene) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.studies.outside import motions
-from tests.studies.outside.arms import GRAVITY, Arm
+from tests.studies.outside.arms import Arm
 from tests.studies.outside.bench import pendulum, quiet_arm, sweeps
 from tests.studies.outside.effects.effect import Effect
 from tests.studies.outside.plan import KINDS, LEAST, MOST, sized
@@ -50,41 +50,6 @@ def test_friction_alone_turns_with_the_direction(kind: str) -> None:
     assert abs(other) < 0.2 * abs(own) + 0.01
 
 
-def test_gear_losses_follow_the_load_and_the_power() -> None:
-    """The extra friction over the load is the coefficient, of its own while driven."""
-    arm = pendulum(mass=4.0, coulomb=0.5)
-    plain = sweep(arm, (0.6,))
-    up, down = sweeps(plain.t, plain.q[:, 0], 0.6, 1.0)  # gravity drives the way up from the top
-    load = 4.0 * GRAVITY * 0.4 * np.sin(1.0)
-    losses = {}
-    for kind in ("load_dependent_friction", "gear_efficiency"):
-        more = (sweep(arm, (0.6,), made(kind, arm)).torque - plain.torque)[:, 0]
-        losses[kind] = more[up].mean() / load, -more[down].mean() / load
-    assert losses["load_dependent_friction"] == pytest.approx((0.08, 0.08), abs=0.008)
-    assert sorted(losses["gear_efficiency"]) in (
-        pytest.approx([0.03, 0.15], abs=0.01),
-        pytest.approx([0.06, 0.15], abs=0.01),
-    )
-
-
-def test_weights_at_rest() -> None:
-    arm, held = pendulum(), np.full((1500, 1), 0.7)
-    payload = made("payload", arm)
-    model = built(arm, [payload])
-    mass, place = model.body_mass[-1], model.body_pos[-1]
-    assert mass == pytest.approx(0.6)
-    log = simulate(arm, held, 1, [payload])
-    c, s = np.cos(log.q[-1, 0]), np.sin(log.q[-1, 0])  # it sags a little
-    both = 2.0 * 0.4 * s + mass * (place[0] * c + place[2] * s)
-    assert log.torque[-1, 0] == pytest.approx(-GRAVITY * both, rel=1e-3)
-    tilt = made("base_tilt", arm, scale=2.0)
-    down = built(arm, [tilt]).opt.gravity
-    assert np.degrees(np.arccos(-down[2] / GRAVITY)) == pytest.approx(4.0, abs=1e-6)
-    log = simulate(arm, held, 1, [tilt])
-    c, s = np.cos(log.q[-1, 0]), np.sin(log.q[-1, 0])
-    assert log.torque[-1, 0] == pytest.approx(2.0 * 0.4 * (down[2] * s - down[0] * c), rel=1e-3)
-
-
 def twist(arm: Arm, effect: Effect, torque: float) -> float:
     """Angle of the link beyond its motor, which is held, under a torque (without weight)."""
     model = built(arm, [effect])
@@ -106,20 +71,6 @@ def test_gears_twist_and_have_gaps() -> None:
     assert twist(arm, elastic, 2.0) == pytest.approx(2.0 / stiffness, rel=0.02)
     flanks = [twist(arm, loose, torque) for torque in (0.05, -0.05)]
     assert flanks == pytest.approx([0.0015, -0.0015], abs=2e-4)
-
-
-def test_a_coupled_drive_rubs_when_the_other_joint_turns() -> None:
-    """A held joint feels the friction of its drive that another one turns: 3 N m each way."""
-    arm = quiet_arm(5)
-    drives = tuple(replace(d, coulomb=3.0, waviness=0.0, viscous=0.0) for d in arm.drives)
-    arm = replace(arm, drives=drives, bandwidth=90.0)
-    motion = motions.trial(arm, 0, np.zeros(2), np.array([0.2]))
-    coupled = simulate(arm, motion, 1, [made("transmission_coupling", arm, 1)])
-    plain = simulate(arm, motion, 1)
-    more = coupled.torque - plain.torque
-    up, down = sweeps(plain.t, plain.q[:, 0], 0.2 * arm.links[0].speed, 0.0, width=0.3)
-    both = 0.5 * np.abs(more[up].mean(axis=0) - more[down].mean(axis=0))
-    assert both[0] == pytest.approx(3.0, rel=0.1)
 
 
 def test_what_sensors_say() -> None:

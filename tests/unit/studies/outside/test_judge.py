@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 
 from seqid_cli.model.effects.registry import CATALOGUE
-from tests.studies.outside.__main__ import answers, main
+from tests.studies.outside.__main__ import answers
 from tests.studies.outside.plan import (
     COMES_LATER,
     KINDS,
     MANY,
     PUBLISHED,
-    RESERVED,
     drawn,
     kinds_of,
     outlined,
@@ -100,12 +99,6 @@ def test_a_wrong_name_counts_where_it_is_sure() -> None:
     assert silent(clean)
     assert not silent(clean | {"unexplained": [["j1", ["position", "direction"]]]})
     assert silent(clean | {"unexplained": [["j1", ["position", "direction"]]], "flow": "single"})
-
-
-def test_reserved_seeds_are_for_the_reserved_set(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        main(["--seeds", f"{RESERVED - 1}:{RESERVED + 1}"])
-    assert "tuning seeds are below 10000" in capsys.readouterr().err
 
 
 def test_a_case_goes_the_way_of_a_user_and_is_kept(tmp_path: Path) -> None:

@@ -14,24 +14,12 @@ from seqid_cli import identify
 from seqid_cli.inspect.screening import read_screened
 from seqid_cli.robot.file import load_robot
 from tests.studies.outside import motions
-from tests.studies.outside.arms import GRAVITY, drawn_arm
+from tests.studies.outside.arms import drawn_arm
 from tests.studies.outside.bench import pendulum, quiet_arm
 from tests.studies.outside.cases import SPEEDS, write
 from tests.studies.outside.plan import PUBLISHED
 from tests.studies.outside.robotfiles import robot_toml, urdf
 from tests.studies.outside.simulate import built, simulate
-
-
-def test_a_swing_without_friction_keeps_its_energy() -> None:
-    model = built(pendulum())
-    model.opt.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
-    data = mujoco.MjData(model)
-    data.qpos[:] = 2.0
-    energies = []
-    for _ in range(3000):
-        mujoco.mj_step(model, data)
-        energies.append(data.energy.sum())
-    assert np.ptp(energies) < 0.01 * 2.0 * 2.0 * GRAVITY * 0.4
 
 
 @pytest.mark.parametrize("label", [*PUBLISHED, "drawn"])
@@ -76,28 +64,6 @@ def test_logged_torque_is_inverse_dynamics_and_friction() -> None:
     apart = (log.true_torque - rigid - friction)[slides]
     assert slides.sum() > 300
     assert np.median(np.abs(apart), axis=0) == pytest.approx(0.0, abs=0.05 * coulomb.min())
-
-
-@pytest.mark.parametrize("gyro", [True, False])
-def test_imus_feel_weight_and_turn(gyro: bool) -> None:
-    arm = pendulum(coulomb=0.5)
-    imu = replace(quiet_arm(1, 1, imus=True).imus[0], gyro=gyro, noise=0.0, bias=np.zeros(12))
-    arm = replace(arm, imus=(imu,))
-    still = simulate(arm, np.full((1500, 1), 0.3), seed=1).accelerometers["imu0"][-1]
-    corners = still.reshape(-1, 3)
-    np.testing.assert_allclose(np.linalg.norm(corners, axis=1), GRAVITY, rtol=1e-3)
-    log = simulate(arm, motions.multisine(arm, np.random.default_rng(2), 5.0), seed=1)
-    dq = np.gradient(log.q[:, 0], log.t)
-    readings = log.accelerometers["imu0"].reshape(len(dq), -1, 3)
-    if gyro:
-        assert readings.shape[1] == 1
-        turn = np.linalg.norm(log.gyros["imu0"], axis=1)
-        np.testing.assert_allclose(turn[50:-50], np.abs(dq[50:-50]), atol=0.03)
-    else:  # corners of a rigid body: their readings differ by w x (w x r) + w' x r alone
-        ddq = np.gradient(dq, log.t)
-        apart = np.linalg.norm(readings[:, 1] - readings[:, 0], axis=1)
-        assert np.all(apart < 0.05 * (dq**2 + np.abs(ddq)) + 0.1)
-        assert apart.max() > 0.02
 
 
 @pytest.mark.parametrize("suffix", ["parquet", "mcap"])

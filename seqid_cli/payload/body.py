@@ -2,12 +2,12 @@
 
 The estimate need not belong to a body: noise makes an inertia negative, and what the logs do not
 excite is whatever the least squares left. The body that is given is the one with a positive
-semidefinite pseudo-inertia J = L L' nearest to the estimate in its own errors,
+semidefinite pseudo-inertia J nearest to the estimate in its own errors,
 
-    min over L of  (phi(L L') - phi)' C^-1 (phi(L L') - phi)
+    min over J >= 0 of  (phi(J) - phi)' C^-1 (phi(J) - phi),
 
-(L lower triangular 4 by 4; Rucker and Wensing, "Smooth parameterization of rigid-body inertia",
-RA-L 2022). Where the estimate is a body, the two are the same.
+a conic problem (Wensing, Kim, Slotine, "Linear matrix inequalities for physically consistent
+inertial parameter identification", RA-L 2018). Where the estimate is a body, the two are the same.
 """
 
 from __future__ import annotations
@@ -16,14 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
+from seqid_cli.model.bodies.consistent import nearest_body
 from seqid_cli.model.bodies.demand import whitening
-from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
+from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 
 Array = NDArray[np.float64]
-
-_LOWER = np.tril_indices(4)
 
 
 @dataclass(frozen=True)
@@ -66,25 +64,9 @@ def _symmetric(upper: Array) -> Array:
 
 
 def _nearest(phi: Array, covariance: Array, *, smallest: float = 1e-09) -> tuple[Array, float]:
-    J = pseudo_inertia(phi)
-    if np.linalg.eigvalsh(J)[0] >= 0.0:
+    if np.linalg.eigvalsh(pseudo_inertia(phi))[0] >= 0.0:
         return phi, 0.0
-    W = whitening(covariance, smallest * float(np.abs(phi).max()))
-    eigen, axes = np.linalg.eigh(J)
-    inside = axes * np.sqrt(np.maximum(eigen, 1e-6 * eigen[-1]))
-    factor = np.asarray(np.linalg.qr(inside.T, mode="r"), dtype=np.float64)
-
-    def parameters(entries: Array) -> Array:
-        L = np.zeros((4, 4))
-        L[_LOWER] = entries
-        return np.asarray(standard_of(L @ L.T))
-
-    def off(entries: Array) -> Array:
-        away: Array = W @ (parameters(entries) - phi)
-        return away
-
-    found = least_squares(off, factor.T[_LOWER], x_scale="jac")
-    return parameters(found.x), float(np.sqrt(2.0 * found.cost))
+    return nearest_body(phi, whitening(covariance, smallest * float(np.abs(phi).max())))
 
 
 def _slopes(phi: Array) -> Array:

@@ -31,7 +31,7 @@ import numpy as np
 from scipy import sparse
 
 from seqid_cli.errors import QualityError
-from seqid_cli.model.bodies.pseudo_inertia import standard_of
+from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
 from seqid_cli.robot.types import Array
 
 MARGIN = 1e-3  # least eigenvalue of S: share of the expected pseudo-inertia that is always there
@@ -89,6 +89,39 @@ def consistent_links(J: Array, rotors: Array, demand: Demand) -> Consistent:
             hint="Check the robot file against the arm; compare the file with seqid predict.",
         )
     return nearest
+
+
+def nearest_body(phi: Array, whitening: Array, *, margin: float = 1e-7) -> tuple[Array, float]:
+    """The standard parameters (10,) of a body that are nearest to an estimate `phi` (10,).
+
+    `whitening` (10, 10) turns a difference into independent standard errors. Its length, which
+    comes second, is a convex function of the pseudo-inertia. `margin`: least eigenvalue of that,
+    scaled. Raises QualityError if the solver finds nothing.
+    """
+    # Unknown are the difference y in standard errors and its length: phi + W^-1 y is a body.
+    steps = pseudo_inertia(np.asarray(np.linalg.inv(whitening).T, dtype=np.float64))
+    J = pseudo_inertia(phi)
+    reach = np.abs(J) + np.sqrt(np.sum(steps**2, axis=0))
+    scale = np.sqrt(np.outer(reach.diagonal(), reach.diagonal()))
+    rows = np.array([_upper(step / scale) for step in steps])
+    length = np.eye(11)[[10, *range(10)]]
+    body = sparse.csc_matrix(np.column_stack([-rows.T, np.zeros(10)]))
+    found = _solved(
+        np.eye(11)[10],
+        [
+            _Cone(clarabel.SecondOrderConeT(11), sparse.csc_matrix(-length), np.zeros(11)),
+            _Cone(clarabel.PSDTriangleConeT(4), body, _upper(J / scale - margin * np.eye(4))),
+        ],
+    )
+    if found is None:
+        hint = "Record more moves with the payload, of more joints."
+        raise QualityError("no body was found near the estimate of the payload", hint=hint)
+    return phi + np.linalg.solve(whitening, found[:10]), float(found[10])
+
+
+def _upper(matrix: Array) -> Array:
+    """The triangle of a symmetric matrix as clarabel has it."""
+    return np.array([matrix[a, b] * (1.0 if a == b else np.sqrt(2.0)) for a, b in _UPPER])
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from seqid_cli.errors import ConfigError
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
+from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import robot_id, with_stage
@@ -123,6 +123,19 @@ def test_the_nearest_body_has_no_negative_inertia() -> None:
     assert principal[0] > -1e-9
     assert principal[2] <= principal[0] + principal[1] + 1e-9
     assert found.mass == pytest.approx(2.5, rel=0.02)
+
+
+def test_the_nearest_body_is_no_further_than_the_true_one_is() -> None:
+    true = standard_of(np.outer([0.06, -0.1, 0.25, 1.0], [0.06, -0.1, 0.25, 1.0]))  # of no extent
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        spread = 1e-3 * rng.normal(size=(10, 10)) * np.geomspace(1.0, 0.01, 10)
+        off = np.linalg.solve(spread.T @ spread, spread.T @ rng.normal(size=10)) * 1e-6
+        covariance = np.linalg.inv(spread.T @ spread) * 1e-12
+        distance = float(np.sqrt(off @ np.linalg.solve(covariance, off)))
+        found = body_of(true + off, covariance)
+        assert found.distance <= distance + 1e-3
+        assert abs(found.mass - 1.0) < 5.0 * found.mass_error
 
 
 def test_settings_are_in_the_order_of_each_controller() -> None:

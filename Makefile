@@ -118,7 +118,7 @@ study-outside: $(DEV) ## cases of the second simulator, into docs/outside.md (20
 
 .PHONY: bench
 bench: $(DEV) ## measure CPU time and memory, rewrite the tables in docs/benchmarks.md (minutes)
-	$(BIN)/python -m tests.benchmarks
+	$(BIN)/python -m tests.studies --only ingestion kernels whole_run smoother discovery
 
 .PHONY: fuzz
 fuzz: $(DEV) ## read damaged files of every kind for FUZZ_SECONDS; finds go to $(OUT)/fuzz

@@ -48,16 +48,3 @@ def test_fresh_inputs_are_answered(made: Mapping[str, Target], tmp_path: Path) -
         run.fuzz(target, folder, 25, 7, tally)
         assert not tally.finds, f"{target.name}: {tally.finds[0].line}: {tally.finds[0].said}"
         assert sum(tally.codes.values()) == 25
-
-
-def test_bad_answers_are_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    def loops(_: object) -> int:
-        while True:
-            pass
-
-    monkeypatch.setattr("tests.studies.fuzz.answers.main", loops)
-    assert answer([], 0.05)[2] == "more than 0.05 s"
-    monkeypatch.setattr("tests.studies.fuzz.answers.main", lambda _: 70)
-    assert answer([])[2] == "exit 70"
-    monkeypatch.setattr("tests.studies.fuzz.answers.main", lambda _: 2)
-    assert answer([])[2] == "no message"

@@ -1,4 +1,4 @@
-"""Run the studies: `python -m tests.studies [--quick] [--only NAME ...]`."""
+"""Run studies and benchmarks: `python -m tests.studies [--quick] [--only NAME ...]`."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from tests import ROOT
+from tests.benchmarks import discovery, ingestion, kernels, smoother, whole_run
 from tests.studies import tables
 from tests.studies.coverage import study as coverage
 from tests.studies.loop import study as closed_loop
@@ -17,6 +18,7 @@ from tests.studies.rigs import one_joint, six_joint, table_two, two_joint
 from tests.studies.undeclared import study as undeclared
 
 USUAL = "measured.md"  # its studies run where none is named
+COSTS = "benchmarks.md"
 STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {  # page of docs/, study
     "one_joint": (USUAL, one_joint.study),
     "two_joint": (USUAL, two_joint.study),
@@ -29,6 +31,11 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {  # pa
     "planned_errors": ("plan.md", errors.study),
     "planned_separation": ("plan.md", separation.study),
     "recorded_effects": ("effects_study.md", effects.study),
+    "ingestion": (COSTS, lambda chosen: ingestion.study(quick=chosen.quick)),
+    "kernels": (COSTS, lambda chosen: kernels.study(quick=chosen.quick)),
+    "whole_run": (COSTS, lambda chosen: whole_run.study(quick=chosen.quick)),
+    "smoother": (COSTS, lambda chosen: smoother.study(quick=chosen.quick)),
+    "discovery": (COSTS, lambda chosen: discovery.study(quick=chosen.quick)),
 }
 SLOW = ("six_joint", "planned_errors", "recorded_effects")  # even of one rig
 

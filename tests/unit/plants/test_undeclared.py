@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from tests.plants.arms.rated import rated_torque
 from tests.plants.arms.vertical import vertical_two_joint
 from tests.plants.effects.registry import REGISTRY, inject
-from tests.plants.friction.surface import Friction
 from tests.plants.mechanics.hidden import Hidden, Spring
 from tests.plants.motions.trajectories import Reference, periodic
 from tests.plants.robotfile import robot_toml
@@ -20,12 +19,6 @@ from tests.plants.simulate import Plant, simulate
 Array = NDArray[np.float64]
 STIFF = Hidden(springs=(Spring(1, 1e6, 30.0),))
 PAIR = "transmission_coupling"
-SMOOTH = (  # name, share of the top speed, share of rated torque there
-    ("stribeck", 0.0, 0.05),
-    ("quadratic_drag", 0.8, 0.05),
-    ("nonlinear_viscous", 0.8, 0.05),
-    ("nonlinear_viscous.root", 0.4, 0.05),
-)
 
 
 def rig() -> Plant:
@@ -63,14 +56,6 @@ def torque_of(plant: Plant, motion: Reference) -> Array:
     return simulate(plant, motion, 0, imus=False, start=600.0).current * plant.torque_per_ampere
 
 
-def friction_at(plant: Plant, joint: int, speed: float, load: float = 0.0) -> Friction:
-    """Friction of one joint in the middle of its range, after a step at that speed."""
-    q, dq, loads = plant.position_limits.mean(axis=1), np.zeros(2), np.zeros(2)
-    dq[joint], loads[joint] = speed, load
-    dry = plant.friction.begin()(0.0, q, dq, loads)
-    return Friction(*(x[joint] for x in dry))
-
-
 @pytest.mark.parametrize("name", sorted(REGISTRY))
 def test_effect_shows_where_it_is(name: str, motion: Reference, plain: Array, stiff: Array) -> None:
     """It changes the log, its own joint's most, and leaves the robot file as it was."""
@@ -84,15 +69,3 @@ def test_effect_shows_where_it_is(name: str, motion: Reference, plain: Array, st
     if found.joint == 1 and not found.plant.hidden.springs:
         assert share[1] > (1.0 if found.kind == PAIR else 2.0) * share[0]
     assert robot_toml("arm", found.declared) == robot_toml("arm", plant)
-
-
-@pytest.mark.parametrize(("name", "share", "promised"), SMOOTH)
-def test_friction_is_as_large_as_promised(name: str, share: float, promised: float) -> None:
-    """What the curve adds to the clean friction, at sizes 1 and 0.4."""
-    plant = rig()
-    speed = share * float(plant.velocity_limits[1]) + 1e-9
-    before = friction_at(plant, 1, speed)
-    for size in (1.0, 0.4):
-        after = friction_at(inject(name, plant, 1, size).plant, 1, speed)
-        more = after.forward - before.forward + after.smooth - before.smooth
-        assert more == pytest.approx(promised * size * rated_torque(plant)[1], rel=1e-4)

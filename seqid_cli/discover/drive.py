@@ -22,8 +22,6 @@ from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.typing import Array
 
-DISAGREE = 0.05  # by which motor and sensor may tell another torque
-
 
 @dataclass(frozen=True)
 class DriveRows:
@@ -45,11 +43,14 @@ class DriveRows:
         """Whether a joint has such rows."""
         return bool(self.y) and len(self.y[joint]) > 0
 
-    def part(self, joint: int, channel: int, size: float) -> Part:
-        """What is free beside friction; `size` [N m] is what the file leaves."""
+    def part(self, joint: int, channel: int, size: float, *, disagree: float = 0.05) -> Part:
+        """What is free beside friction; `size` [N m] is what the file leaves.
+
+        By `disagree` motor and sensor may tell another torque.
+        """
         X = self.columns[joint]
         bound = np.sqrt(np.mean(X**2, axis=0)) / (LIKELY * size)
-        bound[0] = 1.0 / DISAGREE
+        bound[0] = 1.0 / disagree
         return Part({channel: X}, np.diag(bound**2))
 
 

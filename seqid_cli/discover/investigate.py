@@ -30,8 +30,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 from seqid_cli.working import step
 
-MADE = 0.25  # of its square: what the file leaves of a push that is none of the terms' making
-GUESSED = 0.5  # of the samples of a push, at which an effect may have any torque
 AROUND_S = 0.5
 
 
@@ -148,11 +146,11 @@ def guessed(model: Model) -> list[Mask]:
     return masks
 
 
-def events_of(model: Model, guess: Sequence[Mask]) -> list[Interval]:
+def events_of(model: Model, guess: Sequence[Mask], *, least: float = 0.25) -> list[Interval]:
     """Stretches that stand out in what the model leaves, and are no errors of its laws.
 
     Nor are they mostly samples (N, n) of `guess`, at which an effect may have any torque, nor
-    what terms make where the file leaves less.
+    what terms make: of their square the file leaves `least` at least.
     """
     rows, left, found = model.ground.stage.rows, model.left(), list[Interval]()
     for event in find_events(rows, model.scaled()):
@@ -161,15 +159,16 @@ def events_of(model: Model, guess: Sequence[Mask]) -> list[Interval]:
         if (
             not of_law(event, scene, own)
             and not _may_be_any(event, scene, guess[event.scene])
-            and event.squares(scene, file) > MADE * event.squares(scene, own)
+            and event.squares(scene, file) > least * event.squares(scene, own)
         ):
             found.append(event)
     return found
 
 
-def _may_be_any(event: Interval, scene: Scene, guess: Mask) -> bool:
+def _may_be_any(event: Interval, scene: Scene, guess: Mask, *, most: float = 0.5) -> bool:
+    """Whether an effect may have any torque at more than `most` of a push's samples."""
     there = guess[event.inside(scene)][:, list(event.joints)]
-    return bool(np.mean(there) > GUESSED)
+    return bool(np.mean(there) > most)
 
 
 def of_law(event: Interval, scene: Scene, residual: Array) -> bool:

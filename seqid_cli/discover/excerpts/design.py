@@ -24,11 +24,12 @@ from seqid_cli.logs.pieces import Range
 from seqid_cli.typing import Array, Index
 
 PIECE_S = 20.0  # two periods of most trajectories, and long beside what the filters lose
-MOST_PIECES = 16
 WHOLE = 0.9  # share of an excerpt that must be free of gaps
 
 
-def excerpts_of(logs: Sequence[ResidualSurvey], samples: float) -> list[list[Range]]:
+def excerpts_of(
+    logs: Sequence[ResidualSurvey], samples: float, *, most: int = 16
+) -> list[list[Range]]:
     """Choose excerpts of logs.
 
     Parameters
@@ -36,6 +37,8 @@ def excerpts_of(logs: Sequence[ResidualSurvey], samples: float) -> list[list[Ran
     logs : sequence of ResidualSurvey
     samples : float
         Of all excerpts together, about.
+    most : int
+        Number of excerpts.
 
     Returns
     -------
@@ -47,7 +50,7 @@ def excerpts_of(logs: Sequence[ResidualSurvey], samples: float) -> list[list[Ran
     if total <= samples:
         return [[(0.0, length)] for length in lengths]
     seconds = samples * sum(lengths) / total
-    count = int(np.clip(round(seconds / PIECE_S), 1, MOST_PIECES))
+    count = int(np.clip(round(seconds / PIECE_S), 1, most))
     # Another log tells more that is new than more of the same one.
     weight = np.cumsum(np.sqrt(lengths))
     parts = np.diff(np.round(count * weight / weight[-1]), prepend=0.0).astype(int)

@@ -51,23 +51,15 @@ Way = Literal["rests", "spectrum"]
 
 SEED = 0  # of the draws behind the interval
 STRETCH = 4.0  # periods of the cut-off: of a rest, at least, and per spectrum while joints move
-FEWEST_RESTED = 20.0  # periods of the cut-off, over all rests
-SETTLING = 1.2  # periods of the cut-off at both ends of a rest, in which a move dies away
 FEWEST_FREQUENCIES = 8
 EXPONENTS = (1.0, 0.5, 0.75, 1.25, 1.5)  # of 1/f^a noise at rest
 FLICKER = (1.0,)  # the same above the cut-off, where exponents are not told apart
-ABOVE = 1.5  # cut-offs, from which the torque is taken for noise
-UP_TO = 10.0  # cut-offs: what lies further off tells little of the band
 NYQUIST_SHARE = 0.9
-BAND = (0.45, 0.95)  # cut-offs, between which what is left of the torque is taken for noise
 FEWEST_STRETCHES = 2
 # Bins of a tapered spectrum that count as one, times the variance of a median over that of a mean.
 HANN_MEDIAN = 1.5 * 2.08
-ENCODER_ERROR = 0.25  # relative standard error of the encoder's part
-ENCODER_SPREAD = np.exp(ENCODER_ERROR * np.array([0.0, -1.96, 1.96]))  # estimate and its ends
-AGREE = 2.0  # standard errors, by which logs may differ that show the same noise
+NORMAL_95 = np.array([0.0, -1.96, 1.96])  # a normal deviate's middle, and the ends of its interval
 NOTHING = Spectrum(np.zeros(0), np.zeros(0), np.zeros(0))
-EXCEEDS = 4.0  # standard errors above what shows in motion: a rest that is more than noise
 
 
 @dataclass(frozen=True)
@@ -157,10 +149,18 @@ def noise_floor(
 
 
 def _floor(
-    level: Level, slid: Sequence[tuple[Motion, float]], heard: float, rng: np.random.Generator
+    level: Level,
+    slid: Sequence[tuple[Motion, float]],
+    heard: float,
+    rng: np.random.Generator,
+    *,
+    encoder_error: float = 0.25,
 ) -> Array:
-    """Estimate of torque noise and the encoder's part, and the ends of its interval, N m."""
-    return np.hypot(level.rms(slid, rng), heard * ENCODER_SPREAD)
+    """Estimate of torque noise and the encoder's part, and the ends of its interval, N m.
+
+    `encoder_error` is the relative standard error of the encoder's part.
+    """
+    return np.hypot(level.rms(slid, rng), heard * np.exp(encoder_error * NORMAL_95))
 
 
 def _rms_of(values: Sequence[Array], of: Sequence[tuple[Scene, Mask]], joint: int) -> float:
@@ -169,20 +169,21 @@ def _rms_of(values: Sequence[Array], of: Sequence[tuple[Scene, Mask]], joint: in
     return rms(own[own != 0.0])
 
 
-def _exceeds(rest: Spectrum, spectra: Sequence[Spectrum]) -> bool:
+def _exceeds(rest: Spectrum, spectra: Sequence[Spectrum], *, errors: float = 4.0) -> bool:
     """Whether joints that stand show more than a joint that slides, at the same frequencies.
 
-    A controller that hunts between two counts of its encoder does; noise is the same in both.
+    By more than so many standard errors. A controller that hunts between two counts of its encoder
+    does; noise is the same in both.
     """
     for other in spectra:
         shared = rest.within(float(other.frequency[0]), float(other.frequency[-1]))
-        if len(shared.frequency) and not _agrees(shared, other, EXCEEDS):
+        if len(shared.frequency) and not _agrees(shared, other, errors=errors):
             return True
     return False
 
 
-def _agrees(one: Spectrum, other: Spectrum, errors: float = AGREE) -> bool:
-    """Whether the first is not above the other beyond what chance makes."""
+def _agrees(one: Spectrum, other: Spectrum, *, errors: float = 2.0) -> bool:
+    """Whether the first is not above the other beyond so many standard errors."""
     error = float(np.sqrt(one.mean[1] + other.mean[1]))
     return one.mean[0] - other.mean[0] <= errors * other.mean[0] * error
 
@@ -222,13 +223,19 @@ def _at_rest(recordings: Sequence[Recording], scenes: Sequence[Scene]) -> list[l
     return result
 
 
-def _rests(recording: Recording, scene: Scene) -> list[slice] | None:
-    """Pieces of equal length in which all joints stand; None where that is not for long enough."""
+def _rests(
+    recording: Recording, scene: Scene, *, fewest: float = 20.0, settling: float = 1.2
+) -> list[slice] | None:
+    """Pieces of equal length in which all joints stand; None where that is not for long enough.
+
+    In periods of the cut-off: `fewest` in all, without `settling` at both ends of a rest, in which
+    a move dies away.
+    """
     period = recording.rate_hz / scene.motion.lowpass.cutoff_hz
     still = unmoved(recording.q, encoder_resolution(scene.robot), round(STRETCH * period))
-    quiet = shrink(still & recording.valid, round(SETTLING * period))
+    quiet = shrink(still & recording.valid, round(settling * period))
     pieces = [(a, b) for a, b in runs(quiet, len(quiet)) if b - a >= STRETCH * period]
-    if sum(b - a for a, b in pieces) < FEWEST_RESTED * period:
+    if sum(b - a for a, b in pieces) < fewest * period:
         return None
     length = int(np.median([b - a for a, b in pieces]))
     return [slice(s, s + length) for a, b in pieces for s in range(a, b - length + 1, length)]
@@ -267,19 +274,25 @@ def _in_motion(
 
 
 def _top_of_band(
-    recording: Recording, scene: Scene, residual: Array, echo: Array, joint: int
+    recording: Recording,
+    scene: Scene,
+    residual: Array,
+    echo: Array,
+    joint: int,
+    *,
+    band: tuple[float, ...] = (0.45, 0.95),
 ) -> Spectrum | None:
     """What is left of the torque at the top of the band, the low-pass undone: there is no motion.
 
     Steps of the torque, which reach above the cut-off, the model has below it. What the encoder's
-    noise makes is taken off.
+    noise makes is taken off. `band` are the cut-offs between which all is taken for noise.
     """
     motion = scene.motion
     rate, cutoff = motion.rate_hz, motion.lowpass.cutoff_hz
     length = min(round(STRETCH * rate / cutoff), motion.samples)
     starts = stretches(scene.slides[:, joint] & (residual[:, joint] != 0.0), length)
     frequency = np.fft.rfftfreq(length, 1.0 / rate).astype(np.float64)
-    kept = (frequency > BAND[0] * cutoff) & (frequency < BAND[1] * cutoff)
+    kept = (frequency > band[0] * cutoff) & (frequency < band[1] * cutoff)
     if len(starts) < FEWEST_STRETCHES or not kept.any() or not motion.lowpass.active:
         return None
     whole, heard = (
@@ -291,10 +304,13 @@ def _top_of_band(
     return Spectrum(frequency[kept], density, averaged, _quantised(recording, joint))
 
 
-def _slid(recording: Recording, scene: Scene, joint: int) -> Spectrum | None:
+def _slid(
+    recording: Recording, scene: Scene, joint: int, *, above: float = 1.5, up_to: float = 10.0
+) -> Spectrum | None:
     """The raw torque above the cut-off where the joint slides, away from reversals.
 
-    If it never does for long, of all the log.
+    If it never does for long, of all the log. From `above` cut-offs on all is taken for noise; what
+    lies beyond `up_to` tells little of the band.
     """
     assert recording.tau is not None
     rate, cutoff = recording.rate_hz, scene.motion.lowpass.cutoff_hz
@@ -302,8 +318,8 @@ def _slid(recording: Recording, scene: Scene, joint: int) -> Spectrum | None:
     slides = nearest(scene.slides[:, [joint]], len(recording.t))[:, 0] & recording.valid
     starts = stretches(slides, length) or stretches(recording.valid, length)
     frequency = np.fft.rfftfreq(length, 1.0 / rate).astype(np.float64)
-    top = min(UP_TO * cutoff, 0.5 * NYQUIST_SHARE * rate)
-    kept = (frequency > ABOVE * cutoff) & (frequency < top)
+    top = min(up_to * cutoff, 0.5 * NYQUIST_SHARE * rate)
+    kept = (frequency > above * cutoff) & (frequency < top)
     if not starts or kept.sum() < FEWEST_FREQUENCIES:
         return None
     density = median_spectrum(recording.tau[:, joint], starts, length, rate)[kept]

@@ -24,8 +24,6 @@ GRID = 400  # frequencies, over which a band is integrated
 ROUNDS = 30
 DRAWS = 2000
 LEVEL = 0.95  # of the interval
-CLEARLY = 3.0  # log-likelihood that flicker, or an exponent other than the first, must gain
-FLICKER_COSTS = 1.0  # log-likelihood of a parameter more (Akaike's criterion)
 
 
 @dataclass(frozen=True)
@@ -127,22 +125,29 @@ class Level:
         return middle, min(float(low), middle), max(float(high), middle)
 
 
-def level_of(spectrum: Spectrum, exponents: Sequence[float]) -> Level:
+def level_of(
+    spectrum: Spectrum, exponents: Sequence[float], *, clearly: float = 3.0, cost: float = 1.0
+) -> Level:
     """White noise w and 1/f^a noise c f^-a by Whittle's likelihood.
 
     Parameters
     ----------
     spectrum : Spectrum
     exponents : sequence of float
-        Values of a that may be; another than the first must be clearly better to come first.
+        Values of a that may be.
+    clearly : float
+        Log-likelihood by which 1/f noise, or another exponent than the first, must be better to
+        come first.
+    cost : float
+        Log-likelihood that a parameter more must gain (Akaike's criterion).
     """
     if not spectrum.density.any():
         return Level.known(spectrum.least)
     found = [_fitted(spectrum, a) for a in (None, *exponents)]
-    lost = np.array([one for one, _ in found]) + FLICKER_COSTS * (np.arange(len(found)) > 0)
+    lost = np.array([one for one, _ in found]) + cost * (np.arange(len(found)) > 0)
     best = 0
     for k in range(1, len(found)):
-        best = k if found[best][0] - found[k][0] > CLEARLY else best
+        best = k if found[best][0] - found[k][0] > clearly else best
     order = [best, *(k for k in range(len(found)) if k != best)]
     weights = np.exp(lost.min() - lost[order])
     return Level(tuple(found[k][1] for k in order), weights / weights.sum())

@@ -44,8 +44,6 @@ from seqid_cli.params.schema import FrictionStage, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-TURNS = 4  # of effects and stages, at most
-SETTLED = 0.3  # standard errors, that coefficients still move by when they have settled
 MOVES = 0.01  # of a joint's largest travel, from which a log is one of its own
 
 
@@ -106,19 +104,26 @@ def _with_values(
 
 
 def _turns(
-    material: Material, stages: Stages, candidates: Sequence[Candidate], late: frozenset[Key]
+    material: Material,
+    stages: Stages,
+    candidates: Sequence[Candidate],
+    late: frozenset[Key],
+    *,
+    most: int = 4,
+    close: float = 0.3,
 ) -> Iterator[tuple[Stages, Sequence[Candidate]]]:
     """Fit effects, then identify the stages without them, until the effects settle.
 
-    Of each turn the stages, and the effects with the settings that they have by then.
+    Of each turn the stages, and the effects with the settings that they have by then; `most` turns.
+    Effects have settled when no coefficient moves by more than `close` standard errors.
     """
     effects = list[FittedEffect]()
-    for left in reversed(range(TURNS)):
+    for left in reversed(range(most)):
         fit = cache(partial(_fitted, material, stages, candidates, FREE))
         before = effects
         if candidates:
             effects, candidates = _effects_of(material, fit()), fit().candidates
-        settled = bool(before) and _step(before, effects) <= SETTLED
+        settled = bool(before) and _step(before, effects) <= close
         last = not (left and candidates) or settled
         stages = _stages(material, Refitted(stages, tuple(effects), late), fit, last=last)
         yield stages, candidates

@@ -48,7 +48,6 @@ ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
 TRIED = Options(improvement=LEAST_GAIN)  # what is tried need not be worth a finding
 PROBABLE = 0.5  # probability of being there from which an effect is added
-SAME = 0.01  # of an order or a frequency, by which two lines may differ and be one
 
 
 @dataclass(frozen=True)
@@ -192,16 +191,17 @@ def _among(one: Candidate, others: Sequence[Candidate]) -> bool:
     return any(_same(one, other) for other in others)
 
 
-def _same(one: Candidate, other: Candidate) -> bool:
+def _same(one: Candidate, other: Candidate, *, tolerance: float = 0.01) -> bool:
     """Whether two are one effect; a joint may have several lines, and ripples of several orders.
 
-    Of what is looked for to first order the settings say about which size.
+    Lines are one where orders and frequencies differ by a share of `tolerance` at most. Of what is
+    looked for to first order the settings say about which size.
     """
     if one.key != other.key:
         return False
     every = () if one.effect.first_order else one.effect.settings
     told = [s.name for s in every if one.effect.wide or not s.continuous]
-    return all(math.isclose(one.settings[s], other.settings[s], rel_tol=SAME) for s in told)
+    return all(math.isclose(one.settings[s], other.settings[s], rel_tol=tolerance) for s in told)
 
 
 def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Recording, ...]:

@@ -20,8 +20,6 @@ from seqid_cli.typing import Array
 
 FAR = 30.0  # standard errors of the file, in multiples, that a free base may move by
 SCALES = (1.0, 3.0, 10.0, FAR)  # of which the evidence chooses
-WRONG = 0.8  # of standard errors: spread of the logarithm of how many times too small they are
-TAKEN_BACK = 0.5  # share of the square that may be left of what the file has taken in of an effect
 OWN_OFFSET = 0.75  # sample periods: time offset that every drive has, and no effect
 
 
@@ -40,13 +38,13 @@ class Hold:
         """By how much friction of a joint may move."""
         return self.own[joint] if self.own else self.rigid
 
-    def doubt(self, joints: int) -> float:
+    def doubt(self, joints: int, *, spread: float = 0.8) -> float:
         """Log odds against standard errors that are so many times too small, part by part.
 
-        ln s of a scale s is normal, with `WRONG`. Zero where all is held as the file says.
+        ln s of a scale s is normal, with `spread`. Zero where all is held as the file says.
         """
         scales = (self.rigid, *map(self.of, range(joints)))
-        return float(sum(np.log(max(scale, 1.0)) ** 2 for scale in scales)) / (2.0 * WRONG**2)
+        return float(sum(np.log(max(scale, 1.0)) ** 2 for scale in scales)) / (2.0 * spread**2)
 
 
 HELD = Hold("held")
@@ -241,17 +239,18 @@ class Model:
         left, file = (sum(float(r[c] @ r[c]) / scale[c] ** 2 for c in channels) for r in parts)
         return float(1.0 - left / max(file, 1e-300))
 
-    def makes_up_for(self, term: Term, other: Term) -> bool:
+    def makes_up_for(self, term: Term, other: Term, *, most: float = 0.5) -> bool:
         """Whether a term takes off what it would have, beside the base, of another one's torque.
 
-        So does one that takes back what the file has taken in of it: all but `TAKEN_BACK`.
+        So does one that takes back what the file has taken in of it, but for a share of `most` of
+        its square.
         """
         alone = self.beside(*(one for one in self.terms if one is not term))
         there = term.channels & other.channels
         share = alone.of_torque(term.part, {c: self._torque(other, c) for c in there})
         own = self.linear.theta[self.where(term)]
         left, whole = (self._square(term, there, a) for a in (own + share, share))
-        return left < TAKEN_BACK * whole
+        return left < most * whole
 
     def is_detail(self, term: Term) -> bool:
         """Whether a term is small beside the torque of the model, which ends at the cut-off."""

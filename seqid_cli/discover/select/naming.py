@@ -26,7 +26,6 @@ if TYPE_CHECKING:
     from seqid_cli.discover.select.results import Taken
 
 
-CONSTANT, OF_SHARE, OF_GAIN = 0.06, 0.44, 0.73  # of the log odds: of logit(share), log10(gain)
 TEMPER = 0.016  # of the gain, by which two laws may differ and be equally likely
 TOLD = 0.7  # probability from which something is told
 SELDOM = 0.05  # share of them, below which a rival is not told
@@ -41,14 +40,22 @@ class Named:
     others: tuple[str, ...] = ()
 
 
-def reality(share: float, gain: float) -> float:
+def reality(
+    share: float,
+    gain: float,
+    *,
+    constant: float = 0.06,
+    of_share: float = 0.44,
+    of_gain: float = 0.73,
+) -> float:
     """Probability that a term is more than the errors of a model that lacks nothing.
 
-    `share` is what it takes away of the squared error, `gain` the log evidence for it.
+    `share` is what it takes away of the squared error, `gain` the log evidence for it. The log odds
+    are a `constant` and parts `of_share`, its logit, and `of_gain`, its logarithm to base 10.
     """
     share = float(np.clip(share, 1e-3, 1.0 - 1e-3))
-    odds = CONSTANT + OF_SHARE * np.log(share / (1.0 - share))
-    odds += OF_GAIN * np.log10(max(gain, 1.0))
+    odds = constant + of_share * np.log(share / (1.0 - share))
+    odds += of_gain * np.log10(max(gain, 1.0))
     return float(1.0 / (1.0 + np.exp(-odds)))
 
 

@@ -1,10 +1,10 @@
 """How precise rows are: each joint's noise, and where residuals are larger than noise makes them.
 
 Residuals have long tails, near reversals above all, and a Gaussian likelihood takes those for
-evidence. Over `WINDOW_S` rows share a weight as under Student's distribution (K. L. Lange, R. J. A.
-Little, J. M. G. Taylor, "Robust statistical modeling using the t distribution", JASA 84, 1989):
-(NU + 1) / (NU + m), m their mean square in units of the noise. Rows of low-passed signals tell
-partly the same: `ALIKE` of them count as one.
+evidence. Over a fraction of a second rows share a weight as under Student's distribution (K. L.
+Lange, R. J. A. Little, J. M. G. Taylor, "Robust statistical modeling using the t distribution",
+JASA 84, 1989): (nu + 1) / (nu + m), m their mean square in units of the noise. Rows of low-passed
+signals tell partly the same: `ALIKE` of them count as one.
 """
 
 from __future__ import annotations
@@ -19,12 +19,8 @@ from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.rows import ALIKE, Part, Rows
 from seqid_cli.typing import Array, Index
 
-NU = 4.0
-WINDOW_S = 0.3
 ROUNDS = 3
 INNER = 5
-SLOW = 0.3  # of a joint's noise: what of it is slower than `WAVES` half periods of a log
-WAVES = 4
 
 
 @dataclass(frozen=True)
@@ -77,18 +73,20 @@ def _of_residual(
     return Noise(found, tuple(weight))
 
 
-def _student(r: Array, sigma: float, window: Index) -> tuple[float, Array]:
-    """Scale of Student's distribution and the weights (M,)."""
+def _student(r: Array, sigma: float, window: Index, *, nu: float = 4.0) -> tuple[float, Array]:
+    """Scale of Student's distribution with `nu` degrees of freedom, and the weights (M,)."""
     count = np.maximum(np.bincount(window), 1)
     square = np.bincount(window, weights=r**2) / count
     weight = np.ones(len(r))
     for _ in range(INNER):
-        weight = ((NU + 1.0) / (NU + square / sigma**2))[window]
+        weight = ((nu + 1.0) / (nu + square / sigma**2))[window]
         sigma = max(float(np.sqrt(np.mean(weight * r**2))), 1e-12)
     return sigma, weight
 
 
-def slow_noise(stage: Stage, channel: int, size: float) -> Part:
+def slow_noise(
+    stage: Stage, channel: int, size: float, *, slow: float = 0.3, waves: int = 4
+) -> Part:
     """Torque noise that is slower than a block of time: an offset and cosines, of 1/f power.
 
     Each log has its own. Blocks that are left out tell nothing of it, and a function of time would
@@ -100,32 +98,36 @@ def slow_noise(stage: Stage, channel: int, size: float) -> Part:
     channel : int
         Rows of a joint, or of its drive.
     size : float
-        Standard deviation [N m] of their noise, of which it is `SLOW`.
+        Standard deviation [N m] of their noise.
+    slow : float
+        What of it is slower than `waves` half periods of a log.
+    waves : int
+        Number of functions per log, the offset among them.
     """
     rows = stage.rows
     joint = channel % rows.n
-    order = np.arange(WAVES)
-    wide = np.zeros((rows.count(joint), WAVES * len(rows.scenes)))
+    order = np.arange(waves)
+    wide = np.zeros((rows.count(joint), waves * len(rows.scenes)))
     first = 0
     for number, scene in enumerate(rows.scenes):
         t = scene.motion.t[rows.picked[number][rows.used[number][:, joint]]]
-        at = slice(number * WAVES, (number + 1) * WAVES)
+        at = slice(number * waves, (number + 1) * waves)
         length = float(scene.motion.t[-1])
         wide[first : first + len(t), at] = np.cos(np.pi * np.outer(t / length, order))
         first += len(t)
     power = 1.0 / np.maximum(order, 0.5)
-    variance = 2.0 * (SLOW * size) ** 2 * power / np.sum(power)
+    variance = 2.0 * (slow * size) ** 2 * power / np.sum(power)
     return Part({channel: wide}, np.diag(np.tile(1.0 / variance, len(rows.scenes))))
 
 
-def _windows(stage: Stage) -> list[Index]:
-    """Window (M_j,) of every row of a joint."""
+def _windows(stage: Stage, *, window_s: float = 0.3) -> list[Index]:
+    """Window (M_j,) of every row of a joint, whose rows share a weight."""
     rows, result = stage.rows, []
     for j in range(rows.n):
         parts, first = [np.zeros(0, dtype=np.intp)], 0
         for scene, picked, used in zip(rows.scenes, rows.picked, rows.used, strict=True):
-            own = (scene.motion.t[picked[used[:, j]]] / WINDOW_S).astype(np.intp)
+            own = (scene.motion.t[picked[used[:, j]]] / window_s).astype(np.intp)
             parts.append(own + first)
-            first += int(scene.motion.t[-1] / WINDOW_S) + 1
+            first += int(scene.motion.t[-1] / window_s) + 1
         result.append(np.concatenate(parts))
     return result

@@ -19,7 +19,6 @@ from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, most_visible
 from seqid_cli.model.effects.effect import Effect
 
 LEAST_VISIBLE = 4e-4  # share of a term's square that the base leaves
-CLOSE = 0.5  # of the best's evidence, from which settings are searched
 SHORTLIST = 14  # effects, of which settings are searched and blocks are left out
 SMOOTH_SHORTLIST = 3  # smooth functions per joint
 
@@ -148,14 +147,15 @@ def _best_settings(tried: Sequence[Tried]) -> list[Tried]:
     return best_of(tried, lambda t: (*t.term.key, t.candidate.apart))
 
 
-def _shortlist(tried: Iterable[Tried]) -> tuple[list[Tried], float]:
+def _shortlist(tried: Iterable[Tried], *, close: float = 0.5) -> tuple[list[Tried], float]:
     """Those of the largest evidence that the base does not absorb.
 
-    Also the evidence from which one is so near to the best that its settings are searched.
+    Also the evidence from which one is so near to the best that its settings are searched: a share
+    `close` of it.
     """
     seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE]
     first = sorted(seen, key=lambda t: -t.evidence)[:SHORTLIST]
-    return first, CLOSE * max((t.evidence for t in first), default=0.0)
+    return first, close * max((t.evidence for t in first), default=0.0)
 
 
 def is_wide(term: Term) -> bool:

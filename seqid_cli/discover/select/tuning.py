@@ -19,7 +19,6 @@ STEPS = 8
 NEAR = 1.5  # ratio by which a setting may move when another one takes its next value
 SHARPENED = 3  # times that settings are moved to where the coefficients say
 USUAL = 0.02  # of the evidence, that another value than the usual one must gain
-NEEDED = 3.0  # log evidence, that a setting must gain that is not asked for
 
 
 @dataclass(frozen=True)
@@ -118,12 +117,15 @@ class Tuner:
                 at_y = gain(y)
         return best
 
-    def _usual(self, tried: Tried, setting: Setting) -> Tried:
-        """The same with a usual value of a setting, or none, where no other does clearly better."""
+    def _usual(self, tried: Tried, setting: Setting, *, needed: float = 3.0) -> Tried:
+        """The same with a usual value of a setting, or none, where no other does clearly better.
+
+        A setting that is not asked for must gain a log evidence of `needed`.
+        """
         every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
         near = [one for one in every if one and one.evidence > (1.0 - USUAL) * tried.evidence]
         bare = None if setting.asked else self._without(tried, setting)
-        if bare is not None and bare.evidence > tried.evidence - NEEDED:
+        if bare is not None and bare.evidence > tried.evidence - needed:
             return bare
         return max(near, key=lambda one: one.evidence, default=tried)
 

@@ -11,7 +11,6 @@ from seqid_cli.robot.types import Array, Robot
 
 SIGMAS = 4.0
 FOLLOWS = 0.5  # of the variance: an IMU that leaves more does not follow its link
-MEMORY_S = 0.1
 
 
 @dataclass(frozen=True)
@@ -104,7 +103,9 @@ def fit_link(
     return _fine(motion, tried)
 
 
-def _fine(motion: Motion, scan: ShiftScan, *, rounds: int = 3, blocks: int = 8) -> LinkFit:
+def _fine(
+    motion: Motion, scan: ShiftScan, *, rounds: int = 3, blocks: int = 8, memory_s: float = 0.1
+) -> LinkFit:
     """Fit at the shift that is best to a fraction of a sample, by Gauss and Newton."""
     # The delay's error is the larger of what white noise leads to and of how it moves when one of
     # `blocks` parts of the log is left out: a coarse encoder's noise is far from white.
@@ -121,7 +122,7 @@ def _fine(motion: Motion, scan: ShiftScan, *, rounds: int = 3, blocks: int = 8) 
             break
         shift = float(np.clip(shift + pull.sum() / power, low, high))
     square = float(np.mean(left**2))
-    memory = max(1.0, MEMORY_S * motion.rate_hz / float(np.median(np.diff(rows))))
+    memory = max(1.0, memory_s * motion.rate_hz / float(np.median(np.diff(rows))))
     error = np.inf
     if low < shift < high and power > 0.0:
         parts = [part.sum() for part in np.array_split(pull, blocks)]

@@ -23,7 +23,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 LARGEST_RAD = 0.35
-MOST_MOMENT = 10.0  # of the first link, over the largest torque that a gear passes on
 PARALLEL = 1e-6
 
 
@@ -58,15 +57,24 @@ class BaseTilt(Effect):
         """Whether the first joint turns about gravity."""
         return {"upright": [float(first_joint_upright(scenes[0].robot))]}
 
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
+    def plausible(
+        self,
+        scenes: Scenes,
+        joint: Joint,
+        settings: Settings,
+        c: Array,
+        *,
+        most_moment: float = 10.0,
+    ) -> bool:
         """Ask that a tilt comes with the first link's moments, where other joints would show it.
 
-        Moments alone are any function of the first joint's angle.
+        Moments alone are any function of the first joint's angle: `most_moment` of the largest
+        torque that a gear passes on, per rad.
         """
         alone = not settings["upright"] or scenes[0].robot.n == 1
         tilt, moments = np.linalg.norm(c[:2]), np.linalg.norm(c[2:])
         largest = max(float(np.max(np.abs(scene.load))) for scene in scenes)
-        tilted = alone or moments <= MOST_MOMENT * largest * tilt
+        tilted = alone or moments <= most_moment * largest * tilt
         return bool(tilted) and super().plausible(scenes, joint, settings, c)
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:

@@ -42,7 +42,6 @@ from seqid_cli.plan.stages.inertia import Planned, check_torque, described, with
 from seqid_cli.robot.types import Robot
 
 ENOUGH = 0.9  # power from which a plan is good
-PACES = (1.0, 0.3, 0.1)  # shares of the speed limits that the drawn moves keep to
 
 
 def plan_discriminate(
@@ -133,7 +132,12 @@ def asked(robot: Robot, options: PlanOptions) -> tuple[tuple[Effect, Effect], in
 
 
 def pool_of(
-    belief: Belief, joint: int | None, options: PlanOptions, *, each: int = 48
+    belief: Belief,
+    joint: int | None,
+    options: PlanOptions,
+    *,
+    each: int = 48,
+    paces: tuple[float, ...] = (1.0, 0.3, 0.1),
 ) -> list[PlannedMove]:
     """Moves of the joint alone, with others, and of all, at several speeds, and steady strokes."""
     moving = belief.limits.moving
@@ -148,7 +152,7 @@ def pool_of(
     rng = np.random.default_rng(options.seed)
     shapes = Shapes.over(options.length_s, COARSE_HZ)
     found: list[PlannedMove] = []
-    for pace in PACES:
+    for pace in paces:
         limits = belief.limits
         slowed = replace(limits, speed=pace * limits.speed, acceleration=pace * limits.acceleration)
         slower = replace(belief, limits=slowed)
@@ -157,7 +161,7 @@ def pool_of(
             found += described(
                 slower, *within_limits(slower, pool.drawn, options), options, "discriminate"
             )
-        elif pace == min(PACES) and not found:
+        elif pace == min(paces) and not found:
             check_torque(slower, pool, options)
     for j in moving if joint is None else [joint]:
         found += _strokes(belief, j, options.length_s, rng)

@@ -22,9 +22,6 @@ from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.inertia import Planned
 from seqid_cli.robot.types import Array
 
-SPEEDS = 10  # per joint, evenly spaced in the logarithm
-POSTURES = 60  # of the other joints, from which the one of the least torque is taken
-
 
 def plan_friction(belief: Belief, options: PlanOptions) -> Planned:
     """Move each joint in the posture that loads it least, so that friction shows most clearly.
@@ -49,19 +46,30 @@ def plan_friction(belief: Belief, options: PlanOptions) -> Planned:
 
 
 def _sweeps(
-    belief: Belief, j: int, rng: np.random.Generator, *, slowest: float = 0.08
+    belief: Belief,
+    j: int,
+    rng: np.random.Generator,
+    *,
+    slowest: float = 0.08,
+    speeds_per_joint: int = 10,
 ) -> PlannedMove:
     name = belief.robot.joint_names[j]
     belief, posture, ends = lightest_posture(belief, j, rng)
     limits = belief.limits
     top = top_speed(limits, j, ends[1] - ends[0])
-    speeds = np.geomspace(slowest * top, top, SPEEDS).tolist()
+    speeds = np.geomspace(slowest * top, top, speeds_per_joint).tolist()
     strokes = there_and_back(limits, j, speeds, ends)
     return stroke_move(belief, f"friction_{name}", "friction", j, posture, strokes)
 
 
 def lightest_posture(
-    belief: Belief, j: int, rng: np.random.Generator, *, share: float = 1.0, widest: float = 0.9
+    belief: Belief,
+    j: int,
+    rng: np.random.Generator,
+    *,
+    share: float = 1.0,
+    widest: float = 0.9,
+    most_postures: int = 60,
 ) -> tuple[Belief, Array, tuple[float, float]]:
     """The posture (n,) of those drawn in which a sweep of joint j needs least of the torques.
 
@@ -81,7 +89,9 @@ def lightest_posture(
     ConfigError
         A torque limit or a collision is in the way in all of them.
     """
-    postures, ends = reachable(belief, j, postures_of(belief.limits, POSTURES, rng), share, widest)
+    postures, ends = reachable(
+        belief, j, postures_of(belief.limits, most_postures, rng), share, widest
+    )
     for reduced in reduced_accelerations(belief):
         speed = top_speed(reduced.limits, j, float(ends[0, 1] - ends[0, 0]))
         load = overloads(reduced, j, postures, speed)
@@ -93,7 +103,7 @@ def lightest_posture(
     load = reduced.torque(swept, reduced.regressor(swept)).max(axis=(0, 1)) / reduced.limits.torque
     message = (
         f"a sweep of joint {names[j]!r} breaks the torque limit of joint"
-        f" {names[int(np.argmax(load))]!r} in all of {POSTURES} postures"
+        f" {names[int(np.argmax(load))]!r} in all of {most_postures} postures"
     )
     hint = "Correct effort in the URDF, or narrow position_limits in the robot file."
     raise ConfigError(message, where=str(belief.robot.source), hint=hint)

@@ -33,7 +33,6 @@ from seqid_cli.plan.stages.inertia import Planned
 from seqid_cli.plan.stages.predicted_errors import predicted_stage, rank_and_condition
 from seqid_cli.robot.types import Array
 
-POSTURES = 60  # drawn per joint
 SLOW = 0.3  # of the largest speed
 
 
@@ -86,12 +85,14 @@ def plan_gravity(
     )
 
 
-def _pool(belief: Belief, goal: Goal, rng: np.random.Generator) -> _Sweeps:
+def _pool(
+    belief: Belief, goal: Goal, rng: np.random.Generator, *, most_postures: int = 60
+) -> _Sweeps:
     """Sweeps of every joint that moves and that gravity loads, within the torque limits."""
     limits = belief.limits
     joints, postures, spans, moves, found = [], [], [], [], []
     for j in limits.moving:
-        drawn, ends = reachable(belief, j, postures_of(limits, POSTURES, rng), 1.0, 0.5)
+        drawn, ends = reachable(belief, j, postures_of(limits, most_postures, rng), 1.0, 0.5)
         fit = overloads(belief, j, drawn, SLOW * limits.speed[j]) <= 1.0
         drawn, ends = drawn[fit], ends[fit]
         if not len(drawn):

@@ -25,7 +25,6 @@ from seqid_cli.plan.stages.predicted_errors import predicted_stage
 from seqid_cli.plan.stages.refine import refine
 from seqid_cli.robot.types import Array
 
-DENSE_HZ = 200.0  # of the samples on which the limits of the final moves are held
 OVERLOADED = "no move of {count} keeps the torque limit of joint {joint!r}: {torque:.4g} {unit}"
 
 
@@ -118,13 +117,13 @@ def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
 
 
 def within_limits(
-    belief: Belief, drawn: Drawn, options: PlanOptions, *, most: int = 40
+    belief: Belief, drawn: Drawn, options: PlanOptions, *, most: int = 40, dense_hz: float = 200.0
 ) -> tuple[Drawn, Moves]:
     """Make moves smaller until torques hold on dense samples and nothing is touched.
 
     Those that touch something even when they are small are left out.
     """
-    shapes = Shapes.over(options.length_s, DENSE_HZ)
+    shapes = Shapes.over(options.length_s, dense_hz)
     moves = shapes.moves(drawn, belief.limits)
     bad = _dense_faults(belief, moves)
     for _ in range(most):

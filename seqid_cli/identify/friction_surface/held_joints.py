@@ -88,10 +88,9 @@ class HeldJoints:
 
         `q` (K, n): positions at which it is asked for.
         """
-        found = np.zeros_like(q)
+        aside = np.zeros((self.robot.n, 1, self.robot.n))
         for k in np.flatnonzero(trial.count > 0.0):
-            if k != trial.joint:
-                aside = q + np.eye(self.robot.n)[k] * trial.count[k] / np.sqrt(12.0)
-                change = self.columns(trial.joint, aside) - self.columns(trial.joint, q)
-                found[:, k] = change @ self.theta
-        return found
+            aside[k, 0, k] = trial.count[k] / np.sqrt(12.0) if k != trial.joint else 0.0
+        places = np.concatenate([q[None], q + aside]).reshape(-1, self.robot.n)
+        torque = (self.columns(trial.joint, places) @ self.theta).reshape(-1, len(q))
+        return np.asarray((torque[1:] - torque[0]).T)

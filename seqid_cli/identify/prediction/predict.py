@@ -147,11 +147,8 @@ def encoder_notes(
         )
 
 
-def notes_on(model: TorqueModel, stages: Stages, share: Array) -> Iterator[str]:
-    """Say what a prediction lacks.
-
-    `share` (n,): of the samples at which a joint slides, those outside its identified friction.
-    """
+def notes_on(model: TorqueModel, stages: Stages, outside: Array, slower: Array) -> Iterator[str]:
+    """Say what a prediction lacks; shares (n,) of sliding samples `outside` friction, `slower`."""
     names = model.robot.joint_names
     if stages.inertia is None:
         yield "no inertia stage in the parameter file: inertial torque is taken as zero"
@@ -159,8 +156,8 @@ def notes_on(model: TorqueModel, stages: Stages, share: Array) -> Iterator[str]:
     if unknown:
         yield f"no friction in the parameter file, taken as zero: {', '.join(unknown)}"
     far = [
-        f"{name} {percent(part, 0)}"
-        for name, part in zip(names, share, strict=True)
+        f"{name} {percent(part, 0)}" + " (slower than its trials)" * bool(2.0 * slow > part)
+        for name, part, slow in zip(names, outside, slower, strict=True)
         if part > OUTSIDE_NOTE
     ]
     if far:
@@ -380,12 +377,14 @@ def _described(
     parts: Iterable[tuple[LogPrediction, Motion]], model: TorqueModel, stages: Stages
 ) -> Iterator[LogPrediction]:
     """The parts of a log, the last with its notes and where its motion is from."""
-    n, used = model.robot.n, False
-    slides, outside, moving = np.zeros(n), np.zeros(n), np.zeros(n, dtype=bool)
+    counts, used = np.zeros((3, model.robot.n)), False
+    moving = np.zeros(model.robot.n, dtype=bool)
+    slowest = np.array([0.0 if own is None else own.scaling.speed[0] for own in model.surfaces])
     for part, motion in parts:
         assert part.outside is not None
-        slides += part.sliding.sum(axis=0)
-        outside += part.outside.sum(axis=0)
+        assert part.dq is not None
+        slower = part.outside & (np.abs(part.dq) < slowest)
+        counts += [mask.sum(axis=0) for mask in (part.sliding, part.outside, slower)]
         moving |= motion.moving.any(axis=0)
         used |= bool(part.used.any())
         if not part.last:
@@ -393,6 +392,6 @@ def _described(
             continue
         if not used:
             raise too_short(part.path, part.cutoff_hz)
-        share = outside / np.maximum(slides, 1.0)
+        shares = counts[1:] / np.maximum(counts[0], 1.0)
         use = motion_use(part.path, model.robot, replace(motion, moving=moving[None]))
-        yield replace(part, notes=tuple(notes_on(model, stages, share)), motion=use)
+        yield replace(part, notes=tuple(notes_on(model, stages, *shares)), motion=use)

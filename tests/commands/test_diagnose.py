@@ -70,7 +70,6 @@ JOINTS = {
     "shoulder": structs.replace(FILE.joints["elbow"], tried=[DRIFT]),
     "elbow": FILE.joints["shoulder"],
 }
-QUIET = structs.replace(JOINTS["shoulder"], rmse=0.12, white=True, tried=[])
 FOUND = diagnosis_of(
     "effect_found",
     [STRIBECK, PAYLOAD],
@@ -86,7 +85,7 @@ FOUND = diagnosis_of(
     ],
     notes=["a remark"],
 )
-NOTHING = diagnosis_of("nothing_missing", joints={"shoulder": QUIET, "elbow": JOINTS["elbow"]})
+NOTHING = diagnosis_of("nothing_missing", joints=JOINTS)
 OPEN = diagnosis_of(
     "unexplained",
     unexplained=[CURVE, UnexplainedPart(joint="elbow", depends_on=[], share=0.3)],
@@ -238,47 +237,6 @@ def test_long_lists_are_for_those_who_ask(rig: Rig, library: Library) -> None:
     whole = rig.run(*BASE, "-v")
     assert whole.out.count("a.parquet") == 12
     assert "base_tilt" in whole.out
-
-
-@pytest.mark.parametrize(
-    ("found", "sentence", "following"),
-    [
-        (NOTHING, "Nothing is missing: what these logs leave of the torque is noise.", None),
-        (
-            structs.replace(NOTHING, joints=JOINTS),
-            "No effect was found, but not all that is left is noise"
-            " (shoulder: 3 times the noise floor, noise makes up to 1.3, not white).",
-            None,
-        ),
-        (
-            structs.replace(NOTHING, joints={"elbow": structs.replace(QUIET, white=False)}),
-            "No effect was found. What is left is no larger than slow noise may be, but it is not"
-            " white (elbow).",
-            None,
-        ),
-        (
-            OPEN,
-            "Something is missing that no known effect explains (shoulder: position,"
-            " other_joint:elbow; elbow: nothing that was logged).",
-            "-p p.json --with-unexplained -o refined.json",
-        ),
-        (
-            structs.replace(FOUND, unexplained=[]),
-            "The model lacks stribeck at elbow, payload.",
-            "-p p.json",
-        ),
-    ],
-)
-def test_verdicts_as_sentences(
-    rig: Rig, library: Library, found: DiagnosisFile, sentence: str, following: str | None
-) -> None:
-    library.result = found
-    done = rig.run(*BASE)
-    assert done.out.splitlines()[0] == sentence
-    if following is None:
-        assert "next:" not in done.err
-    else:
-        assert following in done.err
 
 
 @pytest.mark.parametrize(("found", "strict"), [(FOUND, 1), (OPEN, 1), (NOTHING, 0)])

@@ -20,15 +20,6 @@ COLUMNS = ("joint", "error", "verdict")
 ROWS = [("elbow", "0.125", "good"), ("wrist_1", "12", "poor: noisy [a]"), ("w", "-", "-")]
 
 
-def test_a_plain_table_is_aligned() -> None:
-    assert format_table(COLUMNS, ROWS) == (
-        "joint    error  verdict\n"
-        "elbow    0.125  good\n"
-        "wrist_1     12  poor: noisy [a]\n"
-        "w            -  -\n"
-    )
-
-
 def test_a_table_fits_the_screen_and_no_number_is_cut() -> None:
     columns = ["file", *(f"standard error of {k}" for k in range(8)), "verdict"]
     numbers = [f"{-3.0905e-08 * 10**k:.5g}" for k in range(8)]

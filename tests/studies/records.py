@@ -28,7 +28,6 @@ def results(
     path: Path | None,
     *,
     sources: str = "",
-    any_sources: bool = False,
     run: bool = True,
     limit: int | None = None,
     processes: int = 1,
@@ -48,7 +47,7 @@ def results(
     path : Path or None
         Where results are kept, one JSON line for each; None keeps nothing.
     sources : str
-        Hash of what decides a result; results of other sources count only with `any_sources`.
+        Hash of what decides a result; results of other sources do not count.
     run, limit
         Whether to run cases, and how many at most.
     told, failed : callable
@@ -59,7 +58,7 @@ def results(
     dict of str to R
         Results of the cases that have one, in the order of the cases.
     """
-    kept = {key: r for key, made_by, r in _lines(path, kind) if any_sources or made_by == sources}
+    kept = {key: r for key, made_by, r in _lines(path, kind) if made_by == sources}
     left = [key for key in cases if key not in kept or failed(kept[key])] if run else []
     left = [left[k] for k in np.random.default_rng(0).permutation(len(left))][:limit]
     made = mapped(work, {key: cases[key] for key in left}, processes)

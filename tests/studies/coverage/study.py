@@ -44,7 +44,6 @@ def study(chosen: Namespace) -> str:
             Result,
             chosen.cache / "coverage" / f"{rig}.jsonl",
             sources=program,
-            any_sources=chosen.any_sources,
             run=not chosen.tables,
             processes=chosen.processes,
             told=lambda result: f"{result['cpu_s']} s {result.get('failed', '')}",
@@ -58,7 +57,7 @@ def study(chosen: Namespace) -> str:
 def whole(chosen: Namespace) -> bool:
     """Whether these are the tables of the document."""
     parts = (chosen.rig, chosen.seeds)
-    return not (chosen.quick or chosen.any_sources or any(parts))
+    return not (chosen.quick or any(parts))
 
 
 def summary(results: Sequence[Result], program: str) -> str:

@@ -30,7 +30,7 @@ from tests.plants.planned import recorded
 from tests.plants.robots.lab import robot_of, run
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant
-from tests.studies.rigs.variants import another
+from tests.studies.rigs.repetition import another
 from tests.studies.tables import number, share_within, table
 
 SEED, ARMS, DRAWS = 77, 3, 2

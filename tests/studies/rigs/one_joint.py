@@ -24,8 +24,7 @@ from tests.plants.robots.identified import before_inertia, with_inertia
 from tests.plants.robots.lab import Experiment, run
 from tests.plants.simulate import Plant
 from tests.studies.rigs.bound import Knowledge, bounds
-from tests.studies.rigs.repetition import predicted
-from tests.studies.rigs.variants import another
+from tests.studies.rigs.repetition import another, predicted
 from tests.studies.tables import number, rms, spread, table
 
 Array = NDArray[np.float64]

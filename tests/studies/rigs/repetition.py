@@ -1,16 +1,19 @@
-"""One rig built anew: its logs, its stages, and what they predict of held-out logs."""
+"""One rig built anew, and what its stages predict of held-out logs."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.params.schema import Stages
+from tests.plants.arms.rigs import mounting
+from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.robots.identified import HeldOut, held_out, noise_floor, simultaneous
 from tests.plants.robots.lab import Experiment
+from tests.plants.simulate import Plant
 
 Array = NDArray[np.float64]
 
@@ -32,3 +35,13 @@ def predicted(experiment: Experiment, stages: Stages) -> Predicted:
     classical = simultaneous(training, robot, stages.imu)
     together = held_out(logs["validation"], robot, classical, options)
     return Predicted(own, together, noise_floor(experiment, "validation", own.cutoff_hz))
+
+
+def another(plant: Plant, rng: np.random.Generator) -> Plant:
+    """Draw the friction's phases and the arrays' mountings; everything else stays."""
+    friction = plant.friction
+    if not isinstance(friction, SurfaceFriction):
+        raise TypeError(f"friction is a {type(friction).__name__}, not a SurfaceFriction")
+    imus = tuple(replace(imu, rotation=mounting(*rng.uniform(-1.2, 1.2, 3))) for imu in plant.imus)
+    phase = rng.uniform(-np.pi, np.pi, friction.phase.shape)
+    return replace(plant, friction=replace(friction, phase=phase), imus=imus)

@@ -24,8 +24,7 @@ from tests.plants.robots.identified import sequential
 from tests.plants.robots.lab import run, true_standard, true_value
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant
-from tests.studies.rigs.repetition import Predicted, predicted
-from tests.studies.rigs.variants import another
+from tests.studies.rigs.repetition import Predicted, another, predicted
 from tests.studies.tables import number, rms, share_within, table
 
 Array = NDArray[np.float64]

@@ -30,7 +30,7 @@ from tests.plants.robots.identified import before_inertia, with_inertia
 from tests.plants.robots.lab import Experiment, run
 from tests.plants.sensors import Faults
 from tests.plants.simulate import Plant
-from tests.studies.rigs.variants import another
+from tests.studies.rigs.repetition import another
 from tests.studies.tables import number, table
 
 Array = NDArray[np.float64]

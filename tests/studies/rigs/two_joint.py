@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.model.friction import FrictionSurface
@@ -24,8 +23,7 @@ from tests.plants.motions.experiments import (
 from tests.plants.robots.identified import sequential
 from tests.plants.robots.lab import run, true_standard, true_value
 from tests.plants.simulate import Plant
-from tests.studies.rigs.repetition import predicted
-from tests.studies.rigs.variants import another
+from tests.studies.rigs.repetition import another, predicted
 from tests.studies.tables import number, rms, spread, table
 
 Array = NDArray[np.float64]
@@ -60,7 +58,6 @@ class Repetition:
     error: dict[str, float]
     z: dict[str, float]
     surface: dict[tuple[str, str], SurfaceError]  # by orders and joint
-    refused: dict[str, str]
     torque: dict[str, Array]  # RMSE N m over all samples, per joint
 
 
@@ -84,18 +81,13 @@ def repetition(number_of: int) -> Repetition:
     assert stages.inertia is not None
     error, z = table_iv(plant, stages.inertia)
     surface: dict[tuple[str, str], SurfaceError] = {}
-    refused: dict[str, str] = {}
     for label, orders in ORDERS.items():
-        try:
-            fitted = identify_friction(logs["friction"], robot, options=orders)
-        except QualityError as problem:
-            refused[label] = str(problem)
-            continue
+        fitted = identify_friction(logs["friction"], robot, options=orders)
         for j, joint in enumerate(plant.arm.names):
             surface[label, joint] = surface_error(plant, fitted, j)
     found = predicted(experiment, stages)
     torque = {"sequential": found.sequential.every, "simultaneous": found.simultaneous.every}
-    return Repetition(error, z, surface, refused, torque | {"noise": found.floor})
+    return Repetition(error, z, surface, torque | {"noise": found.floor})
 
 
 def table_iv(plant: Plant, stage: RigidStage) -> tuple[dict[str, float], dict[str, float]]:
@@ -144,14 +136,8 @@ def study(chosen: Namespace) -> str:
     """All tables of this rig."""
     repetitions = 1 if chosen.quick else REPETITIONS
     found = [repetition(k) for k in range(repetitions)]
-    parts = [
-        f"{repetitions} rigs; errors in % of the true value.",
-        parameter_table(found),
-        friction_table(found),
-        torque_table(found),
-    ]
-    refusals = sorted({f"{label}: {why}" for r in found for label, why in r.refused.items()})
-    return "\n\n".join([*parts, *refusals])
+    said = f"{repetitions} rigs; errors in % of the true value."
+    return "\n\n".join([said, parameter_table(found), friction_table(found), torque_table(found)])
 
 
 def parameter_table(found: list[Repetition]) -> str:
@@ -172,21 +158,12 @@ def friction_table(found: list[Repetition]) -> str:
     rows = []
     for label in ORDERS:
         for joint in two_joint().arm.names:
-            errors = [r.surface[label, joint] for r in found if (label, joint) in r.surface]
-            if not errors:
-                rows.append([f"{joint}, {label}", *["-"] * 3, f"0 of {len(found)}"])
-                continue
+            errors = [r.surface[label, joint] for r in found]
             orders = "; ".join(sorted({f"{m}, {l}" for m, l in (e.orders for e in errors)}))
-            rows.append(
-                [
-                    f"{joint}, {label}",
-                    number(100 * float(np.median([e.rms for e in errors]))),
-                    number(100 * max(e.worst for e in errors)),
-                    orders,
-                    f"{len(errors)} of {len(found)}",
-                ]
-            )
-    header = ["friction surface", "median of RMS error %", "largest error %", "m, l", "identified"]
+            middle = number(100 * float(np.median([e.rms for e in errors])))
+            worst = number(100 * max(e.worst for e in errors))
+            rows.append([f"{joint}, {label}", middle, worst, orders])
+    header = ["friction surface", "median of RMS error %", "largest error %", "m, l"]
     return table(header, rows)
 
 

@@ -47,7 +47,6 @@ class Choice:
     cache: Path
     processes: int = 1
     run: bool = True  # else what is there
-    any_sources: bool = False
     limit: int | None = None
 
 
@@ -92,7 +91,6 @@ def run(choice: Choice) -> list[Record]:
         Record,
         choice.cache / "undeclared.jsonl",
         sources=sources(),
-        any_sources=choice.any_sources,
         run=choice.run,
         limit=choice.limit,
         processes=choice.processes,

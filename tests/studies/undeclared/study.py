@@ -45,9 +45,6 @@ def add_arguments(parser: ArgumentParser) -> None:
     own.add_argument("--groups", nargs="+", choices=get_args(Group), help="parts of the study")
     own.add_argument("--limit", type=int, metavar="N", help="at most N new cases this time")
     own.add_argument("--tables", action="store_true", help="no runs, tables of what is there")
-    own.add_argument(
-        "--any-sources", action="store_true", help="results of an older package count as well"
-    )
 
 
 def choice_of(arguments: Namespace) -> Choice:
@@ -60,7 +57,6 @@ def choice_of(arguments: Namespace) -> Choice:
         cache=arguments.cache,
         processes=arguments.processes,
         run=not arguments.tables,
-        any_sources=arguments.any_sources,
         limit=arguments.limit,
     )
 

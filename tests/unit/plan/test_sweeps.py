@@ -18,7 +18,7 @@ from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.moves.strokes import profile, seconds_of
 from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.friction import SPEEDS, plan_friction
+from seqid_cli.plan.stages.friction import plan_friction
 from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.imu import POSTURES, plan_imu
 from seqid_cli.plan.stages.validation import plan_validation
@@ -73,7 +73,7 @@ def test_friction_sweeps_every_joint_both_ways_over_its_range(belief: Belief) ->
     assert [move.joints[0] for move in planned.moves] == list(belief.robot.joint_names)
     for j, move in enumerate(planned.moves):
         assert_within_limits(belief, move)
-        assert len(move.strokes) == 2 * SPEEDS
+        assert len(move.strokes) == 2 * 10  # ten speeds per joint, both ways
         there, back = move.strokes[0], move.strokes[1]
         assert (there.start, there.end) == (back.end, back.start)
         assert (there.start, there.end) == (belief.limits.lower[j], belief.limits.upper[j])

@@ -30,6 +30,7 @@ from seqid_cli.discover.notes import (
     outside_notes,
     shown_offsets,
     taken_in_notes,
+    touched,
 )
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.rivals import rivals_of, tried_at
@@ -109,8 +110,8 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
         findings.append(_contact(found, robot))
     findings = [one for one in findings if one.confidence >= TOLD]
     findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
-    if not findings and not rest:
-        rest = [_excess(found, robot, one) for one in excess]
+    found_at = touched(found)
+    rest += [_excess(found, robot, one) for one in excess if one.joint not in found_at]
     offsets = shown_offsets(found)
     named_already = {part.joint for part in rest}
     named_already |= {robot.joint_names[j] for j in (*offsets, *(one.joint for one in excess))}

@@ -46,12 +46,14 @@ class DriveRows:
     def part(self, joint: int, channel: int, size: float, *, disagree: float = 0.05) -> Part:
         """What is free beside friction; `size` [N m] is what the file leaves.
 
-        By `disagree` motor and sensor may tell another torque.
+        By `disagree` motor and sensor may tell another torque: the robot file says so, by its
+        torque constants, and what leaves it tells against the file.
         """
         X = self.columns[joint]
-        bound = np.sqrt(np.mean(X**2, axis=0)) / (LIKELY * size)
-        bound[0] = 1.0 / disagree
-        return Part({channel: X}, np.diag(bound**2))
+        likely = np.mean(X**2, axis=0) / (LIKELY * size) ** 2
+        own, of_file = np.diag(likely), np.diag([disagree**-2.0, 0.0, 0.0])
+        own[0, 0] = 0.0
+        return Part({channel: X}, own + of_file, own)
 
 
 def drive_rows(rows: Rows) -> DriveRows:

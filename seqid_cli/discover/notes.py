@@ -95,10 +95,10 @@ def file_notes(
 
     Those that findings touch or that are `named` elsewhere are not among them.
     """
-    notes, touched = [], _touched(found)
+    notes, found_at = [], touched(found)
     for j, left in enumerate(np.minimum(found.model.rms(), found.start)):
         name, times = robot.joint_names[j], found.start[j] / max(ordinary[j], 1e-12)
-        if times <= EXCESS or j in touched or name in named:
+        if times <= EXCESS or j in found_at or name in named:
             continue
         anew = left / max(ordinary[j], 1e-12)
         many = f"joint {name}: the file leaves {times:.1f} times what torque noise and encoder do"
@@ -128,11 +128,11 @@ def free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
 
     By as much of the squared error as an effect must gain.
     """
-    touched, left = _touched(found), found.model.rms()
+    found_at, left = touched(found), found.model.rms()
     worse = [
         f"{joint.name} ({left[j]:.3g} against {found.start[j]:.3g} {joint.unit('N m')})"
         for j, joint in enumerate(robot.joints)
-        if j not in touched and _fits_worse(found, j)
+        if j not in found_at and _fits_worse(found, j)
     ]
     if not worse:
         return ()
@@ -217,6 +217,6 @@ def shown_offsets(found: Investigation) -> dict[int, float]:
     return shown
 
 
-def _touched(found: Investigation) -> set[int]:
+def touched(found: Investigation) -> set[int]:
     """Joints that something was found at."""
-    return {c for taken in found.found.taken for c in taken.term.channels}
+    return {c % found.ground.n for taken in found.found.taken for c in taken.term.channels}

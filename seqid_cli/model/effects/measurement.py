@@ -56,13 +56,16 @@ def touched(scene: Scene, joint: Joint) -> list[int]:
 
 
 def of_modelled(scene: Scene, joint: Joint, function: Callable[[Array], Array]) -> Columns:
-    """Columns function(tau) of the modelled torque, ready for one more low-pass.
+    """Columns function(tau) of the torque as it should be, ready for one more low-pass.
+
+    It is modelled, but for the load of a joint that a torque sensor measures.
 
     Rigid torque comes from motion that was low-passed once, friction has steps: what friction adds
     to the column is low-passed once here, so that one pass more treats both like measured torque.
     """
     which = touched(scene, joint)
-    smooth = function(scene.rigid[:, which])
-    stepped = scene.motion.filtered(function(scene.modelled[:, which]) - smooth)
+    carried = scene.carried[:, which]
+    smooth = function(carried)
+    stepped = scene.motion.filtered(function(carried + scene.friction[:, which]) - smooth)
     total = smooth + stepped
     return {j: total[:, [k]] for k, j in enumerate(which)}

@@ -124,6 +124,11 @@ class Scene:
         return self.rigid - self.gear**2 * rotor * self.motion.ddq
 
     @cached_property
+    def carried(self) -> Array:
+        """Torque (N, n) N m of links and rotors: modelled, but for a load that is measured."""
+        return self.rigid if self.sensor is None else self.rigid - self.modelled_load + self.sensor
+
+    @cached_property
     def friction(self) -> Array:
         """Modelled friction torque (N, n)."""
         return sampled_friction(self.model.surfaces, self.motion)

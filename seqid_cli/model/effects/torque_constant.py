@@ -22,7 +22,7 @@ class TorqueConstant(TorqueMeasurement):
     family = "measurement"
     drive = True
     change = True
-    linear = (Coefficient("relative_error", "1", low=-0.5, high=1.0),)
+    linear = (Coefficient("relative_error", "1", low=-0.9, high=9.0),)
     alike = ("payload", "torque_saturation", "load_dependent_friction")
     separate_by = (
         "the same motion with and without a payload of known mass, as far out as the arm reaches: "

@@ -86,6 +86,14 @@ def test_a_loss_is_sharp_beside_a_link_that_the_model_does_not_know() -> None:
     assert error < 0.2 * without
 
 
+def test_that_motor_and_sensor_agree_is_said_by_the_file() -> None:
+    """What a torque constant saves of that counts, although the rows alone would do without it."""
+    part = drive_rows(rows_of(sensed(0.0, 0.0))).part(1, 5, 1.0, disagree=0.1)
+    assert part.apart is not None
+    np.testing.assert_allclose(part.precision - part.apart, np.diag([100.0, 0.0, 0.0]))
+    assert part.apart[0, 0] == 0.0
+
+
 @pytest.mark.parametrize("hung", [0.0, 1.0])
 def test_a_drive_that_lacks_nothing_has_no_finding(hung: float) -> None:
     drives = {"load_dependent_friction", "torque_saturation", "stribeck", "quadratic_drag"}

@@ -97,13 +97,17 @@ def test_load_friction_of_the_ur10e() -> None:
     ]
 
 
-def test_losses_of_the_xmate_beside_its_torque_sensors() -> None:
-    found = diagnosed(XMATE, ["train.parquet", "holdout.parquet"], most=4)
+@pytest.mark.parametrize("logs", [["train.parquet", "holdout.parquet"], ["train.parquet"]])
+def test_losses_of_the_xmate_beside_its_torque_sensors(logs: Sequence[str]) -> None:
+    found = diagnosed(XMATE, logs, most=4)
     # with the sensor as the measured load, others found 0.089 and 0.108
     for joint, coefficient in (("joint_2", 0.089), ("joint_4", 0.108)):
         loss = named(found, "load_dependent_friction", joint)
         assert value(loss, "load_coefficient") == pytest.approx(coefficient, rel=0.25)
-    assert {f.joint for f in found.findings} == {"joint_2", "joint_4"}
+    # the motor of joint 3 tells 0.4 of its sensor's torque, by a line through both
+    gain = value(named(found, "torque_constant", "joint_3"), "relative_error")
+    assert gain == pytest.approx(-0.6, abs=0.25)
+    assert {f.joint for f in found.findings} == {"joint_2", "joint_3", "joint_4"}
 
 
 def test_nothing_is_told_of_joints_that_the_file_predicts_better() -> None:

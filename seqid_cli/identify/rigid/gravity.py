@@ -154,7 +154,7 @@ class GravityRows:
         return sum((np.outer(move, move) for move in moves), np.zeros_like(solution.bread))
 
 
-def _settled(trial: Trial, *, settling_s: float = 0.1, most_share: float = 0.125) -> Mask:
+def _settled(trial: Trial, *, settling_s: float = 0.03, most_share: float = 0.125) -> Mask:
     """Slices (K,) at which a trial's joint no longer speeds up and does not slow down yet.
 
     `settling_s`: from either end, but no more than so much of the trial (`most_share`).

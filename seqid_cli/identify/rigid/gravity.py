@@ -73,9 +73,6 @@ def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stag
     return _stage(robot, basis, solution, cross)
 
 
-GROUP = 8  # slices of a trial that make a row
-
-
 class GravityRows:
     """Turns trials into rows of Eq. 19 and remembers how friction errors would enter them.
 
@@ -122,11 +119,16 @@ class GravityRows:
                 there = (group == k) & (log == number)
                 self._unseen += [(j, H.T @ (column * there)) for column in stood.T]
 
-    def _rows(self, trial: Trial, surface: FrictionSurface, about: list[int]) -> Array | None:
-        """Rows of one trial: H, F, where others stand, acceleration, torque, time, samples, ..."""
+    def _rows(
+        self, trial: Trial, surface: FrictionSurface, about: list[int], *, group_size: int = 8
+    ) -> Array | None:
+        """Rows of one trial: H, F, where others stand, acceleration, torque, time, samples, ...
+
+        So many slices (`group_size`) make a row.
+        """
         v = np.full(len(trial.q), trial.velocity)
         inside = _settled(trial) & ~surface.outside(trial.q, v)
-        count = int(inside.sum()) // GROUP
+        count = int(inside.sum()) // group_size
         if count == 0:
             return None
         q = trial.places[inside]

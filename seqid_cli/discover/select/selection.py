@@ -335,11 +335,28 @@ class Selection:
         return tuple(one.name for one in alike if one.possible(scenes, term.joint))
 
     def _of_a_law(self, one: Ranked) -> bool:
-        """Whether it takes away no more than the error of a law: a taken term's, or the model's."""
-        model, channels = self.model, one.term.channels
+        """Whether it takes away no more than the error of a law: a taken term's, or the model's.
+
+        Beside a term that looks like it and gains more that law is known less well.
+        """
+        model, channels, gain = self.model, one.term.channels, one.predicted.total
         others = [t for t in model.terms if t.channels & channels and t is not one.term]
-        laws = [self.options.law**2 * model.squares(t, channels) for t in others]
-        return model.is_detail(one.term) or 2.0 * one.predicted.total < max(laws, default=0.0)
+        laws = [self._known_to(t, one) ** 2 * model.squares(t, channels) for t in others]
+        return model.is_detail(one.term) or 2.0 * gain < max(laws, default=0.0)
+
+    def _known_to(self, term: Term, one: Ranked) -> float:
+        """Share of a term's torque to which its law is known, beside another term."""
+        like = _alike(term, one.term)
+        greater = like and _again(term, self.model).predicted.total > one.predicted.total
+        return self.options.likeness if greater else self.options.law
+
+
+def _alike(one: Term, other: Term) -> bool:
+    """Whether two effects look like each other."""
+    what, beside = one.what, other.what
+    if not (isinstance(what, Candidate) and isinstance(beside, Candidate)):
+        return False
+    return other.name in what.effect.alike or one.name in beside.effect.alike
 
 
 def _ranked(linear: Linear, tried: Sequence[Tried]) -> list[Ranked]:

@@ -99,6 +99,23 @@ def test_what_no_effect_explains_is_a_smooth_function() -> None:
     assert one.term.joint == 0
 
 
+def gain_and_losses(scene: Scene) -> Array:
+    """A motor that tells a third too much, and losses of a sixteenth of that."""
+    return np.asarray(
+        0.3 * scene.modelled[:, 0] + 0.02 * np.abs(scene.load[:, 0]) * scene.sign[:, 0]
+    )
+
+
+@pytest.mark.parametrize(("likeness", "told"), [(0.0, 2), (0.2, 1)])
+def test_the_lesser_of_two_that_look_alike_may_be_the_error_of_the_other(
+    likeness: float, told: int
+) -> None:
+    names, options = ("torque_constant", "load_dependent_friction"), Options(likeness=likeness)
+    found = selected(at_joint(0, gain_and_losses), names, options)
+    assert keys(found) == [("torque_constant", 0), ("load_dependent_friction", 0)][:told]
+    assert len(found.model.terms) == 2  # for the other one's sake
+
+
 @pytest.mark.slow
 def test_rivals_of_a_term_hold_it_first_and_what_hides_is_known(pair: Selected) -> None:
     for taken in pair.taken:

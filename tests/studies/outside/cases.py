@@ -27,6 +27,11 @@ Array = NDArray[np.float64]
 SPEEDS = np.array([0.08, 0.2, 0.45, 0.8])  # of the joint's limit
 FEWER = np.array([0.2, 0.45])
 EPOCH_S = 1.7e9
+ASTRAY = 1.0  # rad, m: from its motion, where a position loop does not hold the arm
+
+
+class AstrayError(ArithmeticError):
+    """Effect and position loop are unstable together: nobody records such a log."""
 
 
 class Recorder:
@@ -40,6 +45,9 @@ class Recorder:
         """Simulate a motion and write the log."""
         case, self.count = self.case, self.count + 1
         log = simulate(case.arm, motion, 100 * case.outline.seed + self.count, effects, self.clock)
+        asked = motion[:: round(len(motion) / len(log.q))][: len(log.q)]
+        if np.max(np.abs(log.q[: len(asked)] - asked)) > ASTRAY:
+            raise AstrayError("the arm has left its motion")
         start, self.clock = self.clock, self.clock + len(motion) * 1e-3 + 5.0
         suffix = "mcap" if case.outline.mcap else "parquet"
         path = self.folder / f"log_{self.count:02}.{suffix}"

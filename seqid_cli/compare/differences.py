@@ -14,16 +14,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 import numpy as np
 from msgspec.structs import replace
 
-from seqid_cli.compare.rule import (
-    Comparison,
-    Rule,
-    judged,
-    missing,
-    unlike,
-)
-from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.compare.rule import Comparison, Rule, judged, missing, unlike
+from seqid_cli.errors import UsageError
 from seqid_cli.model.friction import SLIDES, FrictionSurface
-from seqid_cli.params.document import present
+from seqid_cli.params.document import check_same_robot, present
 from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results.comparison import Difference
 from seqid_cli.params.results.diagnosis import DiagnosisFile
@@ -49,20 +43,7 @@ _KINDS = ("parameter", "prediction", "diagnosis")
 
 
 def compare(a: Source[Document], b: Source[Document], *, rule: Rule) -> Comparison:
-    """Compare two parameter, prediction or diagnosis files.
-
-    Parameters
-    ----------
-    a, b : Source
-        Two documents of one kind.
-
-    Raises
-    ------
-    UsageError
-        If they are of different kinds.
-    ConfigError
-        If they are about different robots.
-    """
+    """Compare two parameter, prediction or diagnosis files of one robot."""
     kind = _kind(a.content)
     if kind != _kind(b.content):
         raise UsageError(
@@ -76,11 +57,11 @@ def compare(a: Source[Document], b: Source[Document], *, rule: Rule) -> Comparis
             where=a.path,
             hint="Compare the parameter files that it was made from.",
         )
-    _same_robot(a, b)
-    notes = []
-    if a.content.robot.sha256 != b.content.robot.sha256:
-        notes.append("the robot files differ: geometry, limits or drives may have changed")
     left, right = a.content, b.content
+    check_same_robot((a.path, left.robot), (b.path, right.robot), "Compare results of one robot.")
+    notes = []
+    if left.robot.sha256 != right.robot.sha256:
+        notes.append("the robot files differ: geometry, limits or drives may have changed")
     if isinstance(left, ParameterFile) and isinstance(right, ParameterFile):
         found = list(_stages(left.stages, right.stages, rule))
         notes += _verdict_notes(left.stages, right.stages)
@@ -95,17 +76,6 @@ def _kind(content: Document) -> str:
     if isinstance(content, ParameterFile):
         return "parameter"
     return content.schema.removeprefix("seqid/").partition("@")[0]
-
-
-def _same_robot(a: Source[Document], b: Source[Document]) -> None:
-    mine, theirs = b.content.robot, a.content.robot
-    if (mine.name, mine.joints) != (theirs.name, theirs.joints):
-        raise ConfigError(
-            f"is about robot {mine.name!r} ({', '.join(mine.joints)}), "
-            f"but {a.path} about {theirs.name!r} ({', '.join(theirs.joints)})",
-            where=b.path,
-            hint="Compare results of one robot.",
-        )
 
 
 def _stages(a: Stages, b: Stages, rule: Rule) -> Iterator[Difference]:

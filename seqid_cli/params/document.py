@@ -123,6 +123,19 @@ def _file(
     )
 
 
+def check_same_robot(
+    first: tuple[str, schema.RobotId], other: tuple[str, schema.RobotId], hint: str
+) -> None:
+    """Refuse a document about another robot than the first; each is given with its path."""
+    (path, mine), (where, theirs) = first, other
+    if (theirs.name, theirs.joints) != (mine.name, mine.joints):
+        message = (
+            f"is about robot {theirs.name!r} ({', '.join(theirs.joints)}), "
+            f"but {path} about {mine.name!r} ({', '.join(mine.joints)})"
+        )
+        raise ConfigError(message, where=where, hint=hint)
+
+
 def join(files: Sequence[tuple[str, schema.ParameterFile]]) -> schema.ParameterFile:
     """Join parameter files of one robot, given with the names to use in messages.
 
@@ -137,13 +150,9 @@ def join(files: Sequence[tuple[str, schema.ParameterFile]]) -> schema.ParameterF
     stages: dict[str, object] = {}
     source: dict[str, str] = {}
     for name, file in files:
-        mine, theirs = file.robot, first.robot
-        if (mine.name, mine.joints) != (theirs.name, theirs.joints):
-            message = (
-                f"is about robot {mine.name!r} ({', '.join(mine.joints)}), "
-                f"but {first_name} about {theirs.name!r} ({', '.join(theirs.joints)})"
-            )
-            raise ConfigError(message, where=name, hint="Join files of one robot only.")
+        check_same_robot(
+            (first_name, first.robot), (name, file.robot), "Join files of one robot only."
+        )
         for stage, content in present(file.stages).items():
             if stages.setdefault(stage, content) != content:
                 message = f"its {stage} stage differs from that of {source[stage]}"

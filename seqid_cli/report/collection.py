@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal, TypeVar
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.params.document import join, present
+from seqid_cli.params.document import check_same_robot, join, present
 from seqid_cli.params.io import Document, Result, Source
 from seqid_cli.params.results.diagnosis import DiagnosisFile, ResidualEntry
 from seqid_cli.params.results.payload import PayloadFile
@@ -94,11 +94,6 @@ class Collection:
         own = (d.content for d in self.diagnoses if {x.sha256 for x in d.content.inputs} == logs)
         return next((file.joints[joint] for file in own if joint in file.joints), None)
 
-    def noise_floor(self, prediction: Prediction, joint: str) -> float | None:
-        """Return a joint's noise floor from a diagnosis of the prediction's own logs, N m or N."""
-        entry = self.residual(prediction, joint)
-        return None if entry is None else entry.noise_floor
-
     def model_of(self, prediction: Prediction) -> Model | None:
         """Return the model that a prediction was made with, if its file was given."""
         used = {item.sha256 for item in prediction.content.parameters}
@@ -121,45 +116,40 @@ class Collection:
             return name
         return f"{'after' if model.kind == 'refined' else 'before'}: {name}"
 
-    def trained_on(self, prediction: Prediction) -> frozenset[str]:
+    def trained_on(self, prediction: Prediction) -> set[str]:
         """Return the hashes of the logs that the model of a prediction was identified from.
 
         Where the parameter files it was made with were not given, those of all models count.
         """
         used = {item.sha256 for item in prediction.content.parameters}
         own = [s.content for s in of_kind(self.sources, ParameterFile) if s.sha256 in used]
-        files = own or [model.file for model in self.models]
-        return frozenset().union(*map(_learned_from, files))
+        found: set[str] = set()
+        for file in own or [model.file for model in self.models]:
+            held_out = file.closed_loop.held_out if file.closed_loop is not None else []
+            found |= {log.sha256 for log in file.inputs} - {log.sha256 for log in held_out}
+        return found
 
 
 def of_kind(documents: Iterable[Source[Document]], kind: type[D]) -> tuple[Source[D], ...]:
     """Return the documents of one kind."""
-    return tuple(
-        Source(item.path, item.sha256, item.content)
-        for item in documents
-        if isinstance(item.content, kind)
-    )
-
-
-def _learned_from(file: ParameterFile) -> set[str]:
-    held_out = file.closed_loop.held_out if file.closed_loop is not None else []
-    return {log.sha256 for log in file.inputs} - {log.sha256 for log in held_out}
+    found = (item for item in documents if isinstance(item.content, kind))
+    return tuple(found)  # type: ignore[arg-type]
 
 
 def collect(documents: Sources) -> Collection:
-    """Sort documents and make sure that they are about one robot and agree.
-
-    Raises
-    ------
-    ConfigError
-        There are none, they are about two robots, or a result was made with a parameter file that
-        has changed since. The message names the files.
-    """
+    """Sort documents and make sure that they are about one robot and agree."""
     if not documents:
         hint = "Name the JSON files that the stages wrote."
         raise ConfigError("no file given", hint=hint)
     unique = tuple({(item.path, item.sha256): item for item in documents}.values())
-    robot = _one_robot(unique)
+    robot = unique[0].content.robot
+    for item in unique[1:]:
+        first, other = (unique[0].path, robot), (item.path, item.content.robot)
+        check_same_robot(first, other, "Report on one robot at a time.")
+    if not 0 < len(robot.joints) == len(set(robot.joints)) <= _MOST_JOINTS:
+        message = f"$.robot.joints: must name 1 to {_MOST_JOINTS} joints, each once"
+        hint = "Run the command again that wrote it."
+        raise ConfigError(message, where=unique[0].path, hint=hint)
     _check_stale(unique)
     models = tuple(_models(of_kind(unique, ParameterFile)))
     found = Collection(
@@ -175,23 +165,6 @@ def collect(documents: Sources) -> Collection:
     ranks = {id(model): rank for rank, model in enumerate(models)}
     best = sorted(found.predictions, key=lambda p: ranks.get(id(found.model_of(p)), len(models)))
     return replace(found, predictions=tuple(best))
-
-
-def _one_robot(documents: Sources) -> RobotId:
-    first = documents[0]
-    mine = first.content.robot
-    for item in documents[1:]:
-        other = item.content.robot
-        if (other.name, other.joints) != (mine.name, mine.joints):
-            message = (
-                f"is about robot {other.name!r} ({', '.join(other.joints)}), "
-                f"but {first.path} about {mine.name!r} ({', '.join(mine.joints)})"
-            )
-            raise ConfigError(message, where=item.path, hint="Report on one robot at a time.")
-    if not 0 < len(mine.joints) == len(set(mine.joints)) <= _MOST_JOINTS:
-        message = f"$.robot.joints: must name 1 to {_MOST_JOINTS} joints, each once"
-        raise ConfigError(message, where=first.path, hint="Run the command again that wrote it.")
-    return mine
 
 
 def made_with(documents: Sources) -> Iterator[tuple[Source[Document], FileId]]:
@@ -231,22 +204,18 @@ def _kind(file: ParameterFile) -> Kind:
 
 
 def _models(files: Sequence[Parameters]) -> Iterator[Model]:
+    """Join the files of each kind that agree on all their stages; the fullest comes last."""
+    fullest = sorted(files, key=lambda item: -len(present(item.content.stages)))
     for kind in KINDS:
-        for branch in _branches([item for item in files if _kind(item.content) == kind]):
+        branches: list[list[Parameters]] = []
+        for given in [item for item in fullest if _kind(item.content) == kind]:
+            agreeing = (b for b in branches if all(_agree(given.content, x.content) for x in b))
+            if branch := next(agreeing, None):
+                branch.insert(0, given)
+            else:
+                branches.append([given])
+        for branch in branches:
             yield Model(kind, tuple(branch), join([(item.path, item.content) for item in branch]))
-
-
-def _branches(files: Sequence[Parameters]) -> list[list[Parameters]]:
-    """Files that agree on all their stages, together; in each the one that holds most is last."""
-    branches: list[list[Parameters]] = []
-    for given in sorted(files, key=lambda item: -len(present(item.content.stages))):
-        agreeing = (b for b in branches if all(_agree(given.content, x.content) for x in b))
-        branch = next(agreeing, None)
-        if branch is None:
-            branches.append([given])
-        else:
-            branch.insert(0, given)
-    return branches
 
 
 def _agree(one: ParameterFile, other: ParameterFile) -> bool:

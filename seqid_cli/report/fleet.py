@@ -34,13 +34,17 @@ def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str =
     """Return the page, with the verdict on the worst robot.
 
     `robots`: the documents of each robot, by its name. `title`: instead of the number of robots.
-
-    Raises
-    ------
-    ConfigError
-        The documents of a robot contradict each other.
     """
-    judged = [_judged(name, collect(documents)) for name, documents in robots.items()]
+    judged = []
+    for name, documents in robots.items():
+        found = collect(documents)
+        joints = found.predictions[0].content.joints if found.predictions else {}
+        errors = {
+            joint: (error.rmse, error.relative_rmse)
+            for joint, error in joints.items()
+            if error.rmse is not None and error.relative_rmse is not None
+        }
+        judged.append(_Robot(name, found, judge(found), errors))
     judged.sort(key=lambda robot: _WORST.index(robot.judgement.level))
     said = []
     for level in _WORST:
@@ -50,26 +54,15 @@ def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str =
     sentence = f"{plural(len(judged), 'robot')}. {'; '.join(said).capitalize()}."
     whole = Judgement(judged[0].judgement.level, sentence, (), tuple(points))
     groups = [_group(place, robot) for place, robot in enumerate(judged, start=1)]
-    files = [item.path for documents in robots.values() for item in documents]
     return Page(
         title or plural(len(robots), "robot"),
         [plural(sum(len(robot.found.sources) for robot in judged), "file")],
         whole,
         [_overview(judged, whole), Section("robots", "Robot by robot", groups=groups)],
         ", ".join(robots),
-        files,
+        [item.path for documents in robots.values() for item in documents],
         subject="Fleet",
     )
-
-
-def _judged(name: str, found: Collection) -> _Robot:
-    joints = found.predictions[0].content.joints if found.predictions else {}
-    errors = {
-        joint: (error.rmse, error.relative_rmse)
-        for joint, error in joints.items()
-        if error.rmse is not None and error.relative_rmse is not None
-    }
-    return _Robot(name, found, judge(found), errors)
 
 
 def _overview(robots: Sequence[_Robot], whole: Judgement) -> Section:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -94,16 +95,12 @@ def _page(documents: Sequence[Path], torques: Sequence[Path], title: str, by: By
 
 def _sorted(files: Sequence[Path], torques: Path | None) -> tuple[list[Path], list[Path]]:
     """Separate the torque tables from the documents, by their first bytes or names."""
-    tables = [path for path in files if path.suffix == ".parquet" or _is_parquet(path)]
+    tables = [path for path in files if path.suffix == ".parquet"]
+    for path in [path for path in files if path not in tables]:
+        # Whoever reads a file says what is wrong with it.
+        with contextlib.suppress(OSError, ValueError), path.open("rb") as file:
+            tables += [path] if file.read(4) == b"PAR1" else []
     documents = [path for path in files if path not in tables]
     if not documents:
         raise UsageError("no JSON file given", hint="Name the files that the stages wrote.")
     return documents, list(dict.fromkeys([*tables, *([torques] if torques else [])]))
-
-
-def _is_parquet(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            return file.read(4) == b"PAR1"
-    except (OSError, ValueError):
-        return False  # whoever reads it says what is wrong with it

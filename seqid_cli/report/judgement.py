@@ -6,16 +6,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from seqid_cli.params.results.diagnosis import (
-    DiagnosisFile,
-    UnexplainedPart,
-    beyond_noise,
-    nothing_found,
-    times_noise,
-)
+from seqid_cli.params.results.diagnosis import UnexplainedPart, nothing_found, times_noise
 from seqid_cli.params.results.report import TITLES
-from seqid_cli.params.schema import ClosedLoop, RigidStage, Stages, Verdict
-from seqid_cli.report.collection import Collection, Model, Prediction
+from seqid_cli.params.schema import ClosedLoop, Stages, Verdict
+from seqid_cli.report.collection import Collection, Prediction
 from seqid_cli.report.words import (
     command,
     effect_at,
@@ -121,11 +115,6 @@ def _errors(collection: Collection, item: Prediction) -> dict[str, float]:
     return found
 
 
-def _worst(collection: Collection, predictions: Iterable[Prediction]) -> tuple[str, float] | None:
-    errors = [pair for item in predictions for pair in _errors(collection, item).items()]
-    return max(errors, key=lambda pair: pair[1], default=None)
-
-
 def _sentence(
     level: Level, collection: Collection, independent: list[Prediction], points: list[Point]
 ) -> str:
@@ -134,7 +123,8 @@ def _sentence(
         more = sum(point.weight == "poor" for point in points) - 1
         rest = f", and {plural(more, 'more point')} below" if more else ""
         return f"Do not rely on this model yet: {first.text}{rest}."
-    worst = _worst(collection, independent)
+    errors = [pair for item in independent for pair in _errors(collection, item).items()]
+    worst = max(errors, key=lambda pair: pair[1], default=None)
     if worst is None:
         return (
             "Nothing here shows how well the model predicts logs that it was not identified from."
@@ -209,25 +199,19 @@ def _stage_points(collection: Collection, judged: bool) -> Iterator[Point]:
             what = f"{name} of {verdict.joint}" if verdict.joint else f"the {name} stage"
             yield Point("open" if judged else "poor", f"{what}: {verdict.reason}", model.path)
     for name, stage in (("gravity", model.stages.gravity), ("inertia", model.stages.inertia)):
-        yield from _not_excited(name, stage, model)
+        if stage is not None and stage.not_excited:
+            text = f"not determined by the {name} logs: {listed(stage.not_excited)}"
+            yield Point("open", text, model.path, "Record motions that excite them.")
+        if stage is not None and stage.missing_pairs:
+            pairs = [" with ".join(pair) for pair in stage.missing_pairs]
+            text = f"joints that never moved together: {listed(pairs)}"
+            yield Point("open", text, model.path, "Record these pairs, two joints at a time.")
 
 
 def unconfirmed(loop: ClosedLoop) -> list[str]:
     """Return, in words, what the held-out logs do not confirm: a sentence or none."""
     names = [effect_at(item.effect, item.joint) for item in loop.unconfirmed]
     return [f"the held-out logs do not confirm {listed(names)}"] if names else []
-
-
-def _not_excited(name: str, stage: RigidStage | None, model: Model) -> Iterator[Point]:
-    if stage is None:
-        return
-    if stage.not_excited:
-        text = f"not determined by the {name} logs: {listed(stage.not_excited)}"
-        yield Point("open", text, model.path, "Record motions that excite them.")
-    if stage.missing_pairs:
-        pairs = [" with ".join(pair) for pair in stage.missing_pairs]
-        text = f"joints that never moved together: {listed(pairs)}"
-        yield Point("open", text, model.path, "Record these pairs, two joints at a time.")
 
 
 def stage_verdicts(stages: Stages) -> list[tuple[str, Verdict]]:
@@ -271,7 +255,7 @@ def _diagnosis_points(collection: Collection) -> Iterator[Point]:
                     f"explains {percent(finding.explains, 0)} of the residual above the noise)"
                 )
                 yield Point("open", text, item.path, command=refine)
-        if file.verdict == "nothing_missing" and _leaves_more(file):
+        if file.verdict == "nothing_missing" and file.leaves_more:
             yield Point("open", nothing_found(file), item.path)
         for part in file.unexplained:
             yield Point("open", f"{unexplained(part)}, but fits no known effect", item.path)
@@ -314,30 +298,20 @@ def _support(collection: Collection, independent: list[Prediction]) -> Iterator[
             )
     for diagnosis in collection.diagnoses:
         file, path = diagnosis.content, short_path(diagnosis.path)
-        if file.verdict == "nothing_missing" and not _leaves_more(file):
+        if file.verdict == "nothing_missing" and not file.leaves_more:
             logs = plural(len(file.inputs), "log")
             yield f"What {logs} leave of the torque is noise: nothing is missing ({path})."
-    yield from _closed_loop(collection)
-
-
-def _leaves_more(file: DiagnosisFile) -> bool:
-    return any(map(beyond_noise, file.joints.values()))
-
-
-def _closed_loop(collection: Collection) -> Iterator[str]:
     for model in collection.models:
         loop = model.file.closed_loop
         if loop is None or not loop.rounds or loop.verdict == "poor":
             continue
         added = listed([effect_at(item.effect, item.joint) for item in loop.rounds])
-        best = max(
-            ((limits[0], joint) for joint, limits in loop.gain_interval.items() if limits),
-            default=None,
-        )
+        gains = [(limits[0], joint) for joint, limits in loop.gain_interval.items() if limits]
+        gain, joint = max(gains, default=(0.0, ""))
         proof = ""
-        if best is not None and best[0] > 0.0:
+        if gain > 0.0:
             proof = (
-                f"; on held-out logs the error variance of {best[1]} falls by at least "
-                f"{percent(best[0], 0)} (95 %)"
+                f"; on held-out logs the error variance of {joint} falls by at least "
+                f"{percent(gain, 0)} (95 %)"
             )
         yield f"Refinement added {added}{proof}."

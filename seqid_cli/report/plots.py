@@ -38,8 +38,14 @@ class Drawing:
         """Return the figures in a frame of their own, with the report's style."""
         from seqid_cli.report.page import resource
 
-        style = f"<style>{resource('style.css')} figure{{max-width:{_WIDTH}px}}</style>"
-        page = style + "".join(map(_figure, self.figures))
+        page = f"<style>{resource('style.css')} figure{{max-width:{_WIDTH}px}}</style>"
+        for figure in self.figures:
+            keys = "".join(
+                f'<span><span class="key {key.style}"></span>{escape(key.text)} </span>'
+                for key in figure.legend
+            )
+            title = f"<figcaption>{escape(figure.title)}</figcaption>"
+            page += f"<figure>{title}{figure.drawing}{keys}</figure>"
         frame = f'width="100%" height="{_HEIGHT * len(self.figures)}" style="border:0"'
         return f'<iframe srcdoc="{escape(page)}" {frame}></iframe>'
 
@@ -109,11 +115,3 @@ def _collection(file: ParameterFile | DiagnosisFile) -> Collection:
     from seqid_cli.report.collection import collect
 
     return collect([Source("", "", file)])
-
-
-def _figure(figure: Figure) -> str:
-    keys = "".join(
-        f'<span><span class="key {key.style}"></span>{escape(key.text)} </span>'
-        for key in figure.legend
-    )
-    return f"<figure><figcaption>{escape(figure.title)}</figcaption>{figure.drawing}{keys}</figure>"

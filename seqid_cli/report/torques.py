@@ -5,7 +5,8 @@ Imports numpy and pyarrow: only for use inside a command's body.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import contextlib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,6 +30,7 @@ _MOTION = ("position", "velocity")
 _MOST_ROWS = 200_000_000
 _MOST_LOGS = 10_000
 _HINT = "Name the Parquet file that seqid predict wrote with --torques."
+_AGAIN = "Run seqid predict again."
 
 
 @dataclass(frozen=True)
@@ -68,120 +70,96 @@ class TorqueTable:
     def open(cls, path: Path, collection: Collection) -> TorqueTable:
         """Open a torque file and check it against the documents.
 
-        Raises
-        ------
-        InputError
-            It is unreadable, lacks the columns of a torque file, or is of another robot or of other
-            logs than the prediction.
+        Raises InputError: it is unreadable, lacks the columns of a torque file, or is of another
+        robot or of other logs than the prediction.
         """
-        where = str(path)
-        file = _guarded(path)
-        columns = _float_columns(file, where)
-        joints = tuple(
-            name
-            for name in collection.robot.joints
-            if all(f"{name}.{kind}" in columns for kind in _KINDS)
-        )
-        _check_joints(joints, columns, collection, where)
+        file, columns = _opened(path)
+        robot = collection.robot
+        there = {name.removesuffix(".predicted") for name in columns if name.endswith(".predicted")}
+        joints = tuple(x for x in robot.joints if columns >= {f"{x}.{kind}" for kind in _KINDS})
+        if not joints or there - set(joints):
+            message = (
+                f"is about joints {', '.join(sorted(there | set(joints))) or '(none)'}, but "
+                f"{collection.sources[0].path} about robot {robot.name!r} "
+                f"({', '.join(robot.joints)})"
+            )
+            hint = "Give the torques of the same robot."
+            raise InputError(message, where=str(path), hint=hint)
         rows = _log_rows(path)
-        prediction = _whose(file, rows, collection.predictions, where)
-        return cls(where, prediction, joints, rows, frozenset(columns))
+        prediction = _whose(file, rows, collection.predictions, str(path))
+        return cls(str(path), prediction, joints, rows, frozenset(columns))
 
     def series(self, joint: str) -> list[Series]:
         """Read one joint, log by log.
 
-        Raises
-        ------
-        InputError
-            Time is not finite or goes back, or a value is infinite.
+        Raises InputError: time is not finite or goes back, or a value is infinite.
         """
-        own = {kind: f"{joint}.{kind}" for kind in (*_KINDS, *_MOTION, *_REST, "sliding")}
-        own = {"t": "t", "used": "used", **own}
-        there = {kind: name for kind, name in own.items() if name in self.columns}
+        kinds = (*_KINDS, *_MOTION, *_REST, "sliding")
+        names = {"t": "t", "used": "used", **{kind: f"{joint}.{kind}" for kind in kinds}}
+        there = {kind: name for kind, name in names.items() if name in self.columns}
         table = _read(Path(self.path), list(there.values()))
         values = {kind: _numbers(table, name, self.path) for kind, name in there.items()}
-        return [
-            self._one(log, {kind: value[rows] for kind, value in values.items()})
-            for log, rows in self.rows.items()
-        ]
-
-    def _one(self, log: str, own: Mapping[str, Array]) -> Series:
-        t, torque = own["t"], own["torque"]
-        if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0.0):
-            message = f"t is missing or goes back in {log}"
-            raise InputError(message, where=self.path, hint="Run seqid predict again.")
-        low, high = (own.get(kind, np.full(len(t), np.nan)) for kind in _REST)
-        used, sliding = (own.get(name, np.ones(len(t))) > 0.0 for name in ("used", "sliding"))
-        # NaN bounds, where the joint slides, leave the residual as it is.
-        nearest = np.fmin(np.fmax(torque, low), high)
-        known = np.isnan(low) | np.isnan(torque)
-        residual = np.where(known, own["residual"], torque - nearest)
-        motion = [own.get(kind) for kind in _MOTION]
-        return Series(log, t, torque, own["predicted"], residual, used, sliding, low, high, *motion)
+        found = []
+        for log, rows in self.rows.items():
+            own = {kind: value[rows] for kind, value in values.items()}
+            t, torque = own["t"], own["torque"]
+            if not np.all(np.isfinite(t)) or np.any(np.diff(t) < 0.0):
+                message = f"t is missing or goes back in {log}"
+                raise InputError(message, where=self.path, hint=_AGAIN)
+            low, high = (own.get(kind, np.full(len(t), np.nan)) for kind in _REST)
+            used, sliding = (own.get(name, np.ones(len(t))) > 0.0 for name in ("used", "sliding"))
+            # NaN bounds, where the joint slides, leave the residual as it is.
+            nearest = np.fmin(np.fmax(torque, low), high)
+            known = np.isnan(low) | np.isnan(torque)
+            left = np.where(known, own["residual"], torque - nearest)
+            motion = [own.get(kind) for kind in _MOTION]
+            one = Series(log, t, torque, own["predicted"], left, used, sliding, low, high, *motion)
+            found.append(one)
+        return found
 
 
 def find_torques(prediction: Prediction, collection: Collection) -> TorqueTable | None:
     """Open the `torques.parquet` beside a prediction, if there is one and it is of this one."""
     path = Path(prediction.path).with_name("torques.parquet")
-    if not path.is_file():
-        return None
-    try:
-        table = TorqueTable.open(path, replace(collection, predictions=(prediction,)))
-    except InputError:
-        return None
-    return table
+    with contextlib.suppress(InputError):
+        return TorqueTable.open(path, replace(collection, predictions=(prediction,)))
+    return None
 
 
-def _guarded(path: Path) -> pq.ParquetFile:
+def _opened(path: Path) -> tuple[pq.ParquetFile, set[str]]:
+    """A torque file and its columns of numbers."""
     where = str(path)
     if not path.is_file():
         what = "is not a file" if path.exists() else "does not exist"
         raise InputError(what, where=where, hint=_HINT)
-    try:
+    with _readable(where, "cannot be read as Parquet", _HINT):
         file = opened_table(path)
-    except ARROW_ERRORS as error:
-        message = f"cannot be read as Parquet: {_first_line(error)}"
-        raise InputError(message, where=where, hint=_HINT) from error
     if not 0 < file.metadata.num_rows <= _MOST_ROWS:
         message = f"has {file.metadata.num_rows} rows; 1 to {_MOST_ROWS} can be shown"
         raise InputError(message, where=where, hint="Predict fewer logs at a time.")
-    return file
-
-
-def _float_columns(file: pq.ParquetFile, where: str) -> set[str]:
-    schema = file.schema_arrow
-    found = {
-        field.name
-        for field in schema
-        if pa.types.is_floating(field.type) or pa.types.is_boolean(field.type)
-        if schema.names.count(field.name) == 1
+    once = {x.name: x.type for x in file.schema_arrow if file.schema_arrow.names.count(x.name) == 1}
+    numbers = {
+        name
+        for name, kind in once.items()
+        if pa.types.is_floating(kind) or pa.types.is_boolean(kind)
     }
-    text = schema.names.count("log") == 1 and _is_text(schema.field("log").type)
-    if "t" not in found or not text:
-        has = ", ".join(schema.names[:8]) or "nothing"
+    log = once.get("log", pa.null())
+    log = log.value_type if pa.types.is_dictionary(log) else log
+    if "t" not in numbers or not (pa.types.is_string(log) or pa.types.is_large_string(log)):
+        has = ", ".join(file.schema_arrow.names[:8]) or "nothing"
         message = f"is no torque file: columns t (a number) and log (text) are needed, it has {has}"
         raise InputError(message, where=where, hint=_HINT)
-    return found
+    return file, numbers
 
 
-def _is_text(kind: pa.DataType) -> bool:
-    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
-    return bool(pa.types.is_string(kind) or pa.types.is_large_string(kind))
-
-
-def _check_joints(
-    joints: Sequence[str], columns: set[str], collection: Collection, where: str
-) -> None:
-    others = {
-        name.removesuffix(".predicted") for name in columns if name.endswith(".predicted")
-    } - set(joints)
-    if others or not joints:
-        robot, source = collection.robot, collection.sources[0].path
-        message = (
-            f"is about joints {', '.join(sorted(others | set(joints))) or '(none)'}, "
-            f"but {source} about robot {robot.name!r} ({', '.join(robot.joints)})"
-        )
-        raise InputError(message, where=where, hint="Give the torques of the same robot.")
+@contextlib.contextmanager
+def _readable(where: str, wrong: str, hint: str) -> Iterator[None]:
+    """Turn what Arrow says in the block into a message."""
+    try:
+        yield
+    except ARROW_ERRORS as error:
+        first_line = (str(error).splitlines() or [type(error).__name__])[0][:200]
+        raise InputError(f"{wrong}: {first_line}", where=where, hint=hint) from error
 
 
 def _log_rows(path: Path) -> dict[str, slice]:
@@ -199,7 +177,7 @@ def _log_rows(path: Path) -> dict[str, slice]:
     ends = np.append(starts[1:], len(codes))
     if len(starts) != len(names):
         message = "column log: the rows of a log must follow each other"
-        raise InputError(message, where=where, hint="Run seqid predict again.")
+        raise InputError(message, where=where, hint=_AGAIN)
     return {str(names[codes[a]]): slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True)}
 
 
@@ -211,24 +189,16 @@ def _whose(
         return None
     mine = {log: part.stop - part.start for log, part in rows.items()}
     same = [p for p in predictions if mine == {log.path: log.samples for log in p.content.logs}]
-    if not same:
-        raise _other_logs(mine, predictions, where)
     made = (file.schema_arrow.metadata or {}).get(PARAMETERS.encode(), b"").decode().split()
     for prediction in same:  # without the entry any model may
         if not made or set(made) == {item.sha256 for item in prediction.content.parameters}:
             return prediction
-    message = f"is of another model than {', '.join(p.path for p in same)}"
-    hint = "Run seqid predict again with both -o and --torques."
-    raise InputError(message, where=where, hint=hint)
-
-
-def _other_logs(
-    mine: Mapping[str, int], predictions: Sequence[Prediction], where: str
-) -> InputError:
     logs = {log.path: log.samples for item in predictions for log in item.content.logs}
     names = ", ".join(item.path for item in predictions)
     odd = next((log for log in mine if mine[log] != logs.get(log)), None)
-    if odd is None:
+    if same:
+        message = f"is of another model than {', '.join(p.path for p in same)}"
+    elif odd is None:
         absent = next(log for log in logs if log not in mine)
         message = f"lacks the log {absent}, which {names} holds"
     elif odd in logs:
@@ -236,15 +206,12 @@ def _other_logs(
     else:
         message = f"holds the log {odd}, which {names} does not"
     hint = "Run seqid predict again with both -o and --torques."
-    return InputError(message, where=where, hint=hint)
+    raise InputError(message, where=where, hint=hint)
 
 
 def _read(path: Path, columns: Sequence[str]) -> pa.Table:
-    try:
+    with _readable(str(path), "is damaged", _AGAIN):
         return pq.read_table(path, columns=list(columns), partitioning=None)
-    except ARROW_ERRORS as error:
-        message = f"is damaged: {_first_line(error)}"
-        raise InputError(message, where=str(path), hint="Run seqid predict again.") from error
 
 
 def _numbers(table: pa.Table, name: str, where: str) -> Array:
@@ -255,9 +222,5 @@ def _numbers(table: pa.Table, name: str, where: str) -> Array:
         row = int(np.argmax(far))
         size = "infinite" if np.isinf(values[row]) else f"{values[row]:.3g}"
         message = f"{name} is {size} at row {row}"
-        raise InputError(message, where=where, hint="Run seqid predict again.")
+        raise InputError(message, where=where, hint=_AGAIN)
     return values
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0][:200]

@@ -27,7 +27,11 @@ def trend_page(file: TrendFile, path: str, *, title: str = "") -> Page:
     if names:
         text = f"{plural(len(file.changes), 'change')} beyond the error: {', '.join(names)}."
         judgement = Judgement("poor", text, (), ())
-    robots = [_robot(file, name, place) for place, name in enumerate(names, start=1)]
+    changed, robots = {_key(entry) for entry in file.changes}, []
+    for place, name in enumerate(names, start=1):
+        own = [x for x in file.series if x.robot == name and _key(x) in changed]
+        group = Group(f"series-{place}", "Over time", figures=list(map(_figure, own)))
+        robots.append(Section(f"robot-{place}", name, groups=[group]))
     return Page(
         title or plural(len(file.robots), "robot"),
         [plural(len(file.files), "parameter file"), f"{len(file.series)} series"],
@@ -51,14 +55,6 @@ def _overview(file: TrendFile, judgement: Judgement) -> Section:
     shown = table_of("Changes, the clearest first", changes(file.changes))
     groups = [Group("changes", "All changes", tables=[shown], unfolded=True)]
     return Section("verdict", "What changed", lead, groups if file.changes else [], notes=notes)
-
-
-def _robot(file: TrendFile, name: str, place: int) -> Section:
-    """The series of one robot that changed."""
-    own = {_key(entry) for entry in file.changes if entry.robot == name}
-    figures = [_figure(series) for series in file.series if _key(series) in own]
-    group = Group(f"series-{place}", "Over time", figures=figures)
-    return Section(f"robot-{place}", name, groups=[group])
 
 
 def _key(entry: ChangeEntry | SeriesEntry) -> tuple[str, str, str, str]:

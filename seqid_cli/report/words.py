@@ -15,6 +15,7 @@ from seqid_cli import shares
 Z95 = 1.959963984540054  # of a two-sided 95 % interval
 _INDEXED = re.compile(r"(?P<stem>[A-Za-z]+)_(?P<index>[0-9]+)")
 _STEM = {"mx": ("m", "x"), "my": ("m", "y"), "mz": ("m", "z")}
+_RAISED = {"1": "\u00b9", "2": "\u00b2", "3": "\u00b3", "-": "\u207b"}
 MINUS = "\u2212"
 DASH = "\u2013"
 
@@ -70,13 +71,10 @@ def unit_text(unit: str) -> str:
     """Return a unit with raised powers and dots; nothing for a plain number."""
     if unit in ("", "1"):
         return ""
-    raised = re.sub(r"\^(-?[0-9])", _raise, unit)
+    raised = re.sub(
+        r"\^(-?[0-9])", lambda found: "".join(_RAISED.get(c, f"^{c}") for c in found[1]), unit
+    )
     return raised.replace(" ", "\u202f")
-
-
-def _raise(match: re.Match[str]) -> str:
-    marks = {"1": "\u00b9", "2": "\u00b2", "3": "\u00b3", "-": "\u207b"}
-    return "".join(marks.get(sign, f"^{sign}") for sign in match.group(1))
 
 
 def symbol(name: str) -> Markup:

@@ -142,6 +142,11 @@ class DiagnosisFile(OfRobot, kw_only=True):
     verdicts: list[Verdict] = []
     notes: list[str] = []
 
+    @property
+    def leaves_more(self) -> bool:
+        """Whether more than noise is left of any joint's torque."""
+        return any(map(beyond_noise, self.joints.values()))
+
 
 def nothing_found(file: DiagnosisFile) -> str:
     """Return the sentence of a diagnosis without findings."""

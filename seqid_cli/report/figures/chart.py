@@ -6,7 +6,7 @@ the values at both ends of their axis, from which the page's script reads values
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -20,9 +20,8 @@ from seqid_cli.report.figures.svg import (
     label,
     line,
     padded,
-    points_text,
     rect,
-    tick_texts,
+    short,
 )
 from seqid_cli.report.views import Figure, Key, Table
 from seqid_cli.robot.types import Array
@@ -126,15 +125,16 @@ class Panel:
         return element("g", attributes, *self._axes(), marks, *self._words)
 
     def _points(self, x: Numbers, y: Numbers) -> str:
-        return points_text((self.x(float(a)), self.y(float(b))) for a, b in zip(x, y, strict=True))
+        points = ((self.x(float(a)), self.y(float(b))) for a, b in zip(x, y, strict=True))
+        return " ".join(f"{short(a)},{short(b)}" for a, b in points)
 
     def _axes(self) -> list[Markup]:
         box, up, along = self.box, [], []
-        for tick, text in _ticks(self.y, self.y_ticks):
+        for tick, text in self.y.ticks(self.y_ticks):
             at = self.y(tick)
             up.append(line("grid zero" if tick == 0.0 else "grid", box.left, at, box.right, at))
             up.append(label(box.left - 6, at + 4, text, "end"))
-        for place, (tick, text) in enumerate(_ticks(self.x, self.x_ticks)):
+        for place, (tick, text) in enumerate(self.x.ticks(self.x_ticks)):
             at = self.x(tick)
             along.append(line("tick", at, box.bottom, at, box.bottom + 4))
             if self.show_x:
@@ -253,9 +253,3 @@ class RowChart:
 def _ends(scale: Scale) -> str:
     kind = "log" if scale.log else "lin"
     return f"{scale.low:.9g}|{scale.high:.9g}|{scale.start:.1f}|{scale.end:.1f}|{kind}"
-
-
-def _ticks(scale: Scale, count: int) -> Iterable[tuple[float, str]]:
-    ticks = scale.ticks(count) if count else []
-    texts = [f"{tick:g}" for tick in ticks] if scale.log else tick_texts(ticks)
-    return zip(ticks, (text.replace("-", "\u2212") for text in texts), strict=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from markupsafe import Markup, escape
@@ -23,7 +23,8 @@ def element(name: str, attributes: Mapping[str, Value], *children: str) -> Marku
 
     `name` and the attributes' names come from the program, never from a file.
     """
-    parts = [f'{key}="{escape(_text(value))}"' for key, value in attributes.items()]
+    texts = {key: x if isinstance(x, str) else short(x) for key, x in attributes.items()}
+    parts = [f'{key}="{escape(text)}"' for key, text in texts.items()]
     start = " ".join([name, *parts])
     if not children:
         return Markup(f"<{start}/>")
@@ -58,16 +59,8 @@ def label(x: float, y: float, text: str, anchor: str = "start", style: str = "")
     return element("text", attributes, text)
 
 
-def points_text(points: Iterable[Point]) -> str:
-    """Return coordinates as the `points` of a polyline, to a tenth of a unit."""
-    return " ".join(f"{_short(x)},{_short(y)}" for x, y in points)
-
-
-def _text(value: Value) -> str:
-    return value if isinstance(value, str) else _short(value)
-
-
-def _short(value: float) -> str:
+def short(value: float) -> str:
+    """Return a coordinate to a tenth of a unit."""
     text = f"{value:.1f}"
     return text[:-2] if text.endswith(".0") else text
 
@@ -90,18 +83,22 @@ class Scale:
         share = (at - low) / (high - low) if high > low else 0.5
         return self.start + min(max(share, 0.0), 1.0) * (self.end - self.start)
 
-    def ticks(self, count: int) -> list[float]:
-        """Return about `count` round values inside."""
-        if self.log:
-            return _decades(self.low, self.high)
-        return round_ticks(self.low, self.high, count)
+    def ticks(self, count: int) -> list[tuple[float, str]]:
+        """Return about `count` round values inside (decades if logarithmic), and as text."""
+        if not count:
+            return []
+        ticks = _decades(self.low, self.high) if self.log else _steps(self.low, self.high, count)
+        texts = [f"{tick:g}" for tick in ticks] if self.log else _texts(ticks)
+        return [
+            (tick, text.replace("-", "\u2212")) for tick, text in zip(ticks, texts, strict=True)
+        ]
 
 
-def round_ticks(low: float, high: float, count: int) -> list[float]:
-    """Return multiples of 1, 2 or 5 times a power of ten between the limits."""
+def _steps(low: float, high: float, count: int) -> list[float]:
+    """Multiples of 1, 2 or 5 times a power of ten between the limits."""
+    raw = (high - low) / count
     if not high > low:
         return [low]
-    raw = (high - low) / max(count, 1)
     if not 1e-290 < raw < 1e290:
         return [low, high]
     power = 10.0 ** math.floor(math.log10(raw))
@@ -114,18 +111,17 @@ def round_ticks(low: float, high: float, count: int) -> list[float]:
 
 def _decades(low: float, high: float) -> list[float]:
     first, last = math.ceil(math.log10(low) - 1e-9), math.floor(math.log10(high) + 1e-9)
-    every = max(1, math.ceil((last - first + 1) / 6))
-    whole = [10.0**k for k in range(first, last + 1, every)]
+    whole = [10.0**k for k in range(first, last + 1, max(1, math.ceil((last - first + 1) / 6)))]
     if len(whole) >= 2:
         return whole
     between = [m * 10.0**k for k in range(first - 1, last + 2) for m in (1.0, 2.0, 5.0)]
     return [value for value in between if low <= value <= high] or [low, high]
 
 
-def tick_texts(ticks: Sequence[float]) -> list[str]:
-    """Return the ticks as text, with the digits that separate the closest two."""
+def _texts(ticks: Sequence[float]) -> list[str]:
+    """Ticks with the digits that separate the closest two."""
     gaps = [abs(b - a) for a, b in itertools.pairwise(ticks) if b != a]
-    largest = max((abs(tick) for tick in ticks), default=0.0)
+    largest = max(map(abs, ticks))
     if not gaps or not largest:
         return [f"{tick:.3g}" for tick in ticks]
     digits = max(0, math.ceil(math.log10(largest / min(gaps)) - 1e-9))

@@ -272,17 +272,15 @@ def certain_lines(
     chances = 2.0 * top_hz * longest.length_s
     found = []
     for line in strongest_lines(signals, 0.0, 3 * most):
-        size = sum(_over_noise(signal, line) for signal in signals)
+        size = 0.0
+        for signal in signals:
+            f, density = _density(signal)
+            near = (np.abs(f - line) < max(NEIGHBOURHOOD_HZ, 4 * f[1])) & (f > 0.0)
+            noise = float(np.median(density[near] ** 2)) if np.any(near) else 0.0
+            size += amplitude(signal, line) ** 2 * signal.length_s / max(2.0 * noise, 1e-300)
         if line <= top_hz and chances * float(gamma.sf(size, len(signals))) < false_alarms:
             found.append(line)
     return found[:most]
-
-
-def _over_noise(signal: Signal, line: float) -> float:
-    f, density = _density(signal)
-    near = np.abs(f - line) < max(NEIGHBOURHOOD_HZ, 4 * f[1])
-    noise = float(np.median(density[near & (f > 0.0)] ** 2)) if np.any(near & (f > 0.0)) else 0.0
-    return amplitude(signal, line) ** 2 * signal.length_s / max(2.0 * noise, 1e-300)
 
 
 def _signal(series: Series) -> Signal | None:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.io import Source
 from seqid_cli.params.results import tables
-from seqid_cli.params.results.diagnosis import DiagnosisFile, EventEntry, FindingEntry, beyond_noise
+from seqid_cli.params.results.diagnosis import DiagnosisFile, EventEntry, FindingEntry
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.chart import RowChart
 from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
@@ -58,7 +59,7 @@ def diagnosis(collection: Collection) -> Section:
 def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Group:
     file, known = item.content, known_effects(collection)
     badge, text = _VERDICTS[file.verdict]
-    if file.verdict == "nothing_missing" and any(map(beyond_noise, file.joints.values())):
+    if file.verdict == "nothing_missing" and file.leaves_more:
         badge, text = "open", "no effect was found, but more than noise is left"
     if file.findings and all((f.effect, f.joint) in known for f in file.findings):
         badge, text = "good", "found, and in the refined model"
@@ -95,6 +96,7 @@ def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Gro
 
 def _finding(key: str, item: FindingEntry, collection: Collection) -> Group:
     title = effect_at(item.effect, item.joint or "the whole arm")
+    about = CATALOGUE[item.effect].__doc__ or "" if item.effect in CATALOGUE else ""
     known, rows = (item.effect, item.joint) in known_effects(collection), value_rows(item)
     notes = [] if rows else ["These logs do not determine its parameters."]
     if item.confusable_with:
@@ -106,7 +108,7 @@ def _finding(key: str, item: FindingEntry, collection: Collection) -> Group:
     return Group(
         key,
         title,
-        _about(item.effect),
+        about.strip().partition("\n")[0],
         joint=item.joint or "",
         badge="good" if known else "open",
         badge_text="in the refined model" if known else "not in the model",
@@ -122,13 +124,6 @@ def _finding(key: str, item: FindingEntry, collection: Collection) -> Group:
         notes=[*notes, *([item.note] if item.note else [])],
         unfolded=True,
     )
-
-
-def _about(effect: str) -> str:
-    from seqid_cli.model.effects.registry import CATALOGUE
-
-    known = CATALOGUE.get(effect)
-    return (known.__doc__ or "").strip().partition("\n")[0] if known else ""
 
 
 def against_floor(file: DiagnosisFile, collection: Collection) -> Figure | None:

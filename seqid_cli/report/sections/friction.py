@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from seqid_cli.params.schema import FrictionJoint, FrictionStage
-from seqid_cli.report.collection import Collection, Place
+from seqid_cli.params.schema import FrictionStage
+from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.friction import FIGURES, drawable
 from seqid_cli.report.views import (
     VALUE_HEADS,
@@ -33,18 +33,15 @@ def friction(collection: Collection) -> Section:
         "between the slowest recorded speeds of both directions, where the sign turns; outside the "
         "recorded range Coulomb and viscous friction goes on, at its mean over position."
     )
-    groups = [
-        _joint(joint, stage, collection.place(name), collection.robot.joints.index(name))
-        for name, joint in stage.joints.items()
-    ]
+    groups = [_joint(collection, stage, name) for name in stage.joints]
     notes = list(stage.notes)
     if model.stages.effects:
         notes.append("Effects that refinement added are not part of these surfaces.")
     return Section("friction", "Friction", lead, groups, notes=notes)
 
 
-def _joint(joint: FrictionJoint, stage: FrictionStage, place: Place, index: int) -> Group:
-    name = place.joint
+def _joint(collection: Collection, stage: FrictionStage, name: str) -> Group:
+    joint, place = stage.joints[name], collection.place(name)
     own = [verdict for verdict in stage.verdicts if verdict.joint == name]
     sound = drawable(joint)
     facts = [
@@ -57,7 +54,7 @@ def _joint(joint: FrictionJoint, stage: FrictionStage, place: Place, index: int)
         facts.append(("depends on direction", percent(joint.asymmetry)))
     terms = [value_row(x.name, x.value, x.std_error, x.unit) for x in joint.parameters]
     return Group(
-        f"friction-{index + 1}",
+        f"friction-{collection.robot.joints.index(name) + 1}",
         name,
         joint=name,
         lead=reasons(own),

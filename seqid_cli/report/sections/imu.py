@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from seqid_cli.params.schema import ImuCalibration, RigidStage, RobotId, Verdict
+from seqid_cli.params.schema import ImuCalibration, MotionUse, RobotId, Verdict
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.views import Absent, Group, Section, Table, badge, reasons, table
 from seqid_cli.report.words import number, short_path, with_error
@@ -30,9 +30,13 @@ def imu(collection: Collection) -> Section:
         _group(place, name, item, [v for v in stage.verdicts if v.joint == name])
         for place, (name, item) in enumerate(stage.imus.items())
     ]
-    inertia = model.stages.inertia if model else None
-    motion = [_motion(inertia, collection.robot)] if inertia else []
-    notes = [*stage.notes, *(_warnings(inertia) if inertia else [])]
+    uses = model.stages.inertia.motion_use if model and model.stages.inertia else []
+    skipped: dict[str, list[str]] = {}  # remarks on IMUs that took no part, with their logs
+    for use in uses:
+        for warning in use.warnings:
+            skipped.setdefault(warning, []).append(short_path(use.log))
+    notes = [*stage.notes, *(f"{text} ({', '.join(logs)})" for text, logs in skipped.items())]
+    motion = [_motion(uses, collection.robot)]
     return Section("imu", title, lead, groups, tables=motion, notes=notes)
 
 
@@ -49,25 +53,6 @@ def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdi
         (joint, *with_error(x.gain, x.gain_std_error), *_fixed((x.axis + [0.0] * 3)[:3], 3))
         for joint, x in item.references.items()
     ]
-    titles, kinds = (
-        "joint | gain | std error | axis x | y | z",
-        "text count count count count count",
-    )
-    return Group(
-        f"imu-{place + 1}",
-        name,
-        lead=reasons(verdicts),
-        badge=badge(verdicts),
-        facts=facts,
-        tables=[
-            _rotation(name, item),
-            table(f"Joint axes as {name} sees them", titles, kinds, references),
-        ],
-        notes=[f"Not determined: {what}" for what in item.not_determined],
-    )
-
-
-def _rotation(name: str, item: ImuCalibration) -> Table:
     errors = item.std_errors_deg if len(item.std_errors_deg) == 3 else [item.std_error_deg] * 3
     rows = [
         (axis, *_fixed(row, 4), error)
@@ -75,34 +60,44 @@ def _rotation(name: str, item: ImuCalibration) -> Table:
     ]
     trace = sum(item.rotation[i][i] for i in range(3))
     angle = math.degrees(math.acos(min(max((trace - 1.0) / 2.0, -1.0), 1.0)))
-    titles = "link axis | IMU x | IMU y | IMU z | std error [\u00b0]"
-    note = f"Turned by {angle:.1f}\u00b0 in all."
-    return table(f"Rotation of {name}", titles, "text count count count number2", rows, note)
+    return Group(
+        f"imu-{place + 1}",
+        name,
+        lead=reasons(verdicts),
+        badge=badge(verdicts),
+        facts=facts,
+        tables=[
+            table(
+                f"Rotation of {name}",
+                "link axis | IMU x | IMU y | IMU z | std error [\u00b0]",
+                "text count count count number2",
+                rows,
+                f"Turned by {angle:.1f}\u00b0 in all.",
+            ),
+            table(
+                f"Joint axes as {name} sees them",
+                "joint | gain | std error | axis x | y | z",
+                "text count count count count count",
+                references,
+            ),
+        ],
+        notes=[f"Not determined: {what}" for what in item.not_determined],
+    )
 
 
 def _fixed(values: Sequence[float], decimals: int) -> list[str]:
     return [f"{value:.{decimals}f}".replace("-", "\u2212") for value in values]
 
 
-def _warnings(stage: RigidStage) -> list[str]:
-    """Remarks on IMUs that took no part, or only partly; each once, with its logs."""
-    logs: dict[str, list[str]] = {}
-    for use in stage.motion_use:
-        for warning in use.warnings:
-            logs.setdefault(warning, []).append(short_path(use.log))
-    return [f"{warning} ({', '.join(names)})" for warning, names in logs.items()]
-
-
-def _motion(stage: RigidStage, robot: RobotId) -> Table:
+def _motion(uses: Sequence[MotionUse], robot: RobotId) -> Table:
     rows = []
-    for use in stage.motion_use:
+    for use in uses:
         what = (short_path(use.log), use.source, ", ".join(use.imus))
         for joint, error in use.acceleration_error.items():
             rows.append((*what, joint, error, use.encoder_error.get(joint)))
             what = ("", "", "")  # is said once
     titles = "log | motion from | IMUs | joint | std error of acceleration [{unit}]"
     titles += " | by encoders alone [{unit}]"
-    joints = [joint for use in stage.motion_use for joint in use.acceleration_error]
-    unit = robot.unit("rad/s^2", *joints)
+    unit = robot.unit("rad/s^2", *(row[3] for row in rows))
     kinds = "text text text text number2 number2"
     return table("Where the motion of the inertia logs came from", titles, kinds, rows, unit=unit)

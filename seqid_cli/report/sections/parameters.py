@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from markupsafe import Markup
 
@@ -68,7 +68,15 @@ def parameters(collection: Collection) -> Section:
             text = f"The {name} stage is not in the files given."
             absent_stages.append(Absent(text, _MADE_BY[name]))
     if model.stages.effects:
-        groups.append(_effects(model.stages.effects))
+        rows = [
+            (effect_at(item.effect, item.joint or "the whole arm"), *row)
+            for item in model.stages.effects
+            for row in value_rows(item)
+        ]
+        effects = Table(
+            "Effects that refinement added", (*heads("effect", "text"), *VALUE_HEADS), rows
+        )
+        groups.append(Group("effects", "Effects", tables=[effects]))
     return Section("parameters", "Parameters", _LEAD, groups, absent=absent_stages)
 
 
@@ -105,12 +113,13 @@ def _rigid(name: str, stage: RigidStage, collection: Collection) -> Group:
 
 
 def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
-    earlier = [
-        (model, {item.name: item for item in theirs.parameters})
-        for model in others
-        if (theirs := getattr(model.stages, name)) is not None
-    ]
-    earlier = [(model, known) for model, known in earlier if _differs(stage, known)]
+    mine, earlier = {item.name: item.value for item in stage.parameters}, []
+    for model in others:
+        theirs = getattr(model.stages, name)
+        known = {item.name: item for item in theirs.parameters} if theirs else {}
+        if any(mine.get(item.name, item.value) != item.value for item in known.values()):
+            texts = {n: with_error(x.value, x.std_error)[0] for n, x in known.items()}
+            earlier.append((model, texts))
     alone = stage.encoder_std_errors
     columns = [
         *VALUE_HEADS,
@@ -127,7 +136,7 @@ def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
             _glyph(item),
             _FORMULA.format(expression(item.terms, item.expression or item.name)),
             *([alone.get(item.name)] if alone else []),
-            *(_value_in(known, item.name) for _, known in earlier),
+            *(texts.get(item.name) for _, texts in earlier),
         )
         for item in stage.parameters
     ]
@@ -139,18 +148,6 @@ def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
             f"{'holds' if len(unclear) == 1 else 'hold'} zero: {listed(unclear, 12)}."
         )
     return table_of(f"{_TITLES[name]}: base parameters", Values(columns, rows), note)
-
-
-def _differs(stage: RigidStage, known: Mapping[str, Parameter]) -> bool:
-    return any(
-        (other := known.get(item.name)) is not None and other.value != item.value
-        for item in stage.parameters
-    )
-
-
-def _value_in(known: Mapping[str, Parameter], name: str) -> str | None:
-    item = known.get(name)
-    return None if item is None else with_error(item.value, item.std_error)[0]
 
 
 def _glyph(item: Parameter) -> Markup:
@@ -168,17 +165,6 @@ def _glyph(item: Parameter) -> Markup:
     ]
     text = f"{number(low)} to {number(high)} {item.unit}, drawn beside zero"
     return drawing(120, 16, f"Interval of {item.name}", text, marks, style="glyph")
-
-
-def _effects(effects: Sequence[EffectOfJoint]) -> Group:
-    rows = [
-        (effect_at(item.effect, item.joint or "the whole arm"), *row)
-        for item in effects
-        for row in value_rows(item)
-    ]
-    columns = (*heads("effect", "text"), *VALUE_HEADS)
-    table = Table("Effects that refinement added", columns, rows)
-    return Group("effects", "Effects", tables=[table])
 
 
 def value_rows(item: EffectOfJoint | FindingEntry) -> list[tuple[str, ...]]:

@@ -74,19 +74,15 @@ def _stage_steps(collection: Collection, model: Model) -> Iterator[Sequence[str]
         state = _state("inertia", model)
         yield _step("simultaneous", model.file.inputs, file_name(model.path), *state)
         return
+    known = {s.path: present(s.content.stages) for s in of_kind(collection.sources, ParameterFile)}
     for name in ("friction", "gravity", "imu", "inertia"):
         if getattr(model.stages, name) is None:
             yield _step(COMMAND_OF[name])
             continue
         logs = [log for log in model.file.inputs if log.stage == name]
-        made = file_name(_first_file(collection, name))
-        yield _step(COMMAND_OF[name], logs, made, *_state(name, model))
-
-
-def _first_file(collection: Collection, stage: str) -> str:
-    """Return the file that a stage was made in: the file with the fewest stages that holds it."""
-    known = {s.path: present(s.content.stages) for s in of_kind(collection.sources, ParameterFile)}
-    return min((path for path in known if stage in known[path]), key=lambda path: len(known[path]))
+        # A stage was made in the file with the fewest stages that holds it.
+        made = min((len(own), path) for path, own in known.items() if name in own)[1]
+        yield _step(COMMAND_OF[name], logs, file_name(made), *_state(name, model))
 
 
 def _state(name: str, model: Model) -> tuple[str, str]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from seqid_cli.params.results.tables import Head, Values, heads
 from seqid_cli.report.collection import Collection, Place, Prediction
-from seqid_cli.report.figures.torque import Event, over_quantity, over_time, spectrum
+from seqid_cli.report.figures.torque import over_quantity, over_time, spectrum
 from seqid_cli.report.torques import Series, TorqueTable
 from seqid_cli.report.views import Absent, Figure, Group, Section, Table, badge, table, table_of
 from seqid_cli.report.words import command, limits, number, percent, plural, short_path
@@ -144,15 +144,16 @@ def over_logs(
     }
     series = list(next(iter(models.values()), {}).values())
     place = collection.place(name)
-    figures = [
-        over_time(
-            {label: logs[log.log] for label, logs in models.items() if log.log in logs},
-            place,
-            _events(collection, log.log, name),
-            columns,
-        )
-        for log in _worst(series, collection.predictions, name)
-    ]
+    figures = []
+    for one in _worst(series, collection.predictions, name):
+        own = {label: logs[one.log] for label, logs in models.items() if one.log in logs}
+        events = [
+            (event.start, event.end)
+            for item in collection.diagnoses
+            for event in item.content.events
+            if event.log == one.log and name in event.joints
+        ]
+        figures.append(over_time(own, place, events, columns))
     return series, figures
 
 
@@ -166,15 +167,6 @@ def _worst(series: Sequence[Series], predictions: Sequence[Prediction], name: st
     worst = sorted(series, key=lambda item: -errors.get(item.log, 0.0))[:_MOST_LOGS]
     kept = {item.log for item in worst}
     return [item for item in series if item.log in kept]
-
-
-def _events(collection: Collection, log: str, joint: str) -> list[Event]:
-    return [
-        (event.start, event.end)
-        for item in collection.diagnoses
-        for event in item.content.events
-        if event.log == log and joint in event.joints
-    ]
 
 
 def _facts(collection: Collection, place: Place) -> list[tuple[str, str]]:

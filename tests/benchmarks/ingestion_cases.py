@@ -12,13 +12,11 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tests.benchmarks.figaroh_case import usage
 from tests.benchmarks.make_logs import JOINTS
 from tests.unit.logs.samples import GYRO, make_robot
 
-Array = NDArray[np.float64]
 Case = Callable[[], Callable[[Path], int]]  # imports, and returns what is measured
 _IMU = "/hand/data"
 TABLE_COLUMNS = tuple(f"{name}.{kind}" for kind in ("position", "current") for name in JOINTS)

@@ -13,16 +13,15 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import Accumulator, triangular
 from seqid_cli.robot.base_parameters import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import torque_regressor
+from tests import Array
 from tests.plants.robots.seven_joint import write_arm
 from tests.studies.tables import table
 
-Array = NDArray[np.float64]
 Job = Callable[[], object]
 
 HEAD = ["", "CPU", "unit", "faster", "largest difference"]

@@ -15,6 +15,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 from numpy.typing import NDArray
 
+from tests import Array
 from tests.unit.logs.format_writers import Data, mcap_foxglove_protobuf
 from tests.unit.logs.writers import (
     COMPRESSIONS,
@@ -28,7 +29,6 @@ from tests.unit.logs.writers import (
     write_messages,
 )
 
-Array = NDArray[np.float64]
 JOINTS = tuple(f"panda_joint{i + 1}" for i in range(7))
 N = len(JOINTS)
 T0 = 1_700_000_000_000_000_000

@@ -12,12 +12,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.benchmarks.figaroh_case import usage
 from tests.plants.robots.seven_joint import JOINTS, RATE_HZ, SIGN_WIDTH, known_friction
 
-Array = NDArray[np.float64]
 # Central differences; with those of second order (np.gradient) inertias are 1e-5 off.
 FIRST = RATE_HZ * np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 SECOND = RATE_HZ**2 * np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040

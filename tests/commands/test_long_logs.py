@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.excerpts import excerpts
 from seqid_cli.discover.excerpts.excerpts import Excerpts, take_excerpts
@@ -21,7 +20,6 @@ from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import ParameterFile
 from tests.unit.discover.long_logs import LongCase, long_case
 
-Array = NDArray[np.float64]
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
 
 MOST = 429_760

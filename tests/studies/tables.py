@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from tests import ROOT
 
-Array = NDArray[np.float64]
 T = TypeVar("T")
 
 

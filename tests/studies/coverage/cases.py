@@ -8,8 +8,8 @@ from itertools import combinations, product
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.arms.rigs import (
     GRAVITY,
     UR5E_CENTRE,
@@ -36,8 +36,6 @@ from tests.plants.samples import SIX_POSTURES
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
 from tests.plants.simulate import Log, Plant, simulate
 from tests.unit.logs.writers import write_parquet
-
-Array = NDArray[np.float64]
 
 RIGS = ("one", "planar", "six")
 NOISES = ("white", "coloured")

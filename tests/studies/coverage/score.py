@@ -10,18 +10,17 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli import identify
 from seqid_cli.errors import SeqidError, SeqidWarning
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, ImuStage, RigidStage, Stages
+from tests import Array
 from tests.plants.robots.lab import true_standard, true_value
 from tests.plants.simulate import Plant
 from tests.studies.coverage.cases import STREAM, Case, draw, record
 
-Array = NDArray[np.float64]
 Row = dict[str, Any]
 Result = dict[str, Any]
 

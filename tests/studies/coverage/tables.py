@@ -6,12 +6,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.studies.coverage.score import Result, Row, z_of
 from tests.studies.tables import number, rms, table
-
-Array = NDArray[np.float64]
 
 INSIDE = 1.96  # standard errors: the 95 % interval
 OPEN = ("do not tell whether rotors", "neither 0 nor 1")  # notes of an undecided coupling

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tests import Array
+
 GRAVITY = 9.81
 REACH = 1.4  # rad, at most, of a joint on either side of the middle of its range
 PUBLISHED = Path(__file__).with_name("published.json")

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from tests import Array
 from tests.studies.outside.arms import Arm, Drive, Link, drawn_arm
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli import discover, identify
 from seqid_cli.errors import SeqidWarning
 from seqid_cli.params.results.diagnosis import DiagnosisFile
+from tests import Array
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm
 from tests.studies.outside.effects.effect import Effect
@@ -23,7 +23,6 @@ from tests.studies.outside.robotfiles import robot_toml, urdf
 from tests.studies.outside.simulate import Log, simulate
 from tests.unit.logs.writers import write_mcap, write_parquet
 
-Array = NDArray[np.float64]
 SPEEDS = np.array([0.08, 0.2, 0.45, 0.8])  # of the joint's limit
 FEWER = np.array([0.2, 0.45])
 EPOCH_S = 1.7e9

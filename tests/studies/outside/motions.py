@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline, PchipInterpolator
 
+from tests import Array
 from tests.studies.outside.arms import Arm
 from tests.studies.outside.robotfiles import STEP_S
 
-Array = NDArray[np.float64]
 REST_S = 0.4  # at the start and the end of every log
 
 

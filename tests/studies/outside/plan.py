@@ -7,15 +7,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm, drawn_arm
 from tests.studies.outside.effects import friction, measured, mechanical
 from tests.studies.outside.effects.effect import Draw, Effect, Sized
 from tests.studies.outside.simulate import simulate
 
-Array = NDArray[np.float64]
 Flow = Literal["late", "early", "step_late", "step_early", "single"]
 RESERVED = 10_000  # seeds from here on judge, and are not looked at before
 LEAST, MOST = 0.02, 0.2  # of the joint's torque, RMS, that an effect is drawn to make

@@ -5,11 +5,10 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.studies.outside.arms import GRAVITY, Arm, Imu, Link
 
-Array = NDArray[np.float64]
 STEP_S = 1e-3
 
 

@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.studies.outside.arms import Arm
 from tests.studies.outside.effects.effect import Effect, State
 from tests.studies.outside.robotfiles import STEP_S, mjcf
 
-Array = NDArray[np.float64]
 DAMPING = 0.8  # of the position loop
 
 

@@ -16,13 +16,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.mechanics.rigid import rot_x
 from tests.plants.simulate import Log, Plant
 
-Array = NDArray[np.float64]
 RIGID = ("mx_1", "my_1", "Izz_1")
 SLIDES = 1e-3  # rad/s
 

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.params.schema import RigidStage
@@ -27,7 +26,6 @@ from tests.studies.rigs.bound import Knowledge, bounds
 from tests.studies.rigs.repetition import another, predicted
 from tests.studies.tables import number, rms, spread, table
 
-Array = NDArray[np.float64]
 SEED, REPETITIONS = 41, 8
 FACTORS = (1, 4)
 SOURCES = ("encoder", "auto")

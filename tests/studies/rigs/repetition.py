@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.params.schema import Stages
+from tests import Array
 from tests.plants.arms.rigs import mounting
 from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.robots.identified import HeldOut, held_out, noise_floor, simultaneous
 from tests.plants.robots.lab import Experiment
 from tests.plants.simulate import Plant
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

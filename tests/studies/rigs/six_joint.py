@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.params.schema import ImuStage, Parameter, Stages
+from tests import Array
 from tests.plants.arms.rigs import six_joint
 from tests.plants.motions.experiments import (
     Trial,
@@ -27,7 +27,6 @@ from tests.plants.simulate import Plant
 from tests.studies.rigs.repetition import Predicted, another, predicted
 from tests.studies.tables import number, rms, share_within, table
 
-Array = NDArray[np.float64]
 SEED, REPETITIONS = 43, 3
 EVERY = 4  # control periods per recorded row: 250 Hz
 

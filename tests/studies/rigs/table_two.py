@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.model.torque import TorqueModel, known_rotors
@@ -32,8 +31,6 @@ from tests.plants.sensors import Faults
 from tests.plants.simulate import Plant
 from tests.studies.rigs.repetition import another
 from tests.studies.tables import number, table
-
-Array = NDArray[np.float64]
 
 SEED = 2012
 FACTORS = (1, 4)  # 100 and 400 counts per turn of the motor

@@ -6,12 +6,12 @@ from argparse import Namespace
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage
+from tests import Array
 from tests.plants.arms.rigs import two_joint
 from tests.plants.motions.experiments import (
     Trial,
@@ -26,7 +26,6 @@ from tests.plants.simulate import Plant
 from tests.studies.rigs.repetition import another, predicted
 from tests.studies.tables import number, rms, spread, table
 
-Array = NDArray[np.float64]
 SEED, REPETITIONS = 42, 6
 POSTURES = tuple(np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9))
 PAPER = {"pi_1": "2.1", "pi_2": "10.5", "pi_4": "5.7", "pi_5": "1.1"}

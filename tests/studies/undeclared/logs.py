@@ -9,14 +9,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-from tests import plants
+from tests import Array, plants
 from tests.plants.motions.experiments import Trial, friction_trials, gravity_trials, inertia_trials
 from tests.plants.motions.trajectories import Reference
 from tests.plants.motions.trials import SEED_STRIDE, Drill, drills
@@ -26,8 +25,6 @@ from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant, simulate
 from tests.studies.records import sources_of
 from tests.studies.undeclared.cases import SENSORS, Condition, built, declared
-
-Array = NDArray[np.float64]
 
 EARLIER = 5000  # added to the seed: the logs of before a change
 TRIAL_SEED = 7000

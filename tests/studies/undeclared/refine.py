@@ -7,9 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-from numpy.typing import NDArray
-
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Stage, candidates_of
 from seqid_cli.discover.refinement.loop import with_effects
@@ -26,7 +23,6 @@ from seqid_cli.params.schema import InputLog, ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 from tests.studies.undeclared.cases import Truth
 
-Array = NDArray[np.float64]
 NEAR = 1.15  # of a model told the effects: that is as good
 
 

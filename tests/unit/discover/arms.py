@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.candidates import Candidate, Stage
@@ -16,10 +15,10 @@ from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Parameter, RigidStage, Stages
 from seqid_cli.robot.base_parameters import free_basis
+from tests import Array
 from tests.plants.robots.two_joint import torque_model, two_joint_robot
 from tests.unit.model.effects.scenes import scene_of, wander
 
-Array = NDArray[np.float64]
 Extra = Callable[[Scene], Array]  # (N, n) N m, not filtered
 
 NOISE = (0.3, 0.1)  # N m per sample

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.survey.rows import Rows, rows_of
@@ -16,9 +15,8 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
+from tests import Array
 from tests.plants.robots.two_joint import two_joint_robot
-
-Array = NDArray[np.float64]
 
 RATE_HZ = 500.0
 CUTOFF_HZ = 8.0

@@ -7,21 +7,18 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.cases import Case, declared_plant, injections, motions
 from tests.plants.motions.trajectories import join
 from tests.plants.motions.trials import Drill, run_drill
 from tests.plants.robots.identified import simultaneous
 from tests.plants.robots.lab import recording_of, robot_of
-
-Array = NDArray[np.float64]
 
 RIG = "vertical_two_joint"
 MOTIONS = ("fast", "slow", "middle")  # begin and end at rest in the same posture

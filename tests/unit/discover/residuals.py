@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.model.effects.scene import Scene
+from tests import Array
 from tests.plants.robots.two_joint import torque_model, two_joint_robot
 from tests.unit.model.effects.scenes import scene_of, wander
-
-Array = NDArray[np.float64]
 
 NOISE = (0.3, 0.1)  # N m RMS per joint, after the low-pass
 ALIKE = 0.6  # share of the first joint's motion in the second's

@@ -6,18 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.base import base_of
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import FrictionJoint, FrictionStage, Parameter, RigidStage, Stages
 from seqid_cli.robot.base_parameters import free_basis, standard_names
+from tests import Array
 from tests.plants.robots.made import friction_joint
 from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS
 from tests.unit.discover.arms import arm_scenes
-
-Array = NDArray[np.float64]
 
 SHIFT = 0.003  # s
 TOP = 4.0  # rad/s, of the friction stage

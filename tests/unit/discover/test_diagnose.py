@@ -12,7 +12,6 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.diagnosis import described, diagnose
@@ -26,6 +25,7 @@ from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.cases import Case, declared_plant, injections, motions
 from tests.plants.friction.laws import Extra, Stribeck
 from tests.plants.motions.trials import run_drill
@@ -35,7 +35,6 @@ from tests.plants.robots.two_joint import friction_surface
 
 pytestmark = pytest.mark.slow
 
-Array = NDArray[np.float64]
 
 OPTIONS = DiscoverOptions()
 SECONDS = 11.0

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.drive import drive_rows
 from seqid_cli.discover.select.results import Selected
@@ -14,9 +13,8 @@ from seqid_cli.discover.select.selection import select
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
+from tests import Array
 from tests.unit.discover.arms import arm_scenes, ground_of, measuring
-
-Array = NDArray[np.float64]
 
 LOSS = 0.05  # N m of friction per N m of load
 HANG = 3.0  # N m, of what hangs on the link

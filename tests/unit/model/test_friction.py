@@ -7,14 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.polynomial.chebyshev import chebval2d, chebvander
-from numpy.typing import NDArray
 
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling, tensor
 from seqid_cli.params.schema import FrictionJoint, Parameter
+from tests import Array
 from tests.plants.robots.made import friction_joint
-
-Array = NDArray[np.float64]
 
 POSITION, SPEED, WIDTH = (-1.5, 2.5), (0.1, 4.0), 0.01
 

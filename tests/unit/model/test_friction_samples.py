@@ -5,16 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion, decimated
+from tests import Array
 from tests.plants.robots.made import made_motion
-
-Array = NDArray[np.float64]
 
 RATE_HZ, CUTOFF_HZ, SAMPLES = 1000.0, 5.0, 30_000
 

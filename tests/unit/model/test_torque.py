@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.model.friction_samples import sampled_friction
 from seqid_cli.model.torque import TorqueModel, friction_surfaces, sliding
@@ -21,13 +20,12 @@ from seqid_cli.robot.base_parameters import (
     standard_regressor,
 )
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.arms.rigs import six_joint
 from tests.plants.mechanics.rigid import Rigid
 from tests.plants.robots.made import made_motion
 from tests.plants.robots.small import arm_6r
 from tests.plants.robots.stages import friction_stage
-
-Array = NDArray[np.float64]
 
 RATE = 200.0
 

@@ -7,11 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.studies.outside.arms import Arm
-
-Array = NDArray[np.float64]
 
 
 @dataclass

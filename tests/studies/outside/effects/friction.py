@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.studies.outside.arms import Arm
 from tests.studies.outside.effects.effect import Effect, Sized, State, only
 from tests.studies.outside.robotfiles import STEP_S
 
-Array = NDArray[np.float64]
 More = Callable[[float, float, State], float]  # scale, dry friction as it would be, state
 Push = Callable[[float, State], float]  # scale, state -> torque
 

@@ -5,14 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.studies.outside.arms import Arm
 from tests.studies.outside.effects.effect import Effect, Sized, State
 from tests.studies.outside.robotfiles import STEP_S
-
-Array = NDArray[np.float64]
-
 
 Change = Callable[[float, Array, Array], Array]  # scale, torque (N,), t (N,) -> what is logged
 

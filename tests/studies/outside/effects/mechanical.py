@@ -5,13 +5,11 @@ from __future__ import annotations
 import xml.etree.ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.studies.outside.arms import GRAVITY, Arm
 from tests.studies.outside.effects.effect import Effect, Sized, State, found, only
 from tests.studies.outside.robotfiles import row
-
-Array = NDArray[np.float64]
 
 
 def spring(arm: Arm, j: int, rng: np.random.Generator) -> Sized:

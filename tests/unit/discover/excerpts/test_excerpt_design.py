@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.excerpts.design import PIECE_S, excerpts_of
 from seqid_cli.discover.excerpts.excerpts import ABOUT_S, INNER_S, about_places
@@ -15,8 +14,8 @@ from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.logs.recording import Whole
+from tests import Array
 
-Array = NDArray[np.float64]
 RATE = 500.0
 
 

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from msgspec import structs
-from numpy.typing import NDArray
 
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.excerpts import excerpts, residual_survey
@@ -22,9 +21,9 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.params.results.diagnosis import DiagnosisFile
+from tests import Array
 from tests.unit.discover.long_logs import BEGUN, LongCase, long_case
 
-Array = NDArray[np.float64]
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
 
 OPTIONS = DiscoverOptions()

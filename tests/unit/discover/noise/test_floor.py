@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor, rms
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.robot.types import Joint
+from tests import Array
 from tests.plants.sensors import noise, quantise
 from tests.unit.discover.drawn_logs import (
     RATE_HZ,
@@ -18,8 +18,6 @@ from tests.unit.discover.drawn_logs import (
     smooth_torque,
     wander,
 )
-
-Array = NDArray[np.float64]
 
 STD = np.array([1.0, 0.3])  # N m, of the raw torque
 LOOSE = 3.0  # what the residual is larger by than noise

@@ -2,12 +2,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.model.effects.scene import Scene
+from tests import Array
 from tests.unit.discover.drawn_logs import (
     CUTOFF_HZ,
     RATE_HZ,
@@ -18,7 +18,6 @@ from tests.unit.discover.drawn_logs import (
     wander,
 )
 
-Array = NDArray[np.float64]
 Case = tuple[Scene, Rows, int]  # scene, rows, samples of the log
 
 DRAWS = 150  # of two joints each

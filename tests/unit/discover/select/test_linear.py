@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.rows import Part, Rows
-
-Array = NDArray[np.float64]
+from tests import Array
 
 BLOCKS = 4
 LENGTHS = (24, 17)  # rows of two channels

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.select.model import FIRM, FREE, HELD, Model
 from seqid_cli.model.effects.scene import Scene
+from tests import Array
 from tests.unit.discover.arms import (
     NOISE,
     Extra,
@@ -17,8 +17,6 @@ from tests.unit.discover.arms import (
     file_of,
     model_of,
 )
-
-Array = NDArray[np.float64]
 
 MASS, OUT = 0.8, 0.3  # kg, m
 DRAG = 0.3  # N m s^2/rad^2

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select import terms
@@ -17,9 +16,8 @@ from seqid_cli.discover.select.selection import Selection, select
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages
+from tests import Array
 from tests.unit.discover.arms import Extra, arm_scenes, at_joint, file_of, ground_of
-
-Array = NDArray[np.float64]
 
 SOME = ("stribeck", "spring", "quadratic_drag", "torque_bias", "load_dependent_friction")
 DRAG = 0.3  # N m s^2/rad^2

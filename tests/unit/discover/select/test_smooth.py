@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.selection import Selection, select
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
+from tests import Array
 from tests.unit.discover.arms import Extra, at_joint, ground_of, measuring
 from tests.unit.discover.residuals import coloured, related_scenes
-
-Array = NDArray[np.float64]
 
 OTHER = "other_joint:joint_1"
 

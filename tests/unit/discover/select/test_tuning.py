@@ -6,17 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import candidates_of
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.tuning import Tried, Tuner
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
+from tests import Array
 from tests.unit.discover.arms import Extra, arm_scenes, at_joint, candidate, model_of
 from tests.unit.model.effects.two_mass import LOG_HZ, Gear, run, scene
-
-Array = NDArray[np.float64]
 
 HUMP, SPEED = 1.2, 0.37  # N m, rad/s
 

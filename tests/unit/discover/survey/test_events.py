@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.survey.events import (
@@ -14,9 +13,9 @@ from seqid_cli.discover.survey.events import (
 )
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.model.effects.scene import Scene
+from tests import Array
 from tests.unit.discover.residuals import NOISE, coloured, related_scenes
 
-Array = NDArray[np.float64]
 Extra = Callable[[int, Scene], Array]  # in units of the noise's RMS
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.results import Selected
@@ -14,9 +13,8 @@ from seqid_cli.discover.survey.high_band import both_bands, high_band
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
+from tests import Array
 from tests.unit.discover.arms import Extra, arm_scenes, at_joint, ground_of, measuring
-
-Array = NDArray[np.float64]
 
 LINE_HZ, LINE = 50.0, 0.4  # Hz, N m
 ORDER, RIPPLE = 3.0, 0.25  # cycles per motor turn, N m

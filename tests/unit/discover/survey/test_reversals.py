@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.survey.reversals import reversals_of
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
+from tests import Array
 from tests.plants.robots.two_joint import COULOMB
 from tests.unit.discover.arms import arm_scenes, at_joint
-
-Array = NDArray[np.float64]
 
 JOINT = 0
 LATE, TAKES = 0.05, 0.6  # friction at a reversal, of the time for which it may stick

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.model.effects.effect import Effect, Settings
 from seqid_cli.model.effects.scene import Scene
@@ -15,10 +14,9 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.robots.made import made_motion
 from tests.plants.robots.two_joint import SIGN_WIDTH, torque_model, two_joint_robot
-
-Array = NDArray[np.float64]
 
 RATE_HZ = 240.0
 CUTOFF_HZ = 10.0

@@ -7,7 +7,6 @@ from dataclasses import replace
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.logs.recording import Recording
@@ -32,6 +31,7 @@ from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.model.effects.unexplained import SmoothTerm
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import EffectOfJoint, EffectSession, FrictionStage, Stages
+from tests import Array
 from tests.plants.robots.made import friction_joint, made_recording
 from tests.plants.robots.two_joint import SIGN_WIDTH, two_joint_robot
 from tests.unit.model.effects.scenes import (
@@ -42,8 +42,6 @@ from tests.unit.model.effects.scenes import (
     settings_of,
     wander,
 )
-
-Array = NDArray[np.float64]
 
 ROBOT = two_joint_robot()
 

@@ -4,22 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.model.effects.measurement import TorqueMeasurement
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
-from tests.unit.model.effects.measured import (
+from tests import Array
+from tests.unit.model.effects.fitting import (
     FINE,
     Distortion,
     best_fitted,
     fitted,
-    left_over,
+    rms_left,
     scene_measuring,
 )
 from tests.unit.model.effects.scenes import RATE_HZ
-
-Array = NDArray[np.float64]
 
 FINE_HZ = FINE * RATE_HZ
 NOISE = 0.3  # N m per sample; the torque's RMS is 49 and 28 N m
@@ -71,15 +69,11 @@ def scenes(distortion: Distortion, noise: float = NOISE) -> list[Scene]:
     return [scene_measuring(distortion, seed=seed, noise=noise) for seed in range(2)]
 
 
-def rms(scene: Scene, joint: int) -> float:
-    return float(np.sqrt(np.mean(left_over(scene)[scene.motion.usable, joint] ** 2)))
-
-
 @pytest.fixture(scope="module")
 def floor() -> Array:
     """RMS (2,) N m that honest torque leaves."""
     clean = scenes(honest)
-    return np.array([np.sqrt(np.mean([rms(s, j) ** 2 for s in clean])) for j in range(2)])
+    return np.array([rms_left(clean, j) for j in range(2)])
 
 
 @pytest.mark.parametrize("samples", [10, -10, 2, 40])
@@ -89,7 +83,7 @@ def test_a_delay_comes_back_down_to_the_floor(floor: Array, samples: int, joint:
     _, c, left = best_fitted(CATALOGUE["time_skew"], skewed, joint)
     assert c[0] == pytest.approx(samples / FINE_HZ, abs=3e-5)
     assert left < 1.05 * floor[joint]
-    assert rms(skewed[0], joint) > (5.0 if abs(samples) > 5 else 1.2) * floor[joint]
+    assert rms_left(skewed[:1], joint) > (5.0 if abs(samples) > 5 else 1.2) * floor[joint]
 
 
 def test_one_delay_of_all_joints(floor: Array) -> None:

@@ -12,17 +12,15 @@ from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.motion import decimated
 from seqid_cli.robot.kinematics import DhRow, chain_from_dh
+from tests import Array
 from tests.plants.robots.small import robot_from_chain
 from tests.plants.robots.two_joint import SIGN_WIDTH, friction_surface
 from tests.unit.model.effects.scenes import motion_of
-
-Array = NDArray[np.float64]
 
 MOTOR, LINK = 0.4, 0.8  # kg m^2 at the joint
 WEIGHT = 8.0  # N m, of the level link

@@ -1,4 +1,4 @@
-"""Friction of a gear whose grease warms up, from a simulated heat balance."""
+"""Friction that changes: with the temperature of a simulated heat balance, and by wear."""
 
 from __future__ import annotations
 
@@ -7,8 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from seqid_cli.model.effects.friction_change import FrictionChange
 from seqid_cli.model.effects.thermal_friction import ThermalFriction
-from tests.unit.model.effects.fitting import Array, Trial, direction, fit, trial
+from seqid_cli.model.torque import TorqueModel
+from tests import Array
+from tests.plants.robots.two_joint import COULOMB, VISCOUS, torque_model
+from tests.unit.model.effects.fitting import Trial, direction, fit, trial
 from tests.unit.model.effects.scenes import scene_of, wander
 
 AMBIENT, CAPACITY, LOSS, POWER = 22.0, 600.0, 2.0, 40.0  # degC, J/K, W/K, W
@@ -116,3 +120,36 @@ def test_what_no_channel_tells_cannot_be_ruled_out() -> None:
     assert ThermalFriction().possible([known], 0)
     same = replace(known, model=replace(known.model, surfaces=surfaces))
     assert not ThermalFriction().possible([same], 0)
+
+
+WORN = np.array([0.8, -0.3])  # Coulomb N m, viscous N m s/rad, both joints
+
+
+def worn(t: Array, q: Array, dq: Array) -> Array:
+    """Today's friction, whole."""
+    coulomb, viscous = np.array(COULOMB) + WORN[0], np.array(VISCOUS) + WORN[1]
+    torque: Array = coulomb * direction(dq) + viscous * dq
+    return torque
+
+
+@pytest.mark.parametrize("joint", [0, 1])
+def test_the_change_comes_back(joint: int) -> None:
+    """Measured less the file's friction; nothing else is free."""
+    effect = FrictionChange()
+    today = trial(worn, noise=0.2)
+    scene, rows = today.scene, today.scene.motion.usable
+    change = today.torque - scene.motion.filtered(scene.friction, 2)
+    X = scene.motion.filtered(effect.columns(scene, joint, {})[joint], effect.passes)
+    c = np.linalg.lstsq(X[rows], change[rows, joint])[0]
+    assert effect.change
+    assert c == pytest.approx(WORN, rel=0.1)
+    assert effect.plausible([scene], joint, {}, c)
+
+
+def test_friction_that_nobody_knew_has_not_changed() -> None:
+    scene = scene_of(wander(10.0))
+    known = torque_model(scene.robot)
+    first = TorqueModel(scene.robot, [known.surfaces[0], None], known.phi, known.rotor, "diagonal")
+    half = scene_of(wander(10.0), model=first)
+    assert FrictionChange().available([scene, half], 0)
+    assert not FrictionChange().available([scene, half], 1)

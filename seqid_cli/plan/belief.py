@@ -22,7 +22,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import RigidStage, Stages
+from seqid_cli.params.schema import Stages
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import COARSE_HZ, COEFFICIENTS, SPARSE, Drawn, Moves, Shapes
 from seqid_cli.robot.base_parameters import (
@@ -103,11 +103,14 @@ class Belief:
         H = base_regressor(self.robot, self.basis, *states)
         return H.reshape(M, N, n, self.basis.size)
 
-    def information(self, moves: Moves, H: Array) -> Array:
-        """Information (M, b, b) of moves: the samples that slide, weighted by the noise."""
+    def weights(self, moves: Moves) -> Array:
+        """What samples (M, N, n) tell, per (N m)^2: those that slide, by the noise."""
         step = float(moves.t[1] - moves.t[0])
-        slide = moves.dq**2 / (moves.dq**2 + self.slow**2)
-        rows = np.sqrt(step * self.density * slide)[..., None] * H
+        return step * self.density * (moves.dq**2 / (moves.dq**2 + self.slow**2))
+
+    def information(self, moves: Moves, H: Array) -> Array:
+        """Information (M, b, b) of moves."""
+        rows = np.sqrt(self.weights(moves))[..., None] * H
         flat = rows.reshape(len(H), -1, H.shape[3])
         return np.asarray(flat.transpose(0, 2, 1) @ flat)
 
@@ -150,13 +153,7 @@ def belief_of(
 
 
 def information_of(belief: Belief, recordings: Iterable[Recording]) -> Array:
-    """Sum up H' D H (b, b) over the samples of logs in which joints slide.
-
-    Raises
-    ------
-    InputError
-        A log carries neither torque nor current.
-    """
+    """Sum up H' D H (b, b) over the samples of logs in which joints slide."""
     total = np.zeros((belief.basis.size, belief.basis.size))
     for recording in recordings:
         motion = torque_motion(recording, belief.robot, MotionOptions())
@@ -191,25 +188,19 @@ def _parameters(
         theta = basis.expression @ phi
         spread = urdf_share * basis.expression * phi
     for stage in (stages.gravity, stages.inertia):
-        if stage is not None and stage.parameters:
-            theta, spread = _replaced(theta, spread, stage, basis, robot.n)
+        if stage is None or not stage.parameters:
+            continue
+        if theta is None:
+            phi = np.array([stage.representative.get(x, 0.0) for x in standard_names(robot.n)])
+            theta = basis.expression @ phi
+        own = [basis.names.index(parameter.name) for parameter in stage.parameters]
+        theta[own] = [parameter.value for parameter in stage.parameters]
+        spread[own] = 0.0
+        values, vectors = np.linalg.eigh(np.array(stage.covariance))
+        added = np.zeros((basis.size, len(own)))
+        added[own] = vectors * np.sqrt(np.maximum(values, 0.0))
+        spread = np.hstack([spread, added])
     return theta, spread
-
-
-def _replaced(
-    theta: Array | None, spread: Array, stage: RigidStage, basis: Basis, n: int
-) -> tuple[Array, Array]:
-    """Replace earlier values by those that a stage identified."""
-    phi = np.array([stage.representative.get(name, 0.0) for name in standard_names(n)])
-    own = [basis.names.index(parameter.name) for parameter in stage.parameters]
-    new = basis.expression @ phi if theta is None else theta.copy()
-    new[own] = [parameter.value for parameter in stage.parameters]
-    kept = spread.copy()
-    kept[own] = 0.0
-    values, vectors = np.linalg.eigh(np.array(stage.covariance))
-    added = np.zeros((basis.size, len(own)))
-    added[own] = vectors * np.sqrt(np.maximum(values, 0.0))
-    return new, np.hstack([kept, added])
 
 
 def _density(belief: Belief, stages: Stages, *, friction_hz: float = 2.0) -> tuple[Array, str]:

@@ -77,7 +77,12 @@ def plan(
     geometry = _geometry(arm, limits, options)
     made = make_plan(what, arm, limits, stages, options, ids, recorded, geometry)
     if folder is not None:
-        made = _with_trajectories(made, folder, arm, options.speed_scale)
+        from seqid_cli.plan.moves.files import write_moves
+
+        with writing(folder):
+            folder.mkdir(exist_ok=True)
+        moves = write_moves(folder, made.moves, arm, options.speed_scale)
+        made = structs.replace(made, moves=moves)
     if target is not None:
         write_json_atomic(target, made, inputs=inputs)
     return made
@@ -116,13 +121,7 @@ def _check(
 
 
 def _geometry(robot: Robot, limits: Limits, options: PlanOptions) -> Geometry | None:
-    """The arm's shapes and the boxes around it; None where the URDF has no shapes.
-
-    Raises
-    ------
-    ConfigError
-        Boxes are given for an arm without shapes.
-    """
+    """The arm's shapes and the boxes around it; None where the URDF has no shapes."""
     import numpy as np
 
     from seqid_cli.plan.moves.strokes import postures_of
@@ -135,11 +134,3 @@ def _geometry(robot: Robot, limits: Limits, options: PlanOptions) -> Geometry | 
         message = "--workspace and --keep-out need the shapes of the links"
         raise ConfigError(message, where=str(robot.source), hint=hint)
     return found
-
-
-def _with_trajectories(plan: PlanFile, folder: Path, robot: Robot, scale: float) -> PlanFile:
-    from seqid_cli.plan.moves.files import write_moves
-
-    with writing(folder):
-        folder.mkdir(exist_ok=True)
-    return structs.replace(plan, moves=write_moves(folder, plan.moves, robot, scale))

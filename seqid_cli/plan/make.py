@@ -31,7 +31,7 @@ from seqid_cli.plan.stages.imu import plan_imu
 from seqid_cli.plan.stages.inertia import Planned, plan_inertia
 from seqid_cli.plan.stages.payload import loaded, plan_payload
 from seqid_cli.plan.stages.validation import plan_validation
-from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf.geometry import Geometry
 from seqid_cli.shares import percent
 
@@ -50,17 +50,12 @@ def make_plan(
 
     `have` are logs that inertia stage or diagnosis will get as well: only what they lack is
     planned.
-
-    Raises
-    ------
-    ConfigError
-        Nothing can be moved within the limits.
     """
     belief = belief_of(robot, stages, limits, geometry=geometry)
     if what == "discriminate":
         found = {what: plan_discriminate(belief, stages, options, list(have))}
     else:
-        found = _session(_stages(what, robot), belief, stages, options, have)
+        found = _session(what, belief, stages, options, have)
     moves = [move for planned in found.values() for move in planned.moves]
     if belief.theta is not None:
         heavy = loaded(belief, options.load_kg)
@@ -89,48 +84,29 @@ def make_plan(
     )
 
 
-def _stages(what: str, robot: Robot) -> tuple[str, ...]:
-    """The stages of a plan; a session calibrates IMUs where the robot has any."""
-    if what != "all":
-        return (what,)
-    imu = ("imu-calib",) if robot.imus else ()
-    return ("friction", "gravity", *imu, "inertia", "validation")
-
-
 def _session(
-    names: Sequence[str],
-    belief: Belief,
-    stages: Stages,
-    options: PlanOptions,
-    have: Iterable[Recording],
+    what: str, belief: Belief, stages: Stages, options: PlanOptions, have: Iterable[Recording]
 ) -> dict[str, Planned]:
-    """Plan stages one after the other, each on what is known by then."""
-    found: dict[str, Planned] = {}
+    """Plan one stage, or all one after the other, each on what logs and moves tell by then."""
     known = information_of(belief, have)
+    planners = {
+        "friction": lambda: plan_friction(belief, options),
+        "gravity": lambda: plan_gravity(belief, stages, options),
+        "imu-calib": lambda: plan_imu(belief, options),
+        "inertia": lambda: plan_inertia(belief, stages, options, known),
+        "payload": lambda: plan_payload(belief, stages, options),
+        "validation": lambda: plan_validation(belief, options),
+    }
+    names = [what]
+    if what == "all":
+        left_out = {"payload"} if belief.robot.imus else {"payload", "imu-calib"}
+        names = [name for name in planners if name not in left_out]
+    found = {}
     for name in names:
-        found[name] = _planned(name, belief, stages, options, known)
+        found[name] = planners[name]()
         added = found[name].information
         known = known if added is None else known + added
     return found
-
-
-def _planned(
-    name: str,
-    belief: Belief,
-    stages: Stages,
-    options: PlanOptions,
-    known: Array,
-) -> Planned:
-    """Plan a stage; inertia adds to what is `known` (b, b) by logs and by the gravity plan."""
-    if name == "inertia":
-        return plan_inertia(belief, stages, options, known)
-    if name == "imu-calib":
-        return plan_imu(belief, options)
-    if name in ("friction", "validation"):
-        make = plan_friction if name == "friction" else plan_validation
-        return make(belief, options)
-    make_rigid = plan_gravity if name == "gravity" else plan_payload
-    return make_rigid(belief, stages, options)
 
 
 def _with_torque(

@@ -20,7 +20,6 @@ from scipy.signal import correlate
 from seqid_cli.errors import ConfigError
 from seqid_cli.inspect.screening import Screened, read_screened
 from seqid_cli.logs.raw import TimeSource
-from seqid_cli.logs.recording import Recording
 from seqid_cli.params.io import read_any
 from seqid_cli.params.results.inspection import PlannedPart
 from seqid_cli.params.results.plan import PlanFile, PlannedMove
@@ -35,13 +34,7 @@ ORDER = ("missing", "spoiled", "recorded")
 def recorded_parts(
     plan: Path, robot: Robot, logs: Sequence[Path], time_source: TimeSource = "header"
 ) -> list[PlannedPart]:
-    """Say of each move of a plan whether it is recorded, missing or spoiled.
-
-    Raises
-    ------
-    SeqidError
-        The plan or a log cannot be read, or the plan is of another robot.
-    """
+    """Say of each move of a plan whether it is recorded, missing or spoiled."""
     (source,) = read_any([plan])
     file = source.content
     if not isinstance(file, PlanFile):
@@ -57,7 +50,11 @@ def compared(plan: PlanFile, names: Sequence[str], logs: Iterable[Screened]) -> 
     """Compare the moves of a plan with logs; the best log of each counts."""
     best = [PlannedPart(move=move.name, stage=move.stage, status="missing") for move in plan.moves]
     for log in logs:
-        q, valid = _at_rate(log.recording)
+        t = log.recording.t
+        grid = np.arange(t[0], t[-1], 1.0 / RATE_HZ)
+        nearest = np.clip(np.searchsorted(t, grid), 0, len(t) - 1)
+        valid = log.recording.valid[nearest].astype(float)
+        q = np.where(valid[:, None] > 0, log.recording.q[nearest], 0.0)
         errors = [f.message for f in log.findings if f.severity == "error"]
         for k, move in enumerate(plan.moves):
             for scale in dict.fromkeys((1.0, plan.speed_scale)):
@@ -65,22 +62,8 @@ def compared(plan: PlanFile, names: Sequence[str], logs: Iterable[Screened]) -> 
                 if part.status == "recorded" and errors:
                     part = msgspec.structs.replace(part, status="spoiled", reason=errors[0])
                 part = msgspec.structs.replace(part, log=str(log.recording.path))
-                if _rank(part) > _rank(best[k]):
-                    best[k] = part
+                best[k] = max(best[k], part, key=lambda x: (ORDER.index(x.status), x.share))
     return best
-
-
-def _rank(part: PlannedPart) -> tuple[int, float]:
-    return ORDER.index(part.status), part.share
-
-
-def _at_rate(recording: Recording) -> tuple[Array, Array]:
-    """Positions (N, n) and the mask (N,) of valid samples at the common rate."""
-    t = recording.t
-    grid = np.arange(t[0], t[-1], 1.0 / RATE_HZ)
-    nearest = np.clip(np.searchsorted(t, grid), 0, len(t) - 1)
-    valid = recording.valid[nearest].astype(float)
-    return np.where(valid[:, None] > 0, recording.q[nearest], 0.0), valid
 
 
 def _found(

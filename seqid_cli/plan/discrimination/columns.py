@@ -92,7 +92,8 @@ class Layout:
             Slot(part, np.array([x.low for x in own]), np.array([x.high for x in own]))
             for part, own in zip(_between(0, [len(own) for own in specs]), specs, strict=True)
         ]
-        known = [(slice(0, b), _rigid_prior(belief)), *zip(at, friction, strict=True)]
+        rigid = _known(belief.root @ belief.root.T, Goal.of(belief, 0).scale ** 2)
+        known = [(slice(0, b), rigid), *zip(at, friction, strict=True)]
         return cls(at, at[-1].stop, slots, known)
 
 
@@ -134,12 +135,6 @@ def _friction(belief: Belief, scene: Scene, j: int) -> tuple[Array, Array]:
         return np.stack([scene.sign[:, j], motion.dq[:, j]], axis=1), np.zeros((2, 2))
     columns = surface.columns(motion.q[:, j], motion.dq[:, j])
     return columns, _known(surface.covariance, np.mean(columns**2, axis=0))
-
-
-def _rigid_prior(belief: Belief) -> Array:
-    """Information (b, b) of the stages on the base parameters."""
-    scale = Goal.of(belief, 0).scale
-    return _known(belief.root @ belief.root.T, scale**2)
 
 
 def _known(covariance: Array, square: Array) -> Array:

@@ -20,12 +20,7 @@ from seqid_cli.params.results.plan import EffectSeparation, PlannedMove, Planned
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
 from seqid_cli.plan.discrimination.question import Question
-from seqid_cli.plan.discrimination.separation import (
-    Separation,
-    Told,
-    scenes_of,
-    separation_of,
-)
+from seqid_cli.plan.discrimination.separation import Separation, Told, scenes_of, separation_of
 from seqid_cli.plan.moves.fourier import COARSE_HZ, Shapes
 from seqid_cli.plan.moves.strokes import (
     REST_S,
@@ -49,20 +44,7 @@ def plan_discriminate(
 ) -> Planned:
     """Choose the moves after which the diagnosis will tell the two effects apart.
 
-    Parameters
-    ----------
-    belief : Belief
-    stages : Stages
-    options : PlanOptions
-    have : sequence of Recording
-        Logs that will be diagnosed together with those of the moves.
-
-    Raises
-    ------
-    UsageError
-        The effects or the joint are not named rightly, or no motion can tell such effects apart.
-    ConfigError
-        The model does not allow to look for one of them, or no move keeps the torque limits.
+    `have` are logs that will be diagnosed together with those of the moves.
     """
     effects, joint = asked(belief.robot, options)
     pool = pool_of(belief, joint, options)

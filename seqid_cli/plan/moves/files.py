@@ -8,7 +8,7 @@ s^2 a.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -41,15 +41,13 @@ def write_moves(
 ) -> list[PlannedMove]:
     """Write all files into a folder; return the moves with the names of their CSV files."""
     names = robot.joint_names
-    kinds: list[tuple[str, Callable[[PlannedMove], str]]] = [
-        (".csv", lambda move: _csv(move, names, speed_scale)),
-        (".yaml", lambda move: _yaml(move, names, speed_scale)),
-    ]
+    kinds = {".csv": _csv, ".yaml": _yaml}
     if robot.n == 6 and not robot.chain.prismatic.any():
-        kinds.append((".script", lambda move: _urscript(move, names, speed_scale)))
+        kinds[".script"] = _urscript
     for move in moves:
-        for suffix, text_of in kinds:
-            write_text_atomic(folder / f"{move.name}{suffix}", text_of(move))
+        for suffix, text_of in kinds.items():
+            text = text_of(move, names, speed_scale)
+            write_text_atomic(folder / f"{move.name}{suffix}", text)
     path = folder / "moves.mcap"
     check_output(path)
     with replacing(path) as temporary, writing(path), temporary.open("wb") as stream:

@@ -115,23 +115,16 @@ class Shapes:
         low = y.min(axis=2)
         span = y.max(axis=2) - low
         room = limits.range
-        amplitude = _largest(
-            (room, span),
-            (limits.speed, np.abs(dy).max(axis=2)),
-            (limits.acceleration, np.abs(ddy).max(axis=2)),
-        )
+        used = [span, np.abs(dy).max(axis=2), np.abs(ddy).max(axis=2)]
+        allowed = [room, limits.speed, limits.acceleration]
+        factors = [a / np.maximum(b, 1e-12) for a, b in zip(allowed, used, strict=True)]
+        amplitude = np.min(factors, axis=0)
         still = span <= 0
         amplitude = np.where(still, 0.0, drawn.extent * amplitude)
         free = limits.lower + drawn.place * (room - amplitude * span)
         scaled = [(amplitude[:, :, None] * part).transpose(0, 2, 1) for part in (y, dy, ddy)]
         centre = free - amplitude * np.where(still, 0.0, low)
         return Moves(self.t, centre[:, None] + scaled[0], scaled[1], scaled[2])
-
-
-def _largest(*bounds: tuple[Array, Array]) -> Array:
-    """The factor that meets the tightest of some limits, each (limit (n,), used by one (M, n))."""
-    factors = [limit / np.maximum(used, 1e-12) for limit, used in bounds]
-    return np.asarray(np.min(factors, axis=0))
 
 
 def _window(t: Array, seconds: float, ramp: float) -> tuple[Array, Array, Array]:

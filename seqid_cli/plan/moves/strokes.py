@@ -91,13 +91,7 @@ def stroke_move(
 def reachable(
     belief: Belief, j: int, postures: Array, share: float, widest: float
 ) -> tuple[Array, Array]:
-    """Postures (P, n) in which joint j sweeps almost as far as in any, and the ends (P, 2) rad.
-
-    Raises
-    ------
-    ConfigError
-        It touches something wherever it goes.
-    """
+    """Postures (P, n) in which joint j sweeps almost as far as in any, and the ends (P, 2) rad."""
     limits = belief.limits
     middle, half = (limits.lower[j] + limits.upper[j]) / 2, share * limits.range[j] / 2
     ends = np.array([belief.free_span(j, posture) for posture in postures])

@@ -137,17 +137,18 @@ def assess(belief: Belief, goal: Goal, moves: Moves) -> tuple[Array, Array]:
     return goal.scaled(belief.information(some, H)), belief.overload(some, H)
 
 
-def choose(goal: Goal, pool: Pool, count: int, have: Array) -> list[int]:
-    """Take the moves one by one that lower the error most, on top of `have` (b, b), scaled."""
+def choose(goal: Goal, information: Array, count: int, have: Array) -> list[int]:
+    """Take the moves one by one that lower the error most, by their scaled `information`.
+
+    They come on top of `have` (b, b), scaled.
+    """
     chosen: list[int] = []
     total = have
-    left = np.ones(len(pool.joints), dtype=bool)
-    for _ in range(min(count, len(pool.joints))):
-        errors = goal.errors(total + pool.information)
-        best = int(np.argmin(np.where(left, errors, np.inf)))
-        left[best] = False
-        chosen.append(best)
-        total = total + pool.information[best]
+    for _ in range(min(count, len(information))):
+        errors = goal.errors(total + information)
+        errors[chosen] = np.inf
+        chosen.append(int(np.argmin(errors)))
+        total = total + information[chosen[-1]]
     return chosen
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.params.results.plan import PlannedMove, PlannedStage
+from seqid_cli.params.results.plan import PlannedStage
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.strokes import (
     overloads,
@@ -23,43 +23,25 @@ from seqid_cli.plan.stages.inertia import Planned
 from seqid_cli.robot.types import Array
 
 
-def plan_friction(belief: Belief, options: PlanOptions) -> Planned:
+def plan_friction(
+    belief: Belief, options: PlanOptions, *, slowest: float = 0.08, speeds_per_joint: int = 10
+) -> Planned:
     """Move each joint in the posture that loads it least, so that friction shows most clearly.
 
     `torque_error` of the stage is the error of the mean friction at the fastest speed by noise.
-
-    Raises
-    ------
-    ConfigError
-        A joint's torque limit holds in no posture.
     """
     rng = np.random.default_rng(options.seed)
-    moves = [_sweeps(belief, j, rng) for j in belief.limits.moving]
-    names = list(belief.robot.joint_names)
-    errors = {}
-    for move in moves:
-        seconds = seconds_of(move.strokes[-2:])
-        noise = 1.0 / np.sqrt(belief.density[names.index(move.joints[0])] * seconds)
-        errors[move.joints[0]] = float(noise)
+    moves, errors = [], {}
+    for j in belief.limits.moving:
+        name = belief.robot.joint_names[j]
+        reduced, posture, ends = lightest_posture(belief, j, rng)
+        top = top_speed(reduced.limits, j, ends[1] - ends[0])
+        speeds = np.geomspace(slowest * top, top, speeds_per_joint).tolist()
+        strokes = there_and_back(reduced.limits, j, speeds, ends)
+        moves.append(stroke_move(reduced, f"friction_{name}", "friction", j, posture, strokes))
+        errors[name] = float(1.0 / np.sqrt(belief.density[j] * seconds_of(strokes[-2:])))
     seconds = sum(move.duration_s for move in moves)
     return Planned(moves, PlannedStage(torque_error=errors, duration_s=seconds))
-
-
-def _sweeps(
-    belief: Belief,
-    j: int,
-    rng: np.random.Generator,
-    *,
-    slowest: float = 0.08,
-    speeds_per_joint: int = 10,
-) -> PlannedMove:
-    name = belief.robot.joint_names[j]
-    belief, posture, ends = lightest_posture(belief, j, rng)
-    limits = belief.limits
-    top = top_speed(limits, j, ends[1] - ends[0])
-    speeds = np.geomspace(slowest * top, top, speeds_per_joint).tolist()
-    strokes = there_and_back(limits, j, speeds, ends)
-    return stroke_move(belief, f"friction_{name}", "friction", j, posture, strokes)
 
 
 def lightest_posture(
@@ -74,20 +56,8 @@ def lightest_posture(
     """The posture (n,) of those drawn in which a sweep of joint j needs least of the torques.
 
     The sweep covers `share` of the range, about its middle, as far as it touches nothing: postures
-    count in which it reaches `widest` of the farthest.
-
-    Returns
-    -------
-    reduced : Belief
-        With the acceleration that the load allows.
-    posture : (n,) array
-    ends : tuple of float
-        Of the sweep, rad.
-
-    Raises
-    ------
-    ConfigError
-        A torque limit or a collision is in the way in all of them.
+    count in which it reaches `widest` of the farthest. Before the posture comes the belief with the
+    acceleration that the load allows, behind it the ends of the sweep, rad.
     """
     postures, ends = reachable(
         belief, j, postures_of(belief.limits, most_postures, rng), share, widest

@@ -16,7 +16,7 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief
-from seqid_cli.plan.moves.fourier import Drawn, Moves
+from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.moves.strokes import (
     overloads,
     postures_of,
@@ -28,7 +28,7 @@ from seqid_cli.plan.moves.strokes import (
     top_speed,
 )
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.choose import Goal, Pool, choose
+from seqid_cli.plan.stages.choose import Goal, choose
 from seqid_cli.plan.stages.inertia import Planned
 from seqid_cli.plan.stages.predicted_errors import predicted_stage, rank_and_condition
 from seqid_cli.robot.types import Array
@@ -50,13 +50,7 @@ class _Sweeps:
 def plan_gravity(
     belief: Belief, stages: Stages, options: PlanOptions, *, per_joint: int = 3
 ) -> Planned:
-    """Choose sweeps for the gravity parameters; none where gravity loads no joint.
-
-    Raises
-    ------
-    ConfigError
-        The torque limits allow none.
-    """
+    """Choose sweeps for the gravity parameters; none where gravity loads no joint."""
     wanted = belief.basis.gravity
     if not wanted.any():
         note = "gravity loads no joint of this robot: nothing to record"
@@ -65,8 +59,9 @@ def plan_gravity(
     goal = Goal.of(fresh, options.seed)
     *_, slow = reduced_accelerations(fresh)  # slow sweeps need no more
     pool = _pool(slow, goal, np.random.default_rng(options.seed))
-    loaded = len(np.unique(pool.joint))
-    chosen = _exchanged(pool, _greedy(goal, pool, per_joint * loaded), wanted)
+    count = per_joint * len(np.unique(pool.joint))
+    greedy = choose(goal, pool.information, count, np.zeros_like(goal.W))
+    chosen = _exchanged(pool, greedy, wanted)
     chosen.sort(key=lambda k: -int(pool.joint[k]))
     moves = _described(slow, pool, chosen)
     stage = predicted_stage(
@@ -90,7 +85,8 @@ def _pool(
 ) -> _Sweeps:
     """Sweeps of every joint that moves and that gravity loads, within the torque limits."""
     limits = belief.limits
-    joints, postures, spans, moves, found = [], [], [], [], []
+    parts: list[tuple[Array, ...]] = []
+    t = np.zeros(0)
     for j in limits.moving:
         drawn, ends = reachable(belief, j, postures_of(limits, most_postures, rng), 1.0, 0.5)
         fit = overloads(belief, j, drawn, SLOW * limits.speed[j]) <= 1.0
@@ -103,29 +99,15 @@ def _pool(
         own[..., ~belief.basis.gravity] = 0.0
         information = goal.scaled(belief.information(swept, own))
         if information.any():
-            joints.append(np.full(len(drawn), j))
-            postures.append(drawn)
-            spans.append(ends)
-            moves.append(swept)
-            found.append(information)
-    if not moves:
+            t = swept.t if not parts else t
+            own_joint = np.full(len(drawn), j)
+            parts.append((own_joint, drawn, ends, swept.q, swept.dq, swept.ddq, information))
+    if not parts:
         message = "no sweep of any joint that gravity loads keeps the torque limits"
         hint = "Correct effort in the URDF."
         raise ConfigError(message, where=str(belief.robot.source), hint=hint)
-    parts = [np.concatenate([getattr(m, x) for m in moves]) for x in ("q", "dq", "ddq")]
-    return _Sweeps(
-        np.concatenate(joints),
-        np.concatenate(postures),
-        np.concatenate(spans),
-        Moves(moves[0].t, *parts),
-        np.concatenate(found),
-    )
-
-
-def _greedy(goal: Goal, pool: _Sweeps, count: int) -> list[int]:
-    blank = np.zeros((len(pool.joint), 0))
-    candidates = Pool(Drawn(blank, blank, blank), pool.information, [()] * len(pool.joint))
-    return choose(goal, candidates, count, np.zeros_like(goal.W))
+    joint, posture, ends, *states, found = map(np.concatenate, zip(*parts, strict=True))
+    return _Sweeps(joint, posture, ends, Moves(t, *states), found)
 
 
 def _exchanged(

@@ -33,13 +33,7 @@ SPAN = 0.5  # of the range that a swing covers, about its middle
 
 
 def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planned:
-    """Choose the postures and describe the swings.
-
-    Raises
-    ------
-    ConfigError
-        The robot has no IMU, its first joint is locked, or no posture keeps the torque limits.
-    """
+    """Choose the postures and describe the swings."""
     robot, first = belief.robot, belief.limits.moving[0]
     if not robot.imus:
         hint = "Add an [[imu]] table, or plan another stage."

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.results.plan import FourierMotion, PlannedMove, PlannedStage
@@ -13,19 +12,10 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import COARSE_HZ, Drawn, Moves, Shapes
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.choose import (
-    REDUCTION,
-    Goal,
-    Pool,
-    choose,
-    draw_pool,
-    groups_of,
-)
+from seqid_cli.plan.stages.choose import REDUCTION, Goal, Pool, choose, draw_pool, groups_of
 from seqid_cli.plan.stages.predicted_errors import predicted_stage
 from seqid_cli.plan.stages.refine import refine
 from seqid_cli.robot.types import Array
-
-OVERLOADED = "no move of {count} keeps the torque limit of joint {joint!r}: {torque:.4g} {unit}"
 
 
 @dataclass(frozen=True)
@@ -45,19 +35,7 @@ def plan_inertia(
 ) -> Planned:
     """Choose the moves that lower the torque's error most in the given time.
 
-    Parameters
-    ----------
-    belief : Belief
-    stages : Stages
-        What was identified already.
-    options : PlanOptions
-    have : (b, b) array, optional
-        Information that recorded logs hold already.
-
-    Raises
-    ------
-    ConfigError
-        No move keeps the torque limits.
+    `have` (b, b) is information that recorded logs hold already.
     """
     goal = Goal.of(belief, options.seed)
     known = np.zeros_like(goal.W) if have is None else goal.scaled(have)
@@ -69,15 +47,10 @@ def plan_inertia(
 def optimised(
     belief: Belief, goal: Goal, options: PlanOptions, known: Array, stage: str
 ) -> tuple[list[PlannedMove], Moves, Array]:
-    """Draw, choose and refine moves for a goal.
+    """Draw, choose and refine moves for a goal; with them come their samples and information.
 
-    Returns
-    -------
-    moves : list of PlannedMove
-    dense : Moves
-        The same as samples: errors of friction cancel over a move, which few samples do not show.
-    each : (M, b, b) array
-        Their scaled information.
+    Samples are dense: errors of friction cancel over a move, which few samples do not show. The
+    information (M, b, b) is scaled.
     """
     shapes = Shapes.over(options.length_s, COARSE_HZ)
     count = max(1, int(options.duration_s / options.length_s))
@@ -85,7 +58,7 @@ def optimised(
     rng = np.random.default_rng(options.seed)
     pool = draw_pool(belief, goal, shapes, groups, options.pool, rng)
     check_torque(belief, pool, options)
-    chosen = pool.drawn[choose(goal, pool, count, known)]
+    chosen = pool.drawn[choose(goal, pool.information, count, known)]
     refined = refine(belief, goal, shapes, chosen, known, sweeps=options.sweeps)
     drawn, moves = within_limits(belief, refined, options)
     dense = moves.every(2)
@@ -109,11 +82,9 @@ def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
         raise ConfigError(message, where=where, hint=hint)
     j = int(np.argmax(load.min(axis=(0, 1))))
     joint, torque = belief.robot.joints[j], belief.limits.torque[j]
-    text = OVERLOADED.format(
-        count=options.pool, joint=joint.name, torque=torque, unit=joint.unit("N m")
-    )
+    limit = f"torque limit of joint {joint.name!r}: {torque:.4g} {joint.unit('N m')}"
     hint = "Correct effort in the URDF, or lower speeds with a longer --ramp."
-    raise ConfigError(text, where=where, hint=hint)
+    raise ConfigError(f"no move of {options.pool} keeps the {limit}", where=where, hint=hint)
 
 
 def within_limits(
@@ -124,22 +95,19 @@ def within_limits(
     Those that touch something even when they are small are left out.
     """
     shapes = Shapes.over(options.length_s, dense_hz)
-    moves = shapes.moves(drawn, belief.limits)
-    bad = _dense_faults(belief, moves)
-    for _ in range(most):
-        if not bad.any():
-            break
+    moves, where = shapes.moves(drawn, belief.limits), np.arange(len(drawn))
+    bad = np.ones(len(drawn), dtype=bool)
+    for k in range(most + 1):
+        if k:
+            drawn = drawn.smaller(where, 1.0 - (1.0 - REDUCTION) / 10)
+            moves = shapes.moves(drawn, belief.limits)
+        own = moves[where]
+        bad[where] = (_dense_overload(belief, own) > 1.0) | belief.collides(own.every(4).q)
         where = np.flatnonzero(bad)
-        drawn = drawn.smaller(where, 1.0 - (1.0 - REDUCTION) / 10)
-        moves = shapes.moves(drawn, belief.limits)
-        bad[where] = _dense_faults(belief, moves[where])
+        if not len(where):
+            break
     kept = np.flatnonzero(~bad)
     return drawn[kept], moves[kept]
-
-
-def _dense_faults(belief: Belief, moves: Moves) -> NDArray[np.bool_]:
-    """Which moves (M,) need too much torque or touch something."""
-    return np.asarray((_dense_overload(belief, moves) > 1.0) | belief.collides(moves.every(4).q))
 
 
 def _dense_overload(belief: Belief, moves: Moves) -> Array:

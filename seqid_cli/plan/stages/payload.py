@@ -58,11 +58,8 @@ class LoadedBelief(Belief):
     def passed_on(self, moves: Moves, C: Array) -> Array:
         """Covariance (k, k) by the model's own parameters, `root`, given the noise's alone."""
         H = self.regressor(moves)
-        wide = self.wide(moves, H)
-        step = float(moves.t[1] - moves.t[0])
-        slide = moves.dq**2 / (moves.dq**2 + self.slow**2)
-        cross = np.einsum("mnjk,mnj,mnjb->kb", wide, step * self.density * slide, H, optimize=True)
-        moved = C @ cross @ self.root
+        parts = (self.wide(moves, H), self.weights(moves), H)
+        moved = C @ np.einsum("mnjk,mnj,mnjb->kb", *parts, optimize=True) @ self.root
         return np.asarray(moved @ moved.T)
 
 
@@ -83,13 +80,7 @@ def loaded(belief: Belief, mass: float, *, lever: float = 0.1) -> LoadedBelief:
 
 
 def plan_payload(belief: Belief, stages: Stages, options: PlanOptions) -> Planned:
-    """Choose the moves that tell mass, centre and inertia of the body best.
-
-    Raises
-    ------
-    ConfigError
-        No move keeps the torque limits with the load.
-    """
+    """Choose the moves that tell mass, centre and inertia of the body best."""
     whole = loaded(belief, options.load_kg)
     goal = Goal.of(whole, options.seed)
     W = goal.W.copy()

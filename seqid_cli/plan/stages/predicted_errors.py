@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,16 +17,8 @@ from seqid_cli.robot.types import Array
 OPEN_SHARE = 0.1  # of the vague prior, from which an error leaves a parameter open
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Covariance (b, b) of the parameters: `own` by noise alone, `whole` with friction's errors."""
-
-    own: Array
-    whole: Array
-
-
-def spread_of(belief: Belief, goal: Goal, stages: Stages, some: Moves, total: Array) -> Spread:
-    """Covariance after moves with the scaled information `total`, friction's errors passed on.
+def spread_of(belief: Belief, goal: Goal, stages: Stages, some: Moves, total: Array) -> Array:
+    """Covariance (b, b) after moves with the scaled information `total`, friction's errors in it.
 
     Friction was subtracted: an error d of a surface's coefficients moves the parameters by
     -C (H' D F) d, and by what it moved gravity's parameters through their prior.
@@ -36,8 +26,7 @@ def spread_of(belief: Belief, goal: Goal, stages: Stages, some: Moves, total: Ar
     C = goal.covariance(total)
     whole = C.copy()
     H = belief.regressor(some)
-    step = float(some.t[1] - some.t[0])
-    slide = some.dq**2 / (some.dq**2 + belief.slow**2)
+    weights = belief.weights(some)
     prior = gravity_prior(stages.gravity, belief.basis)
     known = stages.gravity.friction_sensitivity if stages.gravity else {}
     sensitivity = by_joint(known, belief.robot.joint_names)
@@ -45,13 +34,13 @@ def spread_of(belief: Belief, goal: Goal, stages: Stages, some: Moves, total: Ar
         if surface is None:
             continue
         F = surface.columns(some.q[..., j].ravel(), some.dq[..., j].ravel())
-        weight = step * belief.density[j] * slide[..., j].ravel()
-        moved = -C @ ((weight[:, None] * H[:, :, j].reshape(-1, len(C))).T @ F)
+        rows = weights[..., j, None] * H[:, :, j]
+        moved = -C @ (rows.reshape(-1, len(C)).T @ F)
         if prior is not None and stages.gravity is not None and j in sensitivity:
             gain = C @ prior.A.T
             moved += gain @ whitened(np.array(stages.gravity.covariance)) @ sensitivity[j]
         whole += moved @ surface.covariance @ moved.T
-    return Spread(C, whole)
+    return whole
 
 
 def rank_and_condition(information: Array) -> tuple[int, float]:
@@ -100,7 +89,7 @@ def predicted_stage(
     wanted = np.ones(basis.size, dtype=bool) if wanted is None else wanted
     total = have + each.sum(axis=0)
     spread = spread_of(belief, goal, stages, moves, total)
-    errors = np.sqrt(np.diag(spread.whole))
+    errors = np.sqrt(np.diag(spread))
     vague = errors * goal.scale > OPEN_SHARE * VAGUE
     known = {p.name for p in stages.gravity.parameters} if stages.gravity else set()
     earlier = goal.prior - np.eye(len(total)) / VAGUE**2
@@ -123,7 +112,7 @@ def predicted_stage(
         structural_rank=int(wanted.sum()),
         condition=condition,
         not_excited=[basis.expression_text(int(k)) for k in np.flatnonzero(vague & wanted)],
-        torque_error=_torque_error(belief, spread.whole * np.outer(wanted, wanted)),
+        torque_error=_torque_error(belief, spread * np.outer(wanted, wanted)),
         growth=growth_of(goal, have, each, seconds),
         duration_s=seconds * len(each),
     )

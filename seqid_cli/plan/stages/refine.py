@@ -67,14 +67,9 @@ class _Problem:
 def refine(
     belief: Belief, goal: Goal, shapes: Shapes, chosen: Drawn, have: Array, *, sweeps: int
 ) -> Drawn:
-    """Improve each move with all others held, `sweeps` times over.
+    """Improve each of the `chosen` moves with all others held, `sweeps` times over.
 
-    Parameters
-    ----------
-    chosen : Drawn
-        The moves of the greedy choice.
-    have : (b, b) array
-        Scaled information that is there already.
+    `have` (b, b) is scaled information that is there already.
     """
     information, _ = assess(belief, goal, shapes.moves(chosen, belief.limits))
     drawn = [chosen[[k]] for k in range(len(chosen))]

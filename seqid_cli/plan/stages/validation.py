@@ -17,13 +17,7 @@ from seqid_cli.plan.stages.inertia import Planned, check_torque, described, with
 def plan_validation(
     belief: Belief, options: PlanOptions, *, count: int = 4, own_seed: int = 1_000_003
 ) -> Planned:
-    """Draw moves of all joints, the first that keep the torque limits.
-
-    Raises
-    ------
-    ConfigError
-        None does.
-    """
+    """Draw moves of all joints, the first that keep the torque limits."""
     own = replace(options, seed=options.seed + own_seed)
     goal = Goal.of(belief, own.seed)
     shapes = Shapes.over(own.length_s, COARSE_HZ)

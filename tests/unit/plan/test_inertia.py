@@ -55,7 +55,7 @@ def test_information_is_that_of_the_regressor(belief: Belief, goal: Goal, pool: 
 
 def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(goal: Goal, pool: Pool) -> None:
     nothing = np.zeros_like(goal.W)
-    chosen = choose(goal, pool, COUNT, nothing)
+    chosen = choose(goal, pool.information, COUNT, nothing)
     assert len(set(chosen)) == COUNT
     rng = np.random.default_rng(1)
     sets = [rng.choice(len(pool.joints), COUNT, replace=False) for _ in range(1000)]
@@ -66,7 +66,7 @@ def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(goal: Goal, poo
 @pytest.mark.slow
 def test_refinement_lowers_the_error(belief: Belief, goal: Goal, pool: Pool) -> None:
     nothing, shapes = np.zeros_like(goal.W), Shapes.over(SECONDS, COARSE_HZ)
-    chosen = choose(goal, pool, COUNT, nothing)
+    chosen = choose(goal, pool.information, COUNT, nothing)
     better = refine(belief, goal, shapes, pool.drawn[chosen], nothing, sweeps=1)
     information, overload = assess(belief, goal, shapes.moves(better, belief.limits))
     before = float(goal.errors(pool.information[chosen].sum(axis=0)))
@@ -77,9 +77,9 @@ def test_refinement_lowers_the_error(belief: Belief, goal: Goal, pool: Pool) -> 
 
 
 def test_what_is_there_already_changes_the_choice(goal: Goal, pool: Pool) -> None:
-    first = choose(goal, pool, COUNT, np.zeros_like(goal.W))
+    first = choose(goal, pool.information, COUNT, np.zeros_like(goal.W))
     have = 10 * pool.information[first[:4]].sum(axis=0)
-    later = choose(goal, pool, 4, have)
+    later = choose(goal, pool.information, 4, have)
     with_new = float(goal.errors(have + pool.information[later].sum(axis=0)))
     again = float(goal.errors(have + pool.information[first[:4]].sum(axis=0)))
     assert with_new < again

@@ -4,8 +4,6 @@ The sample robots are identified from their sample logs; then they have an effec
 on moves of all joints. The held-out logs are two more of 20 s.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import sys

@@ -4,8 +4,6 @@ It stands alone: that interpreter need not have this project. Regressor, base pa
 solution are FIGAROH's own functions, as its examples call them.
 """
 
-from __future__ import annotations
-
 import json
 import resource
 import sys

@@ -5,8 +5,6 @@ them meet the same machine. CPU time is user and system time without imports, th
 rounds; peak memory is that of the whole process.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median

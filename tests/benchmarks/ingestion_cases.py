@@ -3,8 +3,6 @@
 Every case turns the same numbers of a file into arrays. Imports are not counted.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 import sys

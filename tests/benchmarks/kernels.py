@@ -3,8 +3,6 @@
 The two of a comparison take turns in one process; CPU time is the median of the turns.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from pathlib import Path

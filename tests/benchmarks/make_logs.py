@@ -4,8 +4,6 @@ The first message of every topic is written by the library of its encoding; the 
 of it with other stamps and numbers, because writing a million of them one by one takes minutes.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What processes cost: CPU time and memory (Linux)."""
 
-from __future__ import annotations
-
 import json
 import os
 import resource

@@ -1,7 +1,5 @@
 """CPU time of the motion smoother per second of a log: six joints and two arrays at 1 kHz."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What identifying inertia costs: against a straightforward script, and memory against length."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -4,8 +4,6 @@
 and the weights of the joints, so that their answers can be compared.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Sequence

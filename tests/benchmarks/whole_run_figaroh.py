@@ -8,8 +8,6 @@ FIGAROH runs in an environment of its own, whose interpreter the variable SEQID_
 As a program, `python -m tests.benchmarks.whole_run_figaroh URDF ARRAYS` is seqid's side of it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

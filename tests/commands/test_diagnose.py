@@ -1,7 +1,5 @@
 """`seqid diagnose` around a fake diagnosis: what it passes on, writes, prints and returns."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Iterable

@@ -1,7 +1,5 @@
 """Diagnosis and refinement on a sample robot, with everything real."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

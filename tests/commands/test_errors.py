@@ -1,7 +1,5 @@
 """Exit codes and messages of whatever can go wrong."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Killed while they write, or on a full disk: old files stay whole, no litter after a run."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """What fuzzing has found stays answered, and a few fresh inputs of every kind are."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

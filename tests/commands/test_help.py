@@ -1,7 +1,5 @@
 """Help texts, their examples, and the completion scripts made from the same options."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex

@@ -1,7 +1,5 @@
 """`seqid init`: the robot file that it writes, and that the package reads it."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

@@ -1,7 +1,5 @@
 """No command talks to the network or starts a program (SECURITY.md)."""
 
-from __future__ import annotations
-
 import ast
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Logs that change or vanish while they are read, little memory, few open files."""
 
-from __future__ import annotations
-
 import os
 import resource
 import shutil

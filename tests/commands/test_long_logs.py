@@ -1,7 +1,5 @@
 """What `refine` reads of earlier stages whose logs are too long to be held."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

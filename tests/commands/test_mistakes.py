@@ -1,7 +1,5 @@
 """Ten mistakes of users: each gets the message and the way out that docs/from_files.md lists."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Callable

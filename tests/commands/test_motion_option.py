@@ -1,7 +1,5 @@
 """`--motion` on the commands that take it: what they pass on, what they say, what cannot be."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """`seqid plan`: files, exit codes, messages."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

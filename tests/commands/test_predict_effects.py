@@ -1,7 +1,5 @@
 """`seqid predict` with a refined file: the effects count, and the notes say so."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

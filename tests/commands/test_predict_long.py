@@ -1,7 +1,5 @@
 """`seqid predict` on MCAP logs that are passed over: the same files as of held ones."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

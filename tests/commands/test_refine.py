@@ -1,7 +1,5 @@
 """`seqid refine` around a fake refinement: which logs go where, documents, screen, exit codes."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import sys

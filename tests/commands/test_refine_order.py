@@ -1,7 +1,5 @@
 """Held-out logs are opened after the last decision: until then there is nothing in them to read."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

@@ -1,7 +1,5 @@
 """Results repeat to the last bit: threads of BLAS, processes, order of the logs."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

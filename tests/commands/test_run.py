@@ -1,7 +1,5 @@
 """`seqid run`: the whole way in one command, resumed where it stopped."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Damage that nobody sees in the numbers: a stage says of its log what `inspect` says of it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The stage commands around fake identification: what they pass on, write, print and return."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 

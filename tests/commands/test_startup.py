@@ -1,7 +1,5 @@
 """What a command line imports: nothing heavy before there is something to compute."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A program of its own: streams that are full, closed or ASCII, names of any bytes, signals."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

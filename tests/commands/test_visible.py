@@ -1,7 +1,5 @@
 """Names that steer a terminal are shown, not obeyed."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

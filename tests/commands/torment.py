@@ -6,8 +6,6 @@ bytes only. After each the old file or the new one must be there, whole. In the 
 process writes, and nothing else may lie in the folder.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Run studies and benchmarks: `python -m tests.studies [--quick] [--only NAME ...]`."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import time

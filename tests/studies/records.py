@@ -1,7 +1,5 @@
 """Results of cases, kept line by line: a study that was cut short goes on where it stopped."""
 
-from __future__ import annotations
-
 import hashlib
 import sys
 from collections.abc import Callable, Iterator, Mapping

@@ -6,8 +6,6 @@ little memory it runs once more without a limit. Peak memory and CPU time are th
 --write the table goes into docs/trust.md.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import resource

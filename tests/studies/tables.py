@@ -1,7 +1,5 @@
 """Markdown tables, the statistics in them, and where they go in a document."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence

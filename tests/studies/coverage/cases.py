@@ -1,7 +1,5 @@
 """Arms of the coverage study, drawn anew for every seed, and the logs that their stages need."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product

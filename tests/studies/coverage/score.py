@@ -1,7 +1,5 @@
 """What the stages say of one arm of the coverage study, beside what is true."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Mapping, Sequence

@@ -12,8 +12,6 @@ Seeds 0 to 999 are for tuning: whoever sets a number may look at them. Seeds fro
 judging: nothing is set by them. A table never has both.
 """
 
-from __future__ import annotations
-
 from argparse import Namespace
 from collections.abc import Sequence
 

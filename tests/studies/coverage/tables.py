@@ -1,7 +1,5 @@
 """Tables of the coverage study: do stated intervals hold the truth as often as they say?"""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -6,8 +6,6 @@ most 10 s of CPU time and 1 GiB. What is not answered so is kept in the folder o
 --write the table goes into docs/trust.md.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

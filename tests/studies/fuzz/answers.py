@@ -1,7 +1,5 @@
 """Run a command line in this process, and say whether it answered as a program must."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import re

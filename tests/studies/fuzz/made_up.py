@@ -3,8 +3,6 @@
 What a damaged MCAP file still gives must be rows of the sound one, as long as checksums are on.
 """
 
-from __future__ import annotations
-
 import traceback
 from collections.abc import Mapping
 from dataclasses import dataclass

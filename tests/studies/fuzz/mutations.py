@@ -1,7 +1,5 @@
 """Ways to damage a file: its bytes, and in texts the numbers, words and lines."""
 
-from __future__ import annotations
-
 import re
 import struct
 from collections.abc import Callable, Sequence

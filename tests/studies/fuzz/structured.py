@@ -1,7 +1,5 @@
 """Ways to damage what a sound container holds: its trees, records, tables and rows of values."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import io

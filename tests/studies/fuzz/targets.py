@@ -1,7 +1,5 @@
 """What is fuzzed: sound files of every kind, and the command lines that read them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -4,8 +4,6 @@ The sequential experiments run at a part of the travel and of the speed that tra
 logs use, as trials in a lab do; the effect is there from the first log on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -5,8 +5,6 @@ have swallowed what of it they could; validation goes beyond the friction trials
 model that is told the effect and its joint, and identified anew with it from the same logs.
 """
 
-from __future__ import annotations
-
 import time
 from argparse import Namespace
 from collections.abc import Callable, Sequence

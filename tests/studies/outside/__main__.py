@@ -4,8 +4,6 @@ Every case is kept in the cache, a line of `outside.jsonl` and its diagnosis as
 `SEED.diagnosis.json`: a run that was cut goes on, and a case is run anew when its line is gone.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

@@ -1,7 +1,5 @@
 """Arms of the second simulator: drawn chains, and published ones with drawn drives."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Arms and logs that the tests of this simulator share."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

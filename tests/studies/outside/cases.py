@@ -1,7 +1,5 @@
 """A case as a user meets it: logs and files on disk, every command's own function, an answer."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Sequence

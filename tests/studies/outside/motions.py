@@ -1,7 +1,5 @@
 """Motions that people record: position (rad) of every joint at moments (s)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 import numpy as np

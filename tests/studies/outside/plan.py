@@ -1,7 +1,5 @@
 """What a seed stands for: an arm, what it lacks, when that came, and how it is recorded."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal

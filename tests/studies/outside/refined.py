@@ -5,8 +5,6 @@ are asked about, and two more that are held out. The reference is a model that i
 and its joint, and identified anew with it from the same logs.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 import tempfile

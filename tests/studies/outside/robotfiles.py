@@ -1,7 +1,5 @@
 """An arm as MJCF for the simulator, and as URDF and robot file for the user."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How an answer is judged against what was hidden: names, families, quantities, certainty."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 

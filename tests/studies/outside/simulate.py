@@ -1,7 +1,5 @@
 """One log of an arm in MuJoCo: a controller follows a motion, and sensors say what they see."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The tables of `docs/outside.md`: answers by group and by effect, and stated confidences."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 

@@ -4,8 +4,6 @@ A first short session of each arm tells the noise; 150 s of moves are planned wi
 several draws of noise, and identified: alone, and with the first session's logs (`--have`).
 """
 
-from __future__ import annotations
-
 from argparse import Namespace
 from collections.abc import Sequence
 

@@ -6,8 +6,6 @@ the same plant, and a second diagnosis of all logs. The plan was tuned on one se
 and judged on others once.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """What is known of the recorded robots, asked for one by one: found or not, how surely."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass

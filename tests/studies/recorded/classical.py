@@ -1,7 +1,5 @@
 """Recorded robots: the classical fit on one part of the logs, its prediction of the rest."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path

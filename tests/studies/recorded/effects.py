@@ -1,7 +1,5 @@
 """Recorded robots: what is added to the classical fit, and the error on logs that it never saw."""
 
-from __future__ import annotations
-
 import time
 from argparse import Namespace
 from collections.abc import Sequence

@@ -10,8 +10,6 @@ H_k the discrete Fourier transform of the columns, s spectral densities per samp
 ampere. Rows at rest are zero: friction balances there, whatever the parameters.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

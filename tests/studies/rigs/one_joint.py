@@ -1,7 +1,5 @@
 """The paper's one-joint rig (Sec. 4.1): parameters, prediction, and how far from the bound."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass

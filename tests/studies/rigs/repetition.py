@@ -1,7 +1,5 @@
 """One rig built anew, and what its stages predict of held-out logs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

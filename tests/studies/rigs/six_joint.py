@@ -1,7 +1,5 @@
 """An arm of a UR5e's size: held-out torque, honesty of the standard errors, IMU mountings."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Each seed is a rig built anew: other friction, another mounting of the array, wh
 faults of cheap ones. All stages run on its own logs. Errors are in % of the true inertia.
 """
 
-from __future__ import annotations
-
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

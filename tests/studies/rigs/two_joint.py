@@ -1,7 +1,5 @@
 """The paper's planar two-joint rig (Sec. 4.2): Table IV and the friction surfaces."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A case of the study of undeclared effects, its diagnosis, its truth; cells of its tables."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Logs of the study's cases, simulated once, and the parameter files that they start from."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from collections.abc import Mapping, Sequence

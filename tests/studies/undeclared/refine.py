@@ -3,8 +3,6 @@
 It is fitted to the same logs by the same recipe.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from seqid_cli.discover.base import base_of

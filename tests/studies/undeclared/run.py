@@ -1,7 +1,5 @@
 """Runs the cases of the study of undeclared effects; a failure is a result as well."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass

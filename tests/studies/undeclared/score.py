@@ -1,7 +1,5 @@
 """Whether a diagnosis is right, by the rules that the study's tables are made with."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations

@@ -1,7 +1,5 @@
 """The study of undeclared effects: which cases, what is kept, and its tables."""
 
-from __future__ import annotations
-
 import tempfile
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The tables of the study of undeclared effects, made from its records."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from operator import attrgetter

@@ -1,7 +1,5 @@
 """Logs of the hand-made two-joint arm whose torque above and below the cut-off is known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -23,6 +21,8 @@ Extra = Callable[[Scene], Array]  # (N, n) N m, not filtered
 
 NOISE = (0.3, 0.1)  # N m per sample
 SECONDS = 16.0
+DRAG = 0.3  # N m s^2/rad^2
+MASS, OUT = 0.8, 0.3  # kg, m
 LOGS = 3
 
 
@@ -67,6 +67,19 @@ def at_joint(joint: int, torque: Callable[[Scene], Array]) -> Extra:
     return extra
 
 
+def drag(scene: Scene) -> Array:
+    """Torque (N,) of the first joint that grows with the square of its speed."""
+    v = scene.motion.dq[:, 0]
+    return np.asarray(DRAG * v * np.abs(v))
+
+
+def payload(scene: Scene) -> Array:
+    """A point mass at the last link's frame, some way out, in all logs."""
+    X = CATALOGUE["payload"].columns(scene, None, {"from_log": 0.0})
+    body = MASS * np.array([1.0, OUT, 0, 0, 0, 0, OUT**2, 0, 0, OUT**2])
+    return np.stack([X[j] @ body for j in range(scene.robot.n)], axis=1)
+
+
 def model_of(scenes: Sequence[Scene], hold: Hold = FREE, stages: Stages | None = None) -> Model:
     """Return a model without terms, fitted to scenes."""
     return Model(ground_of(scenes, stages), hold)
@@ -95,3 +108,25 @@ def file_of(scene: Scene) -> Stages:
         parameters=parameters, condition=1.0, rank=basis.size, covariance=covariance
     )
     return Stages(inertia=inertia)
+
+
+ALIKE = 0.6  # share of the first joint's motion in the second's
+
+
+def related_scenes(seed: int, logs: int = 4, seconds: float = 20.0) -> list[Scene]:
+    """Return logs in which the second joint moves partly like the first."""
+    robot = two_joint_robot()
+    model = torque_model(robot)
+    scenes = []
+    for log in range(logs):
+        q = wander(seconds, seed=100 * seed + log, top_hz=0.6, rests=())
+        q[:, 1] = ALIKE * q[:, 0] + np.sqrt(1 - ALIKE**2) * q[:, 1]
+        scenes.append(scene_of(q, robot=robot, model=model, log=log))
+    return scenes
+
+
+def coloured(scene: Scene, rng: np.random.Generator) -> Array:
+    """Return noise (N, n) N m as the twice low-passed torque has it."""
+    white = scene.motion.filtered(rng.normal(size=scene.motion.q.shape), times=2)
+    noise: Array = white / np.std(white, axis=0) * np.array(NOISE)
+    return noise

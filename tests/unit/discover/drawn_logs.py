@@ -1,7 +1,5 @@
 """Logs whose positions, torque and noise are made up, and scenes of them; 500 Hz, two joints."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The base's columns: what they give is the torque of a model with other parameters."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,12 +1,13 @@
-"""Candidates: their columns on the rows, and where they are looked for."""
-
-from __future__ import annotations
+"""Candidates: their columns, where they are looked for, and the command that settles a name."""
 
 import numpy as np
+import pytest
 
 from seqid_cli.discover.candidates import Stage, candidates_of
+from seqid_cli.discover.diagnosis import separate_by
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.registry import CATALOGUE
+from tests.plants.robots.sample import sample_robot
 from tests.unit.discover.arms import arm_scenes, candidate
 
 
@@ -53,3 +54,24 @@ def test_joints_at_which_effects_are_looked_for() -> None:
     assert places([1, None])["stribeck"] == {1}
     assert places([1, None])["payload"] == {None}
     assert "payload" not in places([1])
+
+
+@pytest.mark.parametrize(
+    ("effect", "others", "joint", "command"),
+    [
+        ("stribeck", ("quadratic_drag",), 1, "--between stribeck,quadratic_drag --joint joint_2"),
+        ("torque_bias", ("drift", "spring"), 0, "--between torque_bias,spring --joint joint_1"),
+        ("payload", ("base_tilt",), None, "--between payload,base_tilt"),
+        ("payload", ("spring",), None, ""),
+        ("drift", ("torque_bias",), 0, ""),
+        ("stribeck", (), 0, ""),
+    ],
+)
+def test_the_command_names_a_rival_that_motion_can_settle(
+    effect: str, others: tuple[str, ...], joint: int | None, command: str
+) -> None:
+    text = separate_by(CATALOGUE[effect], others, sample_robot("two_joint"), joint)
+    assert text.startswith(CATALOGUE[effect].separate_by)
+    ending = f"; seqid plan discriminate {command}, with these logs as --have, plans it"
+    assert text.endswith(ending if command else "")
+    assert ("seqid plan" in text) == bool(command)

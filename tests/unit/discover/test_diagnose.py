@@ -1,7 +1,5 @@
 """Diagnosis from end to end on simulated logs of the two-joint arm."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence

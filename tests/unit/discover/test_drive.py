@@ -1,7 +1,5 @@
 """Rows of the drive alone, where a torque sensor tells what the link takes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Evidence of findings: residuals over what an effect goes with, and why rivals were not taken."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 

@@ -1,7 +1,5 @@
 """A plant with an effect outside the catalogue: unexplained, and named once it is a formula."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

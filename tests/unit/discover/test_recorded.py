@@ -1,7 +1,5 @@
 """What is named on recorded robots, beside what others found there."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

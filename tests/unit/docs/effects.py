@@ -1,7 +1,5 @@
 """The catalogue of effects as a page, from the registry: `python -m tests.unit.docs.effects`."""
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Iterator, Mapping

@@ -4,8 +4,6 @@ A table stands between `<!-- keys: NAME -->` and `<!-- /keys -->`. Keys, their o
 are written anew, what they mean is kept.
 """
 
-from __future__ import annotations
-
 import re
 import types
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints

@@ -6,8 +6,6 @@ step by step, of `two_joint` from its golden file, of `six_joint` by the classic
 quick.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """The parts of a Markdown page that can be wrong: code, links, headings."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Runs the notebook of the docs and keeps its outputs: python -m tests.unit.docs.run_notebook."""
 
-from __future__ import annotations
-
 import os
 import tempfile
 from pathlib import Path

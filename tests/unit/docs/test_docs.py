@@ -3,8 +3,6 @@
 Commands that take long are parsed here and run by `make docs-test`.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

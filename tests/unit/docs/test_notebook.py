@@ -1,7 +1,5 @@
 """The notebook of the docs: it is executed, its code runs, and it tells what it shows."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page of the numbers that decide: every number is in the source where the page says."""
 
-from __future__ import annotations
-
 import ast
 import re
 

@@ -1,7 +1,5 @@
 """Words that were replaced by the field's terms (docs/glossary.md) do not come back."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Arms to export, and what Pinocchio and MuJoCo make of them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree

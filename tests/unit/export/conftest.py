@@ -1,7 +1,5 @@
 """The arms that every form is tested with."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The C header and the numpy module against Pinocchio and MuJoCo: torque, observer, alarms."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

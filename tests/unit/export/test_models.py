@@ -1,7 +1,5 @@
 """What other tools make of the model files: Pinocchio, MuJoCo, a YAML reader."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree import ElementTree
 

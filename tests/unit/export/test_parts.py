@@ -1,7 +1,5 @@
 """Pieces of the export: pseudo-inertias, the conic problem, friction, effects, the URDF's XML."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from xml.etree import ElementTree
 

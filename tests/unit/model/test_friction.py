@@ -1,7 +1,5 @@
 """The friction surface against its formula, its gradient, and its edges."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Friction of thinned motion against that of the full motion, both low-passed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

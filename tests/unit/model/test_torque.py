@@ -1,7 +1,5 @@
 """The torque model is the sum of its terms, filtered like the measured torque."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

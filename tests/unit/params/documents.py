@@ -1,7 +1,5 @@
 """Parameter files of a two-joint robot, for tests."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from seqid_cli.params.document import now, tool, with_stage

@@ -1,7 +1,5 @@
 """When two results count as different, and when not."""
 
-from __future__ import annotations
-
 import copy
 import math
 

@@ -1,7 +1,5 @@
 """The simulated robots obey mechanics, and their instruments read what they should."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Every undeclared effect does what its size says, to the joint that it is put into."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

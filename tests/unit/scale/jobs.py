@@ -1,7 +1,5 @@
 """Things to do in other processes."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

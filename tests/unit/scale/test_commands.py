@@ -1,7 +1,5 @@
 """Commands with several processes: the same files to the last bit, and what happens on failure."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Dask does the same work to the last bit, on a cluster inside this very process."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Work in several processes: order, failures, deaths, and that nothing is left behind."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

@@ -1,7 +1,5 @@
 """The coverage study: its arithmetic, its truths, its seeds and its results file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The tables' arithmetic, the bound against textbook cases."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

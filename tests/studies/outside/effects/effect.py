@@ -1,7 +1,5 @@
 """What a model can lack, and how it acts on the simulated arm: by MuJoCo's own means."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Friction that a model lacks: as dry friction that can stick, or as a torque."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What drives and sensors do to the log: torques, their time, and angles."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

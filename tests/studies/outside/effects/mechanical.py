@@ -1,7 +1,5 @@
 """Bodies, springs, gears and forces that a model lacks: an edited MJCF, or torques."""
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 
 import numpy as np

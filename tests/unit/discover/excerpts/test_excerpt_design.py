@@ -1,7 +1,5 @@
 """Pieces of long logs: how many, where, and that they are varied."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 

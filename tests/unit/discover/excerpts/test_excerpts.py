@@ -1,7 +1,5 @@
 """Logs too long to be held: what is found of them in pieces, and that nothing is overlooked."""
 
-from __future__ import annotations
-
 import gc
 import tracemalloc
 from dataclasses import replace

@@ -1,10 +1,9 @@
 """Refinement of the one-joint sample arm: when an effect came, and what follows from it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,11 +20,15 @@ from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.gear_load import ROTOR
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT
+from tests.studies.loop.logs import Case, recorded
+from tests.studies.undeclared.logs import sequential
+from tests.studies.undeclared.refine import file_of
 
 SAMPLES = ROOT / "sample_logs" / "one_joint"
 STIFFNESS, REST = 0.0046265, 0.26  # N m/rad and rad, as truth.json has them
@@ -191,3 +194,24 @@ def test_smooth_terms_are_proposed_where_they_were_not_allowed_yet() -> None:
     assert "--with-unexplained" in asked
     (allowed,) = excess_note({"elbow": 5.0}, smooth=True)
     assert "--with-unexplained" not in allowed
+
+
+LOSS = 0.1  # of the load, in all logs of the case
+
+
+@pytest.mark.slow
+def test_refine_finds_loss_and_rotor_of_a_joint_that_hides_it(tmp_path: Path) -> None:
+    logs = recorded(Case("two", "load_dependent_friction", 0, 12), tmp_path)
+    first, *rest = logs.robot.joints
+    assert first.rotor_inertia is not None
+    assert first.gear_ratio is not None
+    reflected = first.gear_ratio**2 * first.rotor_inertia
+    robot = replace(logs.robot, joints=(replace(first, rotor_inertia=None), *rest))
+    file = file_of(robot, sequential(logs.earlier, robot), logs.earlier)
+    options = DiscoverOptions()
+    found = refine(logs.training, robot, file, earlier=logs.earlier, options=options).stages.effects
+    assert found is not None
+    (loss,) = found
+    assert (loss.effect, loss.joint) == ("load_dependent_friction", first.name)
+    assert loss.parameters[0].value == pytest.approx(LOSS, rel=0.04)
+    assert loss.settings[ROTOR] == pytest.approx(reflected, rel=0.15)

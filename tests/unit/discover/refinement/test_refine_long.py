@@ -1,7 +1,5 @@
 """Refinement on logs that are too long to be held: fitted in pieces, judged as a whole."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The linear model against densities written out in full."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal

@@ -1,7 +1,5 @@
 """A model under selection: how far its base moves, its time offsets, and what it leaves."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -9,30 +7,19 @@ from seqid_cli.discover.select.model import FIRM, FREE, HELD, Model
 from seqid_cli.model.effects.scene import Scene
 from tests import Array
 from tests.unit.discover.arms import (
+    DRAG,
+    MASS,
     NOISE,
+    OUT,
     Extra,
     arm_scenes,
     at_joint,
     candidate,
+    drag,
     file_of,
     model_of,
+    payload,
 )
-
-MASS, OUT = 0.8, 0.3  # kg, m
-DRAG = 0.3  # N m s^2/rad^2
-
-
-def drag(scene: Scene) -> Array:
-    v = scene.motion.dq[:, 0]
-    return np.asarray(DRAG * v * np.abs(v))
-
-
-def payload(scene: Scene) -> Array:
-    """A point mass at the last link's frame, some way out."""
-    columns = candidate("payload", None, from_log=0.0)
-    X = columns.effect.columns(scene, None, columns.settings)
-    body = MASS * np.array([1.0, OUT, 0, 0, 0, 0, OUT**2, 0, 0, OUT**2])
-    return np.stack([X[j] @ body for j in range(scene.robot.n)], axis=1)
 
 
 def test_a_held_base_moves_within_the_files_errors_only() -> None:

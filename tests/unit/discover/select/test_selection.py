@@ -1,7 +1,5 @@
 """What the selection takes, what it leaves, and which name it gives."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -17,20 +15,22 @@ from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages
 from tests import Array
-from tests.unit.discover.arms import Extra, arm_scenes, at_joint, file_of, ground_of
+from tests.unit.discover.arms import (
+    DRAG,
+    Extra,
+    arm_scenes,
+    at_joint,
+    drag,
+    file_of,
+    ground_of,
+    payload,
+)
 
 SOME = ("stribeck", "spring", "quadratic_drag", "torque_bias", "load_dependent_friction")
-DRAG = 0.3  # N m s^2/rad^2
 HUMP, SPEED = 1.2, 0.3  # N m, rad/s
 RIPPLE = 0.5  # N m
-MASS, OUT = 0.8, 0.3  # kg, m
 WAVE, LOOP = 2.0, 80.0  # N m; rad/s, of the position loop
 LATE_S = 0.02
-
-
-def drag(scene: Scene) -> Array:
-    v = scene.motion.dq[:, 0]
-    return np.asarray(DRAG * v * np.abs(v))
 
 
 def stribeck(scene: Scene) -> Array:
@@ -125,13 +125,6 @@ def test_rivals_of_a_term_hold_it_first_and_what_hides_is_known(pair: Selected) 
         assert taken.without[joint] > 1.2 * pair.model.rms()[joint]
     assert not {taken.term.key for taken in pair.taken} & set(pair.visible)
     assert all(0.0 <= share <= 1.0 for share in pair.visible.values())
-
-
-def payload(scene: Scene) -> Array:
-    """A point mass at the last link's frame, some way out, in all logs."""
-    X = CATALOGUE["payload"].columns(scene, None, {"from_log": 0.0})
-    body = MASS * np.array([1.0, OUT, 0, 0, 0, 0, OUT**2, 0, 0, OUT**2])
-    return np.stack([X[j] @ body for j in range(scene.robot.n)], axis=1)
 
 
 def test_a_payload_of_all_logs_is_seen_where_the_file_was_before_it() -> None:

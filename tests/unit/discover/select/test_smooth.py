@@ -1,7 +1,5 @@
 """Smooth functions: the right quantity is named first, though another moves along with it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -11,8 +9,7 @@ from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.scene import Scene
 from tests import Array
-from tests.unit.discover.arms import Extra, at_joint, ground_of, measuring
-from tests.unit.discover.residuals import coloured, related_scenes
+from tests.unit.discover.arms import Extra, at_joint, coloured, ground_of, measuring, related_scenes
 
 OTHER = "other_joint:joint_1"
 

@@ -1,7 +1,5 @@
 """Settings between the grid's values: those of the largest evidence."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Above the cut-off: ripples and lines that the low-pass would hide."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Logs that say nothing are left out with a note; where nothing else is there, an error says so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Fit one effect to torque that was made another way: by a law, or as instruments falsify it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache

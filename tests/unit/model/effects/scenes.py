@@ -1,7 +1,5 @@
 """Scenes made by hand: a two-joint arm with gears, smooth random motion with rests."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

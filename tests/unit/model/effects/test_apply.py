@@ -1,7 +1,5 @@
 """Effects from a parameter file: restored exactly, placed on any log, taken out again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import msgspec

@@ -1,7 +1,5 @@
 """Effects of bodies: a payload, a base that leans, a spring beside gravity."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Friction that changes: with the temperature of a simulated heat balance, and by wear."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

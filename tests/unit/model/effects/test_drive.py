@@ -1,7 +1,5 @@
 """Drive and measurement effects: parameters come back from torque distorted at a finer rate."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

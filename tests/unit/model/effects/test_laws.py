@@ -1,7 +1,5 @@
 """Friction of many laws: their coefficients and settings come back, and no others are believed."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Effects of one's own: formulas' columns, packages' effects, and their names."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 from importlib.metadata import EntryPoint

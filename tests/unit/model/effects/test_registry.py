@@ -1,7 +1,5 @@
 """Every effect of the catalogue keeps the same promises."""
 
-from __future__ import annotations
-
 import inspect
 import re
 import sys

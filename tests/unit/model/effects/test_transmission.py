@@ -1,7 +1,5 @@
 """What lies between motor and link: a spring, play, rotors, an encoder, a drive of two joints."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Smooth terms: their bases, what they hold at the ends, and the way into a file and back."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Units of revolute joints become those of slides."""
 
-from __future__ import annotations
-
 import pytest
 
 from seqid_cli.units import unit_of

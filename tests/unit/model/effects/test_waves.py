@@ -1,7 +1,5 @@
 """Waves: ripples by angle, lines in time; their frequency, law and size, and none of the motion."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

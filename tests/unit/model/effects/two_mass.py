@@ -4,8 +4,6 @@ Nothing of it is shared with the package but what reads its log: semi-implicit E
 masses, a position controller, a motor that rubs.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Every effect changes the torque as its name says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import mujoco

@@ -1,7 +1,5 @@
 """Which case a seed stands for, and how answers are judged and counted."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The second simulator: energy, statics, files, sensors, and a clean arm identified."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

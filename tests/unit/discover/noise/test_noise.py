@@ -1,0 +1,238 @@
+"""Noise: its floor, what encoders make of it, and whether what is left is white."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from seqid_cli.discover.base import residual_of
+from seqid_cli.discover.noise.encoder import encoder_residuals
+from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor, rms
+from seqid_cli.discover.noise.whiteness import white
+from seqid_cli.discover.scenes import scenes_of, with_own_cutoffs
+from seqid_cli.discover.survey.rows import Rows
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
+from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.motion import estimate_motion
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.types import Joint
+from tests import Array
+from tests.plants.arms.rigs import plain, two_joint
+from tests.plants.friction.surface import SurfaceFriction
+from tests.plants.motions.experiments import span_of
+from tests.plants.motions.trajectories import fourier
+from tests.plants.robots.sample import sample_robot
+from tests.plants.sensors import noise, quantise
+from tests.plants.simulate import simulate
+from tests.unit.discover.drawn_logs import (
+    CUTOFF_HZ,
+    RATE_HZ,
+    low_passed,
+    recording,
+    resting,
+    scenes,
+    smooth_torque,
+    wander,
+)
+
+STD = np.array([1.0, 0.3])  # N m, of the raw torque
+LOOSE = 3.0  # what the residual is larger by than noise
+
+
+def silent(found: list[Scene]) -> list[Array]:
+    """What encoders without noise make of the torque."""
+    return [np.zeros_like(scene.motion.q) for scene in found]
+
+
+def ratio(
+    logs: list[Array], *, coloured: float, step: float, seed: int, hunting: float = 0.0
+) -> tuple[Array, NoiseFloor]:
+    """Floor over the true RMS of low-passed noise (n,); torque hunts at rest by so much of it."""
+    rng = np.random.default_rng(seed)
+    signal = [smooth_torque(q) + hunting * _hunted(q) for q in logs]
+    raw = [noise(rng, len(q), STD, coloured=coloured, rate_hz=RATE_HZ) for q in logs]
+    total = [quantise(s + e, step * STD) for s, e in zip(signal, raw, strict=True)]
+    recordings = [recording(q, tau) for q, tau in zip(logs, total, strict=True)]
+    found, rows = scenes(recordings)
+    left = [low_passed(t - s, x) for t, s, x in zip(total, signal, found, strict=True)]
+    truth = np.array([rms(rows.of(j, [r[:, j] for r in left])) for j in range(2)])
+    # What a model of the motion misses repeats with it, and so is above the floor.
+    missed = [np.cos(3 * x.motion.q) for x in found]
+    scale = LOOSE * truth
+    given = [r + scale * m for r, m in zip(left, missed, strict=True)]
+    floor = noise_floor(recordings, found, given, silent(found), rows=rows)
+    return floor.rms / truth, floor
+
+
+def _hunted(q: Array) -> Array:
+    """Torque (N, 2) N m of a controller that goes to and fro while all joints stand."""
+    still = np.all(np.gradient(q, axis=0) == 0.0, axis=1)
+    saw = np.cumsum(np.sign(np.sin(np.arange(len(q)) / 40.0))) / 40.0
+    return np.asarray(STD * (still * saw)[:, None])
+
+
+@pytest.mark.parametrize(("coloured", "step"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.5)])
+def test_rests_give_the_noise_on_average(coloured: float, step: float) -> None:
+    drawn = [ratio([resting(80.0, 6.0, s)], coloured=coloured, step=step, seed=s) for s in range(4)]
+    assert all(floor.ways == ("rests", "rests") for _, floor in drawn)
+    assert abs(np.mean([found for found, _ in drawn]) - 1.0) < 0.15
+
+
+def test_white_noise_shows_above_the_cutoff_of_any_motion() -> None:
+    found, floor = ratio([wander(60.0, 4)], coloured=0.0, step=0.0, seed=4)
+    assert floor.ways == ("spectrum", "spectrum")
+    np.testing.assert_allclose(found, 1.0, atol=0.15)
+
+
+def test_flicker_that_shows_above_the_cutoff_goes_on_below_it() -> None:
+    found, floor = ratio([wander(60.0, 4)], coloured=0.5, step=0.0, seed=4)
+    assert floor.ways == ("spectrum", "spectrum")
+    np.testing.assert_allclose(found, 1.0, atol=0.35)
+    np.testing.assert_array_less(floor.low / floor.rms * found, 1.0)
+    np.testing.assert_array_less(1.0, floor.high / floor.rms * found)
+
+
+def test_the_residual_does_not_bound_the_floor() -> None:
+    q = wander(30.0, 6)
+    tau = np.random.default_rng(0).standard_normal(q.shape)
+    log = recording(q, tau)
+    found, rows = scenes([log])
+    left = low_passed(tau, found[0])
+    slow = Lowpass(1.5, found[0].motion.rate_hz)
+    small = [left - slow(left)]
+    floor = noise_floor([log], found, small, silent(found), rows=rows)
+    truth = np.array([rms(rows.of(j, [left[:, j]])) for j in range(2)])
+    result = np.array([rms(rows.of(j, [small[0][:, j]])) for j in range(2)])
+    assert np.all(result < 0.95 * truth)
+    np.testing.assert_allclose(floor.rms, truth, rtol=0.2)
+    assert np.all(floor.low < truth)
+    assert np.all(floor.high > truth)
+
+
+def test_less_than_the_interval_makes_the_floor_doubtful() -> None:
+    floor = NoiseFloor(np.full(3, 2.0), np.full(3, 1.5), np.full(3, 3.0), ("rests",) * 3)
+    arm = (Joint("lift", prismatic=True), Joint("knee"), Joint("foot"))
+    (note,) = floor.doubts(np.array([1.4, 1.6, np.nan]), arm)
+    assert note.startswith("joint lift: 1.4 N is left")
+    assert "1.5 to 3 N:" in note
+
+
+def test_a_controller_that_hunts_at_rest_is_no_noise() -> None:
+    """Held at a count's edge a joint's torque goes to and fro; in motion it does not."""
+    q = resting(80.0, 6.0, 6)
+    quiet, floor = ratio([q], coloured=0.0, step=0.0, seed=6)
+    assert floor.ways == ("rests", "rests")
+    hunted, told = ratio([q], coloured=0.0, step=0.0, seed=6, hunting=30.0)
+    assert told.ways[0] == "spectrum"
+    np.testing.assert_allclose(hunted, 1.0, atol=0.4)
+    np.testing.assert_allclose(quiet, 1.0, atol=0.3)
+
+
+Case = tuple[Scene, Rows, int]  # scene, rows, samples of the log
+
+DRAWS = 150  # of two joints each
+IN_BAND = np.sqrt(2 * CUTOFF_HZ / RATE_HZ)  # RMS of unit white noise after the low-pass
+
+
+def case(q: Array) -> Case:
+    found, rows = scenes([recording(q, np.zeros_like(q))])
+    return found[0], rows, len(q)
+
+
+@pytest.fixture(scope="module")
+def moving() -> Case:
+    return case(wander(30.0, 1))
+
+
+def rejected(case: Case, extra: Array, draws: int, seed: int) -> float:
+    """Share of residuals, low-passed noise and `extra` (N, 2), that are called coloured."""
+    scene, rows, samples = case
+    rng = np.random.default_rng(seed)
+    count = 0
+    for _ in range(draws):
+        values = rng.standard_normal((samples, 2)) + extra
+        count += int(np.sum(~white(rows, [low_passed(values, scene)])))
+    return count / (2 * draws)
+
+
+def test_low_passed_white_noise_passes_at_the_promised_rate(moving: Case) -> None:
+    # 3 of 300 are expected; 11 or more would be seen once in five thousand times.
+    assert rejected(moving, np.zeros((moving[2], 2)), DRAWS, 2) <= 10 / 300
+
+
+def test_rests_between_the_samples_do_not_matter() -> None:
+    found = case(resting(30.0, 1.0, 1))
+    assert rejected(found, np.zeros((found[2], 2)), DRAWS // 2, 3) <= 7 / 150
+
+
+@pytest.mark.parametrize("hz", [0.4, 3.0, 6.0])
+def test_a_sine_of_half_the_noise_is_seen(moving: Case, hz: float) -> None:
+    t = np.arange(moving[2]) / RATE_HZ
+    wave = 0.5 * IN_BAND * np.sqrt(2) * np.sin(2 * np.pi * hz * t)
+    assert rejected(moving, np.stack([wave, wave], axis=1), 20, 4) > 0.8
+
+
+def test_slow_noise_of_the_size_of_the_white_is_seen(moving: Case) -> None:
+    rng = np.random.default_rng(5)
+    slow = lfilter([np.sqrt(1 - 0.99**2)], [1, -0.99], rng.standard_normal((moving[2], 2)), axis=0)
+    assert rejected(moving, IN_BAND * slow, 20, 6) > 0.8
+
+
+def test_too_few_samples_are_not_judged() -> None:
+    scene, rows, samples = case(wander(3.0, 2))
+    line = np.tile(np.sin(np.arange(samples) / RATE_HZ * 2)[:, None], (1, 2))
+    assert white(rows, [low_passed(line, scene)]).all()
+
+
+JOINTS, SECONDS, EVERY = 2, 30.0, 2
+
+
+@pytest.fixture(scope="module")
+def log() -> Recording:
+    """A log of the two-joint rig with Coulomb and viscous friction, 500 Hz."""
+    plant = two_joint()
+    assert isinstance(plant.friction, SurfaceFriction)
+    plant = replace(plant, friction=plain(plant.friction))
+    low, high = np.array([span_of(plant, j) for j in range(JOINTS)]).T
+    limits = (0.9 * plant.velocity_limits, 0.9 * plant.acceleration_limits)
+    rng = np.random.default_rng(5)
+    motion = fourier(rng, low, high, *limits, seconds=SECONDS, harmonics=24, rate_hz=1000.0)
+    found = simulate(plant, motion, 0, every=EVERY, imus=False)
+    return recording(found.q, found.current * plant.torque_per_ampere, 1000.0 / EVERY)
+
+
+@pytest.mark.slow
+def test_the_encoders_part_is_smaller_than_what_is_left(log: Recording) -> None:
+    robot = sample_robot("two_joint")
+    friction, inertia = identify_simultaneous([log], robot, options=MotionOptions())
+    stages = Stages(friction=friction, inertia=inertia)
+    (scene,) = scenes_of([log], robot, stages, options=InertiaOptions())
+    (echo,) = encoder_residuals([log], [scene])
+    left, slides = residual_of(scene), scene.slides
+    for j in range(JOINTS):
+        assert 0.01 * rms(left[slides[:, j], j]) < rms(echo[slides[:, j], j])
+        assert rms(echo[slides[:, j], j]) < rms(left[slides[:, j], j])
+
+
+@pytest.mark.slow
+def test_a_log_whose_encoders_are_too_coarse_is_filtered_at_its_own_cutoff(log: Recording) -> None:
+    robot = sample_robot("two_joint")
+    friction, inertia = identify_simultaneous([log], robot, options=MotionOptions())
+    stages = Stages(friction=friction, inertia=inertia)
+    own = estimate_motion(log, robot, MotionOptions()).cutoff.hz
+    assert log.tau is not None
+    larger = replace(log, tau=log.tau + 20.0 * np.std(log.tau, axis=0) * np.sin(3.0 * log.q))
+    for given, origin, expected in (
+        (log, "of the inertia stage", own),
+        (log, "as given", 4.0 * own),
+        (larger, "of the inertia stage", 4.0 * own),  # noise is no part of what is left there
+    ):
+        options = InertiaOptions(MotionOptions(4.0 * own, origin=origin), source="needed")
+        options = with_own_cutoffs([given], robot, stages, options)
+        (scene,) = scenes_of([given], robot, stages, options=options)
+        assert scene.motion.cutoff.hz == pytest.approx(expected)

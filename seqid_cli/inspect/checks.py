@@ -32,7 +32,7 @@ from seqid_cli.inspect.findings import found, grouped
 from seqid_cli.inspect.imu.link_fit import FOLLOWS
 from seqid_cli.inspect.imu.motion import Following, follow, motion_findings
 from seqid_cli.inspect.imu.readings import imu_findings
-from seqid_cli.inspect.material import LogData, log_data
+from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.read import without_values
 from seqid_cli.logs.timebase import JITTER_LIMIT
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -88,7 +88,7 @@ class Checked:
 
 
 def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
-    """Check a log.
+    """Check a log: a check is left out where an earlier finding spoils it.
 
     `imus`: whether its IMUs are checked as well. `quality`: whether it is also judged how well
     channels are measured (steps, held values, temperature): warnings at most. Returns: findings,
@@ -97,35 +97,6 @@ def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
     breaks = breaks_of(data.robot, data.t, data.joints.channels["position"])
     sound = without(data, breaks)
     following = tuple(follow(sound)) if imus else ()
-    findings = _findings(data, sound, breaks, following, imus=imus, quality=quality)
-    return Checked(sound, tuple(first for first, *_ in grouped(findings)), following)
-
-
-def without(data: LogData, breaks: Sequence[Break]) -> LogData:
-    """Take the samples of a log out that are known to be wrong."""
-    if not any(len(each.rows) for each in breaks):
-        return data
-    position = data.joints.channels["position"].copy()
-    for each in breaks:
-        position[each.rows, each.joint] = np.nan
-    joints = replace(data.joints, channels={**data.joints.channels, "position": position})
-    recording = without_values(data.recording, data.raw, data.robot, joints)
-    modelled, begun = data.modelled, data.begun_ns
-    again = log_data(recording, data.raw, data.robot, modelled=modelled, begun_ns=begun)
-    return replace(again, joints=joints)
-
-
-def _findings(
-    data: LogData,
-    sound: LogData,
-    breaks: Sequence[Break],
-    following: Sequence[Following],
-    *,
-    imus: bool,
-    quality: bool,
-) -> Iterator[InspectionFinding]:
-    """Run the checks in their order; a check is left out where an earlier finding spoils it."""
-    # `sound` is the log without damaged samples.
     own = [*clock_findings(data), *hole_findings(data)]
     if data.recording.partial:
         own.append(found("salvaged", data.recording.partial))
@@ -141,7 +112,20 @@ def _findings(
     own = _one_cause(own, _FOLLOW_UP)
     if not _all_spoilt(own):
         own += _of_dynamics(sound, own, following)
-    yield from _one_cause(own, _FOLLOW_UP_OF_MOTION)
+    first = (alike[0] for alike in grouped(_one_cause(own, _FOLLOW_UP_OF_MOTION)))
+    return Checked(sound, tuple(first), following)
+
+
+def without(data: LogData, breaks: Sequence[Break]) -> LogData:
+    """Take the samples of a log out that are known to be wrong."""
+    if not any(len(each.rows) for each in breaks):
+        return data
+    position = data.joints.channels["position"].copy()
+    for each in breaks:
+        position[each.rows, each.joint] = np.nan
+    joints = replace(data.joints, channels={**data.joints.channels, "position": position})
+    raw = replace(data.raw, joints=joints)
+    return replace(data, raw=raw, recording=without_values(data.recording, raw, data.robot))
 
 
 def _all_spoilt(findings: Sequence[InspectionFinding]) -> bool:

@@ -11,11 +11,12 @@ from seqid_cli.errors import InputError
 from seqid_cli.inspect.findings import found, located, verdict_of
 from seqid_cli.inspect.guess import guess, stand_in
 from seqid_cli.inspect.imu.readings import layout_findings
-from seqid_cli.inspect.material import read_log
+from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.moves import serve_together
 from seqid_cli.inspect.parts import Gathered, Inspected
 from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.contents import Survey, survey
+from seqid_cli.logs.pieces import read_parts
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import TorqueLackingError
 from seqid_cli.logs.storage.remote import local_copy
@@ -46,12 +47,21 @@ def inspect_logs(
     for done, path in enumerate(paths):
         if on_progress is not None:
             on_progress(Progress("reading", done, len(paths), str(path)))
-        inspected.append(_inspect_copy(path, robot, time_source))
+        with local_copy(path) as file:
+            one = inspect_log(file, robot, time_source=time_source)
+        if file is not path:
+            log = structs.replace(one.log, path=str(path))
+            one = Inspected(log, located(one.findings, path))
+        inspected.append(one)
     logs = [one.log for one in inspected]
     logs = logs if robot is None else serve_together(logs)
-    common = [*layout_findings(robot)] if robot is not None else []
-    common += _duplicates(logs)
-    findings = [*common, *(finding for one in inspected for finding in one.findings)]
+    findings = [*layout_findings(robot)] if robot is not None else []
+    first: dict[str, str] = {}
+    for log in logs:
+        if log.sha256 and first.setdefault(log.sha256, log.path) != log.path:
+            text = f"has the same content as {first[log.sha256]}"
+            findings += located([found("duplicate_log", text)], log.path)
+    findings += [finding for one in inspected for finding in one.findings]
     return InspectionFile(
         schema=INSPECTION_SCHEMA,
         created=now(),
@@ -62,14 +72,6 @@ def inspect_logs(
         findings=findings,
         advice=_advice(logs, findings, robot),
     )
-
-
-def _inspect_copy(path: Path, robot: Robot | None, time_source: TimeSource) -> Inspected:
-    with local_copy(path) as file:
-        found = inspect_log(file, robot, time_source=time_source)
-    if file is path:
-        return found
-    return Inspected(structs.replace(found.log, path=str(path)), located(found.findings, path))
 
 
 def inspect_log(
@@ -129,17 +131,12 @@ def _guessed(
                 raise
             driven = tuple(name for name in guessed.joints if name not in lacking.joints)
             alone = stand_in(replace(guessed, joints=driven), source=path)
-            findings += [_undriven(name) for name in lacking.joints]
+            text = "neither torque nor current is logged, but of other joints; it is left out"
+            findings += [found("torque_missing", text, joint=name) for name in lacking.joints]
             return missing, _read(path, alone, surveyed, findings, time_source, modelled=False)
     except InputError as error:
         kept = [f for f in findings if f.joint]
         return missing, _unreadable(path, problem or error, surveyed.format, kept)
-
-
-def _undriven(joint: str) -> InspectionFinding:
-    """Say that a joint, such as a gripper's, is left out of a log that is read without a robot."""
-    text = "neither torque nor current is logged, but of other joints; it is left out"
-    return found("torque_missing", text, joint=joint)
 
 
 def _read(
@@ -151,12 +148,13 @@ def _read(
     *,
     modelled: bool,
 ) -> Inspected:
-    """Inspect a log that the robot fits, part by part."""
-    gathered = Gathered(robot, modelled)
-    clock, failed = time_source, gathered.failed
-    for data in read_log(path, robot, modelled=modelled, time_source=clock, failed=failed):
+    """Inspect a log that the robot fits, part by part; a short one is one part."""
+    gathered, begun = Gathered(robot, modelled), None
+    for parts in read_parts(path, robot, time_source=time_source, failed=gathered.failed):
+        data = LogData(*parts, robot, modelled, begun)
+        begun = int(data.joints.stamp_ns[0]) if begun is None else begun
         gathered.push(data)
-        del data  # it is large, and the next one comes
+        del parts, data  # they are large, and the next ones come
     return gathered.log(path, surveyed.format, before)
 
 
@@ -168,16 +166,6 @@ def _unreadable(
         finding = structs.replace(finding, remedy=error.hint)
     log = InspectedLog(path=str(path), sha256="", format=form, verdict="unreadable")
     return Inspected(log, located((*known, finding), path))
-
-
-def _duplicates(logs: Sequence[InspectedLog]) -> list[InspectionFinding]:
-    first: dict[str, str] = {}
-    findings = []
-    for log in logs:
-        if log.sha256 and first.setdefault(log.sha256, log.path) != log.path:
-            text = f"has the same content as {first[log.sha256]}"
-            findings.append(structs.replace(found("duplicate_log", text), log=log.path))
-    return findings
 
 
 def _advice(
@@ -208,16 +196,11 @@ def missing_imus(robot: Robot, survey: Survey) -> tuple[dict[str, str], list[Ins
 
     A log need not have them; it is a finding where an unknown name in the log is very near.
     """
-    prefixes = tuple(
-        dict.fromkeys(
-            name.strip("/").rsplit("/" if "/" in name else ".", 1)[0]
-            for name in (channel.name for channel in survey.channels)
-            if "." in name or "/" in name
-        )
-    )
-    unknown = tuple(
-        p for p in prefixes if p not in {*robot.joint_names, *(i.name for i in robot.imus)}
-    )
+    names = [channel.name for channel in survey.channels]
+    parts = [name.strip("/").rsplit("/" if "/" in name else ".", 1) for name in names]
+    prefixes = dict.fromkeys(part[0] for part in parts if len(part) > 1)
+    known = {*robot.joint_names, *(imu.name for imu in robot.imus)}
+    unknown = [prefix for prefix in prefixes if prefix not in known]
     missing, findings = {}, []
     for imu in robot.imus:
         if imu.name in prefixes:

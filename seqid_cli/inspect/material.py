@@ -1,17 +1,15 @@
 """One log as the checks see it: samples as they were logged, and on one time base."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.errors import SeqidError
-from seqid_cli.logs.pieces import Failed, read_parts
-from seqid_cli.logs.raw import RawLog, Stream, TimeSource
+from seqid_cli.logs.raw import RawLog, Stream
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion, encoder_resolution, estimate_motion
 from seqid_cli.motion.options import MotionOptions
@@ -36,22 +34,33 @@ def per_robot(function: Callable[[Robot], V]) -> Callable[[Robot], V]:
 
 @dataclass(frozen=True)
 class LogData:
-    """A log, read.
+    """A log as `assemble` gives it: its joint samples are in the order of time.
 
-    `joints` holds the joint samples in the order of time, `moving` (N, n) says where each joint
-    moves on the recording's time base. `modelled` is False where the robot is only guessed from
-    the log, so that nothing may be concluded from its geometry. `begun_ns` is the stamp of the
-    log's first sample, from which times are told; None where that is the first of these.
+    `modelled` is False where the robot is only guessed from the log, so that nothing may be
+    concluded from its geometry. `begun_ns` is the stamp of the log's first sample, from which times
+    are told; None where that is the first of these.
     """
 
-    robot: Robot
-    modelled: bool
-    raw: RawLog
-    joints: Stream
     recording: Recording
-    step: Array  # (n,) rad, what counts as more than encoder noise
-    moving: Mask
+    raw: RawLog
+    robot: Robot
+    modelled: bool = True
     begun_ns: int | None = None
+
+    @property
+    def joints(self) -> Stream:
+        """The joint samples."""
+        return self.raw.joints
+
+    @cached_property
+    def step(self) -> Array:
+        """Change of each joint's position (n,) rad that counts as more than encoder noise."""
+        return noise_step(self.recording.q, encoder_resolution(self.robot))
+
+    @cached_property
+    def moving(self) -> Mask:
+        """Where each joint moves, on the recording's time base (N, n)."""
+        return moving_mask(self.recording.q, self.recording.rate_hz, self.step)
 
     @cached_property
     def motion(self) -> Motion | None:
@@ -63,8 +72,7 @@ class LogData:
         """Seconds of the joint samples since the log's first, (M,)."""
         stamps = self.joints.stamp_ns
         begun = stamps[0] if self.begun_ns is None else self.begun_ns
-        seconds: Array = (stamps - begun).astype(np.float64) * 1e-9
-        return seconds
+        return np.asarray((stamps - begun).astype(np.float64) * 1e-9)
 
     def effort(self) -> tuple[str, Array] | None:
         """Return which of torque and current was logged, and its values (M, n); None if neither."""
@@ -84,51 +92,7 @@ class LogData:
         base = self.recording
         seconds = (self.joints.stamp_ns * 1e-9 - base.start) * base.rate_hz
         rows = np.clip(np.rint(seconds), 0, len(base.t) - 1).astype(np.intp)
-        here: Mask = self.moving[rows, joint]
-        return here
-
-
-def read_log(
-    path: Path,
-    robot: Robot,
-    *,
-    modelled: bool,
-    time_source: TimeSource,
-    failed: Failed | None = None,
-) -> Iterator[LogData]:
-    """Read a log for inspection, part by part; a short one is one part.
-
-    `failed`: told of parts of no use. Raises InputError: it cannot be read, or lacks what the robot
-    file promises.
-    """
-    begun = None
-    for recording, raw in read_parts(path, robot, time_source=time_source, failed=failed):
-        data = log_data(recording, raw, robot, modelled=modelled, begun_ns=begun)
-        begun = int(data.joints.stamp_ns[0]) if begun is None else begun
-        yield data
-        del recording, raw, data  # they are large, and the next ones come
-
-
-def log_data(
-    recording: Recording,
-    raw: RawLog,
-    robot: Robot,
-    *,
-    modelled: bool,
-    begun_ns: int | None = None,
-) -> LogData:
-    """Prepare a log for the checks that was read; see `assemble`."""
-    step = noise_step(recording.q, encoder_resolution(robot))
-    return LogData(
-        robot=robot,
-        modelled=modelled,
-        raw=raw,
-        joints=raw.joints,
-        recording=recording,
-        step=step,
-        moving=moving_mask(recording.q, recording.rate_hz, step),
-        begun_ns=begun_ns,
-    )
+        return np.asarray(self.moving[rows, joint])
 
 
 def _motion(

@@ -10,7 +10,7 @@ from seqid_cli.inspect.channels.values import lattice
 from seqid_cli.inspect.imu.motion import Following
 from seqid_cli.inspect.imu.readings import force_of, rest_rows
 from seqid_cli.inspect.material import LogData, Mask
-from seqid_cli.motion.segmentation import Stretch, constant_velocity
+from seqid_cli.motion.segmentation import Stretch
 from seqid_cli.params.results.inspection import (
     InspectedImu,
     InspectedJoint,
@@ -20,27 +20,15 @@ from seqid_cli.params.results.inspection import (
 from seqid_cli.robot.types import Array, Robot
 
 
-def stretches_of(data: LogData) -> list[Stretch]:
-    """Find the constant-velocity stretches of a log."""
-    recording = data.recording
-    return constant_velocity(recording.q, recording.rate_hz, step=data.step, valid=recording.valid)
-
-
 def joint_summaries(data: LogData) -> list[InspectedJoint]:
     """Describe what the log shows of each joint."""
-    effort = data.effort()
-    temperature = data.joints.channels.get("temperature")
+    quantity, torques = data.effort() or ("", None)
+    channels = data.joints.channels
     result = []
     for j, name in enumerate(data.robot.joint_names):
-        q = data.joints.channels["position"][:, j]
-        q = q[np.isfinite(q)]
-        values = effort[1][:, j] if effort else np.zeros(0)
-        values = values[np.isfinite(values)]
-        warm = (
-            temperature[np.isfinite(temperature[:, j]), j]
-            if temperature is not None
-            else values[:0]
-        )
+        given = (channels["position"], torques, channels.get("temperature"))
+        columns = [np.zeros(0) if values is None else values[:, j] for values in given]
+        q, values, warm = (column[np.isfinite(column)] for column in columns)
         result.append(
             InspectedJoint(
                 name=name,
@@ -49,7 +37,7 @@ def joint_summaries(data: LogData) -> list[InspectedJoint]:
                 high=float(q.max()),
                 top_speed=top_speed(data, j) if data.moves(j) else 0.0,
                 encoder_step=lattice(q) or None,
-                effort=effort[0] if effort and len(values) else "",
+                effort=quantity if len(values) else "",
                 effort_rms=float(np.sqrt(np.mean(values**2))) if len(values) else None,
                 temperature=[float(warm.min()), float(warm.max())] if len(warm) else None,
             )
@@ -66,22 +54,19 @@ def imu_summaries(data: LogData, following: Sequence[Following]) -> list[Inspect
         gyro = imu.name in data.recording.gyros
         if values is None and not gyro:
             continue
-        spans = [np.median(np.diff(s.stamp_ns)) * 1e-9 for s in streams if len(s) > 1]
+        spans = [float(np.median(np.diff(s.stamp_ns))) for s in streams if len(s) > 1]
         norm = None
         if values is not None and np.linalg.matrix_rank(imu.axes) == 3:
             rest = rest_rows(data, values)
             norm = force_of(imu, rest) if len(rest) else None
-        delay = next((f.fit.delay for f in following if f.imu.name == imu.name), None)
-        count = 0 if values is None else values.shape[1]
-        rate = 1.0 / float(max(spans)) if spans and max(spans) > 0 else 0.0
         result.append(
             InspectedImu(
                 name=imu.name,
-                accelerometers=count,
+                accelerometers=0 if values is None else values.shape[1],
                 gyro=gyro,
-                rate_hz=rate,
+                rate_hz=1.0 / (max(spans) * 1e-9) if spans and max(spans) > 0 else 0.0,
                 rest_norm=norm,
-                delay_s=delay,
+                delay_s=next((f.fit.delay for f in following if f.imu.name == imu.name), None),
             )
         )
     return result
@@ -89,33 +74,29 @@ def imu_summaries(data: LogData, following: Sequence[Following]) -> list[Inspect
 
 def moves_of(robot: Robot, stretches: Sequence[Stretch]) -> list[InspectedMoves]:
     """Summarise the constant-velocity stretches of each joint."""
-    result = []
-    for j, name in enumerate(robot.joint_names):
-        mine = [s for s in stretches if s.joint == j]
-        if mine:
-            speeds = [abs(s.velocity) for s in mine]
-            forward = sum(s.velocity > 0 for s in mine)
-            result.append(
-                InspectedMoves(
-                    joint=name,
-                    forward=forward,
-                    backward=len(mine) - forward,
-                    slowest=min(speeds),
-                    fastest=max(speeds),
-                    postures=len(_postures(mine, j)),
-                )
-            )
-    return result
+    mine = {j: [s for s in stretches if s.joint == j] for j in range(robot.n)}
+    return [
+        InspectedMoves(
+            joint=robot.joint_names[j],
+            forward=sum(s.velocity > 0 for s in own),
+            backward=sum(s.velocity <= 0 for s in own),
+            slowest=min(abs(s.velocity) for s in own),
+            fastest=max(abs(s.velocity) for s in own),
+            postures=_postures(own, j),
+        )
+        for j, own in mine.items()
+        if own
+    ]
 
 
-def _postures(stretches: list[Stretch], joint: int, *, same: float = 0.03) -> list[Array]:
-    """List the different postures of the locked joints."""
+def _postures(stretches: list[Stretch], joint: int, *, same: float = 0.03) -> int:
+    """Count the different postures of the locked joints."""
     found: list[Array] = []
     for stretch in stretches:
         others = np.delete(np.array(stretch.configuration), joint)
         if not any(np.abs(others - known).max(initial=0.0) < same for known in found):
             found.append(others)
-    return found
+    return len(found)
 
 
 def together(moving: Mask) -> Array:
@@ -141,6 +122,7 @@ def serves(
     torque: bool,
     imus: bool,
     min_speeds: int = 3,
+    max_share: float = 0.25,  # of the speed limit, up to which moves show gravity well
 ) -> tuple[str, ...]:
     """Return the stages that a log serves.
 
@@ -148,6 +130,7 @@ def serves(
     the log has them.
     """
     stages: list[str] = []
+    limits = [joint.velocity_limit for joint in robot.joints]
     for j in range(robot.n):
         mine = [s for s in stretches if s.joint == j]
         ways = {np.sign(s.velocity) for s in mine}
@@ -155,7 +138,8 @@ def serves(
             continue
         if _speeds([abs(s.velocity) for s in mine]) >= min_speeds:
             stages.append("friction")
-        if robot.gravity.any() and (len(_postures(mine, j)) > 1 or _is_slow(robot, j, mine)):
+        slow = max(abs(s.velocity) for s in mine) < max_share * (limits[j] or 1.0)
+        if robot.gravity.any() and (slow or _postures(mine, j) > 1):
             stages.append("gravity")
     if imus and sum(moving) == 1:
         stages.append("imu-calib")
@@ -197,8 +181,3 @@ def _speeds(speeds: Sequence[float], *, different: float = 1.25) -> int:
         if speed > different * last:
             count, last = count + 1, speed
     return count
-
-
-def _is_slow(robot: Robot, j: int, stretches: list[Stretch], *, max_share: float = 0.25) -> bool:
-    limit = robot.joints[j].velocity_limit or 1.0
-    return max(abs(s.velocity) for s in stretches) < max_share * limit

@@ -23,12 +23,11 @@ from seqid_cli.inspect.moves import (
     moves_of,
     moving_together,
     serves,
-    stretches_of,
     together,
 )
 from seqid_cli.logs.raw import Stream
 from seqid_cli.logs.recording import Health
-from seqid_cli.motion.segmentation import Stretch
+from seqid_cli.motion.segmentation import Stretch, constant_velocity
 from seqid_cli.params.results.inspection import (
     InspectedImu,
     InspectedJoint,
@@ -83,7 +82,8 @@ class Gathered:
         self._row_gaps += self._new(gaps_of(data), 0.0)
         self._joints.append(joint_summaries(data))
         self._imus += imu_summaries(data, checked.following)
-        self._add_stretches(stretches_of(data), round(offset * health.rate_hz), health.rate_hz)
+        q, rate, where = recording.q, health.rate_hz, recording.valid
+        self._add_stretches(constant_velocity(q, rate, step=data.step, valid=where), offset, rate)
         self._together.append(together(data.moving))
         self._torque |= recording.tau is not None
         self._accelerated |= bool(recording.accelerometers or recording.gyros)
@@ -104,21 +104,16 @@ class Gathered:
         moved = [(start + offset, end + offset) for start, end in gaps]
         return [gap for gap in moved if gap[1] > self.end + 1e-6]
 
-    def _add_stretches(self, found_now: Sequence[Stretch], offset: int, rate_hz: float) -> None:
+    def _add_stretches(self, found_now: Sequence[Stretch], offset: float, rate_hz: float) -> None:
         """Take stretches of constant velocity; one that the part before ends with goes on."""
-        known = self.end * rate_hz
+        known, rows = self.end * rate_hz, round(offset * rate_hz)
         last = {s.joint: s for s in self._stretches}
         for one in found_now:
+            moved = replace(one, start=one.start + rows, stop=one.stop + rows)
             before = last.get(one.joint)
-            goes_on = (
-                before is not None
-                and one.start + offset <= min(before.stop, known)
-                and before.velocity * one.velocity > 0.0
-            )
-            if not goes_on:
-                self._stretches.append(
-                    replace(one, start=one.start + offset, stop=one.stop + offset)
-                )
+            same_way = before is not None and before.velocity * one.velocity > 0.0
+            if before is None or not same_way or moved.start > min(before.stop, known):
+                self._stretches.append(moved)
 
     def log(self, path: object, form: str, before: Sequence[InspectionFinding]) -> Inspected:
         """Tell what is in the log, and its faults; `before` are those that were found first.
@@ -127,11 +122,12 @@ class Gathered:
         """
         if not self._health:
             raise self.lost[0]
-        findings = located((*before, *self._merged()), path)
+        lost = (found("channel_hole", error.message) for error in self.lost)
+        findings = located((*before, *map(self._told, grouped(self._findings)), *lost), path)
         health, count = self._health, np.array(self._samples, dtype=np.float64)
-        rate, jitter = _clock(health, count)
+        rates, jitters = np.array([(one.rate_hz, one.jitter) for one in health]).T
         delays = [one.log_minus_header_s for one in health if one.log_minus_header_s is not None]
-        joints = _joints(self._joints, count)
+        joints = [_joint(some, count) for some in zip(*self._joints, strict=True)]
         moving = [joint.moves for joint in joints]
         several = moving_together(self.robot, np.sum(self._together, axis=0))
         there = {"torque": self._torque, "imus": self._accelerated}
@@ -143,8 +139,8 @@ class Gathered:
             verdict=verdict_of(findings),
             samples=sum(self._samples),
             seconds=self.end,
-            rate_hz=rate,
-            jitter=jitter,
+            rate_hz=float(count.sum() / (count / rates).sum()),
+            jitter=float(np.sqrt(np.average(jitters**2, weights=count))),
             gaps=[list(gap) for gap in self._gaps],
             non_monotonic=sum(one.non_monotonic for one in health),
             duplicates=sum(one.duplicates for one in health),
@@ -158,36 +154,15 @@ class Gathered:
         )
         return Inspected(log, findings)
 
-    def _merged(self) -> list[InspectionFinding]:
-        """Each finding once, where it was first."""
-        result = map(self._told, grouped(self._findings))
-        return [*result, *(found("channel_hole", error.message) for error in self.lost)]
-
     def _told(self, alike: Sequence[InspectionFinding]) -> InspectionFinding:
+        """A finding of several parts, told once."""
         first, parts = alike[0], len(self._health)
-        if parts == 1:
-            return first
         if first.code == "clock_gap":
             return gap_finding(self._row_gaps)
         if all(one.message == first.message for one in alike) and len(alike) == parts:
             return first
         message = f"{first.message} (of {parts} parts of the log {len(alike)} show it)"
         return structs.replace(first, message=message)
-
-
-def _clock(health: Sequence[Health], samples: Array) -> tuple[float, float]:
-    """Rate [Hz] and jitter of all parts."""
-    if len(health) == 1:
-        return health[0].rate_hz, health[0].jitter
-    rates = np.array([one.rate_hz for one in health])
-    jitter = np.sqrt(np.average([one.jitter**2 for one in health], weights=samples))
-    return float(samples.sum() / (samples / rates).sum()), float(jitter)
-
-
-def _joints(parts: Sequence[Sequence[InspectedJoint]], samples: Array) -> list[InspectedJoint]:
-    if len(parts) == 1:
-        return list(parts[0])
-    return [_joint(some, samples) for some in zip(*parts, strict=True)]
 
 
 def _joint(parts: Sequence[InspectedJoint], samples: Array) -> InspectedJoint:

@@ -16,7 +16,7 @@ import numpy as np
 from seqid_cli.inspect.channels.positions import Break, breaks_of
 from seqid_cli.inspect.checks import check, without
 from seqid_cli.inspect.findings import grouped, located
-from seqid_cli.inspect.material import log_data
+from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.clocks import GAP_INTERVALS, GAP_LEAST_S
 from seqid_cli.logs.long import READERS, Block, Bridge
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource
@@ -37,31 +37,23 @@ class Screened(NamedTuple):
     findings: Findings
 
 
-def screened(recording: Recording, raw: RawLog, robot: Robot, *, imus: bool) -> Screened:
-    """Check a log that is held.
-
-    `recording`, `raw`: the log as `read_both` gives it. `imus`: whether its IMUs are used, and
-    hence checked.
-    """
-    checked = check(log_data(recording, raw, robot, modelled=True), imus=imus, quality=False)
-    return Screened(checked.data.recording, located(checked.findings, recording.path))
-
-
 def sound(recording: Recording, raw: RawLog, robot: Robot) -> Recording:
-    """Return a log, or a piece of one, without its damaged samples; see `screened`."""
-    data = log_data(recording, raw, robot, modelled=True)
+    """Return a log, or a piece of one, as `read_both` gives it, without its damaged samples."""
+    data = LogData(recording, raw, robot)
     return without(data, breaks_of(robot, data.t, data.joints.channels["position"])).recording
 
 
 def read_screened(
     path: Path, robot: Robot, *, time_source: TimeSource = "header", imus: bool = True
 ) -> Screened:
-    """Read and check a log; see `read_recording` and `screened`.
+    """Read and check a log as a whole; see `read_recording`.
 
-    Raises InputError: the file cannot be read, lacks a channel or is too short.
+    `imus`: whether its IMUs are used, and hence checked. Raises InputError: the file cannot be
+    read, lacks a channel or is too short.
     """
-    recording, raw = read_both(path, robot, time_source=time_source)
-    return screened(recording, raw, robot, imus=imus)
+    data = LogData(*read_both(path, robot, time_source=time_source), robot)
+    checked = check(data, imus=imus, quality=False)
+    return Screened(checked.data.recording, located(checked.findings, data.recording.path))
 
 
 def screened_long(
@@ -72,7 +64,7 @@ def screened_long(
     piece_s: float = 20.0,
     overlap_s: float = 1.0,
 ) -> tuple[SurveyedLog, Findings]:
-    """Check a log that is passed over; see `screened`.
+    """Check a log that is passed over; see `read_screened`.
 
     `pieces`, `piece_s`: of the log [s], in which torque and motion are compared. `overlap_s`: time
     on either side of a block in which breaks are looked for as well [s].
@@ -98,7 +90,7 @@ def screened_long(
     for piece in map(joined, kept.values()):
         for bridge in bridges:
             bridge.laid(piece)
-        data = log_data(*_held(piece, log, first, warnings), robot, modelled=True)
+        data = LogData(*_held(piece, log, first, warnings), robot)
         findings += check(data, imus=False, quality=False).findings
         warnings = ()  # they are the log's, and said once
     return sound, located([first for first, *_ in grouped(findings)], log.path)

@@ -80,21 +80,15 @@ def read_both(
     return (replace(recording, path=path) if file is not path else recording), raw
 
 
-def without_values(recording: Recording, raw: RawLog, robot: Robot, joints: Stream) -> Recording:
+def without_values(recording: Recording, raw: RawLog, robot: Robot) -> Recording:
     """Lay a log on its base anew after some values of its joint samples were taken out.
 
-    `recording`, `raw`: the log as `read_both` gives it. `joints`: its joint samples in the order of
-    time, NaN where a value is not to be used. Returns: short holes are bridged by a curve, longer
-    ones are not valid, like any missing values.
+    `recording`: the log as it was. `raw`: its joint samples are NaN where a value is not to be
+    used: short holes are bridged by a curve, longer ones are not valid, like any missing values.
     """
-    cleared, before = replace(raw, joints=joints), recording.health
-    where = recording.path
-    again, _ = assemble(where, recording.format, recording.sha256, cleared, robot)
-    health = replace(
-        before,
-        gaps=tuple(sorted({*before.gaps, *again.health.gaps})),
-        resampled=again.health.resampled,
-    )
+    again, _ = assemble(recording.path, recording.format, recording.sha256, raw, robot)
+    gaps = tuple(sorted({*recording.health.gaps, *again.health.gaps}))
+    health = replace(recording.health, gaps=gaps, resampled=again.health.resampled)
     return replace(again, health=health)
 
 

@@ -4,7 +4,6 @@ from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from seqid_cli.inspect.channels.values import equal_runs, held, lattice, missing
@@ -14,8 +13,7 @@ from seqid_cli.motion.segmentation import windowed_velocity
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array, Joint, Robot
 from seqid_cli.robust import white_noise
-
-Rows = NDArray[np.intp]
+from seqid_cli.typing import Index
 
 ALONE = 0.3  # of a jump, that the samples before and after may move
 
@@ -29,7 +27,7 @@ class Break:
 
     joint: int
     finding: InspectionFinding
-    rows: NDArray[np.intp]
+    rows: Index
 
 
 def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
@@ -101,29 +99,26 @@ def _unit(
     low, high = joint.position_limits
     span, unit = high - low, "m" if joint.prismatic else "rad"
     margin = max(3.0 * data.step[j], min_outside * span)
+    least, most = float(q.min()), float(q.max())
 
     def within(factor: float) -> bool:
-        scaled = q / factor
-        return bool(scaled.min() >= low - margin and scaled.max() <= high + margin)
+        ends = sorted((least / factor, most / factor))
+        return bool(ends[0] >= low - margin and ends[1] <= high + margin)
 
     if within(1.0):
         return None
-    text = (
-        f"runs from {q.min():.4g} to {q.max():.4g}, the limits are {low:.4g} to {high:.4g} {unit}"
-    )
-    choices = (
-        [("position_in_mm", 1000.0)]
-        if joint.prismatic
-        else [("position_in_degrees", np.degrees(1.0))]
-    )
+    text = f"runs from {least:.4g} to {most:.4g}, the limits are {low:.4g} to {high:.4g} {unit}"
+    choices = [("position_in_degrees", np.degrees(1.0))]
+    if joint.prismatic:
+        choices = [("position_in_mm", 1000.0)]
     if joint.gear_ratio is not None and abs(joint.gear_ratio) > 3.0:
         choices.append(("position_motor_side", joint.gear_ratio))
     if joint.encoder_resolution:  # how many times its declared step is the position's step?
         ratio = max(lattice(q), 1e-12) / joint.encoder_resolution
         choices.sort(key=lambda choice: abs(np.log(ratio / abs(choice[1]))))
-    beyond = max(low - float(q.min()), float(q.max()) - high)
+    beyond = max(low - least, most - high)
     for code, factor in choices:
-        fills = np.ptp(q) / abs(factor) >= min_outside * span
+        fills = (most - least) / abs(factor) >= min_outside * span
         if beyond > span and fills and within(factor):
             return found(code, text, joint=joint.name, channel="position")
     return found("position_limits", text, joint=joint.name, channel="position")
@@ -154,7 +149,7 @@ def top_speed(data: LogData, j: int) -> float:
     return float(speed.max())
 
 
-def _breaks(t: Array, q: Array, step: float) -> Iterator[tuple[str, str, Rows]]:
+def _breaks(t: Array, q: Array, step: float) -> Iterator[tuple[str, str, Index]]:
     """Find freezes, spikes and jumps, each with the samples that are wrong."""
     usual = float(np.median(np.diff(t)))
     if usual <= 0.0:
@@ -162,12 +157,12 @@ def _breaks(t: Array, q: Array, step: float) -> Iterator[tuple[str, str, Rows]]:
     large = _least_jump(q, step, usual)
     frozen = _frozen(t, q, large)
     if frozen:
-        start, length, jump = frozen[0]
+        start, stop = frozen[0]
         text = (
             f"stands still {len(frozen)} times, first from {t[start]:.3f} s for "
-            f"{t[start + length - 1] - t[start]:.3f} s, and then catches up by {jump:.3g}"
+            f"{t[stop - 1] - t[start]:.3f} s, and then catches up by {q[stop] - q[stop - 1]:.3g}"
         )
-        wrong = [np.arange(a + 1, a + size) for a, size, _ in frozen]
+        wrong = [np.arange(a + 1, b) for a, b in frozen]
         yield "position_frozen", text, np.concatenate(wrong)
         return
     d = np.diff(q)
@@ -231,18 +226,17 @@ def _returns(d: Array, k: int) -> int:
 
 def _frozen(
     t: Array, q: Array, large: float, *, min_samples: int = 5, min_s: float = 0.01
-) -> list[tuple[int, int, float]]:
-    """List freezes: first sample, length, and the jump that ends it."""
+) -> list[tuple[int, int]]:
+    """List freezes [start, stop), each ended by a jump as far as the motion around it goes."""
     found_runs = []
-    for run in equal_runs(q, min_samples):
-        a, b = run.start, run.start + run.length  # b: first sample after
+    for a, b in equal_runs(q, min_samples):
         if b + 5 >= len(q) or a < 5 or t[b - 1] - t[a] < min_s:
             continue
         jump = float(q[b] - q[b - 1])
         before, after = float(q[a] - q[a - 5]) / 5, float(q[b + 5] - q[b]) / 5
-        missed = 0.5 * (before + after) * run.length
+        missed = 0.5 * (before + after) * (b - a)
         if abs(jump) > large and before * after > 0 and 0.5 < jump / missed < 2.0:
-            found_runs.append((a, run.length, jump))
+            found_runs.append((a, b))
     return found_runs
 
 

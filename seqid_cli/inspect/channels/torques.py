@@ -3,7 +3,6 @@
 from collections.abc import Container, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from seqid_cli.inspect.channels.values import clipped, equal_runs, held, lattice, missing
@@ -14,6 +13,7 @@ from seqid_cli.logs.checks.echo import WARNING, echoes
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
+from seqid_cli.typing import Index, Mask
 
 
 def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
@@ -32,7 +32,7 @@ def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
         return
     channels, joints = data.robot.channels, data.robot.joints
     drives = any(joint.torque_constant is not None for joint in joints)
-    said = quantity == "current" or channels.effort == "torque" or channels.torque is not None
+    said = channels.effort == "torque" or channels.torque is not None
     if data.modelled and drives and not said and largest_gravity(data.robot).max() < HEAVY:
         # Neither the robot file nor the robot's weight tells torque from current.
         text = "could be torque or current: the robot file gives torque_constant, the log torque"
@@ -71,7 +71,7 @@ def _spikes(
     min_ratio: float = 10.0,  # times what the usual samples differ from their neighbours
     min_share: float = 1.0,  # of the span of the usual values
     max_spikes: int = 16,
-) -> NDArray[np.intp]:
+) -> Index:
     """One sample, or two, far from their neighbours on both sides, which agree with each other.
 
     What lasts longer may be the torque of a short, hard acceleration.
@@ -81,19 +81,19 @@ def _spikes(
     off = np.abs(values - median_filter(values, 5, mode="nearest"))
     usual = float(np.partition(off, len(off) - max_spikes)[-max_spikes - 1])
     span = float(np.ptp(np.quantile(values, (0.01, 0.99))))
-    found_at: NDArray[np.intp] = np.flatnonzero(off > max(min_ratio * usual, min_share * span))
+    found_at: Index = np.flatnonzero(off > max(min_ratio * usual, min_share * span))
     return found_at if len(found_at) <= max_spikes else found_at[:0]
 
 
 def _starts_or_stops(
     q: Array,
-    at: NDArray[np.intp],
+    at: Index,
     step: float,
     *,
     apart: int = 2,
     over: int = 10,
     min_change: float = 10.0,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Whether the speed over `over` samples changes `min_change` times there; it takes torque.
 
     `q` (M,) are positions in steps of `step`; speeds are those up to `apart` samples before, and
@@ -138,7 +138,7 @@ def _resolved(
 def _stuck(
     values: Array,
     t: Array,
-    moving: NDArray[np.bool_],
+    moving: Mask,
     *,
     min_samples: int = 50,
     min_s: float = 0.2,
@@ -148,15 +148,10 @@ def _stuck(
         lively = np.median(np.diff(values[moving]) != 0) if moving.sum() > 2 else 0.0
         if not lively:
             return ""
-    for run in equal_runs(values, min_samples):
-        inside = slice(run.start, run.start + run.length)
-        seconds = float(t[run.start + run.length - 1] - t[run.start])
-        if (
-            seconds >= min_s
-            and moving[inside].mean() > 0.5
-            and run.value not in (values.min(), values.max())
-        ):
-            return f"stays at {run.value:.4g} for {seconds:.3g} s from {t[run.start]:.3f} s"
+    for a, b in equal_runs(values, min_samples):
+        seconds, inner = float(t[b - 1] - t[a]), values[a] not in (values.min(), values.max())
+        if seconds >= min_s and inner and moving[a:b].mean() > 0.5:
+            return f"stays at {values[a]:.4g} for {seconds:.3g} s from {t[a]:.3f} s"
     return ""
 
 
@@ -184,36 +179,29 @@ def _milliamperes(
 
 def sensor_findings(data: LogData, *, opposed: float = -0.5) -> Iterator[InspectionFinding]:
     """Check torque sensors behind the gear and encoders on the link against the motor's side."""
-    effort = data.effort()
-    pairs = {
-        "load": None if effort is None else effort[1],
-        "link_position": data.joints.channels["position"],
-    }
-    for channel, motor in pairs.items():
+    _, torque = data.effort() or ("", None)
+    for channel, motor in (("load", torque), ("link_position", data.joints.channels["position"])):
         values = data.joints.channels.get(channel)
-        for j in range(data.robot.n) if values is not None and motor is not None else ():
-            assert values is not None
-            assert motor is not None
+        if values is None or motor is None:
+            continue
+        for j, name in enumerate(data.robot.joint_names):
             both = data.moving_samples(j) & np.isfinite(values[:, j]) & np.isfinite(motor[:, j])
             a, b = values[both, j], motor[both, j]
-            if both.sum() > 1 and a.std() * b.std() > 0.0:
-                together = float(np.corrcoef(a, b)[0, 1])
-                if together < opposed:
-                    text = f"runs against the motor's side: their correlation is {together:.2f}"
-                    name = data.robot.joint_names[j]
-                    yield found("sensor_sign", text, joint=name, channel=channel)
+            varied = both.sum() > 1 and a.std() * b.std() > 0.0
+            together = float(np.corrcoef(a, b)[0, 1]) if varied else 0.0
+            if together < opposed:
+                text = f"runs against the motor's side: their correlation is {together:.2f}"
+                yield found("sensor_sign", text, joint=name, channel=channel)
 
 
 def temperature_findings(data: LogData) -> Iterator[InspectionFinding]:
     """Check the temperatures."""
-    temperatures = data.joints.channels.get("temperature")
-    if temperatures is None:
-        return
-    for j, joint in enumerate(data.robot.joints):
-        values = temperatures[np.isfinite(temperatures[:, j]), j]
+    temperatures = data.joints.channels.get("temperature", np.zeros((0, data.robot.n)))
+    for name, column in zip(data.robot.joint_names, temperatures.T, strict=True):
+        values = column[np.isfinite(column)]
         if not len(values):
             continue
-        middle = float(np.median(values))
+        middle, step = float(np.median(values)), float(np.abs(np.diff(values)).max(initial=0.0))
         text, code = "", "temperature_nonsense"
         if 240.0 < middle < 420.0:
             text, code = f"is {middle:.4g} in the median", "temperature_in_kelvin"
@@ -221,7 +209,7 @@ def temperature_findings(data: LogData) -> Iterator[InspectionFinding]:
             text = "is exactly 0 throughout"
         elif values.min() < -40.0 or values.max() > 200.0:
             text = f"runs from {values.min():.4g} to {values.max():.4g} degC"
-        elif len(values) > 1 and float(np.abs(np.diff(values)).max()) > 20.0:
-            text = f"steps by {float(np.abs(np.diff(values)).max()):.3g} K"
+        elif step > 20.0:
+            text = f"steps by {step:.3g} K"
         if text:
-            yield found(code, text, joint=joint.name, channel="temperature")
+            yield found(code, text, joint=name, channel="temperature")

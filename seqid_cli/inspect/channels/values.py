@@ -1,35 +1,21 @@
 """Tests of one channel by itself: stuck, clipped, held, quantised."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.inspect.findings import found
 from seqid_cli.motion.filters.bandwidth import encoder_step
+from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
 
-Mask = NDArray[np.bool_]
 
-
-@dataclass(frozen=True)
-class Run:
-    """A stretch of equal values: first sample, number of samples, value."""
-
-    start: int
-    length: int
-    value: float
-
-
-def equal_runs(values: Array, least: int) -> list[Run]:
-    """List the stretches of at least `least` equal values of a channel (M,)."""
-    same = np.concatenate([[False], np.diff(values) == 0, [False]])
-    edges = np.flatnonzero(np.diff(same.astype(np.int8)))
-    pairs = zip(edges[::2], edges[1::2], strict=True)
-    return [Run(int(a), int(b - a + 1), float(values[a])) for a, b in pairs if b - a + 1 >= least]
+def equal_runs(values: Array, least: int) -> list[tuple[int, int]]:
+    """List the stretches [start, stop) of at least `least` equal values of a channel (M,)."""
+    same = np.diff(values) == 0
+    return [(a, b + 1) for a, b in runs(same, len(same)) if b + 1 - a >= least]
 
 
 def clipped(
@@ -44,10 +30,7 @@ def clipped(
 
     Returns (limit, share of the samples) or None.
     """
-    if (
-        len(values) < min_levels
-        or len(np.unique(values[:: max(1, len(values) // 2000)])) < min_levels
-    ):
+    if len(np.unique(values[:: max(1, len(values) // 2000)])) < min_levels:
         return None
     for limit in (float(values.max()), float(values.min())):
         if limit == 0.0:

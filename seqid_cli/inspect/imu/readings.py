@@ -25,11 +25,11 @@ AXES = "xyz"
 def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
     """Find arrays of the robot file that do not determine the angular acceleration."""
     for imu in robot.imus:
-        triad = len(imu.positions) == 3 and not imu.positions.any()
-        if imu.gyro or triad or layout(imu).acceleration:
-            continue
-        text = f"its {len(imu.positions)} accelerometers do not determine the angular acceleration"
-        yield found("imu_layout", text, joint=imu.name)
+        count = len(imu.positions)
+        triad = count == 3 and not imu.positions.any()
+        if not (imu.gyro or triad or layout(imu).acceleration):
+            text = f"its {count} accelerometers do not determine the angular acceleration"
+            yield found("imu_layout", text, joint=imu.name)
 
 
 def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
@@ -38,11 +38,12 @@ def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
         broken = [*_channels(data, imu)]
         yield from _together(broken)
         values = data.recording.accelerometers.get(imu.name)
-        if values is not None and np.linalg.matrix_rank(imu.axes) == 3:
+        on_earth = abs(float(np.linalg.norm(data.robot.gravity)) - STANDARD_GRAVITY) <= 0.5
+        if values is not None and on_earth and np.linalg.matrix_rank(imu.axes) == 3:
             in_g = _in_g(data, imu, values)
             if in_g is not None:
                 yield in_g
-            elif not broken:
+            elif data.modelled and not broken:
                 yield from _at_rest(data, imu, values)
         gyro = data.recording.gyros.get(imu.name)
         if gyro is not None:
@@ -101,16 +102,11 @@ def _channel(
     least = max(stuck_samples, int(stuck_s / max(seconds, 1e-9)))
     # A channel that repeats itself all the time is slow or coarse, not stuck.
     lively = len(present) > 2 and np.mean(np.diff(present) != 0) > 0.3
-    stuck = [
-        run
-        for run in equal_runs(present, least)
-        if run.length == len(present)
-        or (lively and run.value not in (present.max(), present.min()))
-    ]
-    if stuck and (others or lively):
-        run = stuck[0]
-        text = f"stays at {run.value:.4g} for {run.length * seconds:.3g} s"
-        return found("imu_stuck", text, joint=imu.name, channel=name)
+    for a, b in equal_runs(present, least) if others or lively else ():
+        inner = lively and present[a] not in (present.max(), present.min())
+        if inner or b - a == len(present):
+            text = f"stays at {present[a]:.4g} for {(b - a) * seconds:.3g} s"
+            return found("imu_stuck", text, joint=imu.name, channel=name)
     limit = clipped(present)
     if limit is not None:
         text = f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
@@ -126,10 +122,6 @@ def rest_rows(data: LogData, values: Array, *, min_rest_s: float = 0.2) -> Array
     return np.array(means).reshape(-1, values.shape[1])
 
 
-def _on_earth(robot: Robot, *, near: float = 0.5) -> bool:
-    return abs(float(np.linalg.norm(robot.gravity)) - STANDARD_GRAVITY) <= near
-
-
 def force_of(imu: Imu, readings: Array) -> float:
     """Median size of the specific force by readings (R, K)."""
     return float(np.median(np.linalg.norm(readings @ np.linalg.pinv(imu.axes).T, axis=1)))
@@ -137,9 +129,7 @@ def force_of(imu: Imu, readings: Array) -> float:
 
 def _in_g(data: LogData, imu: Imu, values: Array) -> InspectionFinding | None:
     rows = values[data.recording.valid & np.isfinite(values).all(axis=1)]
-    if not len(rows) or not _on_earth(data.robot):
-        return None
-    size = force_of(imu, rows)
+    size = force_of(imu, rows) if len(rows) else 0.0
     unit = next((u for u, g in (("g", 1.0), ("mg", 1e3)) if 0.8 * g < size < 1.2 * g), "")
     text = f"reads {size:.3g} in the median: it looks like {unit}, m/s^2 are expected"
     return found("imu_in_g", text, joint=imu.name) if unit else None
@@ -148,14 +138,12 @@ def _in_g(data: LogData, imu: Imu, values: Array) -> InspectionFinding | None:
 def _at_rest(data: LogData, imu: Imu, values: Array) -> Iterator[InspectionFinding]:
     gravity = float(np.linalg.norm(data.robot.gravity))
     rest = rest_rows(data, values)
-    if not data.modelled or not len(rest) or not _on_earth(data.robot):
+    if not len(rest):
         return
-    norm = force_of(imu, rest)
-    odd = odd_channel(imu, rest, gravity)
+    norm, odd = force_of(imu, rest), odd_channel(imu, rest, gravity)
     if odd is not None:
         yield odd
-        return
-    if abs(norm / gravity - 1.0) > WRONG:
+    elif abs(norm / gravity - 1.0) > WRONG:
         text = f"reads {norm:.4g} m/s^2 at rest, gravity is {gravity:.4g}"
         yield found("imu_gravity", text, joint=imu.name)
 
@@ -175,24 +163,22 @@ def odd_channel(
     count = rest.shape[1]
     if count <= 3:
         return None
-    P = np.eye(count) - imu.axes @ np.linalg.pinv(imu.axes)
-    error = _disagreement(rest, P)
+    error = _disagreement(rest, imu.axes)
     if np.sqrt(error) < WRONG * gravity:
         return None
     every = np.arange(count)
     tried: list[tuple[float, float, str, tuple[int, ...]]] = []  # the first is what decides
     for k in every.tolist():
-        left = _disagreement(rest * np.where(every == k, -1.0, 1.0), P)
+        left = _disagreement(rest * np.where(every == k, -1.0, 1.0), imu.axes)
         tried.append((left, left, "imu_channel_flipped", (k,)))
         axes = imu.axes[every != k]
         if np.linalg.matrix_rank(axes) == 3:  # leaving it out does even where it is only reversed
-            without = np.eye(count - 1) - axes @ np.linalg.pinv(axes)
-            left = _disagreement(rest[:, every != k], without)
+            left = _disagreement(rest[:, every != k], axes)
             tried.append((max_repaired * left, left, "imu_channel_wrong", (k,)))
     for pair in combinations(range(count), 2):
         order = every.copy()
         order[list(pair)] = pair[::-1]
-        left = _disagreement(rest[:, order], P)
+        left = _disagreement(rest[:, order], imu.axes)
         tried.append((left, left, "imu_channels_swapped", pair))
     _, left, code, channels = min(tried)
     if left > max_left * error:
@@ -207,19 +193,18 @@ def odd_channel(
     return found(code, text, joint=imu.name, channel=names)
 
 
-def _disagreement(rest: Array, P: Array) -> float:
-    squares: float = float(np.mean((rest @ P) ** 2)) * float(rest.shape[1])
-    return squares
+def _disagreement(rest: Array, axes: Array) -> float:
+    """Mean square (m/s^2)^2 of readings (R, K) that no specific force along the axes explains."""
+    P = np.eye(len(axes)) - axes @ np.linalg.pinv(axes)
+    return float(np.mean(np.sum((rest @ P) ** 2, axis=1)))
 
 
 def _gyro_bias(
     data: LogData, imu: Imu, gyro: Array, *, max_bias: float = 0.1
 ) -> Iterator[InspectionFinding]:
     rest = rest_rows(data, gyro)
-    if not len(rest):
-        return
-    bias = rest.mean(axis=0)
-    if float(np.linalg.norm(bias)) > max_bias:
-        worst = int(np.abs(bias).argmax())
-        text = f"reads {float(np.linalg.norm(bias)):.3g} rad/s at rest"
-        yield found("gyro_bias", text, joint=imu.name, channel=channel_name(imu, GYRO, worst))
+    bias = rest.mean(axis=0) if len(rest) else np.zeros(3)
+    size, worst = float(np.linalg.norm(bias)), int(np.abs(bias).argmax())
+    if size > max_bias:
+        text, channel = f"reads {size:.3g} rad/s at rest", channel_name(imu, GYRO, worst)
+        yield found("gyro_bias", text, joint=imu.name, channel=channel)

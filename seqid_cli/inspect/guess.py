@@ -146,10 +146,7 @@ def _alone(names: list[str]) -> dict[str, Columns]:
 
 
 def _numbered(names: list[str], *, max_joints: int = 64) -> dict[str, dict[str, dict[int, str]]]:
-    """Forms with `{#}` for the number, by quantity, their form without its unit, and number.
-
-    An arm may log one joint in degrees and another in mm.
-    """
+    """Forms with `{#}` for the number, by quantity, their form without its unit, and number."""
     found: dict[str, dict[str, dict[int, str]]] = {}
     for name in names:
         for match in re.finditer(r"[0-9]{1,3}", name):
@@ -246,10 +243,7 @@ def _imus(names: Iterable[str]) -> tuple[Imu, ...]:
 
 
 def stand_in(guessed: Guess, *, source: Path) -> Robot:
-    """Make a robot that can read the log; its geometry means nothing.
-
-    Raises InputError: the log has more joints than an arm.
-    """
+    """Make a robot that can read the log; its geometry means nothing."""
     count = len(guessed.joints)
     if count > MOST_JOINTS:
         hint = f"Give a robot file with -r that names those of one arm, up to {MOST_JOINTS}."

@@ -192,10 +192,7 @@ def nearest_name(name: str, known: Iterable[str], *, cutoff: float = 0.5) -> str
 
 
 def missing_imus(robot: Robot, survey: Survey) -> tuple[dict[str, str], list[InspectionFinding]]:
-    """Find IMUs of the robot file that a log lacks.
-
-    A log need not have them; it is a finding where an unknown name in the log is very near.
-    """
+    """Find IMUs that a log lacks; a finding where an unknown name in it is very near."""
     names = [channel.name for channel in survey.channels]
     parts = [name.strip("/").rsplit("/" if "/" in name else ".", 1) for name in names]
     prefixes = dict.fromkeys(part[0] for part in parts if len(part) > 1)

@@ -124,11 +124,7 @@ def serves(
     min_speeds: int = 3,
     max_share: float = 0.25,  # of the speed limit, up to which moves show gravity well
 ) -> tuple[str, ...]:
-    """Return the stages that a log serves.
-
-    `moving`: which joints move. `several`: those that move with others. `torque`, `imus`: whether
-    the log has them.
-    """
+    """Return the stages that a log serves: joints `moving`, `several` with others."""
     stages: list[str] = []
     limits = [joint.velocity_limit for joint in robot.joints]
     for j in range(robot.n):
@@ -151,8 +147,7 @@ def serves(
 def serve_together(logs: Sequence[InspectedLog], *, min_speeds: int = 3) -> list[InspectedLog]:
     """Add `friction` to logs that serve it together, such as one log per speed.
 
-    That is of joints for which no log serves it by itself: logs that hold at least one speed of
-    such a joint, both ways, with its torque. Together they need `min_speeds`.
+    That is of joints for which no log serves it alone, by logs with a speed of them, both ways.
     """
     alone = {m.joint for log in logs if "friction" in log.serves for m in log.moves}
     speeds: dict[str, list[float]] = {}

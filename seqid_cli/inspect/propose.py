@@ -45,27 +45,12 @@ def propose(
 ) -> Proposal:
     """Propose a robot file from logs of one robot.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        The first says which joints and channels there are, all of them what moves.
-    urdf : UrdfText, optional
-        The robot's URDF; without it the geometry is left to be filled in.
-    urdf_path : str, optional
-        How the file is to name the URDF.
-    name : str
-        The robot's name.
-    drives : mapping
-        `torque_constant` and `gear_ratio`: one for all joints, or one for each.
+    `paths`: the first says which joints and channels there are, all of them what moves. `urdf`:
+    without it the geometry is left to be filled in. `urdf_path`: how the file is to name it. `name`:
+    the robot's. `drives`: `torque_constant` and `gear_ratio`, one for all joints or one for each.
 
-    Raises
-    ------
-    UsageError
-        As many drives' data as there are neither joints nor one.
-    InputError
-        A log cannot be read, or no joint is found in it.
-    ConfigError
-        The URDF is one that no other command could use.
+    Raises UsageError: as many drives' data as there are neither joints nor one. Raises InputError: a
+    log cannot be read, or no joint is found in it. Raises ConfigError: no command could use the URDF.
     """
     if urdf is not None:
         check_urdf(urdf)
@@ -138,10 +123,7 @@ def _units(guessed: Guess, codes: Container[str]) -> dict[str, str]:
 
 
 def _in_mm(joint: UrdfJoint, seen: InspectedJoint, *, read_as: str, margin: float = 0.02) -> bool:
-    """Whether positions of a sliding joint are within its limits only if they are in mm.
-
-    `margin`: share of the limits' span by which they may be outside.
-    """
+    """Whether positions of a sliding joint are within its limits, or nearly, only in mm."""
     if joint.kind != "prismatic" or joint.lower is None or joint.upper is None:
         return False
     span = joint.upper - joint.lower

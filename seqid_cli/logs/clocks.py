@@ -19,24 +19,19 @@ BURSTS = 0.05
 
 @dataclass(frozen=True)
 class Tidy:
-    """A stream in the order of time, and what had to be done for it.
-
-    `non_monotonic` counts the steps back in time, `duplicates` the samples dropped because another
-    one holds the same stamp.
-    """
+    """A stream in the order of time; its steps back, and the samples dropped as repeated."""
 
     stream: Stream
-    non_monotonic: int = 0
-    duplicates: int = 0
+    non_monotonic: int = 0  # steps back in time
+    duplicates: int = 0  # samples dropped because another one holds the same stamp
     warnings: tuple[str, ...] = ()
 
 
 def tidy(stream: Stream) -> Tidy:
     """Sort a stream by stamp and merge samples of equal stamp.
 
-    Samples of equal stamp that hold different joints complement each other; where they hold the
-    same one, the first counts. Where the clock was set back, two passes of it would overlap: only
-    the longest stretch of one pass is kept.
+    Those that hold different joints complement each other; where they hold the same one, the first
+    counts. Where the clock was set back, only the longest stretch of one pass is kept.
     """
     backwards = int(np.count_nonzero(np.diff(stream.stamp_ns) < 0))
     warnings: list[str] = []

@@ -62,7 +62,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Bridge:
-    """Samples [start, stop) of one joint's position that are damaged, and the values around them.
+    """Damaged samples [start, stop) of a joint's position, and the values around them.
 
     `valid` says whether a straight line between those stands in for them.
     """
@@ -269,10 +269,7 @@ class Scan:
 
 
 def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:
-    """Rows that a log is likely to hold, without reading it; 0 where the format does not tell.
-
-    Raises InputError: the file cannot be read.
-    """
+    """Rows that a log is likely to hold, without reading it; 0 where the format does not tell."""
     kind, path = check_log(Path(path)), storage_file(Path(path))
     try:
         if kind == "parquet":

@@ -42,13 +42,10 @@ ABSURD = 1e9  # no position, torque or acceleration in SI units is that large
 
 
 def read_recording(path: Path, robot: Robot, *, time_source: TimeSource = "header") -> Recording:
-    """Read one log on a uniform time base.
+    """Read one log on a uniform time base: a file told by its content, or a ROS 2 bag's folder.
 
     Parameters
     ----------
-    path : Path
-        A Parquet, MCAP, CSV or ROS bag file, told by its content, or the folder of a ROS 2 bag
-        of one file.
     robot : Robot
         Names of joints, channels and IMUs; drive data that turn current into torque.
     time_source : {"header", "log"}

@@ -65,11 +65,7 @@ def make_base(
     least_seconds: float = 0.5,
     most_samples: int = 200000000,
 ) -> Base:
-    """Lay the base through the joint samples.
-
-    `joints`: in the order of time, with `position` (M, n). `where`: the file, for messages. Raises
-    InputError: fewer than 20 samples, or less than 0.5 s.
-    """
+    """Lay the base through joint samples in the order of time, with `position` (M, n)."""
     rows = _base_rows(joints)
     stamps = joints.stamp_ns[rows]
     span = int(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0
@@ -93,11 +89,10 @@ def make_base(
 
 
 def resample(stream: Stream, quantity: str, base: Base) -> Resampled:
-    """Bring one channel of a stream to the base.
+    """Bring one channel (M, w) of a stream in the order of time to the base.
 
-    `stream`: in the order of time. `quantity`: its channel, (M, w). `base`: the time base. Returns:
-    finite everywhere where a column has any value at all, NaN elsewhere; `valid` is False in gaps
-    and outside the column's time, and does not heed columns without any value.
+    Returns: finite everywhere where a column has any value at all, NaN elsewhere; `valid` is False
+    in gaps and outside the column's time, and does not heed columns without any value.
     """
     values = stream.channels[quantity]
     if base.exact and len(stream) >= base.count:

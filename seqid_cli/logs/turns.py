@@ -33,10 +33,7 @@ def in_turns(stream: Stream, robot: Robot, *, slack: float = 0.05) -> tuple[Stre
 
 
 def _unwrapped(q: Array, slack: float) -> tuple[Array, int]:
-    """Positions (M,) that run on, and how often they wrap.
-
-    Where more steps are large that are no turn, turns among them are chance.
-    """
+    """Positions (M,) that run on, and how often they wrap: steps of no turn are not more."""
     there = np.flatnonzero(np.isfinite(q))
     d = np.diff(q[there]) / TURN
     turns = np.where(np.abs(np.abs(d) - 1.0) < slack, np.sign(d), 0.0)

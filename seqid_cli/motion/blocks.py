@@ -58,11 +58,7 @@ LEAST_BLOCK = 32_768  # samples; thinned ones need less memory and are twice as 
 
 
 def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff: float) -> Plan:
-    """Plan the blocks.
-
-    `step` (n,): position changes [rad] that are more than noise. `samples_per_cutoff`: samples that
-    stay per period of the cut-off, at least; infinite keeps all.
-    """
+    """Plan the blocks for noise steps (n,) rad; `samples_per_cutoff` stay, infinite keeps all."""
     lowpass = Lowpass(cutoff.hz, rate_hz)
     factor = 1
     if lowpass.active:
@@ -75,11 +71,7 @@ def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff
 
 
 def motion_blocks(blocks: Iterable[Block], plan: Plan) -> Iterator[Motion]:
-    """Filter, differentiate and decimate.
-
-    `blocks`: the log's samples in order. Yields: consecutive parts of the decimated motion; `t`
-    counts from the first sample of the log.
-    """
+    """Filter, differentiate and decimate a log's samples; `t` counts from its first."""
     for window, first, end in overlapping(blocks, plan.rows, plan.margin):
         yield _motion(window, plan, slice(first, end))
 
@@ -96,10 +88,7 @@ def joined(parts: list[S]) -> S:
 
 
 def overlapping(parts: Iterable[S], rows: int, margin: int) -> Iterator[tuple[S, int, int]]:
-    """Cut samples into blocks of `rows` with `margin` more on either side.
-
-    Yields the samples, and which of them, [start, stop), are the block itself.
-    """
+    """Cut samples into blocks of `rows` with `margin` more; yields [start, stop) within."""
     held: list[S] = []
     before = have = 0  # samples held in front of the next block, and in all
     for part in parts:

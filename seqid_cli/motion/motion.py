@@ -89,20 +89,8 @@ class Motion:
 def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) -> Motion:
     """Filter and differentiate the encoder positions of one log (Sec. 2.1, parallel filtering).
 
-    Parameters
-    ----------
-    robot : Robot
-        The robot it is of; encoder resolutions are used where the file gives them.
-
-    Returns
-    -------
-    Motion
-        At the log's own rate.
-
-    Raises
-    ------
-    InputError
-        If no stretch of the log is long enough to filter.
+    `robot`: encoder resolutions are used where its file gives them. Returns: at the log's own rate.
+    Raises InputError: no stretch of the log is long enough to filter.
     """
     rate = recording.rate_hz
     resolution = encoder_resolution(robot)
@@ -120,10 +108,7 @@ def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) 
 
 
 def filtered_torque(recording: Recording, lowpass: Lowpass) -> tuple[Array | None, Mask]:
-    """Torque (N, n) after two passes, where there is one, and the samples at which it has settled.
-
-    Raises InputError if no stretch of the log is long enough to filter.
-    """
+    """Torque (N, n) after two passes, if any, and the samples at which it has settled."""
     usable = shrink(recording.valid, 2 * lowpass.settling)
     if recording.bridged is not None:
         usable &= ~recording.bridged
@@ -155,13 +140,7 @@ def as_asked(chosen: Cutoff, path: Path, rate_hz: float, options: MotionOptions)
 def require_rate(
     path: Path, rate_hz: float, options: MotionOptions, *, min_samples: float = 4.0
 ) -> None:
-    """Refuse a log that is too slow for the cut-off of the model that it is to be used with.
-
-    `min_samples` is the number of samples that a period of the cut-off must have.
-
-    Raises InputError if it has fewer samples per period of the cut-off, and that is not what the
-    user asked for.
-    """
+    """Refuse a log with too few samples per period of the cut-off of the model to be used."""
     highest = rate_hz / min_samples
     hz = 0.0 if options.origin in ("", "as given") else options.cutoff_hz or 0.0
     if hz <= highest:
@@ -177,13 +156,10 @@ def require_rate(
 def highest_bridged(
     recording: Recording, *, min_share: float = 0.05, max_periods: float = 0.2
 ) -> float:
-    """Highest cut-off [Hz] that the bridged holes of a log allow.
+    """Highest cut-off [Hz] that bridged holes allow, where more than `min_share` of samples are.
 
     A cubic across a hole of h seconds falls short of an acceleration of f Hz by (2 pi f h)^2 / 12:
-    13 percent at 0.2 / h. A few holes are left out of the equations instead.
-
-    `min_share`: share of the samples, from which on bridged ones limit the cut-off. `max_periods`:
-    periods of the cut-off that a bridged hole may last.
+    13 percent at `max_periods` / h. A few holes are left out of the equations instead.
     """
     if recording.bridged is None or recording.bridged.mean() < min_share:
         return HIGHEST_HZ

@@ -242,14 +242,13 @@ def _end_velocities(
 def unmoved(
     q: Array, resolution: Array | None, samples: int, *, max_swing_steps: float = 1.5
 ) -> Mask:
-    """Where no joint leaves its place by more than the encoder's noise, for so many samples.
+    """Where (N,) no joint leaves its place by more than the encoder's noise, for `samples`.
 
     Unlike `moving_mask`, whose windows are as long as a slow joint needs to pass two counts, it
     shows short rests between moves; a joint that creeps within a count stands.
 
-    `q` (N, n): positions, rad (m). `resolution` (n,): smallest steps of the encoders, where the
-    robot file knows them. `samples`: length of a rest at the least. `max_swing_steps`: noise steps,
-    between which an encoder may go to and fro at rest. Returns (N,).
+    `q` (N, n): positions, rad (m). `resolution` (n,): smallest steps of the encoders, where known.
+    `max_swing_steps`: noise steps, between which an encoder may go to and fro at rest.
     """
     size = max(3, samples)
     swing = maximum_filter1d(q, size, axis=0) - minimum_filter1d(q, size, axis=0)

@@ -46,10 +46,7 @@ class Reply(Generic[R]):
     error: Exception | None = None
 
     def get(self) -> R:
-        """Return the value.
-
-        Raises Exception: what the work ended with.
-        """
+        """Return the value, or raise what the work ended with."""
         if self.error is not None:
             raise self.error
         return self.value  # type: ignore[return-value]

@@ -85,10 +85,7 @@ def gap_finding(gaps: Sequence[tuple[float, float]]) -> InspectionFinding:
 
 
 def gaps_of(data: LogData) -> list[tuple[float, float]]:
-    """Gaps without a row, but for the holes between episodes.
-
-    Holes of single channels are another matter (`hole_findings`).
-    """
+    """Gaps without a row [s], but for the holes between episodes."""
     health = data.recording.health
     if not health.gaps:
         return []

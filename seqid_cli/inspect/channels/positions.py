@@ -20,10 +20,7 @@ ALONE = 0.3  # of a jump, that the samples before and after may move
 
 @dataclass(frozen=True)
 class Break:
-    """Where the positions of one joint are broken, and the joint samples that are wrong.
-
-    `rows` is empty where the samples are not known, or all after some moment are wrong.
-    """
+    """Where a joint's positions are broken; `rows` are wrong, none where it is not known which."""
 
     joint: int
     finding: InspectionFinding
@@ -31,11 +28,7 @@ class Break:
 
 
 def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
-    """Find freezes, spikes and jumps of every joint.
-
-    `t` (M,): time of the joint samples [s]. `position` (M, n): as logged [rad; m where prismatic],
-    NaN where missing.
-    """
+    """Find breaks of every joint's positions (M, n) rad (m) as logged at `t` (M,) s."""
     breaks = []
     for j, joint in enumerate(robot.joints):
         rows = np.flatnonzero(np.isfinite(position[:, j]))
@@ -125,10 +118,7 @@ def _unit(
 
 
 def fast_in_degrees(data: LogData, *, max_speed: float = 20.0) -> Iterator[InspectionFinding]:
-    """Take positions for degrees where most moving joints of an arm are impossibly fast.
-
-    Only for logs with neither limits nor velocities, which say it with more certainty.
-    """
+    """Take most joints impossibly fast for degrees; limits and velocities say it better."""
     robot = data.robot
     if data.recording.dq is not None or any(j.position_limits for j in robot.joints):
         return

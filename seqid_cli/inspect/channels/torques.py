@@ -72,10 +72,7 @@ def _spikes(
     min_share: float = 1.0,  # of the span of the usual values
     max_spikes: int = 16,
 ) -> Index:
-    """One sample, or two, far from their neighbours on both sides, which agree with each other.
-
-    What lasts longer may be the torque of a short, hard acceleration.
-    """
+    """One sample or two far from both sides; what lasts longer may be a hard acceleration."""
     if len(values) <= 4 * max_spikes:
         return np.zeros(0, dtype=np.intp)
     off = np.abs(values - median_filter(values, 5, mode="nearest"))

@@ -26,10 +26,7 @@ def clipped(
     min_pile: float = 3.0,  # times the next level
     min_levels: int = 20,
 ) -> tuple[float, float] | None:
-    """Find a limit at which a channel (M,) is cut off.
-
-    Returns (limit, share of the samples) or None.
-    """
+    """Find a limit at which a channel (M,) is cut off, and its share of the samples; or None."""
     if len(np.unique(values[:: max(1, len(values) // 2000)])) < min_levels:
         return None
     for limit in (float(values.max()), float(values.min())):

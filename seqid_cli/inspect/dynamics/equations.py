@@ -179,10 +179,7 @@ def _slanted(
     precise: float = 2e-3,
     evaluations: int = 60,
 ) -> list[Cause]:
-    """Gravity in the direction that fits best, and against it.
-
-    The search starts from the best of the `axes`, `reach` rad wide at first.
-    """
+    """Gravity in the direction that fits best, from the best of the `axes`, and against it."""
     best = min(axes, key=lambda axis: measure(*axis.change(robot, sample)).error)
     start = best.change(robot, sample)[0].gravity
     strength, across = np.linalg.norm(start), np.linalg.svd(start[None])[2][1:]

@@ -58,10 +58,7 @@ class Sample:
 
 @dataclass(frozen=True)
 class Friction:
-    """Friction in one joint's torque, by joint that moves, with standard errors.
-
-    Its own is that at its RMS speed.
-    """
+    """Friction in a joint's torque, by joint that moves, with standard errors; its own at RMS."""
 
     by_joint: dict[int, tuple[float, float]]
     spread: float
@@ -178,10 +175,7 @@ def _friction(sample: Sample, gravity: Array, j: int, *, rcond: float = 1e-8) ->
 
 
 def memory_of(residual: Array) -> float:
-    """Return how many samples of a residual (M,) count as one: the sum of its autocorrelation.
-
-    Up to its first zero, which is as far as it is known.
-    """
+    """Count the samples of a residual (M,) that say as much as one: by its autocorrelation."""
     x = residual - residual.mean()
     size = 1 << (2 * len(x) - 1).bit_length()
     spectrum = np.abs(np.fft.rfft(x, size)) ** 2
@@ -230,10 +224,7 @@ def _alien(
     *,
     max_own: float = 0.25,  # of the alien friction
 ) -> bool:
-    """Whether the motion of joint i shows as friction in the torque of j and not in its own.
-
-    Its own friction must be known well enough that it would show, were it as large.
-    """
+    """Whether the motion of joint i shows as friction in the torque of j, and not in its own."""
     own, own_error = fits[i].by_joint[i]
     alien, error = fits[j].by_joint[i]
     certain = (abs(fit.by_joint[i][0]) - 2.0 * fit.by_joint[i][1] for fit in fits.values())

@@ -27,11 +27,7 @@ class Losses:
 
 
 def with_losses(stream: Stream, losses: Losses) -> tuple[Stream, Mask]:
-    """Move the stamps behind losses and fill the holes.
-
-    `stream`: also one of another quantity with the same stamps. Returns: the stream with the
-    samples that fill holes, and which of its samples (M',) these are.
-    """
+    """Move the stamps behind losses and fill the holes; tells the samples (M',) that fill them."""
     if not len(losses):
         return stream, np.zeros(len(stream), np.bool_)
     shift = np.zeros(len(stream), np.int64)

@@ -121,17 +121,15 @@ def _shares(
 
 
 def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 0.99)) -> Mask:
-    """Which joints are driven on a way of their own.
+    """Which joints (n,) are driven on a way of their own.
 
     The others are held, and the moves of other joints shake them. In closed loop with a constant
     reference such a joint's torque is its controller's law, -k_p (q - q_0) - k_d dq, whatever its
     friction: nothing about friction can be told from it (Forssell and Ljung, Closed-loop
     identification revisited, Automatica 35(7), 1999).
 
-    `q` (N, n): positions, rad (m); not finite ones are passed over. `held`: share of the farthest
-    joint's travel, below which a joint is held. `middle`: quantiles of the positions, between which
-    a joint travels. Returns (n,): true where the joint travels at least `held` times as far as the
-    one that travels farthest.
+    `q` (N, n): positions, rad (m), between whose `middle` quantiles a joint travels. `held`: share of
+    the farthest joint's travel, below which a joint is held.
     """
     low, high = np.nanquantile(q, middle, axis=0)
     return np.asarray(high - low >= held * np.max(high - low))

@@ -68,10 +68,7 @@ NONE = Losses(np.zeros(0, np.intp), np.zeros(0))
 
 @dataclass(frozen=True)
 class Mended:
-    """A stream put right; `bridged` (M,) says which of its samples were not measured.
-
-    `losses` are those of the stream as it came, with its `stamps`.
-    """
+    """A stream put right, its `bridged` samples (M,); `losses` and `stamps` as it came."""
 
     stream: Stream
     bridged: Mask
@@ -94,26 +91,18 @@ class Mended:
 
 @dataclass(frozen=True)
 class _Steps:
-    """What the motion on either side says of increments `rows` (K,); the rest is (K, n).
-
-    `gap` [rad] is what a joint steps by, `velocity` [rad/s] that on average, `shared` [rad/s] the
-    part that both sides have, `faster` [rad/s] that of the faster side, `noise` [rad] that of the
-    gap.
-    """
+    """What the motion on either side says of increments `rows` (K,); the rest is (K, n)."""
 
     rows: Rows
-    gap: Array
-    velocity: Array
-    shared: Array
-    faster: Array
-    noise: Array
+    gap: Array  # rad, by which a joint steps
+    velocity: Array  # rad/s, mean of both sides
+    shared: Array  # rad/s, the part that both sides have
+    faster: Array  # rad/s, of the faster side
+    noise: Array  # rad, of the gap
 
     @classmethod
     def at(cls, rows: Rows, q: Array, dt: float, noise: Array) -> "_Steps":
-        """Fit both sides of some rows of positions q (M, n) rad.
-
-        `dt`: interval, s. `noise` (n,): of the positions, rad.
-        """
+        """Fit both sides of rows of positions q (M, n) rad of `noise` (n,) rad, `dt` s apart."""
         after = np.arange(SIDE)
         beyond = np.pad(q, ((SIDE, SIDE), (0, 0)), mode="reflect", reflect_type="odd")
         at = rows[:, None] + SIDE
@@ -146,11 +135,7 @@ class _Steps:
 
 
 def mended(joints: Stream, criteria: LossCriteria = LOSSES) -> Mended:
-    """Put right what the motion of the joints says of a stream.
-
-    `joints`: in the order of time, with `position` (M, n). Returns: with the stream itself where
-    nothing is wrong.
-    """
+    """Put right what the motion of the joints says of a stream with `position` (M, n)."""
     stamps, q = joints.stamp_ns, joints.channels["position"]
     as_it_is = Mended(joints, np.zeros(len(joints), np.bool_), NONE, stamps)
     if len(stamps) < 4 * SIDE or not np.isfinite(q).all():

@@ -51,11 +51,7 @@ class Record(NamedTuple):
 
 
 class Contents(NamedTuple):
-    """Records in a piece of a file.
-
-    Messages by their channel, log time and payload; the other records; and where the last whole
-    record ends.
-    """
+    """Messages in a piece of a file, its other records, and where the last whole one ends."""
 
     channels: NDArray[np.uint16]
     log_ns: Integers
@@ -73,10 +69,9 @@ class Unpacker:
         self._packed = self._unpacked = 0
 
     def unpack(self, content: bytes, complete: bool) -> tuple[bytes, bool]:
-        """Return the records in a chunk, and whether they are all of them.
+        """Return the records in the content of a chunk record, and whether they are all.
 
-        `content`: of the chunk record. `complete`: whether the file holds the whole record; what is
-        there is unpacked anyway. Raises DamageError: a whole chunk is damaged.
+        Of a record that is not `complete` what is there is unpacked. Raises DamageError.
         """
         if len(content) < CHUNK_HEAD:
             raise DamageError("its head is incomplete")
@@ -164,11 +159,7 @@ def index_offsets(content: bytes) -> Integers | None:
 
 
 def find_messages(data: Bytes, index: Sequence[Integers]) -> Contents:
-    """Find the records in a chunk.
-
-    `data` (B,): the unpacked chunk. `index` (M,): offsets of the messages, per channel, as far as
-    the file gives them.
-    """
+    """Find the records in a chunk by the offsets of its messages, per channel, as far as given."""
     offsets = np.concatenate(index) if index else np.zeros(0, np.int64)
     found = _by_index(data, np.sort(offsets, kind="stable")) if len(offsets) else None
     return found or walk(data, 0, len(data))
@@ -177,10 +168,7 @@ def find_messages(data: Bytes, index: Sequence[Integers]) -> Contents:
 def walk(
     data: Bytes, start: int, end: int, only: frozenset[int] | None = None, most: int = 100_000
 ) -> Contents:
-    """Find the records from `start` on, one after the other, as long as they are of a kind.
-
-    `most`: records other than messages, after which it stops.
-    """
+    """Find records from `start` on while they are of a kind, up to `most` that are no messages."""
     view, unpack, size = data.data, RECORD.unpack_from, RECORD.size
     messages: list[int] = []
     others: list[Record] = []

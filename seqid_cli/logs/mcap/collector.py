@@ -31,8 +31,7 @@ class Samples:
 class Collector:
     """Gathers and decodes the messages of one topic.
 
-    Batches of less than `few` messages wait for more, up to `most`; `waiting` counts the samples
-    that `drain` would return, without those not decoded yet.
+    Batches of less than `few` wait for more, up to `most`; `waiting` counts the samples to drain.
     """
 
     topic: str

@@ -147,18 +147,12 @@ class _Log:
         return "; ".join([*_losses(self.scan), *unread])
 
     def check_joints(self) -> None:
-        """Refuse a file without joint states.
-
-        Raises InputError: no message of them could be decoded.
-        """
+        """Refuse a file of whose joint states no message could be decoded."""
         if not self.has(self.joint_topic):
             raise _no_joint_states(self.scan, self.collectors[self.joint_topic])
 
     def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
-        """Name the topics of an IMU, none where the file does not have it.
-
-        Raises InputError: the whole file lacks one that others of the IMU need.
-        """
+        """Name the topics of an IMU; refuses a whole file that lacks only some of them."""
         needed = needed_topics(imu, self.has)
         missing = [topic for topic in needed if not self.has(topic)]
         if len(missing) == len(needed):

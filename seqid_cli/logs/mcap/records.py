@@ -93,10 +93,9 @@ class Scan:
     _pieces: int = 0
 
     def batches(self) -> Iterator[Batch]:
-        """Yield the messages, those of one channel in one chunk together.
+        """Yield messages in the order of the file, those of one channel in one chunk together.
 
-        Within a channel they come in the order of the file. Never raises on damaged content: it is
-        noted in `losses`, and reading goes on behind it where that is possible.
+        Never raises on damaged content: it is noted in `losses`, and reading goes on behind it.
         """
         with self.path.open("rb") as file:
             size = self._size = file.seek(0, 2)
@@ -226,12 +225,10 @@ class Scan:
 
 
 def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> tuple[Summary, int]:
-    """Read what a file says of itself at its end.
+    """Read what a file says of itself at its end, and the checksum of its data section.
 
-    Nothing is read because the summary says that it is there; it only tells what can be left out.
-    `file`, `size`: the file and its bytes. `most`: bytes that a summary may have. Returns: the
-    summary, an empty one where there is none or where it is damaged; the checksum of the data
-    section, 0 where none was written.
+    It only tells what can be left out. A summary of more than `most` bytes, or that is damaged, is
+    empty; the checksum is 0 where none was written.
     """
     end = size - _TAIL
     if end < len(MAGIC):
@@ -264,10 +261,7 @@ class _Walk:
 
     A record is taken for damaged unless it ends where another may begin: a wrong length leads into
     the middle of others, whose bytes make no head. Whole chunks in front of damage have checks of
-    their own.
-
-    These are the places that the summary tells, `skip` the chunks that are not needed, `checksum`
-    is that of the data section.
+    their own. Those of `skip` are not needed; `checksum` is that of the data section.
     """
 
     file: BinaryIO

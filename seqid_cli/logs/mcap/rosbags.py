@@ -77,10 +77,7 @@ _Open = Callable[[Path, _Wanted], AbstractContextManager[_Bag]]
 
 @dataclass
 class BagScan(Scan):
-    """One pass over a ROS 1 bag, or the SQLite file of a ROS 2 bag; see `Scan`.
-
-    Passing over it raises InputError: rosbags is not installed, or the bag cannot be opened.
-    """
+    """One pass over a ROS 1 bag, or the SQLite file of a ROS 2 bag; see `Scan`."""
 
     def batches(self) -> Iterator[Batch]:
         """Yield the messages up to a fault; those of one topic, some at a time, together."""

@@ -19,13 +19,7 @@ _DYNAMIC = "DynamicJointState"
 
 
 def find_joint_topic(topics: Iterable[tuple[str, str]]) -> tuple[str, Kind] | None:
-    """Choose the topic of the joint states: `/dynamic_joint_states`, or the one that has the type.
-
-    Two candidates are none: which robot is meant is not known then.
-
-    `topics`: topics, with a leading slash, and the names of their schemas. Returns: the topic and
-    how its messages are to be read.
-    """
+    """Choose the topic of the joint states, and how it is read; of two candidates none."""
     known = dict(topics)
     if DYNAMIC_JOINT_STATES in known:
         return DYNAMIC_JOINT_STATES, "dynamic_joint_state"
@@ -65,10 +59,7 @@ def needed_topics(imu: Imu, has: Callable[[str], bool]) -> list[str]:
 
 @dataclass
 class Streams:
-    """Turns samples of topics into streams, a whole log or a block of it at a time.
-
-    What kind of stamps a topic has is decided when its first samples come, and kept.
-    """
+    """Turns samples of topics into streams; which stamps a topic has its first ones decide."""
 
     robot: Robot
     time_source: TimeSource
@@ -149,10 +140,7 @@ def any_finite(values: Array) -> bool:
 
 
 def _about_robot(values: Array, keep: Mask | None) -> Mask | None:
-    """Which of the kept messages (M, 3 n) hold any value of the robot's joints; None: all.
-
-    A gripper or a second arm may tell of its joints on the same topic, at times of its own.
-    """
+    """Which kept messages (M, 3 n) tell of the robot's joints, and not of a gripper; None: all."""
     values = values if keep is None else values[keep]
     about: Mask = np.isfinite(values[:, 0])
     if about.all():

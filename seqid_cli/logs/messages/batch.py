@@ -48,10 +48,7 @@ class Payloads:
         return Payloads(self.buffer, self.starts[rows], self.lengths[rows])
 
     def cut(self, low: int, high: int) -> Bytes:
-        """Copy bytes [low, high) of every payload side by side, (M, high - low).
-
-        `low` may be negative by up to 7: what stands there is left as it is.
-        """
+        """Copy bytes [low, high) of every payload, (M, high - low); `low` is -7 at least."""
         width = high - low
         buffer, starts = self.buffer, self.starts + low
         if not width or not len(starts):
@@ -129,10 +126,7 @@ class NameMap:
 
 
 def check_lengths(names: int, arrays: Sequence[int]) -> None:
-    """Refuse a JointState whose arrays are neither empty nor as long as its names.
-
-    Raises ValueError: an array has another length.
-    """
+    """Refuse a JointState whose arrays are neither empty nor as long as its names."""
     for quantity, length in zip(JOINT_QUANTITIES, arrays, strict=True):
         if length not in (0, names):
             raise ValueError(f"{length} values of {quantity} for {names} names")

@@ -107,11 +107,10 @@ class Form:
 
 @dataclass
 class LayoutDecoder:
-    """Decodes batches; remembers the layouts that it has met.
+    """Decodes batches; remembers the layouts that it has met, up to `most`.
 
-    `parse`: from a payload to its layout; raises ValueError or struct.error where it is damaged.
-    `width`: numbers per row. `rounds`: layouts of one length that are decoded together; what
-    remains goes one by one. `most`: layouts remembered.
+    `parse` raises ValueError or struct.error where a payload is damaged. Of one length `rounds`
+    layouts are decoded together; what remains goes one by one. Rows have `width` numbers.
     """
 
     parse: Callable[[bytes], Layout]

@@ -92,10 +92,7 @@ def _silent(text: str) -> None:
 
 
 def storage_file(path: Path) -> Path:
-    """Return the one file of a ROS 2 bag folder that holds its messages; a file as it is.
-
-    Raises InputError: the folder is no bag, or a bag of several files.
-    """
+    """Return the one file of a ROS 2 bag folder that holds its messages; a file as it is."""
     if not path.is_dir():
         return path
     if not (path / METADATA).is_file():

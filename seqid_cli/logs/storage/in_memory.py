@@ -19,10 +19,7 @@ class TableLog(StoredLog):
 
     @classmethod
     def of(cls, data: object, name: str) -> "TableLog":
-        """Take a table under the name that results give it.
-
-        Raises InputError: it is no table.
-        """
+        """Take a table under the name that results give it."""
         log = cls(f"{name}.parquet")
         log.content = _table(data)
         return log

@@ -66,13 +66,7 @@ def is_url(text: str) -> bool:
 
 
 def stored_logs(url: str, suffixes: Sequence[str]) -> list[Path]:
-    """Return the logs that a URL means: one, those of a folder at any depth, or those of a glob.
-
-    `url`: an object is taken whatever its suffix. `suffixes`: of logs, for folders and globs.
-    Returns: `StoredLog`, in no particular order. Raises InputError: there is none, or the store
-    cannot be reached. Raises ConfigError: the store refuses access. Raises UsageError: what reads
-    this kind of storage is not installed.
-    """
+    """Return the logs that a URL means: one, those of a folder at any depth, or those of a glob."""
     system, root = _opened(url)
     with _explained(url):
         if glob.has_magic(root):

@@ -18,10 +18,7 @@ from seqid_cli.logs.raw import Array, Stamps
 
 
 class Spool:
-    """Takes rows in parts, and gives them back as often as wanted; `complete` if all are there.
-
-    `most_bytes`: largest file. `share`: of the free space, that at most is taken.
-    """
+    """Takes rows, up to `most_bytes` and a `share` of the free space, and gives them back."""
 
     def __init__(self, most_bytes: int = 1 << 31, share: float = 0.25) -> None:
         self._file: IO[bytes] | None = None

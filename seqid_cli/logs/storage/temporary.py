@@ -13,10 +13,7 @@ from seqid_cli.params.files import process_runs
 
 @contextmanager
 def temporary_folder(where: str) -> Iterator[Path]:
-    """Yield an empty folder; those that killed runs left are removed first.
-
-    Raises InputError: there is no room for it; `where` is the log that is to be copied.
-    """
+    """Yield an empty folder for a copy; those that killed runs left are removed first."""
     for left in Path(tempfile.gettempdir()).glob("seqid-*-*"):
         process = left.name.split("-")[1]
         if process.isdecimal() and not process_runs(int(process)):

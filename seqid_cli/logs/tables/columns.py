@@ -43,10 +43,7 @@ class TimeColumn:
 
 
 def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
-    """Return a column by name, dictionaries resolved.
-
-    Raises InputError: the table does not have it exactly once.
-    """
+    """Return a column that is there once, dictionaries resolved."""
     if table.schema.names.count(name) != 1:
         message = f"column {name!r} is not a plain column"
         raise InputError(message, hint="Write one number per row and column.", where=where)
@@ -57,10 +54,7 @@ def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
 
 
 def numbers(where: str, table: pa.Table, name: str) -> Array:
-    """Read a column as float64 (M,); nulls become NaN.
-
-    Raises InputError: it holds no numbers, or cannot be converted.
-    """
+    """Read a column as float64 (M,); nulls become NaN."""
     with _explained(where, name):
         found = column(where, table, name)
         if not is_number(found.type):
@@ -93,11 +87,7 @@ def is_number(kind: pa.DataType) -> bool:
 
 
 def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, Rows, list[str]]:
-    """Read the stamps of the rows.
-
-    Returns: stamps [ns] (M,), 0 where missing; the rows that have one; warnings. Raises InputError:
-    the column holds no times.
-    """
+    """Read the stamps [ns] (M,) of the rows, 0 where missing; the rows that have one; warnings."""
     warnings: list[str] = []
     kind = column(where, table, time.name).type
     if any(is_timed(kind) for is_timed in _TIMED):
@@ -187,10 +177,7 @@ def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:
 
 
 def opened_table(path: Path, **options: object) -> pq.ParquetFile:
-    """Open a Parquet file whose values have room.
-
-    Raises InputError: a few bytes of it stand for more values than any log has.
-    """
+    """Open a Parquet file whose values have room: no few bytes that stand for many."""
     file = pq.ParquetFile(readable(path), **options)
     size, room = path.stat().st_size, 8 * _values(file)
     if room > ROOM + MOST_TIMES * size:

@@ -51,11 +51,7 @@ class CsvTable(TableFile):
     size: int | None = None
 
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
-        """Read columns as one table; lines with another number of fields are left out and counted.
-
-        Raises InputError: text where a number belongs, a line that is too long, or too many
-        damaged lines.
-        """
+        """Read columns as one table; lines with another number of fields are left out."""
         places = {name: self.names.index(name) for name in columns}
         parsed = self._parse(places, threads=True)
         if isinstance(parsed, pa.Table) and not _texts(parsed):
@@ -201,10 +197,7 @@ def _decimals(field: bytes, mark: str) -> int:
 
 
 def list_columns(path: Path) -> tuple[list[str], int]:
-    """List the columns of a CSV file, and count the lines of data.
-
-    Raises InputError: it is no table.
-    """
+    """List the columns of a CSV file, and count the lines of data."""
     form = read_form(path)
     with path.open("rb") as file:
         lines = sum(1 for line in iter(lambda: file.readline(_BLOCK), b"") if line.strip())

@@ -46,10 +46,7 @@ def is_text(head: bytes) -> bool:
 
 
 def read_form(path: Path, *, looked_at: int = 20) -> CsvForm:
-    """Look at the first lines of a CSV file.
-
-    Raises InputError: it is no table: no names, no numbers, or nothing that separates them.
-    """
+    """Look at the first lines of a CSV file. Raises InputError: it is no table."""
     with path.open("rb") as file:
         head = file.read(HEAD)
     where = str(path)

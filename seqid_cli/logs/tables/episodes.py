@@ -21,13 +21,11 @@ def separate(
     hole_s: float = 1.0,
     hole_intervals: int = 50,
 ) -> tuple[Stamps, Rows, list[str]]:
-    """Lay episodes one behind the other.
+    """Lay episodes one behind the other; one alone stays as it is.
 
-    `stamps` (M,): stamps of the rows [ns]. `keep` (K,): the rows that have one. `episode` (M,):
-    number of the episode of each row; NaN where it is missing. `name`: its column, for messages.
-    `hole_s`, `hole_intervals`: length of the hole between episodes, at least: seconds, and
-    intervals between samples. Returns: new stamps (M,), the rows to keep (those of an episode), and
-    notes. One episode stays as it is.
+    `stamps` (M,): of the rows [ns]. `keep` (K,): the rows that have one. `episode` (M,): number,
+    NaN where missing. `name`: its column. `hole_s`, `hole_intervals`: the hole between episodes has
+    so many seconds and intervals at least. Returns: new stamps, the rows of an episode, notes.
     """
     numbered = np.isfinite(episode[keep])
     lost = int(np.count_nonzero(~numbered))

@@ -20,10 +20,7 @@ _FORMS = (
 def imu_columns(
     where: str, robot: Robot, imu: Imu, known: Collection[str], warnings: list[str]
 ) -> tuple[list[str], list[str]] | None:
-    """Find the accelerometer and gyro columns of an IMU; None where the log has none of them.
-
-    Raises InputError: only some of them are there.
-    """
+    """Find the accelerometer and gyro columns of an IMU; None where the log has none of them."""
     for numbered, axes, gyro in _FORMS:
         found = _form(where, imu, known, numbered, axes, gyro)
         if found is not None:

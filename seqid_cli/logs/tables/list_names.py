@@ -23,11 +23,7 @@ _NAME_COLUMNS = ("name", "names", "joint_names")
 def list_entries(
     path: Path, file: pq.ParquetFile, lists: Mapping[str, int], joints: Sequence[str]
 ) -> tuple[dict[str, int], tuple[str, ...]]:
-    """Find the place of each joint in the file's lists.
-
-    Returns: place of every joint, empty where the file does not name them all; and notes. Raises
-    InputError: the names of a `name` column change from row to row.
-    """
+    """Find the place of each joint in the file's lists, where it names them all; and notes."""
     if LEROBOT_STATE in lists:
         length = lists[LEROBOT_STATE]
         places = _places(_lerobot_names(path), joints)

@@ -151,11 +151,9 @@ def column_name(pattern: "Columns", joint: str, index0: int) -> str:
 def find_scheme(
     joints: Sequence[str], known: Collection[str], entries: Mapping[str, int] | None = None
 ) -> Match | None:
-    """Find the scheme by which a log names all joints.
+    """Find the scheme by which a log names the positions of all joints, in chain order.
 
-    `joints`: names in the robot file, in chain order. `known`: columns of the log. `entries`: place
-    of each joint in the log's lists, where the log names them; by default that in the chain.
-    Returns None where no scheme gives a position for every joint.
+    `entries`: place of each joint in the log's lists, where it names them; else that in the chain.
     """
     for scheme in SCHEMES:
         places = entries if entries and _uses_lists(scheme) else None
@@ -172,10 +170,9 @@ def find_scheme(
 
 
 def find_quantities(joints: Sequence[str], known: Collection[str]) -> dict[str, list[str | None]]:
-    """Find what can be told by name where the robot file names the positions itself.
+    """Find the quantities that names tell where the robot file names the positions itself.
 
-    Each quantity by the first scheme that gives it for all joints, else by the default names for
-    some of them.
+    Each by the first scheme that gives all joints, else by the default names for some of them.
     """
     columns: dict[str, list[str | None]] = {}
     for quantity in _ALL[1:]:

@@ -32,10 +32,7 @@ class ParquetTable(TableFile):
     lists: dict[str, int] = field(default_factory=dict)
 
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
-        """Read columns; nothing of a damaged file can be salvaged.
-
-        Raises InputError: the file is damaged, or lists differ in length.
-        """
+        """Read columns; nothing of a damaged file can be salvaged."""
         for table in read_tables(self.path, self._stored(columns), rows=rows):
             yield self._arranged(table, columns), ""
 
@@ -100,10 +97,7 @@ def read_tables(
 ) -> Iterator[pa.Table]:
     """Read columns of a Parquet file, up to `rows` rows at a time; None for all of them.
 
-    In blocks memory stays that of one row group: nothing is read ahead. Pages are checked against
-    their checksums where the file has them.
-
-    Raises InputError: the file is damaged.
+    In blocks memory stays that of one row group. Checksums of pages are checked where there are.
     """
     pool = _pool()
     try:
@@ -154,12 +148,7 @@ def _opened(path: Path, pool: pa.MemoryPool) -> pq.ParquetFile:
 
 
 def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
-    """Read the names of the columns, of nested ones as `parent.child`, of lists as `column[k]`.
-
-    `joints` are the names to look for where the file names the elements of its lists.
-
-    Raises InputError: the file is damaged.
-    """
+    """Read the names of columns: `parent.child`, `column[k]` of lists, which `joints` may name."""
     try:
         with opened_table(path) as file:
             fields = _flat(file.schema_arrow)
@@ -177,10 +166,7 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
 
 
 def list_columns(path: Path) -> list[tuple[str, str, int]]:
-    """List name, type and number of rows of each column.
-
-    Raises InputError: the file is damaged.
-    """
+    """List name, type and number of rows of each column."""
     try:
         with opened_table(path) as file:
             rows = file.metadata.num_rows

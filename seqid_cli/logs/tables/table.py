@@ -56,10 +56,7 @@ class TableFile:
 
     @abstractmethod
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
-        """Read columns, at most `rows` rows at a time if that is given; says what was lost.
-
-        Raises InputError: the file is damaged.
-        """
+        """Read columns, at most `rows` rows at a time; says what was lost."""
 
 
 @dataclass(frozen=True)
@@ -83,14 +80,10 @@ class Plan:
 
 
 def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterator[RawLog]:
-    """Read the channels that the robot file knows.
+    """Read the channels that the robot file knows, in blocks of about `rows`, or as one.
 
-    `robot`: its joints, IMUs and `[channels]` say which columns are read. `rows`: rows in a block,
-    if the format allows it; None for the whole table as one block. Yields: the next rows. All
-    streams share their stamps; nulls and NaN stay missing. What was noticed of the file is told by
-    the first block, what was noticed of rows by theirs. A file that holds several episodes is one
-    block: they are put one behind the other as a whole. Raises InputError: a missing column, or one
-    that holds no numbers.
+    All streams share their stamps; nulls and NaN stay missing. What was noticed of the file is told
+    by the first block. A file of several episodes is one block: they are put one behind the other.
     """
     plan = make_plan(file, robot)
     _require_once(file.where, plan.columns, file.names)
@@ -121,10 +114,7 @@ def _raw_log(
 
 
 def make_plan(file: TableFile, robot: Robot) -> Plan:
-    """Decide which columns to read: what the robot file declares, else what the names tell.
-
-    Raises InputError: a column that is needed is missing.
-    """
+    """Decide which columns to read: what the robot file declares, else what the names tell."""
     names, known, joints = file.names, set(file.names), robot.joint_names
     warnings: list[str] = []
     match = find_scheme(joints, known, file.entries)

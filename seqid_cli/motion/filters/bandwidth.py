@@ -150,12 +150,10 @@ def highest_of(
 def choose_smoothed_cutoff(
     encoder: Cutoff, dq: Array, ddq: Array, variance: Array, rate_hz: float, *, moving: Mask
 ) -> Cutoff:
-    """Choose one low-pass cut-off for all joints of a log whose motion comes from the smoother.
+    """Choose one low-pass cut-off for a log whose motion comes from the smoother.
 
-    `encoder`: the choice for the encoders alone, for what it says of them. `dq` and `ddq` (N, n):
-    smoothed motion [rad/s, rad/s^2]. `variance` (n, 3): as of `smoothed_error`. `moving` (n,):
-    joints that move. Returns: that of the encoders with another `hz`, and the `bias` that is left
-    at it.
+    `encoder`: the encoders' own choice. `dq`, `ddq` (N, n): smoothed [rad/s, rad/s^2]. `variance`
+    (n, 3): as of `smoothed_error`. `moving` (n,). Returns: with the `bias` left at the cut-off.
     """
     if not moving.any():
         return encoder

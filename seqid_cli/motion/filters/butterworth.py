@@ -63,23 +63,10 @@ class Lowpass:
     def __call__(
         self, values: Array, valid: Mask | None = None, *, times: int = 1, every: int = 1
     ) -> Array:
-        """Filter along the first axis, each run of valid samples by itself.
+        """Filter (N, ...) along the first axis, each run of valid samples by itself.
 
-        Parameters
-        ----------
-        values : (N, ...) array
-            Samples in time order.
-        valid : (N,) mask, optional
-            False where samples must not leak into others.
-        times : int
-            Number of passes.
-        every : int
-            Return samples 0, `every`, 2 `every`, ... only.
-
-        Returns
-        -------
-        (N, ...) array
-            Filtered values; samples outside valid runs are returned as they came.
+        `valid` (N,): false where samples must not leak into others; these are returned as they came.
+        `times`: number of passes. `every`: samples 0, `every`, 2 `every`, ... are returned only.
         """
         rows = np.array(values.reshape(len(values), -1).T, dtype=np.float64, order="C")
         kept = rows if every == 1 else np.array(rows[:, ::every])
@@ -108,10 +95,7 @@ class Lowpass:
         every: int = 1,
         tile: int = 131072,
     ) -> None:
-        """Write the chosen signals of (c, N), filtered, into (c, N / every).
-
-        `tile` is the number of values that are worked on at once.
-        """
+        """Write the chosen signals (c, N), filtered, into (c, N / every), `tile` values at once."""
         if not self.active:
             return
         for start, stop in runs(valid, rows.shape[1]):
@@ -145,25 +129,13 @@ class Lowpass:
 
 @dataclass(frozen=True)
 class _Response:
-    """Gain of some passes over pieces of a signal, of which every M-th sample is wanted.
+    """Gain of some passes over pieces of `size` samples; `reach` on either side depends."""
 
-    Attributes
-    ----------
-    reach : int
-        Samples on either side that a filtered one depends on; a multiple of `every`.
-    size : int
-        Samples of a piece with what it depends on.
-    gain : (size // 2 + 1,) array
-        Real: the phase is zero.
-    last : int
-        The last frequency of a gain that is not negligible.
-    """
-
-    reach: int
+    reach: int  # samples, a multiple of `every`
     size: int
-    every: int
-    gain: Array
-    last: int
+    every: int  # of so many samples one is wanted
+    gain: Array  # (size // 2 + 1,) real: the phase is zero
+    last: int  # frequency of a gain that is not negligible
 
     @property
     def step(self) -> int:

@@ -35,10 +35,7 @@ class Welch:
         self._start = 0  # of the next segment
 
     def look(self, samples: Array, begin: int, *, dense: int = 262144, sparse: int = 4) -> int:
-        """Take what is new in samples of which `begin` is the number of the first.
-
-        Returns: number of the first sample that is wanted next time.
-        """
+        """Take what is new in samples from number `begin` on; tells which is wanted next."""
         hop = self.length - self.length // 2
         wanted = self.length + self._differences
         while self._start + wanted <= begin + len(samples):
@@ -64,10 +61,7 @@ class Welch:
 
 
 class Survey:
-    """Takes a log's positions (M, n) in order; then tells the noise step and the cut-off.
-
-    `n`: joints. `samples`: how many will come, if that is known.
-    """
+    """Takes a log's positions (M, n) in order; then tells the noise step and the cut-off."""
 
     def __init__(self, n: int, rate_hz: float, samples: int = MANY) -> None:
         self.rate_hz = rate_hz

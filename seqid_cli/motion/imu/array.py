@@ -29,10 +29,7 @@ QUANTITIES = (
 
 @dataclass(frozen=True)
 class AngularReading:
-    """What an IMU says, in its own frame: `dw` (N, 3) rad/s^2, `products` (N, 3, 3) rad^2/s^2.
-
-    These are w w'; zero where the layout does not show them.
-    """
+    """An IMU's `dw` (N, 3) rad/s^2 and w w' (N, 3, 3) rad^2/s^2 in its frame, zero if not seen."""
 
     dw: Array
     products: Array
@@ -185,10 +182,7 @@ def read_angular(
 
 
 def array_inverse(imu: Imu) -> Array:
-    """Map (12, K) from readings to f, dw and the products xx, yy, zz, xy, xz, yz.
-
-    What the layout does not see has the least possible size: see `layout_statements`.
-    """
+    """Map (12, K) from readings to f, dw and products of w; least in size if not seen."""
     A, scale = _scaled(array_matrix(imu))
     return np.asarray(np.linalg.pinv(A, rcond=1e-6) / scale[:, None])
 

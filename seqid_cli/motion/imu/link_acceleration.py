@@ -46,22 +46,9 @@ def log_motion(
 ) -> Motion:
     """Motion of a log at its own rate, of the encoders or better.
 
-    With `options.kept` the motion of logs that differ in their torque alone is made once.
-
-    Parameters
-    ----------
-    imu : ImuStage or None
-        Calibrations of the IMUs.
-    source : {"auto", "needed", "encoder", "imu", "fused"}
-        As of `best_motion`.
-
-    Raises
-    ------
-    UsageError
-        If `source` is unknown.
-    InputError
-        If no stretch of the log is long enough to filter, or it has not the IMU that `source`
-        insists on.
+    With `options.kept` the motion of logs that differ in their torque alone is made once. `imu`:
+    calibrations. `source`: as of `best_motion`. Raises UsageError: it is unknown. Raises InputError:
+    no stretch is long enough to filter, or the log lacks the IMU that `source` insists on.
     """
     if options.kept is None:
         encoder = estimate_motion(recording, robot, options)
@@ -85,24 +72,11 @@ def best_motion(
 ) -> Motion:
     """Improve the encoders' motion by the IMUs that are calibrated and healthy.
 
-    Parameters
-    ----------
-    source : {"auto", "needed", "encoder", "imu", "fused"}
-        "imu" and "fused" insist: a log without a usable IMU is an error. "auto" is "fused" where
-        that can be had and contradicts no encoder, and "encoder" elsewhere; "needed" takes the
-        encoder as well where it is nearly as good (see `fused.needed`).
-
-    Returns
-    -------
-    Motion
-        "imu" replaces `ddq` (Eq. 30-42), "fused" all motion, and the filter with it.
-
-    Raises
-    ------
-    UsageError
-        If `source` is unknown.
-    InputError
-        If it is "imu" or "fused" and no calibrated, healthy IMU is in the log.
+    `source`: "imu" replaces `ddq` (Eq. 30-42), "fused" all motion, and the filter with it; both
+    insist: a log without a usable IMU is an error. "auto" is "fused" where that can be had and
+    contradicts no encoder, and "encoder" elsewhere; "needed" takes the encoder as well where it is
+    nearly as good (see `fused.needed`). Raises UsageError: it is unknown. Raises InputError: it
+    insists, and no calibrated, healthy IMU is in the log.
     """
     if source not in SOURCES:
         raise UsageError(f"motion source {source!r} is not one of {', '.join(SOURCES)}")
@@ -185,10 +159,7 @@ def link_reading(
     *,
     axis_error: float = 0.003,
 ) -> LinkReading:
-    """One IMU's angular acceleration in its link's frame, on the motion's time base.
-
-    Biases, gains, axes and clock offset of the calibration are taken off the readings first.
-    """
+    """One IMU's angular acceleration in its link's frame, its calibration taken off."""
     factor = round(recording.rate_hz / motion.rate_hz)
     lowpass = Lowpass(motion.lowpass.cutoff_hz, recording.rate_hz)
     mended, values, gyro = calibrated(imu, calibration, values, gyro)

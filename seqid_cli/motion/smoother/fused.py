@@ -45,23 +45,10 @@ def fused_motion(
 ) -> Motion:
     """Smooth a log with all its IMUs that can be believed, and filter it once.
 
-    Parameters
-    ----------
-    encoder : Motion
-        From the encoders alone, at the log's own rate; its cut-off is kept where a user gave it.
-    insist : bool
-        Whether to keep the result where it contradicts an encoder (see `disagreement`).
-
-    Returns
-    -------
-    Motion
-        Of source "fused" at the log's own rate; the encoder's own, with warnings, where no IMU is
-        calibrated, recorded and believed.
-
-    Raises
-    ------
-    InputError
-        If no stretch of the log is long enough to filter.
+    `encoder`: motion by the encoders alone, at the log's own rate; its cut-off is kept where a user
+    gave it. `insist`: keep what contradicts an encoder (see `disagreement`). Returns: of source
+    "fused" at that rate; the encoder's own, with warnings, where no IMU is calibrated, recorded and
+    believed. Raises InputError: no stretch of the log is long enough to filter.
     """
     missing = tuple(absent_imus(recording, robot, stage))
     if not mounted_imus(recording, robot, stage):
@@ -169,11 +156,7 @@ def disagreement(
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What a smoothed motion follows from; tasks of one digest are the same.
-
-    Torque has no part in it: who takes effects out of the torque, log by log and round by round,
-    smooths once.
-    """
+    """What a smoothed motion follows from, by its digest: all but the torque."""
 
     recording: Recording
     robot: Robot
@@ -195,16 +178,13 @@ class _Task:
 
 @dataclass(frozen=True)
 class _Found:
-    """What is used of a smoothed motion: q, dq, ddq (N, n), their median variances (n, 3).
-
-    Joints that are not `seen` (n,) lie beyond all IMUs; nothing is known of their variance.
-    """
+    """What is used of a smoothed motion: q, dq, ddq (N, n), their median variances (n, 3)."""
 
     q: Array
     dq: Array
     ddq: Array
     variance: Array
-    seen: Mask
+    seen: Mask  # (n,) not beyond all IMUs; of others the variance is not known
     imus: tuple[str, ...]
     notes: tuple[str, ...]
 

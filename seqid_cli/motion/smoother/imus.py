@@ -177,10 +177,7 @@ def moved(x: Mounted, change: Array) -> Mounted:
 
 
 def handed_on(x: Mounted, covariance: Array, *, forget: float = 1.5) -> Mounted:
-    """What the next stretch of the log is to assume: where this one left the constants.
-
-    `covariance` (g, g): of its constants, by this stretch.
-    """
+    """What the next stretch is to assume: the constants of this one, of `covariance` (g, g)."""
     channels = x.place.channels
     rates = channels - len(x.place.positions)
     drift = np.zeros(len(covariance))

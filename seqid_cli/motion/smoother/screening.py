@@ -55,10 +55,7 @@ class Fit:
 
 
 def fits(chunk: Chunk, alone: Array, together: Array) -> list[Fit]:
-    """How well each IMU goes with the others and the encoders.
-
-    `alone` and `together` (K, n): coefficients by the encoders, and by everything.
-    """
+    """How well each IMU goes with coefficients (K, n) by everything, and by the encoders."""
     found = []
     for x in chunk.imus:
         own = x.there & _in_motion(chunk, alone, x.joints)
@@ -183,10 +180,7 @@ def _cell_means(chunk: Chunk, x: Mounted, off: Array) -> Array:
 
 
 def _design(chunk: Chunk, c: Array, x: Mounted, count: int) -> tuple[Array, Array, Array, Array]:
-    """Residuals (C, K) by cells, their noise (K,), whitened Jacobians in an IMU's first constants.
-
-    Those are (C, K, g); their information (g, g) comes last.
-    """
+    """Residuals (C, K), their noise (K,), whitened Jacobians (C, K, g), information (g, g)."""
     r = _cell_means(chunk, x, x.y - predicted(chunk, c, x))
     noise: Array = np.maximum(x.spread, gaussian_spread(r))
     G = jacobians(chunk, c, x, gains=False).by_constants[:, :, :count]

@@ -153,10 +153,7 @@ def _joined(
     overlap_s: float = 0.5,
     first_jerk: float = 1000.0,
 ) -> Smoothed:
-    """Smooth overlapping chunks of nearly the same length; each fades into the next.
-
-    Each starts from the constants that the last has found.
-    """
+    """Smooth chunks that fade into each other, each from the constants of the last."""
     samples, rate = len(recording.q), recording.rate_hz
     filled = np.column_stack([bridged(x, np.isfinite(x)) for x in recording.q.T])
     step = encoder_resolution(robot)

@@ -36,11 +36,7 @@ class Solution:
         return halved(self.factor, x, transposed=True)
 
     def reach(self, *, felt: float = 0.01) -> Array:
-        """Deviations of the coefficients (Kn, r) by which the constants may move them.
-
-        Independent of each other; none is left away that adds more than `felt` of its own to any
-        variance.
-        """
+        """Independent deviations (Kn, r) of the coefficients by which constants move them."""
         half = np.linalg.inv(np.linalg.cholesky(self.schur))
         size, along = np.linalg.eigh(half @ (self.border.T @ self.border) @ half.T)
         kept = half.T @ along[:, size > felt]
@@ -97,11 +93,7 @@ def _jerks(chunk: Chunk, c: Array, jerk: Jerk) -> Array:
 
 
 def settled(coarse: Chunk, c: Array, jerk: Jerk) -> Solution:
-    """Find the IMUs' constants, together with the motion on coarse knots.
-
-    Gauss-Newton over all joints; the channels' axes are left alone once they are known, and then
-    one round does.
-    """
+    """Find the IMUs' constants with the motion on coarse knots; axes that are known stay."""
     rng = np.random.default_rng(0)
     rounds: tuple[system.Constants, ...] = ("place",) if _axes_known(coarse) else ("place", "all")
     solution = None
@@ -267,10 +259,7 @@ def _renewed_jerk(
 def probed_covariance(
     solution: Solution, shared: Solution, *, probe_s: float = 0.125
 ) -> tuple[Index, Array]:
-    """Covariance (G, n, 3, 3) of q, dq, ddq at samples (G,), interpolated from knots far apart.
-
-    `shared`: of the same stretch, perhaps on other knots: says how well the constants are known.
-    """
+    """Covariance (G, n, 3, 3) of q, dq, ddq at samples (G,); `shared` tells of the constants."""
     chunk = solution.chunk
     every = max(1, int(probe_s / chunk.spacing))
     knots = np.arange(min(every, chunk.intervals) // 2, chunk.intervals, every)

@@ -39,10 +39,7 @@ class Normal:
 
 
 def encoder_information(chunk: Chunk, c: Array, jerk: Array) -> terms.Band:
-    """What encoders and the size of the jerk say about the coefficients `c` (K, n).
-
-    `jerk` is (n,) or (M, n) rad/s^3.
-    """
+    """What encoders and jerk, (n,) or (M, n) rad/s^3, say about coefficients `c` (K, n)."""
     band = terms.Band(chunk.intervals, chunk.joints)
     m, every, n = chunk.intervals, chunk.every, chunk.joints
     speed = sampled(c, chunk.knots[:, 1]).transpose(1, 0, 2).reshape(m * every, n)
@@ -111,10 +108,7 @@ def _share(chunk: Chunk, x: Mounted) -> Array:
 
 
 def _lay_out(chunk: Chunk, part: Array, there: Mask, out: Array) -> None:
-    """Add to `out` (..., K, V) what intervals with readings tell of their four coefficients.
-
-    `part` (4, ..., C, V) is the same throughout a cell, `there` (M,) says where readings are.
-    """
+    """Add to `out` (..., K, V) `part` (4, ..., C, V) of each cell where readings are `there`."""
     m = chunk.intervals
     cells = np.arange(m) // chunk.cell
     for b, own in enumerate(part):
@@ -130,11 +124,7 @@ def normal_equations(
     constants: Constants = "none",
     told: tuple[Array, ...] | None = None,
 ) -> Normal:
-    """Gradients at the coefficients `c` (K, n), information with the IMUs' Jacobians `linear`.
-
-    `constants` are those of the IMUs that take part; `told` the readings expected at `c`, where
-    they are known already.
-    """
+    """Gradients at `c` (K, n) and information; `told` are the readings expected there."""
     spacing, m, n, count = chunk.spacing, chunk.intervals, chunk.joints, len(chunk.cells)
     precision = jerk.precision
     own = np.diag(precision)

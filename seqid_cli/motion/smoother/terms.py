@@ -33,10 +33,7 @@ class Band:
         self.intervals = intervals
 
     def add(self, rows: Array, weights: Array, pulls: Array) -> None:
-        """Add measurements that are sums by `rows` (S, 4) of each interval's coefficients.
-
-        `weights` (S, M or 1, n) are their information, `pulls` (S, M, n) weighted residuals.
-        """
+        """Add measurements by `rows` (S, 4): `weights` (S, M or 1, n), `pulls` (S, M, n)."""
         m = self.intervals
         for a in range(4):
             self.gradient[a : a + m] += np.tensordot(rows[:, a], pulls, 1)
@@ -50,10 +47,7 @@ class Band:
         return self.own.transpose(0, 2, 1).reshape(4, -1)
 
     def added_to(self, band: Array) -> Array:
-        """Add to a lower band (K, n, 4n) of all joints, which is returned.
-
-        Entry r of coefficient (k, j) is in row kn + j + r: so LAPACK wants it in memory.
-        """
+        """Add to LAPACK's band (K, n, 4n): entry r of coefficient (k, j) is in row kn + j + r."""
         n = band.shape[1]
         for d in range(4):
             band[:, :, d * n] += self.own[d]

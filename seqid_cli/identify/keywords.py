@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from typing import TYPE_CHECKING, TypeAlias, TypedDict, TypeVar
 
 if TYPE_CHECKING:
-    from seqid_cli.inspect.progress import Progress
+    from seqid_cli.inspect.functions import Progress
     from seqid_cli.logs.given import PathLike
 
 F = TypeVar("F", bound=Callable[..., object])

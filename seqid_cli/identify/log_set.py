@@ -15,7 +15,7 @@ from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_verdicts import as_note, notes_of_logs, verdicts_of_logs
 from seqid_cli.inspect.findings import located
-from seqid_cli.inspect.progress import LogNote, Progress
+from seqid_cli.inspect.functions import LogNote, Progress
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.given import warn
 from seqid_cli.logs.raw import TimeSource

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from msgspec import structs
 
@@ -12,13 +13,44 @@ from seqid_cli.errors import UsageError
 from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, optional
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
-from seqid_cli.params.results.inspection import InspectionFile
+from seqid_cli.params.results.inspection import InspectionFile, InspectionFinding
 from seqid_cli.robot.file import load_robot
 
 if TYPE_CHECKING:
-    from seqid_cli.inspect.progress import Progress
     from seqid_cli.logs.raw import TimeSource
     from seqid_cli.robot.types import Robot
+
+
+@dataclass(frozen=True)
+class LogNote:
+    """A log that was read: its size, warnings and findings."""
+
+    path: Path
+    sha256: str
+    samples: int
+    rate_hz: float
+    warnings: tuple[str, ...]
+    partial: str
+    findings: tuple[InspectionFinding, ...] = ()
+    mended: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Progress of a function, reported before a log is read and after it was worked on.
+
+    `done` of `total` logs are finished. `state` is "reading" (`log` comes next), "done" (`note` is
+    what was read), "failed" (`error` says why `log` is left out), or "note" and "detail" (`text`
+    says what the function is about).
+    """
+
+    state: Literal["reading", "done", "failed", "note", "detail"]
+    done: int = 0
+    total: int = 0
+    log: str = ""
+    note: LogNote | None = None
+    error: Exception | None = None
+    text: str = ""
 
 
 def inspect(

@@ -46,11 +46,11 @@ def propose(
     """Propose a robot file from logs of one robot.
 
     `paths`: the first says which joints and channels there are, all of them what moves. `urdf`:
-    without it the geometry is left to be filled in. `urdf_path`: how the file is to name it. `name`:
-    the robot's. `drives`: `torque_constant` and `gear_ratio`, one for all joints or one for each.
+    without it the geometry is left to be filled in. `urdf_path`: how the file is to name it.
+    `drives`: `torque_constant` and `gear_ratio`, one for all joints or one for each.
 
-    Raises UsageError: as many drives' data as there are neither joints nor one. Raises InputError: a
-    log cannot be read, or no joint is found in it. Raises ConfigError: no command could use the URDF.
+    Raises UsageError: as many drives' data as there are neither joints nor one. Raises InputError:
+    a log cannot be read, or shows no joint. Raises ConfigError: no command could use the URDF.
     """
     if urdf is not None:
         check_urdf(urdf)

@@ -7,8 +7,8 @@ from pathlib import Path
 from seqid_cli.logs.mcap import reader, rosbags
 from seqid_cli.logs.storage.files import check_log, storage_file
 from seqid_cli.logs.tables import csv_file, parquet
-from seqid_cli.logs.tables.list_names import motors_of
 from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
+from seqid_cli.logs.tables.parquet import motors_of
 
 
 @dataclass(frozen=True)

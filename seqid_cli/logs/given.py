@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from seqid_cli.errors import SeqidWarning
 from seqid_cli.logs.storage.files import expand
-from seqid_cli.logs.storage.in_memory import TableLog
+from seqid_cli.logs.storage.remote import TableLog
 
 if TYPE_CHECKING:
     from seqid_cli.logs.recording import Recording

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
-from seqid_cli.logs.checks.bridging import with_losses
-from seqid_cli.logs.checks.lost_samples import Mended, mended
+from seqid_cli.logs.checks.lost_samples import Mended, mended, with_losses
 from seqid_cli.logs.clocks import Tidy, tidy
 from seqid_cli.logs.mcap import reader, rosbags
 from seqid_cli.logs.raw import (

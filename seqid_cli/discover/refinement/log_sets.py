@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from seqid_cli.errors import InputError, SeqidError, UsageError
 from seqid_cli.logs.given import Logs, expanded, listed
 from seqid_cli.logs.storage.files import check_log
-from seqid_cli.logs.storage.in_memory import TableLog
+from seqid_cli.logs.storage.remote import TableLog
 from seqid_cli.params.schema import InputLog
 
 if TYPE_CHECKING:

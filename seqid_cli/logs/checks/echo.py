@@ -128,8 +128,8 @@ def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 
     friction: nothing about friction can be told from it (Forssell and Ljung, Closed-loop
     identification revisited, Automatica 35(7), 1999).
 
-    `q` (N, n): positions, rad (m), between whose `middle` quantiles a joint travels. `held`: share of
-    the farthest joint's travel, below which a joint is held.
+    `q` (N, n): positions, rad (m), between whose `middle` quantiles a joint travels. `held`: share
+    of the farthest joint's travel, below which a joint is held.
     """
     low, high = np.nanquantile(q, middle, axis=0)
     return np.asarray(high - low >= held * np.max(high - low))

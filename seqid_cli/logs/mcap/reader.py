@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.mcap.collector import Collector
 from seqid_cli.logs.mcap.records import Scan, read_summary
 from seqid_cli.logs.mcap.topics import (
     JOINT_STATES,
+    Collector,
     Streams,
     any_finite,
     find_joint_topic,

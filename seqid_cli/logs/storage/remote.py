@@ -1,9 +1,10 @@
-"""Logs on object storage (`s3://`, `gs://`, `az://` and whatever else fsspec knows).
+"""Logs on object storage (whatever fsspec knows), and tables in memory (Arrow, pandas, polars).
 
 A stored log is a path like any other until it is read. Then it is copied to a temporary file, read
 from there by the same readers as local logs, and the copy is removed: memory stays flat, and one
 log at a time (per process) lies on the disk. Access is configured as the store's own tools are, by
-environment and profile; nothing of it passes through here.
+environment and profile; nothing of it passes through here. A table is stored the same way: whoever
+reads it gets a Parquet file, which is removed afterwards, in this process or in others.
 """
 
 import contextlib
@@ -58,6 +59,45 @@ class StoredLog(_LocalPath):
         system, root = _opened(url)
         with _explained(url):
             system.get_file(root, str(copy))
+
+
+class TableLog(StoredLog):
+    """A table in the default column names, in the place of a path; `content` is the table."""
+
+    content: Any
+
+    @classmethod
+    def of(cls, data: object, name: str) -> "TableLog":
+        """Take a table under the name that results give it."""
+        log = cls(f"{name}.parquet")
+        log.content = _table(data)
+        return log
+
+    def __reduce__(self) -> Any:
+        return TableLog.of, (self.content, self.stem)
+
+    def __str__(self) -> str:
+        return self.stem
+
+    def fetch(self, copy: Path) -> None:
+        """Write the table to a local file."""
+        import pyarrow.parquet as pq
+
+        pq.write_table(self.content, copy)
+
+
+def _table(data: object) -> Any:
+    import pyarrow as pa
+
+    if isinstance(data, pa.Table):
+        return data
+    try:
+        if hasattr(data, "__arrow_c_stream__"):
+            return pa.table(data)
+        return pa.Table.from_pandas(data)
+    except (TypeError, ValueError, AttributeError, pa.ArrowException) as error:
+        hint = "Give a path, a pyarrow.Table, a pandas.DataFrame or a Recording."
+        raise InputError(f"{type(data).__name__} is no log ({error})", hint=hint) from error
 
 
 def is_url(text: str) -> bool:

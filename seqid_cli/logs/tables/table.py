@@ -1,9 +1,14 @@
-"""Tables, one row per sample: which column carries what, whatever file they come from."""
+"""Tables, one row per sample: which column carries what, whatever file they come from.
+
+A table may hold many short recordings behind each other, each with a clock of its own that begins
+again (LeRobot's `episode_index`): they become stretches with a gap between them, never joined.
+"""
 
 import difflib
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,11 +16,9 @@ import pyarrow as pa
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.drives import in_si
-from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, RawLog, Stamps, Stream
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, RawLog, Rows, Stamps, Stream
 from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
 from seqid_cli.logs.tables.csv_form import nameless
-from seqid_cli.logs.tables.episodes import separate
-from seqid_cli.logs.tables.imus import imu_columns
 from seqid_cli.logs.tables.naming_schemes import (
     EFFORT,
     EPISODES,
@@ -30,7 +33,119 @@ from seqid_cli.logs.tables.naming_schemes import (
     time_names,
 )
 from seqid_cli.robot.toml.schema import Channels, Columns
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Imu, Robot
+
+# Forms of names: numbered accelerometers, the axes of a triad, the axes of a gyro.
+_FORMS = (
+    ("{imu}.a{k}", "{imu}.a{axis}", "{imu}.g{axis}"),
+    ("{imu}/a{k}", "{imu}/a{axis}", "{imu}/g{axis}"),
+    ("{imu}_a{k}", "{imu}_a{axis}", "{imu}_g{axis}"),
+    *(
+        ("", f"{stem}linear_acceleration{end}", f"{stem}angular_velocity{end}")
+        for stem, end in (("{imu}.", ".{axis}"), ("{imu}/", "/{axis}"), ("/{imu}/data/", "/{axis}"))
+    ),
+)
+
+
+def imu_columns(
+    where: str, robot: Robot, imu: Imu, known: Collection[str], warnings: list[str]
+) -> tuple[list[str], list[str]] | None:
+    """Find the accelerometer and gyro columns of an IMU; None where the log has none of them."""
+    for numbered, axes, gyro in _FORMS:
+        found = _form(where, imu, known, numbered, axes, gyro)
+        if found is not None:
+            return found
+    return _tool_accelerometer(robot, imu, known, warnings)
+
+
+def _form(
+    where: str, imu: Imu, known: Collection[str], numbered: str, axes: str, gyro: str
+) -> tuple[list[str], list[str]] | None:
+    count = len(imu.positions)
+    by_number = [_fill(numbered, imu, k=k + 1) for k in range(count)] if numbered else []
+    use_triad = not by_number or (count == 3 and not set(known).intersection(by_number))
+    if use_triad and count != 3:
+        return None
+    accelerometers = [_fill(axes, imu, axis=axis) for axis in "xyz"] if use_triad else by_number
+    rates = [_fill(gyro, imu, axis=axis) for axis in "xyz"] if imu.gyro else []
+    missing = [name for name in accelerometers + rates if name not in known]
+    if len(missing) == len(accelerometers) + len(rates):
+        return None
+    if missing:
+        raise InputError(
+            f"IMU {imu.name!r} is only partly in the log; missing: {', '.join(missing)}",
+            hint=f"The robot file gives it {count} accelerometers"
+            f"{' and a gyro' if imu.gyro else ''}: log them all, or correct the robot file.",
+            where=where,
+        )
+    return accelerometers, rates
+
+
+def _fill(form: str, imu: Imu, *, k: int = 0, axis: str = "") -> str:
+    filled = form.replace("{k}", str(k)).replace("{axis}", axis)
+    return filled.replace("{imu}", imu.name)
+
+
+def _tool_accelerometer(
+    robot: Robot, imu: Imu, known: Collection[str], warnings: list[str]
+) -> tuple[list[str], list[str]] | None:
+    """UR's own accelerometer, for a triad of the robot file that rides on the last link."""
+    names = [f"actual_tool_accelerometer_{axis}" for axis in range(3)]
+    last = imu.after_joint == robot.n - 1 and len(imu.positions) == 3 and not imu.gyro
+    if not last or any(name not in known for name in names):
+        return None
+    warnings.append(f"IMU {imu.name!r} is read from {names[0]} ... {names[-1]}")
+    return names, []
+
+
+def separate(
+    stamps: Stamps,
+    keep: Rows,
+    episode: Array,
+    name: str,
+    *,
+    hole_s: float = 1.0,
+    hole_intervals: int = 50,
+) -> tuple[Stamps, Rows, list[str]]:
+    """Lay episodes one behind the other; one alone stays as it is.
+
+    `stamps` (M,): of the rows [ns]. `keep` (K,): the rows that have one. `episode` (M,): number,
+    NaN where missing. `name`: its column. `hole_s`, `hole_intervals`: the hole between episodes has
+    so many seconds and intervals at least. Returns: new stamps, the rows of an episode, notes.
+    """
+    numbered = np.isfinite(episode[keep])
+    lost = int(np.count_nonzero(~numbered))
+    notes = [f"{lost} rows without {name} were left out"] if lost else []
+    keep = keep[numbered]
+    if not len(keep):
+        return stamps, keep, notes
+    ends = [0, *(np.flatnonzero(np.diff(episode[keep]) != 0) + 1).tolist(), len(keep)]
+    runs = [keep[start:end] for start, end in pairwise(ends)]
+    if len(runs) == 1:
+        return stamps, keep, notes
+    interval = _interval(stamps, runs)
+    hole = round(interval * max(hole_intervals, np.ceil(hole_s * 1e9 / interval)))
+    moved = stamps.copy()
+    latest = int(stamps[runs[0]].max())
+    for run in runs[1:]:
+        earliest = int(stamps[run].min())
+        moved[run] = stamps[run] - earliest + latest + hole
+        latest = int(moved[run].max())
+    notes.append(
+        f"{len(runs)} episodes ({name}) are read as stretches with a gap of {hole * 1e-9:.3g} s "
+        "between them"
+    )
+    return moved, keep, notes
+
+
+def _interval(stamps: Stamps, runs: list[Rows]) -> float:
+    """Mean interval inside the episodes, gaps left out [ns]: the holes then fit the time base."""
+    steps = np.concatenate([np.diff(stamps[run]) for run in runs])
+    forward = steps[steps > 0]
+    if not len(forward):
+        return 1e9
+    return float(np.mean(forward[forward < 1.5 * np.median(forward)]))
+
 
 ROWS = "the rows"
 _SHOWN = 6

@@ -65,7 +65,7 @@ class Lowpass:
     ) -> Array:
         """Filter (N, ...) along the first axis, each run of valid samples by itself.
 
-        `valid` (N,): false where samples must not leak into others; these are returned as they came.
+        `valid` (N,): false where samples must not leak into others; these are returned as they are.
         `times`: number of passes. `every`: samples 0, `every`, 2 `every`, ... are returned only.
         """
         rows = np.array(values.reshape(len(values), -1).T, dtype=np.float64, order="C")

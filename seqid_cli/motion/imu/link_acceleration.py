@@ -47,8 +47,8 @@ def log_motion(
     """Motion of a log at its own rate, of the encoders or better.
 
     With `options.kept` the motion of logs that differ in their torque alone is made once. `imu`:
-    calibrations. `source`: as of `best_motion`. Raises UsageError: it is unknown. Raises InputError:
-    no stretch is long enough to filter, or the log lacks the IMU that `source` insists on.
+    calibrations. `source`: as of `best_motion`. Raises UsageError: it is unknown. Raises
+    InputError: no stretch is long enough to filter, or the log lacks an IMU that `source` needs.
     """
     if options.kept is None:
         encoder = estimate_motion(recording, robot, options)

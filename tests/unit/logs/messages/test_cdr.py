@@ -11,7 +11,7 @@ import pytest
 from mcap.records import Schema
 from mcap_ros2.writer import Writer
 
-from seqid_cli.logs.messages import fields, parsers
+from seqid_cli.logs.messages import parsers
 from seqid_cli.logs.messages.batch import NameMap, Payloads
 from seqid_cli.logs.read import read_recording
 from tests.unit.logs.samples import JOINTS, grid, make_motion, make_robot
@@ -81,7 +81,9 @@ def test_dynamic_joint_states_match_the_slow_way(tmp_path: Path, effort: str) ->
     decode = parsers.decoder("cdr", found, "dynamic_joint_state", NameMap(NAMES, effort))
     assert parse is not None
     assert decode is not None
-    slow = fields.decoder("dynamic_joint_state", NameMap(NAMES, effort), parse)(Payloads.of(batch))
+    slow = parsers.field_decoder("dynamic_joint_state", NameMap(NAMES, effort), parse)(
+        Payloads.of(batch)
+    )
     fast = decode(Payloads.of(batch))
     assert fast.good.all()
     np.testing.assert_array_equal(fast.values, slow.values)

@@ -7,7 +7,6 @@ joint; `open_long` returns None for others, and for logs in which samples come i
 lost without the stamps showing it (`lost_samples`): these have to be read as a whole.
 """
 
-import hashlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,7 +20,14 @@ from seqid_cli.logs.clocks import BURSTS, GAP_INTERVALS, GAP_LEAST_S
 from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.raw import Array, BlockReader, Mask, RawLog, Stamps, Stream, TimeSource, joined
 from seqid_cli.logs.read import ABSURD, with_torque
-from seqid_cli.logs.storage.files import State, check_log, state_of, storage_file, unchanged
+from seqid_cli.logs.storage.files import (
+    State,
+    check_log,
+    sha256_of,
+    state_of,
+    storage_file,
+    unchanged,
+)
 from seqid_cli.logs.storage.spool import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
@@ -111,8 +117,8 @@ class LongLog:
     @property
     def sha256(self) -> str:
         """Digest of the file. Raises InputError: it has changed since the first pass."""
-        with unchanged(self.file, self.state), self.file.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
+        with unchanged(self.file, self.state):
+            return sha256_of(self.file)
 
     def blocks(self) -> Iterator[Block]:
         """Pass over the samples of the base, a few ten thousand at a time.
@@ -175,6 +181,7 @@ class LongLog:
 
 _NONE: NDArray[np.intp] = np.zeros(0, np.intp)
 _ALL = "position and torque"
+_SOURCES = ("current", "torque")
 
 
 def _as_stream(stamps: Stamps, values: Array) -> Stream:
@@ -211,7 +218,11 @@ class Scan:
                 raise UnevenError
             self.usual = float(np.median(steps))
         self._note_steps(steps)
-        self._note_distance(stamps)
+        index = self.count + np.arange(len(stamps))
+        off = (stamps - self.first) - index * self.usual
+        starts = np.arange(0, len(off), GROUP)
+        least, most = (extreme.reduceat(off, starts) for extreme in (np.minimum, np.maximum))
+        self.off.append(np.stack([index[starts], least, most], axis=1))
         self.count += len(stamps)
         self.last = int(stamps[-1])
 
@@ -226,13 +237,6 @@ class Scan:
         self.sums += (near.sum(), np.square(near - self.usual).sum())
         longer = near[near > 1.5 * self.usual]
         self.surplus += float((np.rint(longer / self.usual) - 1).sum())
-
-    def _note_distance(self, stamps: Stamps) -> None:
-        index = self.count + np.arange(len(stamps))
-        off = (stamps - self.first) - index * self.usual
-        starts = np.arange(0, len(off), GROUP)
-        least, most = (extreme.reduceat(off, starts) for extreme in (np.minimum, np.maximum))
-        self.off.append(np.stack([index[starts], least, most], axis=1))
 
     def base(self, *, stretch: float = 20.0) -> tuple[int, float, int, float, bool, int]:
         """Lay the base as `timebase.make_base` does: start, step, samples, jitter, exact, gaps."""
@@ -339,7 +343,9 @@ def _rows(
         joints = raw.joints
         if not len(joints):
             continue
-        sources = _torque_sources(joints)
+        # Which joints have what torque can be taken from must be the same all along.
+        given = {name: joints.channels[name] for name in _SOURCES if name in joints.channels}
+        sources = {name: np.isfinite(own).any(axis=0).tolist() for name, own in given.items()}
         if first_sources not in (None, sources):
             raise UnevenError
         first_sources = sources
@@ -357,15 +363,3 @@ def _rows(
             raise UnevenError  # to be put right as a whole
         last = joints.stamp_ns[-1:]
         yield raw, _as_stream(joints.stamp_ns, values.T)
-
-
-def _torque_sources(joints: Stream) -> dict[str, list[bool]]:
-    """Which joints have what torque can be taken from; it must be the same all along."""
-    found: dict[str, list[bool]] = {}
-    for name in ("current", "torque"):
-        if name in joints.channels:
-            there: Mask = np.isfinite(joints.channels[name][0])
-            if not there.all():
-                there = np.asarray(np.isfinite(joints.channels[name]).any(axis=0))
-            found[name] = [bool(x) for x in there]
-    return found

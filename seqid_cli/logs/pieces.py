@@ -8,7 +8,6 @@ of the pieces are kept. A piece holds all that the log has: temperatures and IMU
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,7 @@ from seqid_cli.logs.long import READERS, LongLog, likely_rows
 from seqid_cli.logs.raw import RawLog, Stream, TimeSource, joined
 from seqid_cli.logs.read import assemble, read_both
 from seqid_cli.logs.recording import Recording, Whole
-from seqid_cli.logs.storage.files import check_log, storage_file, unchanged
+from seqid_cli.logs.storage.files import check_log, sha256_of, storage_file, unchanged
 from seqid_cli.robot.types import Robot
 
 Range = tuple[float, float]  # s since the log's first sample
@@ -130,8 +129,10 @@ def read_pieces(
 def _within(raw: RawLog, first: int, last: int, *, around_s: float = 0.1) -> RawLog:
     """What lies between two stamps, of IMUs a little more; without what was said of it."""
     more = int(around_s * 1e9)
-    near = partial(_between, first=first - more, last=last + more)
-    imus = {name: tuple(map(near, streams)) for name, streams in raw.imus.items()}
+    imus = {
+        name: tuple(_between(stream, first - more, last + more) for stream in streams)
+        for name, streams in raw.imus.items()
+    }
     joints = _between(raw.joints, first - 1000, last + 1000)
     return replace(raw, joints=joints, imus=imus, warnings=(), partial="")
 
@@ -141,12 +142,6 @@ def _between(stream: Stream, first: int, last: int) -> Stream:
     if not len(stamps) or stamps[0] > last or stamps[-1] < first:
         return stream.take(np.zeros(0, np.intp))  # no view, which would hold them all
     return stream.take((stamps >= first) & (stamps <= last))
-
-
-def _side_by_side(parts: Sequence[tuple[Stream, ...]]) -> tuple[Stream, ...]:
-    """Consecutive parts of an IMU's streams, from where all of them are there."""
-    most = max(map(len, parts))
-    return tuple(joined(one) for one in zip(*(p for p in parts if len(p) == most), strict=True))
 
 
 def read_parts(
@@ -171,24 +166,20 @@ def read_parts(
     if kind not in READERS or likely_rows(path) * width <= most_values:
         yield read_both(path, robot, time_source=time_source)
         return
-    try:
-        with unchanged(file):
-            with file.open("rb") as opened:
-                digest = hashlib.file_digest(opened, "sha256").hexdigest()
-            blocks = READERS[kind](file, robot, time_source)
-            for raw in _parts(blocks, most_values, int(overlap_s * 1e9)):
-                try:
-                    read = assemble(path, kind, digest, raw, robot)
-                except InputError as error:
-                    if failed is None:
-                        raise
-                    failed(error, raw.joints)
-                    continue
-                del raw  # it is large, and the next one comes
-                yield read
-                del read
-    except OSError as error:
-        raise InputError(f"cannot be read ({error})", where=str(path)) from error
+    with unchanged(file):
+        digest = sha256_of(file)
+        blocks = READERS[kind](file, robot, time_source)
+        for raw in _parts(blocks, most_values, int(overlap_s * 1e9)):
+            try:
+                read = assemble(path, kind, digest, raw, robot)
+            except InputError as error:
+                if failed is None:
+                    raise
+                failed(error, raw.joints)
+                continue
+            del raw  # it is large, and the next one comes
+            yield read
+            del read
 
 
 def _parts(blocks: Iterable[RawLog], most: int, overlap_ns: int) -> Iterator[RawLog]:
@@ -216,14 +207,15 @@ def _size(raw: RawLog) -> int:
 
 
 def _following(blocks: Sequence[RawLog]) -> RawLog:
-    """Consecutive blocks as one."""
-    imus: dict[str, list[tuple[Stream, ...]]] = {}
-    for block in blocks:
-        for name, streams in block.imus.items():
-            imus.setdefault(name, []).append(streams)
+    """Consecutive blocks as one; IMUs from where all of their streams are there."""
+    imus: dict[str, tuple[Stream, ...]] = {}
+    for name in dict.fromkeys(name for block in blocks for name in block.imus):
+        parts = [block.imus[name] for block in blocks if name in block.imus]
+        whole = [part for part in parts if len(part) == max(map(len, parts))]
+        imus[name] = tuple(map(joined, zip(*whole, strict=True)))
     return replace(
         blocks[-1],
         joints=joined([block.joints for block in blocks]),
-        imus={name: _side_by_side(parts) for name, parts in imus.items()},
+        imus=imus,
         warnings=tuple(dict.fromkeys(text for block in blocks for text in block.warnings)),
     )

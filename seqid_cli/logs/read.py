@@ -1,8 +1,7 @@
 """From a log file to a `Recording`."""
 
-import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +21,7 @@ from seqid_cli.logs.raw import (
     TimeSource,
 )
 from seqid_cli.logs.recording import Health, Recording
-from seqid_cli.logs.storage.files import check_log, storage_file, unchanged
+from seqid_cli.logs.storage.files import check_log, sha256_of, storage_file, unchanged
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.logs.tables import csv_file, parquet
 from seqid_cli.logs.timebase import Base, make_base, overlap, resample
@@ -71,9 +70,15 @@ def read_both(
     path: Path, robot: Robot, *, time_source: TimeSource = "header"
 ) -> tuple[Recording, RawLog]:
     """Read one log as a recording and as it was logged; see `read_recording` and `assemble`."""
-    with local_copy(path) as file:
-        recording, raw = _read(Path(file), robot, time_source)
-    return (replace(recording, path=path) if file is not path else recording), raw
+    if time_source not in ("header", "log"):
+        raise UsageError(f"time source {time_source!r} is not known", hint="Use header or log.")
+    with local_copy(path) as copy:
+        kind, file = check_log(copy), storage_file(copy)
+        with unchanged(file):
+            raw = read_whole(file, kind, robot, time_source)
+            digest = sha256_of(file)
+        recording, raw = assemble(file, kind, digest, raw, robot)
+    return (replace(recording, path=path) if copy is not path else recording), raw
 
 
 def without_values(recording: Recording, raw: RawLog, robot: Robot) -> Recording:
@@ -86,21 +91,6 @@ def without_values(recording: Recording, raw: RawLog, robot: Robot) -> Recording
     gaps = tuple(sorted({*recording.health.gaps, *again.health.gaps}))
     health = replace(recording.health, gaps=gaps, resampled=again.health.resampled)
     return replace(again, health=health)
-
-
-def _read(path: Path, robot: Robot, time_source: TimeSource) -> tuple[Recording, RawLog]:
-    kind = check_log(path)
-    path = storage_file(path)
-    if time_source not in ("header", "log"):
-        raise UsageError(f"time source {time_source!r} is not known", hint="Use header or log.")
-    try:
-        with unchanged(path):
-            raw = read_whole(path, kind, robot, time_source)
-            with path.open("rb") as file:
-                digest = hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    return assemble(path, kind, digest, raw, robot)
 
 
 def read_whole(path: Path, kind: str, robot: Robot, time_source: TimeSource) -> RawLog:
@@ -121,14 +111,6 @@ class TorqueLackingError(InputError):
         message = f"neither torque nor current of joint {', '.join(joints)}, but of others"
         super().__init__(message, hint="Log it for every joint of the robot file.", where=where)
         self.joints = tuple(joints)
-
-
-@dataclass(frozen=True)
-class _Imus:
-    accelerometers: dict[str, Array]
-    gyros: dict[str, Array]
-    valid: Mask
-    warnings: list[str]
 
 
 def assemble(
@@ -155,18 +137,19 @@ def assemble(
         torque = resample(clock.stream, "tau", base)
         tau, valid = torque.values, valid & torque.valid
         gaps |= set(torque.gaps)
-    dq = _whole(clock.stream, "velocity", base, warnings)
-    load = _whole(clock.stream, "load", base, warnings)
-    link = _whole(clock.stream, "link_position", base, warnings)
-    imus = _read_imus(raw, robot, base, repair)
-    warnings += [*clock.warnings, *repair.warnings, *imus.warnings]
+    dq, load, link = (
+        _whole(clock.stream, quantity, base, warnings)
+        for quantity in ("velocity", "load", "link_position")
+    )
+    warnings += [*clock.warnings, *repair.warnings]
+    accelerometers, gyros, measured = _read_imus(raw, robot, base, repair, warnings)
     recording = Recording(
         path=path,
         sha256=digest,
         format=kind,
         t=base.t,
         q=q.values,
-        valid=valid & imus.valid,
+        valid=valid & measured,
         health=Health(
             rate_hz=1.0 / base.step_s,
             jitter=base.jitter,
@@ -183,8 +166,8 @@ def assemble(
         temperature=_whole(clock.stream, "temperature", base),
         load=load,
         link_position=link,
-        accelerometers=imus.accelerometers,
-        gyros=imus.gyros,
+        accelerometers=accelerometers,
+        gyros=gyros,
         start=base.start_ns * 1e-9,
         partial=raw.partial,
         bridged=_bridged(repair, base),
@@ -273,38 +256,28 @@ def _whole(
     return None
 
 
-def _read_imus(raw: RawLog, robot: Robot, base: Base, repair: Mended) -> _Imus:
-    result = _Imus({}, {}, np.ones(base.count, np.bool_), [])
-    valid = result.valid
+def _read_imus(
+    raw: RawLog, robot: Robot, base: Base, repair: Mended, warnings: list[str]
+) -> tuple[dict[str, Array], dict[str, Array], Mask]:
+    """Accelerometers (N, K) and gyros (N, 3) by IMU, and where (N,) all of them are measured."""
+    found: dict[str, dict[str, Array]] = {ACCELEROMETERS: {}, GYRO: {}}
+    valid = np.ones(base.count, np.bool_)
     for imu in robot.imus:
-        cleaned = [
-            _alike_mended(tidy(without_absurd(stream, result.warnings)), repair)
-            for stream in raw.imus.get(imu.name, ())
-        ]
-        if not cleaned or not _usable(imu.name, cleaned, base, result.warnings):
+        cleaned = [tidy(without_absurd(each, warnings)) for each in raw.imus.get(imu.name, ())]
+        for k, clock in enumerate(cleaned):
+            if np.array_equal(clock.stream.stamp_ns, repair.stamps):  # those of the joints
+                cleaned[k] = replace(clock, stream=with_losses(clock.stream, repair.losses)[0])
+        if not cleaned or not _usable(imu.name, cleaned, base, warnings):
             continue
-        accelerometers: list[Array] = []
-        gyros: list[Array] = []
-        for stream in (each.stream for each in cleaned):
-            for quantity, target in ((ACCELEROMETERS, accelerometers), (GYRO, gyros)):
-                if quantity in stream.channels:
-                    part = resample(stream, quantity, base)
-                    target.append(part.values)
-                    valid &= part.valid
-        result.warnings.extend(warning for each in cleaned for warning in each.warnings)
-        if accelerometers:
-            result.accelerometers[imu.name] = np.hstack(accelerometers)
-        if gyros:
-            result.gyros[imu.name] = np.hstack(gyros)
-    return result
-
-
-def _alike_mended(clock: Tidy, repair: Mended) -> Tidy:
-    """With the joints' lost samples put right where both share their stamps."""
-    if not np.array_equal(clock.stream.stamp_ns, repair.stamps):
-        return clock
-    stream, _ = with_losses(clock.stream, repair.losses)
-    return replace(clock, stream=stream)
+        for quantity, target in found.items():
+            streams = [each.stream for each in cleaned if quantity in each.stream.channels]
+            parts = [resample(stream, quantity, base) for stream in streams]
+            for part in parts:
+                valid &= part.valid
+            if parts:
+                target[imu.name] = np.hstack([part.values for part in parts])
+        warnings += [warning for each in cleaned for warning in each.warnings]
+    return found[ACCELEROMETERS], found[GYRO], valid
 
 
 def _usable(name: str, cleaned: list[Tidy], base: Base, warnings: list[str]) -> bool:

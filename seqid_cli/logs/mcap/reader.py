@@ -56,8 +56,8 @@ def read_blocks(
     positions = False
     for last in log.blocks(rows):
         samples = {topic: collector.drain() for topic, collector in log.collectors.items()}
-        if last:
-            log.check_joints()
+        if last and not log.has(log.joint_topic):
+            raise _no_joint_states(log.scan, log.collectors[log.joint_topic])
         imus = {imu.name: log.imu_topics(imu, whole=last) for imu in robot.imus}
         partial = log.partial() if last else ""
         raw = streams.raw_log(log.joint_topic, samples, imus, partial)
@@ -145,11 +145,6 @@ class _Log:
         """Say in one line what the file lost; empty for a whole one."""
         unread = [note for collector in self.collectors.values() if (note := collector.note())]
         return "; ".join([*_losses(self.scan), *unread])
-
-    def check_joints(self) -> None:
-        """Refuse a file of whose joint states no message could be decoded."""
-        if not self.has(self.joint_topic):
-            raise _no_joint_states(self.scan, self.collectors[self.joint_topic])
 
     def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
         """Name the topics of an IMU; refuses a whole file that lacks only some of them."""

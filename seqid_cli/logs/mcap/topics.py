@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from seqid_cli.logs.drives import in_si
 from seqid_cli.logs.mcap.records import Batch
-from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decode, Decoded, Kind, NameMap, Payloads
+from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decode, Kind, NameMap, Payloads
 from seqid_cli.logs.messages.parsers import decoder
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Stamps, Stream, TimeSource
 from seqid_cli.robot.types import Imu, Robot
@@ -15,19 +16,19 @@ from seqid_cli.robot.types import Imu, Robot
 _LATEST = 1 << 62  # log times from here on are damaged
 
 
-@dataclass(frozen=True)
-class Samples:
-    """The decoded messages of one topic, and the times at which they were logged [ns]."""
+class Samples(NamedTuple):
+    """M messages of one topic: times of logging and of their headers [ns], values as `Decoded`."""
 
     log_ns: Stamps
-    decoded: Decoded
+    stamp_ns: Stamps
+    values: Array
 
     def log_minus_header_s(self) -> float | None:
         """Return the median delay from header stamp to log time, None without header stamps."""
-        stamped = self.decoded.stamp_ns != 0
+        stamped = self.stamp_ns != 0
         if not stamped.any():
             return None
-        return float(np.median((self.log_ns - self.decoded.stamp_ns)[stamped])) * 1e-9
+        return float(np.median((self.log_ns - self.stamp_ns)[stamped])) * 1e-9
 
 
 @dataclass
@@ -74,17 +75,10 @@ class Collector:
         """Return what has been decoded since the last call, and forget it."""
         self._flush()
         done, self._done, self.waiting = self._done, [], 0
-        if len(done) == 1:
-            return done[0]
-        parts = done or [
-            Samples(np.zeros(0, np.int64), Decoded.empty(0, self.names.width(self.kind)))
-        ]
-        decoded = Decoded(
-            np.concatenate([part.decoded.stamp_ns for part in parts]),
-            np.concatenate([part.decoded.values for part in parts]),
-            np.concatenate([part.decoded.good for part in parts]),
-        )
-        return Samples(np.concatenate([part.log_ns for part in parts]), decoded)
+        none, width = np.zeros(0, np.int64), self.names.width(self.kind)
+        if len(done) > 1:
+            return Samples(*map(np.concatenate, zip(*done, strict=True)))
+        return done[0] if done else Samples(none, none, np.zeros((0, width)))
 
     def note(self) -> str:
         """Say what could not be decoded, empty if nothing."""
@@ -105,11 +99,12 @@ class Collector:
             return
         decoded = decode(payloads)
         good = decoded.good & (log_ns >= 0) & (log_ns < _LATEST)
+        own = Samples(log_ns, decoded.stamp_ns, decoded.values)
         if not good.all():
             self.damaged += int(np.count_nonzero(~good))
-            decoded, log_ns = decoded.take(good), log_ns[good]
-        self._done.append(Samples(log_ns, decoded))
-        self.waiting += len(log_ns)
+            own = Samples(log_ns[good], decoded.stamp_ns[good], decoded.values[good])
+        self._done.append(own)
+        self.waiting += len(own.log_ns)
 
 
 JOINT_STATES = "/joint_states"
@@ -187,7 +182,7 @@ class Streams:
         return RawLog(stream, found, partial, warnings, log_minus_header_s=delay)
 
     def _joints(self, topic: str, samples: Samples) -> Stream:
-        parts = np.split(samples.decoded.values, len(JOINT_QUANTITIES), axis=1)
+        parts = np.split(samples.values, len(JOINT_QUANTITIES), axis=1)
         channels = dict(zip(JOINT_QUANTITIES, parts, strict=True))
         effort = channels.pop("effort")
         channels["current" if self.robot.channels.effort == "current" else "torque"] = effort
@@ -198,7 +193,7 @@ class Streams:
         }
         stamps, keep = self._clock(topic, samples)
         stream = _taken(Stream(topic, stamps, in_si(recorded, stamps, self.robot)), keep)
-        return _taken(stream, _about_robot(samples.decoded.values, keep))
+        return _taken(stream, _about_robot(samples.values, keep))
 
     def _imu(self, imu: Imu, topic: str, samples: Samples) -> Stream:
         count, triads = len(imu.positions), triad_topics(imu)
@@ -206,11 +201,11 @@ class Streams:
         channels = {}
         if topic in triads:
             first = 3 * triads.index(topic)
-            channels[ACCELEROMETERS] = samples.decoded.values[:, : min(3, count - first)]
+            channels[ACCELEROMETERS] = samples.values[:, : min(3, count - first)]
         elif count == 3:
-            channels[ACCELEROMETERS] = samples.decoded.values[:, :3]
+            channels[ACCELEROMETERS] = samples.values[:, :3]
         if topic == data_topic(imu) and imu.gyro:
-            channels[GYRO] = samples.decoded.values[:, 3:]
+            channels[GYRO] = samples.values[:, 3:]
         return _taken(Stream(topic, stamps, channels), keep)
 
     def _clock(self, topic: str, samples: Samples) -> tuple[Stamps, Mask | None]:
@@ -218,7 +213,7 @@ class Streams:
         count = len(samples.log_ns)
         if self.time_source == "log" or not count:
             return samples.log_ns, None
-        missing = count - int(np.count_nonzero(samples.decoded.stamp_ns))
+        missing = count - int(np.count_nonzero(samples.stamp_ns))
         if topic not in self._logged:
             self._logged[topic] = missing == count
             if missing == count:
@@ -232,7 +227,7 @@ class Streams:
             self.warnings.append(
                 f"{missing} messages of {topic} have no header stamp and were left out"
             )
-        return samples.decoded.stamp_ns, samples.decoded.stamp_ns != 0 if missing else None
+        return samples.stamp_ns, samples.stamp_ns != 0 if missing else None
 
 
 def any_finite(values: Array) -> bool:

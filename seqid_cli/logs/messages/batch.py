@@ -84,10 +84,6 @@ class Decoded:
         self.values[rows] = part.values
         self.good[rows] = part.good
 
-    def take(self, rows: Mask) -> "Decoded":
-        """Select messages."""
-        return Decoded(self.stamp_ns[rows], self.values[rows], self.good[rows])
-
 
 class NameMap:
     """Which entry of a JointState belongs to which joint of the robot.

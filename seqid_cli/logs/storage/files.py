@@ -5,6 +5,7 @@ Runs before any heavy import, so that a wrong path fails at once: standard libra
 
 import difflib
 import glob
+import hashlib
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -71,7 +72,7 @@ def expand(paths: Sequence[str], note: Note | None = None, *, stored: bool = Fal
             matches = (
                 _stored(str(argument), welcome=stored)
                 if is_url(str(argument))
-                else _matches(str(argument), note or _silent)
+                else _matches(str(argument), note or (lambda text: None))
             )
         except OSError as error:
             raise InputError(f"cannot be looked up ({error})", where=str(argument)) from error
@@ -87,10 +88,6 @@ def _stored(url: str, *, welcome: bool) -> list[Path]:
     return natural_order(stored_logs(url, SUFFIXES))
 
 
-def _silent(text: str) -> None:
-    del text
-
-
 def storage_file(path: Path) -> Path:
     """Return the one file of a ROS 2 bag folder that holds its messages; a file as it is."""
     if not path.is_dir():
@@ -99,12 +96,18 @@ def storage_file(path: Path) -> Path:
         raise InputError(
             "is a folder, not a log", hint="Name the files in it or use a glob.", where=str(path)
         )
-    files = _logs_in(path, _silent)
+    files = _logs_in(path, lambda text: None)
     if len(files) == 1:
         return files[0]
     what = f"of {len(files)} files" if files else "without *.mcap and *.db3"
     hint = "Name its files." if files else "Unpack what is compressed: `zstd -d FILE`."
     raise InputError(f"is a ROS 2 bag {what}", hint=hint, where=str(path))
+
+
+def sha256_of(path: Path) -> str:
+    """Digest of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 State = tuple[int, ...]
@@ -120,14 +123,14 @@ def state_of(path: Path) -> State:
 def unchanged(path: Path, before: State | None = None) -> Iterator[None]:
     """Read a log that nobody writes to meanwhile.
 
-    `before`: its state when it was first read; None for that of now. Raises InputError: it is
-    another file than at first when the block ends, or has vanished.
+    `before`: its state when it was first read; None for that of now. Raises InputError: it cannot
+    be read, or is another file than at first when the block ends.
     """
     try:
         first = before or state_of(path)
         yield
         same = state_of(path) == first
-    except FileNotFoundError as error:
+    except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
     if not same:
         hint = "Wait until it is recorded or copied, then run this again."
@@ -291,12 +294,12 @@ def _fault_of(path: Path) -> tuple[str, str]:
 
 def natural_order(paths: Iterable[Path]) -> list[Path]:
     """Sort paths so that numbers in names count as numbers."""
-    return sorted(paths, key=lambda path: (_natural_key(str(path)), str(path)))
 
+    def key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
+        parts = enumerate(re.split(r"([0-9]+)", str(path)))
+        return [(0, int(p), "") if i % 2 else (1, 0, p) for i, p in parts], str(path)
 
-def _natural_key(text: str) -> list[tuple[int, int, str]]:
-    parts = re.split(r"([0-9]+)", text)
-    return [(0, int(part), "") if i % 2 else (1, 0, part) for i, part in enumerate(parts)]
+    return sorted(paths, key=key)
 
 
 def _nearby(path: Path) -> str:

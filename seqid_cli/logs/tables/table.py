@@ -62,12 +62,13 @@ def _form(
     where: str, imu: Imu, known: Collection[str], numbered: str, axes: str, gyro: str
 ) -> tuple[list[str], list[str]] | None:
     count = len(imu.positions)
-    by_number = [_fill(numbered, imu, k=k + 1) for k in range(count)] if numbered else []
+    name = imu.name
+    by_number = [numbered.format(imu=name, k=k + 1) for k in range(count)] if numbered else []
     use_triad = not by_number or (count == 3 and not set(known).intersection(by_number))
     if use_triad and count != 3:
         return None
-    accelerometers = [_fill(axes, imu, axis=axis) for axis in "xyz"] if use_triad else by_number
-    rates = [_fill(gyro, imu, axis=axis) for axis in "xyz"] if imu.gyro else []
+    triad, turns = ([form.format(imu=name, axis=axis) for axis in "xyz"] for form in (axes, gyro))
+    accelerometers, rates = triad if use_triad else by_number, turns if imu.gyro else []
     missing = [name for name in accelerometers + rates if name not in known]
     if len(missing) == len(accelerometers) + len(rates):
         return None
@@ -79,11 +80,6 @@ def _form(
             where=where,
         )
     return accelerometers, rates
-
-
-def _fill(form: str, imu: Imu, *, k: int = 0, axis: str = "") -> str:
-    filled = form.replace("{k}", str(k)).replace("{axis}", axis)
-    return filled.replace("{imu}", imu.name)
 
 
 def _tool_accelerometer(
@@ -201,7 +197,13 @@ def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterat
     by the first block. A file of several episodes is one block: they are put one behind the other.
     """
     plan = make_plan(file, robot)
-    _require_once(file.where, plan.columns, file.names)
+    for name in plan.columns:
+        if (count := file.names.count(name)) > 1:
+            message, hint = (
+                f"column {name!r} is there {count} times",
+                "Give each column a name of its own.",
+            )
+            raise InputError(message, hint=hint, where=file.where)
     notes = [*file.notes, *plan.warnings]
     for table, partial in file.tables(plan.columns, None if plan.episode else rows):
         yield _raw_log(file.where, table, plan, robot, partial, notes)
@@ -220,10 +222,11 @@ def _raw_log(
     joints = Stream(ROWS, stamps, in_si(channels, stamps, robot))
     if plan.episode is not None or len(keep) < len(stamps):
         joints = joints.take(keep)
-    imus: dict[str, tuple[Stream, ...]] = {
-        imu: (_imu_stream(where, table, stamps, columns).take(keep),)
-        for imu, columns in plan.imus.items()
-    }
+    imus: dict[str, tuple[Stream, ...]] = {}
+    for imu, columns in plan.imus.items():
+        pairs = zip((ACCELEROMETERS, GYRO), columns, strict=True)
+        channels = {name: _columns(where, table, row) for name, row in pairs if row}
+        imus[imu] = (Stream(ROWS, stamps, channels).take(keep),)
     prefer_current = robot.channels.current is not None and robot.channels.torque is None
     return RawLog(joints, imus, partial, (*notes, *warnings), prefer_current=prefer_current)
 
@@ -236,7 +239,13 @@ def make_plan(file: TableFile, robot: Robot) -> Plan:
     if match is None and robot.channels.position is None:
         raise missing_columns(file.where, nearest_scheme(joints, known), names)
     if match is not None and robot.channels.position is None:
-        warnings += _other_joints(match, joints, names)
+        others = other_joints(match, joints, names)
+        more = f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
+        if others:
+            warnings.append(
+                f"the log also holds {', '.join(others[:_SHOWN])}{more}, which the robot file does "
+                "not know: ignored"
+            )
     columns = _joint_columns(file, robot, match)
     imus = {
         imu.name: found
@@ -268,17 +277,6 @@ def _joint_columns(
             raise missing_columns(file.where, missing, file.names)
         found[quantity] = list(declared)
     return {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}
-
-
-def _other_joints(match: Match, joints: Sequence[str], names: Sequence[str]) -> list[str]:
-    others = other_joints(match, joints, names)
-    if not others:
-        return []
-    more = f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
-    return [
-        f"the log also holds {', '.join(others[:_SHOWN])}{more}, which the robot file does not "
-        "know: ignored"
-    ]
 
 
 def _time_column(file: TableFile, channels: Channels, match: Match | None) -> TimeColumn:
@@ -331,26 +329,7 @@ def missing_columns(
     )
 
 
-def _require_once(where: str, columns: Sequence[str], names: Sequence[str]) -> None:
-    for name in columns:
-        count = list(names).count(name)
-        if count > 1:
-            message = f"column {name!r} is there {count} times"
-            raise InputError(message, hint="Give each column a name of its own.", where=where)
-
-
 def _columns(where: str, table: pa.Table, row: Sequence[str | None]) -> Array:
     empty = np.full(table.num_rows, np.nan)
     columns = [empty if name is None else numbers(where, table, name) for name in row]
     return np.stack(columns).T  # one column after the other, as they came
-
-
-def _imu_stream(
-    where: str, table: pa.Table, stamps: Stamps, columns: tuple[list[str], list[str]]
-) -> Stream:
-    channels = {
-        quantity: _columns(where, table, names)
-        for quantity, names in zip((ACCELEROMETERS, GYRO), columns, strict=True)
-        if names
-    }
-    return Stream(ROWS, stamps, channels)

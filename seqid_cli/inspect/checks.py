@@ -137,8 +137,7 @@ def _of_positions(
 ) -> list[InspectionFinding]:
     """Check positions and velocities."""
     positions = [*position_findings(data, breaks)]
-    broken = frozenset(f.joint for f in positions if f.code in SPOIL)
-    own = [*velocity_findings(data, broken)]
+    own = [*velocity_findings(data, {f.joint for f in positions if f.code in SPOIL})]
     if not _all_spoilt(own):
         own += [*positions, *fast_in_degrees(data)]
     if quality:
@@ -165,20 +164,17 @@ def _of_dynamics(
     spoil = {*SPOIL - _TAKEN_OUT, "position_limits"}  # a zero that is off turns the link
     joints = {name for f in (*own, *against) if f.code in spoil for name in f.joint.split(", ")}
     if not joints & set(data.robot.joint_names):
-        broken = {f.joint for f in own if f.severity == "error"}
-        broken |= {f.joint for f in own if f.code == "imu_saturated"}
-        sound = [item for item in following if item.imu.name not in broken]
-        yield from motion_findings(data, sound)
+        broken = {f.joint for f in own if f.severity == "error" or f.code == "imu_saturated"}
+        yield from motion_findings(data, [f for f in following if f.imu.name not in broken])
 
 
 def _with_imus(
     finding: InspectionFinding, data: LogData, following: Sequence[Following]
 ) -> InspectionFinding:
     """Add to a sign that is wrong whether the IMUs blame the position."""
-    if finding.code != "sign_mismatch":
-        return finding
-    joint = data.robot.joint_names.index(finding.joint)
-    moved = [f for f in following if f.imu.after_joint >= joint]
+    names = data.robot.joint_names
+    wrong = finding.code == "sign_mismatch"
+    moved = [f for f in following if wrong and f.imu.after_joint >= names.index(finding.joint)]
     if not moved:
         return finding
     blamed = "position" if any(f.fit.left > FOLLOWS for f in moved) else "torque"

@@ -72,8 +72,8 @@ def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff
 
 def motion_blocks(blocks: Iterable[Block], plan: Plan) -> Iterator[Motion]:
     """Filter, differentiate and decimate a log's samples; `t` counts from its first."""
-    for window, first, end in overlapping(blocks, plan.rows, plan.margin):
-        yield _motion(window, plan, slice(first, end))
+    for window, *inner in overlapping(blocks, plan.rows, plan.margin):
+        yield _motion(window, plan, slice(*inner))
 
 
 S = TypeVar("S", Block, Motion)

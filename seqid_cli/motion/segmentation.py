@@ -124,27 +124,19 @@ def _stretches(
     """Split one move of one joint at its reversals and keep what runs at constant velocity."""
     position = q[start:stop, joint]
     result: list[Stretch] = []
-    for a, b in _directions(position, rate_hz, step):
+    for a, b in _directions(position, step):
         for c, d in _plateaus(position[a:b], rate_hz, step):
             low, high = start + a + c, start + a + d
-            stretch = _stretch(q, rate_hz, joint, (low, high), (start + a, start + b))
-            if abs(stretch.velocity) > 0:
-                result.append(stretch)
+            time = np.arange(high - low) / rate_hz
+            time -= time.mean()
+            slope = float(time @ q[low:high, joint] / (time @ time))
+            where = tuple(float(x) for x in q[low:high].mean(axis=0))
+            if abs(slope) > 0:
+                result.append(Stretch(joint, low, high, start + a, start + b, slope, where))
     return result
 
 
-def _stretch(
-    q: Array, rate_hz: float, joint: int, steady: tuple[int, int], move: tuple[int, int]
-) -> Stretch:
-    start, stop = steady
-    time = np.arange(stop - start) / rate_hz
-    time -= time.mean()
-    slope = float(time @ q[start:stop, joint] / (time @ time))
-    where = tuple(float(x) for x in q[start:stop].mean(axis=0))
-    return Stretch(joint, start, stop, *move, slope, where)
-
-
-def _directions(position: Array, rate_hz: float, step: float) -> list[tuple[int, int]]:
+def _directions(position: Array, step: float) -> list[tuple[int, int]]:
     """Index ranges between reversals; a reversal is a turn back by more than three counts."""
     turns, extreme, direction = [0], 0, 0
     # Indices at which the position has changed by a count or more: all that a turn can need.
@@ -177,11 +169,10 @@ def _plateaus(
     half = int(np.clip(wanted, max(2, 0.02 * rate_hz), max(2, len(position) / 12)))
     if 4 * half + 3 > len(position):
         return []
-    velocity = windowed_velocity(position, rate_hz, half)
-    inner = velocity[half:-half]
-    drift = np.abs(inner[2 * half :] - inner[: -2 * half]) if len(inner) > 4 * half else None
-    if drift is None:
+    inner = windowed_velocity(position, rate_hz, half)[half:-half]
+    if len(inner) <= 4 * half:
         return []
+    drift = np.abs(inner[2 * half :] - inner[: -2 * half])
     middle = inner[half:-half]
     # Two windowed velocities of a quantised position differ by up to two counts per window.
     allowed = velocity_tolerance * np.abs(middle) + 1.2 * step * rate_hz / (2 * half)

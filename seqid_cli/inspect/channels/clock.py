@@ -10,7 +10,6 @@ from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.clocks import gap_limit
 from seqid_cli.logs.timebase import JITTER_LIMIT
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
 
 # What the reader says in words, and the code that it stands for; empty where a check of its own
@@ -49,47 +48,42 @@ def clock_findings(
     """Check the clock of a log, and turn the reader's warnings into findings."""
     health = data.recording.health
     rate = health.rate_hz
+    text = f"{rate:.3g} samples per second"
     if not min_hz <= rate <= max_hz:
-        yield found(
-            "time_unit",
-            f"{rate:.3g} samples per second: the time column is not in seconds"
-            + (" but looks like ms" if 0.02 <= rate <= min_hz else ""),
-            channel="t",
-        )
+        ms = " but looks like ms" if 0.02 <= rate <= min_hz else ""
+        yield found("time_unit", f"{text}: the time column is not in seconds{ms}", channel="t")
     elif rate < slow_hz:
-        yield found("rate_low", f"{rate:.3g} samples per second")
+        yield found("rate_low", text)
     if health.jitter > JITTER_LIMIT:
-        yield found(
-            "jitter",
-            f"the sample interval scatters by {percent(health.jitter, 0)} of its median"
-            + (f", with {len(health.gaps)} gaps" if health.gaps else ""),
-        )
+        text = f"the sample interval scatters by {percent(health.jitter, 0)} of its median"
+        yield found("jitter", text + (f", with {len(health.gaps)} gaps" if health.gaps else ""))
     elif gaps := gaps_of(data):
         yield gap_finding(gaps)
     delay = health.log_minus_header_s
     if delay is not None and not min_delay_s <= delay <= max_delay_s:
         yield found("header_clock", f"messages are logged {delay:.6g} s after their header stamp")
     names = (*data.robot.joint_names, *(imu.name for imu in data.robot.imus))
-    yield from _said(health.warnings, names)
+    for text in health.warnings:
+        code = next((code for form, code in _SAID if re.search(form, text)), "reader")
+        subject, imu = text.partition(":")[0], re.search(r"IMU '([^']+)'", text)
+        joint = imu[1] if imu else subject if subject in names else ""
+        if code:
+            yield found(code, text, joint=joint)
 
 
 def gap_finding(gaps: Sequence[tuple[float, float]]) -> InspectionFinding:
     """Tell the gaps of a log, first and last moment of each [s]."""
-    worst = max(gaps, key=lambda gap: gap[1] - gap[0])
+    first, last = max(gaps, key=lambda gap: gap[1] - gap[0])
     lost = sum(end - start for start, end in gaps)
-    return found(
-        "clock_gap",
-        f"{len(gaps)} gaps, {lost:.3g} s in all, the longest from {worst[0]:.3f} to "
-        f"{worst[1]:.3f} s",
-    )
+    text = f"{len(gaps)} gaps, {lost:.3g} s in all, the longest from {first:.3f} to {last:.3f} s"
+    return found("clock_gap", text)
 
 
 def gaps_of(data: LogData) -> list[tuple[float, float]]:
     """Gaps without a row [s], but for the holes between episodes."""
-    health = data.recording.health
+    health, t = data.recording.health, data.t
     if not health.gaps:
         return []
-    t = data.t
     steps = np.diff(t)
     wide = np.flatnonzero(steps > gap_limit(steps))
     for said in filter(None, map(_EPISODES.search, health.warnings)):
@@ -98,39 +92,20 @@ def gaps_of(data: LogData) -> list[tuple[float, float]]:
     return [(float(t[k]), float(t[k + 1])) for k in wide]
 
 
-def _said(warnings: tuple[str, ...], names: tuple[str, ...]) -> Iterator[InspectionFinding]:
-    for text in warnings:
-        code = next((code for form, code in _SAID if re.search(form, text)), "reader")
-        if not code:
-            continue
-        subject = text.partition(":")[0]
-        joint = subject if subject in names else ""
-        imu = re.search(r"IMU '([^']+)'", text)
-        yield found(code, text, joint=imu[1] if imu else joint)
-
-
 def hole_findings(data: LogData) -> Iterator[InspectionFinding]:
     """Find holes in the position and the torque of every joint."""
-    effort = data.effort()
+    effort, t = data.effort(), data.t
     channels = [("position", data.joints.channels["position"]), *([effort] if effort else [])]
     for quantity, values in channels:
-        if np.isfinite(values).all():
-            continue
-        for j, joint in enumerate(data.robot.joints):
-            holes = _holes(data.t, values[:, j])
-            if holes:
-                start, end = max(holes, key=lambda hole: hole[1] - hole[0])
-                more = f" and {len(holes) - 1} more times" if len(holes) > 1 else ""
-                text = f"has no values from {start:.3f} to {end:.3f} s{more}"
-                yield found("channel_hole", text, joint=joint.name, channel=quantity)
-
-
-def _holes(t: Array, values: Array) -> list[tuple[float, float]]:
-    """List the times between present values that are longer than any other gap is taken for."""
-    present = np.flatnonzero(np.isfinite(values))
-    if len(present) < 3:
-        return []
-    steps = np.diff(t[present])
-    usual = int(np.median(np.diff(present)))
-    wide = (steps > gap_limit(steps)) & (np.diff(present) > 2 * usual)  # rows without it between
-    return [(float(t[present[k]]), float(t[present[k + 1]])) for k in np.flatnonzero(wide)]
+        for name, there in zip(data.robot.joint_names, np.isfinite(values).T, strict=True):
+            present = np.flatnonzero(there)
+            if there.all() or len(present) < 3:
+                continue
+            steps, rows = np.diff(t[present]), np.diff(present)
+            wide = (steps > gap_limit(steps)) & (rows > 2 * int(np.median(rows)))
+            count = np.count_nonzero(wide)
+            if count:
+                k = int(np.where(wide, steps, 0.0).argmax())
+                more = f" and {count - 1} more times" if count > 1 else ""
+                text = f"has no values from {t[present[k]]:.3f} to {t[present[k + 1]]:.3f} s{more}"
+                yield found("channel_hole", text, joint=name, channel=quantity)

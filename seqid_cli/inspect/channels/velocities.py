@@ -1,17 +1,17 @@
 """Logged velocities against the positions, over windows in which the encoder sees motion."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Container, Iterator
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
+from seqid_cli.typing import Mask
 
 COUNTS = 10.0  # encoder steps of travel that make a window count
 FEWEST = 10
@@ -21,7 +21,7 @@ CORRELATED = 0.9
 
 def velocity_findings(
     data: LogData,
-    broken: frozenset[str] = frozenset(),
+    broken: Container[str] = (),
     *,
     windows_s: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0),
 ) -> Iterator[InspectionFinding]:
@@ -31,10 +31,10 @@ def velocity_findings(
     names = data.robot.joint_names
     sound = [j for j in range(data.robot.n) if names[j] not in broken]
     choices = [_windows(data, seconds) for seconds in windows_s]
+    judged = [[j for j in sound if one.counts[:, j].sum() >= FEWEST] for one in choices]
     # The shortest windows that show as many joints as any; max takes the first of equals.
-    windows = max(choices, key=lambda choice: len(_judged(choice, data, sound)))
-    travel, integral, counts = windows.travel, windows.integral, windows.counts(data)
-    moving = _judged(windows, data, sound)
+    best = max(range(len(choices)), key=lambda k: len(judged[k]))
+    (_, travel, integral, counts), moving = choices[best], judged[best]
     crossed = _crossed(travel, integral, moving)
     paired = {j for pair in crossed for j in pair}
     alone = [j for j in sound if j not in paired]
@@ -42,35 +42,31 @@ def velocity_findings(
     for j, seconds in dead.items():
         text = f"stands still for {seconds:.2g} s in which its velocity moves it"
         yield found("position_stuck", text, joint=names[j], channel="position")
-    judged = [j for j in moving if j not in dead]
-    fits = {j: _fit(travel[counts[:, j], j], integral[counts[:, j], j]) for j in judged}
-    shared = _time_unit({j: gain for j, (gain, r, _) in fits.items() if abs(r) > CORRELATED})
-    if shared:
-        yield found(
-            "time_unit",
-            f"the velocity is {1 / shared:.3g} times the slope of the position at every joint",
-            channel="t",
-        )
-        return
+    live = [j for j in moving if j not in dead]
+    fits = {j: _fit(travel[counts[:, j], j], integral[counts[:, j], j]) for j in live}
+    gains = [gain for gain, r, _ in fits.values() if abs(r) > CORRELATED]
+    for factor in (1e-3, 1e-6, 1e3, 1e6) if gains else ():  # by which all gains are off
+        if all(abs(gain / factor - 1.0) < NEAR for gain in gains):
+            text = (
+                f"the velocity is {1 / factor:.3g} times the slope of the position at every joint"
+            )
+            yield found("time_unit", text, channel="t")
+            return
     for a, b in crossed:
         text = f"the velocity of {names[a]} fits the position of {names[b]} and the other way round"
         yield found("joints_swapped", text, joint=f"{names[a]}, {names[b]}", channel="velocity")
-    for j in judged:
+    for j in live:
         if j not in paired:
             yield from _verdict(data, j, *fits[j])
 
 
-@dataclass(frozen=True)
-class _Windows:
-    """Travel (W, n) of the positions and integral (W, n) of the velocities over windows."""
+class _Windows(NamedTuple):
+    """Windows of some length: travel of the positions, integral of the velocities (W, n)."""
 
     seconds: float
     travel: Array
     integral: Array
-
-    def counts(self, data: LogData) -> NDArray[np.bool_]:
-        """Where the encoders (W, n) see enough to be judged."""
-        return np.asarray(np.abs(self.travel) > COUNTS * data.step)
+    counts: Mask  # (W, n) where the encoders see enough to be judged
 
 
 def _windows(data: LogData, seconds: float) -> _Windows:
@@ -84,12 +80,8 @@ def _windows(data: LogData, seconds: float) -> _Windows:
     broken = np.concatenate([[0], np.cumsum(~recording.valid)])[edges]
     whole = np.diff(broken) == 0
     travel = np.diff(recording.q[edges], axis=0)[whole]
-    return _Windows(seconds, travel, np.diff(total[edges], axis=0)[whole])
-
-
-def _judged(windows: _Windows, data: LogData, sound: list[int]) -> list[int]:
-    counts = windows.counts(data)
-    return [j for j in sound if counts[:, j].sum() >= FEWEST]
+    counts = np.abs(travel) > COUNTS * data.step
+    return _Windows(seconds, travel, np.diff(total[edges], axis=0)[whole], counts)
 
 
 def _dead_s(
@@ -113,23 +105,12 @@ def _dead_s(
 
 def _fit(travel: Array, integral: Array) -> tuple[float, float, float]:
     """Gain from integral to travel, their correlation, and the ratio of their RMS."""
-    energy = float(integral @ integral)
-    power = float(travel @ travel)
-    ratio = np.sqrt(energy / max(power, 1e-300))
+    energy, power = float(integral @ integral), float(travel @ travel)
+    ratio = float(np.sqrt(energy / max(power, 1e-300)))
     if energy <= 0.0 or power <= 0.0:
-        return 0.0, 0.0, float(ratio)
+        return 0.0, 0.0, ratio
     product = float(travel @ integral)
-    return product / energy, product / np.sqrt(energy * power), float(ratio)
-
-
-def _time_unit(gains: dict[int, float]) -> float:
-    """Return the power of 1000 by which all gains are off; 0 where they are not."""
-    if not gains:
-        return 0.0
-    for factor in (1e-3, 1e-6, 1e3, 1e6):
-        if all(abs(gain / factor - 1.0) < NEAR for gain in gains.values()):
-            return factor
-    return 0.0
+    return product / energy, product / np.sqrt(energy * power), ratio
 
 
 def _crossed(
@@ -162,16 +143,15 @@ def _verdict(
         yield found("velocity_zero", text, joint=joint.name, channel="velocity")
         return
     degrees = np.degrees(1.0)
-    codes = {degrees: "position_in_degrees", 1.0 / degrees: "velocity_in_degrees", -1.0: ""}
+    codes = {"position_in_degrees": degrees, "velocity_in_degrees": 1.0 / degrees}
     if joint.prismatic:
-        codes = {1000.0: "position_in_mm", -1.0: ""}
+        codes = {"position_in_mm": 1000.0}
     text = f"the position changes by {gain:.3g} times the velocity's integral"
-    if abs(correlation) > CORRELATED:
-        for factor, code in codes.items():
-            if abs(gain / factor - 1.0) < (NEAR if code else 0.2):
-                channel = "position" if code.startswith("position") else "velocity"
-                yield found(code or "velocity_sign", text, joint=joint.name, channel=channel)
-                return
+    for code, factor in {**codes, "velocity_sign": -1.0}.items():
+        near = NEAR if factor > 0.0 else 0.2
+        if abs(correlation) > CORRELATED and abs(gain / factor - 1.0) < near:
+            yield found(code, text, joint=joint.name, channel=code.partition("_")[0])
+            return
     if not min_gain < gain < max_gain or correlation < CORRELATED:
         text += f", correlation {correlation:.2f}"
         yield found("velocity_inconsistent", text, joint=joint.name, channel="velocity")

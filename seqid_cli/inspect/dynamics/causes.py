@@ -43,15 +43,14 @@ def causes_of(robot: Robot, sample: Sample) -> Iterator[Cause]:
                 yield Cause("position_zero", (j,), text, _scaled((j,), 1.0, shift=angle * np.pi))
     # Exchanging a joint that stands with one that moves changes what is compared.
     for a, b in combinations(sample.moving, 2):
-        if robot.joints[a].prismatic != robot.joints[b].prismatic:
-            continue
-        yield Cause("joints_swapped", (a, b), "are exchanged", _swapped(a, b))
-        yield Cause(
-            "joints_swapped", (a, b), "have exchanged positions", _swapped(a, b, torque=False)
-        )
-        yield Cause(
-            "joints_swapped", (a, b), "have exchanged torques", _swapped(a, b, motion=False)
-        )
+        for text, motion, torque in (
+            ("are exchanged", True, True),
+            ("have exchanged positions", True, False),
+            ("have exchanged torques", False, True),
+        ):
+            if robot.joints[a].prismatic == robot.joints[b].prismatic:
+                change = _swapped(a, b, motion=motion, torque=torque)
+                yield Cause("joints_swapped", (a, b), text, change)
 
 
 def units_of(data: LogData) -> Iterator[Cause]:
@@ -60,13 +59,13 @@ def units_of(data: LogData) -> Iterator[Cause]:
     factor = np.array([abs(joint.torque_per_ampere or 0.0) for joint in joints])
     if effort is None or not factor.all():
         return
-    every, current = tuple(range(len(joints))), effort[0] == "current"
-    code = "effort_is_torque" if current else "effort_is_current"
-    text = "carry torque, not current" if current else "carry current, not torque"
-    scale = 1.0 / factor if current else factor
-    yield Cause(
-        code, every, text, lambda r, sample: (r, replace(sample, tau=sample.tau * scale)), effort[0]
-    )
+    every, logged = tuple(range(len(joints))), effort[0]
+    other, scale = ("torque", 1.0 / factor) if logged == "current" else ("current", factor)
+
+    def change(robot: Robot, sample: Sample) -> tuple[Robot, Sample]:
+        return robot, replace(sample, tau=sample.tau * scale)
+
+    yield Cause(f"effort_is_{other}", every, f"carry {other}, not {logged}", change, logged)
 
 
 def compensated(data: LogData) -> Iterator[Cause]:
@@ -116,7 +115,7 @@ def _scaled(
     return change
 
 
-def _swapped(a: int, b: int, *, motion: bool = True, torque: bool = True) -> Change:
+def _swapped(a: int, b: int, *, motion: bool, torque: bool) -> Change:
     def change(robot: Robot, sample: Sample) -> tuple[Robot, Sample]:
         order = list(range(sample.q.shape[1]))
         order[a], order[b] = b, a

@@ -9,13 +9,19 @@ is torque.
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
 
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, compensated, mounted, units_of
-from seqid_cli.inspect.dynamics.friction import Sample, joint_columns, position_columns
+from seqid_cli.inspect.dynamics.friction import (
+    Sample,
+    joint_columns,
+    position_columns,
+    scaled_fit,
+)
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -30,19 +36,17 @@ HEAVY = 1e-3  # N m
 GRAVITY = re.compile(r"gravity acts along (\[[^\]]*\]);")
 
 
-@dataclass(frozen=True)
-class Left:
+class Left(NamedTuple):
     """The torque that a fit leaves, as a share of its RMS, and the rank of the fit."""
 
     error: float
-    columns: int
+    columns: int = 0
 
 
 Measure = Callable[[Robot, Sample], Left]
 
 
-@dataclass(frozen=True)
-class Weight:
+class Weight(NamedTuple):
     """Measured over nominal gravity torque of one joint: its error and its limits."""
 
     joint: int
@@ -81,8 +85,7 @@ def _structural(
     poor: float = 0.6,
     min_steps: float = 10.0,
 ) -> Iterator[InspectionFinding]:
-    robot = data.robot
-    thin = _thinned(sample)
+    robot, thin = data.robot, _thinned(sample)
     left = _structural_error(robot, thin)
     error = left.error
     if error < suspicious:
@@ -90,14 +93,12 @@ def _structural(
     free = _structural_error(robot, thin, own_law=True).error
     causes = [*causes_of(robot, thin), *units_of(data), *compensated(data)]
     mended, _ = _mending(robot, thin, left, _structural_error, causes, free=free)
+    seen = all(sample.rms_speed(j) > min_steps * data.step[j] for j in sample.moving)
     if mended is not None:
         yield mended
-    elif error > poor and all(
-        sample.rms_speed(j) > min_steps * data.step[j] for j in sample.moving
-    ):
-        yield found(
-            "model_mismatch", f"the equations leave {percent(error, 0)} of the torque's RMS"
-        )
+    elif error > poor and seen:
+        text = f"the equations leave {percent(error, 0)} of the torque's RMS"
+        yield found("model_mismatch", text)
 
 
 def _mending(
@@ -127,9 +128,7 @@ def _mending(
     chosen, least = [], np.inf
     for kind in kinds:
         fits = [(measure(*cause.change(robot, sample)), cause) for cause in kind]
-        mends = [
-            (after.error, c) for after, c in fits if after.error <= _limit(before, after, free)
-        ]
+        mends = [(left.error, c) for left, c in fits if left.error <= _limit(before, left, free)]
         best = min((error for error, _ in mends), default=np.inf)
         alike = [cause for error, cause in mends if error < best / BETTER]
         if best < BETTER * least and len({frozenset(c.joints) for c in alike}) <= max_alike:
@@ -232,9 +231,9 @@ def _structural_error(
     parts = [Y, joint_columns(robot, sample), *([position_columns(sample)] if own_law else [])]
     X = np.concatenate(parts, axis=2)
     tau = sample.tau
-    sliding = np.zeros(tau.shape, dtype=bool)  # at rest friction takes any value
-    for j in sample.moving:
-        sliding[:, j] = np.abs(sample.dq[:, j]) > min_speed * sample.rms_speed(j)
+    # At rest friction takes any value.
+    least = np.array([min_speed * sample.rms_speed(j) for j in range(robot.n)])
+    sliding = np.isin(np.arange(robot.n), sample.moving) & (np.abs(sample.dq) > least)
     squares = np.where(sliding, tau, 0.0) ** 2
     size = np.sqrt(squares.sum(axis=0) / np.maximum(sliding.sum(axis=0), 1))
     size = np.maximum(size, 1e-12)
@@ -259,25 +258,19 @@ def _weights(
     if robot.nominal is None or not robot.gravity.any():
         return []
     gravity, inertia = _nominal(robot, sample)
-    rms = gravity.std(axis=0)
-    could = largest_gravity(robot)
+    rms, could = gravity.std(axis=0), largest_gravity(robot)
     slides = np.array([joint.prismatic for joint in robot.joints])
     moving = np.isin(np.arange(robot.n), sample.moving)
     columns = joint_columns(robot, sample)
     result = []
     for j in sample.moving:
         alike = slides == slides[j]  # forces and torques are not to be compared
-        least = max(
-            min_load * max(float(rms[alike & moving].max()), HEAVY), min_acting * float(could[j])
-        )
-        if rms[j] < least or could[j] < min_weight * could[alike].max():
+        loaded = min_load * max(float(rms[alike & moving].max()), HEAVY)
+        acting = min_acting * float(could[j])
+        if rms[j] < max(loaded, acting) or could[j] < min_weight * could[alike].max():
             continue  # friction that changes with position would pass for gravity
-        own = columns[:, j, 4 * j : 4 * j + 4]
-        X = np.column_stack([gravity[:, j], inertia[:, j], own])
-        scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
-        inverse = np.linalg.pinv(X / scale, rcond=1e-8) / scale[:, None]
-        theta = inverse @ sample.tau[:, j]
-        left = sample.tau[:, j] - X @ theta
+        X = np.column_stack([gravity[:, j], inertia[:, j], columns[:, j, 4 * j : 4 * j + 4]])
+        theta, inverse, left = scaled_fit(X, sample.tau[:, j])
         variance = float(np.mean(left**2)) * sample.memory
         error = float(np.sqrt(variance * (inverse[0] @ inverse[0])))
         ratio = float(theta[0])
@@ -318,10 +311,9 @@ def _nominal_error(robot: Robot, sample: Sample, *, scaled: bool = False) -> Lef
         own = columns[:, j, 4 * j : 4 * j + 4]
         y = sample.tau[:, j] - (0.0 if scaled else gravity[:, j] + inertia[:, j])
         X = np.column_stack([own, gravity[:, j], inertia[:, j]]) if scaled else own
-        X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
-        left = y - X @ np.linalg.lstsq(X, y, rcond=1e-8)[0]
+        *_, left = scaled_fit(X, y)
         shares.append(float(np.mean(left**2)) / max(float(np.var(sample.tau[:, j])), 1e-300))
-    return Left(float(np.sqrt(np.mean(shares))), 0)
+    return Left(float(np.sqrt(np.mean(shares))))
 
 
 def _scale(
@@ -346,23 +338,19 @@ def _scale(
     if mended is not None and not (pulls and unit < error / BETTER):
         yield mended
         return
-    effort = data.effort()
+    quantity, _ = data.effort() or ("torque", None)
     for w in off:
         joint = data.robot.joints[w.joint]
         text = f"the torque is {w.ratio:.3g} +- {w.error:.1g} of the expected gravity torque"
-        code = "axis_flipped" if w.high < -min_opposite else _unit_code(data, w)
-        yield found(code, text, joint=joint.name, channel=effort[0] if effort else "torque")
-
-
-def _unit_code(data: LogData, weight: Weight) -> str:
-    joint = data.robot.joints[weight.joint]
-    factor = abs(joint.torque_per_ampere or 0.0)
-    effort = data.effort()
-    current = effort is not None and effort[0] == "current"
-    if current and 300.0 < abs(weight.ratio) < 3000.0:
-        return "current_in_ma"
-    if factor and current and 0.4 < abs(weight.ratio) / factor < 2.5:
-        return "effort_is_torque"
-    if factor and not current and 0.4 < abs(weight.ratio) * factor < 2.5:
-        return "effort_is_current"
-    return "torque_scale"
+        factor = abs(joint.torque_per_ampere or 0.0)
+        in_amperes = abs(w.ratio) / factor if factor else 0.0
+        code = "torque_scale"
+        if w.high < -min_opposite:
+            code = "axis_flipped"
+        elif quantity == "current" and 300.0 < abs(w.ratio) < 3000.0:
+            code = "current_in_ma"
+        elif quantity == "current" and 0.4 < in_amperes < 2.5:
+            code = "effort_is_torque"
+        elif quantity == "torque" and 0.4 < abs(w.ratio) * factor < 2.5:
+            code = "effort_is_current"
+        yield found(code, text, joint=joint.name, channel=quantity)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import NDArray
+from scipy.signal import correlate
 
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
@@ -150,7 +151,15 @@ def friction_findings(
             yield found("sign_mismatch", text, joint=names[j], channel="torque")
 
 
-def _friction(sample: Sample, gravity: Array, j: int, *, rcond: float = 1e-8) -> Friction | None:
+def scaled_fit(X: Array, y: Array, *, rcond: float = 1e-8) -> tuple[Array, Array, Array]:
+    """Least squares of y (N,) by columns X (N, p), scaled: theta, map from y, what is left."""
+    scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
+    inverse = np.linalg.pinv(X / scale, rcond=rcond) / scale[:, None]
+    theta = inverse @ y
+    return theta, inverse, y - X @ theta
+
+
+def _friction(sample: Sample, gravity: Array, j: int) -> Friction | None:
     tau = sample.tau[:, j]
     spread = float(tau.std())
     if spread == 0.0 or not sample.moving:
@@ -159,11 +168,10 @@ def _friction(sample: Sample, gravity: Array, j: int, *, rcond: float = 1e-8) ->
     columns = [*sample.direction[:, moving].T, *sample.ddq[:, moving].T]
     if j in moving:  # beside it, the coefficient of the direction is friction at RMS speed
         columns.append(sample.dq[:, j] / sample.rms_speed(j) - sample.direction[:, j])
-    X = np.column_stack([*columns, *_law(sample, gravity, j)])
-    scale = np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
-    inverse = np.linalg.pinv(X / scale, rcond=rcond) / scale[:, None]
-    theta = inverse @ tau
-    residual = tau - X @ theta
+    # What depends on position alone: a smooth function of its own, and gravity.
+    own = _smooth(sample.q[:, j], SMOOTH_TERMS if j in sample.moving else 1)
+    heavy = [g for g in gravity.T if np.abs(g).max() > 1e-9]
+    theta, inverse, residual = scaled_fit(np.column_stack([*columns, own, *heavy]), tau)
     freedom = max(len(tau) - len(theta) * sample.memory, 10.0)
     variance = float(residual @ residual) / freedom * max(sample.memory, memory_of(residual))
     errors = np.sqrt(np.sum(inverse**2, axis=1) * variance)
@@ -177,9 +185,7 @@ def _friction(sample: Sample, gravity: Array, j: int, *, rcond: float = 1e-8) ->
 def memory_of(residual: Array) -> float:
     """Count the samples of a residual (M,) that say as much as one: by its autocorrelation."""
     x = residual - residual.mean()
-    size = 1 << (2 * len(x) - 1).bit_length()
-    spectrum = np.abs(np.fft.rfft(x, size)) ** 2
-    r = np.fft.irfft(spectrum)[: len(x)]
+    r = correlate(x, x, method="fft")[len(x) - 1 :]
     if r[0] <= 0.0:
         return 1.0
     negative = np.flatnonzero(r <= 0.0)
@@ -195,24 +201,12 @@ def _gravity(robot: Robot, sample: Sample) -> Array:
     return base_regressor(robot, sample.basis, sample.q, still, still)
 
 
-def _law(sample: Sample, gravity: Array, j: int) -> list[Array]:
-    """Return columns that depend on position alone."""
-    q = sample.q[:, j]
-    span = float(np.ptp(q))
-    terms = SMOOTH_TERMS if j in sample.moving and span > 0 else 1
-    columns = list(_smooth(q, terms).T)
-    columns += [g for g in gravity.T if np.abs(g).max() > 1e-9]
-    return columns
-
-
 def _exchanged(fits: dict[int, Friction], moving: tuple[int, ...]) -> list[tuple[int, int]]:
     """Pairs of joints whose torques show each other's friction but not their own."""
     pairs = []
     for a, b in combinations(sorted(fits), 2):
-        if a not in moving and b not in moving:
-            continue
         ways = [(i, j) for i, j in ((a, b), (b, a)) if i in moving]
-        if all(_alien(fits, i, j) for i, j in ways):
+        if ways and all(_alien(fits, i, j) for i, j in ways):
             pairs.append((a, b))
     return pairs
 
@@ -227,15 +221,9 @@ def _alien(
     """Whether the motion of joint i shows as friction in the torque of j, and not in its own."""
     own, own_error = fits[i].by_joint[i]
     alien, error = fits[j].by_joint[i]
-    certain = (abs(fit.by_joint[i][0]) - 2.0 * fit.by_joint[i][1] for fit in fits.values())
-    largest = max(certain)
-    return (
-        alien > SIGMAS * error
-        and alien > SHARE * fits[j].spread
-        and abs(alien) >= largest
-        and 2.0 * own_error < alien
-        and abs(own) < max(max_own * alien, 2.0 * own_error)
-    )
+    largest = max(abs(fit.by_joint[i][0]) - 2.0 * fit.by_joint[i][1] for fit in fits.values())
+    seen = max(SIGMAS * error, SHARE * fits[j].spread, 2.0 * own_error) < alien
+    return seen and alien >= largest and abs(own) < max(max_own * alien, 2.0 * own_error)
 
 
 def position_columns(sample: Sample) -> Array:

@@ -188,10 +188,8 @@ def smoothed_score(
         power = _power_below(ddq[:, j], rate_hz, np.minimum(cutoffs, rate_hz / 2))
         signal = np.maximum(power - error[:, j], 1e-12)
         values += np.log(signal) - KAPPA * error[:, j] / signal
-        # As `bandwidth_of`, of a velocity (N,).
-        velocity = dq[:, j]
-        length = min(len(velocity), max(256, int(20 * rate_hz)))
-        frequency, density = welch(velocity, rate_hz, nperseg=length, detrend=False)
+        length = min(len(dq), max(256, int(20 * rate_hz)))
+        frequency, density = welch(dq[:, j], rate_hz, nperseg=length, detrend=False)
         bandwidth = max(bandwidth, bandwidth_of(frequency, density, rate_hz))
     return Score(values, bandwidth, int(np.sum(moving)))
 

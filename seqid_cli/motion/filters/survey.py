@@ -87,7 +87,10 @@ class Survey:
         self._step = None
         for j, levels in enumerate(self._levels):
             if levels is not None:
-                self._add_levels(j, levels, q[:, j])
+                values = np.round(q[:, j], 10)
+                values = values[np.diff(values, prepend=np.nan) != 0]
+                self._known[j] = known = np.unique(np.concatenate([levels, values]))
+                self._levels[j] = None if len(known) > MOST_LEVELS else known
         wide = q if self._tail is None else np.concatenate([self._tail, q])
         end = self._seen + len(q)
         begin = end - len(wide)
@@ -113,13 +116,6 @@ class Survey:
             abc, bcd, cde = bc - ab, cd - bc, de - cd
             np.abs((cde - bcd) - (bcd - abc), out=kept[low:high])
         self._fourth.push_kept(kept, count)
-
-    def _add_levels(self, j: int, levels: Array, position: Array) -> None:
-        values = np.round(position, 10)
-        values = values[np.diff(values, prepend=np.nan) != 0]
-        levels = np.unique(np.concatenate([levels, values]))
-        self._known[j] = levels
-        self._levels[j] = None if len(levels) > MOST_LEVELS else levels
 
     def _add_travel(self, wide: Array, half: int, number: int, *, steps: int = 16) -> None:
         step = max(1, half // steps)

@@ -27,6 +27,7 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion, estimate_motion, filtered_torque
 from seqid_cli.motion.options import MotionOptions
+from seqid_cli.motion.smoother.chunk import Mounted
 from seqid_cli.motion.smoother.imus import mounted_imus, read
 from seqid_cli.motion.smoother.smooth import smoothed_motion
 from seqid_cli.params.schema import ImuStage
@@ -53,7 +54,7 @@ def fused_motion(
     missing = tuple(absent_imus(recording, robot, stage))
     if not mounted_imus(recording, robot, stage):
         return replace(encoder, warnings=(*encoder.warnings, *missing))
-    smoothed = _smoothed(_Task.of(recording, robot, stage))
+    smoothed = _smoothed(recording, robot, stage)
     warnings = (*encoder.warnings, *missing, *smoothed.notes)
     if not smoothed.imus:
         return replace(encoder, warnings=warnings)
@@ -71,7 +72,7 @@ def score_of_smoothed(
     recording: Recording, robot: Robot, stage: ImuStage | None, encoder: Motion, cutoffs: Array
 ) -> Score:
     """Score cut-offs [Hz] by the motion that the smoother makes of a log."""
-    smoothed = _smoothed(_Task.of(recording, robot, stage))
+    smoothed = _smoothed(recording, robot, stage)
     given = smoothed.dq, smoothed.ddq, smoothed.variance, recording.rate_hz, cutoffs
     return smoothed_score(encoder.cutoff, *given, moving=np.any(encoder.moving, axis=0))
 
@@ -101,7 +102,7 @@ def promising(
     """
     if not mounted_imus(recording, robot, stage) or recording.t[-1] < 2.0 * piece_s:
         return True
-    asked = _Task.of(recording, robot, stage).digest, float(encoder.cutoff.hz), piece_s
+    asked = _digest(recording, robot, stage), float(encoder.cutoff.hz), piece_s
     if asked not in _GAINS:
         _GAINS[asked] = _gain_of_piece(recording, robot, stage, encoder, piece_s)
     return _GAINS[asked] > min_gain
@@ -154,26 +155,17 @@ def disagreement(
     return np.asarray(seen & ~(apart <= limit))
 
 
-@dataclass(frozen=True, eq=False)
-class _Task:
-    """What a smoothed motion follows from, by its digest: all but the torque."""
-
-    recording: Recording
-    robot: Robot
-    stage: ImuStage | None
-    digest: bytes
-
-    @classmethod
-    def of(cls, recording: Recording, robot: Robot, stage: ImuStage | None) -> "_Task":
-        found = hashlib.sha256(
-            f"{robot.sha256} {robot.joints!r} {robot.imus!r} {recording.rate_hz!r}".encode()
-        )
-        found.update(b"" if stage is None else msgspec.json.encode(stage))
-        readings = {**recording.accelerometers, **{f"{k} w": v for k, v in recording.gyros.items()}}
-        for name, values in (("q", recording.q), ("valid", recording.valid), *readings.items()):
-            found.update(f"{name} {values.shape}".encode())
-            found.update(np.ascontiguousarray(values).tobytes())
-        return cls(replace(recording, tau=None), robot, stage, found.digest())
+def _digest(recording: Recording, robot: Robot, stage: ImuStage | None) -> bytes:
+    """Digest of what a smoothed motion follows from: all but the torque."""
+    found = hashlib.sha256(
+        f"{robot.sha256} {robot.joints!r} {robot.imus!r} {recording.rate_hz!r}".encode()
+    )
+    found.update(b"" if stage is None else msgspec.json.encode(stage))
+    readings = {**recording.accelerometers, **{f"{k} w": v for k, v in recording.gyros.items()}}
+    for name, values in (("q", recording.q), ("valid", recording.valid), *readings.items()):
+        found.update(f"{name} {values.shape}".encode())
+        found.update(np.ascontiguousarray(values).tobytes())
+    return found.digest()
 
 
 @dataclass(frozen=True)
@@ -189,24 +181,22 @@ class _Found:
     notes: tuple[str, ...]
 
 
-def _made(task: _Task) -> _Found:
-    s = smoothed_motion(task.recording, task.robot, task.stage)
-    imus = tuple(s.mounted)
-    known = task.recording.valid[s.places]
+def _made(recording: Recording, robot: Robot, stage: ImuStage | None) -> _Found:
+    s = smoothed_motion(recording, robot, stage)
+    known = recording.valid[s.places]
     variance = np.diagonal(s.covariance_at_places, axis1=2, axis2=3)
     variance = np.median(variance[known] if known.any() else variance, axis=0)
     last = max((x.place.link for x in s.mounted.values()), default=-1)
-    seen = np.arange(task.robot.n) <= last
+    seen = np.arange(robot.n) <= last
     variance = np.where(seen[:, None], variance, np.inf)
-    return _Found(s.q, s.dq, s.ddq, variance, seen, imus, (*s.notes, *_silent(task, imus)))
+    used = [x for x in mounted_imus(recording, robot, stage) if x.name in s.mounted]
+    notes = (*s.notes, *_silent(recording, used))
+    return _Found(s.q, s.dq, s.ddq, variance, seen, tuple(s.mounted), notes)
 
 
-def _silent(task: _Task, names: tuple[str, ...], *, mostly: float = 0.95) -> Iterator[str]:
+def _silent(recording: Recording, imus: list[Mounted], *, mostly: float = 0.95) -> Iterator[str]:
     """Say which of the IMUs that were used read only now and then."""
-    recording = task.recording
-    for imu in mounted_imus(recording, task.robot, task.stage):
-        if imu.name not in names:
-            continue
+    for imu in imus:
         live = read(imu, recording, slice(None)).live[recording.valid]
         share = np.count_nonzero(live.any(axis=1)) / max(len(live), 1)
         if share < mostly:
@@ -216,10 +206,13 @@ def _silent(task: _Task, names: tuple[str, ...], *, mostly: float = 0.95) -> Ite
 _KEPT = OrderedDict[bytes, _Found]()
 
 
-def _smoothed(task: _Task, *, most_values: int = 16_000_000) -> _Found:
-    """What a task follows to; the last ones are kept, up to so many values in all."""
-    found = _KEPT.pop(task.digest, None) or _made(task)
-    _KEPT[task.digest] = found
+def _smoothed(
+    recording: Recording, robot: Robot, stage: ImuStage | None, *, most_values: int = 16_000_000
+) -> _Found:
+    """Smooth a log; the last motions are kept by `_digest`, up to so many values in all."""
+    digest = _digest(recording, robot, stage)
+    found = _KEPT.pop(digest, None) or _made(recording, robot, stage)
+    _KEPT[digest] = found
     while sum(3 * one.q.size for one in _KEPT.values()) > most_values:
         _KEPT.popitem(last=False)
     return found

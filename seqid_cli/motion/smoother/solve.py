@@ -135,9 +135,24 @@ def renewed(
     constants: system.Constants,
     told: tuple[Array, ...] | None = None,
 ) -> Solution:
-    """One step of Gauss-Newton about the coefficients `c` (K, n)."""
+    """One step of Gauss-Newton about the coefficients `c` (K, n), constants with them."""
     normal = system.normal_equations(chunk, c, jerk, linear, constants=constants, told=told)
-    return stepped(replace(solved(chunk, c, jerk, normal), constants=constants), normal)
+    factor = _factor(normal.band)
+    border = halved(factor, normal.border)
+    schur = normal.corner - border.T @ border
+    free = halved(factor, normal.gradient[:, None])[:, 0]
+    if len(schur):
+        right = normal.corner_gradient - border.T @ free
+        found: Array = np.asarray(np.linalg.solve(schur, right), dtype=np.float64)
+        free = free - border @ found
+        imus = []
+        for x, taken, own in system.chosen(chunk, constants):
+            moves = np.zeros(len(x.away))
+            moves[taken] = found[own]
+            imus.append(moved(x, moves))
+        chunk = replace(chunk, imus=tuple(imus))
+    c = c + halved(factor, free[:, None], transposed=True).reshape(c.shape)
+    return Solution(chunk, c, jerk, factor, border, schur, constants)
 
 
 def _noise_factors(
@@ -164,33 +179,6 @@ def _first_coefficients(chunk: Chunk, *, first_mean_s: float = 0.05) -> Array:
     q = uniform_filter1d(q, max(3, int(first_mean_s / chunk.dt)), axis=0)
     index = np.clip((np.arange(chunk.intervals + 3) - 1) * chunk.every, 0, len(q) - 1)
     return np.asarray(q[index])
-
-
-def solved(chunk: Chunk, c: Array, jerk: Jerk, normal: system.Normal) -> Solution:
-    """Factor the normal equations; the coefficients stay as they are."""
-    factor = _factor(normal.band)
-    border = normal.border
-    if border.shape[1]:
-        border = halved(factor, border)
-    return Solution(chunk, c, jerk, factor, border, normal.corner - border.T @ border)
-
-
-def stepped(solution: Solution, normal: system.Normal) -> Solution:
-    """Coefficients, and constants where they take part, after one step of Gauss-Newton."""
-    free = halved(solution.factor, normal.gradient[:, None])[:, 0]
-    chunk = solution.chunk
-    if len(solution.schur):
-        right = normal.corner_gradient - solution.border.T @ free
-        constants: Array = np.asarray(np.linalg.solve(solution.schur, right), dtype=np.float64)
-        free = free - solution.border @ constants
-        imus = []
-        for x, taken, own in system.chosen(chunk, solution.constants):
-            moves = np.zeros(len(x.away))
-            moves[taken] = constants[own]
-            imus.append(moved(x, moves))
-        chunk = replace(chunk, imus=tuple(imus))
-    change = halved(solution.factor, free[:, None], transposed=True)
-    return replace(solution, chunk=chunk, c=solution.c + change.reshape(-1, chunk.joints))
 
 
 def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:
@@ -267,8 +255,11 @@ def probed_covariance(
     found = _at_knots(solution, knots)
     if len(shared.schur):
         at = np.round(knots * chunk.spacing / shared.chunk.spacing).astype(int)
-        along = _along(shared, np.minimum(at, shared.chunk.intervals - 1))
-        found += along @ np.swapaxes(along, 2, 3)
+        at = np.minimum(at, shared.chunk.intervals - 1)
+        reach = shared.reach().reshape(len(shared.c), chunk.joints, -1)
+        near = np.stack([reach[at + a] for a in range(4)])
+        along = np.moveaxis(np.tensordot(shared.chunk.knots[0], near, (1, 0)), 0, 2)
+        found += along @ np.swapaxes(along, 2, 3)  # (G, n, 3, r): constants move the motion
     return _everywhere(solution, knots, found)
 
 
@@ -299,14 +290,6 @@ def _everywhere(
         share = np.clip((places - knots[at - 1]) / gap, 0.0, 1.0)[:, None, None]
         out[:, j] = (before * (1 - share) + after * share) * rise[places]
     return places * chunk.every // chunk.stride, out
-
-
-def _along(shared: Solution, knots: Index) -> Array:
-    """By how much (G, n, 3, r) the constants may move the motion at some knots."""
-    n, W = shared.chunk.joints, shared.chunk.knots[0]
-    reach = shared.reach().reshape(len(shared.c), n, -1)
-    along = np.stack([reach[knots + a] for a in range(4)])
-    return np.moveaxis(np.tensordot(W, along, (1, 0)), 0, 2)
 
 
 def _at_knots(solution: Solution, knots: Index, *, fewer: int = 4) -> Array:

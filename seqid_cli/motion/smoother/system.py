@@ -21,11 +21,6 @@ class Cells:
     by_motion: Array
     by_constants: Array
 
-    def by_coefficients(self, chunk: Chunk, x: Mounted) -> Array:
-        """Whitened Jacobians (C, K, 4, m) in the coefficients."""
-        J = chunk.mean_knots(x.fraction).T @ self.by_motion
-        return np.asarray(J / x.spread[:, None, None])
-
 
 @dataclass(frozen=True)
 class Normal:
@@ -141,7 +136,8 @@ def normal_equations(
     for (x, taken, at), cells, expected in zip(slots, linear, told, strict=True):
         # Of the four coefficients of an interval, and of the constants.
         W = np.zeros((count, len(x.noise), 4, n))
-        W[..., : x.joints] = cells.by_coefficients(chunk, x)
+        by_coefficients = chunk.mean_knots(x.fraction).T @ cells.by_motion
+        W[..., : x.joints] = by_coefficients / x.spread[:, None, None]
         G = cells.by_constants[:, :, taken] / x.spread[:, None]
         W = np.concatenate([W.reshape(count, -1, 4 * n), G], axis=2)
         H = (W * _share(chunk, x)[:, :, None]).transpose(0, 2, 1) @ W
@@ -176,14 +172,10 @@ def chosen(chunk: Chunk, constants: Constants) -> Iterator[tuple[Mounted, Index,
     """Each IMU, which of its constants take part, and where they are among all that do."""
     start = 0
     for x in chunk.imus:
-        channels = len(x.noise)
-        bounds = {
-            "none": (0, 0),
-            "clock": (channels + 6, channels + 7),
-            "place": (0, channels + 7),
-            "all": (0, len(x.away)),
-        }
-        taken = np.arange(*bounds[constants])
+        late = len(x.noise) + 6
+        first = late if constants == "clock" else 0
+        stops = {"none": 0, "clock": late + 1, "place": late + 1, "all": len(x.away)}
+        taken = np.arange(first, stops[constants])
         yield x, taken, slice(start, start + len(taken))
         start += len(taken)
 

@@ -16,8 +16,8 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.smoother.chunk import Chunk
 from seqid_cli.motion.smoother.encoder import encoder_view
 from seqid_cli.motion.smoother.imus import mounted_imus, read
-from seqid_cli.motion.smoother.solve import probed_covariance, solved
-from seqid_cli.motion.smoother.system import linearised, normal_equations
+from seqid_cli.motion.smoother.solve import probed_covariance, renewed
+from seqid_cli.motion.smoother.system import linearised
 from seqid_cli.motion.smoother.terms import Jerk
 from tests.plants.fused import GYRO_NOISE, Case, Rig
 
@@ -80,9 +80,6 @@ def bound(c: Case, rig: Rig) -> Array:
     jerk = Jerk(size, second / np.outer(size, size), np.ones_like(truth.q))
     q = truth.q - dt**2 * truth.ddq / 6
     coefficients = np.vstack([q[:1], q, q[-1:], q[-1:]])
-    normal = normal_equations(
-        chunk, coefficients, jerk, linearised(chunk, coefficients), constants="place"
-    )
-    solution = replace(solved(chunk, coefficients, jerk, normal), constants="place")
+    solution = renewed(chunk, coefficients, jerk, linearised(chunk, coefficients), "place")
     covariance = probed_covariance(solution, solution)[1]
     return np.asarray(np.sqrt(np.mean(covariance[:, :, 2, 2], axis=0)))

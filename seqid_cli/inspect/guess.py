@@ -38,11 +38,11 @@ WORDS: Mapping[str, tuple[str, ...]] = {
     "temperature": ("temperature", "temperatures", "temp", "temperatur"),
 }
 _QUANTITY = {word: quantity for quantity, words in WORDS.items() for word in words}
+_BESIDE = COMMANDED | MEASURED
 _SHORT = 2  # letters; such words are too common to stand for a quantity of one joint
 _BRACKET = re.compile(r"[\[(]\s*([^\])0-9{}]*)[\])]")  # a unit behind a name
 _UNITS = frozenset({"rad", "rads", "radians", "deg", "degs", "degrees", "grad", "nm", "amp", "s"})
 _DEGREES = frozenset({"deg", "degs", "degrees", "grad", "°"})
-_MILLIMETRES = frozenset({"mm"})
 
 
 @dataclass(frozen=True)
@@ -56,32 +56,28 @@ class Guess:
     @property
     def unit(self) -> Literal["rad", "deg"]:
         """Unit of the angles, as the names of the positions say."""
-        return "deg" if self._called(_DEGREES) else "rad"
+        return "deg" if _DEGREES & self._words() else "rad"
 
     @property
     def length_unit(self) -> Literal["m", "mm"]:
         """Unit of the lengths, as the names of the positions say."""
-        return "mm" if self._called(_MILLIMETRES) else "m"
+        return "mm" if "mm" in self._words() else "m"
 
-    def _called(self, units: frozenset[str]) -> bool:
-        """Whether the name of a position holds one of the units."""
+    def _words(self) -> set[str]:
+        """Words, and signs of degrees, in the names of the positions."""
         pattern = self.patterns.get("position", "")
         names = [pattern] if isinstance(pattern, str) else map(str, pattern)
-        return any(units & {*_letters(name), *re.findall("°", name)} for name in names)
+        return {word for name in names for word in (*_letters(name), *re.findall("°", name))}
 
 
 def guess(survey: Survey) -> Guess:
     """Guess joints, channels and IMUs of a log from the names in it."""
-    names = survey.columns or [channel.name for channel in survey.channels]
-    imus = _imus(names)
-    if not survey.columns:
-        return Guess(survey.joints, {}, imus)
-    patterns, joints = guess_channels(names)
-    defaults = tuple(n.removesuffix(".position") for n in names if n.endswith(".position"))
-    if defaults:
-        return Guess(defaults, {}, imus)
-    if not joints:
-        return Guess(survey.joints, {}, imus)
+    imus = _imus(survey.columns or [channel.name for channel in survey.channels])
+    patterns, joints = guess_channels(survey.columns)
+    ends = (name.rpartition(".") for name in survey.columns)
+    defaults = tuple(joint for joint, dot, quantity in ends if dot and quantity == "position")
+    if defaults or not joints:
+        return Guess(defaults or survey.joints, {}, imus)
     return Guess(joints, patterns, imus)
 
 
@@ -101,10 +97,8 @@ def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str,
             fits = [own for own in forms.values() if _serves(sorted(own), numbers)]
             if fits:
                 patterns[quantity] = _index(max(fits, key=len), numbers)
-        first = 1 if _is_range(numbers) else 0
-        return patterns, tuple(
-            f"joint_{k + 1 if first else number}" for k, number in enumerate(numbers)
-        )
+        counted = range(1, len(numbers) + 1) if _is_range(numbers) else numbers
+        return patterns, tuple(f"joint_{number}" for number in counted)
     if "position" in named:
         form, joints = max(named["position"].items(), key=lambda item: len(item[1]))
         patterns = {"position": form}
@@ -113,7 +107,10 @@ def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str,
             if fitting:
                 patterns.setdefault(quantity, fitting[0])
         return patterns, tuple(joints)
-    alone = _alone(names)
+    alone: dict[str, Columns] = {}  # of a single joint, which need no name: `q`, `q_act`, `tau`
+    for name in names:
+        if quantity := _quantity(_words(name)):
+            alone.setdefault(quantity, name)
     return (alone, ("joint_1",)) if "position" in alone else ({}, ())
 
 
@@ -133,16 +130,6 @@ def _index(forms: Mapping[int, str], numbers: list[int]) -> Columns:
         return forms[own[0]].replace("{#}", "{index0}" if own[0] == 0 else "{index}")
     columns = tuple(forms[number].replace("{#}", str(number)) for number in own)
     return columns[0] if len(columns) == 1 else columns
-
-
-def _alone(names: list[str]) -> dict[str, Columns]:
-    """Columns of a single joint, which need no name: `q`, `q_act`, `tau`."""
-    found: dict[str, Columns] = {}
-    for name in names:
-        quantity = _quantity(_words(name))
-        if quantity:
-            found.setdefault(quantity, name)
-    return found
 
 
 def _numbered(names: list[str], *, max_joints: int = 64) -> dict[str, dict[str, dict[int, str]]]:
@@ -172,17 +159,14 @@ def _named(names: list[str]) -> dict[str, dict[str, list[str]]]:
             for at in (len(parts) - 1, 0):
                 quantity = _quantity(_words(parts[at])) if len(parts) > 1 else ""
                 joint = separator.join(parts[:at] if at else parts[1:]).strip("/")
-                if quantity and joint and not (COMMANDED | MEASURED) & set(_words(joint)):
+                if quantity and joint and not _BESIDE & set(_words(joint)):
                     form = name.replace(joint, "{name}", 1)
                     found.setdefault(quantity, {}).setdefault(form, []).append(joint)
-    long = {q: {f: js for f, js in own.items() if _tells(f, js)} for q, own in found.items()}
-    return {quantity: own for quantity, own in long.items() if own}
-
-
-def _tells(form: str, joints: list[str]) -> bool:
-    """Whether a form tells a quantity: words of few letters do so beside several joints only."""
-    word = max(_letters(form.replace("{name}", " ")), key=len)
-    return len(joints) > 1 or len(word) > _SHORT
+    for own in found.values():  # words of few letters tell a quantity beside several joints only
+        for form in [form for form, joints in own.items() if len(joints) == 1]:
+            if max(map(len, _letters(form.replace("{name}", " ")))) <= _SHORT:
+                del own[form]
+    return {quantity: own for quantity, own in found.items() if own}
 
 
 def _words(text: str) -> list[str]:
@@ -191,27 +175,20 @@ def _words(text: str) -> list[str]:
     return words[:1] + [word for word in words[1:] if word not in _UNITS]
 
 
-def _letters(text: str) -> list[str]:
-    words = re.split(r"[^A-Za-z]+|(?<=[a-z])(?=[A-Z])", text)
-    return [part for word in words if word for part in _parts(word.lower())]
-
-
-def _parts(word: str, *, shortest: int = 3) -> list[str]:
-    """Part a compound (`istposition`, `motorstrom`): a word beside a quantity, and the quantity."""
-    for beside in COMMANDED | MEASURED:
-        if len(beside) >= shortest and word.startswith(beside) and word[len(beside) :] in _QUANTITY:
-            return [beside, word[len(beside) :]]
-    return [word]
+def _letters(text: str, *, shortest: int = 3) -> list[str]:
+    """Words in lower case; a compound (`istposition`, `motorstrom`) is parted at its quantity."""
+    words: list[str] = []
+    for word in filter(None, re.split(r"[^A-Za-z]+|(?<=[a-z])(?=[A-Z])", text)):
+        ends = (word[len(b) :].lower() for b in _BESIDE if word.lower().startswith(b))
+        quantity = next((q for q in ends if len(word) - len(q) >= shortest and q in _QUANTITY), "")
+        words += filter(None, (word.lower().removesuffix(quantity), quantity))
+    return words
 
 
 def _quantity(words: list[str]) -> str:
     if COMMANDED & set(words):
         return ""
-    rest = [word for word in words if word not in MEASURED] or [""]
-    for text in ("".join(rest), rest[-1] if len(rest) == 1 else ""):
-        if text in _QUANTITY:
-            return _QUANTITY[text]
-    return ""
+    return _QUANTITY.get("".join(word for word in words if word not in MEASURED), "")
 
 
 def _is_range(numbers: list[int]) -> bool:
@@ -257,8 +234,5 @@ def stand_in(guessed: Guess, *, source: Path) -> Robot:
         sha256="",
         source=source,
         imus=guessed.imus,
-        channels=Channels(
-            **guessed.patterns,  # type: ignore[arg-type]
-            unit=guessed.unit,
-        ),
+        channels=Channels(**guessed.patterns, unit=guessed.unit),  # type: ignore[arg-type]
     )

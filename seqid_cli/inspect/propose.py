@@ -4,12 +4,12 @@ import difflib
 import json
 import math
 import re
-from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
-from msgspec import structs
 
 from seqid_cli.errors import InputError, SeqidError, UsageError
 from seqid_cli.inspect.dynamics.equations import GRAVITY
@@ -27,8 +27,7 @@ from seqid_cli.robot.urdf.text import UrdfText
 _FILLERS = re.compile(r"(joint|axis|link|act|actuator)")
 
 
-@dataclass(frozen=True)
-class Proposal:
+class Proposal(NamedTuple):
     """A proposed robot file, and the entries that are left to the user."""
 
     template: RobotTemplate
@@ -61,19 +60,24 @@ def propose(
         if report.log.verdict == "unreadable":
             first = report.findings[0]
             raise InputError(first.message, hint=first.remedy, where=report.log.path)
-    seen = _merged([joint for report in reports for joint in report.log.joints])
+    seen: dict[str, InspectedJoint] = {}  # a joint moves if it moves in any log
+    for joint in (joint for report in reports for joint in report.log.joints):
+        if joint.name not in seen or (joint.moves and not seen[joint.name].moves):
+            seen[joint.name] = joint
     undriven = [name for name in guessed.joints if name not in seen]
     guessed = replace(guessed, joints=tuple(n for n in guessed.joints if n in seen))
     pairs, chain = _matched(guessed.joints, urdf)
     codes = {finding.code for report in reports for finding in report.findings}
     found: list[tuple[str, UrdfJoint | None]] = [*pairs]
     found = found or [(log_name, None) for log_name in guessed.joints]
-    units = _units(guessed, codes)
-    if any(_in_mm(joint, seen[log_name], read_as=guessed.unit) for log_name, joint in pairs):
+    units = {"unit": "deg"} if guessed.unit == "deg" or "position_in_degrees" in codes else {}
+    read_as = guessed.unit
+    sliding = any(_in_mm(own, seen[log_name], read_as=read_as) for log_name, own in pairs)
+    if sliding or guessed.length_unit == "mm":
         units["length_unit"] = "mm"
     joints = tuple(
-        _joint(log_name, joint, seen[log_name], read_as=guessed.unit, units=units)
-        for log_name, joint in found
+        _joint(log_name, own, seen[log_name], read_as=read_as, units=units)
+        for log_name, own in found
     )
     joints = _driven(joints, drives)
     names = tuple(joint.name for joint in joints)
@@ -115,13 +119,6 @@ def _driven(
     return joints
 
 
-def _units(guessed: Guess, codes: Container[str]) -> dict[str, str]:
-    """Return the units of `[channels]` that are not SI's, by names of columns or by findings."""
-    degrees = guessed.unit == "deg" or "position_in_degrees" in codes
-    unit = {"unit": "deg"} if degrees else {}
-    return unit | ({"length_unit": "mm"} if guessed.length_unit == "mm" else {})
-
-
 def _in_mm(joint: UrdfJoint, seen: InspectedJoint, *, read_as: str, margin: float = 0.02) -> bool:
     """Whether positions of a sliding joint are within its limits, or nearly, only in mm."""
     if joint.kind != "prismatic" or joint.lower is None or joint.upper is None:
@@ -153,15 +150,6 @@ def with_gravity(
     middle = [float(f"{x:.3g}") + 0.0 for x in np.median(each, axis=0)]
     line = f"gravity = {middle}  # m/s^2 in the base frame, as the logs tell"
     return re.sub(r"(?m)^gravity = .*$", line, content)
-
-
-def _merged(joints: Sequence[InspectedJoint]) -> dict[str, InspectedJoint]:
-    """Join the summaries of each joint over several logs: it moves if it moves in any."""
-    found: dict[str, InspectedJoint] = {}
-    for joint in joints:
-        if joint.name not in found or (joint.moves and not found[joint.name].moves):
-            found[joint.name] = joint
-    return found
 
 
 def match_names(log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6) -> dict[str, str]:
@@ -220,19 +208,19 @@ def _joint(
     units: Mapping[str, str],
 ) -> JointTemplate:
     """Describe a joint, whose positions the inspection took for angles in `read_as`."""
-    if seen.encoder_step is not None:
+    step = seen.encoder_step
+    if step is not None:
         angle = math.radians(1.0) if "unit" in units else 1.0
         length = 1e-3 if "length_unit" in units else 1.0
         factor = length if joint is not None and joint.kind == "prismatic" else angle
-        logged = math.degrees(seen.encoder_step) if read_as == "deg" else seen.encoder_step
-        seen = structs.replace(seen, encoder_step=factor * logged)
+        step = factor * (math.degrees(step) if read_as == "deg" else step)
     if joint is None:
-        return JointTemplate(log_name, encoder_step=seen.encoder_step, moves=seen.moves)
+        return JointTemplate(log_name, encoder_step=step, moves=seen.moves)
     limits = None
     if joint.lower is not None and joint.upper is not None:
         limits = (joint.lower, joint.upper)
     remark = "" if joint.name == log_name else f"{log_name} in the log"
-    return JointTemplate(joint.name, limits, joint.velocity, seen.encoder_step, seen.moves, remark)
+    return JointTemplate(joint.name, limits, joint.velocity, step, seen.moves, remark)
 
 
 def _channels(
@@ -249,7 +237,11 @@ def _channels(
     channels: dict[str, Columns] = {}
     if "t" not in times and len(times) != 1:
         channels["time"] = next(iter(times), "TODO")
-    patterns = dict(guessed.patterns) or _defaults(guessed.joints, names)
+    patterns = dict(guessed.patterns) or {
+        quantity: f"{{name}}.{quantity}"
+        for quantity in WORDS
+        if quantity == "position" or all(f"{name}.{quantity}" in names for name in guessed.joints)
+    }
     match = find_scheme(joints, names)
     if match is not None:  # what its names do not tell
         told = {*match.columns, *(("current", "torque") if "effort" in match.columns else ())}
@@ -258,22 +250,13 @@ def _channels(
     return {**channels, **mapped}, ()
 
 
-def _defaults(joints: tuple[str, ...], names: Sequence[str]) -> dict[str, Columns]:
-    """Return the default names of columns, of the quantities that the log has."""
-    return {
-        quantity: f"{{name}}.{quantity}"
-        for quantity in WORDS
-        if quantity == "position" or all(f"{joint}.{quantity}" in names for joint in joints)
-    }
-
-
 def _mapped(pattern: Columns, log: tuple[str, ...], joints: tuple[str, ...]) -> Columns:
     """Write the log's names by those of the URDF, where they only have something around them."""
     # Or by the number of the joint, where it is all that tells the log's names apart, or column by
     # column.
     if not isinstance(pattern, str) or "{name}" not in pattern:
         return pattern
-    for prefix, suffix in dict.fromkeys(map(_around, log, joints)):
+    for prefix, _, suffix in (a.partition(b) for a, b in zip(log, joints, strict=True) if b in a):
         if all(a == f"{prefix}{b}{suffix}" for a, b in zip(log, joints, strict=True)):
             return pattern.replace("{name}", f"{prefix}{{name}}{suffix}")
     for key, first in (("{index}", 1), ("{index0}", 0)):
@@ -282,11 +265,6 @@ def _mapped(pattern: Columns, log: tuple[str, ...], joints: tuple[str, ...]) -> 
             if all(name == f"{before}{k + first}{after}" for k, name in enumerate(log)):
                 return pattern.replace("{name}", f"{before}{key}{after}")
     return tuple(pattern.replace("{name}", name) for name in log)
-
-
-def _around(log: str, joint: str) -> tuple[str, str]:
-    before, found, after = log.partition(joint)
-    return (before, after) if found else ("", "")
 
 
 def _todo(
@@ -303,18 +281,18 @@ def _todo(
     if urdf is not None and pairs and template.left_out:
         names = ", ".join(template.left_out)
         todo.append(f"the log lacks joints of the URDF, taken as locked at zero: {names}")
-    lost: Mapping[str, None] = dict.fromkeys(guessed.joints)
-    if urdf is not None and not pairs:
+    if urdf is None:
+        todo.append("the geometry: name a URDF, or complete dh of every joint")
+    elif not pairs:
         todo.append(
             f"none of the log's joints ({', '.join(guessed.joints)}) was found in the URDF "
             f"({', '.join(urdf.movable) or 'no movable joint'}): give the geometry by hand"
         )
-    elif urdf is not None:
-        missing = [name for name in lost if name not in {log for log, _ in pairs}]
+    else:
+        there = {log for log, _ in pairs}
+        missing = [name for name in dict.fromkeys(guessed.joints) if name not in there]
         if missing:
             todo.append(f"joints of the log that the URDF's chain lacks: {', '.join(missing)}")
-    elif urdf is None:
-        todo.append("the geometry: name a URDF, or complete dh of every joint")
     known = all(joint.torque_constant and joint.gear_ratio for joint in template.joints)
     if template.effort == "current" and not known:
         todo.append("torque_constant and gear_ratio of every joint")

@@ -70,20 +70,14 @@ def make_base(
     stamps = joints.stamp_ns[rows]
     span = int(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0
     if len(rows) < LEAST_SAMPLES or span < least_seconds:
-        raise InputError(
-            f"only {len(rows)} samples over {span:.3g} s hold all joints; at least "
-            f"{LEAST_SAMPLES} over {least_seconds} s are needed",
-            hint="Record longer, or leave this log out.",
-            where=where,
-        )
+        text = f"only {len(rows)} samples over {span:.3g} s hold all joints; at least "
+        text += f"{LEAST_SAMPLES} over {least_seconds} s are needed"
+        raise InputError(text, hint="Record longer, or leave this log out.", where=where)
     step, jitter, gaps = _own_step(stamps)
     count = int(np.floor(span / step + 1e-6)) + 1
     if count > most_samples:
-        raise InputError(
-            f"{span:.3g} s at {1.0 / step:.3g} Hz are {count} samples, more than {most_samples}",
-            hint="Split the log.",
-            where=where,
-        )
+        text = f"{span:.3g} s at {1.0 / step:.3g} Hz are {count} samples, more than {most_samples}"
+        raise InputError(text, hint="Split the log.", where=where)
     exact = count == len(rows) and _on_base(stamps, step)
     return Base(int(stamps[0]), step, count, jitter, exact, rows, gaps)
 
@@ -131,11 +125,8 @@ def _base_rows(joints: Stream) -> NDArray[np.intp]:
         return np.zeros(0, np.intp)
     first = present.argmax(axis=0).max()
     last = len(present) - present[::-1].argmax(axis=0).max()
-    densest = present[:, present.sum(axis=0).argmax()].copy()
-    densest[:first] = False
-    densest[last:] = False
-    rows: NDArray[np.intp] = np.flatnonzero(densest)
-    return rows
+    densest = present[first:last, present.sum(axis=0).argmax()]
+    return np.asarray(first + np.flatnonzero(densest))
 
 
 def _own_step(stamps: Stamps) -> tuple[float, float, tuple[tuple[float, float], ...]]:

@@ -60,27 +60,6 @@ class EchoCriteria:
 ECHOES = EchoCriteria()
 
 
-@dataclass(frozen=True)
-class Shares:
-    """What one joint's torque consists of, as shares of its RMS; `error` is the friction's.
-
-    `others` is the share that friction and accelerations have in the square of `unexplained`.
-    """
-
-    unexplained: float
-    others: float
-    friction: float
-    error: float
-
-    def echo(self, criteria: EchoCriteria) -> bool:
-        """Whether position alone makes the torque."""
-        return (
-            self.unexplained < criteria.unexplained
-            and (self.others < criteria.others or self.unexplained < criteria.exact)
-            and self.friction < max(criteria.uncertain * self.error, criteria.none)
-        )
-
-
 def echoes(
     robot: Robot, t: Array, q: Array, tau: Array, valid: Mask, criteria: EchoCriteria = ECHOES
 ) -> list[int]:
@@ -88,24 +67,20 @@ def echoes(
 
     `t`, `q`, `tau` (N,) (N, n) (N, n): s, rad (m), N m (N). `valid` (N,): samples to look at.
     """
-    found = _shares(robot, t, q, tau, valid, criteria)
-    return [j for j, share in found.items() if share.echo(criteria)]
-
-
-def _shares(
-    robot: Robot, t: Array, q: Array, tau: Array, valid: Mask, criteria: EchoCriteria
-) -> dict[int, Shares]:
-    """Split the torque of every joint that moves both ways."""
     width = max(1, round(criteria.window_s / float(t[1] - t[0])))
-    Q, T, whole = (_averaged(x, width) for x in (q, tau, valid[:, None].astype(np.float64)))
+    count = len(q) // width
+    Q, T, whole = (
+        x[: count * width].reshape(count, width, -1).mean(axis=1) for x in (q, tau, valid * 1.0)
+    )
     if len(Q) < 2 * criteria.fewest:
-        return {}
+        return []
     step = width * float(t[1] - t[0])
     v = np.gradient(Q, step, axis=0)
     a = np.gradient(v, step, axis=0)
-    memory = criteria.memory_s / step
-    H = _gravity(robot, Q)
-    result: dict[int, Shares] = {}
+    still = np.zeros_like(Q)
+    H = base_regressor(robot, base_parameters(robot, rotor=[]), Q, still, still)
+    H = H[:, :, H.any(axis=(0, 1))]
+    found: list[int] = []
     for j in np.flatnonzero(driven(Q)).tolist():
         top = float(np.quantile(np.abs(v[:, j]), 0.99))
         slides = (whole[:, 0] == 1.0) & (np.abs(v[:, j]) > criteria.slow * top)
@@ -114,10 +89,12 @@ def _shares(
         at = np.flatnonzero(slides)
         at = at[:: max(1, len(at) // criteria.most_windows)]
         friction = np.stack([np.tanh(v[at, j] / (criteria.slow * top)), v[at, j]], axis=1)
-        result[j] = _split(
-            T[at, j], _law(H[at, j], Q[at, j], criteria.smooth_terms), friction, a[at], memory
-        )
-    return result
+        own = Q[at, j]
+        place = 2 * (own - own.min()) / (float(np.ptp(own)) or 1.0) - 1
+        law = np.hstack([H[at, j], chebvander(place, criteria.smooth_terms - 1)])
+        if _follows(T[at, j], law, friction, a[at], criteria.memory_s / step, criteria):
+            found.append(j)
+    return found
 
 
 def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 0.99)) -> Mask:
@@ -135,13 +112,6 @@ def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 
     return np.asarray(high - low >= held * np.max(high - low))
 
 
-def _law(gravity: Array, q: Array, terms: int) -> Array:
-    """Gravity's columns (M, b) and smooth functions of the joint's own position q (M,)."""
-    low, span = float(q.min()), float(np.ptp(q)) or 1.0
-    smooth = chebvander(2 * (q - low) / span - 1, terms - 1)
-    return np.hstack([gravity, smooth])
-
-
 def _both_ways(v: Array, step: float, criteria: EchoCriteria) -> bool:
     """Whether speeds (M,) at intervals of `step` seconds go far enough forward and backward."""
     return all(
@@ -150,8 +120,15 @@ def _both_ways(v: Array, step: float, criteria: EchoCriteria) -> bool:
     )
 
 
-def _split(y: Array, law: Array, friction: Array, accelerations: Array, memory: float) -> Shares:
-    """Fit a joint's torque y (M,); `memory` is the number of samples that count as one."""
+def _follows(
+    y: Array,
+    law: Array,
+    friction: Array,
+    accelerations: Array,
+    memory: float,
+    criteria: EchoCriteria,
+) -> bool:
+    """Whether position alone makes a torque y (M,); `memory` is how many samples count as one."""
     scale = max(float(np.sqrt(np.mean(y**2))), 1e-300)
     X = np.hstack([law, friction, accelerations])
     X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
@@ -160,30 +137,16 @@ def _split(y: Array, law: Array, friction: Array, accelerations: Array, memory: 
     direction = _beside(np.delete(X, own, axis=1), X[:, own])
     held_back = [own + 1] if theta[own + 1] < 0 else []  # damping by a controller, not friction
     left = float(np.mean((y - X @ theta) ** 2))
-    variance = memory * left
     unexplained = float(np.sqrt(np.mean(_beside(X[:, [*range(own), *held_back]], y) ** 2)))
-    return Shares(
-        unexplained=unexplained / scale,
-        others=1.0 - left / max(unexplained**2, 1e-300),
-        friction=abs(float(theta[own])) / scale,
-        error=float(np.sqrt(variance / max(float(direction @ direction), 1e-300))) / scale,
+    others = 1.0 - left / max(unexplained**2, 1e-300)  # friction's and accelerations'
+    error = float(np.sqrt(memory * left / max(float(direction @ direction), 1e-300))) / scale
+    return (
+        unexplained / scale < criteria.unexplained
+        and (others < criteria.others or unexplained / scale < criteria.exact)
+        and abs(float(theta[own])) / scale < max(criteria.uncertain * error, criteria.none)
     )
 
 
 def _beside(X: Array, y: Array) -> Array:
     """What the columns X leave of y."""
-    left: Array = y - X @ np.linalg.lstsq(X, y, rcond=RCOND)[0]
-    return left
-
-
-def _averaged(values: Array, width: int) -> Array:
-    count = len(values) // width
-    mean: Array = values[: count * width].reshape(count, width, -1).mean(axis=1)
-    return mean
-
-
-def _gravity(robot: Robot, q: Array) -> Array:
-    """Gravity's regressor (N, n, b), without columns that are nothing."""
-    still = np.zeros_like(q)
-    columns = base_regressor(robot, base_parameters(robot, rotor=[]), q, still, still)
-    return np.asarray(columns[:, :, columns.any(axis=(0, 1))])
+    return np.asarray(y - X @ np.linalg.lstsq(X, y, rcond=RCOND)[0])

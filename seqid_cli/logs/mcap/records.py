@@ -66,11 +66,6 @@ class _Record(NamedTuple):
     loose: Contents | None = None  # records that stand in no chunk, with their heads
 
 
-def _every(topic: str) -> bool:
-    del topic
-    return True
-
-
 @dataclass
 class Scan:
     """One pass over a file: what was met on the way, and what could not be read.
@@ -80,7 +75,7 @@ class Scan:
     """
 
     path: Path
-    wanted: Callable[[str], bool] = _every
+    wanted: Callable[[str], bool]
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)  # messages per channel
@@ -143,8 +138,7 @@ class Scan:
         """Count the messages of wanted topics by the file's own statistics."""
         promised = self._promised()
         if promised is None:
-            told = self.summary.statistics
-            return told.message_count if told and self.wanted is _every else None
+            return None
         return sum(
             count
             for number, count in promised.items()

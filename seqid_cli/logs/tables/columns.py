@@ -122,14 +122,12 @@ def _unit(values: Array, time: TimeColumn, warnings: list[str], *, fastest_s: fl
     middle = float(np.median(np.abs(finite))) if len(finite) else 0.0
     steps = np.diff(finite)
     step = float(np.median(steps[steps > 0])) if (steps > 0).any() else np.inf
-    if time.unit is not None and time.unit != "s" and step * NS_PER[time.unit] * 1e-9 < fastest_s:
-        warnings.append(
-            f"column {time.name!r} is in {time.unit} by its format, but steps by {step:.3g}: "
-            "read as s"
-        )
-        return "s"
     if time.unit is not None and time.unit != "s":
-        return time.unit
+        if step * NS_PER[time.unit] * 1e-9 >= fastest_s:
+            return time.unit
+        form = f"column {time.name!r} is in {time.unit} by its format"
+        warnings.append(f"{form}, but steps by {step:.3g}: read as s")
+        return "s"
     unit = next((unit for unit, least in _EPOCH if middle > least), "s")
     if unit != "s":
         warnings.append(f"column {time.name!r} is too large for seconds: read as {unit}")
@@ -163,11 +161,9 @@ def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:
     finite = values[np.isfinite(values)]
     if not (pa.types.is_float32(kind) or pa.types.is_float16(kind)) or len(finite) < 2:
         return []
-    dtype = np.float32 if pa.types.is_float32(kind) else np.float16
-    step = float(np.spacing(dtype(np.abs(finite).max())))
+    step = float(np.spacing(np.abs(finite).max().astype(kind.to_pandas_dtype())))
     forward = np.diff(finite)
-    forward = forward[forward > 0]
-    interval = float(np.mean(forward)) if len(forward) else 0.0
+    interval = float(np.mean(forward, where=forward > 0)) if (forward > 0).any() else 0.0
     if step <= 1e-3 * interval:
         return []
     return [
@@ -179,22 +175,17 @@ def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:
 def opened_table(path: Path, **options: object) -> pq.ParquetFile:
     """Open a Parquet file whose values have room: no few bytes that stand for many."""
     file = pq.ParquetFile(readable(path), **options)
-    size, room = path.stat().st_size, 8 * _values(file)
+    about, schema = file.metadata, file.schema
+    lists = [k for k in range(about.num_columns) if schema.column(k).max_repetition_level]
+    groups = [about.row_group(k) for k in range(about.num_row_groups)] if lists else []
+    listed = sum(group.column(k).num_values for group in groups for k in lists)
+    size = path.stat().st_size
+    room = 8 * (about.num_rows * (about.num_columns - len(lists)) + listed)
     if room > ROOM + MOST_TIMES * size:
         message = f"its {size} bytes unpack to {room}, {room // size} times as many"
         hint = "No recording repeats itself like that: copy it again, or leave it out."
         raise InputError(message, hint=hint, where=str(path))
     return file
-
-
-def _values(file: pq.ParquetFile) -> int:
-    """Values in all columns, those in lists counted one by one."""
-    about, schema = file.metadata, file.schema
-    columns = range(about.num_columns)
-    lists = [k for k in columns if schema.column(k).max_repetition_level]
-    groups = [about.row_group(k) for k in range(about.num_row_groups)] if lists else []
-    listed = sum(group.column(k).num_values for group in groups for k in lists)
-    return int(about.num_rows * (about.num_columns - len(lists)) + listed)
 
 
 def readable(path: Path) -> Path | BinaryIO:

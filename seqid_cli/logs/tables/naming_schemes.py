@@ -156,7 +156,8 @@ def find_scheme(
     `entries`: place of each joint in the log's lists, where it names them; else that in the chain.
     """
     for scheme in SCHEMES:
-        places = entries if entries and _uses_lists(scheme) else None
+        lists = all(p.endswith("[{index0}]") for p in scheme.patterns["position"])
+        places = entries if entries and lists and scheme != FRANKA else None
         position = _find(scheme.patterns["position"], joints, known, places, whole=True)
         if position is None:
             continue
@@ -196,10 +197,6 @@ def nearest_scheme(joints: Sequence[str], known: Collection[str]) -> list[str]:
             if not best or len(missing) < len(best):
                 best = missing
     return best
-
-
-def _uses_lists(scheme: Scheme) -> bool:
-    return all(p.endswith("[{index0}]") for p in scheme.patterns["position"]) and scheme != FRANKA
 
 
 def _find(

@@ -11,7 +11,7 @@ import typer
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
 from seqid_cli.commands.options import only
 from seqid_cli.commands.screen.render import Screen, percent, screen_of
-from seqid_cli.params.results.comparison import ComparisonFile, Difference
+from seqid_cli.params.results.comparison import ComparisonFile
 from seqid_cli.params.results.tables import values
 
 EXAMPLES = (
@@ -79,7 +79,8 @@ def run(
 def _show(screen: Screen, found: ComparisonFile) -> None:
     rest = [item for item in found.differences if not item.different]
     rest.sort(key=lambda item: -(item.relative or 0.0))
-    shown = [*_changed(found), *(rest if screen.verbose else rest[:_SHOWN])]
+    changed = [item for item in found.differences if item.different]
+    shown = [*changed, *(rest if screen.verbose else rest[:_SHOWN])]
     rows = []
     for x in shown:
         remark = f": {x.remark}" if x.remark else ""
@@ -93,10 +94,6 @@ def _show(screen: Screen, found: ComparisonFile) -> None:
     screen.result(_summary(found))
 
 
-def _changed(found: ComparisonFile) -> list[Difference]:
-    return [item for item in found.differences if item.different]
-
-
 def _summary(found: ComparisonFile) -> str:
     rule = found.rule
     limits = [] if rule.sigma is None else [f"{rule.sigma:g} standard errors"]
@@ -107,7 +104,7 @@ def _summary(found: ComparisonFile) -> str:
 
 def _annotate(screen: Screen, found: ComparisonFile) -> None:
     """Print workflow commands, which GitHub shows beside the file."""
-    for item in _changed(found):
+    for item in [item for item in found.differences if item.different]:
         where = f" of {item.joint}" if item.joint else ""
         title = _property(f"seqid: {item.stage} {item.name}{where} changed")
         text = item.remark

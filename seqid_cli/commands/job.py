@@ -22,7 +22,7 @@ from seqid_cli.working import heard_by
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from seqid_cli.inspect.functions import LogNote, Progress
+    from seqid_cli.inspect.functions import Progress
     from seqid_cli.params.results.inspection import InspectionFinding
 
 T = TypeVar("T")
@@ -54,26 +54,19 @@ class Told:
     def __call__(self, progress: Progress) -> None:
         """Take what is told."""
         with self.line.hidden():
-            self._take(progress)
+            if progress.state == "note":
+                self.screen.note(progress.text)
+            elif progress.state == "detail":
+                self.screen.detail(progress.text)
+            elif progress.state == "failed":
+                self.left_out.append(progress.log)
+            elif (log := progress.note) is not None:
+                path = str(log.path)
+                self.screen.detail(f"{path}: {log.samples} samples at {log.rate_hz:.6g} Hz")
+                self.screen.knows(f"{path}: {text}" for text in log.mended)
+                self.findings += log.findings
+                self.partial += [path] if log.partial else []
         self.line.show(progress.done, progress.total, Path(progress.log).name)
-
-    def _take(self, progress: Progress) -> None:
-        if progress.state == "note":
-            self.screen.note(progress.text)
-        elif progress.state == "detail":
-            self.screen.detail(progress.text)
-        elif progress.state == "failed":
-            self.left_out.append(progress.log)
-        elif progress.note is not None:
-            self._done(progress.note)
-
-    def _done(self, log: LogNote) -> None:
-        path = str(log.path)
-        self.screen.detail(f"{path}: {log.samples} samples at {log.rate_hz:.6g} Hz")
-        self.screen.knows(f"{path}: {text}" for text in log.mended)
-        self.findings += log.findings
-        if log.partial:
-            self.partial.append(path)
 
     def warn(self, message: Warning | str, category: type[Warning], *more: Any) -> None:
         """Print a warning in the place of Python's own way."""

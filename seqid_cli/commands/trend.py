@@ -78,7 +78,11 @@ def run(
 
 
 def _show(screen: Screen, found: TrendFile) -> None:
-    shown = found.changes if screen.verbose else _clearest(found.changes)
+    clearest: dict[tuple[str, str, str], ChangeEntry] = {}  # of each robot, joint and stage
+    for entry in found.changes:  # the clearest first
+        name = entry.name if entry.stage == "effects" else ""
+        clearest.setdefault((entry.robot, entry.joint, entry.stage + name), entry)
+    shown = found.changes if screen.verbose else list(clearest.values())
     screen.values(tables.changes(shown))
     hidden = len(found.changes) - len(shown)
     if hidden:
@@ -90,12 +94,3 @@ def _show(screen: Screen, found: TrendFile) -> None:
         screen.result(f"changed: {', '.join(robots)} ({files}; {limit})")
     else:
         screen.result(f"nothing changed ({files}; {limit})")
-
-
-def _clearest(changes: list[ChangeEntry]) -> list[ChangeEntry]:
-    """The clearest change of each robot, joint and stage; they are in the order of clearness."""
-    found: dict[tuple[str, str, str], ChangeEntry] = {}
-    for entry in changes:
-        name = entry.name if entry.stage == "effects" else ""
-        found.setdefault((entry.robot, entry.joint, entry.stage + name), entry)
-    return list(found.values())

@@ -41,11 +41,6 @@ def absorbed_effects(stages: Stages, robot: Robot, holds: frozenset[str] = froze
     Each effect is evaluated at random states, far apart in time, and its torque is compared with
     the span of the standard regressor. A payload or a wrong rotor inertia lies in it. `holds` names
     the other effects that the format has a place for: "spring", "backlash".
-
-    Raises
-    ------
-    ConfigError
-        An effect is not known to this version.
     """
     effects = fitted_effects(stages, robot, unexplained=True)
     total = np.zeros((PER_LINK + 1) * robot.n)
@@ -59,7 +54,12 @@ def absorbed_effects(stages: Stages, robot: Robot, holds: frozenset[str] = froze
     notes = []
     for item in effects:
         if isinstance(item, FittedEffect) and item.effect.name in holds:
-            _hold(item, found)
+            c, joint = item.coefficients, item.joint
+            assert joint is not None
+            if item.effect.name == "backlash":
+                found.gaps[joint] += c[0]
+            else:
+                found.springs[joint, : len(c)] += c[[1, 0, 3, 2][: len(c)]]
             notes.append(f"written as it is: {_name(item, robot)}")
             continue
         added = _as_parameters(item, scene, W)
@@ -69,16 +69,6 @@ def absorbed_effects(stages: Stages, robot: Robot, holds: frozenset[str] = froze
             total += added
             notes.append(f"added to the inertial parameters: {_name(item, robot)}")
     return replace(found, notes=tuple(notes))
-
-
-def _hold(item: FittedEffect, found: Absorbed) -> None:
-    """Add a spring's powers of position, or a gap."""
-    c, joint = item.coefficients, item.joint
-    assert joint is not None
-    if item.effect.name == "backlash":
-        found.gaps[joint] += c[0]
-    else:
-        found.springs[joint, : len(c)] += c[[1, 0, 3, 2][: len(c)]]
 
 
 def _as_parameters(

@@ -41,13 +41,7 @@ class Exported(NamedTuple):
 
 
 def format_of(path: Path) -> str:
-    """Return the format that a path's suffix stands for.
-
-    Raises
-    ------
-    UsageError
-        The suffix is not known.
-    """
+    """Return the format that a path's suffix stands for."""
     kind = FORMATS.get(path.suffix.lower())
     if kind is None:
         known = ", ".join(f"{suffix} ({name})" for suffix, name in FORMATS.items())
@@ -62,13 +56,6 @@ def export(
     """Write an identified arm in a form `kind`, a value of `FORMATS`.
 
     `errors`: RMS error of the torque of each joint on new logs [N m], for thresholds.
-
-    Raises
-    ------
-    ConfigError
-        The file does not say enough, or is of another robot.
-    QualityError
-        No physically consistent parameters are found.
     """
     from seqid_cli.export.model import export_model
 

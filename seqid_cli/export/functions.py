@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import msgspec
+
 from seqid_cli.export.formats import export as written
 from seqid_cli.export.formats import format_of
 from seqid_cli.identify.inputs import Models, model_id, read_models, robot_of
@@ -66,15 +68,8 @@ def export(parameters: Models, robot: PathLike, output: PathLike) -> ExportFile:
         exact=model.exact,
         largest_deviation=model.largest_deviation,
         base_parameters=[
-            ExportedParameter(
-                name=d.name,
-                unit=d.unit,
-                identified=d.identified,
-                exported=d.exported,
-                std_error=d.std_error,
-                std_errors=d.std_errors,
-            )
-            for d in model.deviations
+            msgspec.convert(deviation, ExportedParameter, from_attributes=True)
+            for deviation in model.deviations
         ],
         joints={name: _link(model, k) for k, name in enumerate(arm.joint_names)},
         notes=list(model.notes),

@@ -87,15 +87,14 @@ def export_model(
     `stages`: whatever was identified. Without an inertia stage the URDF must say what is missing.
     `holds`: effects that the format has a place for. `errors`: RMS error of the torque of each
     joint [N m] on new logs; those of the inertia stage if left out.
-
-    Raises
-    ------
-    ConfigError
-        Neither the file nor the URDF knows the inertias, or the file is of another robot.
-    QualityError
-        No physically consistent parameters are found.
     """
-    _check_enough(robot, stages)
+    if stages.inertia is None and robot.nominal is None:
+        raise ConfigError(
+            "the file holds no inertia stage, and the robot file names no URDF with inertials that "
+            "could stand in",
+            where=str(robot.source),
+            hint="Run seqid inertia first and export its result.",
+        )
     effects = absorbed_effects(stages, robot, holds)
     demand = identified(stages, robot, more=effects.parameters)
     urdf = None if robot.urdf is None else read_urdf_text(robot.urdf)
@@ -130,16 +129,6 @@ def export_model(
             *effects.notes,
         ),
     )
-
-
-def _check_enough(robot: Robot, stages: Stages) -> None:
-    if stages.inertia is None and robot.nominal is None:
-        raise ConfigError(
-            "the file holds no inertia stage, and the robot file names no URDF with inertials that "
-            "could stand in",
-            where=str(robot.source),
-            hint="Run seqid inertia first and export its result.",
-        )
 
 
 def _notes_on_links(

@@ -67,12 +67,13 @@ def thresholds(
     gain = min(max(quiet, band), 4.0 * band)
     times = 2.0 * robot.n * band * 3600.0 * hours_between_alarms
     factor = margin * math.sqrt(2.0 * math.log(max(times, math.e)))
-    return Thresholds(
-        gain=gain,
-        limit=factor * np.hypot(error, gain**2 * jerky),
-        stiction=np.array([0.0 if s is None else _stiction(s) for s in surfaces]),
-        slow=np.array([0.0 if s is None else _slowest(s) for s in surfaces]),
-    )
+    stiction, slow = np.zeros(robot.n), np.zeros(robot.n)
+    for j, surface in enumerate(surfaces):
+        if surface is not None:
+            q = np.linspace(*surface.scaling.position, _POSITIONS)
+            stiction[j] = np.abs(surface.at_rest(q)).max()
+            slow[j] = max(surface.scaling.speed[0], SLIDES * surface.sign_width)
+    return Thresholds(gain, factor * np.hypot(error, gain**2 * jerky), stiction, slow)
 
 
 def largest_mass(robot: Robot, bodies: Array, armature: Array, *, positions: int = 64) -> Array:
@@ -85,12 +86,3 @@ def largest_mass(robot: Robot, bodies: Array, armature: Array, *, positions: int
     ]
     largest: Array = np.abs(np.stack(columns, axis=2)).max(axis=0) + np.diag(armature)
     return largest
-
-
-def _slowest(surface: FrictionSurface) -> float:
-    return max(surface.scaling.speed[0], SLIDES * surface.sign_width)
-
-
-def _stiction(surface: FrictionSurface) -> float:
-    low, high = surface.at_rest(np.linspace(*surface.scaling.position, _POSITIONS))
-    return float(max(np.abs(low).max(), np.abs(high).max()))

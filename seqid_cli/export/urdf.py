@@ -40,14 +40,19 @@ def urdf(model: ExportModel) -> str:
     joints = {element.getAttribute("name"): element for element in _children(root, "joint")}
     for k, body in enumerate(bodies):
         _set_inertial(document, links[body.link], model.own[k])
-        for name in body.merged:
-            _drop_inertial(document, links[name], body.link)
+        for link in (links[name] for name in body.merged):
+            for old in _children(link, "inertial"):
+                comment = document.createComment(plain(f" seqid: part of {body.link} "))
+                link.replaceChild(comment, old)
         _set_joint(document, joints[model.robot.joint_names[k]], model, k)
         _set_transmission(document, root, model, k)
     if not _children(root, "ros2_control"):
         _add_control(document, root, model)
-    _head(document, root, model)
-    return _text(document)
+    head = "\n".join(f"  {line}" for line in remarks(model))
+    root.insertBefore(document.createComment(f"\n{head}\n"), root.firstChild)
+    root.insertBefore(document.createTextNode("\n  "), root.firstChild)
+    text = "\n".join(node.toxml() for node in document.childNodes)
+    return f'<?xml version="1.0" encoding="utf-8"?>\n{text}\n'
 
 
 def _new(model: ExportModel) -> tuple[bytes, tuple[UrdfBody, ...]]:
@@ -93,11 +98,6 @@ def _set_inertial(document: Document, link: Element, phi: Array) -> None:
         link.replaceChild(inertial, old[0])
     else:
         _place(document, link, inertial, 2)
-
-
-def _drop_inertial(document: Document, link: Element, into: str) -> None:
-    for old in _children(link, "inertial"):
-        link.replaceChild(document.createComment(plain(f" seqid: part of {into} ")), old)
 
 
 def _set_joint(document: Document, joint: Element, model: ExportModel, k: int) -> None:
@@ -169,13 +169,6 @@ def _text_in(document: Document, parent: Element, tag: str, text: str, depth: in
     return element
 
 
-def _head(document: Document, root: Element, model: ExportModel) -> None:
-    text = "\n".join(f"  {line}" for line in remarks(model))
-    comment = document.createComment(f"\n{text}\n")
-    root.insertBefore(comment, root.firstChild)
-    root.insertBefore(document.createTextNode("\n  "), root.firstChild)
-
-
 def _children(parent: Element, tag: str) -> list[Element]:
     return [node for node in parent.childNodes if isinstance(node, Element) and node.tagName == tag]
 
@@ -200,11 +193,3 @@ def _place(document: Document, parent: Element, node: Element | Comment, depth: 
         parent.insertBefore(node, last)
     else:
         parent.appendChild(node)
-
-
-def _text(document: Document) -> str:
-    return (
-        '<?xml version="1.0" encoding="utf-8"?>\n'
-        + "\n".join(node.toxml() for node in document.childNodes)
-        + "\n"
-    )

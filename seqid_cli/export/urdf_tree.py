@@ -38,59 +38,35 @@ def bodies_of_urdf(root: ElementTree.Element, joints: Sequence[str]) -> tuple[Ur
     """Find the body of each of the identified `joints`.
 
     `root`: the URDF, already known to be usable. `joints`: names of identified joints, in chain
-    order.
-
-    Raises
-    ------
-    ConfigError
-        A number in it cannot be read.
+    order. Raises ConfigError: a number in it cannot be read.
     """
+    children: dict[str, list[ElementTree.Element]] = {}
+    for joint in root.findall("joint"):
+        children.setdefault(link_of(joint, "parent"), []).append(joint)
+    first = {joint.get("name"): link_of(joint, "child") for joint in root.findall("joint")}
+    found = []
     try:
-        return _bodies(root, joints)
+        inertials = {link.get("name", ""): _inertial(link) for link in root.findall("link")}
+        for link in (first[name] for name in joints):
+            merged: list[str] = []
+            loose: list[str] = []
+            kept = np.zeros((4, 4))
+            for name, placement, moves in _below(link, children, frozenset(joints)):
+                (loose if moves else merged).append(name)
+                inertial = inertials.get(name)
+                if moves and inertial is not None:
+                    kept += placement @ inertial @ placement.T
+            found.append(UrdfBody(link, tuple(merged), tuple(loose), standard_of(kept)))
     except ValueError as problem:
-        raise ConfigError(
-            f"a number in the URDF cannot be read: {problem}", hint="Correct it in the URDF."
-        ) from None
+        message = f"a number in the URDF cannot be read: {problem}"
+        raise ConfigError(message, hint="Correct it in the URDF.") from None
+    return tuple(found)
 
 
 def root_link(root: ElementTree.Element) -> str:
     """Return the link of a URDF that no joint moves; gravity is given in its axes."""
     moved = {link_of(joint, "child") for joint in root.findall("joint")}
     return next(n for link in root.findall("link") if (n := link.get("name", "")) not in moved)
-
-
-def _bodies(root: ElementTree.Element, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
-    children: dict[str, list[ElementTree.Element]] = {}
-    by_name = {}
-    for joint in root.findall("joint"):
-        by_name[joint.get("name", "")] = joint
-        children.setdefault(link_of(joint, "parent"), []).append(joint)
-    inertials = {
-        link.get("name", ""): phi
-        for link in root.findall("link")
-        if (phi := _inertial(link)) is not None
-    }
-    own = frozenset(joints)
-    return tuple(
-        _body(link_of(by_name[name], "child"), children, inertials, own) for name in joints
-    )
-
-
-def _body(
-    link: str,
-    children: Mapping[str, Sequence[ElementTree.Element]],
-    inertials: Mapping[str, Array],
-    joints: frozenset[str],
-) -> UrdfBody:
-    merged, loose, kept = [], [], np.zeros((4, 4))
-    for name, placement, moves in _below(link, children, joints):
-        if moves:
-            loose.append(name)
-            if name in inertials:
-                kept += placement @ inertials[name] @ placement.T
-        else:
-            merged.append(name)
-    return UrdfBody(link, tuple(merged), tuple(loose), standard_of(kept))
 
 
 def _below(
@@ -131,10 +107,9 @@ def _origin(element: ElementTree.Element) -> Array:
     origin = element.find("origin")
     T = np.eye(4)
     if origin is not None:
-        T[:3, 3] = _triple(origin.get("xyz"))
-        T[:3, :3] = pin.rpy.rpyToMatrix(*_triple(origin.get("rpy")))
+        place, angles = (
+            [float(word) for word in origin.get(key, "0 0 0").split()] for key in ("xyz", "rpy")
+        )
+        T[:3, 3] = place
+        T[:3, :3] = pin.rpy.rpyToMatrix(*angles)
     return T
-
-
-def _triple(text: str | None) -> list[float]:
-    return [float(word) for word in (text or "0 0 0").split()]

@@ -43,20 +43,16 @@ def plain(value: object, path: str = "$") -> Json:
     if isinstance(value, msgspec.Raw):
         return plain(msgspec.json.decode(value), path)
     if isinstance(value, msgspec.Struct):
-        return {key: plain(item, f"{path}.{key}") for key, item in _fields(value)}
+        sparse = value.__struct_config__.omit_defaults
+        fields = {name: getattr(value, name) for name in value.__struct_fields__}
+        kept = {name: item for name, item in fields.items() if item is not None or not sparse}
+        return {name: plain(item, f"{path}.{name}") for name, item in kept.items()}
     if isinstance(value, Mapping):
         return {str(key): plain(item, f"{path}.{key}") for key, item in value.items()}
     if isinstance(value, Sequence) and not isinstance(value, bytes):
         return [plain(item, f"{path}[{index}]") for index, item in enumerate(value)]
     message = f"{path} is a {type(value).__name__}, which has no JSON form"
     raise TypeError(message)
-
-
-def _fields(struct: msgspec.Struct) -> list[tuple[str, object]]:
-    values = [(name, getattr(struct, name)) for name in struct.__struct_fields__]
-    if struct.__struct_config__.omit_defaults:
-        return [(name, value) for name, value in values if value is not None]
-    return values
 
 
 def _render(value: Json, margin: str) -> str:

@@ -25,32 +25,29 @@ def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
         `inputs`.
     """
     with writing(path):
-        _check_output(path, inputs)
-
-
-def _check_output(path: Path, inputs: Iterable[Path]) -> None:
-    folder = path.parent
-    if _STREAM.fullmatch(str(path)):
-        raise UsageError("an output must be a file", hint="Use --json to print the result.")
-    if not folder.is_dir():
-        hint = f"Make it: mkdir -p {folder}"
-        raise UsageError("its folder does not exist", where=str(path), hint=hint)
-    if path.is_dir():
-        raise UsageError("is a folder, not a file", where=str(path), hint="Name a file in it.")
-    if _is_special(path) and path != Path(os.devnull):
-        hint = "A pipe or a device may wait without end: name a file, and copy it there afterwards."
-        raise UsageError("is no regular file", where=str(path), hint=hint)
-    if not os.access(path if _is_special(path) else folder, os.W_OK):
-        message = f"the folder {folder} is not writable"
-        raise UsageError(message, where=str(path), hint="Choose another output with -o.")
-    for source in inputs:
-        if _same(path, source):
-            hint = "Choose another output, the input is never overwritten."
-            raise UsageError("is an input of this command", where=str(path), hint=hint)
-    if not _is_special(path):
-        trial = _temporary(_target(path))
-        trial.touch()
-        trial.unlink()
+        folder, special = path.parent, _is_special(path)
+        if _STREAM.fullmatch(str(path)):
+            raise UsageError("an output must be a file", hint="Use --json to print the result.")
+        if not folder.is_dir():
+            hint = f"Make it: mkdir -p {folder}"
+            raise UsageError("its folder does not exist", where=str(path), hint=hint)
+        if path.is_dir():
+            raise UsageError("is a folder, not a file", where=str(path), hint="Name a file in it.")
+        if special and path != Path(os.devnull):
+            hint = "A pipe or a device may wait without end: name a file, and copy it there "
+            raise UsageError("is no regular file", where=str(path), hint=f"{hint}afterwards.")
+        if not os.access(path if special else folder, os.W_OK):
+            message = f"the folder {folder} is not writable"
+            raise UsageError(message, where=str(path), hint="Choose another output with -o.")
+        for source in inputs:
+            both = path.exists() and source.exists()
+            if path.samefile(source) if both else _target(path) == _target(source):
+                hint = "Choose another output, the input is never overwritten."
+                raise UsageError("is an input of this command", where=str(path), hint=hint)
+        if not special:
+            trial = _temporary(_target(path))
+            trial.touch()
+            trial.unlink()
 
 
 @contextlib.contextmanager
@@ -87,8 +84,12 @@ def replacing(path: Path) -> Iterator[Path]:
         yield path
         return
     target = _target(path)
-    _without_leftovers(target)
     temporary = _temporary(target)
+    for left in target.parent.glob(f".{glob.escape(_short(target.name))}.*.tmp"):
+        process = left.suffixes[-2][1:]  # of a run that was killed
+        if process.isdecimal() and int(process) != os.getpid() and not process_runs(int(process)):
+            with contextlib.suppress(OSError):
+                left.unlink(missing_ok=True)
     try:
         yield temporary
         with writing(path):
@@ -114,15 +115,6 @@ def _short(name: str, most: int = 200) -> str:
     return name if len(raw) <= most else f"{zlib.crc32(raw):08x}"
 
 
-def _without_leftovers(target: Path) -> None:
-    """Remove temporary files that killed runs left beside a file."""
-    for path in target.parent.glob(f".{glob.escape(_short(target.name))}.*.tmp"):
-        process = path.suffixes[-2][1:]
-        if process.isdecimal() and int(process) != os.getpid() and not process_runs(int(process)):
-            with contextlib.suppress(OSError):
-                path.unlink(missing_ok=True)
-
-
 def process_runs(process: int) -> bool:
     """Tell whether there is a process of this number."""
     try:
@@ -143,12 +135,6 @@ def write_text_atomic(path: Path, text: str, *, inputs: Iterable[Path] = ()) -> 
 
 def _is_special(path: Path) -> bool:
     return path.exists() and not path.is_file() and not path.is_dir()
-
-
-def _same(path: Path, other: Path) -> bool:
-    if path.exists() and other.exists():
-        return path.samefile(other)
-    return _target(path) == _target(other)
 
 
 def _sync(path: Path) -> None:

@@ -48,8 +48,10 @@ def body_of(phi: Array, covariance: Array, *, whole: bool = True) -> CarriedBody
     `phi` (10,): standard parameters of positive mass, inertia about the frame's origin.
     `covariance` (10, 10). `whole`: whether the inertia is known as well.
     """
-    nearest, distance = _nearest(phi, covariance) if whole else (phi, 0.0)
-    values, slopes = _values(nearest), _slopes(nearest)
+    distance = 0.0
+    if whole and np.linalg.eigvalsh(pseudo_inertia(phi))[0] < 0.0:
+        phi, distance = nearest_body(phi, whitening(covariance, 1e-9 * float(np.abs(phi).max())))
+    values, slopes = _values(phi), _slopes(phi)
     errors = np.sqrt(np.maximum(np.einsum("ik,kl,il->i", slopes, covariance, slopes), 0.0))
     inertia = _symmetric(values[4:]) if whole else None
     moments = (values[1:4], errors[1:4], inertia, _symmetric(errors[4:]))
@@ -61,12 +63,6 @@ def _symmetric(upper: Array) -> Array:
     matrix = np.zeros((3, 3))
     matrix[np.triu_indices(3)] = upper
     return matrix + np.triu(matrix, 1).T
-
-
-def _nearest(phi: Array, covariance: Array, *, smallest: float = 1e-09) -> tuple[Array, float]:
-    if np.linalg.eigvalsh(pseudo_inertia(phi))[0] >= 0.0:
-        return phi, 0.0
-    return nearest_body(phi, whitening(covariance, smallest * float(np.abs(phi).max())))
 
 
 def _slopes(phi: Array) -> Array:

@@ -66,7 +66,11 @@ def fit_payload(
     logs.
     """
     plain = LoadedModel.of(stages, robot, options)
-    logs = [(log, _motion(log, robot, stages, options)) for log in recordings]
+    logs = []
+    for log in recordings:
+        torque_of(log)  # there, before the motion is worked out
+        motion = log_motion(log, robot, options.motion, imu=stages.imu, source=options.source)
+        logs.append((log, motion))
     first, solution = _solved(logs, plain, friction_change)
     rows, phi = first, solution.theta[:PER_LINK]
     for _ in range(rounds - 1 if plain.effects else 0):
@@ -88,11 +92,6 @@ def fit_payload(
     )
 
 
-def _motion(log: Recording, robot: Robot, stages: Stages, options: InertiaOptions) -> Motion:
-    torque_of(log)
-    return log_motion(log, robot, options.motion, imu=stages.imu, source=options.source)
-
-
 def _solved(
     logs: Iterable[tuple[Recording, Motion]], loaded: LoadedModel, friction_change: float
 ) -> tuple[PayloadRows, Solution]:
@@ -104,13 +103,8 @@ def _solved(
         raise QualityError(
             "no joint slides in these logs", hint="Record moves of every joint with the load."
         )
-    return rows, solve(rows.joints, prior=_prior(rows.size, friction_change))
-
-
-def _prior(size: int, friction_change: float) -> Prior:
-    rows = np.zeros((size - PER_LINK, size))
-    rows[:, PER_LINK:] = np.eye(size - PER_LINK) / friction_change
-    return Prior(rows, np.zeros(len(rows)))
+    known = np.eye(rows.size)[PER_LINK:] / friction_change
+    return rows, solve(rows.joints, prior=Prior(known, np.zeros(len(known))))
 
 
 def _covariance(rows: PayloadRows, solution: Solution, stages: Stages, robot: Robot) -> Array:

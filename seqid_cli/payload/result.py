@@ -43,8 +43,9 @@ def payload_file(inputs: Inputs, options: PayloadOptions) -> PayloadFile:
         options=rigid,
         friction_change=options.friction_change,
     )
-    entry, settings = _entry(fit, inputs.robot.joint_names[-1])
     names = inputs.robot.joint_names
+    entry, settings = _entry(fit, names[-1])
+    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     return PayloadFile(
         schema=PAYLOAD_SCHEMA,
         created=now(),
@@ -53,7 +54,17 @@ def payload_file(inputs: Inputs, options: PayloadOptions) -> PayloadFile:
         inputs=given.inputs(),
         models=inputs.ids(),
         payload=entry,
-        parameters=_parameters(fit, names[-1]),
+        parameters=[
+            Parameter(
+                name=f"payload_{kind}",
+                value=float(fit.phi[k]),
+                std_error=float(errors[k]),
+                unit=parameter_unit(f"{kind}_1"),
+                joint=names[-1],
+            )
+            for k, kind in enumerate(STANDARD)
+            if fit.determined[k]
+        ],
         covariance=fit.covariance[np.ix_(fit.determined, fit.determined)].tolist(),
         settings=settings,
         joints={name: _joint(fit, j) for j, name in enumerate(names)},
@@ -61,21 +72,6 @@ def payload_file(inputs: Inputs, options: PayloadOptions) -> PayloadFile:
         verdicts=[*given.verdicts(), *_verdicts(fit, entry, names, options.good_error)],
         notes=[*given.notes(), *_notes(fit, entry, names)],
     )
-
-
-def _parameters(fit: PayloadFit, joint: str) -> list[Parameter]:
-    errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    return [
-        Parameter(
-            name=f"payload_{kind}",
-            value=float(fit.phi[k]),
-            std_error=float(errors[k]),
-            unit=parameter_unit(f"{kind}_1"),
-            joint=joint,
-        )
-        for k, kind in enumerate(STANDARD)
-        if fit.determined[k]
-    ]
 
 
 def _entry(fit: PayloadFit, joint: str) -> tuple[CarriedBodyEntry, dict[str, str]]:

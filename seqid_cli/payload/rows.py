@@ -109,14 +109,18 @@ class PayloadRows:
         for part, H in self._regressors(motion, every):
             speed = np.abs(motion.dq[part]) / np.maximum(np.abs(motion.dq).max(axis=0), 1e-12)
             for j in range(self.loaded.model.robot.n):
-                own = log.sliding[part][:, j]
-                self._add_joint(
-                    j,
-                    H[own, j],
-                    np.column_stack([friction[part][own, j], (friction[part] * speed)[own, j]]),
-                    log.residual[part][own, j],
-                    log.tau[part][own, j],
-                )
+                slides, first = log.sliding[part][:, j], PER_LINK + FRICTION_TERMS * j
+                own, left, tau = (x[slides, j] for x in (H, log.residual[part], log.tau[part]))
+                held = friction[part][slides, j]
+                wide = np.zeros((len(own), self.size))
+                wide[:, :PER_LINK] = own @ self.loaded.last_link
+                wide[:, first], wide[:, first + 1] = held, held * speed[slides, j]
+                self.joints[j].add(wide, left)
+                self.cross[j] += wide.T @ own
+                self.scaled[j] += wide.T @ (tau - held)
+                self.before[j] += float(left @ left)
+                self.measured[j] += float(tau @ tau)
+                self.samples[j] += len(left)
 
     def _regressors(self, motion: Motion, every: int) -> Iterator[tuple[slice, Array]]:
         """H of every k-th sample, in blocks of about a second."""
@@ -125,15 +129,3 @@ class PayloadRows:
                 thin = slice(block.start, block.stop, every)
                 first = rows.where.start
                 yield slice(first + block.start, first + block.stop, every), rows.H[thin]
-
-    def _add_joint(self, j: int, H: Array, friction: Array, left: Array, tau: Array) -> None:
-        wide = np.zeros((len(H), self.size))
-        wide[:, :PER_LINK] = H @ self.loaded.last_link
-        own = PER_LINK + FRICTION_TERMS * j
-        wide[:, own : own + FRICTION_TERMS] = friction
-        self.joints[j].add(wide, left)
-        self.cross[j] += wide.T @ H
-        self.scaled[j] += wide.T @ (tau - friction[:, 0])
-        self.before[j] += float(left @ left)
-        self.measured[j] += float(tau @ tau)
-        self.samples[j] += len(left)

@@ -21,23 +21,18 @@ def settings_of(mass: float, center: Sequence[float], inertia: Inertia) -> dict[
     """
     m, c = _number(mass), [_number(x) for x in center]
     rows = inertia or [[0.0] * 3] * 3
-    six = [rows[i][k] for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    six = {name: _number(rows["xyz".index(name[1])]["xyz".index(name[2])]) for name in names}
     column = [_number(rows[i][k]) for k in range(3) for i in range(3)]
-    at = ", ".join(c)
-    numbers = ", ".join(_number(x) for x in six)
+    at, numbers = ", ".join(c), ", ".join(six.values())
     script = f"set_target_payload({m}, [{at}], [{numbers}])"
     found = {
         "urscript": script if inertia else f"set_payload({m}, [{at}])",
         "libfranka": f"robot.setLoad({m}, {{{at}}}, {{{', '.join(column)}}});",
     }
-    fields = zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), _upper(rows), strict=True)
-    parts = "".join(f", {name}: {_number(x)}" for name, x in fields)
+    parts = "".join(f", {name}: {six[name]}" for name in sorted(names))
     found["ros2"] = f"{{m: {m}, com: {{x: {c[0]}, y: {c[1]}, z: {c[2]}}}{parts}}}"
     return found
-
-
-def _upper(rows: Sequence[Sequence[float]]) -> list[float]:
-    return [float(rows[i][k]) for i in range(3) for k in range(i, 3)]
 
 
 def _number(value: float) -> str:

@@ -15,7 +15,7 @@ from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.results.prediction import FileId, PredictionFile
 from seqid_cli.params.schema import ParameterFile, RobotId, Stages
-from seqid_cli.report.words import short_path, unit_text
+from seqid_cli.report.words import command, short_path, unit_text
 
 Kind = Literal["identified", "refined", "simultaneous"]
 KINDS: tuple[Kind, ...] = ("refined", "identified", "simultaneous")
@@ -99,6 +99,12 @@ class Collection:
         used = {item.sha256 for item in prediction.content.parameters}
         known = (model for model in self.models if used & {s.sha256 for s in model.sources})
         return next(known, None)
+
+    def call(self, name: str, *logs: str, output: str = "") -> str:
+        """Return a command line that takes the model shown on."""
+        path = self.model.path if self.model else "inertia.json"
+        files = ("-r", "robot.toml", "-p", path, *(("-o", output) if output else ()))
+        return command("seqid", name, *(logs or ("LOG...",)), *files)
 
     @property
     def judged(self) -> tuple[Prediction, ...]:

@@ -11,7 +11,6 @@ from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.schema import ClosedLoop, Stages, Verdict
 from seqid_cli.report.collection import Collection, Prediction
 from seqid_cli.report.words import (
-    command,
     effect_at,
     file_name,
     listed,
@@ -145,7 +144,7 @@ def _sentence(
 
 
 def _prediction_points(collection: Collection, independent: list[Prediction]) -> Iterator[Point]:
-    diagnose = f"seqid diagnose {_tail(collection)}"
+    diagnose = collection.call("diagnose")
     for item in collection.judged:
         file, new = item.content, _new_logs(collection, item)
         yield from _poor(file.verdicts, "the prediction", item.path, diagnose)
@@ -169,20 +168,14 @@ def _prediction_points(collection: Collection, independent: list[Prediction]) ->
             yield Point("open", text, item.path)
     if not collection.predictions:
         text = "no prediction was given, so nothing tests the model on logs it has not seen"
-        call = f"seqid predict {_tail(collection)} -o prediction.json --torques torques.parquet"
-        yield Point("open", text, command=call)
+        call = collection.call("predict", output="prediction.json")
+        yield Point("open", text, command=f"{call} --torques torques.parquet")
 
 
 def _poor(verdicts: Iterable[Verdict], whole: str, path: str, call: str = "") -> Iterator[Point]:
     for verdict in verdicts:
         if not verdict.good:
             yield Point("poor", f"{verdict.joint or whole}: {verdict.reason}", path, command=call)
-
-
-def _tail(collection: Collection) -> str:
-    model = collection.model
-    path = model.path if model else "inertia.json"
-    return command("LOG...", "-r", "robot.toml", "-p", path)
 
 
 def _stage_points(collection: Collection, judged: bool) -> Iterator[Point]:
@@ -243,7 +236,7 @@ def _missing_stages(collection: Collection) -> Iterator[Point]:
 
 def _diagnosis_points(collection: Collection) -> Iterator[Point]:
     known = known_effects(collection)
-    refine = f"seqid refine LOG... --holdout {_tail(collection)} -o refined.json"
+    refine = collection.call("refine", "LOG...", "--holdout", "LOG...", output="refined.json")
     for item in collection.diagnoses:
         file = item.content
         yield from _poor(file.verdicts, "the diagnosis", item.path)

@@ -86,13 +86,7 @@ class Dated:
 
     @classmethod
     def of(cls, path: str, file: ParameterFile) -> Dated:
-        """Read the date.
-
-        Raises
-        ------
-        ConfigError
-            If the file's date is none.
-        """
+        """Read the date; raises ConfigError where it is none."""
         try:
             when = datetime.fromisoformat(file.created)
         except ValueError as error:
@@ -123,13 +117,7 @@ class Series:
 
 
 def robots_of(files: Sequence[Dated], by: By) -> dict[str, list[Dated]]:
-    """Files by robot, in the order of their dates.
-
-    Raises
-    ------
-    UsageError
-        If no robot has two files, or files of one robot name other joints.
-    """
+    """Files by robot, in the order of their dates."""
     names = robot_names([(dated.path, dated.file.robot.name) for dated in files], by)
     found: dict[str, list[Dated]] = {}
     for name, dated in zip(names, files, strict=True):

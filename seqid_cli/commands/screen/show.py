@@ -105,32 +105,19 @@ def show_motion(screen: Screen, uses: Sequence[MotionUse], robot: RobotId) -> No
         else:
             log = next(use.log for use in uses if warning in use.warnings)
             screen.warn(f"{log}: {warning}")
-    line = motion_line(uses, robot)
-    if line:
-        screen.note(line)
-
-
-def motion_line(uses: Sequence[MotionUse], robot: RobotId) -> str:
-    """Return the sources of motion in one line; nothing where no IMU could take part."""
     if not any(use.imus or use.warnings for use in uses):
-        return ""
-    kinds = Counter((use.source, tuple(use.imus)) for use in uses)
+        return  # no IMU could take part
     parts = []
-    for (source, imus), count in kinds.items():
+    for (source, imus), count in Counter((use.source, tuple(use.imus)) for use in uses).items():
         with_imus = f" ({', '.join(imus)})" if imus else ""
         parts.append(f"{source}{with_imus} in {count} of {len(uses)} logs")
-    return "motion: " + ", ".join(parts) + _gain([use for use in uses if use.imus], robot)
-
-
-def _gain(uses: Sequence[MotionUse], robot: RobotId) -> str:
-    pairs: dict[str, list[tuple[float, float]]] = {}
+    pairs: dict[str, list[tuple[float, float]]] = {}  # acceleration errors by their unit
     for use in uses:
-        for joint, now in use.acceleration_error.items():
+        for joint, error in use.acceleration_error.items() if use.imus else ():
             unit = robot.unit("rad/s^2", joint)
-            pairs.setdefault(unit, []).append((now, use.encoder_error[joint]))
-    medians = {unit: [median(x) for x in zip(*own, strict=True)] for unit, own in pairs.items()}
-    return "".join(
-        f"; acceleration known to {number(now, 2)} {unit}, by the encoders alone"
-        f" {number(before, 2)} (medians)"
-        for unit, (now, before) in medians.items()
-    )
+            pairs.setdefault(unit, []).append((error, use.encoder_error[joint]))
+    gain = ""
+    for unit, own in pairs.items():
+        now, before = (number(median(x), 2) for x in zip(*own, strict=True))
+        gain += f"; acceleration known to {now} {unit}, by the encoders alone {before} (medians)"
+    screen.note(f"motion: {', '.join(parts)}{gain}")

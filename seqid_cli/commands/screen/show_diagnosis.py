@@ -14,9 +14,7 @@ from seqid_cli.params.evidence_schema import EvidenceEntry, RefinementRound
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis import (
     DiagnosisFile,
-    EventEntry,
     FindingEntry,
-    HiddenEntry,
     UnexplainedPart,
     nothing_added,
     nothing_found,
@@ -37,8 +35,7 @@ _COLUMNS, _ROWS = 56, 7  # of a chart
 def show_diagnosis(screen: Screen, file: DiagnosisFile, joint: str | None = None) -> None:
     """Print a diagnosis, or what it says of one joint, with the evidence and all that was tried."""
     why = joint is not None
-    pushed = {name for event in file.events for name in event.joints}
-    findings = [item for item in file.findings if not joint or _touches(item, joint, pushed)]
+    findings = [item for item in file.findings if not joint or joint in _places(item, file)]
     parts = [part for part in file.unexplained if part.joint == (joint or part.joint)]
     joints = {joint: file.joints[joint]} if joint else file.joints
     if joint is None:
@@ -51,18 +48,27 @@ def show_diagnosis(screen: Screen, file: DiagnosisFile, joint: str | None = None
     screen.values(tables.joint_residuals(joints, file.robot))
     if joint is not None:
         screen.values(tables.rivals(joints[joint].tried, "tried beside that"))
-    _events(screen, [event for event in file.events if not joint or joint in event.joints])
-    _hidden(screen, [item for item in file.hidden if not joint or item.joint in (joint, None)])
+    events = [event for event in file.events if not joint or joint in event.joints]
+    shown = events if screen.verbose else events[:_EVENTS_SHOWN]
+    screen.values(tables.events(shown))
+    if len(shown) < len(events):
+        screen.note(f"{len(events) - len(shown)} more such events: -v shows them all.")
+    hidden = [item for item in file.hidden if not joint or item.joint in (joint, None)]
+    if screen.verbose:
+        screen.values(tables.hidden(hidden))
+    elif hidden:
+        screen.note(f"{len(hidden)} effects these motions cannot show: -v lists them.")
     for note in file.notes:
         screen.remark(note)
 
 
-def _touches(item: FindingEntry, joint: str, pushed: Collection[str]) -> bool:
-    """Whether a finding is of a joint: there, or shown there, or of the whole arm."""
+def _places(item: FindingEntry, file: DiagnosisFile) -> Collection[str]:
+    """Joints that a finding is of: there, or shown there; all of one of the whole arm."""
     if item.effect == "external_contact":
-        return joint in pushed
-    shown = item.evidence
-    return item.joint in (joint, None) or (shown is not None and joint in (shown.joint, shown.of))
+        return {name for event in file.events for name in event.joints}
+    if item.joint is None:
+        return list(file.joints)
+    return {item.joint, *((item.evidence.joint, item.evidence.of) if item.evidence else ())}
 
 
 def verdict_sentence(file: DiagnosisFile) -> str:
@@ -168,20 +174,6 @@ def _shown(screen: Screen, shown: EvidenceEntry | None, robot: RobotId) -> None:
 
 def _quantities(names: Sequence[str]) -> str:
     return ", ".join(names) or "nothing that was logged"
-
-
-def _events(screen: Screen, events: Sequence[EventEntry]) -> None:
-    shown = events if screen.verbose else events[:_EVENTS_SHOWN]
-    screen.values(tables.events(shown))
-    if len(shown) < len(events):
-        screen.note(f"{len(events) - len(shown)} more such events: -v shows them all.")
-
-
-def _hidden(screen: Screen, hidden: Sequence[HiddenEntry]) -> None:
-    if screen.verbose:
-        screen.values(tables.hidden(hidden))
-    elif hidden:
-        screen.note(f"{len(hidden)} effects these motions cannot show: -v lists them.")
 
 
 def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> None:

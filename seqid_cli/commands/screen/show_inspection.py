@@ -13,7 +13,6 @@ from seqid_cli.params.results.inspection import (
     InspectedLog,
     InspectionFile,
     InspectionFinding,
-    PlannedPart,
 )
 from seqid_cli.params.results.tables import values
 
@@ -42,22 +41,18 @@ def show_inspection(screen: Screen, file: InspectionFile) -> None:
         _details(screen, log)
     if readable and not detailed:
         screen.note("joints and moves of each log: add -v")
-    _planned(screen, file.planned)
-    for line in file.advice:
-        screen.note(f"next: {line}")
-
-
-def _planned(screen: Screen, parts: Sequence[PlannedPart]) -> None:
-    """Print what is still to record of a plan."""
     rows = [
-        (p.move, p.stage, p.status, p.reason or None, p.log or None)
-        for p in parts
-        if p.status != "recorded"
+        (part.move, part.stage, part.status, part.reason or None, part.log or None)
+        for part in file.planned
+        if part.status != "recorded"
     ]
     titles = "still to record | stage | status | why | log"
     screen.values(values(titles, "text text text text text", rows))
-    if parts:
-        screen.result(f"plan: {len(parts) - len(rows)} of {len(parts)} moves are recorded")
+    if file.planned:
+        there, every = len(file.planned) - len(rows), len(file.planned)
+        screen.result(f"plan: {there} of {every} moves are recorded")
+    for line in file.advice:
+        screen.note(f"next: {line}")
 
 
 def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:

@@ -15,7 +15,6 @@ from seqid_cli.report.judgement import known_effects, unexplained
 from seqid_cli.report.sections.parameters import value_rows
 from seqid_cli.report.views import VALUE_HEADS, Absent, Figure, Group, Key, Section, Table, table_of
 from seqid_cli.report.words import (
-    command,
     effect_at,
     effect_words,
     file_name,
@@ -37,12 +36,11 @@ _VERDICTS = {
 
 def diagnosis(collection: Collection) -> Section:
     """Return the section on effects that the model lacks."""
-    title, model = "Diagnosis: what the model lacks", collection.model
+    title = "Diagnosis: what the model lacks"
     if not collection.diagnoses:
-        start = ["seqid", "diagnose", "LOG...", "-r", "robot.toml", "-p"]
-        call = command(*start, model.path if model else "inertia.json", "-o", "diagnosis.json")
-        text = "No diagnosis is among the files given."
-        return Section("diagnosis", title, absent=[Absent(text, call)])
+        call = collection.call("diagnose", output="diagnosis.json")
+        absent = Absent("No diagnosis is among the files given.", call)
+        return Section("diagnosis", title, absent=[absent])
     lead = (
         "Each diagnosis takes what the model leaves of the torque and asks which physical effect "
         "predicts it on held-out data. Confidence is a probability; the share explained is of the "

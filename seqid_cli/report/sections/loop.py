@@ -10,19 +10,17 @@ from seqid_cli.report.figures.chart import RowChart
 from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
 from seqid_cli.report.judgement import unconfirmed
 from seqid_cli.report.views import Absent, Figure, Group, Key, Section, table_of
-from seqid_cli.report.words import command, effect_at, listed, number, short_path
+from seqid_cli.report.words import effect_at, listed, number, short_path
 
 
 def closed_loop(collection: Collection) -> Section:
     """Return the section on refinement."""
-    title, model = "Before and after refinement", collection.model
+    title = "Before and after refinement"
     loop = next((x.file.closed_loop for x in collection.models if x.file.closed_loop), None)
     if loop is None:
-        path = model.path if model else "inertia.json"
-        start = ["seqid", "refine", "LOG...", "--holdout", "LOG", "-r", "robot.toml", "-p"]
-        call = command(*start, path, "-o", "refined.json")
-        text = "No refined file is among the files given."
-        return Section("loop", title, absent=[Absent(text, call)])
+        call = collection.call("refine", "LOG...", "--holdout", "LOG", output="refined.json")
+        absent = Absent("No refined file is among the files given.", call)
+        return Section("loop", title, absent=[absent])
     lead = (
         "Effects were chosen on blocks of time that were left out of the logs to fit. The held-out "
         "logs were opened after the last decision: both errors are measured there, where joints "

@@ -10,7 +10,7 @@ from seqid_cli.report.collection import Collection, Place, Prediction
 from seqid_cli.report.figures.torque import over_quantity, over_time, spectrum
 from seqid_cli.report.torques import Series, TorqueTable
 from seqid_cli.report.views import Absent, Figure, Group, Section, Table, badge, table, table_of
-from seqid_cli.report.words import command, limits, number, percent, plural, short_path
+from seqid_cli.report.words import limits, number, percent, plural, short_path
 
 _MOST_LOGS = 3  # with a figure each; the tables hold all
 _BUDGET = 60_000  # points of all time series together
@@ -58,10 +58,8 @@ def torque(
 
 def _predict(collection: Collection) -> str:
     logs = [log.path for item in collection.predictions[:1] for log in item.content.logs]
-    model = ("-p", collection.model.path if collection.model else "inertia.json")
-    written = ("-o", "prediction.json", "--torques", "torques.parquet")
-    shown = logs if 0 < len(logs) <= 4 else ["LOG..."]
-    return command("seqid", "predict", *shown, "-r", "robot.toml", *model, *written)
+    call = collection.call("predict", *(logs if len(logs) <= 4 else ()), output="prediction.json")
+    return f"{call} --torques torques.parquet"
 
 
 def _side_by_side(collection: Collection) -> Group:

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
-from seqid_cli.commands.options import only
+from seqid_cli.commands.options import only, option
 from seqid_cli.commands.screen.render import Screen, percent, screen_of
 from seqid_cli.params.results.comparison import ComparisonFile
 from seqid_cli.params.results.tables import values
@@ -25,25 +25,23 @@ First = Annotated[Path, typer.Argument(metavar="A.json", help="What was, or what
 Second = Annotated[Path, typer.Argument(metavar="B.json", help="What is now.")]
 Relative = Annotated[
     float | None,
-    typer.Option(
-        "--rtol",
-        metavar="X",
-        callback=_limit,
-        help="Share of a number's size beyond which it has changed; alone it decides.",
+    option(
+        "--rtol X",
+        "Share of a number's size beyond which it has changed; alone it decides.",
+        _limit,
     ),
 ]
 Sigma = Annotated[
     float | None,
-    typer.Option(
-        "--sigma",
-        metavar="S",
-        callback=_limit,
-        help="Combined standard errors beyond which it has changed; alone it decides.",
+    option(
+        "--sigma S",
+        "Combined standard errors beyond which it has changed; alone it decides.",
+        _limit,
     ),
 ]
 Form = Annotated[
     Literal["text", "json", "github"],
-    typer.Option("--format", help="A table, JSON, or annotations of GitHub Actions."),
+    option("--format", "A table, JSON, or annotations of GitHub Actions."),
 ]
 
 

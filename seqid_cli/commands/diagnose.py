@@ -14,10 +14,9 @@ from seqid_cli.errors import UsageError
 
 Explain = Annotated[
     str | None,
-    typer.Option(
-        "--explain",
-        metavar="JOINT",
-        help="Tell of one joint what was tried there, what was taken and what was not, and why.",
+    opt.option(
+        "--explain JOINT",
+        "Tell of one joint what was tried there, what was taken and what was not, and why.",
     ),
 ]
 EXAMPLES = (

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from seqid_cli.commands.job import exit_code, listening
-from seqid_cli.commands.options import RobotPath, Strict
+from seqid_cli.commands.options import RobotPath, Strict, option
 from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.export.formats import FORMATS
 from seqid_cli.params.results.export import ExportFile
@@ -26,10 +26,7 @@ Files = Annotated[
     list[Path], typer.Argument(metavar="FILE...", help="Parameter file; several are joined.")
 ]
 _SUFFIXES = ", ".join(dict.fromkeys(f"{suffix} {name}" for suffix, name in FORMATS.items()))
-Target = Annotated[
-    Path,
-    typer.Option("-o", "--output", metavar="FILE", help=f"Where it goes; by suffix: {_SUFFIXES}."),
-]
+Target = Annotated[Path, option("-o --output FILE", f"Where it goes; by suffix: {_SUFFIXES}.")]
 
 
 def run(

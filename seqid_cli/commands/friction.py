@@ -19,19 +19,19 @@ _FOLLOWING = "seqid gravity LOG... -r {robot} -p {output} -o gravity.json"
 
 PositionOrder = Annotated[
     int | None,
-    typer.Option(metavar="N", min=0, max=30, help="Order in position; found when left out."),
+    opt.option("--position-order N", "Order in position; found when left out.", min=0, max=30),
 ]
 VelocityOrder = Annotated[
     int | None,
-    typer.Option(metavar="N", min=0, max=30, help="Order in velocity; found when left out."),
+    opt.option("--velocity-order N", "Order in velocity; found when left out.", min=0, max=30),
 ]
 Beta = Annotated[
     float | None,
-    typer.Option(
-        metavar="SHARE",
+    opt.option(
+        "--beta SHARE",
+        "End the search for orders as soon as Eq. 11 holds at this threshold.",
         min=0.0,
         max=1.0,
-        help="End the search for orders as soon as Eq. 11 holds at this threshold.",
     ),
 ]
 

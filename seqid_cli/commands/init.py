@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.options import Logs
+from seqid_cli.commands.options import Logs, option
 from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.storage.files import check_log, expand
@@ -23,33 +23,23 @@ EXAMPLES = (
 )
 
 UrdfPath = Annotated[
-    Path | None,
-    typer.Option("--urdf", metavar="FILE", help="URDF of the robot; without it a DH stub is made."),
+    Path | None, option("--urdf FILE", "URDF of the robot; without it a DH stub is made.")
 ]
 TomlOutput = Annotated[
-    Path | None,
-    typer.Option("-o", "--output", metavar="FILE", help="Where the robot file goes; else printed."),
+    Path | None, option("-o --output FILE", "Where the robot file goes; else printed.")
 ]
-Name = Annotated[
-    str | None, typer.Option("--name", metavar="NAME", help="The robot's name; else the URDF's.")
-]
+Name = Annotated[str | None, option("--name NAME", "The robot's name; else the URDF's.")]
 Constants = Annotated[
     str | None,
-    typer.Option(
-        "--torque-constant",
-        metavar="K[,K...]",
-        help="N m/A, motor side: one for all joints, or one for each.",
-    ),
+    option("--torque-constant K[,K...]", "N m/A, motor side: one for all joints, or one for each."),
 ]
 Ratios = Annotated[
     str | None,
-    typer.Option(
-        "--gear-ratio",
-        metavar="N[,N...]",
-        help="Motor turns per joint turn: one for all joints, or one for each.",
+    option(
+        "--gear-ratio N[,N...]", "Motor turns per joint turn: one for all joints, or one for each."
     ),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Overwrite a robot file that exists.")]
+Force = Annotated[bool, option("--force", "Overwrite a robot file that exists.")]
 
 
 def run(

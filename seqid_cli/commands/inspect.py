@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED, listening
-from seqid_cli.commands.options import Clock, Logs, Output
+from seqid_cli.commands.options import Clock, Logs, Output, option
 from seqid_cli.commands.screen.layout import visible
 from seqid_cli.commands.screen.render import Screen
 from seqid_cli.commands.screen.show_inspection import show_inspection
@@ -22,15 +22,13 @@ EXAMPLES = (
 EXIT_UNREADABLE = 2
 
 OptionalRobot = Annotated[
-    Path | None,
-    typer.Option("-r", "--robot", metavar="FILE", help="Robot file; guessed when left out."),
+    Path | None, option("-r --robot FILE", "Robot file; guessed when left out.")
 ]
 Plan = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", help="A plan: say which of its moves these logs hold."),
+    Path | None, option("--plan FILE", "A plan: say which of its moves these logs hold.")
 ]
 StrictErrors = Annotated[
-    bool, typer.Option("--strict", help="Exit with 1 on warnings and unrecorded moves as well.")
+    bool, option("--strict", "Exit with 1 on warnings and unrecorded moves as well.")
 ]
 
 

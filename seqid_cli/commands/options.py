@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from typer.core import TyperOption
+from typer.models import OptionInfo
 
 TimeSource = Literal["header", "log"]
 
@@ -27,85 +28,81 @@ def only(
     return check
 
 
+def option(
+    spelled: str, text: str, check: Callable[[Any], Any] | None = None, **more: Any
+) -> OptionInfo:
+    """Return an option as it is typed, "-o --output FILE": spellings, and what it takes if it does.
+
+    `text` is its help, `check` a callback that refuses values; `more` is as Typer has it.
+    """
+    words = spelled.split()
+    metavar = None if words[-1].startswith("-") else words.pop()
+    made = typer.Option(*words, metavar=metavar, callback=check, help=text, **more)
+    assert isinstance(made, OptionInfo)
+    return made
+
+
 Logs = Annotated[
     list[str],
     typer.Argument(metavar="LOG...", help="Files, folders or globs; Parquet and MCAP mixed."),
 ]
-RobotPath = Annotated[
-    Path, typer.Option("-r", "--robot", metavar="FILE", help="Robot file (robot.toml).")
-]
+RobotPath = Annotated[Path, option("-r --robot FILE", "Robot file (robot.toml).")]
 Parameters = Annotated[
     list[Path],
-    typer.Option(
-        "-p",
-        "--parameters",
-        metavar="FILE",
-        help="Parameter file of the stages before; repeat it to join several.",
+    option(
+        "-p --parameters FILE", "Parameter file of the stages before; repeat it to join several."
     ),
 ]
 OptionalParameters = Annotated[
     list[Path] | None,
-    typer.Option(
-        "-p",
-        "--parameters",
-        metavar="FILE",
-        help="Parameter file to add the result to; repeat it to join several.",
+    option(
+        "-p --parameters FILE", "Parameter file to add the result to; repeat it to join several."
     ),
 ]
-Output = Annotated[
-    Path | None,
-    typer.Option("-o", "--output", metavar="FILE", help="Where the result goes, as JSON."),
-]
+Output = Annotated[Path | None, option("-o --output FILE", "Where the result goes, as JSON.")]
 Cutoff = Annotated[
     float | None,
-    typer.Option(
-        "--cutoff",
-        metavar="HZ",
-        callback=only("a positive number"),
-        help="Low-pass cut-off frequency; that of the model, or chosen from the logs, if left out.",
+    option(
+        "--cutoff HZ",
+        "Low-pass cut-off frequency; that of the model, or chosen from the logs, if left out.",
+        only("a positive number"),
     ),
 ]
-Clock = Annotated[
-    TimeSource, typer.Option("--time", help="Which time stamps of an MCAP log count.")
-]
+Clock = Annotated[TimeSource, option("--time", "Which time stamps of an MCAP log count.")]
 MotionSource = Annotated[
     Literal["auto", "encoder", "imu", "fused"],
-    typer.Option(
+    option(
         "--motion",
-        help="Where joint motion comes from: encoders, accelerations by IMUs (Eq. 30, 42), or both"
+        "Where joint motion comes from: encoders, accelerations by IMUs (Eq. 30, 42), or both"
         " in one smoother; auto is fused where a log has a calibrated IMU (to look for effects: and"
         " where encoders are much the worse), else encoder.",
     ),
 ]
 Jobs = Annotated[
     int | None,
-    typer.Option(
-        "--jobs",
-        metavar="N",
+    option(
+        "--jobs N",
+        "Processes to read logs with; by default all cores where the logs are large enough.",
         min=1,
-        help="Processes to read logs with; by default all cores where the logs are large enough.",
     ),
 ]
 Engine = Annotated[
     Literal["local", "dask"],
-    typer.Option("--engine", help="Who reads the logs: processes here, or Dask (seqid[dask])."),
+    option("--engine", "Who reads the logs: processes here, or Dask (seqid[dask])."),
 ]
-Scheduler = Annotated[
-    str | None, typer.Option("--scheduler", metavar="ADDRESS", help="Of a running Dask scheduler.")
-]
+Scheduler = Annotated[str | None, option("--scheduler ADDRESS", "Of a running Dask scheduler.")]
 SkipFailed = Annotated[
-    bool,
-    typer.Option("--skip-failed", help="Go on without logs that cannot be used; exits with 3."),
+    bool, option("--skip-failed", "Go on without logs that cannot be used; exits with 3.")
 ]
 Consistent = Annotated[
     bool,
-    typer.Option(
+    option(
         "--consistent",
-        help="Allow only parameters that bodies with positive density and rotors of positive"
+        "Allow only parameters that bodies with positive density and rotors of positive"
         " inertia can have; says what moved, in standard errors.",
     ),
 ]
-Strict = Annotated[bool, typer.Option("--strict", help="Exit with 1 when a verdict is poor.")]
+Strict = Annotated[bool, option("--strict", "Exit with 1 when a verdict is poor.")]
 
 _SCREEN_FLAGS = (
     ("quiet", ["-q", "--quiet"], "No progress and no advice, only results and warnings."),

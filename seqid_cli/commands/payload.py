@@ -22,11 +22,10 @@ EXAMPLES = (
 
 FrictionChange = Annotated[
     float,
-    typer.Option(
-        "--friction-change",
-        metavar="SHARE",
-        callback=opt.only("a positive number"),
-        help="Standard deviation by which friction may differ from the model's, as a share of it.",
+    opt.option(
+        "--friction-change SHARE",
+        "Standard deviation by which friction may differ from the model's, as a share of it.",
+        opt.only("a positive number"),
     ),
 ]
 

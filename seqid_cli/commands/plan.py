@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from seqid_cli.commands.job import any_poor, exit_code, listening
-from seqid_cli.commands.options import Output, RobotPath, Strict, only
+from seqid_cli.commands.options import Output, RobotPath, Strict, only, option
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.plan import EffectSeparation, PlanFile
@@ -47,86 +47,59 @@ Chosen = Annotated[
 ]
 PlanParameters = Annotated[
     list[Path] | None,
-    typer.Option(
-        "-p",
-        "--parameters",
-        metavar="FILE",
-        help="What is identified already: torque and noise are taken from it; repeat it to join.",
+    option(
+        "-p --parameters FILE",
+        "What is identified already: torque and noise are taken from it; repeat it to join.",
     ),
 ]
 Have = Annotated[
     list[str] | None,
-    typer.Option(
-        "--have",
-        metavar="LOG",
-        help="Logs that inertia or the diagnosis gets as well; repeat it per path, folder or glob.",
+    option(
+        "--have LOG",
+        "Logs that inertia or the diagnosis gets as well; repeat it per path, folder or glob.",
     ),
 ]
 Trajectories = Annotated[
-    Path | None,
-    typer.Option(metavar="FOLDER", help="Where the moves go as CSV, ROS 2 and UR files."),
+    Path | None, option("--trajectories FOLDER", "Where the moves go as CSV, ROS 2 and UR files.")
 ]
 Duration = Annotated[
-    float,
-    typer.Option(
-        "--duration", metavar="S", callback=_seconds, help="Time that the inertia moves may take."
-    ),
+    float, option("--duration S", "Time that the inertia moves may take.", _seconds)
 ]
 MoveDuration = Annotated[
     float | None,
-    typer.Option(
-        "--move-duration",
-        metavar="S",
-        callback=_seconds,
-        help="Length of each of these moves; 20 ramps by default.",
-    ),
+    option("--move-duration S", "Length of each of these moves; 20 ramps by default.", _seconds),
 ]
 Together = Annotated[
-    bool, typer.Option("--together", help="Move all joints at once instead of two at a time.")
+    bool, option("--together", "Move all joints at once instead of two at a time.")
 ]
 Ramp = Annotated[
     float,
-    typer.Option(
-        "--ramp",
-        metavar="S",
-        callback=_seconds,
-        help="Time from rest to the largest speed: what limits the acceleration.",
+    option(
+        "--ramp S", "Time from rest to the largest speed: what limits the acceleration.", _seconds
     ),
 ]
-LimitShare = Annotated[
-    float, typer.Option("--share", metavar="X", callback=_share, help="Share of all limits to use.")
-]
+LimitShare = Annotated[float, option("--share X", "Share of all limits to use.", _share)]
 Lock = Annotated[
-    list[str] | None,
-    typer.Option("--lock", metavar="JOINT", help="Keep a joint still; repeat it for several."),
+    list[str] | None, option("--lock JOINT", "Keep a joint still; repeat it for several.")
 ]
 SpeedScale = Annotated[
-    float,
-    typer.Option(
-        metavar="X", callback=_share, help="Slow the files down, for the first run on the robot."
-    ),
+    float, option("--speed-scale X", "Slow the files down, for the first run on the robot.", _share)
 ]
 Between = Annotated[
-    str | None,
-    typer.Option(metavar="EFFECT,EFFECT", help="Of discriminate: the two effects to tell apart."),
+    str | None, option("--between EFFECT,EFFECT", "Of discriminate: the two effects to tell apart.")
 ]
-OfJoint = Annotated[
-    str | None, typer.Option("--joint", metavar="JOINT", help="Of discriminate: where they are.")
-]
+OfJoint = Annotated[str | None, option("--joint JOINT", "Of discriminate: where they are.")]
 Load = Annotated[
-    float,
-    typer.Option(
-        "--load", metavar="KG", min=0.0, help="Of payload: the heaviest, for the torque limits."
-    ),
+    float, option("--load KG", "Of payload: the heaviest, for the torque limits.", min=0.0)
 ]
 KeepOut = Annotated[
     list[str] | None,
-    typer.Option(metavar="BOX", help="Box that no link enters: x,y,z,x,y,z in m; repeat it."),
+    option("--keep-out BOX", "Box that no link enters: x,y,z,x,y,z in m; repeat it."),
 ]
 Workspace = Annotated[
-    str | None, typer.Option(metavar="BOX", help="Box that no link leaves: x,y,z,x,y,z in m.")
+    str | None, option("--workspace BOX", "Box that no link leaves: x,y,z,x,y,z in m.")
 ]
-Seed = Annotated[int, typer.Option(metavar="N", min=0, help="Of the moves that are drawn.")]
+Seed = Annotated[int, option("--seed N", "Of the moves that are drawn.", min=0)]
 
 
 def run(

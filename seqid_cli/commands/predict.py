@@ -25,11 +25,10 @@ EXAMPLES = (
 
 Torques = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Where the torques go: as MCAP if it ends so, else Parquet."),
+    opt.option("--torques FILE", "Where the torques go: as MCAP if it ends so, else Parquet."),
 ]
 WithUnexplained = Annotated[
-    bool,
-    typer.Option("--with-unexplained", help="Add the smooth terms that no known effect explains."),
+    bool, opt.option("--with-unexplained", "Add the smooth terms that no known effect explains.")
 ]
 
 

@@ -24,19 +24,15 @@ _FOLLOWING = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
 
 Holdout = Annotated[
     list[str],
-    typer.Option(
-        "--holdout",
-        metavar="LOG",
-        help="Log, folder or glob that is opened after the last decision, and only reported on;"
+    opt.option(
+        "--holdout LOG",
+        "Log, folder or glob that is opened after the last decision, and only reported on;"
         " repeat it for several.",
     ),
 ]
-Rounds = Annotated[
-    int, typer.Option("--rounds", metavar="N", min=1, max=100, help="At most this many effects.")
-]
+Rounds = Annotated[int, opt.option("--rounds N", "At most this many effects.", min=1, max=100)]
 WithUnexplained = Annotated[
-    bool,
-    typer.Option("--with-unexplained", help="Add a smooth term where no known effect explains."),
+    bool, opt.option("--with-unexplained", "Add a smooth term where no known effect explains.")
 ]
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from seqid_cli.commands.job import exit_code, listening
-from seqid_cli.commands.options import Strict
+from seqid_cli.commands.options import Strict, option
 from seqid_cli.commands.screen.render import Screen
 from seqid_cli.params.files import By
 from seqid_cli.params.results.report import TITLES, ReportFile
@@ -25,22 +25,19 @@ Files = Annotated[
         metavar="FILE...", help="JSON files that seqid wrote, and the torques of seqid predict."
     ),
 ]
-Page = Annotated[
-    Path, typer.Option("-o", "--output", metavar="FILE", help="Where the page goes, as HTML.")
-]
+Page = Annotated[Path, option("-o --output FILE", "Where the page goes, as HTML.")]
 Torques = Annotated[
     Path | None,
-    typer.Option(
-        metavar="FILE",
-        help="What seqid predict wrote with --torques; found beside the prediction if left out.",
+    option(
+        "--torques FILE",
+        "What seqid predict wrote with --torques; found beside the prediction if left out.",
     ),
 ]
-Title = Annotated[str, typer.Option(metavar="TEXT", help="Title, instead of the robot's name.")]
+Title = Annotated[str, option("--title TEXT", "Title, instead of the robot's name.")]
 
 
 ByOption = Annotated[
-    By | None,
-    typer.Option(help="A page about many robots, told apart by their names or by folders."),
+    By | None, option("--by", "A page about many robots, told apart by their names or by folders.")
 ]
 
 

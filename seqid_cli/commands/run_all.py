@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED
-from seqid_cli.commands.options import Jobs, RobotPath
+from seqid_cli.commands.options import Jobs, RobotPath, option
 from seqid_cli.commands.screen.render import Screen, screen_of
 from seqid_cli.errors import InputError, UsageError
 
@@ -33,15 +33,9 @@ Folder = Annotated[
         "are there are used.",
     ),
 ]
-Out = Annotated[
-    Path, typer.Option("-o", "--output", metavar="FOLDER", help="Folder where all results go.")
-]
-KeepGoing = Annotated[
-    bool, typer.Option("--keep-going", help="Go on after a stage whose verdict is poor.")
-]
-Force = Annotated[
-    bool, typer.Option("--force", help="Do everything anew, also what is newer than its logs.")
-]
+Out = Annotated[Path, option("-o --output FOLDER", "Folder where all results go.")]
+KeepGoing = Annotated[bool, option("--keep-going", "Go on after a stage whose verdict is poor.")]
+Force = Annotated[bool, option("--force", "Do everything anew, also what is newer than its logs.")]
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,7 @@ from seqid_cli.commands import options as opt
 from seqid_cli.commands.job import listening, show_stage
 
 Offset = Annotated[
-    bool,
-    typer.Option(
-        "--offset/--no-offset", help="Give each joint a constant torque besides friction."
-    ),
+    bool, opt.option("--offset/--no-offset", "Give each joint a constant torque besides friction.")
 ]
 EXAMPLES = (
     "seqid simultaneous sample_logs/six_joint/inertia -r sample_logs/six_joint/robot.toml"

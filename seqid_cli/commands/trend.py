@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED
-from seqid_cli.commands.options import Output, only
+from seqid_cli.commands.options import Output, only, option
 from seqid_cli.commands.screen.render import Screen, screen_of
 from seqid_cli.params.files import By
 from seqid_cli.params.results import tables
@@ -22,29 +22,16 @@ _share = only("between 0 and 1", lambda x: 0.0 < x < 1.0)
 Files = Annotated[
     list[Path], typer.Argument(metavar="PARAMS.json...", help="Parameter files of several dates.")
 ]
-Table = Annotated[
-    Path | None, typer.Option("--table", metavar="FILE", help="Where all values go, as Parquet.")
-]
+Table = Annotated[Path | None, option("--table FILE", "Where all values go, as Parquet.")]
 ByOption = Annotated[
-    By, typer.Option("--by", help="What tells robots apart: the name in their files, or folders.")
+    By, option("--by", "What tells robots apart: the name in their files, or folders.")
 ]
 Alpha = Annotated[
     float,
-    typer.Option(
-        "--alpha",
-        metavar="P",
-        callback=_share,
-        help="Probability that anything of healthy robots is said to change.",
-    ),
+    option("--alpha P", "Probability that anything of healthy robots is said to change.", _share),
 ]
 Relative = Annotated[
-    float,
-    typer.Option(
-        "--rtol",
-        metavar="X",
-        callback=_share,
-        help="Least change of a quantity, as a share of its size.",
-    ),
+    float, option("--rtol X", "Least change of a quantity, as a share of its size.", _share)
 ]
 
 

@@ -10,22 +10,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import TypeVar
 
 import numpy as np
 from msgspec.structs import replace
 
-from seqid_cli.compare.rule import Comparison, Rule, judged, missing, unlike
+from seqid_cli.compare.rule import Rule, judged, missing, unlike
 from seqid_cli.errors import UsageError
 from seqid_cli.model.friction import SLIDES, FrictionSurface
-from seqid_cli.params.document import check_same_robot, present
+from seqid_cli.params.document import check_same_robot, now, present, tool
 from seqid_cli.params.io import Document, Source
-from seqid_cli.params.results.comparison import Difference
+from seqid_cli.params.results.comparison import COMPARISON_SCHEMA, ComparisonFile, Difference
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.schema import (
     EffectOfJoint,
     FrictionJoint,
-    FrictionStage,
     ImuCalibration,
     ImuStage,
     Parameter,
@@ -40,9 +40,11 @@ from seqid_cli.robot.types import Array
 _POSITIONS, _SPEEDS = 13, 12  # points at which friction surfaces are compared, per direction
 
 _KINDS = ("parameter", "prediction", "diagnosis")
+K = TypeVar("K")
+V = TypeVar("V")
 
 
-def compare(a: Source[Document], b: Source[Document], *, rule: Rule) -> Comparison:
+def compare(a: Source[Document], b: Source[Document], *, rule: Rule) -> ComparisonFile:
     """Compare two parameter, prediction or diagnosis files of one robot."""
     kind = _kind(a.content)
     if kind != _kind(b.content):
@@ -69,7 +71,21 @@ def compare(a: Source[Document], b: Source[Document], *, rule: Rule) -> Comparis
         found = list(_predictions(left, right, rule))
     elif isinstance(left, DiagnosisFile) and isinstance(right, DiagnosisFile):
         found = list(_diagnoses(left, right, rule))
-    return Comparison(kind, rule, tuple(found), tuple(notes))
+    changed = sum(item.different for item in found)
+    return ComparisonFile(
+        schema=COMPARISON_SCHEMA,
+        created=now(),
+        tool=tool(),
+        kind=kind,
+        a=a.path,
+        b=b.path,
+        rule=rule,
+        different=changed > 0,
+        compared=len(found),
+        changed=changed,
+        differences=found,
+        notes=notes,
+    )
 
 
 def _kind(content: Document) -> str:
@@ -85,16 +101,27 @@ def _stages(a: Stages, b: Stages, rule: Rule) -> Iterator[Difference]:
         if name != "effects" and (name not in left or name not in right):
             yield missing(name, "stage", there=name in left)
     if a.friction and b.friction:
-        yield from _friction(a.friction, b.friction, rule)
-    for name, one, other in (
+        joints = a.friction.joints, b.friction.joints
+        for name, one, other in _both(*joints):
+            if one and other:
+                yield _surface(name, one, other, rule)
+            else:
+                yield missing("friction", "surface", joint=name, there=one is not None)
+    for stage, mine, theirs in (
         ("gravity", a.gravity, b.gravity),
         ("inertia", a.inertia, b.inertia),
     ):
-        if one and other:
-            yield from _rigid(name, one, other, rule)
+        if mine and theirs:
+            yield from _rigid(stage, mine, theirs, rule)
     if a.imu and b.imu:
         yield from _imus(a.imu, b.imu, rule)
     yield from _effects(a.effects or [], b.effects or [], rule)
+
+
+def _both(left: Mapping[K, V], right: Mapping[K, V]) -> Iterator[tuple[K, V | None, V | None]]:
+    """All keys of two mappings with what stands under each; None where it is missing."""
+    for key in {**left, **right}:
+        yield key, left.get(key), right.get(key)
 
 
 def _rigid(
@@ -132,29 +159,14 @@ def _parameters(
     prefix: str = "",
 ) -> Iterator[Difference]:
     left, right = ({parameter.name: parameter for parameter in side} for side in (a, b))
-    for name in [*left, *(name for name in right if name not in left)]:
-        some = left.get(name) or right[name]
-        if name not in left or name not in right:
-            yield missing(stage, prefix + name, joint=some.joint, there=name in left)
+    for name, one, other in _both(left, right):
+        if one is None or other is None:
+            joint = (left.get(name) or right[name]).joint
+            yield missing(stage, prefix + name, joint=joint, there=one is not None)
             continue
-        yield judged(
-            stage,
-            prefix + name,
-            some.joint,
-            some.unit,
-            (left[name].value, right[name].value),
-            (left[name].std_error, right[name].std_error),
-            rule,
-            least=(least or {}).get(some.unit, 0.0),
-        )
-
-
-def _friction(a: FrictionStage, b: FrictionStage, rule: Rule) -> Iterator[Difference]:
-    for name in [*a.joints, *(name for name in b.joints if name not in a.joints)]:
-        if name not in a.joints or name not in b.joints:
-            yield missing("friction", "surface", joint=name, there=name in a.joints)
-        else:
-            yield _surface(name, a.joints[name], b.joints[name], rule)
+        pair, errors = (one.value, other.value), (one.std_error, other.std_error)
+        size = (least or {}).get(one.unit, 0.0)
+        yield judged(stage, prefix + name, one.joint, one.unit, pair, errors, rule, least=size)
 
 
 def _surface(name: str, a: FrictionJoint, b: FrictionJoint, rule: Rule) -> Difference:
@@ -199,23 +211,14 @@ def _shared_grid(a: FrictionJoint, b: FrictionJoint) -> tuple[Array, ...]:
 
 
 def _imus(a: ImuStage, b: ImuStage, rule: Rule) -> Iterator[Difference]:
-    for name in [*a.imus, *(name for name in b.imus if name not in a.imus)]:
-        if name not in a.imus or name not in b.imus:
-            yield missing("imu", name, there=name in a.imus)
+    for name, one, other in _both(a.imus, b.imus):
+        if one is None or other is None:
+            yield missing("imu", name, there=one is not None)
             continue
-        one, other = a.imus[name], b.imus[name]
         angle, remark = _angle_between(one, other)
-        yield judged(
-            "imu",
-            f"{name} rotation",
-            "",
-            "deg",
-            (0.0, math.degrees(angle)),
-            (one.std_error_deg, other.std_error_deg),
-            rule,
-            least=math.degrees(1.0),
-            remark=remark,
-        )
+        values, errors = (0.0, math.degrees(angle)), (one.std_error_deg, other.std_error_deg)
+        what, least = f"{name} rotation", math.degrees(1.0)
+        yield judged("imu", what, "", "deg", values, errors, rule, least=least, remark=remark)
 
 
 def _angle_between(
@@ -243,12 +246,10 @@ def _effects(
     a: Sequence[EffectOfJoint], b: Sequence[EffectOfJoint], rule: Rule
 ) -> Iterator[Difference]:
     left, right = ({(item.effect, item.joint or ""): item for item in side} for side in (a, b))
-    for key in [*left, *(key for key in right if key not in left)]:
-        effect, joint = key
-        if key not in left or key not in right:
-            yield missing("effects", effect, joint=joint, there=key in left)
+    for (effect, joint), one, other in _both(left, right):
+        if one is None or other is None:
+            yield missing("effects", effect, joint=joint, there=one is not None)
             continue
-        one, other = left[key], right[key]
         prefix = f"{effect}: "
         yield from _parameters("effects", one.parameters, other.parameters, rule, prefix=prefix)
         stated = {parameter.name for parameter in (*one.parameters, *other.parameters)}
@@ -260,11 +261,10 @@ def _effects(
 
 
 def _predictions(a: PredictionFile, b: PredictionFile, rule: Rule) -> Iterator[Difference]:
-    for joint in [*a.joints, *(name for name in b.joints if name not in a.joints)]:
-        if joint not in a.joints or joint not in b.joints:
-            yield missing("prediction", "joint", joint=joint, there=joint in a.joints)
+    for joint, one, other in _both(a.joints, b.joints):
+        if one is None or other is None:
+            yield missing("prediction", "joint", joint=joint, there=one is not None)
             continue
-        one, other = a.joints[joint], b.joints[joint]
         pairs = (("rmse", one.rmse, other.rmse), ("max_abs", one.max_abs, other.max_abs))
         yield from _optional("prediction", joint, pairs, a.robot, rule)
 
@@ -273,16 +273,14 @@ def _diagnoses(a: DiagnosisFile, b: DiagnosisFile, rule: Rule) -> Iterator[Diffe
     if a.verdict != b.verdict:
         yield unlike("diagnosis", "verdict", "", f"{a.verdict}, then {b.verdict}")
     left, right = ({(f.effect, f.joint or ""): f for f in side.findings} for side in (a, b))
-    for effect, joint in [*left, *(key for key in right if key not in left)]:
-        if (effect, joint) not in left or (effect, joint) not in right:
-            yield missing("diagnosis", effect, joint=joint, there=(effect, joint) in left)
-    for joint in [name for name in a.joints if name in b.joints]:
-        one, other = a.joints[joint], b.joints[joint]
-        pairs = (
-            ("rmse", one.rmse, other.rmse),
-            ("noise_floor", one.noise_floor, other.noise_floor),
-        )
-        yield from _optional("diagnosis", joint, pairs, a.robot, rule)
+    for (effect, joint), before, after in _both(left, right):
+        if before is None or after is None:
+            yield missing("diagnosis", effect, joint=joint, there=before is not None)
+    for joint, one, other in _both(a.joints, b.joints):
+        if one and other:
+            floors = ("noise_floor", one.noise_floor, other.noise_floor)
+            pairs = (("rmse", one.rmse, other.rmse), floors)
+            yield from _optional("diagnosis", joint, pairs, a.robot, rule)
 
 
 def _optional(

@@ -5,9 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from seqid_cli.logs.given import PathLike
-from seqid_cli.params.document import now, tool
 from seqid_cli.params.io import read_any
-from seqid_cli.params.results.comparison import COMPARISON_SCHEMA, ComparisonFile
+from seqid_cli.params.results.comparison import ComparisonFile
 
 
 def compare(
@@ -34,18 +33,4 @@ def compare(
     from seqid_cli.compare.differences import compare as compared
     from seqid_cli.compare.rule import Rule
 
-    found = compared(a, b, rule=Rule.of(sigma, rtol))
-    return ComparisonFile(
-        schema=COMPARISON_SCHEMA,
-        created=now(),
-        tool=tool(),
-        kind=found.kind,
-        a=str(first),
-        b=str(second),
-        rule=found.rule,
-        different=bool(found.changed),
-        compared=len(found.differences),
-        changed=len(found.changed),
-        differences=list(found.differences),
-        notes=list(found.notes),
-    )
+    return compared(a, b, rule=Rule.of(sigma, rtol))

@@ -10,7 +10,6 @@ judged by their size alone.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 from seqid_cli.params.results.comparison import Difference, RuleEntry
 
@@ -38,21 +37,6 @@ class Rule(RuleEntry, frozen=True):
         if sigmas is not None and self.sigma is not None and sigmas <= self.sigma:
             return False
         return relative > self.rtol
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """All numbers of two results; `notes` are remarks that do not count as changes."""
-
-    kind: str
-    rule: Rule
-    differences: tuple[Difference, ...]
-    notes: tuple[str, ...]
-
-    @property
-    def changed(self) -> tuple[Difference, ...]:
-        """The numbers that changed."""
-        return tuple(item for item in self.differences if item.different)
 
 
 def judged(

@@ -15,13 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.model.bodies.consistent import nearest_body
 from seqid_cli.model.bodies.demand import whitening
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 
 @dataclass(frozen=True)

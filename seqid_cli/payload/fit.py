@@ -11,7 +11,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.options import InertiaOptions
@@ -25,8 +24,7 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.payload.rows import FRICTION_TERMS, LoadedModel, PayloadRows
 from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ class PayloadFit:
 
     phi: Array
     covariance: Array
-    determined: NDArray[np.bool_]
+    determined: Mask
     before: Array
     after: Array
     measured: Array

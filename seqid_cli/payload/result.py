@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.common_cutoff import inherited
 from seqid_cli.identify.inputs import Inputs
@@ -26,8 +25,6 @@ from seqid_cli.payload.options import PayloadOptions
 from seqid_cli.payload.settings import settings_of
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.shares import percent
-
-Array = NDArray[np.float64]
 
 MASS, FIRST_MOMENT = 0, slice(1, 4)
 

@@ -18,7 +18,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, predicted, slides_from
@@ -33,8 +32,7 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import Basis, free_basis
 from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array
 
 FRICTION_TERMS = 2  # changes of each joint's friction: as it is, and in proportion to the speed
 

@@ -46,9 +46,10 @@ from seqid_cli.params.results.plan import PlannedMove
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import NOISE_HZ, Belief
 from seqid_cli.plan.discrimination.columns import Layout, gram_of
-from seqid_cli.plan.discrimination.question import Question, Slot
-from seqid_cli.plan.discrimination.truths import (
+from seqid_cli.plan.discrimination.question import (
+    Question,
     Reading,
+    Slot,
     drawn_of,
     seen,
     size_of,

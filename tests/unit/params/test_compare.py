@@ -8,22 +8,26 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.compare.differences import compare
-from seqid_cli.compare.rule import Comparison, Rule
+from seqid_cli.compare.rule import Rule
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.params.io import Document, Source
-from seqid_cli.params.results.comparison import Difference
+from seqid_cli.params.results.comparison import ComparisonFile, Difference
 from seqid_cli.params.schema import EffectOfJoint, Parameter, ParameterFile, Verdict
 from tests.unit.params.documents import diagnosis_file, full_file, inertia_file
 
 DEFAULT = Rule.of(None, None)
 
 
-def compared(a: Document, b: Document, rule: Rule = DEFAULT) -> Comparison:
+def compared(a: Document, b: Document, rule: Rule = DEFAULT) -> ComparisonFile:
     return compare(Source("a.json", "0", a), Source("b.json", "1", b), rule=rule)
 
 
-def only(found: Comparison) -> Difference:
-    (change,) = found.changed
+def changed(found: ComparisonFile) -> list[Difference]:
+    return [item for item in found.differences if item.different]
+
+
+def only(found: ComparisonFile) -> Difference:
+    (change,) = changed(found)
     return change
 
 
@@ -154,10 +158,10 @@ def test_effects_are_compared_by_name_joint_parameters_and_settings() -> None:
     assert not compared(a, b).changed
     b.stages.effects[0].parameters[0].value = 1.2
     b.stages.effects[0].settings["stribeck_speed"] = 0.2
-    names = {item.name for item in compared(a, b).changed}
+    names = {item.name for item in changed(compared(a, b))}
     assert names == {"stribeck: stribeck_torque", "stribeck: stribeck_speed"}
     b.stages.effects = [EffectOfJoint(effect="spring", joint="elbow")]
-    changes = {(item.name, item.remark) for item in compared(a, b).changed}
+    changes = {(item.name, item.remark) for item in changed(compared(a, b))}
     assert changes == {("stribeck", "only in the first"), ("spring", "only in the second")}
 
 
@@ -167,7 +171,7 @@ def test_a_verdict_that_turned_is_a_note() -> None:
     b.stages.friction.verdicts[1] = Verdict(joint="elbow", good=False, reason="too few speeds")
     found = compared(a, b)
     assert not found.changed
-    assert found.notes == ("friction: the verdict on elbow is now poor: too few speeds",)
+    assert found.notes == ["friction: the verdict on elbow is now poor: too few speeds"]
 
 
 def test_of_several_verdicts_on_a_joint_all_must_be_good() -> None:
@@ -176,11 +180,11 @@ def test_of_several_verdicts_on_a_joint_all_must_be_good() -> None:
         assert each.stages.friction is not None
         hole = Verdict(joint="elbow", good=False, reason="no values for a while")
         each.stages.friction.verdicts = [*each.stages.friction.verdicts, hole]
-    assert compared(a, b).notes == ()
+    assert compared(a, b).notes == []
     assert a.stages.friction is not None
     a.stages.friction.verdicts.pop()
     note = "friction: the verdict on elbow is now poor: no values for a while"
-    assert compared(a, b).notes == (note,)
+    assert compared(a, b).notes == [note]
 
 
 def test_another_robot_file_is_a_note_and_another_robot_an_error() -> None:
@@ -203,7 +207,7 @@ def test_diagnoses_are_compared_by_verdict_findings_and_errors() -> None:
     b.verdict = "nothing_missing"
     b.findings = []
     b.joints["elbow"].rmse = 0.4
-    names = {item.name for item in compared(a, b).changed}
+    names = {item.name for item in changed(compared(a, b))}
     assert names == {"verdict", "stribeck", "rmse"}
 
 

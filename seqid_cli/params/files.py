@@ -84,12 +84,8 @@ def replacing(path: Path) -> Iterator[Path]:
         yield path
         return
     target = _target(path)
+    _without_leftovers(target)
     temporary = _temporary(target)
-    for left in target.parent.glob(f".{glob.escape(_short(target.name))}.*.tmp"):
-        process = left.suffixes[-2][1:]  # of a run that was killed
-        if process.isdecimal() and int(process) != os.getpid() and not process_runs(int(process)):
-            with contextlib.suppress(OSError):
-                left.unlink(missing_ok=True)
     try:
         yield temporary
         with writing(path):
@@ -113,6 +109,15 @@ def _short(name: str, most: int = 200) -> str:
     """A name that leaves room for more within the 255 bytes that file systems allow."""
     raw = os.fsencode(name)
     return name if len(raw) <= most else f"{zlib.crc32(raw):08x}"
+
+
+def _without_leftovers(target: Path) -> None:
+    """Remove temporary files that killed runs left beside a file."""
+    for path in target.parent.glob(f".{glob.escape(_short(target.name))}.*.tmp"):
+        process = path.suffixes[-2][1:]
+        if process.isdecimal() and int(process) != os.getpid() and not process_runs(int(process)):
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
 
 
 def process_runs(process: int) -> bool:

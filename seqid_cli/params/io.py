@@ -116,21 +116,24 @@ def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
         One is missing, is no JSON, is no document of these kinds, is newer than this version
         knows, or does not follow its schema. The message names the file and the key.
     """
-    return [_read(path) for path in paths]
+    found: list[Source[Document]] = []
+    for path in paths:
+        data, document = _opened(path, _RESULT_HINT)
+        name = _schema_of(document, "no result", str(path), _RESULT_HINT)
+        content = _content(data, document, name, str(path))
+        found.append(Source(str(path), hashlib.sha256(data).hexdigest(), content))
+    return found
 
 
-def _read(path: Path) -> Source[Document]:
-    where = str(path)
-    data, document = _opened(path, _RESULT_HINT)
-    sha256 = hashlib.sha256(data).hexdigest()
-    name = _schema_of(document, "no result", where, _RESULT_HINT)
+def _content(data: bytes, document: Json, name: re.Match[str], where: str) -> Document:
+    """Decode a document by the name of its schema."""
     kind = name["kind"]
     if kind == "params":
-        return Source(where, sha256, _parameters(data, document, int(name["version"]), where))
+        return _parameters(data, document, int(name["version"]), where)
     if name[0] in _RESULTS:
         result = _decoded(data, _RESULTS[name[0]], kind, where)
         check_consistency(result, where)
-        return Source(where, sha256, result)
+        return result
     known = [known for known in _RESULTS if known.startswith(f"seqid/{kind}@")]
     message = f"is of the version {name[0]}; this seqid reads {', '.join(known)}"
     if not known:

@@ -50,7 +50,7 @@ def trend(
         hint = "Give them different names."
         raise UsageError("-o and --table name the same file", where=str(target), hint=hint)
     models = read_models(given)
-    from seqid_cli.trend.result import trend_file, write_table
+    from seqid_cli.trend.changes import trend_file, write_table
 
     ids = [model_id(name, file, files) for name, file in models]
     found = trend_file(models, ids, options)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from seqid_cli.params.evidence_schema import RefinementRound, RivalEntry
+from seqid_cli.params.evidence_schema import RivalEntry
 from seqid_cli.params.results.diagnosis import EventEntry, HiddenEntry, ResidualEntry
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlannedMove, PlannedStage
@@ -130,16 +130,13 @@ def rounds(loop: ClosedLoop) -> Values:
     rows = []
     for x in (*loop.rounds, *loop.refused):
         gains = (x.training_gain, x.training_interval, x.held_out_gain, x.interval)
-        rows.append((x.effect, x.joint or "whole arm", *gains, _outcome(x)))
+        outcome = f"refused: {x.reason or 'no gain'}"
+        if x.accepted:
+            outcome = f"added, {'confirmed' if x.confirmed else 'not confirmed'}"
+            outcome += f": {x.reason}" if x.reason else ""
+        rows.append((x.effect, x.joint or "whole arm", *gains, outcome))
     titles = "effect | joint | gain left out | 95 % interval | gain held out | 95 % interval"
     return values(f"{titles} | outcome", "effect text share shares share shares text", rows)
-
-
-def _outcome(item: RefinementRound) -> str:
-    if not item.accepted:
-        return f"refused: {item.reason or 'no gain'}"
-    confirmed = "confirmed" if item.confirmed else "not confirmed"
-    return f"added, {confirmed}: {item.reason}" if item.reason else f"added, {confirmed}"
 
 
 def rivals(tried: Sequence[RivalEntry], title: str = "tried") -> Values:

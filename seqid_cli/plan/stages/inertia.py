@@ -1,8 +1,11 @@
-"""Plan the inertia stage: moves of two joints, or of all, chosen and refined (Sec. 2.2.4)."""
+"""Plan the inertia stage: moves of two joints, or of all, chosen and refined (Sec. 2.2.4).
+
+The validation has moves of all joints, drawn by a seed of their own, not optimised.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +45,21 @@ def plan_inertia(
     moves, dense, each = optimised(belief, goal, options, known, "inertia")
     stage = predicted_stage(belief, goal, stages, dense, each, known)
     return Planned(moves, stage)
+
+
+def plan_validation(
+    belief: Belief, options: PlanOptions, *, count: int = 4, own_seed: int = 1_000_003
+) -> Planned:
+    """Draw moves of all joints, the first that keep the torque limits."""
+    own = replace(options, seed=options.seed + own_seed)
+    goal = Goal.of(belief, own.seed)
+    shapes = Shapes.over(own.length_s, COARSE_HZ)
+    rng = np.random.default_rng(own.seed)
+    pool = draw_pool(belief, goal, shapes, [tuple(belief.limits.moving)], 10 * count, rng)
+    check_torque(belief, pool, own)
+    drawn, moves = within_limits(belief, pool.drawn[slice(count)], own)
+    named = described(belief, drawn, moves, own, "validation")
+    return Planned(named, PlannedStage(duration_s=own.length_s * len(named)))
 
 
 def optimised(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -12,9 +12,8 @@ from seqid_cli.params.schema import FrictionJoint
 from seqid_cli.report.collection import Place
 from seqid_cli.report.figures.chart import small_figure, small_panel
 from seqid_cli.report.figures.svg import line, padded
-from seqid_cli.report.views import Figure, Key, Table, table, table_of
+from seqid_cli.report.views import Figure, Key, table, table_of
 from seqid_cli.report.words import Z95, number
-from seqid_cli.robot.types import Array
 
 _CELLS = (22, 11)  # of the surface: along position, along speed in either direction
 _COLOURS = 12
@@ -65,11 +64,6 @@ def surface_figure(joint: FrictionJoint, place: Place) -> Figure:
     )
     marks = [(k, low + k / (_COLOURS - 1) * (high - low)) for k in (0, 4, 7, _COLOURS - 1)]
     legend = [Key(f"heat h{k}", f"{number(at, 2)} {place.unit}") for k, at in marks]
-    values = _grid(surface, q, speed, place, title)
-    return small_figure(panel, title, text, legend, values, name="Over position and velocity")
-
-
-def _grid(surface: FrictionSurface, q: Array, speed: Array, place: Place, title: str) -> Table:
     some_q, some_v = np.linspace(q[0], q[-1], 5), np.linspace(speed[0], speed[-1], 5)
     heads = [Head("velocity", "number", f"{place.length}/s")]
     heads += [Head(f"at {number(at)}", "number", place.length) for at in some_q]
@@ -77,30 +71,25 @@ def _grid(surface: FrictionSurface, q: Array, speed: Array, place: Place, title:
         (at, *surface.torque(some_q, np.full(len(some_q), at)).tolist())
         for at in (*(-some_v[::-1]).tolist(), *some_v.tolist())
     ]
-    return table_of(f"{title}, {place.unit}", Values(heads, rows))
+    values = table_of(f"{title}, {place.unit}", Values(heads, rows))
+    return small_figure(panel, title, text, legend, values, name="Over position and velocity")
 
 
-def over_velocity(joint: FrictionJoint, place: Place) -> Figure:
-    """Draw cuts at three positions over velocity, with 95 % intervals and the recorded speeds."""
-    low, high = joint.position_range
-    arm = np.linspace(joint.speed_range[0], joint.speed_range[1], _CURVE)
-    cuts = [_round(at, high - low) for at in np.linspace(low, high, 5)[1:4].tolist()]
-    return _cuts(joint, place, "velocity", cuts, [-arm[::-1], arm])
+def cuts_figure(joint: FrictionJoint, place: Place, over: str) -> Figure:
+    """Draw three cuts over velocity or position, each in the pieces that were recorded.
 
-
-def over_position(joint: FrictionJoint, place: Place) -> Figure:
-    """Draw cuts at three speeds over position, with 95 % intervals."""
-    slow, fast = joint.speed_range
-    cuts = [_round(at, fast - slow) for at in (slow, 0.5 * (slow + fast), fast)]
-    q = np.linspace(joint.position_range[0], joint.position_range[1], _CURVE)
-    return _cuts(joint, place, "position", cuts, [q])
-
-
-def _cuts(
-    joint: FrictionJoint, place: Place, over: str, cuts: Sequence[float], pieces: Sequence[Array]
-) -> Figure:
-    """Draw cuts through the surface, each in the pieces of the axis that were recorded."""
+    95 % intervals are around them, and the recorded speeds are marked.
+    """
     surface, along = FrictionSurface.from_stage(joint), over == "velocity"
+    (low, high), (slow, fast) = joint.position_range, joint.speed_range
+    if along:
+        arm = np.linspace(slow, fast, _CURVE)
+        at_three, width, pieces = np.linspace(low, high, 5)[1:4], high - low, [-arm[::-1], arm]
+    else:
+        at_three, width = np.array([slow, 0.5 * (slow + fast), fast]), fast - slow
+        pieces = [np.linspace(low, high, _CURVE)]
+    cuts = [_round(at, width) for at in at_three.tolist()]
+
     curves = []
     for k, at in enumerate(cuts):
         for x in pieces:
@@ -152,4 +141,8 @@ def _round(value: float, span: float) -> float:
     return round(value, decimals) + 0.0  # never minus zero
 
 
-FIGURES = (surface_figure, over_velocity, over_position)  # of each joint
+FIGURES = (  # of each joint
+    surface_figure,
+    partial(cuts_figure, over="velocity"),
+    partial(cuts_figure, over="position"),
+)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import welch
 from scipy.stats import gamma
 
@@ -24,14 +23,12 @@ from seqid_cli.report.figures.chart import (
     small_panel,
     wide_box,
 )
-from seqid_cli.report.figures.downsample import extremes, pieces
 from seqid_cli.report.figures.svg import padded
 from seqid_cli.report.torques import Series
 from seqid_cli.report.views import Figure, Key, Table, table
 from seqid_cli.report.words import number, plural, short_path
-from seqid_cli.robot.types import Array
+from seqid_cli.typing import Array, Index, Mask
 
-Mask = NDArray[np.bool_]
 Event = tuple[float, float]
 
 _ROWS = 20  # of the tables of time series
@@ -302,3 +299,40 @@ def _density(signal: Signal) -> tuple[Array, Array]:
     length = min(len(signal.values), max(256, len(signal.values) // 4))
     f, power = welch(signal.values, fs=signal.rate_hz, nperseg=length, detrend="constant")
     return np.asarray(f, dtype=np.float64), np.sqrt(np.asarray(power, dtype=np.float64))
+
+
+def extremes(x: Array, y: Array, columns: int) -> Index:
+    """Return the indices of the smallest and largest y in each of `columns` equal parts of x.
+
+    `x` (N,): not falling. `y` (N,): finite. `columns`: as many as the drawing has pixels across.
+    Returns (M,) array of int: rising, M <= 2 * columns + 2; the first and the last sample are
+    always among them.
+    """
+    if len(x) <= 2 * columns + 2:
+        return np.arange(len(x))
+    span = x[-1] - x[0]
+    share = (x - x[0]) / span if span > 0.0 else np.zeros(len(x))
+    column = np.minimum((share * columns).astype(np.int64), columns - 1)
+    starts = np.flatnonzero(np.diff(column, prepend=-1))
+    low, high = np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)
+    sizes, found = np.diff(np.append(starts, len(x))), [np.array([0, len(x) - 1])]
+    for extreme in (low, high):  # the first sample that reaches it
+        places = np.where(y == np.repeat(extreme, sizes), np.arange(len(x)), len(x))
+        found.append(np.minimum.reduceat(places, starts))
+    return np.unique(np.concatenate(found))
+
+
+def pieces(t: Array, good: Mask, *, max_gap: float = 5.0) -> list[slice]:
+    """Return the runs of good samples without a gap in time, as slices."""
+    if not len(t):
+        return []
+    steps = np.diff(t)
+    usual = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else 0.0
+    # With few steps, all long, the median is no measure: then nothing counts as a gap.
+    cut = np.concatenate(
+        [[True], (steps > max_gap * usual) if usual else np.zeros(len(steps), bool)]
+    )
+    cut |= np.concatenate([[False], good[1:] != good[:-1]])
+    starts = np.flatnonzero(cut)
+    ends = np.append(starts[1:], len(t))
+    return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True) if good[a]]

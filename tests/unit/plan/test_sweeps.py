@@ -21,7 +21,7 @@ from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.friction import plan_friction
 from seqid_cli.plan.stages.gravity import plan_gravity
 from seqid_cli.plan.stages.imu import POSTURES, plan_imu
-from seqid_cli.plan.stages.validation import plan_validation
+from seqid_cli.plan.stages.inertia import plan_validation
 from seqid_cli.robot.base_parameters import base_regressor
 from tests.plants.planned import limits_used
 from tests.plants.robots.sample import sample_robot

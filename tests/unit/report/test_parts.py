@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from seqid_cli.report.figures.downsample import extremes, pieces
+from seqid_cli.report.figures.torque import extremes, pieces
 from seqid_cli.report.words import (
     command,
     expression,

@@ -1,4 +1,6 @@
-"""Logs that change or vanish while they are read, little memory, few open files."""
+"""Logs that change or vanish, little memory, few open files; commands that are killed or meet a full disk."""
+
+from __future__ import annotations
 
 import os
 import resource
@@ -15,6 +17,7 @@ from seqid_cli.__main__ import main
 from seqid_cli.discover.excerpts import excerpts
 from seqid_cli.logs import pieces, read
 from tests import ROOT
+from tests.commands.torment import COMMANDS, torment
 from tests.studies.soak import write_log
 
 SAMPLES = ROOT / "sample_logs" / "one_joint"
@@ -117,3 +120,22 @@ def test_memory_does_not_grow_with_the_log(
     short, long = lines(1.0), lines(2.0)
     assert main(short) == 0  # what is made once is there
     assert peak(long) < 1.2 * peak(short)
+
+
+@pytest.mark.parametrize(
+    ("name", "files"),
+    [
+        ("friction", 1),
+        ("trend", 2),
+        pytest.param("predict, MCAP", 2, marks=pytest.mark.slow),
+        pytest.param("predict", 2, marks=pytest.mark.slow),
+        pytest.param("report", 1, marks=pytest.mark.slow),
+    ],
+)
+def test_old_files_stay_whole(name: str, files: int, tmp_path: Path) -> None:
+    forks = torment(COMMANDS[name], tmp_path, kills=12, points=6)
+    assert not forks.wrong
+    assert len(forks.sizes) == files
+    assert forks.killed >= 10
+    assert forks.inside
+    assert forks.full >= 6  # one a file at least

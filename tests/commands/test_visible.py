@@ -1,5 +1,8 @@
-"""Names that steer a terminal are shown, not obeyed."""
+"""What the screen shows: tables, verdicts, progress; names that steer a terminal are shown, not obeyed."""
 
+from __future__ import annotations
+
+import io
 import json
 import re
 import shutil
@@ -10,10 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from seqid_cli.__main__ import main
-from seqid_cli.commands.screen.layout import visible, visible_cell
+from seqid_cli.commands.screen.layout import format_table, visible, visible_cell
+from seqid_cli.commands.screen.progress import ProgressLine
 from seqid_cli.commands.screen.render import Screen
+from seqid_cli.commands.screen.show import show_stages, verdict_text
+from seqid_cli.commands.screen.show_diagnosis import parameters_text
+from seqid_cli.params.schema import EffectOfJoint, Parameter, Verdict
 from tests import ROOT
 from tests.unit.logs.writers import write_raw
+from tests.unit.params.documents import inertia_file, robot
 
 SAMPLES = ROOT / "sample_logs" / "one_joint"
 EVIL = "a\x1b]0;owned\x07\x9b2J\u202etxt\x00b"
@@ -85,3 +93,135 @@ def test_a_long_name_does_not_fill_the_screen(capsys: pytest.CaptureFixture[str]
     said = capsys.readouterr().err
     assert len(said) < 10_000
     assert "error" in said
+
+
+COLUMNS = ("joint", "error", "verdict")
+ROWS = [("elbow", "0.125", "good"), ("wrist_1", "12", "poor: noisy [a]"), ("w", "-", "-")]
+
+
+def test_a_table_fits_the_screen_and_no_number_is_cut() -> None:
+    columns = ["file", *(f"standard error of {k}" for k in range(8)), "verdict"]
+    numbers = [f"{-3.0905e-08 * 10**k:.5g}" for k in range(8)]
+    row = ["a_long_name_of_a_log_of_the_elbow.parquet", *numbers, "poor: the fit leaves 35 %"]
+    other = ["the_other_log.parquet", *row[1:]]
+    text = format_table(columns, [row, other], width=60)
+    assert all(len(line) <= 60 for line in text.splitlines())
+    words = text.split()
+    assert all(words.count(number) == 2 for number in numbers)
+    assert sum(word.startswith("a_l") and word.endswith(".parquet") for word in words) >= 2
+    assert text.count("\n\n") == 2  # three tables, each with the file's name
+
+
+def test_joints_that_slide_have_units_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
+    """Every row says its unit where joints of both kinds mix; else the heads say it."""
+    screen, stages, arm = Screen("inertia"), inertia_file().stages, robot()
+    arm.prismatic = ["elbow"]
+    show_stages(screen, stages, arm)
+    mixed = capsys.readouterr().out
+    assert "N m" in mixed
+    assert not re.search(r"error +N", mixed)
+    assert re.findall(r"^(shoulder|elbow) +(N m|N) ", mixed, re.MULTILINE) == (
+        [("shoulder", "N m"), ("elbow", "N")] * 3  # friction, gravity, inertia
+    )
+    arm.prismatic = list(arm.joints)
+    show_stages(screen, stages, arm)
+    assert "RMS error N " in capsys.readouterr().out
+
+
+def test_a_verdict_names_every_reason() -> None:
+    verdicts = [
+        Verdict(joint="a", good=True),
+        Verdict(joint="b", good=False, reason="x"),
+        Verdict(joint="b", good=False, reason="y"),
+    ]
+    texts = [verdict_text(verdicts, name) for name in "abc"]
+    assert texts == ["good", "poor: x; y", "-"]
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def test_progress_shows_after_a_second_and_vanishes() -> None:
+    stream, clock = Terminal(), Clock()
+    line = ProgressLine(stream, enabled=True, clock=clock)
+    line.show(1, 4, "a.mcap")
+    with line.hidden():
+        assert stream.getvalue() == ""
+    clock.now = 1.5
+    line.show(2, 4, "b.mcap")
+    assert "[########........] 2/4 b.mcap  2 s, about 2 s left" in stream.getvalue()
+    line.close()
+    assert stream.getvalue().endswith("\x1b[2K")
+    before = stream.getvalue()
+    line.show(3, 4, "c.mcap")
+    assert stream.getvalue() == before
+
+
+ONE, TWO, SIX = (ROOT / "sample_logs" / name for name in ("one_joint", "two_joint", "six_joint"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("inspect", str(SIX / "validation"), "-r", str(SIX / "robot.toml")),
+        ("compare", str(TWO / "golden.json"), str(TWO / "golden.json")),
+        ("export", str(TWO / "golden.json"), "-r", str(TWO / "robot.toml"), "-o", "arm.yaml"),
+        ("predict", str(ONE / "validation"), "-r", str(ONE / "robot.toml"), "-p",
+         str(ONE / "golden.json"), "-o", "prediction.json"),
+    ],
+    ids=lambda words: words[0],
+)  # fmt: skip
+def test_screens_of_80_columns_hold_every_number(
+    words: tuple[str, ...],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert main([*words]) == 0
+    wide = capsys.readouterr().out
+    for name, value in (("COLUMNS", "80"), ("NO_COLOR", "1")):
+        monkeypatch.setenv(name, value)
+    assert main([*words]) == 0
+    narrow = capsys.readouterr().out
+    assert max(len(line) for line in narrow.splitlines() if " " in line.strip()) <= 80
+    numbers = {word for word in wide.split() if re.fullmatch(r"-?\d[\d.]*(e[-+]\d+)?", word)}
+    assert len(numbers) > 3
+    assert numbers <= set(narrow.split())
+
+
+def test_a_smooth_term_is_shown_by_what_it_depends_on() -> None:
+    """Its coefficients have no errors to state, its knots tell a person nothing."""
+    coefficients = [
+        Parameter(name=f"c_{k}", value=0.1, std_error=0.0, unit="N m", joint="elbow")
+        for k in range(12)
+    ]
+    settings: dict[str, str | float | int | bool] = {"depends_on": "load direction", "knot_0": 2.0}
+    effect = EffectOfJoint(
+        effect="unexplained", joint="elbow", parameters=coefficients, settings=settings
+    )
+    text = parameters_text(effect)
+    assert text == "a smooth function of load, direction, 12 coefficients without errors"
+
+
+def test_a_parameter_that_no_sample_shows_gets_no_number() -> None:
+    parameters = [
+        Parameter(name=name, value=0.5, std_error=error, unit="kg", joint="")
+        for name, error in (("payload_m", 1e150), ("payload_mx", 0.1))
+    ]
+    effect = EffectOfJoint(
+        effect="payload", joint=None, parameters=parameters, settings={"from_log": 2.0}
+    )
+    text = parameters_text(effect)
+    assert text == "payload_mx 0.5 +- 0.1 kg, from_log 2, not determined: payload_m"

@@ -39,7 +39,10 @@ def measure(subjects: list[Subject], rounds: int) -> list[Measured]:
     runs: list[list[dict[str, float]]] = [[] for _ in subjects]
     for _ in range(rounds):
         for results, subject in zip(runs, subjects, strict=True):
-            results.append(_run(subject))
+            result = told_by(module("ingestion_cases", subject.case, subject.path))
+            if subject.case != "decompress" and result["count"] != subject.count:
+                raise RuntimeError(f"{subject.case} read {result['count']} of {subject.count}")
+            results.append(result)
     return [
         Measured(
             1e6 * median(run["cpu_s"] for run in results) / subject.count,
@@ -47,13 +50,6 @@ def measure(subjects: list[Subject], rounds: int) -> list[Measured]:
         )
         for results, subject in zip(runs, subjects, strict=True)
     ]
-
-
-def _run(subject: Subject) -> dict[str, float]:
-    result = told_by(module("ingestion_cases", subject.case, subject.path))
-    if subject.case != "decompress" and result["count"] != subject.count:
-        raise RuntimeError(f"{subject.case} read {result['count']} of {subject.count}")
-    return result
 
 
 def study(*, quick: bool = False) -> str:

@@ -1,7 +1,5 @@
 """Files compared with one another, and over dates."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

@@ -1,6 +1,4 @@
-"""The program from its first line: help, examples and completion; nothing heavy is imported early."""
-
-from __future__ import annotations
+"""From the first line: help, examples and completion; nothing heavy is imported before its time."""
 
 import importlib
 import json

@@ -1,6 +1,4 @@
-"""Logs that change or vanish, little memory, few open files; commands that are killed or meet a full disk."""
-
-from __future__ import annotations
+"""Logs that change or vanish, little memory, few files; commands killed or on a full disk."""
 
 import os
 import resource

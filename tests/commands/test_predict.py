@@ -1,6 +1,4 @@
-"""Prediction: files, verdicts and messages around a fake model; what a refined file's effects change."""
-
-from __future__ import annotations
+"""Prediction around a fake model: files, verdicts, messages; what a refined file changes."""
 
 import json
 from collections.abc import Iterable, Iterator

@@ -19,7 +19,6 @@ from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
-from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Rig
 from tests.plants.robots.seven_joint import COULOMB, JOINTS, RATE_HZ, known_model, motion, write_arm
 from tests.unit.logs.writers import joint_messages, write_messages
@@ -38,21 +37,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(8)
     for number, (name, samples) in enumerate(LOGS.items()):
         t = np.arange(samples) / RATE_HZ + rng.uniform(-JITTER_S, JITTER_S, samples)
-        write_log(folder / name, robot, t, T0 + number * 60 * 10**9)
+        path = folder / name
+        start_ns = T0 + number * 60 * 10**9
+        assert robot.nominal is not None
+        q, dq, ddq = motion(t)
+        tau = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, dq, ddq)
+        tau += COULOMB * np.sign(dq)
+        stamps = start_ns + np.round(t * 1e9).astype(np.int64)
+        write_messages(path, joint_messages(stamps, JOINTS, q, effort=tau), encoding="cdr")
     known = known_model(robot, 1.02)
     file = with_stage(None, robot_id(robot), [], friction=known.friction, inertia=known.inertia)
     write_json_atomic(folder / "model.json", file)
     return folder
-
-
-def write_log(path: Path, robot: Robot, t: np.ndarray, start_ns: int) -> None:
-    """Write a log as ROS 2 records it."""
-    assert robot.nominal is not None
-    q, dq, ddq = motion(t)
-    tau = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, dq, ddq)
-    tau += COULOMB * np.sign(dq)
-    stamps = start_ns + np.round(t * 1e9).astype(np.int64)
-    write_messages(path, joint_messages(stamps, JOINTS, q, effort=tau), encoding="cdr")
 
 
 def messages(path: Path) -> Iterator[tuple[str, int, int, Any]]:

@@ -1,6 +1,4 @@
-"""What the screen shows: tables, verdicts, progress; names that steer a terminal are shown, not obeyed."""
-
-from __future__ import annotations
+"""What the screen shows: tables, verdicts, progress; names that steer are not obeyed."""
 
 import io
 import json

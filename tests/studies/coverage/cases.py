@@ -32,7 +32,7 @@ from tests.plants.motions.experiments import (
 from tests.plants.robotfile import robot_toml
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
-from tests.plants.simulate import Log, Plant, simulate
+from tests.plants.simulate import Plant, simulate
 from tests.unit.logs.writers import write_parquet
 
 RIGS = ("one", "planar", "six")
@@ -94,28 +94,19 @@ def record(case: Case, drawn: Drawn, folder: Path) -> None:
     text = robot_toml(case.rig, drawn.plant)
     (folder / "robot.toml").write_text(text, encoding="ascii")
     for number, trial in enumerate(drawn.trials):
+        state = np.random.SeedSequence([STREAM[case.rig], case.seed, number]).generate_state(1)
         log = simulate(
             drawn.plant,
             trial.reference,
-            noise_seed(case, number),
+            int(state[0]),
             every=drawn.every,
             imus=trial.imus,
         )
-        write_log(folder / trial.stage / f"{trial.name}.parquet", drawn.plant, log)
-
-
-def noise_seed(case: Case, number: int) -> int:
-    """Seed of the noise of one log."""
-    state = np.random.SeedSequence([STREAM[case.rig], case.seed, number]).generate_state(1)
-    return int(state[0])
-
-
-def write_log(path: Path, plant: Plant, log: Log) -> None:
-    """Write what the robot records."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    arrays = log.accelerometers or None
-    names = plant.arm.names
-    write_parquet(path, log.t, names, log.q, current=log.current, accelerometers=arrays)
+        path = folder / trial.stage / f"{trial.name}.parquet"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        arrays = log.accelerometers or None
+        names = drawn.plant.arm.names
+        write_parquet(path, log.t, names, log.q, current=log.current, accelerometers=arrays)
 
 
 def _flat_link(rng: np.random.Generator, mass: float, along: float, gyration: float) -> Array:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from seqid_cli import identify
 from seqid_cli.errors import SeqidError, SeqidWarning
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.params.schema import FrictionJoint, FrictionStage, ImuStage, RigidStage, Stages
+from seqid_cli.params.schema import FrictionJoint, FrictionStage, ImuStage, Stages
 from tests import Array
 from tests.plants.robots.lab import true_standard, true_value
 from tests.plants.simulate import Plant
@@ -91,7 +91,11 @@ def compare(case: Case, plant: Plant, stages: Stages) -> list[Row]:
     for name in ("gravity", "inertia"):
         stage = getattr(stages, name)
         if stage is not None:
-            rows += rigid_rows(plant, name, stage)
+            standard = true_standard(plant)
+            rows += [
+                row(name, p.name, p.value, p.std_error, true_value(p.terms, standard))
+                for p in stage.parameters
+            ]
     if stages.imu is not None:
         rows += imu_rows(plant, stages.imu)
     return rows
@@ -141,15 +145,6 @@ def true_friction(plant: Plant, joint: int, q: Array, v: Array) -> Array:
     dry = np.where(velocity > 0, law.forward, -law.backward)
     torque: Array = (dry + law.smooth)[:, joint]
     return torque
-
-
-def rigid_rows(plant: Plant, group: str, stage: RigidStage) -> list[Row]:
-    """Base parameters."""
-    standard = true_standard(plant)
-    return [
-        row(group, p.name, p.value, p.std_error, true_value(p.terms, standard))
-        for p in stage.parameters
-    ]
 
 
 def imu_rows(plant: Plant, stage: ImuStage) -> list[Row]:

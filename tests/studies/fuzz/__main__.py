@@ -26,7 +26,14 @@ ROUND = 250  # inputs of a target before the next has its turn
 
 def main(arguments: Sequence[str]) -> int:
     """Run until the count or the time is reached; 1 if something was found."""
-    chosen = _parser().parse_args(arguments)
+    parser = argparse.ArgumentParser(prog="python -m tests.studies.fuzz", description=__doc__)
+    parser.add_argument("--count", type=int, default=10**9, help="inputs of each kind")
+    parser.add_argument("--seconds", type=float, default=float("inf"), help="of CPU time, in all")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default="", help="kinds with this in their name")
+    parser.add_argument("--keep", default="out/fuzz", help="folder for finds and rows of the table")
+    parser.add_argument("--write", action="store_true", help="put the table into docs/trust.md")
+    chosen = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as name:
         made = [t for t in targets(Path(name)) if chosen.only in t.name]
         tallies = {target.name: Tally() for target in made}
@@ -35,17 +42,6 @@ def main(arguments: Sequence[str]) -> int:
     text = _with_earlier(rows(tallies), Path(chosen.keep) / "rows.json")
     show("trust.md", "fuzz", text, kept=chosen.write)
     return 1 if finds else 0
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m tests.studies.fuzz", description=__doc__)
-    parser.add_argument("--count", type=int, default=10**9, help="inputs of each kind")
-    parser.add_argument("--seconds", type=float, default=float("inf"), help="of CPU time, in all")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", default="", help="kinds with this in their name")
-    parser.add_argument("--keep", default="out/fuzz", help="folder for finds and rows of the table")
-    parser.add_argument("--write", action="store_true", help="put the table into docs/trust.md")
-    return parser
 
 
 def _run(

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import zstandard
 from mcap.data_stream import RecordBuilder
-from mcap.records import Channel, Chunk, DataEnd, Footer, Header, McapRecord, Message, Schema
+from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Message, Schema
 from mcap.stream_reader import StreamReader
 
 from tests.studies.fuzz.mutations import BINARY, TEXT, Damage, mutated
@@ -103,12 +103,9 @@ def record(data: bytes, rng: np.random.Generator) -> bytes:
     setattr(one, name, _odd(getattr(one, name), rng))
     if rng.random() < 0.2:
         kept = kept * 2 if rng.random() < 0.5 else [r for r in kept if r is not one]
-    return _mcap(kept, _of(list(_PACKERS), rng))
-
-
-def _mcap(records: list[McapRecord], compression: str) -> bytes:
+    compression = _of(list(_PACKERS), rng)
     inner = RecordBuilder()
-    for each in records:
+    for each in kept:
         each.write(inner)
     content = inner.end()
     chunk = Chunk(

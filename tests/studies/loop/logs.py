@@ -16,7 +16,6 @@ from tests.plants.motions.experiments import Trial, friction_trials, gravity_tri
 from tests.plants.motions.trajectories import Reference
 from tests.plants.motions.trials import moves, waves
 from tests.plants.samples import SIX_POSTURES
-from tests.plants.simulate import Plant
 from tests.studies.undeclared.cases import Condition, built, declared
 from tests.studies.undeclared.logs import TWO_POSTURES, robot_for, stored
 
@@ -79,7 +78,12 @@ def references(case: Case) -> list[tuple[str, Reference, int]]:
     """Stage or part, motion, and control periods per row of every log, in the order of time."""
     plant = declared(case.condition)
     rng = np.random.default_rng([case.seed, 11])
-    small = _small(plant)
+    middle = plant.position_limits.mean(axis=1, keepdims=True)
+    small = replace(
+        plant,
+        position_limits=middle + TRAVEL * (plant.position_limits - middle),
+        velocity_limits=SPEED * plant.velocity_limits,
+    )
     postures = list(TWO_POSTURES if case.rig == "two" else SIX_POSTURES)
     postures = [0.8 * posture for posture in postures]
     pairs = [(0, 1)] * 3 if case.rig == "two" else None
@@ -99,15 +103,6 @@ def references(case: Case) -> list[tuple[str, Reference, int]]:
         ("training", waves(plant, rng, period=one, share=SLOW), EVERY),
         ("held_out", waves(plant, rng, period=three, share=SLOW, seconds=HELD_OUT_S), EVERY),
     ]
-
-
-def _small(plant: Plant) -> Plant:
-    middle = plant.position_limits.mean(axis=1, keepdims=True)
-    return replace(
-        plant,
-        position_limits=middle + TRAVEL * (plant.position_limits - middle),
-        velocity_limits=SPEED * plant.velocity_limits,
-    )
 
 
 def recorded(case: Case, cache: Path) -> Logs:

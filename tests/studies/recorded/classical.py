@@ -72,11 +72,7 @@ def _part(case: Case, folder: Path) -> str:
     if missing:
         return f"{case.name}: left out, its logs are not beside the project."
     same = predicted(case, folder, case.baseline_cutoff_hz)
-    return rendered(case, predicted(case, folder), same)
-
-
-def rendered(case: Case, found: HeldOut, same: HeldOut) -> str:
-    """Table of one robot."""
+    found = predicted(case, folder)
     theirs = f"{case.baseline_cutoff_hz:g} Hz"
     rows = [
         [f"fit to compare with, {theirs}", *(number(x, 3) for x in case.baseline)],

@@ -2,7 +2,6 @@
 
 import time
 from argparse import Namespace
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,7 +10,6 @@ from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.rounds import refine
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.read import read_recording
-from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.results.diagnosis import DiagnosisFile
@@ -19,7 +17,6 @@ from seqid_cli.params.schema import (
     ClosedLoop,
     EffectOfJoint,
     InputLog,
-    ParameterFile,
     RefinementRound,
     Stages,
 )
@@ -133,7 +130,12 @@ def closed(case: Case, folder: Path) -> Closed:
     robot = load_robot(folder / "robot.toml")
     train = [read_recording(folder / name, robot) for name in case.train]
     rest = [read_recording(folder / name, robot) for name in case.held_out]
-    file = fitted(train, robot)
+    friction, inertia = identify_simultaneous(train, robot, options=MotionOptions(), offset=True)
+    inputs = [
+        InputLog(path=str(r.path), sha256=r.sha256, samples=len(r.t), stage="friction")
+        for r in train
+    ]
+    file = with_stage(None, robot_id(robot), inputs, friction=friction, inertia=inertia)
     start = time.process_time()
     named = diagnosed(train, robot, MOST)
     middle = time.process_time()
@@ -142,16 +144,6 @@ def closed(case: Case, folder: Path) -> Closed:
     stages, loop = decided.stages, confirm(decided, rest)
     took = time.process_time() - middle
     return Closed(case, robot, named, stages, loop, took, middle - start)
-
-
-def fitted(logs: Sequence[Recording], robot: Robot) -> ParameterFile:
-    """The file of rigid body, Coulomb, viscous friction and offset in one least squares."""
-    friction, inertia = identify_simultaneous(logs, robot, options=MotionOptions(), offset=True)
-    inputs = [
-        InputLog(path=str(r.path), sha256=r.sha256, samples=len(r.t), stage="friction")
-        for r in logs
-    ]
-    return with_stage(None, robot_id(robot), inputs, friction=friction, inertia=inertia)
 
 
 def rendered(found: Closed) -> str:

@@ -6,7 +6,7 @@ faults of cheap ones. All stages run on its own logs. Errors are in % of the tru
 
 import argparse
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -80,7 +80,9 @@ def errors(factor: int, seed: int, *, short: bool = False) -> dict[str, float]:
         "raw": differenced(experiment, stages, None),
         "differenced": differenced(experiment, stages, PAPER_HZ),
     }
-    papers = replace_imu(stages, mounting_alone(stages.imu))
+    papers = Stages(
+        friction=stages.friction, gravity=stages.gravity, imu=mounting_alone(stages.imu)
+    )
     for source in ("encoder", "imu", "fused"):
         known = papers if source == "imu" else stages
         stage = with_inertia(logs, robot, known, InertiaOptions(source=source)).inertia
@@ -99,11 +101,6 @@ def mounting_alone(stage: ImuStage | None) -> ImuStage:
             for name, one in stage.imus.items()
         }
     )
-
-
-def replace_imu(stages: Stages, imu: ImuStage) -> Stages:
-    """The stages with another calibration."""
-    return Stages(friction=stages.friction, gravity=stages.gravity, imu=imu)
 
 
 def differenced(experiment: Experiment, stages: Stages, cutoff_hz: float | None) -> float:
@@ -129,29 +126,16 @@ def differenced(experiment: Experiment, stages: Stages, cutoff_hz: float | None)
     return float(a @ b / (a @ a)) - reflected
 
 
-@dataclass(frozen=True)
-class Range:
-    """Median of the magnitudes, and where 95 % of the signed errors lie."""
-
-    median: float
-    low: float
-    high: float
-
-
-def range_of(values: Sequence[float]) -> Range:
-    """Summarise signed errors (K,)."""
-    low, high = np.quantile(values, [0.025, 0.975])
-    return Range(float(np.median(np.abs(values))), float(low), float(high))
-
-
 def table_of(results: Mapping[int, Sequence[Mapping[str, float]]]) -> str:
     """The table; results per encoder and seed."""
     rows = []
     for way, label in WAYS.items():
         cells = []
         for found in results.values():
-            r = range_of([one[way] for one in found])
-            cells += [number(r.median), f"{number(r.low)} to {number(r.high)}"]
+            values = [one[way] for one in found]
+            low, high = np.quantile(values, [0.025, 0.975])
+            middle = float(np.median(np.abs(values)))
+            cells += [number(middle), f"{number(float(low))} to {number(float(high))}"]
         rows.append([label, *cells, PAPER.get(way, "")])
     header = ["error of the link inertia, %"]
     for factor in results:

@@ -293,7 +293,8 @@ def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
     found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
     ordinary = expected(found)
     assert file_notes(found, logs.robot, ordinary, ()) == ()
-    off = started(found, found.start * np.array([1.0, 10.0]))
+    start = found.start * np.array([1.0, 10.0])
+    off = on(found, replace(found.ground, base=replace(found.ground.base, start=start)))
     (note,) = file_notes(off, logs.robot, ordinary, ())
     assert "elbow" in note
     assert "identify" in note
@@ -301,11 +302,6 @@ def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
     (slow,) = file_notes(found, logs.robot, ordinary * np.array([0.2, 1.0]), ())
     assert "shoulder" in slow
     assert "go with the motion" in slow
-
-
-def started(found: Investigation, start: Array) -> Investigation:
-    """The same where the file leaves `start` (n,) N m."""
-    return on(found, replace(found.ground, base=replace(found.ground.base, start=start)))
 
 
 def on(found: Investigation, ground: Ground) -> Investigation:

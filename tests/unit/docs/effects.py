@@ -147,7 +147,7 @@ def _overview(catalogue: Mapping[str, Effect]) -> str:
 
 
 def _entry(effect: Effect, robot: Robot) -> str:
-    lines = [f"### {effect.name}\n", _body(effect)]
+    lines = [f"### {effect.name}\n", _docstring(effect) + "\n"]
     facts = [("Of", _where(effect)), ("Parameters", _parameters(effect, robot))]
     if effect.settings:
         facts.append(("Settings", "; ".join(_setting(s) for s in effect.settings)))
@@ -165,11 +165,6 @@ def _docstring(effect: Effect) -> str:
 
 def _title(effect: Effect) -> str:
     return _docstring(effect).splitlines()[0].replace("|", "\\|")
-
-
-def _body(effect: Effect) -> str:
-    """The docstring as Markdown: its indented lines are code already."""
-    return _docstring(effect) + "\n"
 
 
 def _where(effect: Effect) -> str:

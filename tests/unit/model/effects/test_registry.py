@@ -43,17 +43,6 @@ def logs() -> list[Scene]:
     return scenes_of_logs()
 
 
-@pytest.fixture(scope="module")
-def dull() -> Scene:
-    """A log in which the second joint never moves and no channel but the first joint's lives."""
-    q = wander(12.0, seed=9, still=(1,), rests=((0.0, 2.0), (6.0, 8.0)))
-    return scene_of(q, temperature=np.full(q.shape, 30.0))
-
-
-def module_doc(effect: Effect) -> str:
-    return sys.modules[type(effect).__module__].__doc__ or ""
-
-
 def joints_of(effect: Effect) -> list[int | None]:
     if effect.arm:
         return [None]
@@ -92,7 +81,7 @@ def test_the_file_has_the_effects_name(effect: Effect) -> None:
 
 def test_the_module_says_what_it_is(effect: Effect) -> None:
     """An equation on its own line, and where it comes from unless it is a definition."""
-    doc = module_doc(effect)
+    doc = sys.modules[type(effect).__module__].__doc__ or ""
     if effect.name not in WITHOUT_TORQUE:
         assert re.search(r"^    \S.* = ", doc, re.MULTILINE), "no equation"
     if effect.name not in ELEMENTARY:
@@ -147,10 +136,10 @@ def test_columns_are_sound(effect: Effect, logs: list[Scene]) -> None:
             assert joint is None or joint in columns
 
 
-def test_columns_are_sound_for_a_joint_that_never_moves(
-    effect: Effect, logs: list[Scene], dull: Scene
-) -> None:
+def test_columns_are_sound_for_a_joint_that_never_moves(effect: Effect, logs: list[Scene]) -> None:
     """With settings found elsewhere, and without drive data in the robot file."""
+    q = wander(12.0, seed=9, still=(1,), rests=((0.0, 2.0), (6.0, 8.0)))
+    dull = scene_of(q, temperature=np.full(q.shape, 30.0))
     bare = replace(dull, robot=two_joint_robot(drives=False))
     for joint, settings in points(effect, logs):
         assert_sound(effect, dull, settings, effect.columns(dull, joint, settings))

@@ -50,7 +50,10 @@ def _constants(robot: Robot, name: str) -> Array:
 
 
 def _current(voltage: Array, channels: dict[str, Array], stamps: Stamps, robot: Robot) -> Array:
-    dq = _slope(channels["position"], stamps)
+    dq = np.full_like(channels["position"], np.nan)
+    if len(stamps) > 1:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            dq = np.gradient(channels["position"], (stamps - stamps[0]) * 1e-9, axis=0)
     if "velocity" in channels:
         logged = channels["velocity"]
         dq = np.where(np.isfinite(logged), logged, dq)
@@ -58,12 +61,3 @@ def _current(voltage: Array, channels: dict[str, Array], stamps: Stamps, robot: 
     ratio = np.nan_to_num(_constants(robot, "gear_ratio"), nan=1.0)
     current = (voltage - torque_constant * ratio * dq) / _constants(robot, "winding_resistance")
     return np.where(np.isfinite(current), current, np.nan)
-
-
-def _slope(position: Array, stamps: Stamps) -> Array:
-    """Velocity (M, n) rad/s by differences of the positions."""
-    if len(stamps) < 2:
-        return np.full_like(position, np.nan)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        slope: Array = np.gradient(position, (stamps - stamps[0]) * 1e-9, axis=0)
-    return slope

@@ -112,7 +112,14 @@ def processes(jobs: int | None = None) -> Iterator[Executor]:
     from concurrent.futures import ProcessPoolExecutor
 
     before = set(multiprocessing.active_children())
-    executor = ProcessPoolExecutor(jobs or cores(), mp_context=_context(), initializer=_begin)
+    forked = "forkserver" in multiprocessing.get_all_start_methods()
+    context: Any = multiprocessing.get_context("forkserver" if forked else "spawn")
+    if forked:
+        context.set_forkserver_preload(list(PRELOAD))
+    # Whoever asked for the processes deals with interrupts, and ends them.
+    executor = ProcessPoolExecutor(
+        jobs or cores(), context, signal.signal, (signal.SIGINT, signal.SIG_IGN)
+    )
     _ENDED_AT_ONCE.add(executor)
     try:
         yield executor
@@ -166,14 +173,6 @@ def cores() -> int:
     return count
 
 
-def _context() -> Any:
-    if "forkserver" not in multiprocessing.get_all_start_methods():
-        return multiprocessing.get_context("spawn")
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(PRELOAD))
-    return context
-
-
 def _end(
     children: Iterable[multiprocessing.process.BaseProcess], *, patience_s: float = 2.0
 ) -> None:
@@ -184,11 +183,6 @@ def _end(
         child.join(patience_s)
         if child.is_alive():
             child.kill()
-
-
-def _begin() -> None:
-    """Begin a process: whoever asked for it deals with interrupts, and ends it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _alone(function: Callable[[T], R], item: T) -> Reply[R]:

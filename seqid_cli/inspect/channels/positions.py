@@ -48,10 +48,7 @@ def position_findings(data: LogData, breaks: Sequence[Break]) -> Iterator[Inspec
     """Check every joint's positions; `breaks` are those of `breaks_of`."""
     for j in range(data.robot.n):
         broken = [each.finding for each in breaks if each.joint == j]
-        yield from broken
-        unit = None if broken else _unit(data, j)
-        if unit is not None:
-            yield unit
+        yield from broken or filter(None, [_unit(data, j)])
 
 
 def position_quality(
@@ -164,7 +161,11 @@ def _breaks(t: Array, q: Array, step: float) -> Iterator[tuple[str, str, Index]]
     at = np.flatnonzero((size > large) & (around < ALONE * size) & (np.diff(t) < 1.5 * usual))
     if not len(at):
         return
-    back = {int(k): s for k in at if (s := _returns(d, int(k)))}
+    back: dict[int, int] = {}  # after how many samples a change is undone
+    for k in at.tolist():
+        undone = (s for s in (1, 2, 3) if k + s < len(d) and abs(d[k] + d[k + s]) < ALONE * size[k])
+        if s := next(undone, 0):
+            back[k] = s
     first, count = next(iter(back), int(at[0])), len(back) or len(at)
     text = f"jumps by {d[first]:.4g} at {t[first + 1]:.3f} s"
     text += f" and {count - 1} more times" if count > 1 else ""
@@ -204,14 +205,6 @@ def _beyond_any_arm(
 ) -> float:
     """Return the change of velocity, times the usual time, that no arm makes."""
     return min(max_acceleration * usual**2, max_step)
-
-
-def _returns(d: Array, k: int) -> int:
-    """Return after how many samples change k is undone, at most three; 0 if it is not."""
-    for s in (1, 2, 3):
-        if k + s < len(d) and abs(d[k] + d[k + s]) < ALONE * abs(d[k]):
-            return s
-    return 0
 
 
 def _frozen(

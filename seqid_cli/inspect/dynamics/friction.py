@@ -124,13 +124,12 @@ def friction_findings(
     max_unexplained: float = 0.25,  # of the torque's spread
 ) -> Iterator[InspectionFinding]:
     """Check signs of torques and their order by the friction that they show."""
-    names = data.robot.joint_names
-    gravity = _gravity(data.robot, sample)
-    fits = {
-        j: fit
-        for j in range(data.robot.n)
-        if (fit := _friction(sample, gravity[:, j], j)) is not None
-    }
+    names, still = data.robot.joint_names, np.zeros_like(sample.q)
+    gravity = np.zeros((*sample.q.shape, 0))  # columns (N, n, b), none of an unknown geometry
+    if sample.basis is not None and data.robot.gravity.any():
+        gravity = base_regressor(data.robot, sample.basis, sample.q, still, still)
+    tried = {j: _friction(sample, gravity[:, j], j) for j in range(data.robot.n)}
+    fits = {j: fit for j, fit in tried.items() if fit is not None}
     swapped = _exchanged(fits, sample.moving)
     for a, b in swapped:
         text = f"the torque of {names[a]} is friction of {names[b]}, not of its own motion"
@@ -191,14 +190,6 @@ def memory_of(residual: Array) -> float:
     negative = np.flatnonzero(r <= 0.0)
     last = int(negative[0]) if len(negative) else len(r)
     return float(1.0 + 2.0 * r[1:last].sum() / r[0])
-
-
-def _gravity(robot: Robot, sample: Sample) -> Array:
-    """Columns (N, n, b) of gravity; none where the geometry is not known."""
-    if sample.basis is None or not robot.gravity.any():
-        return np.zeros((*sample.q.shape, 0))
-    still = np.zeros_like(sample.q)
-    return base_regressor(robot, sample.basis, sample.q, still, still)
 
 
 def _exchanged(fits: dict[int, Friction], moving: tuple[int, ...]) -> list[tuple[int, int]]:

@@ -40,11 +40,7 @@ def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
         values = data.recording.accelerometers.get(imu.name)
         on_earth = abs(float(np.linalg.norm(data.robot.gravity)) - STANDARD_GRAVITY) <= 0.5
         if values is not None and on_earth and np.linalg.matrix_rank(imu.axes) == 3:
-            in_g = _in_g(data, imu, values)
-            if in_g is not None:
-                yield in_g
-            elif data.modelled and not broken:
-                yield from _at_rest(data, imu, values)
+            yield from _force(data, imu, values, at_rest=data.modelled and not broken)
         gyro = data.recording.gyros.get(imu.name)
         if gyro is not None:
             yield from _gyro_bias(data, imu, gyro)
@@ -127,18 +123,18 @@ def force_of(imu: Imu, readings: Array) -> float:
     return float(np.median(np.linalg.norm(readings @ np.linalg.pinv(imu.axes).T, axis=1)))
 
 
-def _in_g(data: LogData, imu: Imu, values: Array) -> InspectionFinding | None:
+def _force(data: LogData, imu: Imu, values: Array, *, at_rest: bool) -> Iterator[InspectionFinding]:
+    """Check the size of the specific force, and at rest what the channels say of gravity."""
     rows = values[data.recording.valid & np.isfinite(values).all(axis=1)]
     size = force_of(imu, rows) if len(rows) else 0.0
     unit = next((u for u, g in (("g", 1.0), ("mg", 1e3)) if 0.8 * g < size < 1.2 * g), "")
-    text = f"reads {size:.3g} in the median: it looks like {unit}, m/s^2 are expected"
-    return found("imu_in_g", text, joint=imu.name) if unit else None
-
-
-def _at_rest(data: LogData, imu: Imu, values: Array) -> Iterator[InspectionFinding]:
+    if unit:
+        text = f"reads {size:.3g} in the median: it looks like {unit}, m/s^2 are expected"
+        yield found("imu_in_g", text, joint=imu.name)
+        return
     gravity = float(np.linalg.norm(data.robot.gravity))
     rest = rest_rows(data, values)
-    if not len(rest):
+    if not at_rest or not len(rest):
         return
     norm, odd = force_of(imu, rest), odd_channel(imu, rest, gravity)
     if odd is not None:

@@ -75,18 +75,13 @@ def _filled(name: str, values: Array, stamps: Stamps, row: int, at: Stamps) -> A
     low, high = max(0, row + 1 - reach), min(len(x), row + 1 + reach)
     if name == "position":
         sides = (slice(low, row + 1), slice(row + 1, high))
-        ends = x[[row, row + 1]]
-        slopes = [_end_slopes(x, values, *side) for side in zip(sides, ends, strict=True)]
+        ends, fit = x[[row, row + 1]], np.polynomial.polynomial.polyfit
+        parabolas = [fit(x[s] - end, values[s], 2) for s, end in zip(sides, ends, strict=True)]
+        slopes = [c[1] for c in parabolas]
         curve = CubicHermiteSpline(ends, values[[row, row + 1]], np.array(slopes))
         return np.asarray(curve(seconds))
     line = np.polynomial.polynomial.polyfit(x[low:high], values[low:high], 1)
     return np.asarray(line[0] + seconds[:, None] * line[1])
-
-
-def _end_slopes(x: Array, values: Array, rows: slice, at: float) -> Array:
-    """Slopes (n,) of parabolas through some rows, at a moment."""
-    c = np.polynomial.polynomial.polyfit(x[rows] - at, values[rows], 2)
-    return np.asarray(c[1])
 
 
 SIDE = 6  # samples of a parabola

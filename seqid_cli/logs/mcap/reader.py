@@ -12,9 +12,9 @@ from seqid_cli.logs.mcap.topics import (
     Collector,
     Streams,
     any_finite,
+    data_topic,
     find_joint_topic,
-    imu_topics,
-    needed_topics,
+    triad_topics,
 )
 from seqid_cli.logs.messages.batch import Kind, NameMap
 from seqid_cli.logs.raw import RawLog, TimeSource
@@ -103,7 +103,9 @@ class _Log:
     def of(cls, path: Path, robot: Robot, scan: type[Scan]) -> "_Log":
         """Gather what a robot needs."""
         names = NameMap(robot.joint_names, robot.channels.effort or "torque")
-        kinds: dict[str, Kind] = {JOINT_STATES: "joint_state", **imu_topics(robot)}
+        kinds: dict[str, Kind] = {JOINT_STATES: "joint_state"}
+        for imu in robot.imus:  # all topics on which they may be logged
+            kinds |= dict.fromkeys((data_topic(imu), *triad_topics(imu)), "imu")
         collectors = {t: Collector(t, kind, names) for t, kind in kinds.items()}
         return cls(path, names, collectors, scan)
 
@@ -148,7 +150,10 @@ class _Log:
 
     def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
         """Name the topics of an IMU; refuses a whole file that lacks only some of them."""
-        needed = needed_topics(imu, self.has)
+        data = data_topic(imu)
+        use_data = len(imu.positions) == 3 and self.has(data)
+        needed = [] if use_data else triad_topics(imu)
+        needed += [data] if use_data or imu.gyro else []
         missing = [topic for topic in needed if not self.has(topic)]
         if len(missing) == len(needed):
             return []

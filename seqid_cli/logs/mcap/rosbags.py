@@ -155,8 +155,11 @@ def _rosbag2(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
     reader = storage.Sqlite3Reader(path.absolute())
     reader.open()
     try:
-        topics = tuple(
-            Topic(c.id, c.topic, c.msgtype, c.msgcount, _definition(c)) for c in reader.connections
+        topics = tuple(  # with definitions in the form of MCAP
+            Topic(c.id, c.topic, c.msgtype, c.msgcount, definition=str(c.msgdef.data))
+            if c.msgdef.format.name == "MSG"
+            else Topic(c.id, c.topic, c.msgtype, c.msgcount)
+            for c in reader.connections
         )
         _as_declared([(t.number, t.name, t.kind, t.messages) for t in topics], list[_Columns])
         others = {c.ext.serialization_format for c in reader.connections} - {"cdr"}
@@ -229,25 +232,13 @@ def _as_declared(values: object, kind: Any) -> None:
     msgspec.convert(values, kind, builtin_types=(bytes,))
 
 
-def _definition(connection: Any) -> str:
-    """Return a message definition in the form of MCAP, empty where it is not in that form."""
-    text = str(connection.msgdef.data)
-    return text if connection.msgdef.format.name == "MSG" else ""
-
-
 def _unmerged(path: Path) -> list[str]:
     """Tell of a journal beside an SQLite file: the recorder was killed before it was merged."""
     journal = path.with_name(path.name + "-wal")
-    try:
-        size = journal.stat().st_size
-    except OSError:
-        return []
-    if not size:
-        return []
-    return [
-        f"the bag was not closed: {size} bytes in {journal.name} are not read (merge them: "
-        f"`sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`)"
-    ]
+    size = journal.stat().st_size if journal.is_file() else 0
+    text = f"the bag was not closed: {size} bytes in {journal.name} are not read"
+    remedy = f"merge them: `sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
+    return [f"{text} ({remedy})"] if size else []
 
 
 def _module(name: str, path: Path) -> Any:

@@ -1,6 +1,6 @@
 """Topics of a robot: which ones it needs, and their samples as streams of channels."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -126,15 +126,6 @@ def find_joint_topic(topics: Iterable[tuple[str, str]]) -> tuple[str, Kind] | No
     return (dynamic[0], "dynamic_joint_state") if len(dynamic) == 1 else None
 
 
-def imu_topics(robot: Robot) -> dict[str, Kind]:
-    """Name all topics on which the IMUs of a robot may be logged."""
-    topics: dict[str, Kind] = {}
-    for imu in robot.imus:
-        for topic in (data_topic(imu), *triad_topics(imu)):
-            topics[topic] = "imu"
-    return topics
-
-
 def data_topic(imu: Imu) -> str:
     """Name the topic of a whole IMU."""
     return f"/{imu.name}/data"
@@ -143,14 +134,6 @@ def data_topic(imu: Imu) -> str:
 def triad_topics(imu: Imu) -> list[str]:
     """Name the topics of an array of accelerometers, one per three of them."""
     return [f"/{imu.name}/accel_{k + 1}" for k in range(-(-len(imu.positions) // 3))]
-
-
-def needed_topics(imu: Imu, has: Callable[[str], bool]) -> list[str]:
-    """Choose the topics that an IMU is read from, given which topics there are."""
-    data = data_topic(imu)
-    use_data = len(imu.positions) == 3 and has(data)
-    triads = [] if use_data else triad_topics(imu)
-    return triads + ([data] if use_data or imu.gyro else [])
 
 
 @dataclass

@@ -78,10 +78,15 @@ class CsvTable(TableFile):
         count = len(self.names) + self.form.filler
         numbered = [f"c{k}" for k in range(count)]
         chosen = list(dict.fromkeys(places.values()))
-        timed = {self.names.index(name) for name in places if not numeric and self._is_time(name)}
+        # Arrow may find out the type of time itself: seconds, counts or a calendar time.
+        times = () if numeric else {*time_names(self.names), *(stamp_parts(self.names) or ())}
+        timed = {self.names.index(name) for name in places if name in times}
+        source: Path | pa.BufferReader = self.path
+        if self.size is not None:
+            source = pa.BufferReader(pa.memory_map(str(self.path)).read_buffer(self.size))
         try:
             table = pc.read_csv(
-                self._source(),
+                source,
                 pc.ReadOptions(
                     use_threads=threads,
                     block_size=_BLOCK,
@@ -104,15 +109,6 @@ class CsvTable(TableFile):
             return error
         arrays = {name: table.column(f"c{place}") for name, place in places.items()}
         return pa.table(arrays)
-
-    def _source(self) -> Path | pa.BufferReader:
-        if self.size is None:
-            return self.path
-        return pa.BufferReader(pa.memory_map(str(self.path)).read_buffer(self.size))
-
-    def _is_time(self, name: str) -> bool:
-        """Tell whether Arrow may find out the type itself: seconds, counts or a calendar time."""
-        return name in time_names([name]) or name in (stamp_parts(self.names) or ())
 
     def _partial(self, ragged: _Ragged, rows: int) -> str:
         if not ragged.count:

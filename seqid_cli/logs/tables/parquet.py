@@ -109,13 +109,10 @@ class ParquetTable(TableFile):
 
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns; nothing of a damaged file can be salvaged."""
-        for table in read_tables(self.path, self._stored(columns), rows=rows):
-            yield self._arranged(table, columns), ""
-
-    def _stored(self, columns: Sequence[str]) -> list[str]:
-        """Name the columns of the file that hold the given ones."""
         found = [(name, self._element(name)) for name in columns]
-        return list(dict.fromkeys(each["list"] if each else name for name, each in found))
+        stored = dict.fromkeys(each["list"] if each else name for name, each in found)
+        for table in read_tables(self.path, [*stored], rows=rows):
+            yield self._arranged(table, columns), ""
 
     def _arranged(self, table: pa.Table, columns: Sequence[str]) -> pa.Table:
         """Turn what was read, whole or in part, into the given columns."""
@@ -228,11 +225,7 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
     try:
         with opened_table(path) as file:
             fields = _flat(file.schema_arrow)
-            lists = {
-                name: length
-                for name, kind in fields
-                if _is_list(kind) and (length := _length(file, name, kind))
-            }
+            lists = {name: n for name, kind in fields if (n := _length(file, name, kind))}
             entries, notes = list_entries(path, file, lists, joints)
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
@@ -263,13 +256,11 @@ def _flat(schema: pa.Schema) -> list[tuple[str, pa.DataType]]:
     return fields
 
 
-def _is_list(kind: pa.DataType) -> bool:
-    lists = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
-    return any(check(kind) for check in lists) and is_number(kind.value_type)
-
-
 def _length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
     """Return the length of the first list of a column, 0 where none can hold joints."""
+    lists = (pa.types.is_list, pa.types.is_large_list, pa.types.is_fixed_size_list)
+    if not any(is_list(kind) for is_list in lists) or not is_number(kind.value_type):
+        return 0
     if pa.types.is_fixed_size_list(kind):
         return int(kind.list_size) if kind.list_size <= _LONGEST else 0
     if file.schema_arrow.names.count(name) != 1:

@@ -55,7 +55,13 @@ def imu_columns(
         found = _form(where, imu, known, numbered, axes, gyro)
         if found is not None:
             return found
-    return _tool_accelerometer(robot, imu, known, warnings)
+    # UR's own accelerometer, for a triad of the robot file that rides on the last link.
+    names = [f"actual_tool_accelerometer_{axis}" for axis in range(3)]
+    last = imu.after_joint == robot.n - 1 and len(imu.positions) == 3 and not imu.gyro
+    if not last or any(name not in known for name in names):
+        return None
+    warnings.append(f"IMU {imu.name!r} is read from {names[0]} ... {names[-1]}")
+    return names, []
 
 
 def _form(
@@ -80,18 +86,6 @@ def _form(
             where=where,
         )
     return accelerometers, rates
-
-
-def _tool_accelerometer(
-    robot: Robot, imu: Imu, known: Collection[str], warnings: list[str]
-) -> tuple[list[str], list[str]] | None:
-    """UR's own accelerometer, for a triad of the robot file that rides on the last link."""
-    names = [f"actual_tool_accelerometer_{axis}" for axis in range(3)]
-    last = imu.after_joint == robot.n - 1 and len(imu.positions) == 3 and not imu.gyro
-    if not last or any(name not in known for name in names):
-        return None
-    warnings.append(f"IMU {imu.name!r} is read from {names[0]} ... {names[-1]}")
-    return names, []
 
 
 def separate(

@@ -14,7 +14,6 @@ from seqid_cli.logs.raw import Array, Stamps, Stream
 GAP_INTERVALS = 5.0
 GAP_LEAST_S = 0.02
 BURSTS = 0.05
-# A grid may be this many times longer than the samples before far-off stamps are cut away.
 
 
 @dataclass(frozen=True)
@@ -53,13 +52,11 @@ def tidy(stream: Stream) -> Tidy:
 
 
 def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1.0) -> float:
-    """Return the interval from which on samples count as missing, in the unit of `steps`.
+    """Return the interval from which on samples count as missing, in the unit of `steps` (M,).
 
-    Five median intervals, but at least 20 ms: shorter holes are bridged by the curve itself, which
-    follows an arm over 20 ms. Where samples come in bursts, so that more than one interval in
-    twenty is beyond that, the mean interval stands for the median one.
-
-    `steps` (M,): intervals, none negative. `second`: one second in the unit of `steps`.
+    Five median intervals, but at least 20 ms, over which the curve itself follows an arm. Where
+    samples come in bursts, so that more than one interval in twenty is beyond that, five mean ones.
+    `second`: one second in the unit of `steps`, of which none is negative.
     """
     least = GAP_LEAST_S * second
     limit = max(GAP_INTERVALS * float(np.median(steps)), least)
@@ -113,7 +110,10 @@ def _far_stamps_cut(
     stretch_least: int = 1000000,
     cut_ns: int = 60000000000,
 ) -> Stream:
-    """Cut away stamps so far off (a zero among epoch times, say) that no grid can span them."""
+    """Cut away stamps so far off (a zero among epoch times, say) that no grid can span them.
+
+    It may be `stretch_limit` times longer than the samples, and by `stretch_least`.
+    """
     steps = np.diff(stream.stamp_ns)
     forward = steps[steps > 0]
     if not forward.size:

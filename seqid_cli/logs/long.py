@@ -209,14 +209,12 @@ class Scan:
         """Take the stamps of the next rows, and what was said of them."""
         self.partial = raw.partial or self.partial
         self.warnings += [note for note in raw.warnings if note not in self.warnings]
-        if self.count:
-            steps = np.diff(stamps, prepend=np.int64(self.last)).astype(np.float64)
-        else:
-            self.first = int(stamps[0])
-            steps = np.diff(stamps).astype(np.float64)
+        before = np.full(int(self.count > 0), self.last)
+        steps = np.diff(stamps, prepend=before).astype(np.float64)
+        if not self.count:
             if not len(steps):
                 raise UnevenError
-            self.usual = float(np.median(steps))
+            self.first, self.usual = int(stamps[0]), float(np.median(steps))
         self._note_steps(steps)
         index = self.count + np.arange(len(stamps))
         off = (stamps - self.first) - index * self.usual
@@ -262,14 +260,12 @@ class Scan:
         if span / step > stretch * self.count:
             raise UnevenError
         samples = int(np.floor(span / step + 1e-6)) + 1
-        exact = samples == self.count and self._on_base(step * 1e9)
-        return self.first, step, samples, jitter, exact, int(gap.sum())
-
-    def _on_base(self, step: float) -> bool:
         row, least, most = np.concatenate(self.off).T
-        drift = step - self.usual
+        drift = step * 1e9 - self.usual
         reach = np.maximum(np.abs(least - row * drift), np.abs(most - row * drift))
-        return bool(reach.max() + GROUP * abs(drift) <= UNIFORM * step)
+        on_base = bool(reach.max() + GROUP * abs(drift) <= UNIFORM * step * 1e9)
+        exact = samples == self.count and on_base
+        return self.first, step, samples, jitter, exact, int(gap.sum())
 
 
 def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:

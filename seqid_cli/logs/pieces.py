@@ -95,11 +95,10 @@ def read_pieces(
 ) -> list[Recording]:
     """Read pieces of a log without holding the rest of it.
 
-    `path`, `robot`, `time_source`: as for `read_recording`. `whole`: the log. `ranges`: first and
-    last moment of each piece, s since the first sample; they may overlap. `kind`: the format of a
-    log that can be passed over; a log of any other is read as a whole and cut. `sound`: takes
-    damaged samples out of a recording, given as `read_both` does. Returns: in the order of
-    `ranges`. Raises InputError: the file can no longer be read, or holds too little of a piece.
+    `ranges`: as of `cut`; they may overlap. `kind`: the format of a log that can be passed over; a
+    log of any other is read as a whole and cut. `sound`: takes damaged samples out of a recording,
+    given as `read_both` does. Raises InputError: the file can no longer be read, or holds too
+    little of a piece.
     """
     if kind not in READERS:
         recording, all_rows = read_both(path, robot, time_source=time_source)
@@ -155,10 +154,9 @@ def read_parts(
 ) -> Iterator[tuple[Recording, RawLog]]:
     """Read a log part by part, in memory that does not grow with its length.
 
-    `path`, `robot`, `time_source`: as for `read_recording`. `most_values`: values, samples times
-    channels, that a part holds, about; a log of fewer is one part, read as by `read_both`.
-    `overlap_s`: time at the end of a part that the next one begins with, so that nothing falls
-    between them. `failed`: told of a part that is of no use, for others to be read. Raises
+    `most_values`: values, samples times channels, that a part holds, about; a log of fewer is one
+    part. `overlap_s`: time at the end of a part that the next one begins with, so that nothing
+    falls between them. `failed`: told of a part that is of no use, for others to be read. Raises
     InputError: as `read_both`.
     """
     kind, file = check_log(path), storage_file(path)

@@ -14,9 +14,8 @@ def in_turns(stream: Stream, robot: Robot, *, slack: float = 0.05) -> tuple[Stre
     """Let the positions of revolute joints run on where they wrap, within the joints' limits.
 
     `slack`: share of a turn by which a step may differ from whole ones. A log that lies within the
-    limits (within half a turn, where there are none) only with a turn more or less is moved by it:
-    a wrap that lies before it. Returns: the stream, the same one where nothing wraps; how often
-    each joint wraps.
+    limits (half a turn, where there are none) only with a turn more or less is moved by it.
+    Returns: the stream, the same one where nothing wraps; how often each joint wraps.
     """
     position = stream.channels["position"]
     columns: list[Array] = []

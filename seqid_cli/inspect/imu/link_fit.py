@@ -55,12 +55,11 @@ def scan(
 ) -> ShiftScan | None:
     """Compare readings (N, K) with the motion of a link; None where it rests."""
     features = _features(robot, motion, link, gyro=gyro)
-    if features is None:
-        return None
-    readings = motion.lowpass(values, motion.valid)
     reach = max(1, round(max_shift_s * motion.rate_hz))
     shifts = np.unique(np.rint(np.linspace(-reach, reach, grid)).astype(np.intp))
-    return _shifted(motion, features, readings, shifts)
+    if features is None:
+        return None
+    return _shifted(motion, features, motion.lowpass(values, motion.valid), shifts)
 
 
 def _shifted(
@@ -127,36 +126,25 @@ def _fine(
     if low < shift < high and power > 0.0:
         parts = [part.sum() for part in np.array_split(pull, blocks)]
         error = max(float(np.sqrt(memory * square * power)), float(np.linalg.norm(parts))) / power
-    return LinkFit(
-        square * y.shape[1] / scan.total,
-        shift / motion.rate_hz,
-        error / motion.rate_hz,
-        fitted,
-        _map_error(X, square, memory),
-        _gain(X, fitted),
-    )
+    # Size of the map on its features, however few directions these show.
+    X = X - X.mean(axis=0)
+    gain = float(np.linalg.norm(X @ fitted.T) / max(float(np.linalg.norm(X)), 1e-12))
+    share, rate = square * y.shape[1] / scan.total, motion.rate_hz
+    return LinkFit(share, shift / rate, error / rate, fitted, _map_error(X, square, memory), gain)
 
 
 def _far(
     motion: Motion, near: ShiftScan, *, max_shift_s: float = 2.0, step_s: float = 0.01
 ) -> ShiftScan | None:
     """Look for a shift of up to two seconds, roughly, where none near zero fits."""
-    features, readings = near.features, near.readings
     step = max(1, round(step_s * motion.rate_hz))
-    reach = min(round(max_shift_s * motion.rate_hz), len(readings) // 4) // step * step
+    reach = min(round(max_shift_s * motion.rate_hz), len(near.readings) // 4) // step * step
     shifts = np.arange(-reach, reach + 1, step)
-    return _shifted(motion, features, readings, shifts, max_rows=800, coarse=1)
-
-
-def _gain(X: Array, fitted: Array) -> float:
-    """Size of a map (K, p) on its features (N, p), however few directions these show."""
-    X = X - X.mean(axis=0)
-    return float(np.linalg.norm(X @ fitted.T) / max(float(np.linalg.norm(X)), 1e-12))
+    return _shifted(motion, near.features, near.readings, shifts, max_rows=800, coarse=1)
 
 
 def _map_error(X: Array, variance: float, memory: float) -> float:
-    """Largest standard error of the first three columns of a map, per unit of the feature."""
-    X = X - X.mean(axis=0)
+    """Largest standard error of a map's first three columns, of features (N, p) without mean."""
     scale = np.maximum(X.std(axis=0), 1e-9)
     _, s, Vt = np.linalg.svd(X / scale, full_matrices=False)
     if s[-1] < 1e-6 * s[0]:
@@ -178,26 +166,18 @@ def _features(
     block: int = 32_768,
 ) -> Array | None:
     """Filtered features (N, p) of a link's motion, for readings on it; None if it rests."""
-    starts = range(0, motion.samples, block)  # the motion of all links is far larger than of one
-    parts = [_of_block(robot, motion, link, slice(a, a + block), gyro=gyro) for a in starts]
-    squares = sum(turns for turns, _ in parts)
+    parts, squares = [], 0.0
+    for start in range(0, motion.samples, block):  # of all links it is far larger than of one
+        rows = slice(start, start + block)
+        q, dq, ddq = motion.q[rows].T, motion.dq[rows].T, motion.ddq[rows].T
+        moved = link_motion(robot.chain, robot.gravity, q, dq, ddq)
+        w = moved.w[link]
+        squares += float(np.sum(w**2))
+        products = [w[a] * w[b] for a in range(3) for b in range(a, 3)]
+        parts.append(w.T if gyro else np.vstack([moved.a[link], moved.dw[link], *products]).T)
     if float(np.sqrt(squares / motion.samples)) < min_turning:
         return None
-    return np.asarray(motion.filtered(np.concatenate([columns for _, columns in parts])))
-
-
-def _of_block(
-    robot: Robot, motion: Motion, link: int, rows: slice, *, gyro: bool
-) -> tuple[float, Array]:
-    """Sum of squares of a link's angular velocity over some rows, and the features there."""
-    q, dq, ddq = motion.q[rows].T, motion.dq[rows].T, motion.ddq[rows].T
-    moved = link_motion(robot.chain, robot.gravity, q, dq, ddq)
-    w = moved.w[link].T
-    turns = float(np.sum(w**2))
-    if gyro:
-        return turns, w
-    products = np.stack([w[:, a] * w[:, b] for a in range(3) for b in range(a, 3)], axis=1)
-    return turns, np.hstack([moved.a[link].T, moved.dw[link].T, products])
+    return np.asarray(motion.filtered(np.concatenate(parts)))
 
 
 def _left(X: Array, y: Array, *, rcond: float = 1e-6) -> tuple[Array, Array]:

@@ -35,20 +35,16 @@ class Following:
 
 def follow(data: LogData) -> list[Following]:
     """Fit every IMU of a log to the motion of its link; empty where nothing turns."""
-    if not data.modelled:
-        return []
-    if not data.recording.accelerometers and not data.recording.gyros:
-        return []
-    if data.motion is None:
+    sources = (data.recording.accelerometers, data.recording.gyros)
+    if not data.modelled or not any(sources) or data.motion is None:
         return []
     result = []
     for imu in data.robot.imus:
-        for gyro, source in ((False, data.recording.accelerometers), (True, data.recording.gyros)):
+        for gyro, source in enumerate(sources):
             values = source.get(imu.name)
             if values is not None:
-                fit = fit_link(data.robot, data.motion, values, imu.after_joint, gyro=gyro)
-                if fit is not None:
-                    result.append(Following(imu, fit, gyro))
+                fit = fit_link(data.robot, data.motion, values, imu.after_joint, gyro=bool(gyro))
+                result += [] if fit is None else [Following(imu, fit, bool(gyro))]
     return result
 
 
@@ -86,14 +82,11 @@ def _resolution_s(data: LogData, link: int) -> float:
     """Time that the fastest joint before a link takes for the error of its encoder, s."""
     # Joints rest anywhere within a count, on one side going forward and on the other going back.
     assert data.motion is not None
-    motion = data.motion
-    speeds = [
-        float(np.sqrt(np.mean(motion.dq[motion.moving[:, j], j] ** 2))) / data.step[j]
-        for j in range(link + 1)
-        if motion.moving[:, j].any()
-    ]
+    dq, moving = data.motion.dq, data.motion.moving
+    there = [j for j in range(link + 1) if moving[:, j].any()]
+    speeds = [float(np.sqrt(np.mean(dq[moving[:, j], j] ** 2))) / data.step[j] for j in there]
     uniform = 1.0 / np.sqrt(12.0)  # standard deviation of an error within one step
-    return float(uniform / max(max(speeds, default=0.0), 1e-9))
+    return float(uniform / max([*speeds, 1e-9]))
 
 
 def _better(
@@ -110,20 +103,18 @@ def _better(
     name, own = item.imu.name, item.imu.after_joint
     values = (data.recording.gyros if item.gyro else data.recording.accelerometers)[name]
     names = data.robot.joint_names
-    turned = []
-    for j in (j for j in range(own + 1) if data.moves(j)):
-        sign = np.where(np.arange(data.robot.n) == j, -1.0, 1.0)
-        back = replace(motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign)
-        turned.append((j, own, back))
-    tried = [(None, link, motion) for link in range(data.robot.n) if link != own]
-    found_best: tuple[float, int | None, int] | None = None
-    for joint, link, moved in (*tried, *turned):
+    tried: list[tuple[int | None, int]] = [(None, k) for k in range(data.robot.n) if k != own]
+    tried += [(j, own) for j in range(own + 1) if data.moves(j)]
+    best: list[tuple[float, int | None, int]] = []
+    for joint, link in tried:
+        sign = np.where(np.arange(data.robot.n) == joint, -1.0, 1.0)
+        moved = replace(motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign)
         found_now = scan(data.robot, moved, values, link, gyro=item.gyro)
-        if found_now is not None and (found_best is None or found_now.share < found_best[0]):
-            found_best = (found_now.share, joint, link)
-    if found_best is None or found_best[0] > max_ratio * item.fit.left:
+        if found_now is not None:
+            best.append((found_now.share, joint, link))
+    share, joint, link = min(best, key=lambda each: each[0], default=(np.inf, None, own))
+    if share > max_ratio * item.fit.left:
         return None
-    share, joint, link = found_best
     text = f"{percent(share)} of its variance is left against {percent(item.fit.left, 0)}"
     if joint is not None:
         text = f"by IMU {name} it turns the other way round: {text}"

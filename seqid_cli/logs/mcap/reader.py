@@ -42,15 +42,11 @@ def read_blocks(
 ) -> Iterator[RawLog]:
     """Read an MCAP log block by block, in memory that does not grow with its length.
 
-    `robot`: joints are matched by name; its IMUs say which topics are read. `time_source`
-    {"header", "log"}: stamps of the message headers, or the times at which the messages were
-    logged. `rows`: messages in a block, of all topics together; a block holds a little more. None
-    for the whole log as one block. Yields: the next part of every topic, in the order of the file;
-    streams of topics that have nothing in it are empty. A quantity that no sample of a block has is
-    left out of it. The last block says in `partial` what a damaged file lost. Whether a topic has
-    header stamps is decided by its first block. `scan`: what passes over the file.
-    Raises InputError: no joint states, none of the robot's joints in them, or nothing readable:
-    what only the whole file can tell, after the last block.
+    `rows`: messages in a block, of all topics together; a block holds a little more. None for the
+    whole log as one block. `scan`: what passes over the file. Yields: the next part of every topic,
+    in the order of the file, empty where it has none; a quantity that no sample of a block has is
+    left out of it. The last block says in `partial` what a damaged file lost. Raises InputError,
+    after the last block: no joint states, none of the robot's joints in them, nothing readable.
     """
     log, streams = _Log.of(path, robot, scan), Streams(robot, time_source)
     positions = False

@@ -249,7 +249,7 @@ def test_chunks_without_needed_topics_are_not_unpacked(tmp_path: Path) -> None:
     np.testing.assert_array_equal(raw.joints.channels["position"][:, 0], np.arange(40, 100))
     topics, _ = list_topics(path)
     assert {info.topic: info.messages for info in topics} == {"/camera": 40, "/joint_states": 60}
-    scan = Scan(path)
+    scan = Scan(path, lambda topic: True)
     assert sum(len(batch.payloads) for batch in scan.batches()) < 100
     assert scan.losses
 

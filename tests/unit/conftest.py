@@ -1,7 +1,5 @@
 """Simulated robots and studies do not change with the package: `make test` leaves them out."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

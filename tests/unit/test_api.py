@@ -1,7 +1,5 @@
 """Every command as a function: same results, nothing printed; tables and recordings as logs."""
 
-from __future__ import annotations
-
 import importlib
 import inspect as signatures
 import json

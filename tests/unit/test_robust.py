@@ -1,7 +1,5 @@
 """Standard deviations that a few large values do not move."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.robust import white_noise

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from tests.plants.robots.sample import Rig, sample_rig

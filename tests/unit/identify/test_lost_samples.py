@@ -1,7 +1,5 @@
 """Identification from logs whose samples were lost without the stamps showing it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

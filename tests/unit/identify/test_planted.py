@@ -1,7 +1,5 @@
 """Faults of logs: every stage that reads them says so, and sound logs are good."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

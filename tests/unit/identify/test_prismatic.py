@@ -1,14 +1,11 @@
 """A vertical slide with a pendulum on it goes through friction, gravity and inertia."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
@@ -19,6 +16,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.types import Chain, Joint, Robot
+from tests import Array
 from tests.plants.motions.trajectories import Reference, hold, join, sweeps, together, zigzag
 from tests.plants.robots.made import made_recording
 from tests.plants.robots.sample import rmse
@@ -26,7 +24,6 @@ from tests.plants.sensors import quantise
 
 pytestmark = pytest.mark.slow
 
-Array = NDArray[np.float64]
 
 RATE = 250.0
 G = 9.81

@@ -1,7 +1,5 @@
 """Faults to plant into sound logs, each with the finding that it must lead to."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

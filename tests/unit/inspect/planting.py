@@ -1,13 +1,12 @@
 """Changes to the columns of a log, each as some driver, logger or cable makes it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tests import Array
+
 Columns = dict[str, Array]
 Plant = Callable[[Columns, np.random.Generator], None]
 

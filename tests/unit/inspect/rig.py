@@ -1,7 +1,5 @@
 """A sample log with a fault planted into it, and its robot file; what is shared is made once."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Sound logs get no finding; recorded ones only findings that are true."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Findings of the clock: what is a gap."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

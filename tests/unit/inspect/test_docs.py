@@ -1,7 +1,5 @@
 """The documentation lists every code with the package's severity and remedy."""
 
-from __future__ import annotations
-
 import re
 
 from seqid_cli.inspect.findings import ERRORS, WARNINGS

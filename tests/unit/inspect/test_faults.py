@@ -1,7 +1,5 @@
 """Every planted fault leads to its own finding, at the right joint, and to no other."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """The step of a quantised channel."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

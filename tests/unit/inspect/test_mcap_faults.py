@@ -1,7 +1,5 @@
 """Faults of MCAP logs: stamps, clocks, damage, what `effort` is."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Which stages logs serve, each by itself and all together."""
 
-from __future__ import annotations
-
 from seqid_cli.inspect.moves import serve_together
 from seqid_cli.params.results.inspection import InspectedJoint, InspectedLog, InspectedMoves
 

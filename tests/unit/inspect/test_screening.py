@@ -1,7 +1,5 @@
 """Logs that stages read: damaged samples are gone; long logs are told the same as short ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

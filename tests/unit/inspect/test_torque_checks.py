@@ -1,7 +1,5 @@
 """Checks of torques on their own numbers: what is not known is no fault."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The same samples in every format that is read, each written by the format's own writer."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Callable, Iterator, Sequence
@@ -23,6 +21,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
+from tests import Array
 from tests.unit.logs.writers import (
     HEADER,
     LINE,
@@ -34,7 +33,6 @@ from tests.unit.logs.writers import (
     write_raw,
 )
 
-Array = NDArray[np.float64]
 T0_NS = 1_700_000_000_000_000_000
 DYNAMIC = "control_msgs/msg/DynamicJointState"
 DYNAMIC_DEFINITION = (

@@ -1,20 +1,17 @@
 """Robots and motions for the tests of the readers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.robot.types import Chain, Channels, Imu, Joint, Robot
+from tests import Array
 from tests.unit.logs.writers import write_mcap, write_parquet
 
-Array = NDArray[np.float64]
 JOINTS = ("shoulder", "elbow", "wrist")
 ARRAY = Imu("array", 1, np.zeros((6, 3)), np.tile(np.eye(3), (2, 1)))
 GYRO = Imu("hand", 2, np.zeros((3, 3)), np.eye(3), gyro=True)

@@ -1,7 +1,5 @@
 """A few bytes that stand for gigabytes end in a message, before the gigabytes are there."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a log holds, without a robot file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

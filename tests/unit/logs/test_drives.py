@@ -1,7 +1,5 @@
 """Channels that are not the model's own: degrees, torque without gravity, voltage, sensors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The sample logs in every format: the same recording, and the same parameters."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 
@@ -14,8 +12,8 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests import ROOT
-from tests.unit.logs.format_writers import EXACT, FLOAT32, Array, Data
+from tests import ROOT, Array
+from tests.unit.logs.format_writers import EXACT, FLOAT32, Data
 
 SAMPLES = ROOT / "sample_logs"
 ONE = SAMPLES / "one_joint"

@@ -1,7 +1,5 @@
 """Hostile files: whatever the bytes, a Recording or an InputError."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,14 +1,11 @@
 """Long logs passed over against the same logs read as a whole."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs import long as module
@@ -19,10 +16,9 @@ from seqid_cli.logs.storage import spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.unit.logs.samples import JOINTS, curve, make_robot
 from tests.unit.logs.writers import write_mcap, write_parquet
-
-Array = NDArray[np.float64]
 
 SAMPLES = 3_000
 

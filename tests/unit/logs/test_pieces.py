@@ -1,7 +1,5 @@
 """Pieces of logs against the same samples of the log as a whole."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,12 +1,9 @@
 """One uniform time base: order, duplicates, gaps, jitter, several clocks."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.clocks import tidy
@@ -14,10 +11,10 @@ from seqid_cli.logs.raw import Stream
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.timebase import Base, resample
+from tests import Array
 from tests.unit.logs.samples import JOINTS, curve, grid, make_motion, make_robot
 from tests.unit.logs.writers import write_parquet
 
-Array = NDArray[np.float64]
 T0 = 1_700_000_000_000_000_000
 
 

@@ -1,7 +1,5 @@
 """Encoders of one turn: positions run on, within the joints' limits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

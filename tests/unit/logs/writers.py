@@ -1,7 +1,5 @@
 """Log files written by the real libraries, from plain arrays."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,7 +15,8 @@ from mcap.writer import Writer as RawWriter
 from mcap_ros2.writer import Writer as Ros2Writer
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tests import Array
+
 Message = tuple[str, int, SimpleNamespace]  # topic, log time in ns, content
 JOINT_STATE = "sensor_msgs/msg/JointState"
 IMU = "sensor_msgs/msg/Imu"

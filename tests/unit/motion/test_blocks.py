@@ -1,7 +1,5 @@
 """Motion and survey of a log block by block against those of the log as a whole."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """From a recording to joint motion: filtered alike, decimated without loss, gaps kept out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Constant-velocity stretches are found in trapezoids, lie inside them, and nowhere else."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,7 +3,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.logs.read import read_recording
@@ -20,10 +19,8 @@ from seqid_cli.robot.base_parameters import STANDARD
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import PER_LINK, inverse_dynamics
 from seqid_cli.robot.types import Robot
-from tests import ROOT
+from tests import ROOT, Array
 from tests.plants.arms.rigs import standard_parameters
-
-Array = NDArray[np.float64]
 
 RIG = ROOT / "sample_logs" / "six_joint"
 NOISE = 0.2  # N m

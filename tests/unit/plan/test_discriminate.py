@@ -1,7 +1,5 @@
 """Telling two effects apart: the residual that the rival cannot imitate, and what is refused."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Files of planned moves: each holds the move, read back by somebody else's reader."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Collisions: found where shapes meet, with boxes around the arm, and kept out of a plan."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

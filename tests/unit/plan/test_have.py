@@ -1,7 +1,5 @@
 """Logs that are recorded already: their information, and what the plan makes of it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.inspect.screening import read_screened

@@ -1,7 +1,5 @@
 """Choice and refinement of moves: better than chance, full rank, and what locking costs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Limits: where they come from, that they hold on dense samples, and what is said without them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

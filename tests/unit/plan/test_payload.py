@@ -1,7 +1,5 @@
 """The plan of a payload: predicted errors hold on a plant, the load counts in the torque."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which moves of a plan are recorded: found by their positions, spoiled ones with the reason."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Plans of friction, gravity, IMUs, validation and whole sessions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

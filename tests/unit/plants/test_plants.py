@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.arms.rigs import one_joint, six_joint, two_joint
 from tests.plants.friction.surface import Friction, Frictionless, stick_slip
 from tests.plants.mechanics.rigid import Rigid, build_model, link_motion
@@ -15,7 +15,6 @@ from tests.plants.motions.experiments import validation_trials
 from tests.plants.motions.trajectories import Reference, hold
 from tests.plants.simulate import Plant, simulate
 
-Array = NDArray[np.float64]
 PLANTS: dict[str, Callable[..., Plant]] = {
     "one_joint": one_joint,
     "two_joint": two_joint,

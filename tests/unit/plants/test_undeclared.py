@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.arms.rated import rated_torque
 from tests.plants.arms.vertical import vertical_two_joint
 from tests.plants.effects.registry import REGISTRY, inject
@@ -14,7 +14,6 @@ from tests.plants.motions.trajectories import Reference, periodic
 from tests.plants.robotfile import robot_toml
 from tests.plants.simulate import Plant, simulate
 
-Array = NDArray[np.float64]
 STIFF = Hidden(springs=(Spring(1, 1e6, 30.0),))
 PAIR = "transmission_coupling"
 

@@ -1,7 +1,5 @@
 """A headless Chromium, driven through its debugging pipe: what a page loads, says and shows."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

@@ -1,7 +1,5 @@
 """Pictures of a report for the docs: python -m tests.unit.report.pictures PAGE.html FOLDER."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The page in a real browser: offline, without complaints, on a desk and on a phone."""
 
-from __future__ import annotations
-
 import base64
 import re
 from collections.abc import Iterator

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import re
 
 from seqid_cli.report.fleet import fleet_page

@@ -1,7 +1,5 @@
 """The IMU section says where the motion behind the inertias came from."""
 
-from __future__ import annotations
-
 from seqid_cli.params.schema import MotionUse, ParameterFile
 from seqid_cli.report.make import make_report
 from tests.unit.params.documents import full_file

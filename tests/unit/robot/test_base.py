@@ -1,7 +1,5 @@
 """Base parameters: identities, the paper's own case, and counts known from the literature."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

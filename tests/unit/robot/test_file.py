@@ -1,7 +1,5 @@
 """robot.toml: what it may say, and that every mistake is named by its key."""
 
-from __future__ import annotations
-
 import hashlib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Formulas of own effects: what the grammar takes, and what it refuses with a reason."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

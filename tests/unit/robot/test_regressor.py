@@ -1,7 +1,5 @@
 """The regressor against Pinocchio, against Newton-Euler and, for rotors, against Lagrange."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,7 +1,5 @@
 """URDF to chain: what other tools write, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

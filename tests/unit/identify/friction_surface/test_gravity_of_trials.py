@@ -1,12 +1,9 @@
 """Eq. 12-15: p_xi is recovered; direction-dependent friction is seen, and only where it is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.gravity_separation import (
     GravityFit,
@@ -21,9 +18,8 @@ from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.robots.small import arm_6r
-
-Array = NDArray[np.float64]
 
 JOINT = 2
 SLICES = 64

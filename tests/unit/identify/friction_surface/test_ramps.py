@@ -1,24 +1,20 @@
 """What acceleration is left in trials of constant velocity is known from their ramps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.ramps import without_acceleration
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial, collect_trials
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.motions.trajectories import sweeps
 from tests.plants.robots.made import made_recording
 from tests.plants.robots.small import planar_2r
 from tests.plants.sensors import quantise
-
-Array = NDArray[np.float64]
 
 RATE = 500.0
 INERTIA, COULOMB, VISCOUS = 0.8, 2.0, 0.5

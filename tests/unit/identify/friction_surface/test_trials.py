@@ -1,12 +1,9 @@
 """Gravity columns against inverse dynamics; pairing and grouping of trials."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.identify.friction_surface.gravity_separation import (
@@ -25,12 +22,11 @@ from seqid_cli.motion.segmentation import Stretch
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.motions.trajectories import sweeps
 from tests.plants.robots.made import made_recording
 from tests.plants.robots.small import planar_2r, random_model, robot_from_chain
 from tests.plants.sensors import quantise
-
-Array = NDArray[np.float64]
 
 GRAVITY = np.array([3.0, -2.0, -8.0])
 PRISMATIC = [False, True, False, False, True, False]

@@ -1,7 +1,5 @@
 """Trials of a log that is passed over are those of the held log, to the last bit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

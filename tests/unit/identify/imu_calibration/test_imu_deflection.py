@@ -1,18 +1,16 @@
 """Accelerations of links that no encoder tells: their sizes, and the joints that have them."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.discover.notes import deflection_notes
 from seqid_cli.identify.imu_calibration.deflection import likeliest
 from seqid_cli.identify.imu_calibration.normal_equations import Rows, Sizes
 from seqid_cli.identify.imu_calibration.result import deflecting, verdict_of
 from seqid_cli.params.schema import EffectOfJoint, ImuStage, Stages
+from tests import Array
 from tests.plants.instruments import (
     BACKLASH,
     ELASTIC,
@@ -25,8 +23,6 @@ from tests.plants.instruments import (
 )
 
 pytestmark = pytest.mark.slow
-
-Array = NDArray[np.float64]
 
 
 def drawn(sizes: Array, noise: Array, *, nodes: int = 3000, channels: int = 6) -> Rows:

@@ -1,7 +1,5 @@
 """A locked joint that hunts between the counts of a coarse encoder, before an IMU on its link."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The prediction is the model's own: another measured torque changes nothing of it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

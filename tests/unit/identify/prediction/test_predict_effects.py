@@ -1,7 +1,5 @@
 """Predictions with the effects of a parameter file."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

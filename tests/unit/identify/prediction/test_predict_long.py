@@ -1,7 +1,5 @@
 """Logs that are passed over are predicted as held ones are."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 

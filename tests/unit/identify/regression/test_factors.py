@@ -1,14 +1,11 @@
 """Factors of blocks, merged, are as good as one least squares over all rows."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import Accumulator, triangular
+from tests import Array
 
-Array = NDArray[np.float64]
 WIDTH, ROWS, BLOCKS = 24, 400, 12
 
 

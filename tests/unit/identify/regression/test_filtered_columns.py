@@ -1,13 +1,10 @@
 """The regressor filtered part by part against that of the whole motion, filtered at once."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.equations import FilteredColumns
 from seqid_cli.motion.filters.butterworth import Lowpass
@@ -15,10 +12,10 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.robots.made import made_motion
 from tests.plants.robots.seven_joint import RATE_HZ, motion, write_arm
 
-Array = NDArray[np.float64]
 LOWPASS = Lowpass(25.0, RATE_HZ)
 MARGIN = LOWPASS.memory
 PART = 1024

@@ -1,12 +1,9 @@
 """Accumulated factors against numpy's least squares on the stacked regressor."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import (
     MOST_BLOCKS,
@@ -15,8 +12,7 @@ from seqid_cli.identify.regression.least_squares import (
     solve,
     whitened,
 )
-
-Array = NDArray[np.float64]
+from tests import Array
 
 P = 7
 NOISES = (0.1, 2.0, 0.5)

@@ -1,19 +1,16 @@
 """Standard errors of trials' averages hold though the noise is slow."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
+from tests import Array
 from tests.plants.sensors import noise
 
 pytestmark = pytest.mark.slow
 
-Array = NDArray[np.float64]
 
 DATA = Path(__file__).parent / "data"
 THETA = np.array([0.5, -0.2])

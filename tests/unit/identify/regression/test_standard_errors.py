@@ -1,22 +1,18 @@
 """A 95 % interval holds the truth in 95 % of seeds, though residuals remember their past."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from seqid_cli.identify.regression.equations import blocks
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.identify.rigid.parameters import imu_moves
 from seqid_cli.robot.base_parameters import free_basis
+from tests import Array
 from tests.plants.arms.rigs import two_joint
 from tests.plants.robots.lab import robot_of
-
-Array = NDArray[np.float64]
 
 RATE = 60.0
 SAMPLES = 2000

@@ -1,7 +1,5 @@
 """Parameters that bodies can have, where that is asked for at identification."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

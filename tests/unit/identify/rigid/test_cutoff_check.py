@@ -1,9 +1,6 @@
 """Estimates at neighbouring cut-offs are compared by what they do not share."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.identify.rigid.cutoff_check import (
@@ -15,10 +12,9 @@ from seqid_cli.identify.rigid.cutoff_check import (
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.params.schema import Parameter, RigidStage
 from seqid_cli.robot.base_parameters import base_parameters
+from tests import Array
 from tests.plants.arms.rigs import one_joint
 from tests.plants.robots.lab import robot_of
-
-Array = NDArray[np.float64]
 
 THETA = np.array([2.0, -1.0, 0.5])
 BLOCKS, ROWS = 40, 25

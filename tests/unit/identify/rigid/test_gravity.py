@@ -1,10 +1,7 @@
 """What the friction stage does not know widens the standard errors of gravity."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.held_joints import HeldJoints
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
@@ -15,10 +12,9 @@ from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.arms.rigs import MOMENT, one_joint, six_joint
 from tests.plants.robots.lab import robot_of
-
-Array = NDArray[np.float64]
 
 SEEDS = 150
 NOISE = 0.0005  # N m, of a slice

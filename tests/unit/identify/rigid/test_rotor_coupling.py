@@ -1,13 +1,10 @@
 """Whether rotors react on the links that carry them is told from the data."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.inertia import identify_inertia
@@ -21,8 +18,6 @@ from tests.plants.motions.experiments import inertia_trials
 from tests.plants.robots.lab import recording_of, robot_of, true_standard, true_value
 from tests.plants.robots.made import friction_joint
 from tests.plants.simulate import Plant, simulate
-
-Array = NDArray[np.float64]
 
 AXES = {"perpendicular": np.pi / 2, "parallel": 0.0, "skew": 0.7}
 

@@ -1,7 +1,5 @@
 """One least squares for rigid body, Coulomb, viscous friction and offset (Eq. 5-6)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The inertia stage on logs that are passed over against the same logs held in memory."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pyarrow.parquet as pq

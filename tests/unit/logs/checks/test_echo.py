@@ -1,16 +1,12 @@
 """Logs whose torque is an echo of the command are told; those with a drive's torque are not."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.logs.checks.echo import echoes
+from tests import Array
 from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.discover.drawn_logs import wander
-
-Array = NDArray[np.float64]
 
 RATE_HZ = 500.0
 STEP = 0.01  # N m, of the torque

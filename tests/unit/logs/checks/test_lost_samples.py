@@ -13,10 +13,10 @@ from seqid_cli.logs.checks.lost_samples import Mended, mended
 from seqid_cli.logs.long import open_long
 from seqid_cli.logs.raw import Stream
 from seqid_cli.logs.read import read_recording
+from tests import Array
 from tests.unit.logs.samples import JOINTS, curve, make_robot
 from tests.unit.logs.writers import write_parquet
 
-Array = NDArray[np.float64]
 RATES = (100.0, 250.0, 1000.0)
 SEEDS = range(4)
 

@@ -1,7 +1,5 @@
 """MCAP logs: encodings, file variants, partial content, damage."""
 
-from __future__ import annotations
-
 import struct
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """ROS bags: whole, damaged, without the library."""
 
-from __future__ import annotations
-
 import bz2
 import sqlite3
 import sys
@@ -24,11 +22,11 @@ from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.robot.toml.schema import Channels
+from tests import Array
 from tests.unit.logs.format_writers import (
     DYNAMIC,
     DYNAMIC_DEFINITION,
     T0_NS,
-    Array,
     Data,
     ros_messages,
     rosbag1,

@@ -1,7 +1,5 @@
 """Damaged MCAP files: what is lost is counted, the rest is used; and memory stays flat."""
 
-from __future__ import annotations
-
 import struct
 import tracemalloc
 from pathlib import Path

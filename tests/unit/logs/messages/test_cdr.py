@@ -1,7 +1,5 @@
 """CDR decoding against the library's own decoder, and unusual definitions."""
 
-from __future__ import annotations
-
 import random
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Protobuf messages, written here byte by byte."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

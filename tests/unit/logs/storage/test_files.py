@@ -1,7 +1,5 @@
 """Which files are meant, and whether they are logs."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

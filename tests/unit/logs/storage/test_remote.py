@@ -1,7 +1,5 @@
 """Logs on object storage: found, read through a copy, named by their URL; refusals in words."""
 
-from __future__ import annotations
-
 import json
 import pickle
 import re

@@ -1,7 +1,5 @@
 """Rows set aside come back as they were, or not at all."""
 
-from __future__ import annotations
-
 import shutil
 from collections import namedtuple
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Copies of logs: what killed runs left is removed, a full disk is named."""
 
-from __future__ import annotations
-
 import errno
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """CSV logs: every way of writing them, and what is wrong with them."""
 
-from __future__ import annotations
-
 import datetime as dt
 from collections.abc import Callable
 from pathlib import Path
@@ -14,8 +12,9 @@ from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import check_log
 from seqid_cli.robot.types import Channels, Imu
+from tests import Array
 from tests.unit.logs.format_writers import Data, csv_rtde
-from tests.unit.logs.samples import JOINTS, Array, grid, make_motion, make_robot
+from tests.unit.logs.samples import JOINTS, grid, make_motion, make_robot
 
 MOTION = make_motion(grid())
 DATA = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)

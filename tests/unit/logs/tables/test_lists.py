@@ -1,7 +1,5 @@
 """Lists in Parquet, as LeRobot writes them, and episodes that are never joined."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Parquet logs: names, types, missing values, damage."""
 
-from __future__ import annotations
-
 import datetime as dt
 from pathlib import Path
 

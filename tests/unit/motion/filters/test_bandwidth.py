@@ -1,7 +1,5 @@
 """The cut-off follows the encoder and the motion; its noise figures are those of quantisation."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

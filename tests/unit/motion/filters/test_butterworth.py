@@ -1,7 +1,5 @@
 """The low-pass by convolution against the recursive one, and what it remembers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

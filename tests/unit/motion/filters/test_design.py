@@ -1,7 +1,5 @@
 """Both ways are a Butterworth filter's, and thinned samples see that of the full rate."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The low-pass has no delay, runs do not leak, derivatives are what they say they are."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import numpy as np

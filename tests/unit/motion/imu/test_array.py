@@ -1,7 +1,5 @@
 """The accelerometer equation, solved where the layout allows and refused elsewhere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

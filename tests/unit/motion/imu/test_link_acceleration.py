@@ -1,7 +1,5 @@
 """Accelerations from IMUs and encoders on a simulated arm, where the truth is known."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

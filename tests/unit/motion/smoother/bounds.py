@@ -1,11 +1,8 @@
 """What the smoother is measured by: errors of its sources alone, and the bound."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import SeqidError
 from seqid_cli.motion.filters.butterworth import Lowpass
@@ -19,9 +16,8 @@ from seqid_cli.motion.smoother.imus import mounted_imus, read
 from seqid_cli.motion.smoother.solve import probed_covariance, renewed
 from seqid_cli.motion.smoother.system import linearised
 from seqid_cli.motion.smoother.terms import Jerk
+from tests import Array
 from tests.plants.fused import GYRO_NOISE, Case, Rig
-
-Array = NDArray[np.float64]
 
 SETTLED = slice(200, -200)
 ENCODER_HZ = np.geomspace(2.0, 120.0, 30)

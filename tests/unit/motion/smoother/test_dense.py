@@ -6,8 +6,6 @@ The size of the jerk and the noise are given, and an encoder's weights are those
 Knots lie further apart than the smoother's cells, so that it shares no Jacobians either.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cache
 

@@ -1,7 +1,5 @@
 """The smoother with IMUs, clocks and geometry that are not as they should be."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

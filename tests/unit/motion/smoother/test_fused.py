@@ -1,7 +1,5 @@
 """Fused motion on simulated rigs: its error, its cut-off, and when encoders are kept instead."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache

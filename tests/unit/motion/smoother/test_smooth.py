@@ -1,7 +1,5 @@
 """The smoother on simulated rigs, against their truth and against the bound of its own model."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 

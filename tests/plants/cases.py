@@ -1,7 +1,5 @@
 """One run of a study: a rig, what is undeclared in it, and its logs."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 

@@ -3,17 +3,13 @@
 It knows a nominal model only, so that the arm follows as a real one does: not perfectly.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.mechanics.rigid import Rigid
 from tests.plants.motions.trajectories import Reference
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -1,18 +1,16 @@
 """Rigs, encoders and faulty IMUs for motion from all sensors, read off a simulated truth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.arms.rigs import mounting, one_joint, six_joint, two_joint
 from tests.plants.mechanics.rigid import LinkMotion, link_motion
 from tests.plants.motions.experiments import inertia_trials, validation_trials
@@ -20,8 +18,6 @@ from tests.plants.motions.trajectories import Reference
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.sensors import AccelerometerArray, quantise, tetrahedral_array
 from tests.plants.simulate import Log, Plant, simulate
-
-Array = NDArray[np.float64]
 
 GYRO_NOISE, GYRO_BIAS = 0.005, 0.02  # rad/s
 

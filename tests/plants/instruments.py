@@ -4,14 +4,11 @@ The arm's motion is simulated once per case; encoders (their codes' phase), inst
 axes, biases) and noise are drawn anew for every seed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
@@ -19,6 +16,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.arms.rigs import one_joint, six_joint, two_joint
 from tests.plants.effects.drive import backlash, elastic
 from tests.plants.mechanics.rigid import link_motion
@@ -26,8 +24,6 @@ from tests.plants.motions.experiments import swing
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.sensors import AccelerometerArray, Faults, quantise
 from tests.plants.simulate import Log, Plant, simulate
-
-Array = NDArray[np.float64]
 
 EVERY = 4  # control periods of 1 ms per row
 SPAN = 0.4  # share of the joints' ranges that a swing takes

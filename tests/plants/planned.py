@@ -3,8 +3,6 @@
 `python -m tests.plants.planned plan.json OUT` records a plan for a sample robot, a folder a stage.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -20,9 +18,8 @@ from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.robot.types import Array
 from tests.plants.arms import rigs
 from tests.plants.motions.trajectories import Reference, hold, join
-from tests.plants.robots.lab import recording_of
+from tests.plants.robots.lab import recording_of, write_log
 from tests.plants.simulate import Plant, simulate
-from tests.unit.logs.writers import write_parquet
 
 RATE_HZ = 1000.0
 REST_S = 0.5  # before and after each move
@@ -80,11 +77,8 @@ def record(plan: PlanFile, folder: Path) -> None:
         motion, imus = reference_of(move, plant), move.stage not in ("friction", "gravity")
         log = simulate(plant, motion, seed, every=4, imus=imus, start=start)
         start += motion.duration + PAUSE_S
-        target = folder / FOLDERS.get(move.stage, move.stage) / f"{move.name}.parquet"
-        target.parent.mkdir(parents=True, exist_ok=True)
-        arrays = log.accelerometers or None
-        names = plant.arm.names
-        write_parquet(target, log.t, names, log.q, current=log.current, accelerometers=arrays)
+        part = FOLDERS.get(move.stage, move.stage)
+        write_log(folder / part / f"{move.name}.parquet", plant, log)
 
 
 if __name__ == "__main__":

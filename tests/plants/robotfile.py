@@ -1,15 +1,11 @@
 """The robot file and, for the arm with a URDF, the URDF that go with a plant's logs."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.mechanics.rigid import Arm, rot_x
 from tests.plants.sensors import AccelerometerArray
 from tests.plants.simulate import Plant
-
-Array = NDArray[np.float64]
 
 
 def robot_toml(name: str, plant: Plant, *, urdf: str | None = None) -> str:

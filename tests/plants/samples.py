@@ -1,7 +1,5 @@
 """Make the sample logs: `python -m tests.plants.samples OUTDIR [one_joint two_joint six_joint]`."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -11,12 +9,10 @@ from typing import Literal
 
 import numpy as np
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from tests.plants.arms.rigs import one_joint, six_joint, two_joint
 from tests.plants.effects.registry import Injection, inject
 from tests.plants.friction.laws import Extra
-from tests.plants.mechanics.rigid import PHI_NAMES
 from tests.plants.motions.experiments import (
     Trial,
     friction_trials,
@@ -27,21 +23,13 @@ from tests.plants.motions.experiments import (
 )
 from tests.plants.motions.trials import PERIODS, moves, waves, zigzags
 from tests.plants.robotfile import robot_toml, urdf_text
+from tests.plants.robots.lab import true_standard, write_log
 from tests.plants.simulate import Log, Plant, simulate
-from tests.unit.logs.writers import write_mcap, write_parquet
+from tests.unit.logs.writers import write_mcap
 
-Array = NDArray[np.float64]
 Encoding = Literal["cdr", "json"]
 SEED = 20260101
 T0_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
-
-
-@dataclass(frozen=True)
-class Changed:
-    """The logs after the change, `every` control periods per row."""
-
-    trials: Sequence[Trial]
-    every: int
 
 
 @dataclass(frozen=True)
@@ -50,13 +38,14 @@ class Recipe:
 
     `every` control periods per row; `formats` says which stages, or "stage/trial", are MCAP and in
     which encoding; the others are Parquet. `change` is what happened to the arm before `changed`
-    were recorded; nobody declared it.
+    were recorded, of `changed_every` control periods per row; nobody declared it.
     """
 
     plant: Plant
     trials: Sequence[Trial]
     change: Injection
-    changed: Changed
+    changed: Sequence[Trial]
+    changed_every: int
     every: int
     formats: Mapping[str, Encoding]
     urdf: str | None = None
@@ -90,7 +79,7 @@ def one_joint_recipe() -> Recipe:
     base = {"mx_1": float(plant.arm.phi[0, 1]), "my_1": 0.0, "Izz_1": float(plant.arm.phi[0, 9])}
     later = changed_trials(plant, np.random.default_rng([SEED, 1]), seconds=35.0, imus=True)
     change = inject("spring", plant, 0)
-    return Recipe(plant, trials, change, Changed(later, 4), 1, {}, base=base)
+    return Recipe(plant, trials, change, later, 4, 1, {}, base=base)
 
 
 def two_joint_recipe() -> Recipe:
@@ -114,7 +103,7 @@ def two_joint_recipe() -> Recipe:
     }
     later = changed_trials(plant, np.random.default_rng([SEED + 1, 1]), seconds=35.0, imus=True)
     change = inject("load_dependent_friction", plant, 1)
-    return Recipe(plant, trials, change, Changed(later, 8), 4, {"imu": "json"}, base=base)
+    return Recipe(plant, trials, change, later, 8, 4, {"imu": "json"}, base=base)
 
 
 SIX_POSTURES = np.array(
@@ -144,9 +133,9 @@ def six_joint_recipe() -> Recipe:
     ]
     shoulder = [f"inertia/{trial.name}" for trial in trials if trial.stage == "inertia"][:3]
     later = changed_trials(plant, np.random.default_rng([SEED + 2, 1]), seconds=27.0, imus=False)
-    change, changed = inject("spring", plant, 2), Changed(later, 4)
+    change = inject("spring", plant, 2)
     formats: dict[str, Encoding] = dict.fromkeys(shoulder, "cdr")
-    return Recipe(plant, trials, change, changed, 4, formats, urdf="six_joint.urdf")
+    return Recipe(plant, trials, change, later, 4, 4, formats, urdf="six_joint.urdf")
 
 
 RECIPES: Mapping[str, Callable[[], Recipe]] = {
@@ -159,18 +148,13 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
 def truth_document(name: str, recipe: Recipe) -> dict[str, object]:
     """Everything that the plant has and its logs do not say."""
     plant, arm = recipe.plant, recipe.plant.arm
-    standard = {
-        f"{symbol}_{link + 1}": float(arm.phi[link, k])
-        for link in range(arm.n)
-        for k, symbol in enumerate(PHI_NAMES)
-    }
     rotors = {f"Ia_{i + 1}": float(arm.rotor_inertia[i]) for i in range(arm.n)}
     amperes = np.sqrt(plant.current_noise**2 + np.asarray(plant.current_step) ** 2 / 12.0)
     torque_noise = amperes * plant.torque_per_ampere
     return {
         "robot": name,
         "joints": list(arm.names),
-        "parameters": standard,
+        "parameters": {k: x for k, x in true_standard(plant).items() if k not in rotors},
         "rotor_inertia": rotors,
         "base_parameters": dict(recipe.base or {}),
         "rotor_coupling": "full" if arm.rotor_coupling else "diagonal",
@@ -222,31 +206,21 @@ def friction_table(plant: Plant, joint: int) -> dict[str, object]:
 
 def save(folder: Path, recipe: Recipe, trial: Trial, log: Log) -> None:
     """Write one log in the format of its stage."""
-    joints = recipe.plant.arm.names
-    target = folder / trial.stage / trial.name
-    target.parent.mkdir(parents=True, exist_ok=True)
-    arrays = log.accelerometers or None
-    encoding = recipe.formats.get(trial.stage)
-    encoding = recipe.formats.get(f"{trial.stage}/{trial.name}", encoding)
+    plant, path = recipe.plant, folder / trial.stage / trial.name
+    encoding = recipe.formats.get(f"{trial.stage}/{trial.name}", recipe.formats.get(trial.stage))
     if encoding is None:
-        write_parquet(
-            target.with_suffix(".parquet"),
-            log.t,
-            joints,
-            log.q,
-            current=log.current,
-            accelerometers=arrays,
-        )
-        pack(target.with_suffix(".parquet"))
+        write_log(path.with_suffix(".parquet"), plant, log)
+        pack(path.with_suffix(".parquet"))
         return
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_mcap(
-        target.with_suffix(".mcap"),
+        path.with_suffix(".mcap"),
         log.t,
-        joints,
+        plant.arm.names,
         log.q,
         encoding=encoding,
         effort=log.current,
-        accelerometers=arrays,
+        accelerometers=log.accelerometers or None,
         t0_ns=T0_NS,
     )
 
@@ -276,15 +250,14 @@ def make(outdir: Path, name: str) -> None:
         (folder / recipe.urdf).write_text(urdf_text(name, recipe.plant), encoding="ascii")
     document = json.dumps(truth_document(name, recipe), indent=None) + "\n"
     (folder / "truth.json").write_text(document, encoding="ascii")
-    for number, trial in enumerate(recipe.trials):
-        seed = SEED + 1000 + number
-        log = simulate(recipe.plant, trial.reference, seed, every=recipe.every, imus=trial.imus)
-        save(folder, recipe, trial, log)
-    plant, changed = recipe.change.plant, recipe.changed
-    for number, trial in enumerate(changed.trials):
-        seed = SEED + 2000 + number
-        log = simulate(plant, trial.reference, seed, every=changed.every, imus=trial.imus)
-        save(folder, recipe, trial, log)
+    parts = (
+        (SEED + 1000, recipe.plant, recipe.trials, recipe.every),
+        (SEED + 2000, recipe.change.plant, recipe.changed, recipe.changed_every),
+    )
+    for first, plant, trials, every in parts:
+        for seed, trial in enumerate(trials, start=first):
+            log = simulate(plant, trial.reference, seed, every=every, imus=trial.imus)
+            save(folder, recipe, trial, log)
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -1,17 +1,13 @@
 """What the instruments make of the true motion: counts, noisy amperes, accelerometer arrays."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.signal import lfilter
 
+from tests import Array
 from tests.plants.mechanics.rigid import LinkMotion
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

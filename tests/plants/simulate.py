@@ -5,13 +5,11 @@ order, no energy drift). The torque commanded at t_k acts from half a period bef
 after, so position, current and acceleration of one row belong to the same instant.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.controller import Controller, Gains, feedforward
 from tests.plants.friction.heat import Heat
 from tests.plants.friction.surface import FrictionModel
@@ -20,8 +18,6 @@ from tests.plants.mechanics.joints import mechanics
 from tests.plants.mechanics.rigid import Arm, Rigid, link_motion
 from tests.plants.motions.trajectories import Reference
 from tests.plants.sensors import AccelerometerArray, noise, quantise
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,6 @@ The sample logs of the six-joint arm, written as other loggers would: `ur/` (RTD
 degrees). Each has `train` and `test`.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

@@ -1,15 +1,11 @@
 """What a joint's drive is made for, as the measure of an injected effect's size."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.mechanics.rigid import Rigid, build_model
 from tests.plants.simulate import Plant
-
-Array = NDArray[np.float64]
 
 BUSY = 0.6  # share of the limits of speed and acceleration that busy motion uses at once
 STATES = 400

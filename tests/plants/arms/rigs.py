@@ -1,19 +1,15 @@
 """The simulated robots: the paper's one- and two-joint rigs and an arm of a UR5e's size."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.controller import gains_for
 from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.mechanics.rigid import Arm, rot_x, rot_z
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
 from tests.plants.simulate import Plant
-
-Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 TILT = np.deg2rad(30.0)  # between the one-joint rig's axis and gravity

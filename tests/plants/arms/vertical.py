@@ -1,9 +1,6 @@
 """A two-joint arm of a small industrial robot's size that moves in the vertical plane."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 
 from tests.plants.arms.rigs import GRAVITY, mounting, off_nominal, plain, standard_parameters
 from tests.plants.controller import gains_for
@@ -11,8 +8,6 @@ from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.mechanics.rigid import Arm
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
 from tests.plants.simulate import Plant
-
-Array = NDArray[np.float64]
 
 LENGTH = 0.4  # m, of each link
 MOTOR_COUNTS = 2**14  # encoder counts per motor turn

@@ -1,21 +1,17 @@
 """Undeclared bodies and torques of the arm, and laws that no catalogue names."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.arms.rated import reach, strongest, tool_point
 from tests.plants.arms.rigs import GRAVITY, standard_parameters
 from tests.plants.effects.drive import at
-from tests.plants.effects.friction import clear
+from tests.plants.effects.friction import clear, middle_and_half
 from tests.plants.mechanics.rigid import rot_x, rot_z
 from tests.plants.mechanics.torques import AccelerationCube, Contact, State
 from tests.plants.simulate import Plant
-
-Array = NDArray[np.float64]
 
 
 def payload(plant: Plant, joint: int, size: float) -> Plant:
@@ -51,14 +47,9 @@ def other(plant: Plant, joint: int) -> int:
     return joint - 1 if joint > 0 else 1
 
 
-def _range(plant: Plant, joint: int) -> tuple[float, float]:
-    low, high = plant.position_limits[joint]
-    return float(0.5 * (low + high)), float(0.5 * (high - low))
-
-
 def bump(plant: Plant, joint: int, size: float) -> Plant:
     """Torque bump over position, a tenth of the range wide, near the middle of it."""
-    middle, half = _range(plant, joint)
+    middle, half = middle_and_half(plant, joint)
     place, width, torque = middle + 0.15 * half, 0.10 * half, clear(plant, joint, size)
 
     def law(q: Array, dq: Array) -> float:
@@ -70,10 +61,9 @@ def bump(plant: Plant, joint: int, size: float) -> Plant:
 def other_speed(plant: Plant, joint: int, size: float) -> Plant:
     """Torque sin(4 v_other + 0.6)."""
     torque, source = clear(plant, joint, size), other(plant, joint)
-    pace = 4.0
 
     def law(q: Array, dq: Array) -> float:
-        return -torque * float(np.sin(pace * dq[source] + 0.6))
+        return -torque * float(np.sin(4.0 * dq[source] + 0.6))
 
     return replace(plant, hidden=plant.hidden.with_torque(State(joint, law)))
 
@@ -88,9 +78,8 @@ def acceleration_cube(plant: Plant, joint: int, size: float) -> Plant:
 def two_positions(plant: Plant, joint: int, size: float) -> Plant:
     """Torque sin(3 q_j) cos(2 q_k + 0.5) of this joint and the one before."""
     torque, source = clear(plant, joint, size), other(plant, joint)
-    one, two = 3.0, 2.0
 
     def law(q: Array, dq: Array) -> float:
-        return -torque * float(np.sin(one * q[joint]) * np.cos(two * q[source] + 0.5))
+        return -torque * float(np.sin(3.0 * q[joint]) * np.cos(2.0 * q[source] + 0.5))
 
     return replace(plant, hidden=plant.hidden.with_torque(State(joint, law)))

@@ -4,13 +4,11 @@ Every function takes (plant, joint, size) and returns the plant that has the eff
 is clear, about 5 % of rated torque where the docstring says nothing else.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.arms.rated import rated_torque
 from tests.plants.effects.friction import clear
 from tests.plants.mechanics.drives import (
@@ -27,8 +25,6 @@ from tests.plants.mechanics.hidden import Spring
 from tests.plants.mechanics.joints import swung
 from tests.plants.mechanics.rigid import Rigid
 from tests.plants.simulate import Plant
-
-Array = NDArray[np.float64]
 
 BEND = 0.020  # rad, of an elastic joint at rated torque and size 1: lowest vibration 5 to 16 Hz
 GAP = 0.004  # rad, of a loose joint at size 1
@@ -60,14 +56,10 @@ def backlash(plant: Plant, joint: int, size: float) -> Plant:
     return _spring(plant, joint, CONTACT_BEND, 0.2, GAP * size)
 
 
-def _damping(plant: Plant, joint: int, stiffness: float, ratio: float) -> float:
-    inertia = swung(Rigid(plant.arm), joint, plant.position_limits.mean(axis=1))
-    return float(2.0 * ratio * np.sqrt(stiffness * inertia))
-
-
 def _spring(plant: Plant, joint: int, bend: float, ratio: float, gap: float = 0.0) -> Plant:
     stiffness = float(rated_torque(plant)[joint]) / bend
-    part = Spring(joint, stiffness, _damping(plant, joint, stiffness, ratio), gap)
+    inertia = swung(Rigid(plant.arm), joint, plant.position_limits.mean(axis=1))
+    part = Spring(joint, stiffness, float(2.0 * ratio * np.sqrt(stiffness * inertia)), gap)
     return replace(plant, hidden=plant.hidden.with_spring(part))
 
 

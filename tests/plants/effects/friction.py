@@ -4,8 +4,6 @@ Every function takes (plant, joint, size) and returns the plant that has the eff
 is clear, about 5 % of rated torque (`CLEAR`) where the docstring says nothing else.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -93,21 +91,16 @@ def level_wave(plant: Plant, joint: int, size: float) -> Plant:
     return _add(plant, joint, LevelWave(more, 3.0, 0.0))
 
 
-def heat_of(plant: Plant) -> Heat:
-    """Heat balance in which usual work warms every gear by 20 K with a time constant of 300 s."""
-    dq = USUAL_SPEED * plant.velocity_limits
-    dry = plant.friction.begin()(0.0, plant.position_limits.mean(axis=1), dq, np.zeros_like(dq))
-    usual = (dry.forward + dry.smooth) * dq
-    loss = usual / WARMING
-    return Heat(capacity=WARMING_TIME * loss, loss=loss, usual=usual)
-
-
 def thermal(plant: Plant, joint: int, size: float) -> Plant:
     """Warm gears turn more easily: 20 K take a clear torque off the viscous one at top speed.
 
     At most 60 % of it; all joints' temperatures are logged.
     """
-    heat = heat_of(plant)
+    dq = USUAL_SPEED * plant.velocity_limits
+    dry = plant.friction.begin()(0.0, plant.position_limits.mean(axis=1), dq, np.zeros_like(dq))
+    usual = (dry.forward + dry.smooth) * dq
+    loss = usual / WARMING
+    heat = Heat(capacity=WARMING_TIME * loss, loss=loss, usual=usual)
     zero = np.zeros(plant.arm.n)
     law = plant.friction.begin()
     viscous = law(0.0, plant.position_limits.mean(axis=1), plant.velocity_limits, zero).smooth
@@ -117,14 +110,15 @@ def thermal(plant: Plant, joint: int, size: float) -> Plant:
     return replace(plant, friction=WarmingFriction(plant.friction, heat, thinning, zero), heat=heat)
 
 
-def _middle(plant: Plant, joint: int) -> tuple[float, float]:
+def middle_and_half(plant: Plant, joint: int) -> tuple[float, float]:
+    """Middle of a joint's range and half of its width, rad."""
     low, high = plant.position_limits[joint]
     return float(0.5 * (low + high)), float(0.5 * (high - low))
 
 
 def spring(plant: Plant, joint: int, size: float) -> Plant:
     """Linear spring; clear at 60 % of the way from its rest, near the middle, to the end."""
-    middle, half = _middle(plant, joint)
+    middle, half = middle_and_half(plant, joint)
     stiffness = clear(plant, joint, size) / (0.6 * half)
     model = LinearSpring(joint, stiffness, middle + 0.1 * half)
     return replace(plant, hidden=plant.hidden.with_torque(model))
@@ -132,7 +126,7 @@ def spring(plant: Plant, joint: int, size: float) -> Plant:
 
 def counterbalance(plant: Plant, joint: int, size: float) -> Plant:
     """Coil spring between two points, always in tension; at most four times clear."""
-    middle, half = _middle(plant, joint)
+    middle, half = middle_and_half(plant, joint)
     model = Counterbalance(joint, 1.0, 0.3, 0.5, middle - 0.5)
     most = max(abs(model.torque(q)) for q in np.linspace(middle - half, middle + half, 200))
     model = replace(model, stiffness=4.0 * clear(plant, joint, size) / most)

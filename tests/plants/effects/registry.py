@@ -1,7 +1,5 @@
 """The registry of undeclared effects: what a study puts into a plant, and the right answer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Literal

@@ -1,16 +1,12 @@
 """Heat balance of the gears: friction warms them, the surroundings cool them, oil thins."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from tests import Array
 from tests.plants.friction.surface import Friction, FrictionModel, Law
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -1,15 +1,11 @@
 """Friction and cables that remember: bristles (Dahl, LuGre) and Maxwell slip."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.friction.surface import Friction, FrictionModel, Law
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -1,17 +1,11 @@
 """Friction of one joint beyond the plant's own: what a curve adds to the dry and smooth parts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import cos, exp
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tests import Array
 from tests.plants.friction.surface import Friction, FrictionModel, Law
-
-Array = NDArray[np.float64]
 
 # (position rad, speed rad/s, load N m) -> what to add to forward, backward, smooth, N m
 Curve = Callable[[float, float, float], tuple[float, float, float]]

@@ -5,16 +5,13 @@ opposes the motion. Whether a joint sticks or slips is decided by `stick_slip`, 
 step, so that a held joint rests and a reversal passes through stiction without a regularised sign.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tests import Array
 
 
 class Friction(NamedTuple):

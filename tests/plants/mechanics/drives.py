@@ -1,15 +1,11 @@
 """Drives and instruments that are not what the robot file says."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.mechanics.hidden import Run, Stage
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tests import Array
 
 TorqueSource = Callable[[float, Array, Array], Array]  # (t, q, dq) -> (n,) N m acting on the joints
 Stage = Callable[[float, Array, Array], Array]  # (t, torque, drive angle) -> torque, (n,) N m

@@ -1,17 +1,14 @@
 """One control period of an arm, rigid (leapfrog) or with springs in its joints (substeps)."""
 
-from __future__ import annotations
-
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.friction.surface import Friction, Law, stick_slip
 from tests.plants.mechanics.hidden import Hidden, Spring, TorqueSource
 from tests.plants.mechanics.rigid import Arm, Rigid
 
-Array = NDArray[np.float64]
 FINEST = 0.5  # rad of the fastest vibration per substep
 
 

@@ -5,15 +5,12 @@ link frame's z. Inertial parameters are in Pinocchio's order (m, mx, my, mz, Ixx
 Iyz, Izz), inertia about the link frame's origin.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tests import Array
 
 PHI_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 

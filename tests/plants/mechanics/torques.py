@@ -1,18 +1,14 @@
 """Torques on the links that no robot file knows: springs, contacts, and laws of no name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.mechanics.hidden import Run, TorqueSource
 from tests.plants.mechanics.rigid import Arm, build_model
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,12 @@
 """The logs that each stage needs, as references for a plant, and held-out ones."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.motions.trajectories import (
     Profile,
     Reference,
@@ -24,8 +22,6 @@ from tests.plants.motions.trajectories import (
 )
 from tests.plants.simulate import Plant
 
-Array = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Trial:
@@ -35,11 +31,6 @@ class Trial:
     name: str
     reference: Reference
     imus: bool = False
-
-
-def log_speeds(top: float, count: int, lowest: float) -> list[float]:
-    """Return `count` speeds from `lowest` times `top` to `top` rad/s, evenly spaced in the log."""
-    return [float(v) for v in np.geomspace(lowest * top, top, count)]
 
 
 def span_of(plant: Plant, joint: int, share: float = 0.95) -> tuple[float, float]:
@@ -60,7 +51,8 @@ def friction_trials(
     """Each joint by itself, both ways over its range at every speed, once per locked posture."""
     trials = []
     for joint, name in enumerate(plant.arm.names):
-        pace = log_speeds(float(plant.velocity_limits[joint]), speeds, lowest)
+        top = float(plant.velocity_limits[joint])
+        pace = [float(v) for v in np.geomspace(lowest * top, top, speeds)]
         for number, posture in enumerate(postures, start=1):
             motion = sweeps(
                 posture,

@@ -1,14 +1,11 @@
 """Reference motions at the control rate: trapezoids, joint pairs, Fourier series, postures."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from tests import Array
 
 
 @dataclass(frozen=True)

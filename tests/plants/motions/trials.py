@@ -1,12 +1,10 @@
 """The logs of a study of undeclared effects: training and held-out, minutes apart."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tests import Array
 from tests.plants.motions.experiments import span_of
 from tests.plants.motions.trajectories import (
     Reference,
@@ -18,8 +16,6 @@ from tests.plants.motions.trajectories import (
     zigzag,
 )
 from tests.plants.simulate import Log, Plant, simulate
-
-Array = NDArray[np.float64]
 
 RATE_HZ = 1000.0  # of the control
 EVERY = 2  # control periods per row

@@ -1,13 +1,10 @@
 """The stages in their order on one experiment, and what they predict of logs not seen."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
@@ -21,10 +18,8 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuStage, Stages
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.robots.lab import Experiment
-
-Array = NDArray[np.float64]
-
 
 Logs = Mapping[str, Sequence[Recording]]  # of each stage
 

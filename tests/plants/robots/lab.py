@@ -1,14 +1,11 @@
 """From a simulated plant to the recordings that the stages read, without files in between."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.robot.file import load_robot
@@ -17,8 +14,8 @@ from tests.plants.mechanics.rigid import PHI_NAMES
 from tests.plants.motions.experiments import Trial
 from tests.plants.robotfile import robot_toml
 from tests.plants.simulate import Log, Plant, simulate
+from tests.unit.logs.writers import write_parquet
 
-Array = NDArray[np.float64]
 SEED_STRIDE = 1000  # seeds of one repetition's logs: stride * repetition + number of the log
 
 
@@ -56,6 +53,14 @@ def recording_of(plant: Plant, name: str, log: Log) -> Recording:
         temperature=log.temperature,
         accelerometers=dict(log.accelerometers),
     )
+
+
+def write_log(path: Path, plant: Plant, log: Log) -> None:
+    """Write what the robot records as Parquet."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    arrays = log.accelerometers or None
+    names = plant.arm.names
+    write_parquet(path, log.t, names, log.q, current=log.current, accelerometers=arrays)
 
 
 def run(

@@ -1,12 +1,9 @@
 """Logs and friction that a test makes up: what it does not care about is filled in."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.logs.recording import Health, Recording
@@ -14,8 +11,7 @@ from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionJoint
-
-Array = NDArray[np.float64]
+from tests import Array
 
 
 def made_recording(

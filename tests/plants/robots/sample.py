@@ -8,7 +8,6 @@ from functools import cache, cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
@@ -23,9 +22,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, ImuStage, Parameter, RigidStage, Stages
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests import ROOT
-
-Array = NDArray[np.float64]
+from tests import ROOT, Array
 
 SAMPLES = ROOT / "sample_logs"
 

@@ -4,23 +4,19 @@ The torque is that of Newton-Euler, Coulomb and viscous friction and noise along
 that is enough to see what an identification costs and that two ways of doing it agree.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from seqid_cli.identify.rigid.simultaneous import surface_entries
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.robots.made import friction_joint
-
-Array = NDArray[np.float64]
 
 N = 7
 RATE_HZ = 1000.0

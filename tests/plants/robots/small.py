@@ -1,7 +1,5 @@
 """Small robots, written as a lab would write them, and Pinocchio as the oracle."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -25,11 +23,6 @@ ARM_6R = (
 NAMES_6R = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 
 
-def dh_rows(table: tuple[tuple[float, float, float], ...]) -> list[DhRow]:
-    """Return DH rows without joint offsets."""
-    return [DhRow(alpha, a, d, 0.0) for alpha, a, d in table]
-
-
 def robot_from_chain(
     chain: Chain, *, gravity: Array = GRAVITY, gear_ratio: float | None = None
 ) -> Robot:
@@ -43,7 +36,9 @@ def robot_from_chain(
 
 def arm_6r(*, gear_ratio: float | None = None) -> Robot:
     """Return the UR5e-like arm from its DH table."""
-    return robot_from_chain(chain_from_dh(dh_rows(ARM_6R)), gear_ratio=gear_ratio)
+    return robot_from_chain(
+        chain_from_dh([DhRow(alpha, a, d, 0.0) for alpha, a, d in ARM_6R]), gear_ratio=gear_ratio
+    )
 
 
 def planar_2r(*, gravity: Array = GRAVITY, gear_ratio: float = 6.0) -> Robot:

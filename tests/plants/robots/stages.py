@@ -1,7 +1,5 @@
 """Arms to export: robot files on disk, and parameter files of bodies that exist."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The two-joint arm made by hand: its robot file, and a model with friction and rotors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -30,10 +30,10 @@ from tests.plants.motions.experiments import (
     inertia_trials,
 )
 from tests.plants.robotfile import robot_toml
+from tests.plants.robots.lab import write_log
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
 from tests.plants.simulate import Plant, simulate
-from tests.unit.logs.writers import write_parquet
 
 RIGS = ("one", "planar", "six")
 NOISES = ("white", "coloured")
@@ -102,11 +102,7 @@ def record(case: Case, drawn: Drawn, folder: Path) -> None:
             every=drawn.every,
             imus=trial.imus,
         )
-        path = folder / trial.stage / f"{trial.name}.parquet"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        arrays = log.accelerometers or None
-        names = drawn.plant.arm.names
-        write_parquet(path, log.t, names, log.q, current=log.current, accelerometers=arrays)
+        write_log(folder / trial.stage / f"{trial.name}.parquet", drawn.plant, log)
 
 
 def _flat_link(rng: np.random.Generator, mass: float, along: float, gyration: float) -> Array:

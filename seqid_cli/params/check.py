@@ -19,10 +19,7 @@ _ORDERED = "must be two numbers, the smaller one first"
 def check_consistency(document: schema.OfRobot, where: str) -> None:
     """Check a decoded document about a robot.
 
-    Raises
-    ------
-    ConfigError
-        Two parts of the document contradict each other; the message names the key.
+    Raises ConfigError: two parts of the document contradict each other; the message names the key.
     """
     for key, what in _problems(document):
         hint = "The file was edited or damaged: run the command again that wrote it."

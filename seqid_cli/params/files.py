@@ -18,11 +18,8 @@ _STREAM = re.compile("-|/dev/std(out|err)|/(dev|proc/self)/fd/[0-9]+")  # may be
 def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
     """Find out before any work whether `path` can be written.
 
-    Raises
-    ------
-    UsageError
-        The folder is missing or takes no file of this name, `path` is a folder, or it is one of
-        `inputs`.
+    Raises UsageError: the folder is missing or takes no file of this name, `path` is a folder, or
+    it is one of `inputs`.
     """
     with writing(path):
         folder, special = path.parent, _is_special(path)
@@ -54,10 +51,7 @@ def check_output(path: Path, inputs: Iterable[Path] = ()) -> None:
 def writing(path: Path) -> Iterator[None]:
     """Turn an error of the file system while writing `path` into a message.
 
-    Raises
-    ------
-    UsageError
-        The block met a full or read-only disk, or missing rights.
+    Raises UsageError: the block met a full or read-only disk, or missing rights.
     """
     try:
         yield
@@ -73,12 +67,8 @@ def replacing(path: Path) -> Iterator[Path]:
 
     When the block raises, or the process dies in it, `path` stays as it was. A device such as
     /dev/null is written directly. Only the replacement itself is turned into a message here; the
-    block wraps its own writing in `writing`.
-
-    Raises
-    ------
-    UsageError
-        The file system refused the replacement.
+    block wraps its own writing in `writing`. Raises UsageError: the file system refused the
+    replacement.
     """
     if _is_special(path):
         yield path

@@ -67,11 +67,8 @@ def read_parameters(
 ) -> ParameterFile:
     """Read one parameter file strictly.
 
-    Raises
-    ------
-    ConfigError
-        The file is missing, is no JSON, is another kind of document, is newer than `version`, or
-        does not follow the schema. The message names the line or the key.
+    Raises ConfigError: the file is missing, is no JSON, is another kind of document, is newer than
+    `version`, or does not follow the schema. The message names the line or the key.
     """
     data, document = _opened(path, _PARAMETER_HINT)
     name = _schema_of(document, "not a parameter file", str(path), _PARAMETER_HINT)
@@ -110,11 +107,8 @@ def _parameters(
 def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
     """Read parameter files and results about one robot, in the order given.
 
-    Raises
-    ------
-    ConfigError
-        One is missing, is no JSON, is no document of these kinds, is newer than this version
-        knows, or does not follow its schema. The message names the file and the key.
+    Raises ConfigError: one is missing, is no JSON, is no document of these kinds, is newer than
+    this version knows, or does not follow its schema. The message names the file and the key.
     """
     found: list[Source[Document]] = []
     for path in paths:
@@ -145,10 +139,7 @@ def _content(data: bytes, document: Json, name: re.Match[str], where: str) -> Do
 def read_trend(path: Path) -> TrendFile | None:
     """Read a trend; None where the document is another one.
 
-    Raises
-    ------
-    ConfigError
-        It is missing, is no JSON, does not follow its schema, or a series is torn.
+    Raises ConfigError: it is missing, is no JSON, does not follow its schema, or a series is torn.
     """
     data, document = _opened(path, _RESULT_HINT)
     if document.get("schema") != TREND_SCHEMA:
@@ -159,10 +150,7 @@ def read_trend(path: Path) -> TrendFile | None:
 def check_robot(file: ParameterFile, robot: "Robot", *, where: str = "") -> tuple[str, ...]:
     """Compare the robot of a parameter file with the robot file in use; returns warnings.
 
-    Raises
-    ------
-    ConfigError
-        The joints differ: these are parameters of another robot.
+    Raises ConfigError: the joints differ: these are parameters of another robot.
     """
     mine, theirs = list(robot.joint_names), file.robot.joints
     if mine != theirs:
@@ -179,12 +167,8 @@ def check_robot(file: ParameterFile, robot: "Robot", *, where: str = "") -> tupl
 def write_json_atomic(path: Path, document: object, *, inputs: Iterable[Path] = ()) -> None:
     """Write a document as JSON in one step, with 12 significant digits.
 
-    Raises
-    ------
-    UsageError
-        `path` cannot be written or is one of `inputs`.
-    ValueError
-        A number is not finite (a bug); nothing is written.
+    Raises UsageError: `path` cannot be written or is one of `inputs`. Raises ValueError: a number
+    is not finite (a bug); nothing is written.
     """
     write_text_atomic(path, encode(document), inputs=inputs)
 

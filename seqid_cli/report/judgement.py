@@ -10,15 +10,7 @@ from seqid_cli.params.results.diagnosis import UnexplainedPart, nothing_found, t
 from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.schema import ClosedLoop, Stages, Verdict
 from seqid_cli.report.collection import Collection, Prediction
-from seqid_cli.report.words import (
-    effect_at,
-    file_name,
-    listed,
-    number,
-    percent,
-    plural,
-    short_path,
-)
+from seqid_cli.report.words import effect_at, file_name, listed, number, percent, plural, short_path
 
 Level = Literal["good", "reservations", "poor", "not_judged"]
 Weight = Literal["poor", "open"]

@@ -18,7 +18,7 @@ counted (Bonferroni). The hypothesis with the largest |z| of a quantity is the o
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -37,43 +37,8 @@ from seqid_cli.trend.options import TrendOptions
 from seqid_cli.trend.series import Dated, Series, robots_of, series_of
 
 
-@dataclass(frozen=True)
-class Change:
-    """The best hypothesis on one quantity; `at` is the first date after a step, 0 of a drift."""
-
-    series: Series
-    kind: str
-    at: int
-    before: float
-    after: float
-    std_error: float
-
-    @property
-    def change(self) -> float:
-        """From before to after."""
-        return self.after - self.before
-
-    @property
-    def sigmas(self) -> float:
-        """Standard errors of the change."""
-        return abs(self.change) / self.std_error if self.std_error > 0.0 else float("inf")
-
-    def relative(self, least: float) -> float:
-        """Change as a share of the quantity's size, `least` at least."""
-        size = max(abs(self.before), abs(self.after), least)
-        return self.change / size if size > 0.0 else 0.0
-
-
-@dataclass(frozen=True)
-class Scatter:
-    """By how much values scatter beyond their errors, and how many differences say so (0: none)."""
-
-    inflation: float
-    differences: int
-
-
-def scatter_of(series: Iterable[Series], *, enough: int = 30) -> Scatter:
-    """Inflation of the standard errors of quantities of one stage."""
+def scatter_of(series: Iterable[Series], *, enough: int = 30) -> tuple[float, int]:
+    """Inflation of the standard errors of one stage, and how many differences say so (0: none)."""
     ratios = [
         np.diff(own.values) / np.hypot(own.errors[1:], own.errors[:-1])
         for own in series
@@ -81,32 +46,52 @@ def scatter_of(series: Iterable[Series], *, enough: int = 30) -> Scatter:
     ]
     every = np.concatenate(ratios) if ratios else np.zeros(0)
     if len(every) < enough:
-        return Scatter(1.0, 0)
-    return Scatter(max(float(gaussian_spread(every)), 1.0), len(every))
+        return 1.0, 0
+    return max(float(gaussian_spread(every)), 1.0), len(every)
 
 
-def limit_of(series: Sequence[Series], scatters: Iterable[Scatter], alpha: float) -> float:
+def limit_of(series: Sequence[Series], differences: Iterable[int], alpha: float) -> float:
     """The |z| that any hypothesis on healthy robots exceeds with the probability `alpha`."""
     hypotheses = sum(len(own.values) for own in series)  # a step between any two dates, and a line
     share = alpha / (2 * max(hypotheses, 1))
-    told = [s.differences for s in scatters if s.differences]
+    told = [count for count in differences if count]
     return float(stats.t.isf(share, min(told) / 2) if told else stats.norm.isf(share))
 
 
-def best_change(series: Series, inflation: float) -> Change:
-    """The step or drift that a quantity's values tell most clearly."""
+def best_change(series: Series, inflation: float, least: float) -> tuple[float, ChangeEntry]:
+    """The step or drift that a quantity's values tell most clearly, and its standard errors.
+
+    `least` is the size that the quantity has at least.
+    """
     count, days = len(series.values), series.days
     tried = [("step", k, (np.arange(count) >= k).astype(np.float64)) for k in range(1, count)]
     if count > 2 and days[-1] > 0.0:
         tried.append(("drift", 0, days / days[-1]))
-    found = [_fitted(series, inflation, kind, at, column) for kind, at, column in tried]
-    return max(found, key=lambda change: change.sigmas)
+    found = []
+    for kind, at, column in tried:
+        before, change, error = _fitted(series, inflation, column)
+        sigmas = abs(change) / error if error > 0.0 else np.inf
+        found.append((sigmas, kind, at, before, change, error))
+    sigmas, kind, at, before, change, error = max(found, key=lambda one: one[0])
+    size = max(abs(before), abs(before + change), least)
+    return sigmas, ChangeEntry(
+        robot=series.robot,
+        **asdict(series.quantity),
+        kind=kind,
+        since=series.files[at].date,
+        before=before,
+        after=before + change,
+        change=change,
+        std_error=error,
+        sigmas=sigmas if np.isfinite(sigmas) else None,
+        relative=change / size if size > 0.0 else 0.0,
+    )
 
 
 def _fitted(
-    series: Series, inflation: float, kind: str, at: int, column: Array, *, per_kelvin: float = 0.02
-) -> Change:
-    """Generalised least squares for one hypothesis."""
+    series: Series, inflation: float, column: Array, *, per_kelvin: float = 0.02
+) -> tuple[float, float, float]:
+    """Generalised least squares for one hypothesis: before, the change and its error."""
     errors = inflation * series.errors
     least = 1e-12 * max(float(np.abs(series.values).max()), 1e-300)
     root = 1.0 / np.maximum(errors, least)
@@ -119,8 +104,7 @@ def _fitted(
     y = np.append(series.values * root, 0.0)
     covariance = np.linalg.pinv(rows.T @ rows, hermitian=True, rcond=1e-14)
     theta = covariance @ (rows.T @ y)
-    error = float(np.sqrt(max(covariance[1, 1], 0.0)))
-    return Change(series, kind, at, float(theta[0]), float(theta[0] + theta[1]), error)
+    return float(theta[0]), float(theta[1]), float(np.sqrt(max(covariance[1, 1], 0.0)))
 
 
 def trend_file(
@@ -133,16 +117,23 @@ def trend_file(
         stage: scatter_of(own for own in series if own.quantity.stage == stage)
         for stage in dict.fromkeys(own.quantity.stage for own in series)
     }
-    limit = limit_of(series, scatters.values(), options.alpha)
+    limit = limit_of(series, (count for _, count in scatters.values()), options.alpha)
     sizes = _sizes(series)
     changes = []
     for own in series:
-        change = best_change(own, scatters[own.quantity.stage].inflation)
-        relative = change.relative(sizes[_group(own)])
-        if change.sigmas > limit and abs(relative) > options.rtol:
-            changes.append(_entry(change, relative))
+        stage, unit = own.quantity.stage, own.quantity.unit
+        sigmas, change = best_change(own, scatters[stage][0], sizes[own.robot, stage, unit])
+        if sigmas > limit and abs(change.relative or 0.0) > options.rtol:
+            changes.append(change)
     changes += [entry for name, files in robots.items() for entry in _effects(name, files)]
     changes.sort(key=lambda entry: -(entry.sigmas or np.inf))
+    single = [name for name, files in robots.items() if len(files) < 2]
+    notes = [f"one file each, nothing to compare: {', '.join(single)}"] if single else []
+    notes += [
+        f"{name}: the robot files differ: geometry, limits or drives may have changed"
+        for name, files in robots.items()
+        if len({dated.file.robot.sha256 for dated in files}) > 1
+    ]
     return TrendFile(
         schema=TREND_SCHEMA,
         created=now(),
@@ -151,15 +142,23 @@ def trend_file(
         robots=list(robots),
         alarm=bool(changes),
         limit=limit,
-        inflation={stage: scatter.inflation for stage, scatter in scatters.items()},
+        inflation={stage: inflation for stage, (inflation, _) in scatters.items()},
         changes=changes,
-        series=[_listed(own) for own in series],
-        notes=list(_notes(robots)),
+        series=[
+            SeriesEntry(
+                robot=own.robot,
+                **asdict(own.quantity),
+                dates=[dated.date for dated in own.files],
+                values=own.values.tolist(),
+                std_errors=own.errors.tolist(),
+                temperatures=own.temperatures.tolist()
+                if np.isfinite(own.temperatures).all()
+                else [],
+            )
+            for own in series
+        ],
+        notes=notes,
     )
-
-
-def _group(series: Series) -> tuple[str, str, str]:
-    return series.robot, series.quantity.stage, series.quantity.unit
 
 
 def _sizes(
@@ -168,25 +167,10 @@ def _sizes(
     """Least size of quantities, by robot, stage and unit."""
     found: dict[tuple[str, str, str], float] = {}
     for own in series:
+        group = (own.robot, own.quantity.stage, own.quantity.unit)
         size = least_size * float(np.abs(own.values).max())
-        found[_group(own)] = max(found.get(_group(own), 0.0), size)
+        found[group] = max(found.get(group, 0.0), size)
     return found
-
-
-def _entry(change: Change, relative: float) -> ChangeEntry:
-    own = change.series
-    return ChangeEntry(
-        robot=own.robot,
-        **asdict(own.quantity),
-        kind=change.kind,
-        since=own.files[change.at].date,
-        before=change.before,
-        after=change.after,
-        change=change.change,
-        std_error=change.std_error,
-        sigmas=change.sigmas if np.isfinite(change.sigmas) else None,
-        relative=relative,
-    )
 
 
 def _effects(robot: str, files: Sequence[Dated]) -> Iterator[ChangeEntry]:
@@ -210,39 +194,13 @@ def _effects(robot: str, files: Sequence[Dated]) -> Iterator[ChangeEntry]:
             )
 
 
-def _listed(series: Series) -> SeriesEntry:
-    warmth = series.temperatures
-    return SeriesEntry(
-        robot=series.robot,
-        **asdict(series.quantity),
-        dates=[dated.date for dated in series.files],
-        values=series.values.tolist(),
-        std_errors=series.errors.tolist(),
-        temperatures=warmth.tolist() if np.isfinite(warmth).all() else [],
-    )
-
-
-def _notes(robots: Mapping[str, Sequence[Dated]]) -> Iterator[str]:
-    single = [name for name, files in robots.items() if len(files) < 2]
-    if single:
-        yield f"one file each, nothing to compare: {', '.join(single)}"
-    for name, files in robots.items():
-        if len({dated.file.robot.sha256 for dated in files}) > 1:
-            yield f"{name}: the robot files differ: geometry, limits or drives may have changed"
-
-
 def write_table(path: Path, found: TrendFile) -> None:
     """Write every quantity at every date as one row of a Parquet file."""
     names = ("robot", "stage", "joint", "name", "unit")
-    rows = [
-        {
-            **{key: getattr(own, key) for key in names},
-            "date": date,
-            "value": value,
-            "std_error": error,
-        }
-        for own in found.series
-        for date, value, error in zip(own.dates, own.values, own.std_errors, strict=True)
-    ]
+    rows = []
+    for own in found.series:
+        what = {key: getattr(own, key) for key in names}
+        for date, value, error in zip(own.dates, own.values, own.std_errors, strict=True):
+            rows.append({**what, "date": date, "value": value, "std_error": error})
     with replacing(path) as partial, writing(path):
         pq.write_table(pa.Table.from_pylist(rows), partial)

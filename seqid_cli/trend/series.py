@@ -147,16 +147,10 @@ def series_of(robot: str, files: Sequence[Dated]) -> Iterator[Series]:
         there = [k for k, table in enumerate(tables) if quantity in table]
         if len(there) < 2:
             continue
-        pairs = np.array([tables[k][quantity] for k in there])
+        values, errors = np.array([tables[k][quantity] for k in there]).T
         own = tuple(files[k] for k in there)
-        warmth = np.array([_temperature(dated.file, quantity) for dated in own])
-        yield Series(robot, quantity, own, pairs[:, 0], pairs[:, 1], warmth)
-
-
-def _temperature(file: ParameterFile, quantity: Quantity) -> float:
-    """Degrees Celsius of a joint's friction trials; NaN where there are none."""
-    stage = file.stages.friction
-    if quantity.stage != "friction" or stage is None or quantity.joint not in stage.joints:
-        return float("nan")
-    found = stage.joints[quantity.joint].temperature
-    return float("nan") if found is None else found
+        warmth = np.full(len(own), np.nan)
+        for k, stage in enumerate(dated.file.stages.friction for dated in own):
+            if quantity.stage == "friction" and stage and quantity.joint in stage.joints:
+                warmth[k] = stage.joints[quantity.joint].temperature  # NaN where it is None
+        yield Series(robot, quantity, own, values, errors, warmth)

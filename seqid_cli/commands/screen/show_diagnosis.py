@@ -21,12 +21,7 @@ from seqid_cli.params.results.diagnosis import (
     over_words,
 )
 from seqid_cli.params.results.tables import values
-from seqid_cli.params.schema import (
-    ClosedLoop,
-    EffectOfJoint,
-    ParameterFile,
-    RobotId,
-)
+from seqid_cli.params.schema import ClosedLoop, EffectOfJoint, ParameterFile, RobotId
 
 _EVENTS_SHOWN = 10
 _COLUMNS, _ROWS = 56, 7  # of a chart

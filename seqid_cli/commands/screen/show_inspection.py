@@ -9,11 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from seqid_cli.commands.screen.render import Screen, number, percent
-from seqid_cli.params.results.inspection import (
-    InspectedLog,
-    InspectionFile,
-    InspectionFinding,
-)
+from seqid_cli.params.results.inspection import InspectedLog, InspectionFile, InspectionFinding
 from seqid_cli.params.results.tables import values
 
 _WORDS = {

@@ -15,14 +15,7 @@ from seqid_cli.model.effects.spectral_lines import (
     strongest_lines,
 )
 from seqid_cli.report.collection import Place
-from seqid_cli.report.figures.chart import (
-    WIDE,
-    Panel,
-    drawing,
-    small_figure,
-    small_panel,
-    wide_box,
-)
+from seqid_cli.report.figures.chart import WIDE, Panel, drawing, small_figure, small_panel, wide_box
 from seqid_cli.report.figures.svg import padded
 from seqid_cli.report.torques import Series
 from seqid_cli.report.views import Figure, Key, Table, table
@@ -52,8 +45,8 @@ def over_time(
     for panel in (torque, residual):
         for start, stop in events:
             panel.span(start, stop, "event", f"pushed from {start:.2f} to {stop:.2f} s")
-        for start, stop in _unused(t, series.used):
-            panel.span(start, stop, "unused")
+        for part in pieces(t, ~series.used, max_gap=np.inf)[:200]:
+            panel.span(float(t[part.start]), float(t[min(part.stop, len(t) - 1)]), "unused")
     rests = good & np.isfinite(series.low) & np.isfinite(series.high)
     for piece in pieces(t, rests):
         low, high = series.low[piece], series.high[piece]
@@ -109,12 +102,6 @@ def _limits(values: Array, *, zero: bool = False) -> tuple[float, float]:
         return -1.0, 1.0
     low, high = float(values.min()), float(values.max())
     return padded(min(low, 0.0) if zero else low, max(high, 0.0) if zero else high, 0.06)
-
-
-def _unused(t: Array, used: Mask) -> list[Event]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~used, [False]]).astype(np.int8)))
-    runs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
-    return [(float(t[a]), float(t[min(b, len(t) - 1)])) for a, b in list(runs)[:200]]
 
 
 def _described(series: Series, shown: Mask, unit: str) -> str:

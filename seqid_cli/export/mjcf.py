@@ -52,17 +52,13 @@ def _joint(model: ExportModel, k: int) -> dict[str, str]:
         values |= {"damping": real(fit.viscous), "frictionloss": real(fit.coulomb)}
     if joint.position_limits is not None:
         values["range"] = reals(joint.position_limits)
-    if model.springs[k].any():
-        values |= _spring(np.polynomial.Polynomial(model.springs[k]))
+    if model.springs[k].any():  # stiffness by powers of the way from where the spring is slack
+        torque = np.polynomial.Polynomial(model.springs[k])
+        roots = torque.trim().roots()
+        slack = float(min(roots, key=lambda root: (abs(root.imag), abs(root))).real)
+        moved = torque(np.polynomial.Polynomial([slack, 1.0])).trim().coef
+        values |= {"stiffness": reals(moved[1:]), "springref": real(slack)}
     return values
-
-
-def _spring(torque: np.polynomial.Polynomial) -> dict[str, str]:
-    """Stiffness about a position where the spring is slack, by powers of the way from there."""
-    roots = torque.trim().roots()
-    slack = float(min(roots, key=lambda root: (abs(root.imag), abs(root))).real)
-    moved = torque(np.polynomial.Polynomial([slack, 1.0])).trim().coef
-    return {"stiffness": reals(moved[1:]), "springref": real(slack)}
 
 
 def _gap(model: ExportModel, k: int, *, share: float = 0.01) -> dict[str, str]:

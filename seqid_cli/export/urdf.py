@@ -117,7 +117,7 @@ def _set_transmission(document: Document, root: Element, model: ExportModel, k: 
     if model.rotor[k] <= 0.0:
         return
     name, ratio = model.robot.joint_names[k], abs(float(gear_ratios(model.robot)[k]))
-    actuator = _actuator(root, name) or _new_actuator(document, root, name, ratio)
+    actuator = _actuator(document, root, name, ratio)
     root.setAttribute("xmlns:drake", _DRAKE)
     for tag, value in (("rotor_inertia", model.rotor[k]), ("gear_ratio", ratio)):
         for old in _children(actuator, f"drake:{tag}"):
@@ -125,16 +125,13 @@ def _set_transmission(document: Document, root: Element, model: ExportModel, k: 
         _add(document, actuator, f"drake:{tag}", 3, value=real(value))
 
 
-def _actuator(root: Element, joint: str) -> Element | None:
+def _actuator(document: Document, root: Element, joint: str, ratio: float) -> Element:
+    """The only actuator of the joint's own transmission, made if missing."""
     for transmission in _children(root, "transmission"):
         names = [element.getAttribute("name") for element in _children(transmission, "joint")]
         actuators = _children(transmission, "actuator")
         if names == [joint] and len(actuators) == 1:
             return actuators[0]
-    return None
-
-
-def _new_actuator(document: Document, root: Element, joint: str, ratio: float) -> Element:
     transmission = document.createElement("transmission")
     transmission.setAttribute("name", f"{joint}_transmission")
     _text_in(document, transmission, "type", "transmission_interface/SimpleTransmission", 2)

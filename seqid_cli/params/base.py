@@ -39,7 +39,15 @@ def _fields(struct: object) -> str:
     rows = [(name, text) for name, text in short.items() if text]
     parts = [_table((), rows)] if rows else []
     for name, value in values.items():
-        inner = "" if short[name] is not None else _long(value)
+        inner = ""
+        if short[name] is not None:
+            continue
+        if isinstance(value, msgspec.Struct):
+            inner = _fields(value)
+        elif isinstance(value, Mapping):
+            inner = _records(list(value.values()), list(map(str, value)))
+        elif isinstance(value, Sequence) and all(isinstance(x, msgspec.Struct) for x in value):
+            inner = _records(value, [])
         if inner:
             title = f"<summary>{escape(name)}</summary>"
             parts.append(f"<details open>{title}{inner}</details>")
@@ -59,16 +67,6 @@ def _short(value: object) -> str | None:
             return f"{len(value)} values"
         return "<br>".join(str(_short(x)) for x in value)
     return None
-
-
-def _long(value: object) -> str:
-    if isinstance(value, msgspec.Struct):
-        return _fields(value)
-    if isinstance(value, Mapping):
-        return _records(list(value.values()), list(map(str, value)))
-    if isinstance(value, Sequence) and all(isinstance(x, msgspec.Struct) for x in value):
-        return _records(value, [])
-    return ""
 
 
 def _records(records: Sequence[object], names: Sequence[str]) -> str:

@@ -70,7 +70,16 @@ def make_plan(
         what=what,
         seed=options.seed,
         parameters=list(parameters),
-        limits={name: _limits(limits, j) for j, name in enumerate(names)},
+        limits={
+            name: JointLimits(
+                position=[float(limits.lower[j]), float(limits.upper[j])],
+                speed=float(limits.speed[j]),
+                acceleration=float(limits.acceleration[j]),
+                torque=float(limits.torque[j]) if np.isfinite(limits.torque[j]) else None,
+                moves=bool(limits.moves[j]),
+            )
+            for j, name in enumerate(names)
+        },
         noise_density={name: float(noise[j]) for j, name in enumerate(names)},
         noise_origin=belief.noise_origin,
         moves=moves,
@@ -120,17 +129,6 @@ def _with_torque(
     share = float((torque / belief.limits.torque).max()) if belief.checks_torque else None
     shown = {name: [float(f"{x:.4g}") for x in parts[:, j]] for j, name in enumerate(names)}
     return structs.replace(move, torque=shown, torque_share=share)
-
-
-def _limits(limits: Limits, j: int) -> JointLimits:
-    torque = float(limits.torque[j])
-    return JointLimits(
-        position=[float(limits.lower[j]), float(limits.upper[j])],
-        speed=float(limits.speed[j]),
-        acceleration=float(limits.acceleration[j]),
-        torque=torque if np.isfinite(torque) else None,
-        moves=bool(limits.moves[j]),
-    )
 
 
 def _ways(moves: Sequence[PlannedMove], limits: Limits, names: Sequence[str]) -> float:

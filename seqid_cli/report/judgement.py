@@ -14,6 +14,7 @@ from seqid_cli.report.words import effect_at, file_name, listed, number, percent
 
 Level = Literal["good", "reservations", "poor", "not_judged"]
 Weight = Literal["poor", "open"]
+Tested = list[tuple[Prediction, list[str]]]  # predictions with the logs that are new to the model
 
 _STAGES = ("friction", "gravity", "imu", "inertia")
 
@@ -63,10 +64,10 @@ def judge(collection: Collection) -> Judgement:
     a prediction on logs that the model was not identified from; whatever else is open makes it
     good with reservations.
     """
-    independent = [p for p in collection.judged if _new_logs(collection, p)]
-    judged = bool(independent)
+    tested = [(p, new) for p in collection.judged if (new := _new_logs(collection, p))]
+    judged = bool(tested)
     points = [
-        *_prediction_points(collection, independent),
+        *_prediction_points(collection),
         *_stage_points(collection, judged),
         *_missing_stages(collection),
         *_diagnosis_points(collection),
@@ -80,8 +81,8 @@ def judge(collection: Collection) -> Judgement:
         level = "not_judged"
     else:
         level = "reservations" if points else "good"
-    sentence = _sentence(level, collection, independent, points)
-    return Judgement(level, sentence, tuple(_support(collection, independent)), tuple(points))
+    sentence = _sentence(level, collection, tested, points)
+    return Judgement(level, sentence, tuple(_support(collection, tested)), tuple(points))
 
 
 def _new_logs(collection: Collection, prediction: Prediction) -> list[str]:
@@ -93,9 +94,8 @@ def _new_logs(collection: Collection, prediction: Prediction) -> list[str]:
     return [log.path for log in counted] if judged else []
 
 
-def _errors(collection: Collection, item: Prediction) -> dict[str, float]:
+def _errors(item: Prediction, new: list[str]) -> dict[str, float]:
     """Return each joint's relative error; on the new logs alone where others are among them."""
-    new = set(_new_logs(collection, item))
     logs = [log.joints for log in item.content.logs if log.path in new]
     parts = [item.content.joints] if len(logs) == len(item.content.logs) else logs
     found: dict[str, float] = {}
@@ -106,23 +106,21 @@ def _errors(collection: Collection, item: Prediction) -> dict[str, float]:
     return found
 
 
-def _sentence(
-    level: Level, collection: Collection, independent: list[Prediction], points: list[Point]
-) -> str:
+def _sentence(level: Level, collection: Collection, tested: Tested, points: list[Point]) -> str:
     if level == "poor":
         first = next(point for point in points if point.weight == "poor")
         more = sum(point.weight == "poor" for point in points) - 1
         rest = f", and {plural(more, 'more point')} below" if more else ""
         return f"Do not rely on this model yet: {first.text}{rest}."
-    errors = [pair for item in independent for pair in _errors(collection, item).items()]
+    errors = [pair for item, new in tested for pair in _errors(item, new).items()]
     worst = max(errors, key=lambda pair: pair[1], default=None)
     if worst is None:
         return (
             "Nothing here shows how well the model predicts logs that it was not identified from."
         )
-    logs = {path for item in independent for path in _new_logs(collection, item)}
+    logs = {path for _, new in tested for path in new}
     name, share = worst
-    made = sorted({file_name(p.path) for item in independent for p in item.content.parameters})
+    made = sorted({file_name(p.path) for item, _ in tested for p in item.content.parameters})
     reach = "every joint" if len(collection.robot.joints) > 1 else "the joint"
     said = (
         f"On {plural(len(logs), 'log')} that it was not identified from, the model "
@@ -135,7 +133,7 @@ def _sentence(
     return said + "."
 
 
-def _prediction_points(collection: Collection, independent: list[Prediction]) -> Iterator[Point]:
+def _prediction_points(collection: Collection) -> Iterator[Point]:
     diagnose = collection.call("diagnose")
     for item in collection.judged:
         file, new = item.content, _new_logs(collection, item)
@@ -149,7 +147,7 @@ def _prediction_points(collection: Collection, independent: list[Prediction]) ->
             if entry is not None and (times := times_noise(entry, error.rmse)):
                 text = f"{name}: the RMS error on the same logs is {times}"
                 yield Point("open", text, item.path, command=diagnose)
-        if item not in independent:
+        if not new:
             text = "the prediction is on logs that the model was identified from"
             yield Point("open", text, item.path, "Predict logs that no stage has read.")
         elif len(new) < len(file.logs):
@@ -262,18 +260,18 @@ def known_effects(collection: Collection) -> frozenset[tuple[str, str | None]]:
     )
 
 
-def _support(collection: Collection, independent: list[Prediction]) -> Iterator[str]:
-    for item in independent:
-        shares = _errors(collection, item).values()
+def _support(collection: Collection, tested: Tested) -> Iterator[str]:
+    for item, new in tested:
+        shares = _errors(item, new).values()
         if shares:
-            logs = plural(len(_new_logs(collection, item)), "new log")
+            logs = plural(len(new), "new log")
             span = f"{percent(min(shares))} to {percent(max(shares))}"
             yield f"Torque predicted on {logs} with an RMS error of {span} of the RMS torque."
     stages = collection.model.stages if collection.model else Stages()
     if stages.friction is not None and all(v.good for v in stages.friction.verdicts):
-        tested = [x for x in stages.friction.joints.values() if x.held_out_rmse is not None]
-        if tested:
-            count = plural(len(tested), "joint")
+        held_out = [x for x in stages.friction.joints.values() if x.held_out_rmse is not None]
+        if held_out:
+            count = plural(len(held_out), "joint")
             yield f"Friction of {count} holds at speeds that were left out of the fit."
     for name, stage in (("Gravity", stages.gravity), ("Inertia", stages.inertia)):
         if stage is not None and stage.parameters and not stage.not_excited:

@@ -92,12 +92,13 @@ def screen_of(context: typer.Context) -> Screen:
     """Return the screen that the command line and the environment ask for, or a caller's own."""
     if isinstance(context.obj, Screen):
         return context.obj
+    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
     return Screen(
         command=context.info_name or "",
         quiet=screen_flag(context, "quiet"),
         verbose=screen_flag(context, "verbose"),
         json=screen_flag(context, "json"),
-        color=not screen_flag(context, "no_color") and _terminal_has_color(),
+        color=not (plain or screen_flag(context, "no_color")) and sys.stdout.isatty(),
     )
 
 
@@ -116,9 +117,3 @@ def _style(cell: str, head: bool) -> str:
     if head:
         return "\x1b[1m"
     return "\x1b[32m" if cell == "good" else "\x1b[33m" * cell.startswith("poor")
-
-
-def _terminal_has_color() -> bool:
-    if os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb":
-        return False
-    return sys.stdout.isatty()

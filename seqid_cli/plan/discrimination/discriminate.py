@@ -33,7 +33,7 @@ from seqid_cli.plan.moves.strokes import (
 )
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.choose import Goal, draw_pool
-from seqid_cli.plan.stages.inertia import Planned, check_torque, described, within_limits
+from seqid_cli.plan.stages.inertia import Planned, check_torque, within_limits
 from seqid_cli.robot.types import Robot
 
 ENOUGH = 0.9  # power from which a plan is good
@@ -140,9 +140,7 @@ def pool_of(
         slower = replace(belief, limits=slowed)
         pool = draw_pool(slower, goal, shapes, groups, each, rng)
         if pool.joints:
-            found += described(
-                slower, *within_limits(slower, pool.drawn, options), options, "discriminate"
-            )
+            found += within_limits(slower, pool.drawn, options, "discriminate")[0]
         elif pace == min(paces) and not found:
             check_torque(slower, pool, options)
     for j in moving if joint is None else [joint]:

@@ -50,13 +50,9 @@ def _settings(
     for some, most in ((grid, true), ([x for one in grid for x in effect.reached(one)], rival)):
         ones = [np.ones(len(effect.coefficients(x))) for x in some]
         fit = [x for x, c in zip(some, ones, strict=True) if effect.plausible(scenes, joint, x, c)]
-        found.append(_evenly(fit or some, most))
+        fit, last = fit or some, len(fit or some) - 1
+        found.append([fit[k] for k in np.unique(np.linspace(0, last, most).round().astype(int))])
     return found
-
-
-def _evenly(some: Sequence[dict[str, float]], most: int) -> list[dict[str, float]]:
-    """At most so many of them, evenly."""
-    return [some[k] for k in np.unique(np.linspace(0, len(some) - 1, most).round().astype(int))]
 
 
 @dataclass(frozen=True)

@@ -57,9 +57,8 @@ def plan_validation(
     rng = np.random.default_rng(own.seed)
     pool = draw_pool(belief, goal, shapes, [tuple(belief.limits.moving)], 10 * count, rng)
     check_torque(belief, pool, own)
-    drawn, moves = within_limits(belief, pool.drawn[slice(count)], own)
-    named = described(belief, drawn, moves, own, "validation")
-    return Planned(named, PlannedStage(duration_s=own.length_s * len(named)))
+    moves, _ = within_limits(belief, pool.drawn[slice(count)], own, "validation")
+    return Planned(moves, PlannedStage(duration_s=own.length_s * len(moves)))
 
 
 def optimised(
@@ -78,10 +77,10 @@ def optimised(
     check_torque(belief, pool, options)
     chosen = pool.drawn[choose(goal, pool.information, count, known)]
     refined = refine(belief, goal, shapes, chosen, known, sweeps=options.sweeps)
-    drawn, moves = within_limits(belief, refined, options)
-    dense = moves.every(2)
+    moves, sampled = within_limits(belief, refined, options, stage)
+    dense = sampled.every(2)
     each = [belief.information(one, belief.regressor(one))[0] for one in dense.singly()]
-    return described(belief, drawn, moves, options, stage), dense, goal.scaled(np.array(each))
+    return moves, dense, goal.scaled(np.array(each))
 
 
 def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
@@ -106,57 +105,48 @@ def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
 
 
 def within_limits(
-    belief: Belief, drawn: Drawn, options: PlanOptions, *, most: int = 40, dense_hz: float = 200.0
-) -> tuple[Drawn, Moves]:
+    belief: Belief,
+    drawn: Drawn,
+    options: PlanOptions,
+    stage: str,
+    *,
+    most: int = 40,
+    dense_hz: float = 200.0,
+) -> tuple[list[PlannedMove], Moves]:
     """Make moves smaller until torques hold on dense samples and nothing is touched.
 
-    Those that touch something even when they are small are left out.
+    Those that touch something even when they are small are left out; the others are described, and
+    sampled.
     """
     shapes = Shapes.over(options.length_s, dense_hz)
     moves, where = shapes.moves(drawn, belief.limits), np.arange(len(drawn))
-    bad = np.ones(len(drawn), dtype=bool)
+    bad, shares = np.ones(len(drawn), dtype=bool), np.zeros(len(drawn))
     for k in range(most + 1):
         if k:
             drawn = drawn.smaller(where, 1.0 - (1.0 - REDUCTION) / 10)
             moves = shapes.moves(drawn, belief.limits)
         own = moves[where]
-        bad[where] = (_dense_overload(belief, own) > 1.0) | belief.collides(own.every(4).q)
+        shares[where] = [belief.overload(x, belief.regressor(x))[0] for x in own.singly()]
+        bad[where] = (shares[where] > 1.0) | belief.collides(own.every(4).q)
         where = np.flatnonzero(bad)
         if not len(where):
             break
-    kept = np.flatnonzero(~bad)
-    return drawn[kept], moves[kept]
-
-
-def _dense_overload(belief: Belief, moves: Moves) -> Array:
-    """Largest torque over its limit, one move at a time."""
-    return np.array([belief.overload(one, belief.regressor(one))[0] for one in moves.singly()])
-
-
-def described(
-    belief: Belief, drawn: Drawn, moves: Moves, options: PlanOptions, stage: str
-) -> list[PlannedMove]:
-    """The moves in the form of the plan file."""
-    names = belief.robot.joint_names
-    shares = _dense_overload(belief, moves)
-    found = []
-    for k in range(len(drawn)):
-        moving = np.flatnonzero(drawn.coefficients[k].any(axis=1))
-        joints = [names[int(j)] for j in moving]
-        start = moves.q[k, 0]
-        motions = {names[int(j)]: _fourier(moves, drawn, k, int(j)) for j in moving}
+    kept, names, found = np.flatnonzero(~bad), belief.robot.joint_names, []
+    for number, k in enumerate(kept.tolist(), start=1):
+        moving = np.flatnonzero(drawn.coefficients[k].any(axis=1)).tolist()
+        joints = [names[j] for j in moving]
         found.append(
             PlannedMove(
-                name=f"{stage}_{k + 1:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}",
+                name=f"{stage}_{number:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}",
                 stage=stage,
                 joints=joints,
                 duration_s=options.length_s,
-                start={name: float(x) for name, x in zip(names, start, strict=True)},
-                fourier=motions,
+                start={name: float(x) for name, x in zip(names, moves.q[k, 0], strict=True)},
+                fourier={names[j]: _fourier(moves, drawn, k, j) for j in moving},
                 torque_share=float(shares[k]) if belief.checks_torque else None,
             )
         )
-    return found
+    return found, moves[kept]
 
 
 def _fourier(moves: Moves, drawn: Drawn, k: int, j: int) -> FourierMotion:

@@ -255,18 +255,11 @@ def _stage(
     logs = LogSet.of(inputs, imus=imus)
     found = _with_notes(identify(logs), logs)
     found = judged(found, inputs.previous, inputs.robot, logs.findings)
-    names = tuple(present(found))
-    for name in stale_stages(inputs.previous, names):
+    new = present(found)
+    for name in stale_stages(inputs.previous, tuple(new)):
         warn(f"the {name} stage rested on the old result and is left out: redo it")
-    file = with_stage(
-        inputs.previous,
-        robot_id(inputs.robot),
-        logs.inputs(names[0]),
-        friction=found.friction,
-        gravity=found.gravity,
-        imu=found.imu,
-        inertia=found.inertia,
-    )
+    read = logs.inputs(next(iter(new)))
+    file = with_stage(inputs.previous, robot_id(inputs.robot), read, **new)
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)
     return file

@@ -63,26 +63,19 @@ def with_stage(
     previous: schema.ParameterFile | None,
     robot: schema.RobotId,
     inputs: Sequence[schema.InputLog],
-    *,
-    friction: schema.FrictionStage | None = None,
-    gravity: schema.RigidStage | None = None,
-    imu: schema.ImuStage | None = None,
-    inertia: schema.RigidStage | None = None,
-    effects: list[schema.EffectOfJoint] | None = None,
-    created: str | None = None,
+    **stages: object,
 ) -> schema.ParameterFile:
-    """Return a new document: `previous` and the given stages.
+    """Return a new document: `previous` and the given stages, by their names in `Stages`.
 
     Earlier stages and their inputs stay; a stage that is given again replaces the old one, and
     what had been identified from the old one (`stale_stages`) is dropped.
     """
-    given = {"friction": friction, "gravity": gravity, "imu": imu, "inertia": inertia}
-    new = present(schema.Stages(**given, effects=effects))  # type: ignore[arg-type]
+    new = present(schema.Stages(**stages))  # type: ignore[arg-type]
     gone = {*new, *stale_stages(previous, tuple(new))}
     old = present(previous.stages) if previous else {}
     kept = {name: stage for name, stage in old.items() if name not in gone}
     earlier = [log for log in previous.inputs if log.stage not in gone] if previous else []
-    return _file(robot, [*earlier, *inputs], {**kept, **new}, created=created or now())
+    return _file(robot, [*earlier, *inputs], {**kept, **new}, created=now())
 
 
 def refined(

@@ -51,13 +51,7 @@ class Drawing:
 
 
 def plot_friction(file: ParameterFile, joint: str) -> Drawing:
-    """Draw the friction of a joint: a map, and cuts over velocity and over position.
-
-    Raises
-    ------
-    UsageError
-        The file has no friction of this joint.
-    """
+    """Draw the friction of a joint: a map, and cuts over velocity and over position."""
     from seqid_cli.report.figures.friction import FIGURES
 
     known = file.stages.friction.joints if file.stages.friction else {}

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 import re
-import statistics
 from collections.abc import Sequence
 from pathlib import Path
+from statistics import median
 
-from seqid_cli.commands.screen.render import Screen, number, percent
+from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.params.results.inspection import InspectedLog, InspectionFile, InspectionFinding
-from seqid_cli.params.results.tables import values
+from seqid_cli.params.results.tables import Values, heads, values
 
 _WORDS = {
     "good": "nothing wrong was found",
@@ -52,49 +52,34 @@ def show_inspection(screen: Screen, file: InspectionFile) -> None:
 
 
 def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
+    """Print a line per log; of many, one for those that move and serve alike."""
     folder = _common_folder([log.path for log in logs])
     if folder:
         screen.result(f"in {folder}:")
-    uneven = any(log.gaps or log.jitter >= SHOWN_JITTER for log in logs)
-    columns = ["log", "verdict", "format", "s", "Hz", "jitter", "gaps", "moving", "serves"]
-    rows = [
-        [
-            log.path.removeprefix(folder),
-            log.verdict,
-            log.format or "-",
-            number(log.seconds, 4),
-            number(log.rate_hz, 5),
-            percent(log.jitter),
-            str(len(log.gaps)),
-            f"{sum(joint.moves for joint in log.joints)} of {len(log.joints)}",
-            ", ".join(log.serves) or "-",
-        ]
-        for log in logs
-    ]
-    if len(rows) > _LISTED and not screen.verbose:
-        rows = _alike(rows, logs)
-    names_tell = uneven and len({row[2] for row in rows}) == 1
-    left_out = {2} if names_tell else set() if uneven else {5, 6}
-    kept = [k for k in range(len(columns)) if k not in left_out]
-    screen.table([columns[k] for k in kept], [[row[k] for k in kept] for row in rows])
-
-
-def _alike(rows: Sequence[list[str]], logs: Sequence[InspectedLog]) -> list[list[str]]:
-    """Give logs of the same verdict that move and serve alike one row, with their length in all."""
-    groups: dict[tuple[str, ...], list[int]] = {}
-    for k, row in enumerate(rows):
-        groups.setdefault((*row[1:3], *row[-2:]), []).append(k)
-    found = []
+    groups: dict[object, list[InspectedLog]] = {}
+    for k, log in enumerate(logs):
+        moves = sum(joint.moves for joint in log.joints), len(log.joints)
+        alike = (log.verdict, log.format, moves, tuple(log.serves))
+        groups.setdefault(alike if len(logs) > _LISTED and not screen.verbose else k, []).append(
+            log
+        )
+    rows = []
     for own in groups.values():
-        row = list(rows[own[0]])
-        if len(own) > 1:
-            row[0] += f" and {len(own) - 1} more"
-            row[3] = number(sum(logs[k].seconds for k in own), 4)
-            row[4] = number(statistics.median(logs[k].rate_hz for k in own), 4)
-        row[5] = percent(max(logs[k].jitter for k in own))
-        row[6] = str(sum(len(logs[k].gaps) for k in own))
-        found.append(row)
-    return found
+        first, more = own[0], f" and {len(own) - 1} more" if len(own) > 1 else ""
+        name, rate = first.path.removeprefix(folder), median(log.rate_hz for log in own)
+        uneven = (max(log.jitter for log in own), sum(len(log.gaps) for log in own))
+        moving = f"{sum(joint.moves for joint in first.joints)} of {len(first.joints)}"
+        length, hz = sum(log.seconds for log in own), number(rate, 4 if more else 5)
+        what = (name + more, first.verdict, first.format or None, length, hz)
+        rows.append((*what, *uneven, moving, ", ".join(first.serves) or None))
+    uneven_logs = any(log.gaps or log.jitter >= SHOWN_JITTER for log in logs)
+    names_tell = uneven_logs and len({row[2] for row in rows}) == 1
+    left_out = {2} if names_tell else set() if uneven_logs else {5, 6}
+    kept = [k for k in range(9) if k not in left_out]
+    titles = "log | verdict | format | s | Hz | jitter | gaps | moving | serves"
+    columns = heads(titles, "text text text number4 text share count text text")
+    shown = [[row[k] for k in kept] for row in rows]
+    screen.values(Values([columns[k] for k in kept], shown))
 
 
 def _serves(screen: Screen, logs: Sequence[InspectedLog]) -> None:

@@ -19,8 +19,7 @@ def child_cpu_s(command: Sequence[str], environment: Mapping[str, str] = os.envi
 def told_by(command: Sequence[str]) -> dict[str, float]:
     """What a command prints as JSON in its last line."""
     done = subprocess.run(command, capture_output=True, check=True, text=True)
-    result: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
-    return result
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def module(name: str, *arguments: object) -> list[str]:

@@ -22,7 +22,6 @@ def pair(rig: Rig) -> Rig:
 
 def moved() -> ParameterFile:
     file = inertia_file()
-    assert file.stages.gravity is not None
     file.stages.gravity.parameters[0].value = 1.5
     return file
 

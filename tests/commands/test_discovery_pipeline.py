@@ -89,7 +89,6 @@ def test_a_refinement_of_real_logs(
     jsonschema.validate(json.loads(output.read_text()), json_schema(SCHEMA))
     file = read_parameters(output)
     loop = file.closed_loop
-    assert loop is not None
     assert loop.evaluated_on == [str(HELD_OUT)]
     assert loop.after["joint_1"].rmse < 0.6 * loop.before["joint_1"].rmse
     assert [(tried.effect, tried.joint) for tried in loop.rounds[:1]] == [("spring", "joint_1")]

@@ -194,7 +194,6 @@ def test_a_joint_without_friction_is_poor_and_says_why(
     rig: Rig, reader: Reader, model: Model
 ) -> None:
     file = full_file()
-    assert file.stages.friction is not None
     del file.stages.friction.joints["elbow"]
     rig.params("p.json", file)
     document = json.loads(rig.run(*BASE, "--json").out)

@@ -145,7 +145,6 @@ def test_an_error_in_a_log_makes_its_joint_poor(
     assert "next:" not in done.err
     assert f"do: {reader.findings[0].remedy}" in done.err
     stage = read_parameters(rig.folder / "out.json").stages.friction
-    assert stage is not None
     poor = {v.joint: v.reason for v in stage.verdicts if not v.good}
     assert poor.keys() == {"elbow", ""}
     assert "a.parquet and 1 more log: torque it would gain" in poor["elbow"]

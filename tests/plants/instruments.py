@@ -179,7 +179,6 @@ def calibrated(scene: Scene, seed: int) -> ImuStage:
 
 def scored(imu: AccelerometerArray, found: ImuCalibration) -> Score:
     """Compare a calibration with the instrument that it is of."""
-    assert imu.faults is not None
     R = np.array(found.rotation)
     off = np.degrees(Rotation.from_matrix(R @ true_mounting(imu).T).as_rotvec())
     sigma = np.array(found.std_errors_deg)

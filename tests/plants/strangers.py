@@ -27,7 +27,6 @@ def data_of(path: Path, every: int = 2) -> Data:
     """Read a sample log, one row of `every`."""
     robot = load_robot(SIX / "robot.toml")
     log = read_recording(path, robot)
-    assert log.tau is not None
     ampere = np.array([joint.torque_per_ampere for joint in robot.joints], dtype=float)
     rows, dq = slice(None, None, every), np.gradient(log.q, log.t, axis=0)
     q, tau = log.q[rows], log.tau[rows]

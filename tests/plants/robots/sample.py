@@ -54,10 +54,7 @@ class Rig:
 
     @cached_property
     def truth(self) -> dict[str, dict[str, dict[str, list[list[float]]]]]:
-        document: dict[str, dict[str, dict[str, list[list[float]]]]] = json.loads(
-            (self.folder / "truth.json").read_text()
-        )
-        return document
+        return json.loads((self.folder / "truth.json").read_text())
 
     @cached_property
     def standard(self) -> dict[str, float]:

@@ -90,7 +90,6 @@ def known_friction() -> Stages:
 
 def known_model(robot: Robot, share: float = 1.0) -> Stages:
     """The friction that its logs have, and a share of the URDF's bodies."""
-    assert robot.nominal is not None
     values = np.concatenate([share * robot.nominal.ravel(), np.zeros(robot.n)])
     names = standard_names(robot.n)
     representative = dict(zip(names, values.tolist(), strict=True))

@@ -143,8 +143,7 @@ def true_friction(plant: Plant, joint: int, q: Array, v: Array) -> Array:
     position[:, joint], velocity[:, joint] = q, v
     law = plant.friction.begin()(0.0, position, velocity, np.zeros_like(position))
     dry = np.where(velocity > 0, law.forward, -law.backward)
-    torque: Array = (dry + law.smooth)[:, joint]
-    return torque
+    return (dry + law.smooth)[:, joint]
 
 
 def imu_rows(plant: Plant, stage: ImuStage) -> list[Row]:

@@ -96,7 +96,6 @@ def _arm(work: Path, rows: int = 300) -> dict[str, bytes]:
         raise RuntimeError(said)
     short = formats.csv_own(work / "short.csv", _data(60)).read_bytes()
     model = read_parameters(work / "model.json")
-    assert model.stages.friction is not None
     for joint in model.stages.friction.joints.values():  # most of the file
         joint.covariance = []
     return {

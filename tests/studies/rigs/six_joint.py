@@ -65,7 +65,6 @@ def repetition(number_of: int) -> Repetition:
     plant = another(six_joint(), rng)
     experiment = run("six_joint", plant, trials(plant, rng), SEED + number_of, every=EVERY)
     stages = sequential(experiment.recordings, experiment.robot)
-    assert stages.inertia is not None
     assert stages.imu is not None
     return Repetition(
         torque=predicted(experiment, stages),

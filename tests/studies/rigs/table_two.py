@@ -86,14 +86,12 @@ def errors(factor: int, seed: int, *, short: bool = False) -> dict[str, float]:
     for source in ("encoder", "imu", "fused"):
         known = papers if source == "imu" else stages
         stage = with_inertia(logs, robot, known, InertiaOptions(source=source)).inertia
-        assert stage is not None
         found[source] = next(p.value for p in stage.parameters if p.name == "Izz_1")
     return {way: 100.0 * (value / LINK_INERTIA - 1.0) for way, value in found.items()}
 
 
 def mounting_alone(stage: ImuStage | None) -> ImuStage:
     """What the paper calibrates: no bias, gain, axis or clock of a sensor."""
-    assert stage is not None
     kept = ("rotation", "std_error_deg", "references", "noise_density")
     return ImuStage(
         imus={
@@ -113,7 +111,6 @@ def differenced(experiment: Experiment, stages: Stages, cutoff_hz: float | None)
     reflected = float((gear_ratios(robot) ** 2 * known_rotors(robot))[0])
     x, y = [], []
     for log in experiment.recordings["inertia"]:
-        assert log.tau is not None
         lowpass = Lowpass(cutoff_hz or np.inf, log.rate_hz)
         speed = np.gradient(log.q, axis=0) * log.rate_hz
         ddq = lowpass(np.gradient(speed, axis=0) * log.rate_hz)

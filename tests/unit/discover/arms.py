@@ -128,5 +128,4 @@ def related_scenes(seed: int, logs: int = 4, seconds: float = 20.0) -> list[Scen
 def coloured(scene: Scene, rng: np.random.Generator) -> Array:
     """Return noise (N, n) N m as the twice low-passed torque has it."""
     white = scene.motion.filtered(rng.normal(size=scene.motion.q.shape), times=2)
-    noise: Array = white / np.std(white, axis=0) * np.array(NOISE)
-    return noise
+    return white / np.std(white, axis=0) * np.array(NOISE)

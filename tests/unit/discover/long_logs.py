@@ -38,12 +38,10 @@ class LongCase:
 
     def with_torque(self, torque: Callable[[Array], Array]) -> LongCase:
         """The same with a torque (N, n) of time (N,) added to what is measured."""
-        assert self.log.tau is not None
         return replace(self, log=replace(self.log, tau=self.log.tau + torque(self.log.t)))
 
     def written(self, path: Path) -> Path:
         """Write the log as Parquet, in row groups."""
-        assert self.log.tau is not None
         columns = {"t": BEGUN + self.log.t}
         for j, name in enumerate(self.robot.joint_names):
             columns[f"{name}.position"] = self.log.q[:, j]

@@ -29,7 +29,6 @@ def heavier(scene: Scene) -> tuple[Array, Array]:
     basis = free_basis(scene.robot)
     delta = np.random.default_rng(2).normal(size=len(standard_names(scene.robot.n)))
     delta[-scene.robot.n :] = 0.0  # rotors are known
-    assert scene.model.phi is not None
     phi = scene.model.phi + delta[: -scene.robot.n].reshape(scene.model.phi.shape)
     motion = scene.motion
     torque = replace(scene.model, phi=phi).rigid(motion.q, motion.dq, motion.ddq)

@@ -156,10 +156,8 @@ def test_what_no_effect_explains_is_said_to_depend_on_what_it_does() -> None:
     assert rest.depends_on[0] == "position"
     assert rest.share > 0.3
     shown = rest.evidence
-    assert shown is not None
     assert (shown.joint, shown.of, shown.quantity) == ("elbow", "elbow", "position")
     assert np.ptp(shown.after) < 0.3 * np.ptp(shown.before)
-    assert rest.closest is not None
     assert rest.closest.effect in {rival.effect for rival in rest.rivals}
     assert all(f.confidence < 0.7 for f in found.findings)
     plain(found)
@@ -174,7 +172,6 @@ def test_the_same_seed_gives_the_same_diagnosis() -> None:
 def test_a_push_is_an_event() -> None:
     honest = clean()
     log = honest.logs[0]  # joints never rest in it
-    assert log.tau is not None
     at = log.t[len(log.t) // 2]
     push = np.exp(-(((log.t - at) / 0.1) ** 2))
     pushed = replace(log, tau=log.tau + np.outer(push, [4.0, 1.5]))
@@ -206,7 +203,6 @@ def biased_short() -> DiagnosisFile:
 def part(log: Recording, start: float, end: float, every: int = 1) -> Recording:
     """A stretch of a log, of every so many samples."""
     at = slice(round(start * log.rate_hz), round(end * log.rate_hz), every)
-    assert log.tau is not None
     return replace(
         log,
         t=log.t[at] - log.t[at][0],
@@ -245,7 +241,6 @@ def test_less_than_a_sample_between_torque_and_position_is_a_note() -> None:
     assert not [n for n in Given(slow, logs.robot, stages).diagnosed().notes if "late" in n]
     (note,) = [n for n in Given(late, logs.robot, stages).diagnosed().notes if "late" in n]
     told = re.search(r"joint elbow: torque is (\S+) ms late", note)
-    assert told is not None
     assert 3.0 < float(told[1]) < 6.0  # this arm's own is up to a millisecond
 
 

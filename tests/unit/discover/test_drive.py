@@ -31,7 +31,6 @@ def sensed(hung: float, loss: float, *, sensor: bool = True) -> list[Scene]:
     """Logs of the arm with a sensor behind each gear, and losses of the second one."""
     rng, scenes = np.random.default_rng(5), []
     for scene in arm_scenes():
-        assert scene.measured is not None
         load = scene.modelled_load + hung * hang(scene)
         lost = np.stack([np.zeros(len(load)), loss * np.abs(load[:, 1]) * scene.sign[:, 1]], axis=1)
         whole = measuring(scene, scene.measured + hung * hang(scene) + lost)
@@ -62,7 +61,6 @@ def test_there_are_rows_only_where_every_log_has_the_sensor() -> None:
 def test_a_joint_without_a_reading_has_no_rows() -> None:
     scenes = sensed(0.0, 0.0)
     for scene in scenes:
-        assert scene.sensor is not None
         scene.sensor[:, 0] = np.nan
     rows = drive_rows(rows_of(scenes))
     assert (rows.of(0), rows.of(1)) == (False, True)
@@ -85,7 +83,6 @@ def test_a_loss_is_sharp_beside_a_link_that_the_model_does_not_know() -> None:
 def test_that_motor_and_sensor_agree_is_said_by_the_file() -> None:
     """What a torque constant saves of that counts, although the rows alone would do without it."""
     part = drive_rows(rows_of(sensed(0.0, 0.0))).part(1, 5, 1.0, disagree=0.1)
-    assert part.apart is not None
     np.testing.assert_allclose(part.precision - part.apart, np.diag([100.0, 0.0, 0.0]))
     assert part.apart[0, 0] == 0.0
 

@@ -90,7 +90,6 @@ def test_the_c_header_computes_the_predicted_torque(arm: Arm, tmp_path: Path) ->
 @pytest.mark.parametrize("log", [False, True])
 def test_code_keeps_directions_speed_scales_and_coupled_rotors(tmp_path: Path, log: bool) -> None:
     robot, stages = made(tmp_path, urdf_gantry(), NAMES_GANTRY, 8, known=True)
-    assert stages.inertia is not None
     stages.inertia.rotor_coupling = "gyroscopic"
     stages.friction = friction_stage(robot, directional=True, log=log)
     stages.friction.joints.pop("reach")
@@ -106,7 +105,6 @@ def test_code_keeps_directions_speed_scales_and_coupled_rotors(tmp_path: Path, l
 
 def frictionless(arm: Arm) -> Arm:
     stages = arm[1]
-    assert stages.friction is not None
     stages.friction.joints.clear()
     return arm
 
@@ -212,11 +210,9 @@ def test_new_logs_raise_no_alarm_and_a_collision_does(tmp_path: Path, rig: str) 
 def test_limits_follow_from_noise_encoder_and_band() -> None:
     """Rice: sqrt(2 ln(2 n f T)) standard deviations; the gain where the encoder adds as much."""
     robot, stages = sample("two_joint")
-    assert stages.inertia is not None
     stages.inertia.cutoff_hz, mass = 10.0, np.diag([2.0, 1.0])
     surfaces = friction_surfaces(stages, robot)
     step = robot.joints[0].encoder_resolution
-    assert step is not None
     errors = {"joint_1": 2.0, "joint_2": 100.0}
     found = thresholds(robot, stages, surfaces, mass, errors, margin=1.0)
     factor = np.sqrt(2.0 * np.log(2.0 * 2 * 10.0 * 24.0 * 3600.0))

@@ -107,7 +107,6 @@ def test_ros2_control_commands_the_torque_of_every_joint(arm: Arm) -> None:
     for joint, armature, fit in zip(joints, done.model.armature, done.model.friction, strict=True):
         assert [e.get("name") for e in joint.findall("command_interface")] == ["effort"]
         given = {e.get("name"): float(e.text or "") for e in joint.findall("param")}
-        assert fit is not None
         expected = {"armature": armature, "coulomb": fit.coulomb, "viscous": fit.viscous}
         assert given == pytest.approx(expected)
 
@@ -193,7 +192,6 @@ def test_mujoco_lets_the_link_fall_through_its_backlash() -> None:
 
 def test_what_no_body_has_is_projected_and_reported(tmp_path: Path) -> None:
     robot, stages = made(tmp_path, urdf_6r(), NAMES_6R, 9, known=True)
-    assert stages.inertia is not None
     names = np.array([p.name for p in stages.inertia.parameters])
     shift = np.where(names == "Izz_6", -3000.0, 0.0)  # the last link would turn the other way
     rng = np.random.default_rng(9)
@@ -235,7 +233,6 @@ def test_what_torque_does_not_show_stays_as_in_the_cad(tmp_path: Path) -> None:
     """Where the CAD itself has the identified torque, it comes out unchanged."""
     text, names = urdf_6r(), NAMES_6R
     robot = save_robot(tmp_path, text, names, joint_extra="gear_ratio = 50.0\n")
-    assert robot.nominal is not None
     stages = stages_of(robot, robot.nominal)
     model = export(robot, stages, kind="URDF").model
     np.testing.assert_allclose(model.bodies, robot.nominal, atol=1e-3 * robot.nominal.max())

@@ -157,9 +157,7 @@ def test_urdf_keeps_all_but_inertials_dynamics_and_drives_of_the_arm(tmp_path: P
     ]
     assert flat[0] == flat[1]
     dynamics = ElementTree.fromstring(done.text).find("joint[@name='shoulder']/dynamics")
-    assert dynamics is not None
     fit = done.model.friction[0]
-    assert fit is not None
     assert float(dynamics.get("damping", "")) == pytest.approx(fit.viscous)
     assert float(dynamics.get("friction", "")) == pytest.approx(fit.coulomb)
 
@@ -261,7 +259,6 @@ def test_parameters_of_another_robot_are_refused(tmp_path: Path) -> None:
     robot = sample_robot("six_joint")
     other = save_robot(tmp_path, urdf_6r(), NAMES_6R)  # rotors free, other geometry
     stages = stages_of(robot, random_bodies(np.random.default_rng(9), 6))
-    assert stages.inertia is not None
     stages.inertia.parameters[0].name = "mz_1"
     with pytest.raises(ConfigError, match="'mz_1' is no base parameter"):
         export(other, stages, kind="URDF")
@@ -270,7 +267,6 @@ def test_parameters_of_another_robot_are_refused(tmp_path: Path) -> None:
 def test_parameters_that_the_logs_did_not_show_come_from_the_prior() -> None:
     robot = sample_robot("two_joint")
     stages = stages_of(robot, random_bodies(np.random.default_rng(10), 2))
-    assert stages.inertia is not None
     gone = stages.inertia.parameters.pop()
     stages.inertia.covariance = [row[:-1] for row in stages.inertia.covariance[:-1]]
     model = export(robot, stages, kind="URDF").model
@@ -282,7 +278,6 @@ def test_parameters_that_the_logs_did_not_show_come_from_the_prior() -> None:
 def test_numbers_of_no_arm_are_refused(tmp_path: Path) -> None:
     robot = sample_robot("two_joint")
     stages = stages_of(robot, random_bodies(np.random.default_rng(10), 2))
-    assert stages.inertia is not None
     stages.inertia.representative["Izz_2"] = 1e200
     with pytest.raises(ConfigError, match="1e\\+200"):
         export(robot, stages, kind="URDF")

@@ -26,5 +26,4 @@ def six_joint() -> Rig:
 )
 def rig(request: pytest.FixtureRequest) -> Rig:
     """Each of the rigs."""
-    found: Rig = request.getfixturevalue(request.param)
-    return found
+    return request.getfixturevalue(request.param)

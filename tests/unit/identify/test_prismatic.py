@@ -206,6 +206,5 @@ def test_prediction_of_a_new_motion(identified: Identified) -> None:
     )
     log = record("new", both(np.random.default_rng(5), 10.0), np.random.default_rng(6))
     (found,) = predict([log], identified.robot, stages, options=InertiaOptions())
-    assert found.tau is not None
     size = found.tau[found.used].std(axis=0)
     assert (rmse([found]) < 0.05 * size).all()

@@ -42,7 +42,6 @@ def test_degrees_of_all_angles(tmp_path: Path) -> None:
         logged[f"{name}.link_position"] = logged[f"{name}.position"] + 1.0
     read = read_recording(written(tmp_path, logged), with_channels(Channels(unit="deg")))
     np.testing.assert_allclose(read.q, truth.q, atol=1e-12)
-    assert read.link_position is not None
     np.testing.assert_allclose(read.link_position - read.q, np.pi / 180.0, atol=1e-12)
 
 
@@ -52,7 +51,6 @@ def test_the_gravity_that_a_driver_subtracts_is_added_again(tmp_path: Path) -> N
 
     model = pin.buildModelFromUrdf(str(SIX / "six_joint.urdf"))
     data, truth = model.createData(), read_recording(LOG, ROBOT)
-    assert truth.tau is not None
     rows = slice(None, None, 500)
     gravity = np.array([pin.computeGeneralizedGravity(model, data, q) for q in truth.q])
     logged = {n: v for n, v in columns().items() if not n.endswith(".current")}
@@ -60,7 +58,6 @@ def test_the_gravity_that_a_driver_subtracts_is_added_again(tmp_path: Path) -> N
         logged[f"{name}.effort"] = truth.tau[:, j] - gravity[:, j]
     robot = with_channels(Channels(effort="gravity_compensated"))
     read = read_recording(written(tmp_path, logged), robot)
-    assert read.tau is not None
     np.testing.assert_allclose(read.tau[rows], truth.tau[rows], atol=1e-9)
     assert np.abs(gravity).max() > 10.0
 
@@ -84,8 +81,6 @@ def test_voltage_and_duty_cycle_give_the_current(
     t, resistance, supply = logged["t"], 2.5, 24.0
     for joint in ROBOT.joints:
         dq = np.gradient(logged[f"{joint.name}.position"], t)
-        assert joint.torque_constant is not None
-        assert joint.gear_ratio is not None
         back = joint.torque_constant * joint.gear_ratio * dq
         voltage = resistance * logged.pop(f"{joint.name}.current") + back
         logged[f"{joint.name}.{logged_as}"] = voltage / (supply if logged_as == "pwm" else 1.0)

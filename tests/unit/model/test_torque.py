@@ -101,7 +101,6 @@ def test_prediction_is_the_regressor_times_the_parameters(
 
 def test_a_joint_without_friction_has_none(robot: Robot, motion: Motion) -> None:
     own = stages(robot)
-    assert own.friction is not None
     del own.friction.joints["joint_3"]
     model = TorqueModel.from_stages(own, robot)
     assert model.surfaces[2] is None

@@ -37,7 +37,6 @@ def log() -> Recording:
 
 def in_parts(recording: Recording, sizes: list[int]) -> Iterator[Block]:
     """The samples in blocks of the given sizes, over and over."""
-    assert recording.tau is not None
     start, turn = 0, 0
     while start < len(recording.t):
         part = slice(start, start + sizes[turn % len(sizes)])

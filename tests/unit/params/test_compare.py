@@ -32,7 +32,6 @@ def only(found: ComparisonFile) -> Difference:
 
 
 def parameters(file: ParameterFile) -> list[Parameter]:
-    assert file.stages.gravity is not None
     return file.stages.gravity.parameters
 
 
@@ -92,7 +91,6 @@ def test_a_missing_stage_is_a_change() -> None:
 def test_surfaces_of_different_coefficients_and_the_same_values_are_equal() -> None:
     """The same friction, over another range and of higher orders."""
     a, b = inertia_file(), inertia_file()
-    assert b.stages.friction is not None
     joint = b.stages.friction.joints["elbow"]
     # 1 + x/3 with x = q / 2 becomes 1 + (2/3) x' over twice the range.
     joint.position_range = [-4.0, 4.0]
@@ -105,9 +103,7 @@ def test_surfaces_of_different_coefficients_and_the_same_values_are_equal() -> N
 def test_a_surface_that_moved_is_told_where_it_moved_most() -> None:
     a, b = inertia_file(), inertia_file()
     assert a.stages.friction is not None
-    assert b.stages.friction is not None
     for file in (a, b):
-        assert file.stages.friction is not None
         file.stages.friction.joints["elbow"].covariance = (1e-6 * np.eye(2)).tolist()
     joint = b.stages.friction.joints["elbow"]
     joint.positive = joint.negative = [[1.1], [1.0 / 3.0 + 0.1]]
@@ -122,7 +118,6 @@ def test_a_surface_that_moved_is_told_where_it_moved_most() -> None:
 @pytest.mark.parametrize(("degrees", "different"), [(0.5, False), (3.0, True)])
 def test_mountings_are_compared_by_their_angle(degrees: float, different: bool) -> None:
     a, b = inertia_file(), inertia_file()
-    assert b.stages.imu is not None
     imu = b.stages.imu.imus["imu_a"]
     c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
     imu.rotation = (np.array(imu.rotation) @ [[1, 0, 0], [0, c, -s], [0, s, c]]).tolist()
@@ -150,8 +145,6 @@ def test_an_angle_that_is_not_determined_plays_no_part(tilt: float, different: b
 
 def test_effects_are_compared_by_name_joint_parameters_and_settings() -> None:
     a, b = full_file(), full_file()
-    assert a.stages.effects is not None
-    assert b.stages.effects is not None
     speed = Parameter(name="stribeck_torque", value=1.0, std_error=0.01, unit="N m", joint="elbow")
     a.stages.effects[0].parameters = [speed]
     b.stages.effects[0].parameters = [copy.copy(speed)]
@@ -167,7 +160,6 @@ def test_effects_are_compared_by_name_joint_parameters_and_settings() -> None:
 
 def test_a_verdict_that_turned_is_a_note() -> None:
     a, b = inertia_file(), inertia_file()
-    assert b.stages.friction is not None
     b.stages.friction.verdicts[1] = Verdict(joint="elbow", good=False, reason="too few speeds")
     found = compared(a, b)
     assert not found.changed
@@ -177,11 +169,9 @@ def test_a_verdict_that_turned_is_a_note() -> None:
 def test_of_several_verdicts_on_a_joint_all_must_be_good() -> None:
     a, b = inertia_file(), inertia_file()
     for each in (a, b):
-        assert each.stages.friction is not None
         hole = Verdict(joint="elbow", good=False, reason="no values for a while")
         each.stages.friction.verdicts = [*each.stages.friction.verdicts, hole]
     assert compared(a, b).notes == []
-    assert a.stages.friction is not None
     a.stages.friction.verdicts.pop()
     note = "friction: the verdict on elbow is now poor: no values for a while"
     assert compared(a, b).notes == [note]
@@ -229,6 +219,5 @@ def test_false_alarms_are_as_rare_as_the_rule_says() -> None:
 
 def test_surfaces_without_a_common_range_differ() -> None:
     a, b = inertia_file(), inertia_file()
-    assert b.stages.friction is not None
     b.stages.friction.joints["elbow"].speed_range = [2.0, 3.0]
     assert "range of both" in only(compared(a, b)).remark

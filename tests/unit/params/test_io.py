@@ -135,7 +135,6 @@ def test_a_closed_loop_needs_no_more_than_the_contract(
     path = tmp_path / "p.json"
     path.write_text(json.dumps(edited(("closed_loop",), older)))
     loop = read_parameters(path).closed_loop
-    assert loop is not None
     assert [item.effect for item in loop.rounds] == [item["effect"] for item in older["rounds"]]
     assert all(item.accepted for item in loop.rounds)
     assert plain(loop.before) == older.get("before", {})
@@ -195,7 +194,6 @@ def test_two_branches_are_joined(tmp_path: Path) -> None:
 def test_branches_that_disagree_are_refused(tmp_path: Path) -> None:
     first = write(tmp_path, "g.json", gravity_file)
     other = gravity_file()
-    assert other.stages.friction is not None
     other.stages.friction.joints["elbow"].rmse = 0.7
     second = write(tmp_path, "h.json", lambda: other)
     with pytest.raises(ConfigError, match=f"h.json: its friction stage differs from .*{first}"):

@@ -120,7 +120,6 @@ def test_the_part_that_both_share_hides_nothing(belief: Belief, stages: Stages) 
     pair = replace(OPTIONS, between=("asymmetric_friction", "torque_bias"))
     file = make_plan("discriminate", belief.robot, belief.limits, stages, pair)
     told = file.stages["discriminate"].separation
-    assert told is not None
     assert told.imitations[0] > 0.953
     assert told.powers[0] < 0.95
     assert told.power == told.powers[1] == 0.0
@@ -135,7 +134,6 @@ def test_of_two_laws_one_can_be_shown_and_the_other_cannot(belief: Belief, stage
     pair = replace(OPTIONS, between=("quadratic_drag", "nonlinear_viscous"))
     file = make_plan("discriminate", belief.robot, belief.limits, stages, pair)
     told = file.stages["discriminate"].separation
-    assert told is not None
     assert told.special_case is None
     assert told.powers[0] < 0.01
     assert told.powers[1] > 0.5
@@ -195,8 +193,6 @@ def _with(scene: Scene, more: Array) -> Scene:
 def test_more_moves_tell_more(belief: Belief, stages: Stages) -> None:
     short = moves_for(replace(OPTIONS, duration_s=12.0)).stage.separation
     long = moves_for(OPTIONS).stage.separation
-    assert short is not None
-    assert long is not None
     assert long.distance > 1.1 * short.distance
     assert long.power > short.power
     assert 0.0 <= long.imitated < 0.95
@@ -205,7 +201,6 @@ def test_more_moves_tell_more(belief: Belief, stages: Stages) -> None:
 @pytest.mark.slow
 def test_chosen_moves_beat_random_ones(belief: Belief, stages: Stages) -> None:
     chosen = moves_for(OPTIONS)
-    assert chosen.stage.separation is not None
     pool = pool_of(belief, 1, OPTIONS)
     many = len(chosen.moves)
     scenes = scenes_of(belief, stages, [*chosen.moves, *pool])
@@ -222,7 +217,6 @@ def test_chosen_moves_beat_random_ones(belief: Belief, stages: Stages) -> None:
 def test_a_special_case_is_named(belief: Belief, stages: Stages) -> None:
     nested = replace(OPTIONS, between=("torque_bias", "spring"))
     told = moves_for(nested).stage.separation
-    assert told is not None
     assert told.special_case == "torque_bias"
     file = make_plan("discriminate", belief.robot, belief.limits, stages, nested)
     assert not file.verdicts[0].good
@@ -232,7 +226,6 @@ def test_a_special_case_is_named(belief: Belief, stages: Stages) -> None:
     assert "brakes on" in file.stages["discriminate"].notes[0]
     skew = replace(OPTIONS, between=("time_skew", "actuator_lag"))
     told = moves_for(skew).stage.separation
-    assert told is not None
     assert told.special_case == "actuator_lag"
     assert told.powers == pytest.approx([0.5, 0.0], abs=1e-3)  # a lag is never early
 

@@ -59,7 +59,6 @@ def tips(q: np.ndarray) -> np.ndarray:
 
 def test_folded_bars_collide_and_stretched_ones_do_not(arm: Robot) -> None:
     found = geometry_of(arm, np.zeros((1, 3)))
-    assert found is not None
     assert found.pairs == 1  # the first bar with the third
     stretched, folded, crossed = [0.0, 0.0, 0.0], [0.7, -2.6, -2.6], [0.0, 2.6, 2.6]
     assert found.collides(np.array([stretched, folded, crossed])).tolist() == [False, True, True]
@@ -71,8 +70,6 @@ def test_boxes_and_the_workspace_count(arm: Robot) -> None:
     ends = tips(q)
     inside = geometry_of(arm, np.zeros((1, 3)), workspace=(-0.8, -0.8, -1.0, 0.8, 0.8, 1.0))
     with_box = geometry_of(arm, np.zeros((1, 3)), boxes=[box])
-    assert inside is not None
-    assert with_box is not None
     out = np.abs(ends).max(axis=(1, 2)) > 0.8
     assert inside.collides(q)[out].all()
     near = np.abs(ends - np.array([1.0, 0.0])).max(axis=2).min(axis=1) < 0.1
@@ -86,7 +83,6 @@ def test_no_planned_move_collides(arm: Robot, what: str) -> None:
     box = (0.7, 0.3, -1.0, 1.5, 1.5, 1.0)
     made = plan(what, arm, options=replace(OPTIONS, keep_out=(box,)))  # type: ignore[arg-type]
     found = geometry_of(arm, np.zeros((1, 3)), boxes=[box], clearance_m=0.0)
-    assert found is not None
     for move in made.moves:
         q = sampled(move, arm.joint_names, 200.0)[1]
         assert not found.collides(q).any()

@@ -56,7 +56,6 @@ def test_other_joints_are_another_robot() -> None:
 def test_files_that_disagree_on_a_stage_are_models_of_their_own() -> None:
     other, rest = gravity_file(), friction_file()
     for file in (other, rest):
-        assert file.stages.friction is not None
         file.stages.friction.joints["elbow"].rmse = 0.7
     files = {"inertia.json": inertia_file(), "other.json": other, "friction.json": rest}
     models = collect([source(path, file) for path, file in files.items()]).models
@@ -68,7 +67,6 @@ def test_files_that_disagree_on_a_stage_are_models_of_their_own() -> None:
 
 def test_refined_files_of_different_outcome_are_models_of_their_own() -> None:
     other = full_file()
-    assert other.closed_loop is not None
     other.closed_loop.after["elbow"].rmse = 0.15
     models = collect([source("refined.json", full_file()), source("other.json", other)]).models
     assert [model.path for model in models] == ["refined.json", "other.json"]
@@ -94,7 +92,6 @@ def test_the_best_model_is_judged_and_its_prediction_leads() -> None:
 
 def test_a_refined_file_may_differ_from_what_it_started_from() -> None:
     refined = full_file()
-    assert refined.stages.friction is not None
     refined.stages.friction.joints["elbow"].rmse = 0.7
     found = collect([source("inertia.json", inertia_file()), source("refined.json", refined)])
     assert len(found.models) == 2
@@ -135,7 +132,6 @@ def test_joints_that_the_robot_has_not_are_an_error(place: str) -> None:
 
 def test_evidence_needs_as_many_torques_as_places() -> None:
     diagnosis = diagnosis_file()
-    assert diagnosis.unexplained[0].evidence is not None
     diagnosis.unexplained[0].evidence.after.pop()
     with pytest.raises(ConfigError, match=r"x\.json: \$\.unexplained\[0\]\.evidence"):
         check_consistency(diagnosis, "x.json")
@@ -179,7 +175,6 @@ def test_what_refinement_read_is_new_to_the_model_before_it() -> None:
     again.logs[0].sha256 = refined.inputs[-1].sha256
     verdict = judge(collect([after, source("prediction.json", again)]))
     assert "On 1 log " in verdict.sentence
-    assert refined.closed_loop is not None
     refined.closed_loop.held_out = [refined.inputs[-1]]  # read, but only to report
     after = source("refined.json", refined)
     again = made_with(again, after)
@@ -218,7 +213,6 @@ def test_a_poor_prediction_is_poor_and_comes_first() -> None:
 
 def test_a_poor_stage_is_poor_alone_and_a_reservation_beside_a_good_prediction() -> None:
     file = inertia_file()
-    assert file.stages.friction is not None
     file.stages.friction.verdicts[0] = Verdict(joint="shoulder", good=False, reason="2 speeds")
     parameters = source("inertia.json", file)
     assert judge(collect([parameters])).level == "poor"
@@ -280,7 +274,6 @@ def test_an_error_beyond_the_noise_of_its_own_logs_is_open(most: float, fires: b
 
 def test_a_parameter_that_no_log_excites_is_named() -> None:
     file = inertia_file()
-    assert file.stages.inertia is not None
     file.stages.inertia.not_excited = ["Iyy_2"]
     parameters = source("inertia.json", file)
     documents = [parameters, source("p.json", made_with(prediction_file(), parameters))]
@@ -331,7 +324,6 @@ def test_a_reference_to_another_file_does_not_count_as_stale() -> None:
 
 def test_effects_that_held_out_logs_do_not_confirm_are_a_point_of_the_verdict() -> None:
     file = full_file()
-    assert file.closed_loop is not None
     refined = source("refined.json", file)
     tested = source("prediction.json", made_with(prediction_file(), refined))
     said = "the held-out logs do not confirm stribeck at elbow"
@@ -346,7 +338,6 @@ def test_effects_that_held_out_logs_do_not_confirm_are_a_point_of_the_verdict() 
 
 def test_faults_of_the_logs_are_not_taken_for_effects_that_are_not_confirmed() -> None:
     file = full_file()
-    assert file.closed_loop is not None
     file.closed_loop.verdict = "poor"
     file.closed_loop.verdicts = [Verdict(joint="elbow", good=False, reason="is stuck")]
     (group,) = closed_loop(collect([source("refined.json", file)])).groups
@@ -356,7 +347,6 @@ def test_faults_of_the_logs_are_not_taken_for_effects_that_are_not_confirmed() -
 def test_only_friction_that_was_tested_at_speeds_left_out_speaks_for_the_model() -> None:
     file = inertia_file()
     said = "Friction of 1 joint holds at speeds that were left out of the fit."
-    assert file.stages.friction is not None
     assert said not in judge(collect([source("inertia.json", file)])).support
     file.stages.friction.joints["elbow"].held_out_rmse = 0.1
     assert said in judge(collect([source("inertia.json", file)])).support
@@ -364,7 +354,6 @@ def test_only_friction_that_was_tested_at_speeds_left_out_speaks_for_the_model()
 
 def test_what_has_no_verdict_is_not_called_good() -> None:
     file, prediction = friction_file(), prediction_file()
-    assert file.stages.friction is not None
     file.stages.friction.verdicts, prediction.verdicts = [], []
     found = collect([source("friction.json", file), source("prediction.json", prediction)])
     steps = pipeline(found, []).groups[0].tables[0].rows

@@ -20,7 +20,6 @@ def used(log: str, *warnings: str) -> MotionUse:
 
 def page(*uses: MotionUse) -> str:
     file: ParameterFile = full_file()
-    assert file.stages.inertia is not None
     file.stages.inertia.motion_use = list(uses)
     return make_report([source("inertia.json", file)]).html
 

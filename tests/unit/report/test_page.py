@@ -126,7 +126,6 @@ def test_the_policy_allows_its_own_style_and_script_only(page: str) -> None:
         for tag, attributes in outline(page).tags
         if attributes.get("http-equiv") == "Content-Security-Policy"
     ]
-    assert policy is not None
     assert policy.startswith("default-src 'none'; ")
     assert "unsafe" not in policy
     for tag in ("style", "script"):
@@ -204,7 +203,6 @@ def test_names_from_files_stay_text(tmp_path: Path) -> None:
 
 def test_hostile_joint_names_stay_text(tmp_path: Path) -> None:
     file = friction_file()
-    assert file.stages.friction is not None
     file.robot.joints = [HOSTILE, "elbow"]
     joints = file.stages.friction.joints
     file.stages.friction.joints = {HOSTILE: joints["shoulder"], "elbow": joints["elbow"]}
@@ -265,7 +263,6 @@ def test_a_joint_that_slides_along_has_its_own_units() -> None:
 )
 def test_odd_surfaces_do_no_harm(odd: dict[str, object]) -> None:
     file = friction_file()
-    assert file.stages.friction is not None
     for name, value in odd.items():
         setattr(file.stages.friction.joints["elbow"], name, value)
     html = make_report([source("f.json", file)]).html

@@ -84,7 +84,6 @@ def test_mimic_joints_are_locked_and_may_not_be_driven(tmp_path: Path) -> None:
         joint("right", "l1", "finger_r", kind="prismatic", extra='<mimic joint="left"/>'),
     )
     robot = _load(tmp_path, text, ("turn",))
-    assert robot.nominal is not None
     assert robot.nominal[0, 0] == pytest.approx(3.0)
     with pytest.raises(ConfigError, match=r"joint\[1\].name 'right' follows joint 'left'"):
         _load(tmp_path, text, ("turn", "right"))

@@ -29,7 +29,6 @@ def history(
     for number in range(DATES):
         file = inertia_file()
         for stage in (file.stages.gravity, file.stages.inertia):
-            assert stage is not None
             for k, parameter in enumerate(stage.parameters):
                 parameter.value = 1.25 + scatter * ERROR * float(rng.normal())
                 parameter.std_error = ERROR
@@ -86,7 +85,6 @@ def test_friction_that_follows_the_temperature_is_no_change() -> None:
     files, warm = [], np.linspace(20.0, 40.0, DATES)
     for number, celsius in enumerate(warm):
         file = inertia_file()
-        assert file.stages.friction is not None
         for joint in file.stages.friction.joints.values():
             size = np.array(joint.positive).size
             joint.covariance = (1e-8 * np.eye(size)).tolist()
@@ -97,7 +95,6 @@ def test_friction_that_follows_the_temperature_is_no_change() -> None:
         files.append(replace(file, created=dated(number)))
     assert trend(files).alarm is False
     for file in files:
-        assert file.stages.friction is not None
         for joint in file.stages.friction.joints.values():
             joint.temperature = None
     assert {entry.stage for entry in trend(files).changes} == {"friction"}

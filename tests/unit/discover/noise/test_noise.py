@@ -225,7 +225,6 @@ def test_a_log_whose_encoders_are_too_coarse_is_filtered_at_its_own_cutoff(log: 
     friction, inertia = identify_simultaneous([log], robot, options=MotionOptions())
     stages = Stages(friction=friction, inertia=inertia)
     own = estimate_motion(log, robot, MotionOptions()).cutoff.hz
-    assert log.tau is not None
     larger = replace(log, tau=log.tau + 20.0 * np.std(log.tau, axis=0) * np.sin(3.0 * log.q))
     for given, origin, expected in (
         (log, "of the inertia stage", own),

@@ -47,7 +47,6 @@ def log(name: str) -> Recording:
 
 def sprung(recording: Recording) -> Recording:
     """The log with a spring at the joint."""
-    assert recording.tau is not None
     return replace(recording, tau=recording.tau + STIFFNESS * (recording.q - REST))
 
 
@@ -91,7 +90,6 @@ def test_what_came_late_leaves_the_file_as_it_is(
     assert stages.gravity == before.stages.gravity
     assert stages.inertia == before.stages.inertia
     assert stages.friction == before.stages.friction
-    assert stages.effects is not None
     value = {p.name: p.value for p in stages.effects[0].parameters}
     assert value["stiffness"] == pytest.approx(STIFFNESS, rel=0.1)
     assert loop.gain_interval["joint_1"][0] > 0.5
@@ -179,7 +177,6 @@ def test_the_interval_of_a_gain_covers_it(memory: int) -> None:
 def test_a_few_seconds_are_enough_for_a_large_effect(before: ParameterFile) -> None:
     log = changed("fourier")[0]
     short = log.t < log.t[0] + 6.0
-    assert log.tau is not None
     cut = replace(log, t=log.t[short], q=log.q[short], tau=log.tau[short], valid=log.valid[short])
     found = refine([cut], robot(), before, earlier={}, options=DiscoverOptions())
     loop = confirm(found, changed("held_out"))
@@ -203,8 +200,6 @@ LOSS = 0.1  # of the load, in all logs of the case
 def test_refine_finds_loss_and_rotor_of_a_joint_that_hides_it(tmp_path: Path) -> None:
     logs = recorded(Case("two", "load_dependent_friction", 0, 12), tmp_path)
     first, *rest = logs.robot.joints
-    assert first.rotor_inertia is not None
-    assert first.gear_ratio is not None
     reflected = first.gear_ratio**2 * first.rotor_inertia
     robot = replace(logs.robot, joints=(replace(first, rotor_inertia=None), *rest))
     file = file_of(robot, sequential(logs.earlier, robot), logs.earlier)

@@ -49,7 +49,6 @@ def selection(seed: int, extra: Extra | None) -> Selection:
     for scene in related_scenes(seed, logs=3):
         tau = scene.modelled + (0.0 if extra is None else extra(scene))
         whole = measuring(scene, tau)
-        assert whole.motion.tau is not None
         whole.motion.tau[:] += coloured(scene, rng)
         scenes.append(whole)
     return select(ground_of(scenes), None, [])

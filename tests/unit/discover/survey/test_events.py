@@ -102,13 +102,11 @@ def test_a_push_is_found_where_it_was(
 
 
 def stribeck(scene: Scene) -> Array:
-    hump: Array = 6.0 * np.exp(-np.abs(scene.motion.dq[:, 1]) / 0.1) * scene.sign[:, 1]
-    return hump
+    return 6.0 * np.exp(-np.abs(scene.motion.dq[:, 1]) / 0.1) * scene.sign[:, 1]
 
 
 def ripple(scene: Scene) -> Array:
-    wave: Array = 6.0 * np.sin(2 * scene.gear[1] * scene.motion.q[:, 1])
-    return wave
+    return 6.0 * np.sin(2 * scene.gear[1] * scene.motion.q[:, 1])
 
 
 def impacts(scene: Scene) -> Array:
@@ -120,8 +118,7 @@ def impacts(scene: Scene) -> Array:
 
 
 def narrow(scene: Scene) -> Array:
-    hump: Array = 6.0 * np.exp(-(((scene.motion.q[:, 1] - 0.3) / 0.1) ** 2))
-    return hump
+    return 6.0 * np.exp(-(((scene.motion.q[:, 1] - 0.3) / 0.1) ** 2))
 
 
 @pytest.mark.parametrize("law", [stribeck, ripple, impacts, narrow])

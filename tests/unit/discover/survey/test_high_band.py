@@ -77,7 +77,6 @@ def test_white_noise_has_no_line(seed: int) -> None:
 def test_a_stop_from_full_speed_is_no_row_above_the_cutoff() -> None:
     """A jolt in the measured torque, with what the low-pass makes of it around, is left out."""
     (scene,) = arm_scenes(logs=1)
-    assert scene.measured is not None
     usual = high_band(rows_of([scene]))
     counted = np.flatnonzero(usual.used[0][:, JOINT])
     at = int(counted[len(counted) // 2])

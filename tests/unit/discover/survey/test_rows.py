@@ -147,7 +147,6 @@ def torque_of(scenes: list[Scene], rows: Rows) -> tuple[Array, Array]:
     """Return what the model leaves (M,) N m: as it is, and whitened."""
     left = []
     for scene in scenes:
-        assert scene.motion.tau is not None
         left.append((scene.motion.tau - scene.modelled_filtered)[:, JOINT])
     return rows.of(JOINT, left), rows.torque(JOINT, left)
 

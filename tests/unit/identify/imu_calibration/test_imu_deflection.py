@@ -70,7 +70,6 @@ def test_the_joint_that_deflects_is_named_and_widens_errors(case: Case) -> None:
     before, behind = (stage(case).imus[name] for name in ("imu_a", "imu_b"))
     assert deflecting(before) is None
     named = deflecting(behind)
-    assert named is not None
     assert named.joint == "joint_2"
     scene = scene_of(case)
     verdict = verdict_of(scene.robot, scene.robot.imus[1], behind, converged=True)

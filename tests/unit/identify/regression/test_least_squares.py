@@ -61,8 +61,7 @@ def stacked(joints: list[Joint], sigma: Array, prior: Prior | None = None) -> Ar
     right = [joint.y / s for joint, s in zip(joints, sigma, strict=True)]
     if prior is not None:
         rows, right = [*rows, prior.A], [*right, prior.b]
-    solution: Array = np.linalg.lstsq(np.vstack(rows), np.concatenate(right), rcond=None)[0]
-    return solution
+    return np.linalg.lstsq(np.vstack(rows), np.concatenate(right), rcond=None)[0]
 
 
 def test_the_solution_is_that_of_the_stacked_weighted_rows() -> None:

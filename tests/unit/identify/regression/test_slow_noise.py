@@ -43,16 +43,14 @@ def standardised(rows: Rows) -> Array:
     white = whitener_of(rows)
     A, y = white(rows.H), white(rows.y)
     cov = np.linalg.inv(A.T @ A)
-    error: Array = (cov @ A.T @ y - THETA) / np.sqrt(np.diag(cov))
-    return error
+    return (cov @ A.T @ y - THETA) / np.sqrt(np.diag(cov))
 
 
 def plain(rows: Rows) -> Array:
     cov = np.linalg.inv(rows.H.T @ rows.H)
     theta = cov @ rows.H.T @ rows.y
     left = rows.y - rows.H @ theta
-    error: Array = (theta - THETA) / np.sqrt(np.diag(cov) * (left @ left) / (len(left) - 2))
-    return error
+    return (theta - THETA) / np.sqrt(np.diag(cov) * (left @ left) / (len(left) - 2))
 
 
 def rms_z(coloured: float, offset: float) -> tuple[float, float]:

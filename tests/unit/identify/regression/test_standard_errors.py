@@ -25,8 +25,7 @@ def coloured(rng: np.random.Generator, pole: float, shape: tuple[int, ...]) -> A
     """First-order process of unit variance."""
     drive = rng.standard_normal(shape)
     drive[1:] *= np.sqrt(1 - pole**2)
-    values: Array = lfilter([1.0], [1.0, -pole], drive, axis=0)
-    return values
+    return lfilter([1.0], [1.0, -pole], drive, axis=0)
 
 
 def standardised_errors(pole: float) -> tuple[Array, Array]:

@@ -69,7 +69,6 @@ def test_the_rigid_body_is_recovered(stages: Stages) -> None:
 
 
 def test_friction_is_recovered(stages: Stages) -> None:
-    assert stages.friction is not None
     found = [[p.value for p in joint.parameters] for joint in stages.friction.joints.values()]
     np.testing.assert_allclose(np.array(found).T, [COULOMB, VISCOUS, OFFSET], atol=0.06)
 
@@ -85,7 +84,6 @@ def test_a_new_motion_is_predicted_to_the_noise(stages: Stages) -> None:
 def test_offsets_do_not_go_into_the_base_parameters(*, offset: bool) -> None:
     """On short moves of one posture gravity takes what offsets would, and is sure of it."""
     plain, options = record(1, 30.0, 0.5), MotionOptions(8.0)
-    assert plain.tau is not None
     found = [
         identify_simultaneous([log], robot(), options=options, offset=offset)[1].parameters
         for log in (plain, replace(plain, tau=plain.tau + 0.5))
@@ -147,7 +145,6 @@ def test_a_joint_that_slides_has_units_of_its_own() -> None:
 
 def test_friction_that_drives_is_not_good() -> None:
     log = record(7, 20.0)
-    assert log.tau is not None
     driven = log.tau - 2 * COULOMB * np.sign(np.gradient(log.q, axis=0)) * (np.arange(6) == 3)
     _, inertia = identify_simultaneous(
         [replace(log, tau=driven)], robot(), options=MotionOptions(8.0)

@@ -176,20 +176,17 @@ def _centred_means(values: Array) -> Array:
     padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
     sums = np.cumsum(np.vstack([np.zeros((1, values.shape[1])), padded]), axis=0)
     ends = sums[FINE + 1 :] - sums[: -FINE - 1]
-    means: Array = (ends / (FINE + 1))[::FINE]
-    return means
+    return (ends / (FINE + 1))[::FINE]
 
 
 def noise_like(scene: Scene, seed: int, size: float) -> Array:
     """White noise (N, n) N m of a scene's shape."""
-    hiss: Array = np.random.default_rng(seed).normal(scale=size, size=scene.motion.q.shape)
-    return hiss
+    return np.random.default_rng(seed).normal(scale=size, size=scene.motion.q.shape)
 
 
 def left_over(scene: Scene) -> Array:
     """Measured minus modelled torque (N, n), low-passed alike."""
     motion = scene.motion
-    assert motion.tau is not None
     friction = motion.filtered(scene.friction, times=2)
     return motion.tau - motion.filtered(scene.rigid) - friction
 
@@ -246,5 +243,4 @@ def moved_by(scene: Scene, truth: TorqueModel) -> Scene:
     """Return the scene with the rigid torque of another model in what it measured."""
     motion = scene.motion
     extra = truth.rigid(motion.q, motion.dq, motion.ddq) - scene.rigid
-    assert motion.tau is not None
     return replace(scene, motion=replace(motion, tau=motion.tau + motion.filtered(extra)))

@@ -124,5 +124,4 @@ def settings_of(effect: Effect, scenes: Sequence[Scene], joint: int | None) -> l
 def with_torque(scene: Scene, extra: Array) -> Scene:
     """Add torque extra (N, n) N m, unfiltered, to what the scene has measured."""
     motion = scene.motion
-    assert motion.tau is not None
     return replace(scene, motion=replace(motion, tau=motion.tau + motion.filtered(extra, times=2)))

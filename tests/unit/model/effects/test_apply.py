@@ -202,7 +202,6 @@ def stages_of(scene: Scene) -> Stages:
     """Friction as in the scene's model; rigid body left out."""
     joints = {}
     for name, surface in zip(ROBOT.joint_names, scene.model.surfaces, strict=True):
-        assert surface is not None
         joints[name] = friction_joint(
             surface.positive,
             surface.negative,
@@ -228,7 +227,6 @@ def test_a_recording_is_freed_of_its_effects() -> None:
         effects,
         motion=MotionOptions(cutoff_hz=CUTOFF_HZ),
     )
-    assert freed.tau is not None
     usable = scene.motion.usable
     np.testing.assert_allclose(freed.tau[usable, 1], clean[usable, 1], atol=1e-9)
     left = freed.tau[usable, 0] - clean[usable, 0]
@@ -240,7 +238,6 @@ def test_an_encoder_error_is_taken_off_the_angle() -> None:
     scene = scene_of(wander(8.0, seed=4, rests=()))
     q = scene.motion.q
     gear = ROBOT.joints[0].gear_ratio
-    assert gear is not None
     error = 1e-3 * np.sin(gear * q[:, 0]) - 2e-3 * np.cos(gear * q[:, 0])
     item = fitted("encoder_eccentricity", 0, [1e-3, -2e-3], order=1.0)
     given = recording_of(q, np.zeros_like(q))

@@ -34,7 +34,6 @@ def point_mass() -> np.ndarray:
 def loaded(scene: Scene) -> Scene:
     """The same arm with the mass on its last link, by the recursive way."""
     phi = scene.model.phi
-    assert phi is not None
     heavy = replace(scene.model, phi=phi + np.array([np.zeros(10), point_mass()]))
     return moved_by(scene, heavy)
 
@@ -105,8 +104,7 @@ K, REST, CUBIC = 12.0, 0.3, 4.0  # N m/rad, rad, N m/rad^3
 def pull(t: Array, q: Array, dq: Array) -> Array:
     """Energy K (q - REST)^2 / 2 of the second joint, differentiated numerically."""
     energy = 0.5 * K * (q + np.array([[[-1e-4]], [[1e-4]]]) - REST) ** 2
-    slope: Array = np.diff(energy, axis=0)[0] / 2e-4 * np.array([0.0, 1.0])
-    return slope
+    return np.diff(energy, axis=0)[0] / 2e-4 * np.array([0.0, 1.0])
 
 
 @pytest.mark.parametrize("cubic", [0.0, 1.0])
@@ -134,8 +132,7 @@ def between_two_points(t: Array, q: Array, dq: Array) -> Array:
     angle = q + 0.5 + np.array([[[-1e-4]], [[1e-4]]])
     length = np.sqrt(0.3**2 + 0.25**2 - 2 * 0.3 * 0.25 * np.cos(angle))
     energy = 0.5 * 1500.0 * (length - 0.03) ** 2
-    slope: Array = np.diff(energy, axis=0)[0] / 2e-4 * np.array([1.0, 0.0])
-    return slope
+    return np.diff(energy, axis=0)[0] / 2e-4 * np.array([1.0, 0.0])
 
 
 def test_a_spring_between_two_points_pulls_otherwise_on_either_side() -> None:

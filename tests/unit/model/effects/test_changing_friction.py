@@ -99,7 +99,6 @@ def test_damaged_temperature_is_not_used(trials: list[Trial]) -> None:
     effect = ThermalFriction()
     for bad in (np.nan, np.inf, 4000.0):
         scenes = [logged(each).scene for each in trials]
-        assert scenes[0].temperature is not None
         scenes[0].temperature[7, 0] = bad
         grid = list(effect.grid(scenes, 0, []))
         assert {point["logged"] for point in grid} == {0.0}
@@ -126,8 +125,7 @@ WORN = np.array([0.8, -0.3])  # Coulomb N m, viscous N m s/rad, both joints
 def worn(t: Array, q: Array, dq: Array) -> Array:
     """Today's friction, whole."""
     coulomb, viscous = np.array(COULOMB) + WORN[0], np.array(VISCOUS) + WORN[1]
-    torque: Array = coulomb * direction(dq) + viscous * dq
-    return torque
+    return coulomb * direction(dq) + viscous * dq
 
 
 @pytest.mark.parametrize("joint", [0, 1])

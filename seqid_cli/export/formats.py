@@ -27,7 +27,7 @@ FORMATS: Mapping[str, str] = {
 _WRITERS: Mapping[str, tuple[str, str, frozenset[str]]] = {
     "URDF": ("urdf", "urdf", frozenset()),
     "MJCF": ("mjcf", "mjcf", frozenset({"spring", "backlash"})),
-    "ROS 2 parameters": ("ros2_yaml", "ros2_parameters", frozenset()),
+    "ROS 2 parameters": ("text", "ros2_parameters", frozenset()),
     "C header": ("code", "c_header", frozenset({"spring"})),
     "numpy module": ("code", "numpy_module", frozenset({"spring"})),
 }

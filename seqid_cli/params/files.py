@@ -7,10 +7,11 @@ import re
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from seqid_cli.errors import UsageError
 
+T = TypeVar("T")
 By = Literal["name", "folder"]  # what tells robots apart
 _STREAM = re.compile("-|/dev/std(out|err)|/(dev|proc/self)/fd/[0-9]+")  # may be a file, if piped
 
@@ -140,15 +141,16 @@ def _sync(path: Path) -> None:
         os.close(handle)
 
 
-def robot_names(files: Sequence[tuple[str, str]], by: By) -> list[str]:
-    """Return the robot of each file, given by its path and the name of the robot in it.
+def by_robot(files: Sequence[tuple[str, str, T]], by: By) -> dict[str, list[T]]:
+    """Sort things by their robots; each is given with its path and the name of the robot in it.
 
-    By `folder` it is the file's folder, without what is common to all of them.
+    By `folder` a robot's name is the file's folder, without what is common to all of them.
     """
-    if by == "name":
-        return [name for _, name in files]
-    folders = [Path(path).parent.absolute() for path, _ in files]
-    common = Path(os.path.commonpath(folders))
-    if set(folders) == {common}:
-        return [common.name] * len(files)
-    return [str(folder.relative_to(common)) for folder in folders]
+    folders = [Path(path).parent.absolute() for path, _, _ in files]
+    common = Path(os.path.commonpath(folders)) if by == "folder" else Path()
+    found: dict[str, list[T]] = {}
+    for folder, (_, name, item) in zip(folders, files, strict=True):
+        if by == "folder":
+            name = common.name if {*folders} == {common} else str(folder.relative_to(common))
+        found.setdefault(name, []).append(item)
+    return found

@@ -1,8 +1,15 @@
-"""From the fit of a payload to the document: numbers where the logs give them, and a verdict."""
+"""From the fit of a payload to the document: numbers where the logs give them, and a verdict.
+
+The body also stands there in the words of robot controllers. Universal Robots:
+`set_target_payload(m, cog, inertia)` of URScript, inertia about the centre of mass as [Ixx, Iyy,
+Izz, Ixy, Ixz, Iyz]; `set_payload(m, cog)` before software 5.10. Franka Robotics:
+`Robot::setLoad(load_mass, F_x_Cload, load_inertia)` of libfranka, the inertia column by column. ROS
+2: `geometry_msgs/msg/Inertia`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -22,11 +29,11 @@ from seqid_cli.params.schema import Parameter, Verdict
 from seqid_cli.payload.body import body_of
 from seqid_cli.payload.fit import PayloadFit, fit_payload
 from seqid_cli.payload.options import PayloadOptions
-from seqid_cli.payload.settings import settings_of
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.shares import percent
 
 MASS, FIRST_MOMENT = 0, slice(1, 4)
+Inertia = Sequence[Sequence[float]] | None
 
 
 def payload_file(inputs: Inputs, options: PayloadOptions) -> PayloadFile:
@@ -174,3 +181,29 @@ def _notes(fit: PayloadFit, entry: CarriedBodyEntry, names: tuple[str, ...]) -> 
     ]
     if changed:
         yield f"friction differs from the model's: {', '.join(changed)}"
+
+
+def settings_of(mass: float, center: Sequence[float], inertia: Inertia) -> dict[str, str]:
+    """Write a payload as controllers take it.
+
+    `mass`: kg. `center` (3,): centre of mass in the flange's frame, m. `inertia` (3, 3): about the
+    centre of mass, in the axes of the flange's frame, kg m^2; zeros if not known.
+    """
+    m, c = _number(mass), [_number(x) for x in center]
+    rows = inertia or [[0.0] * 3] * 3
+    names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    six = {name: _number(rows["xyz".index(name[1])]["xyz".index(name[2])]) for name in names}
+    column = [_number(rows[i][k]) for k in range(3) for i in range(3)]
+    at, numbers = ", ".join(c), ", ".join(six.values())
+    script = f"set_target_payload({m}, [{at}], [{numbers}])"
+    found = {
+        "urscript": script if inertia else f"set_payload({m}, [{at}])",
+        "libfranka": f"robot.setLoad({m}, {{{at}}}, {{{', '.join(column)}}});",
+    }
+    parts = "".join(f", {name}: {six[name]}" for name in sorted(names))
+    found["ros2"] = f"{{m: {m}, com: {{x: {c[0]}, y: {c[1]}, z: {c[2]}}}{parts}}}"
+    return found
+
+
+def _number(value: float) -> str:
+    return f"{value:.5g}" if value else "0.0"

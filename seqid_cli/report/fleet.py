@@ -13,8 +13,7 @@ from seqid_cli.params.results.tables import of_joints
 from seqid_cli.report.collection import Collection, collect
 from seqid_cli.report.figures.chart import RowChart
 from seqid_cli.report.judgement import Judgement, Level, judge
-from seqid_cli.report.page import Page
-from seqid_cli.report.views import Figure, Group, Key, Section, table, table_of
+from seqid_cli.report.views import Figure, Group, Key, Page, Section, table, table_of
 from seqid_cli.report.words import listed, percent, plural
 
 _WORST: tuple[Level, ...] = ("poor", "not_judged", "reservations", "good")

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.given import PathLike, Paths, listed, optional, warn
-from seqid_cli.params.files import By, check_output, robot_names, write_text_atomic
+from seqid_cli.params.files import By, by_robot, check_output, write_text_atomic
 from seqid_cli.params.io import read_any, read_trend
 from seqid_cli.params.results.report import ReportFile, ReportPoint, ReportSection
 
 if TYPE_CHECKING:
-    from seqid_cli.report.page import Page
+    from seqid_cli.report.views import Page
 
 
 def report(
@@ -85,11 +85,7 @@ def _page(documents: Sequence[Path], torques: Sequence[Path], title: str, by: By
         raise UsageError(message, hint=hint, where=str(torques[0]))
     from seqid_cli.report.fleet import fleet_page
 
-    names = robot_names([(item.path, item.content.robot.name) for item in sources], by)
-    robots = {
-        name: [item for item, own in zip(sources, names, strict=True) if own == name]
-        for name in dict.fromkeys(names)
-    }
+    robots = by_robot([(item.path, item.content.robot.name, item) for item in sources], by)
     return fleet_page(robots, title=title)
 
 

@@ -9,7 +9,6 @@ from seqid_cli.errors import UsageError
 from seqid_cli.params.io import Document, Source
 from seqid_cli.report.collection import Collection, collect
 from seqid_cli.report.judgement import judge
-from seqid_cli.report.page import Page
 from seqid_cli.report.sections.diagnosis import diagnosis
 from seqid_cli.report.sections.friction import friction
 from seqid_cli.report.sections.imu import imu
@@ -20,6 +19,7 @@ from seqid_cli.report.sections.pipeline import pipeline
 from seqid_cli.report.sections.results import payload, plan
 from seqid_cli.report.sections.torque import torque
 from seqid_cli.report.torques import TorqueTable, find_torques
+from seqid_cli.report.views import Page
 from seqid_cli.report.words import plural
 
 

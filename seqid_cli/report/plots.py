@@ -36,7 +36,7 @@ class Drawing:
 
     def _repr_html_(self) -> str:
         """Return the figures in a frame of their own, with the report's style."""
-        from seqid_cli.report.page import resource
+        from seqid_cli.report.views import resource
 
         page = f"<style>{resource('style.css')} figure{{max-width:{_WIDTH}px}}</style>"
         for figure in self.figures:

@@ -11,8 +11,7 @@ from seqid_cli.params.results.trend import ChangeEntry, SeriesEntry, TrendFile
 from seqid_cli.report.figures.chart import Box, Panel, drawing
 from seqid_cli.report.figures.svg import line, padded
 from seqid_cli.report.judgement import Judgement
-from seqid_cli.report.page import Page
-from seqid_cli.report.views import Figure, Group, Section, table, table_of
+from seqid_cli.report.views import Figure, Group, Page, Section, table, table_of
 from seqid_cli.report.words import number, plural
 
 _WIDTH, _HEIGHT = 640.0, 170.0

@@ -13,7 +13,7 @@ import numpy as np
 
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.model.friction import SLIDES, FrictionSurface
-from seqid_cli.params.files import By, robot_names
+from seqid_cli.params.files import By, by_robot
 from seqid_cli.params.schema import FrictionJoint, ParameterFile, Stages
 from seqid_cli.robot.types import Array
 from seqid_cli.units import unit_of
@@ -118,10 +118,7 @@ class Series:
 
 def robots_of(files: Sequence[Dated], by: By) -> dict[str, list[Dated]]:
     """Files by robot, in the order of their dates."""
-    names = robot_names([(dated.path, dated.file.robot.name) for dated in files], by)
-    found: dict[str, list[Dated]] = {}
-    for name, dated in zip(names, files, strict=True):
-        found.setdefault(name, []).append(dated)
+    found = by_robot([(dated.path, dated.file.robot.name, dated) for dated in files], by)
     for name, own in found.items():
         own.sort(key=lambda dated: dated.time)
         for dated in own:

@@ -14,7 +14,7 @@ from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import ParameterFile, RigidStage
 from seqid_cli.payload import PayloadOptions, payload
 from seqid_cli.payload.body import body_of
-from seqid_cli.payload.settings import settings_of
+from seqid_cli.payload.result import settings_of
 from seqid_cli.robot.base_parameters import STANDARD
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import PER_LINK, inverse_dynamics

@@ -21,6 +21,7 @@ from seqid_cli.identify.rigid.posterior import gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.torque import friction_surfaces
+from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.limits import Limits
@@ -84,12 +85,9 @@ class Belief:
         places = np.linspace(low, high, points)
         q = np.tile(posture, (points, 1))
         q[:, j] = places
-        edges = np.flatnonzero(np.diff(np.r_[True, self.geometry.collides(q), True]))
-        if not len(edges):
-            return low, low
-        starts, ends = edges[::2], edges[1::2] - 1
-        best = int(np.argmax(ends - starts))
-        return float(places[starts[best]]), float(places[ends[best]])
+        free = runs(~self.geometry.collides(q), points)
+        first, end = max(free, key=lambda run: run[1] - run[0], default=(0, 1))
+        return float(places[first]), float(places[end - 1])
 
     @property
     def checks_torque(self) -> bool:

@@ -139,7 +139,7 @@ def pool_of(
         slowed = replace(limits, speed=pace * limits.speed, acceleration=pace * limits.acceleration)
         slower = replace(belief, limits=slowed)
         pool = draw_pool(slower, goal, shapes, groups, each, rng)
-        if pool.joints:
+        if len(pool.drawn):
             found += within_limits(slower, pool.drawn, options, "discriminate")[0]
         elif pace == min(paces) and not found:
             check_torque(slower, pool, options)

@@ -132,12 +132,10 @@ def sweeps(
 
 def overloads(belief: Belief, j: int, postures: Array, speed: float) -> Array:
     """Largest torque over its limit (P,) while joint j sweeps, its ramps included."""
-    moves = sweeps(belief, j, postures, speed, 1.0)
-    pushed = [np.zeros_like(moves.q) for _ in range(2)]
-    for push, sign in zip(pushed, (1.0, -1.0), strict=True):
-        push[:, :, j] = sign * belief.limits.acceleration[j]
-    every = [Moves(moves.t, moves.q, moves.dq, push) for push in pushed]
-    loads = [belief.overload(each, belief.regressor(each)) for each in every]
+    moves, loads = sweeps(belief, j, postures, speed, 1.0), []
+    for sign in (1.0, -1.0):
+        moves.ddq[:, :, j] = sign * belief.limits.acceleration[j]
+        loads.append(belief.overload(moves, belief.regressor(moves)))
     return np.asarray(np.max(loads, axis=0))
 
 

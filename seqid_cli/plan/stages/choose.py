@@ -79,7 +79,6 @@ class Pool:
 
     drawn: Drawn
     information: Array
-    joints: list[tuple[int, ...]]
 
 
 def groups_of(limits: Limits, *, together: bool) -> list[tuple[int, ...]]:
@@ -100,8 +99,17 @@ def draw_pool(
     *,
     at_once: int = 60,
 ) -> Pool:
-    """Draw moves of each group in turn; those of too much torque or that collide are left out."""
-    drawn, joints = _drawn(belief.limits, groups, size, rng)
+    """Draw moves of each group in turn; those of too much torque or that collide are left out.
+
+    Harmonics have equal speed, which leaves room for wide positions, where gravity shows.
+    """
+    n = belief.robot.n
+    coefficients = np.zeros((size, n, COEFFICIENTS))
+    harmonic = np.repeat(np.arange(1, HARMONICS + 1), 2)
+    for k in range(size):
+        group = list(groups[k % len(groups)])
+        coefficients[k, group] = rng.uniform(-1.0, 1.0, (len(group), COEFFICIENTS)) / harmonic
+    drawn = Drawn(coefficients, rng.uniform(size=(size, n)), np.ones((size, n)))
     parts = [
         _reduced(belief, goal, shapes, drawn[start : start + at_once])
         for start in range(0, size, at_once)
@@ -112,7 +120,7 @@ def draw_pool(
         within &= ~belief.collides(shapes.moves(whole, belief.limits).every(2).q)
     fit = np.flatnonzero(within)
     information = np.concatenate([information for _, information, _ in parts])
-    return Pool(whole[fit], information[fit], [joints[int(k)] for k in fit])
+    return Pool(whole[fit], information[fit])
 
 
 def _reduced(
@@ -150,16 +158,3 @@ def choose(goal: Goal, information: Array, count: int, have: Array) -> list[int]
         chosen.append(int(np.argmin(errors)))
         total = total + information[chosen[-1]]
     return chosen
-
-
-def _drawn(
-    limits: Limits, groups: Sequence[tuple[int, ...]], size: int, rng: np.random.Generator
-) -> tuple[Drawn, list[tuple[int, ...]]]:
-    """Harmonics of equal speed, which leave room for wide positions, where gravity shows."""
-    n = len(limits.speed)
-    joints = [groups[k % len(groups)] for k in range(size)]
-    coefficients = np.zeros((size, n, COEFFICIENTS))
-    harmonic = np.repeat(np.arange(1, HARMONICS + 1), 2)
-    for k, group in enumerate(joints):
-        coefficients[k, list(group)] = rng.uniform(-1.0, 1.0, (len(group), COEFFICIENTS)) / harmonic
-    return Drawn(coefficients, rng.uniform(size=(size, n)), np.ones((size, n))), joints

@@ -85,10 +85,9 @@ def optimised(
 
 def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
     """Stop where the pool is empty, naming the joint that the load is too heavy for."""
-    if pool.joints:
+    if len(pool.drawn):
         return
-    n = belief.robot.n
-    places = np.random.default_rng(options.seed).uniform(size=(200, n))
+    places = np.random.default_rng(options.seed).uniform(size=(200, belief.robot.n))
     q = (belief.limits.lower + places * belief.limits.range)[:, None]
     still = Moves(np.arange(2.0), q, np.zeros_like(q), np.zeros_like(q))
     load = belief.torque(still, belief.regressor(still)) / belief.limits.torque

@@ -56,7 +56,7 @@ def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(goal: Goal, poo
     chosen = choose(goal, pool.information, COUNT, nothing)
     assert len(set(chosen)) == COUNT
     rng = np.random.default_rng(1)
-    sets = [rng.choice(len(pool.joints), COUNT, replace=False) for _ in range(1000)]
+    sets = [rng.choice(len(pool.drawn), COUNT, replace=False) for _ in range(1000)]
     chance = [float(goal.errors(pool.information[s].sum(axis=0))) for s in sets]
     assert goal.errors(pool.information[chosen].sum(axis=0)) < min(chance)
 

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.errors import SeqidError
+from seqid_cli.identify.options import RigidOptions
 from seqid_cli.identify.regression.streaming import open_if_long, survey_of
-from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.remote import local_copy
@@ -56,16 +56,13 @@ class LogScore:
 
 
 def _score_of(
-    given: Path | Recording,
-    robot: Robot,
-    imu: ImuStage | None,
-    source: str,
-    time_source: TimeSource,
+    given: Path | Recording, robot: Robot, options: RigidOptions, imu: ImuStage | None
 ) -> LogScore | None:
     """Score the cut-offs of one log; None where no joint moves.
 
     Raises SeqidError if the motion cannot be had from this source (see `best_motion`).
     """
+    source, time_source = options.source, options.time_source
     fuses = imu is not None and bool(imu.imus) and source != "encoder"
     with contextlib.ExitStack() as stack:
         log: Recording | SurveyedLog
@@ -115,28 +112,22 @@ def _summed(scores: Sequence[tuple[Score, float]]) -> tuple[Array, int]:
 def identification_options(
     logs: Sequence[Path | Recording],
     robot: Robot,
-    *,
-    cutoff_hz: float | None,
+    options: RigidOptions,
     imu: ImuStage | None = None,
-    source: str = "encoder",
-    time_source: TimeSource = "header",
 ) -> MotionOptions:
     """How all logs of an identification are filtered.
 
     A single log chooses for itself as it is read. Several are looked at first, and read again.
-
-    `cutoff_hz`: as given by the user. `source`: where the motion comes from, as of `best_motion`.
-    `time_source` {"header", "log"}: as for `read_recording`.
     """
-    if cutoff_hz is not None:
-        return MotionOptions(cutoff_hz, origin="as given")
+    if options.cutoff_hz is not None:
+        return MotionOptions(options.cutoff_hz, origin="as given")
     if len(logs) < 2:
         return MotionOptions()
     found: list[LogScore] = []
     for given in logs:
         # Errors are reported when the log is read to be identified from.
         with contextlib.suppress(SeqidError):
-            own = _score_of(given, robot, imu, source, time_source)
+            own = _score_of(given, robot, options, imu)
             found += [own] if own is not None else []
     if not found:
         return MotionOptions()

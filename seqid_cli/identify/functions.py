@@ -30,7 +30,6 @@ from seqid_cli.params.schema import ParameterFile, Stages
 
 if TYPE_CHECKING:
     from seqid_cli.identify.log_set import LogSet
-    from seqid_cli.motion.options import MotionOptions
     from seqid_cli.robot.types import Robot
 
 
@@ -138,12 +137,14 @@ def inertia(
     """
     needs = ("friction", "gravity", *imu_stage_for(options.source))
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
+    from seqid_cli.identify.common_cutoff import identification_options
     from seqid_cli.identify.options import InertiaOptions
     from seqid_cli.identify.rigid.consistency import made_consistent
     from seqid_cli.identify.rigid.inertia import identify_inertia
 
     def identify(given: LogSet) -> Stages:
-        rigid = InertiaOptions(_chosen(inputs, options), options.source)
+        motion = identification_options(inputs.logs, inputs.robot, options, inputs.stages.imu)
+        rigid = InertiaOptions(motion, options.source)
         stage = identify_inertia(given, inputs.robot, inputs.stages, options=rigid, compare=True)
         if options.consistent:
             stage = made_consistent(stage, inputs.stages, inputs.robot)
@@ -171,17 +172,15 @@ def simultaneous(
     """
     needs = imu_stage_for(options.source)
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
+    from seqid_cli.identify.common_cutoff import identification_options
     from seqid_cli.identify.rigid.consistency import made_consistent
     from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 
     def identify(given: LogSet) -> Stages:
+        robot, imu = inputs.robot, inputs.stages.imu
+        motion = identification_options(inputs.logs, robot, options, imu)
         friction, inertia = identify_simultaneous(
-            given,
-            inputs.robot,
-            options=_chosen(inputs, options),
-            imu=inputs.stages.imu,
-            source=options.source,
-            offset=options.offset,
+            given, robot, options=motion, imu=imu, source=options.source, offset=options.offset
         )
         if options.consistent:
             inertia = made_consistent(inertia, Stages(), inputs.robot)
@@ -232,14 +231,8 @@ def predict(
     given = LogSet.of(inputs)
     unexplained = options.with_unexplained
     found = predicted(given, inputs.robot, inputs.stages, options=rigid, unexplained=unexplained)
-    file = prediction_file(
-        inputs,
-        given,
-        found,
-        torques=table,
-        cutoff_origin=rigid.motion.origin,
-        unexplained=unexplained,
-    )
+    origin = rigid.motion.origin
+    file = prediction_file(inputs, given, found, table, origin, unexplained=unexplained)
     if target is not None:
         write_json_atomic(target, file, inputs=inputs.sources)
     return file
@@ -253,8 +246,12 @@ def _stage(
     from seqid_cli.identify.log_set import LogSet
 
     logs = LogSet.of(inputs, imus=imus)
-    found = _with_notes(identify(logs), logs)
-    found = judged(found, inputs.previous, inputs.robot, logs.findings)
+    found = identify(logs)
+    noted = {}
+    for name in present(found):
+        stage = getattr(found, name)
+        noted[name] = replace(stage, notes=[*stage.notes, *logs.notes(stage.notes)])
+    found = judged(replace(found, **noted), inputs.previous, inputs.robot, logs.verdicts())
     new = present(found)
     for name in stale_stages(inputs.previous, tuple(new)):
         warn(f"the {name} stage rested on the old result and is left out: redo it")
@@ -263,26 +260,3 @@ def _stage(
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)
     return file
-
-
-def _with_notes(found: Stages, logs: LogSet) -> Stages:
-    stages = {
-        name: replace(stage, notes=[*stage.notes, *logs.notes(stage.notes)])
-        for name in ("friction", "gravity", "imu", "inertia")
-        if (stage := getattr(found, name)) is not None
-    }
-    return replace(found, **stages)
-
-
-def _chosen(inputs: Inputs, options: RigidOptions) -> MotionOptions:
-    """How all logs of an identification are filtered."""
-    from seqid_cli.identify.common_cutoff import identification_options
-
-    return identification_options(
-        inputs.logs,
-        inputs.robot,
-        cutoff_hz=options.cutoff_hz,
-        imu=inputs.stages.imu,
-        source=options.source,
-        time_source=options.time_source,
-    )

@@ -13,10 +13,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.identify.friction_surface.gravity_separation import gravity_columns
-from seqid_cli.identify.log_verdicts import verdicts_of_logs
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import standard_parameters
-from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.params.schema import (
     FrictionJoint,
     FrictionStage,
@@ -66,14 +64,13 @@ def judged(
     found: Stages,
     previous: ParameterFile | None,
     robot: Robot,
-    findings: Sequence[InspectionFinding] = (),
+    of_logs: Sequence[Verdict] = (),
     *,
     limits: Limits = Limits(),
 ) -> Stages:
-    """Add to the verdicts of new stages those by the logs and by physics.
+    """Add to the verdicts of new stages those by physics, and those `of_logs`.
 
-    `findings`: of the inspection of the logs that were read. Returns: a stage with a poor verdict
-    of any joint has one as a whole (joint empty).
+    Returns: a stage with a poor verdict of any joint has one as a whole (joint empty).
     """
     before = previous.stages if previous else Stages()
     known = Stages(
@@ -83,11 +80,7 @@ def judged(
     for name in JUDGED:
         stage = getattr(found, name)
         if stage is not None:
-            own = [
-                *stage.verdicts,
-                *_physics(stage, known, robot, limits),
-                *verdicts_of_logs(findings),
-            ]
+            own = [*stage.verdicts, *_physics(stage, known, robot, limits), *of_logs]
             stages[name] = replace(stage, verdicts=as_a_whole(own))
     return replace(found, **stages)
 

@@ -11,10 +11,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 
-from seqid_cli.errors import ConfigError, InputError, SeqidError, UsageError
+from seqid_cli.errors import ConfigError, InputError, UsageError
 from seqid_cli.identify.inputs import Inputs
-from seqid_cli.identify.log_verdicts import as_note, notes_of_logs, verdicts_of_logs
-from seqid_cli.inspect.findings import located
+from seqid_cli.inspect.findings import grouped, located
 from seqid_cli.inspect.functions import LogNote, Progress
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.given import warn
@@ -88,12 +87,6 @@ class LogSet:
     def __iter__(self) -> Iterator[Recording]:
         return self.mapped(_itself)
 
-    def mapped(self, part: PartOf[Any, P]) -> Iterator[P]:
-        """Yield the parts of all logs in their order."""
-        for found in self._parts(part):
-            if found is not None:
-                yield found[1]
-
     def again(self, *, imus: bool) -> Iterator[Recording]:
         """Read the logs once more, without account."""
         for log in self.logs:
@@ -125,31 +118,38 @@ class LogSet:
             count = len(self.read) + len(self.left_out)
             self.on_progress(Progress(state, count, len(self.logs), **about))
 
-    def _parts(self, part: PartOf[Any, P]) -> Iterator[tuple[LogNote, P] | None]:
-        """The part of every log in their order, None where it failed and that may be."""
-        # Raises SeqidError: a log cannot be used, the first of them in the order given; or none
-        # can.
+    def mapped(self, part: PartOf[Any, P]) -> Iterator[P]:
+        """Yield the parts of all logs in their order; those that fail, and may, are left out.
+
+        Raises SeqidError: a log cannot be used, the first of them in the order given; or none can.
+        """
         self._next()
         errors: list[Exception] = []
         for given, reply in zip(self.logs, self._replies(part), strict=True):
-            found, error = None, reply.error
+            error = reply.error
             if error is None:
-                found = reply.get()
-                if self._is_copy(found[0]):
-                    found = None
+                note, found = reply.get()
+                first = self._first.setdefault(note.sha256, note.path) if note.sha256 else note.path
+                if first == note.path:
+                    self._done(note)
+                    yield found
                 else:
-                    self._done(found[0])
+                    text = f"{note.path}: has the same content as {first} and would count twice"
+                    self.left_out.append(text)
+                    warn(f"left out: {text}")
             elif isinstance(error, UsageError | ConfigError) or not self.skip_failed:
                 raise error  # also where it is no matter of one log
             else:
                 errors.append(error)
-                self._failed(_name(given), error)
-            yield found
+                log = _name(given)
+                text = str(error) if log in str(error) else f"{log}: {error}"
+                self.left_out.append(text)
+                self.tell("failed", log=log, error=error)
+                warn(f"left out: {text}")
             self._next()
         if errors and len(errors) == len(self.logs):
-            first = errors[0]
-            hint = first.hint if isinstance(first, SeqidError) else ""
-            raise InputError(f"none of the {len(errors)} logs can be used: {first}", hint=hint)
+            hint = getattr(errors[0], "hint", "")
+            raise InputError(f"none of the {len(errors)} logs can be used: {errors[0]}", hint=hint)
 
     def _replies(self, part: PartOf[Any, P]) -> Iterator[Reply[tuple[LogNote, P]]]:
         task = _Task(self.robot, self.time_source, part, self.imus, Path.cwd())
@@ -163,16 +163,6 @@ class LogSet:
         if done < len(self.logs):
             self.tell("reading", log=_name(self.logs[done]))
 
-    def _is_copy(self, note: LogNote) -> bool:
-        """Leave out a log with the content of an earlier one: it would count twice."""
-        first = self._first.setdefault(note.sha256, note.path) if note.sha256 else note.path
-        if first == note.path:
-            return False
-        text = f"{note.path}: has the same content as {first} and would count twice"
-        self.left_out.append(text)
-        warn(f"left out: {text}")
-        return True
-
     def _done(self, note: LogNote) -> None:
         """Take account of a log that was read, and warn of what cannot wait for the result."""
         self.read.append(note)
@@ -184,7 +174,7 @@ class LogSet:
                 text = f"{about}: {finding.message}" if about else finding.message
                 warn(f"{note.path}: [{finding.code}] {text}")
             elif finding.message in note.warnings:
-                warn(as_note(finding))
+                warn(_in_words([finding]))
         known = {finding.message for finding in note.findings}
         for warning in note.warnings:
             if warning not in known:
@@ -192,13 +182,6 @@ class LogSet:
         if note.partial:
             self.partial.append(f"{note.path}: {note.partial}")
             warn(f"{note.path}: only partly read: {note.partial}")
-
-    def _failed(self, log: str, error: Exception) -> None:
-        """Take account of a log that is left out because the user wants to go on."""
-        text = str(error) if log in str(error) else f"{log}: {error}"
-        self.left_out.append(text)
-        self.tell("failed", log=log, error=error)
-        warn(f"left out: {text}")
 
 
 def reduced(logs: Iterable[L], part: PartOf[L, P], merge: Merge[P]) -> P | None:
@@ -222,23 +205,48 @@ def mapped(logs: Iterable[L], part: PartOf[L, P]) -> Iterator[P]:
         yield part(log, number)
 
 
-def note_of(log: Recording | SurveyedLog) -> LogNote:
+def verdicts_of_logs(findings: Iterable[InspectionFinding]) -> list[Verdict]:
+    """A poor verdict for every joint (or IMU) that a log's error is about.
+
+    `findings`: of all logs. Errors count; warnings do not spoil a result. Returns: one per code,
+    joint and channel, however many logs show it; the joint is empty where the whole log is meant.
+    """
+    return [
+        Verdict(joint=name, good=False, reason=f"{_text(alike)}. {alike[0].remedy}")
+        for alike in grouped(f for f in findings if f.severity == "error")
+        for name in alike[0].joint.split(", ")
+    ]
+
+
+def notes_of_logs(findings: Iterable[InspectionFinding], known: Iterable[str] = ()) -> list[str]:
+    """Return warnings about the logs in words, but for those `known` already."""
+    warnings = grouped(f for f in findings if f.severity == "warning")
+    return [_in_words(alike) for alike in warnings if alike[0].message not in set(known)]
+
+
+def _in_words(alike: Sequence[InspectionFinding]) -> str:
+    return (f"{alike[0].joint}: " if alike[0].joint else "") + _text(alike)
+
+
+def _text(alike: Sequence[InspectionFinding]) -> str:
+    first = alike[0]
+    logs = list(dict.fromkeys(finding.log for finding in alike))
+    more = f" and {len(logs) - 1} more log{'s' if len(logs) > 2 else ''}" if len(logs) > 1 else ""
+    channel = f"{first.channel} " if first.channel else ""
+    said = first.message.removeprefix(f"{first.joint}: ")
+    return f"[{first.code}] {logs[0]}{more}: {channel}{said}"
+
+
+def _note_of(log: Recording | SurveyedLog) -> LogNote:
     """Return the summary of a log for progress and documents."""
-    if isinstance(log, SurveyedLog):
-        return LogNote(log.path, log.sha256, log.samples, log.rate_hz, log.warnings, log.partial)
-    return LogNote(
-        log.path,
-        log.sha256,
-        len(log.t),
-        log.rate_hz,
-        log.health.warnings,
-        log.partial,
-        mended=log.health.mended,
-    )
+    samples = log.samples if isinstance(log, SurveyedLog) else len(log.t)
+    health = log if isinstance(log, SurveyedLog) else log.health
+    mended = () if isinstance(log, SurveyedLog) else log.health.mended
+    about = log.path, log.sha256, samples, log.rate_hz, health.warnings, log.partial
+    return LogNote(*about, mended=mended)
 
 
-def _itself(log: Recording, number: int) -> Recording:
-    del number
+def _itself(log: Recording, _: int) -> Recording:
     return log
 
 
@@ -263,11 +271,11 @@ class _Task(Generic[P]):
         """
         number, given = item
         if isinstance(given, Recording):
-            return note_of(given), self.part(given, number)
+            return _note_of(given), self.part(given, number)
         # Those that pass over a log read it again and again: a stored one's copy must last.
         with local_copy(given) as file:
             log, findings = self._read(given, file)
-            return replace(note_of(log), findings=findings), self.part(log, number)
+            return replace(_note_of(log), findings=findings), self.part(log, number)
 
     def _read(
         self, name: Path, file: Path

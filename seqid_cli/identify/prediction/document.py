@@ -46,9 +46,9 @@ def prediction_file(
     inputs: Inputs,
     logs: LogSet,
     predictions: Iterable[LogPrediction],
-    *,
     torques: Path | None,
     cutoff_origin: str,
+    *,
     unexplained: bool,
 ) -> PredictionFile:
     """Add up the errors of predictions, and write their torques where these are wanted.

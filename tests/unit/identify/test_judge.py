@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from seqid_cli.identify.judging import as_a_whole, friction_verdicts, inertia_verdicts, judged
-from seqid_cli.identify.log_verdicts import notes_of_logs, verdicts_of_logs
+from seqid_cli.identify.log_set import notes_of_logs, verdicts_of_logs
 from seqid_cli.inspect.findings import found
 from seqid_cli.params.schema import FrictionStage, Parameter, RigidStage, Stages, Verdict
 from seqid_cli.robot.types import Robot

@@ -12,6 +12,7 @@ import pytest
 from seqid_cli.commands.app import run
 from seqid_cli.errors import InputError
 from seqid_cli.identify.common_cutoff import identification_options
+from seqid_cli.identify.options import RigidOptions
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
@@ -27,8 +28,8 @@ LOGS = sorted((SAMPLES / "inertia").glob("*.parquet"))
 
 def test_the_order_of_the_logs_does_not_matter() -> None:
     robot = load_robot(SAMPLES / "robot.toml")
-    first = identification_options(LOGS[:3], robot, cutoff_hz=None)
-    other = identification_options(LOGS[2::-1], robot, cutoff_hz=None)
+    first = identification_options(LOGS[:3], robot, RigidOptions(source="encoder"))
+    other = identification_options(LOGS[2::-1], robot, RigidOptions(source="encoder"))
     assert first == other
     assert "3 logs together" in first.origin
 

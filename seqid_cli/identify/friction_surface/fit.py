@@ -50,8 +50,7 @@ class SurfaceFit:
 
     def entries(self, orders: Orders) -> Array:
         """Entries (size, l + 1) N m of a surface of fewer orders."""
-        kept = self._kept(orders)
-        return self._solved(self.normal.N, self.normal.b, kept).reshape(self._shape(orders))
+        return self._solved(self.normal.N, self.normal.b, orders)
 
     def covariance(self, orders: Orders) -> Array:
         """Covariance of those entries, row-major.
@@ -67,17 +66,15 @@ class SurfaceFit:
 
     def leaving_out(self, orders: Orders) -> Iterator[tuple[float, Array]]:
         """Each inner speed u, with the entries of a surface fitted to the others."""
-        kept, order = self._kept(orders), self.prior.shape[1] - 1
+        order = self.prior.shape[1] - 1
         for u in self.reduced.levels[1:-1]:
             part = Normal.of(self.reduced.subset(self.reduced.u == u), self.sizes, order)
-            N, b = self.normal.N - part.N, self.normal.b - part.b
-            yield float(u), self._solved(N, b, kept).reshape(self._shape(orders))
+            yield float(u), self._solved(self.normal.N - part.N, self.normal.b - part.b, orders)
 
     def deviation(self, orders: Orders) -> float:
         """RMS difference from the whole surface, in its standard errors, over both ranges."""
-        kept = self._kept(orders)
         entries = np.zeros(self.prior.size)
-        entries[kept] = self._solved(self.normal.N, self.normal.b, kept)
+        entries[self._kept(orders)] = self.entries(orders).ravel()
         columns, error = self._grid
         return float(np.sqrt(np.mean((columns @ (entries - self.whole[0]) / error) ** 2)))
 
@@ -106,28 +103,22 @@ class SurfaceFit:
         return columns, np.sqrt(np.maximum(variance, 1e-300))
 
     def _kept(self, orders: Orders) -> Mask:
+        """Which of the surface's entries have these orders, row-major."""
         kept = np.zeros(self.prior.shape, dtype=np.bool_)
-        rows, columns = self._shape(orders)
-        kept[:rows, :columns] = True
+        size = self.reduced.scaling.over_position.size(orders.position)
+        kept[:size, : orders.velocity + 1] = True
         return kept.ravel()
 
-    def _shared(self) -> Mask:
-        """What is no part of the surface but the same in all trials."""
-        beside = np.zeros(self.prior.shape, dtype=np.bool_)
-        beside[self.reduced.size :] = self.prior[self.reduced.size :] > 0.0
-        return beside.ravel()
-
-    def _shape(self, orders: Orders) -> tuple[int, int]:
-        return self.reduced.scaling.over_position.size(orders.position), orders.velocity + 1
-
-    def _solved(self, N: Array, b: Array, kept: Mask) -> Array:
-        """Entries `kept` of the surface; what all trials share is fitted beside them."""
-        fitted = kept | self._shared()
-        prior = self.prior.ravel()[fitted]
-        inner = N[np.ix_(fitted, fitted)] * np.outer(prior, prior)
+    def _solved(self, N: Array, b: Array, orders: Orders) -> Array:
+        """Entries (size, l + 1) of a surface; what all trials share is fitted beside them."""
+        kept, fitted = self._kept(orders), self.prior > 0.0
+        fitted[: self.reduced.size] = False
+        both = kept | fitted.ravel()
+        prior = self.prior.ravel()[both]
+        inner = N[np.ix_(both, both)] * np.outer(prior, prior)
         inner[np.diag_indices_from(inner)] += 1.0
-        solved: Array = prior * np.linalg.solve(inner, prior * b[fitted])
-        return solved[kept[fitted]]
+        solved: Array = prior * np.linalg.solve(inner, prior * b[both])
+        return solved[kept[both]].reshape(-1, orders.velocity + 1)
 
 
 def highest_orders(sets: Sequence[Reduced], position: int | None, velocity: int | None) -> Orders:
@@ -141,7 +132,6 @@ def highest_orders(sets: Sequence[Reduced], position: int | None, velocity: int 
 
 def fit_surfaces(
     sets: Sequence[Reduced],
-    *,
     position: int | None = None,
     velocity: int | None = None,
     near: Sizes | None = None,

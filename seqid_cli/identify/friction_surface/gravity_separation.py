@@ -10,6 +10,7 @@ and kept only where the data speak for it.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -51,31 +52,21 @@ def plane_across(axis: Array) -> tuple[Array, Array]:
     return e_x, np.cross(axis, e_x)
 
 
-@dataclass(frozen=True)
-class HalfSums:
-    """Half-sums of Eq. 15 of one forward/backward pair: (K,) rad, N m, the pair's speed, weight."""
-
-    q: Array
-    tau: Array
-    speed: float
-    weight: float
+HalfSums = tuple[Array, Array, float, float]  # (K,) rad, N m; the pair's speed, samples per slice
 
 
-def half_sums(group: list[Trial]) -> list[HalfSums]:
-    """Pair forward with backward trials of one configuration, speed by speed (Eq. 15)."""
+def _half_sums(group: list[Trial]) -> list[HalfSums]:
+    """Half-sums of forward and backward trials of one configuration, speed by speed (Eq. 15)."""
     result = []
     for level in speed_levels(group):
-        forward_trials = [t for t in level if t.velocity > 0]
-        backward = [t for t in level if t.velocity < 0]
-        for ahead, back in zip(forward_trials, backward, strict=False):
-            low = max(ahead.q.min(), back.q.min())
-            high = min(ahead.q.max(), back.q.max())
-            inside = (ahead.q >= low) & (ahead.q <= high)
+        ways = ([t for t in level if t.velocity > 0], [t for t in level if t.velocity < 0])
+        for ahead, back in zip(*ways, strict=False):
+            inside = (ahead.q >= back.q.min()) & (ahead.q <= back.q.max())
             order = np.argsort(back.q)
             twin = np.interp(ahead.q[inside], back.q[order], back.tau[order])
             if inside.sum() >= 4:
                 half = (ahead.tau[inside] + twin) / 2
-                result.append(HalfSums(ahead.q[inside], half, level[0].speed, ahead.weight))
+                result.append((ahead.q[inside], half, level[0].speed, ahead.weight))
     return result
 
 
@@ -111,10 +102,9 @@ def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
     Returns: groups without a forward/backward pair are left out and counted in `unpaired`.
     """
     groups = configurations(trials)
-    loaded = any(len(own.T) for own in _of_groups(robot, joint, groups))
-    paired = [(group, sums) for group in groups if (sums := half_sums(group))]
-    if not loaded and len(paired) < len(groups):  # nothing to remove, no twin needed
-        none = np.zeros(0)
+    paired = [(group, sums) for group in groups if (sums := _half_sums(group))]
+    if len(paired) < len(groups) and not any(_loads(robot, joint, groups)):
+        none = np.zeros(0)  # nothing to remove, no twin needed
         free = [GravityGroup(robot, group[0].configuration, group, none, none) for group in groups]
         return GravityFit(free, 0, False, 0.0)
     unpaired = len(trials) - sum(len(group) for group, _ in paired)
@@ -123,7 +113,13 @@ def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
     columns, extra, y, root, block, of_group = _system(robot, joint, paired)
     both = np.hstack([columns, extra])
     plain, extended = (_solved(each, y, root, block) for each in (columns, both))
-    share, directional = _asymmetry(plain, extended, extra, _friction_scale(paired))
+    squares = []  # of friction: half the difference of the directions
+    for group, _ in paired:
+        ahead = [t.tau.mean() for t in group if t.velocity > 0]
+        back = [t.tau.mean() for t in group if t.velocity < 0]
+        squares.append(((np.mean(ahead) - np.mean(back)) / 2) ** 2)
+    friction = float(np.sqrt(np.mean(squares)))
+    share, directional = _asymmetry(plain, extended, extra, friction)
     p_xi, errors, _ = extended if directional else plain
     fitted = [
         GravityGroup(robot, group[0].configuration, group, p_xi[own], errors[own])
@@ -132,25 +128,13 @@ def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
     return GravityFit(fitted, unpaired, directional, share)
 
 
-def _of_groups(robot: Robot, joint: int, groups: list[list[Trial]]) -> list[Array]:
-    """Gravity columns (1, 0 to 2) of each configuration."""
-    return [gravity_columns(robot, joint, g[0].configuration, np.zeros(1)) for g in groups]
+def _loads(robot: Robot, joint: int, groups: list[list[Trial]]) -> list[int]:
+    """How many gravity columns each configuration has, 0 to 2."""
+    none = np.zeros(1)
+    return [gravity_columns(robot, joint, g[0].configuration, none).shape[1] for g in groups]
 
 
 Paired = list[tuple[list[Trial], list[HalfSums]]]
-
-
-def _friction_scale(paired: Paired) -> float:
-    """RMS friction, N m: half the difference of the directions."""
-    squares = []
-    for group, _ in paired:
-        ahead = [t.tau.mean() for t in group if t.velocity > 0]
-        back = [t.tau.mean() for t in group if t.velocity < 0]
-        if ahead and back:
-            squares.append(((np.mean(ahead) - np.mean(back)) / 2) ** 2)
-    return float(np.sqrt(np.mean(squares)))
-
-
 Solved = tuple[Array, Array, float]  # solution, its standard errors, squares left
 
 
@@ -164,24 +148,24 @@ def _system(
     """
     rows, extra, right, root, block = [], [], [], [], []
     pairs = sum(len(sums) for _, sums in paired)
-    fastest = max(item.speed for _, sums in paired for item in sums)
+    fastest = max(speed for _, sums in paired for *_, speed, _ in sums)
     count = 0
-    ends = np.cumsum([len(a.T) for a in _of_groups(robot, joint, [group for group, _ in paired])])
-    of_group = [slice(a, b) for a, b in zip([0, *ends[:-1]], ends, strict=True)]
+    ends = np.cumsum([0, *_loads(robot, joint, [group for group, _ in paired])])
+    of_group = [slice(a, b) for a, b in pairwise(ends)]
     for (group, sums), own in zip(paired, of_group, strict=True):
-        for item in sums:
-            wide = np.zeros((len(item.q), ends[-1]))
-            wide[:, own] = gravity_columns(robot, joint, group[0].configuration, item.q)
+        for q, half, speed, weight in sums:
+            wide = np.zeros((len(q), ends[-1]))
+            wide[:, own] = gravity_columns(robot, joint, group[0].configuration, q)
             rows.append(wide)
-            slope = np.full(len(item.q), item.speed / fastest)
+            slope = np.full(len(q), speed / fastest)
             # The gravity force of a prismatic joint is itself an offset.
             offset = [] if robot.chain.prismatic[joint] and ends[-1] else [np.ones_like(slope)]
             extra.append(np.column_stack([*offset, slope]))
-            right.append(item.tau)
-            root.append(np.full(len(item.q), np.sqrt(item.weight)))
+            right.append(half)
+            root.append(np.full(len(q), np.sqrt(weight)))
             # Drift and friction errors are shared within a pair; few pairs must be cut up.
             parts = 1 if pairs >= enough_pairs else 4
-            block.append(count + np.arange(len(item.q)) * parts // len(item.q))
+            block.append(count + np.arange(len(q)) * parts // len(q))
             count += parts
     y, weights, blocks = (np.concatenate(part) for part in (right, root, block))
     return np.vstack(rows), np.vstack(extra), y, weights, blocks, of_group

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seqid_cli.identify.friction_surface.gravity_separation import Clustered, gravity_columns
-from seqid_cli.identify.friction_surface.trials import Ramps, Trial, configurations
+from seqid_cli.identify.friction_surface.trials import Trial, configurations
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import PER_MEDIAN
@@ -58,17 +58,14 @@ def without_acceleration(
     for group, own in zip(groups, found, strict=True):
         inertia = 0.0 if own is None else max(own[0], 0.0)
         error = usual if own is None else float(np.sqrt(max(own[2], own[1] * inflation)))
-        largest = error if len(known) else _as_friction(group)
+        largest = error
+        if not len(known):  # all torque of the trials could be acceleration's
+            torque = max(float(np.median(np.abs(trial.tau))) for trial in group)
+            accelerated = max(float(np.sqrt(np.mean(trial.ddq**2))) for trial in group)
+            largest = torque / accelerated if accelerated > 0.0 else 0.0
         steady = [replace(_steady(t, inertia, surface), inertia_error=largest) for t in group]
         result.append(SteadyGroup(steady, inertia, error))
     return result
-
-
-def _as_friction(group: Sequence[Trial]) -> float:
-    """Inertia of which nothing is known: with it all torque of the trials could be acceleration."""
-    torque = max(float(np.median(np.abs(trial.tau))) for trial in group)
-    accelerated = max(float(np.sqrt(np.mean(trial.ddq**2))) for trial in group)
-    return torque / accelerated if accelerated > 0.0 else 0.0
 
 
 def _steady(
@@ -93,30 +90,23 @@ def _inertia_of(
 
     Its variance for white noise follows, that robust within trials, and the number of these.
     """
-    ramps = [_within(trial.ramps, surface) for trial in group]
-    if sum(len(part.q) for part in ramps) < min_windows:
-        return None
-    rows, right, cluster = [], [], []
-    for number, (trial, part) in enumerate(zip(group, ramps, strict=True)):
-        for q, dq, ddq, tau, weight in (
-            (trial.q, trial.dq, trial.ddq, trial.tau, trial.weight),
-            (part.q, part.dq, part.ddq, part.tau, part.weight),
-        ):
-            if not len(q):
-                continue
+    low, high = surface.scaling.speed
+    rows, right, cluster, windows = [], [], [], 0
+    for number, trial in enumerate(group):
+        # Windows at speeds at which friction was seen; the others hold a reversal or a rest.
+        ramps, speed = trial.ramps, np.abs(trial.ramps.dq)
+        kept = (speed >= low) & (speed <= high)
+        windows += int(kept.sum())
+        for part, own in ((trial, slice(None)), (ramps, kept)):
+            q, root = part.q[own], np.sqrt(part.weight)
             a = gravity_columns(robot, trial.joint, group[0].configuration, q)
-            rows.append(np.column_stack([ddq, a]) * np.sqrt(weight))
-            right.append((tau - surface.torque(q, dq)) * np.sqrt(weight))
+            rows.append(np.column_stack([part.ddq[own], a]) * root)
+            right.append((part.tau[own] - surface.torque(q, part.dq[own])) * root)
             cluster.append(np.full(len(q), number))
+    if windows < min_windows:
+        return None
     found = Clustered.of(np.vstack(rows), np.concatenate(right), np.concatenate(cluster))
     count, spare = len(found.moves), len(found.left) - len(found.theta)
     robust = count / max(count - 1, 1) * float(np.sum(found.moves[:, 0] ** 2))
     white = float(found.left @ found.left) / max(spare, 1) * float(found.bread[0, 0])
     return float(found.theta[0]), white, robust, count
-
-
-def _within(ramps: Ramps, surface: FrictionSurface) -> Ramps:
-    """Windows at speeds at which friction was seen; the others hold a reversal or a rest."""
-    low, high = surface.scaling.speed
-    kept = (np.abs(ramps.dq) >= low) & (np.abs(ramps.dq) <= high)
-    return Ramps(ramps.q[kept], ramps.dq[kept], ramps.ddq[kept], ramps.tau[kept], ramps.weight)

@@ -52,17 +52,14 @@ def weighted(
     trial has more noise than the usual one, none where a slice does not belong to its trial.
     """
     level = float(np.median([np.median(np.abs(item.friction)) for item in data]))
-    scales = np.array([max(_scale(own), min_scatter * level, 1e-300) for own in distances])
+    found = [median_abs_deviation(own, scale="normal") for own in distances]
+    scales = np.maximum(found, max(min_scatter * level, 1e-300))
     variances = scales**2 * np.array([float(np.median(item.weight)) for item in data])
     usual = float(np.median(variances))
     return [
         replace(item, weight=item.weight * min(usual / variance, 1.0) * _biweight(own / scale))
         for item, own, scale, variance in zip(data, distances, scales, variances, strict=True)
     ]
-
-
-def _scale(distances: Array) -> float:
-    return float(median_abs_deviation(distances, scale="normal"))
 
 
 def _biweight(ratio: Array, *, max_ratio: float = 4.685) -> Array:

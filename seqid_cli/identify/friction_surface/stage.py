@@ -2,7 +2,6 @@
 
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -24,7 +23,6 @@ from seqid_cli.identify.friction_surface.reduction import (
 from seqid_cli.identify.friction_surface.summary import (
     DEFAULT_BETA,
     Fit,
-    JointFit,
     Part,
     constants_note,
     errors_of,
@@ -43,52 +41,28 @@ class UnpairedError(QualityError):
     """A joint's trials cannot be freed of gravity."""
 
 
-def _named(logs: Iterable[Any]) -> str:
-    """The first of some logs, and how many more there are."""
-    names = [str(getattr(log, "path", log)) for log in logs]
-    return names[0] + f" and {len(names) - 1} more" * (len(names) > 1) if names else ""
-
-
 def identify_friction(
     recordings: Iterable[Recording], robot: Robot, *, options: FrictionOptions
 ) -> FrictionStage:
     """Identify the friction surface of every joint that the logs move at constant velocity.
 
-    Parameters
-    ----------
-    recordings : iterable of Recording
-        Logs with torque; one joint moves at a time, forward and backward, at several speeds.
-    robot : Robot
-        Chain and gravity, to remove the gravity torque by Eq. 12-15.
-
-    Returns
-    -------
-    FrictionStage
-        One surface per joint, N m, with a verdict for every joint of the robot.
-
-    Raises
-    ------
-    QualityError
-        If no joint moves by itself at constant velocity, or the orders ask for more speeds than
-        there are.
+    Raises QualityError if no joint moves by itself at constant velocity, or the orders ask for more
+    speeds than there are.
     """
     trials = collect_trials(recordings, robot)
     if not trials:
+        logs = [str(getattr(log, "path", log)) for log in getattr(recordings, "logs", recordings)]
         raise QualityError(
             "no stretch was found in which one joint moves by itself at constant velocity",
             hint="record trapezoidal moves of one joint at a time, or use seqid simultaneous",
-            where=_named(getattr(recordings, "logs", recordings)),
+            where="".join(logs[:1]) + f" and {len(logs) - 1} more" * (len(logs) > 1),
         )
     firsts: dict[int, Fit] = {}
-    reasons: dict[int, str] = {}
+    reasons = dict.fromkeys(range(robot.n), "no constant-velocity trial moves this joint")
     last: UnpairedError | None = None
-    for j in range(robot.n):
-        own = by_joint(trials, j)
-        if not own:
-            reasons[j] = "no constant-velocity trial moves this joint"
-            continue
+    for j in sorted({trial.joint for trial in trials}):
         try:
-            firsts[j] = _fit(robot, j, own, options)
+            firsts[j] = _fit(robot, j, by_joint(trials, j), options)
         except UnpairedError as error:
             reasons[j], last = error.message, error
     if not firsts and last is not None:
@@ -97,30 +71,25 @@ def identify_friction(
     held = HeldJoints.of(robot, trials, surfaces)
     joints, verdicts, notes = {}, [], []
     for j, joint in enumerate(robot.joints):
-        if j in reasons:
+        if j not in firsts:
             verdicts.append(Verdict(joint=joint.name, good=False, reason=reasons[j]))
             continue
-        joints[joint.name], verdict, said = _identify_joint(robot, j, firsts[j], held, options)
+        # Once more: the first surfaces show what acceleration is left, and how others gave way.
+        first = firsts[j]
+        paired = [
+            trial
+            for group in first.gravity.groups
+            for trial in held.standing(group.trials, group.configuration)
+        ]
+        groups = without_acceleration(robot, paired, first.surface)
+        steady = [trial for group in groups for trial in group.trials]
+        fit = _fit(robot, j, steady, options, near=first.parts[0][1].sizes, held=held)
+        described = summarise(robot, j, fit, first.gravity.unpaired, options)
+        joints[joint.name], verdict, said = described
         verdicts.append(verdict)
         notes += said
     notes += constants_note(robot)
     return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
-
-
-def _identify_joint(
-    robot: Robot, j: int, first: Fit, held: HeldJoints, options: FrictionOptions
-) -> JointFit:
-    """Fit again: the first surfaces show what acceleration is left, and how others gave way."""
-    paired = [
-        trial
-        for group in first.gravity.groups
-        for trial in held.standing(group.trials, group.configuration)
-    ]
-    groups = without_acceleration(robot, paired, first.surface)
-    steady = [trial for group in groups for trial in group.trials]
-    unpaired = first.gravity.unpaired
-    second = _fit(robot, j, steady, options, near=first.parts[0][1].sizes, held=held)
-    return summarise(robot, j, second, unpaired, options)
 
 
 def _fit(
@@ -138,20 +107,25 @@ def _fit(
         message = "no pair of forward and backward trials at one speed in one configuration"
         hint = "record every speed in both directions over the same range (Eq. 15)"
         raise UnpairedError(message, hint=hint, where=f"joint {robot.joints[j].name}")
-    data = friction_data(gravity, held)
-    _check_orders(robot, j, data, options.velocity_order)
+    data, asked = _friction_data(gravity, held), (options.position_order, options.velocity_order)
+    levels = len({item.speed for item in data})
+    if asked[1] is not None and asked[1] + 1 > levels:
+        raise QualityError(
+            f"velocity order {asked[1]} needs at least {asked[1] + 1} speeds, "
+            f"these logs hold {levels}",
+            hint=f"record more speeds or use --velocity-order {levels - 1} or less",
+            where=f"joint {robot.joints[j].name}",
+        )
     sides = (1, -1) if gravity.directional else (0,)
     sets = [[item for item in data if side in (0, item.direction)] for side in sides]
-    asked = options.position_order, options.velocity_order
     scalings = _scalings(data) if near else _scalings(data)[:1]
     parts = _fitted(sets, scalings, *asked, near=near)
-    fits = [fit for _, fit in parts]
+    fits, beta = [fit for _, fit in parts], options.beta
 
     def accept(chosen: Orders) -> bool:
-        errors = errors_of(parts, chosen, unseen=True)
-        return errors.meets(options.beta or DEFAULT_BETA)
+        return errors_of(parts, chosen, unseen=True).relative <= (beta or DEFAULT_BETA)
 
-    chosen = choose_orders(fits, *asked, accept=accept if options.beta else None)
+    chosen = choose_orders(fits, *asked, accept=accept if beta else None)
     surface = _surface(fits, chosen, directional=gravity.directional)
     return Fit(gravity, parts, chosen, surface)
 
@@ -161,8 +135,8 @@ def _fitted(
     scalings: list[Scaling],
     position: int | None,
     velocity: int | None,
+    near: Sizes | None,
     *,
-    near: Sizes | None = None,
     rounds: int = 2,
 ) -> list[Part]:
     """Fit on the likeliest basis; slices that do not belong lose their weight round by round.
@@ -173,12 +147,7 @@ def _fitted(
     for last in (*[False] * rounds, True):
         data = [weighted(own, off) for own, off in zip(sets, distances, strict=True)]
         tried = [
-            fit_surfaces(
-                [reduce_trials(own, scaling) for own in data],
-                position=position,
-                velocity=velocity,
-                near=near,
-            )
+            fit_surfaces([reduce_trials(own, scaling) for own in data], position, velocity, near)
             for scaling in (scalings if last else scalings[:1])
         ]
         fits = max(tried, key=lambda each: each[1])[0]
@@ -189,10 +158,8 @@ def _fitted(
 
 def _scalings(data: list[SpeedData], *, wide_range: float = 4.0) -> list[Scaling]:
     """Bases that may suit: speeds or their logarithms, positions of one range or of every turn."""
-    low = min(float(item.q.min()) for item in data)
-    high = max(float(item.q.max()) for item in data)
-    speeds = [item.speed for item in data]
-    slow, fast = min(speeds), max(speeds)
+    q, speeds = np.concatenate([item.q for item in data]), [item.speed for item in data]
+    low, high, slow, fast = float(q.min()), float(q.max()), min(speeds), max(speeds)
     return [
         Scaling((low, high), (slow, fast), logarithmic, periodic)
         for periodic in ((False, True) if high - low > 2.0 * np.pi else (False,))
@@ -200,7 +167,7 @@ def _scalings(data: list[SpeedData], *, wide_range: float = 4.0) -> list[Scaling
     ]
 
 
-def friction_data(gravity: GravityFit, held: HeldJoints | None = None) -> list[SpeedData]:
+def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[SpeedData]:
     """Friction by Eq. 16, one entry per trial, all trials of a level at the level's mean speed."""
     data = []
     for group in gravity.groups:
@@ -213,22 +180,11 @@ def friction_data(gravity: GravityFit, held: HeldJoints | None = None) -> list[S
             push = direction * trial.inertia_error * trial.ddq
             own = trial.q, friction, weight, edges, push, doubt
             data.append(SpeedData(trial.speed, direction, *own))
-    found = []
-    for level in speed_levels(data):
-        speed = float(np.mean([item.speed for item in level]))
-        found += [replace(item, speed=speed) for item in level]
-    return found
-
-
-def _check_orders(robot: Robot, j: int, data: list[SpeedData], velocity: int | None) -> None:
-    levels = len({item.speed for item in data})
-    if velocity is not None and velocity + 1 > levels:
-        raise QualityError(
-            f"velocity order {velocity} needs at least {velocity + 1} speeds, "
-            f"these logs hold {levels}",
-            hint=f"record more speeds or use --velocity-order {levels - 1} or less",
-            where=f"joint {robot.joints[j].name}",
-        )
+    return [
+        replace(item, speed=float(np.mean([other.speed for other in level])))
+        for level in speed_levels(data)
+        for item in level
+    ]
 
 
 def _surface(

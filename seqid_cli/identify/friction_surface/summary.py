@@ -45,19 +45,10 @@ class Errors:
         return float(np.sqrt(np.mean(self.error**2)))
 
     @property
-    def largest(self) -> float:
-        """Largest error, N m."""
-        return float(np.abs(self.error).max())
-
-    @property
     def relative(self) -> float:
         """Largest error beyond noise over friction; over 0.2 of its RMS where it is near zero."""
         friction = np.maximum(np.abs(self.friction), NEAR_ZERO * np.sqrt(np.mean(self.friction**2)))
         return float((self.missed / np.maximum(friction, 1e-300)).max())
-
-    def meets(self, beta: float) -> bool:
-        """Whether Eq. 11 holds."""
-        return self.relative <= beta
 
     def at(self, u: float) -> "Errors":
         """Those of one speed."""
@@ -115,31 +106,28 @@ class Fit:
     orders: Orders
     surface: FrictionSurface
 
-    @property
-    def data(self) -> list[SpeedData]:
-        """Of both directions."""
-        return [item for own, _ in self.parts for item in own]
 
-
-JointFit = tuple[FrictionJoint, Verdict, list[str]]  # with notes
-
-
-def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOptions) -> JointFit:
+def summarise(
+    robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOptions
+) -> tuple[FrictionJoint, Verdict, list[str]]:
     """Describe the fit of joint j; `unpaired` trials had no twin in the other direction."""
     surface, gravity = fit.surface, fit.gravity
     fitted = errors_of(fit.parts, fit.orders, unseen=False)
     unseen = errors_of(fit.parts, fit.orders, unseen=True)
     beta = options.beta or DEFAULT_BETA
     levels = _levels(fit, fitted, unseen)
+    trials = [trial for group in gravity.groups for trial in group.trials]
+    samples = [trial.weight * len(trial.q) for trial in trials]  # NaN where one has no temperature
+    celsius = float(np.average([trial.celsius for trial in trials], weights=samples))
     joint = FrictionJoint(
         position_order=fit.orders.position,
         velocity_order=fit.orders.velocity,
         max_error=unseen.relative,
-        max_abs_error=unseen.largest,
+        max_abs_error=float(np.abs(unseen.error).max()),
         rmse=fitted.rms,
         held_out_rmse=unseen.rms if len(levels) >= FEWEST_SPEEDS else None,
         beta=beta,
-        criterion_met=unseen.meets(beta),
+        criterion_met=unseen.relative <= beta,
         position_range=list(surface.scaling.position),
         position_basis="fourier" if surface.scaling.periodic else "chebyshev",
         speed_range=list(surface.scaling.speed),
@@ -147,7 +135,7 @@ def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOp
         sign_width=surface.sign_width,
         directional=surface.directional,
         asymmetry=gravity.asymmetry,
-        temperature=_temperature(gravity),
+        temperature=celsius if np.isfinite(celsius) else None,
         positive=surface.positive.tolist(),
         negative=surface.negative.tolist(),
         covariance=surface.entry_covariance.tolist(),
@@ -163,25 +151,15 @@ def summarise(robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOp
         speeds=levels,
         unit=robot.joints[j].unit("N m"),
     )
-    name = robot.joints[j].name
+    name, error = robot.joints[j].name, robot.joints[j].torque_constant_error
     verdict = _verdict(name, joint, unseen, surface.scaling)
-    error = robot.joints[j].torque_constant_error
     for level in joint.speeds:
         level.std_error = float(np.hypot(level.std_error, error * level.friction))
-    notes = _notes(name, joint, gravity.asymmetry, unpaired)
-    return joint, verdict, notes
-
-
-def _temperature(gravity: GravityFit) -> float | None:
-    """Mean temperature [degC] of the trials; None where one of them has none."""
-    trials = [trial for group in gravity.groups for trial in group.trials]
-    samples = [trial.weight * len(trial.q) for trial in trials]
-    mean = float(np.average([trial.celsius for trial in trials], weights=samples))
-    return mean if np.isfinite(mean) else None
+    return joint, verdict, _notes(name, joint, unpaired)
 
 
 def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
-    data = fit.data
+    data = [item for own, _ in fit.parts for item in own]
     speeds = sorted({item.speed for item in data})
     scaled = fit.surface.scaling.u(np.array(speeds))
     result = []
@@ -238,7 +216,7 @@ def _verdict(
     return Verdict(joint=name, good=True, reason=reason)
 
 
-def _notes(name: str, joint: FrictionJoint, asymmetry: float, unpaired: int) -> list[str]:
+def _notes(name: str, joint: FrictionJoint, unpaired: int) -> list[str]:
     notes = []
     if unpaired:
         notes.append(
@@ -247,8 +225,8 @@ def _notes(name: str, joint: FrictionJoint, asymmetry: float, unpaired: int) -> 
         )
     if joint.directional:
         notes.append(
-            f"{name}: friction depends on direction by {percent(asymmetry)}, against the "
-            "assumption of Eq. 15; each direction has its own surface"
+            f"{name}: friction depends on direction by {percent(joint.asymmetry or 0.0)}, against "
+            "the assumption of Eq. 15; each direction has its own surface"
         )
     if not joint.criterion_met:
         notes.append(
@@ -266,9 +244,8 @@ def constants_note(robot: Robot) -> list[str]:
         for joint in robot.joints
         if joint.torque_constant is not None and joint.torque_constant_error == 0.0
     ]
-    if not exact:
-        return []
-    return [
+    note = (
         f"torque constants taken as exact: {', '.join(exact)}; torque_constant_error in the robot "
         "file adds their error to the standard errors"
-    ]
+    )
+    return [note] if exact else []

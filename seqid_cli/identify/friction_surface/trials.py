@@ -177,29 +177,23 @@ def _trial(
     places = block.q[own].reshape(slices, length, -1).mean(axis=1)
     path = _path(middles, places[:, j])
     places[:, j] = path(middles)
-    celsius = np.nan
-    if temperature is not None:
-        # Mean of what is finite; NaN where nothing is.
-        values = temperature[stretch.start : stretch.stop, j]
-        finite = values[np.isfinite(values)]
-        celsius = float(finite.mean()) if len(finite) else np.nan
+    celsius = np.zeros(0) if temperature is None else temperature[stretch.start : stretch.stop, j]
+    celsius = celsius[np.isfinite(celsius)]
     return Trial(
         joint=j,
         velocity=stretch.velocity,
         q=places[:, j].copy(),
-        dq=np.asarray(path.deriv()(middles) / half, dtype=np.float64),
-        ddq=np.asarray(path.deriv(2)(middles) / half**2, dtype=np.float64),
+        dq=path.deriv()(middles) / half,
+        ddq=path.deriv(2)(middles) / half**2,
         tau=block.tau[own, j].reshape(slices, length).mean(axis=1),
         ramps=_ramps(block.q[move, j], block.tau[move, j], rate_hz, stretch),
         weight=float(length),
         configuration=np.array(stretch.configuration),
         places=places,
-        t=np.asarray(
-            (block.start + stretch.start) / rate_hz + (middles + 1) * half, dtype=np.float64
-        ),
+        t=(block.start + stretch.start) / rate_hz + (middles + 1) * half,
         seconds=length / rate_hz,
         log=number,
-        celsius=celsius,
+        celsius=float(celsius.mean()) if len(celsius) else np.nan,
     )
 
 
@@ -207,16 +201,15 @@ def _path(time: Array, q: Array, *, most_order: int = 12) -> Chebyshev:
     """Polynomial over [-1, 1] of positions averaged over slices (K,), finer than counts."""
     # Its order, two at least, is that of least BIC: gravity and friction that change with the
     # position leave their trace in the speed that a soft controller holds.
-    best, least = None, np.inf
     most = max(2, min(most_order, len(q) // 3))
-    for order in range(min(3, most), most + 1):
-        fit = Chebyshev.fit(time, q, order, domain=[-1, 1])
+    orders = range(min(3, most), most + 1)
+    fits = [Chebyshev.fit(time, q, order, domain=[-1, 1]) for order in orders]
+
+    def score(fit: Chebyshev) -> float:
         square = max(float(np.mean((q - fit(time)) ** 2)), 1e-24)
-        score = len(q) * np.log(square) + (order + 1) * np.log(len(q))
-        if score < least:
-            best, least = fit, score
-    assert best is not None  # there are four slices or more
-    return best
+        return float(len(q) * np.log(square) + len(fit.coef) * np.log(len(q)))
+
+    return min(fits, key=score)
 
 
 def _ramps(

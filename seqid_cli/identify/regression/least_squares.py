@@ -36,17 +36,6 @@ def triangular(rows: Array) -> Array:
     return full
 
 
-def merged(first: Array, second: Array) -> Array:
-    """Factor of the rows that two factors stand for."""
-    return triangular(np.vstack([first, second]))
-
-
-def merged_pairs(factors: list[Array]) -> list[Array]:
-    """Merge each two neighbours; one without a partner stays."""
-    pairs = [merged(*factors[i : i + 2]) for i in range(0, len(factors) - 1, 2)]
-    return pairs + factors[2 * len(pairs) :]
-
-
 MOST_BLOCKS = 256
 RANK_TOLERANCE = 1e-3  # singular value of scaled columns, over the largest, that counts as excited
 
@@ -74,10 +63,9 @@ class Accumulator:
         self._total = None
         rows = np.vstack([H.T, y]) if where is None else np.vstack([H.T[:, where], y[where]])
         factor, count = triangular(rows.T), rows.shape[1]
-        goes_on = bool(self.blocks) and self.filled < self.span
-        if goes_on:
+        if self.blocks and self.filled < self.span:
             if count:
-                self.blocks[-1] = merged(self.blocks[-1], factor)
+                self.blocks[-1] = triangular(np.vstack([self.blocks[-1], factor]))
             self.rows[-1] += count
             self.filled += 1
             return
@@ -97,14 +85,15 @@ class Accumulator:
         return both
 
     def _bound(self) -> None:
-        """Merge neighbouring blocks where there are too many."""
         while len(self.blocks) > MOST_BLOCKS:
             self._halve()
 
     def _halve(self) -> None:
+        """Merge each two neighbouring blocks; one without a partner stays."""
         if len(self.blocks) % 2 == 0:
             self.filled += self.span
-        self.blocks = merged_pairs(self.blocks)
+        pairs = [self.blocks[i : i + 2] for i in range(0, len(self.blocks), 2)]
+        self.blocks = [triangular(np.vstack(p)) if len(p) == 2 else p[0] for p in pairs]
         self.rows = [sum(self.rows[i : i + 2]) for i in range(0, len(self.rows), 2)]
         self.span *= 2
 
@@ -127,10 +116,10 @@ class Accumulator:
         rows = list(self.rows)
         return Accumulator(self.size - 1, blocks, rows, self.span, self.filled, total)
 
-    def residual_rms(self, theta: Array) -> float:
-        """RMS of H theta - y over all rows."""
+    def residual_rms(self, theta: Array, fitted: int = 0) -> float:
+        """RMS of H theta - y over all rows, but for so many that were `fitted`."""
         left = np.linalg.norm(self.total @ np.append(theta, -1.0))
-        return float(left / np.sqrt(max(self.samples, 1)))
+        return float(left / np.sqrt(max(self.samples - fitted, 1)))
 
 
 def _without(factors: Array, column: int, value: float) -> Array:
@@ -151,11 +140,6 @@ class Prior:
 
     A: Array
     b: Array
-
-    @property
-    def factor(self) -> Array:
-        """As a block [A b]."""
-        return np.column_stack([self.A, self.b])
 
 
 @dataclass(frozen=True)
@@ -198,12 +182,16 @@ def solve(
     size = joints[0].size
     totals = [joint.total for joint in joints]
     used = [k for k, joint in enumerate(joints) if joint.samples > size // 4]
-    sigma = np.maximum([_floor(joint) for joint in joints], 1e-12)
+    # First each joint by itself. Not from R's last entry: where columns depend on each other,
+    # rounding decides what is left.
+    alone = [_solve_scaled(total)[:2] for total in totals]
+    left = [j.residual_rms(x, B.shape[1]) for j, (x, B) in zip(joints, alone, strict=True)]
+    sigma = np.maximum(left, 1e-12)
     for _ in range(iterations):
         scale = sigma / np.sqrt(independent)  # of the factor: what follows must use the same
         stack = [totals[k] / scale[k] for k in used]
         if prior is not None:
-            stack.append(prior.factor)
+            stack.append(np.column_stack([prior.A, prior.b]))
         factor = triangular(np.vstack(stack)) if stack else np.zeros((size + 1, size + 1))
         theta, basis, left_open, condition, determined = _solve_scaled(factor)
         sigma = np.maximum([joint.residual_rms(theta) for joint in joints], 1e-12)
@@ -220,14 +208,6 @@ def solve(
         shares[k] = bread @ (totals[k][:, :-1].T @ totals[k][:, -1]) / scale[k] ** 2
     found = theta, covariance, determined, rank, condition
     return Solution(*found, sigma, bread, left_open, moves, shares, designs)
-
-
-def _floor(joint: Accumulator) -> float:
-    """Residual RMS of this joint fitted by itself: the first weight."""
-    # Not from R's last entry: where columns depend on each other, rounding decides what is left.
-    theta, basis, *_ = _solve_scaled(joint.total)
-    left = np.linalg.norm(joint.total @ np.append(theta, -1.0))
-    return float(left / np.sqrt(max(joint.samples - basis.shape[1], 1)))
 
 
 def _solve_scaled(factor: Array) -> tuple[Array, Array, Array, float, Mask]:

@@ -55,7 +55,9 @@ def whitener_of(rows: Rows) -> Callable[[Array], Array]:
     `rows`: the parameters' columns are taken out of the errors; more rows than columns. Returns:
     makes rows (N, ...) of such whose errors are independent and of unit variance.
     """
-    shapes = [_shapes(rows, at) for at in _by_log(rows)]
+    order = np.lexsort((rows.t, rows.log))  # of each log, in time order
+    logs = np.split(order, np.flatnonzero(np.diff(rows.log[order])) + 1)
+    shapes = [_shapes(rows, at) for at in logs]
     # Independent of any strength: the scale of what is left.
     root = np.sqrt(rows.weight)
     A, y = rows.H * root[:, None], rows.y * root
@@ -63,17 +65,17 @@ def whitener_of(rows: Rows) -> Callable[[Array], Array]:
     white = max(float(left @ left) / max(len(y) - A.shape[1], 1), 1e-300)
     typical = white / float(np.median(rows.weight))
 
-    def cost(logs: Array) -> float:
-        return _restricted(rows, shapes, _strengths(logs, white, typical))
+    def strengths_of(logs: Array, *, least: float = 1e-06) -> Array:
+        """Strengths of white, common and slow noise from their logarithms against white noise."""
+        w, t, f = np.exp(np.clip(logs, np.log(least), -np.log(least)))
+        return np.array([w * white, t * typical, f * typical])
 
-    found = [
-        minimize(
-            cost, np.array(start), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.02}
-        )
-        for start in STARTS
-    ]
-    best = min(found, key=lambda one: float(one.fun))
-    strengths = _strengths(best.x, white, typical)
+    def cost(logs: Array) -> float:
+        return _restricted(rows, shapes, strengths_of(logs))
+
+    precise = {"xatol": 0.05, "fatol": 0.02}
+    found = [minimize(cost, x, method="Nelder-Mead", options=precise) for x in np.array(STARTS)]
+    strengths = strengths_of(min(found, key=lambda one: float(one.fun)).x)
     roots = [(at, _root(shape, strengths)) for at, *shape in shapes]
 
     def white_rows(values: Array) -> Array:
@@ -86,18 +88,6 @@ def whitener_of(rows: Rows) -> Callable[[Array], Array]:
 
 
 _Shape = tuple[Index, Array, Array, Array]
-
-
-def _strengths(logs: Array, white: float, typical: float, *, least: float = 1e-06) -> Array:
-    """Strengths of white, common and slow noise from their logarithms against white noise."""
-    w, t, f = np.exp(np.clip(logs, np.log(least), -np.log(least)))
-    return np.array([w * white, t * typical, f * typical])
-
-
-def _by_log(rows: Rows) -> list[Index]:
-    """Rows of each log, in time order."""
-    order = np.lexsort((rows.t, rows.log))
-    return np.split(order, np.flatnonzero(np.diff(rows.log[order])) + 1)
 
 
 def _shapes(rows: Rows, at: Index, *, lengths: float = 4.0) -> _Shape:

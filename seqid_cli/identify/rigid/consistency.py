@@ -9,19 +9,21 @@ constraint (see `model.bodies.consistent`).
 import numpy as np
 from msgspec.structs import replace
 
-from seqid_cli.model.bodies.demand import Deviation, identified
+from seqid_cli.model.bodies.demand import identified
 from seqid_cli.model.bodies.nearest import nearest_bodies
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.types import Robot
 
 
-def made_consistent(stage: RigidStage, stages: Stages, robot: Robot) -> RigidStage:
+def made_consistent(
+    stage: RigidStage, stages: Stages, robot: Robot, *, min_move: float = 0.5
+) -> RigidStage:
     """Put the parameters of an inertia stage among those that bodies can have.
 
     Returns: with other values, of which bodies (`representative`) exist; standard errors are those
-    of the unconstrained estimate. A note names what moved by half a standard error or more. Raises
-    QualityError if no physically consistent parameters are found.
+    of the unconstrained estimate. A note names what moved by `min_move` standard errors or more.
+    Raises QualityError if no physically consistent parameters are found.
     """
     found = identified(Stages(gravity=stages.gravity, inertia=stage), robot)
     nearest = nearest_bodies(robot, found)
@@ -31,19 +33,15 @@ def made_consistent(stage: RigidStage, stages: Stages, robot: Robot) -> RigidSta
     ]
     phi = np.concatenate([nearest.links.ravel(), nearest.rotor])
     names = standard_names(robot.n)
+    note = "physically consistent as identified: bodies with these parameters exist"
+    if not nearest.exact:
+        by = {name: d.std_errors or 0.0 for name, d in moved.items()}
+        named = [f"{name} by {x:+.1f}" for name, x in by.items() if abs(x) >= min_move]
+        text = ", ".join(named) or f"none by more than {min_move:g}"
+        note = f"made physically consistent; moved, in standard errors: {text}"
     return replace(
         stage,
         parameters=parameters,
         representative={name: float(x) for name, x in zip(names, phi, strict=True) if x != 0.0},
-        notes=[*stage.notes, _note(list(moved.values()), exact=nearest.exact)],
+        notes=[*stage.notes, note],
     )
-
-
-def _note(deviations: list[Deviation], *, exact: bool, min_move: float = 0.5) -> str:
-    """Name the parameters that moved by `min_move` standard errors or more."""
-    if exact:
-        return "physically consistent as identified: bodies with these parameters exist"
-    moved = [(d.name, d.std_errors or 0.0) for d in deviations]
-    named = [f"{name} by {by:+.1f}" for name, by in moved if abs(by) >= min_move]
-    text = ", ".join(named) or f"none by more than {min_move:g}"
-    return f"made physically consistent; moved, in standard errors: {text}"

@@ -58,9 +58,11 @@ def cutoff_check(
     stated = np.sqrt(np.maximum(np.diag(own[1].covariance), 0.0))
     excess, differences = [], []
     for factor, other in near.items():
-        d, V = _difference(own, other, surfaces)
-        if V is None:
+        if own[0].moves.shape != other[0].moves.shape:  # their blocks are not alike
             continue
+        d, (first, second) = other[0].theta - own[0].theta, (own[1].friction, other[1].friction)
+        both = {j: second[j] - first[j] for j in first if j in second}
+        V = spread_of(other[0].moves - own[0].moves) + friction_covariance(both, surfaces, size)
         known = own[0].determined & other[0].determined
         excess.append(np.where(known, d, 0.0) * _excess(d[known], V[np.ix_(known, known)]))
         error = np.sqrt(np.maximum(np.diag(V), 0.0))
@@ -68,19 +70,6 @@ def cutoff_check(
             differences.append((int(k), factor, float(d[k] / max(stated[k], 1e-300))))
     errors = np.array(excess).T / np.sqrt(len(excess)) if excess else np.zeros((size, 0))
     return CutoffCheck(errors, tuple(differences))
-
-
-def _difference(
-    own: Result, other: Result, surfaces: Sequence[FrictionSurface | None]
-) -> tuple[Array, Array | None]:
-    """Difference of two estimates (p,), its covariance; None where their blocks are not alike."""
-    d = other[0].theta - own[0].theta
-    if own[0].moves.shape != other[0].moves.shape:
-        return d, None
-    V = spread_of(other[0].moves - own[0].moves)
-    first, second = own[1].friction, other[1].friction
-    both = {j: second[j] - first[j] for j in first if j in second}
-    return d, V + friction_covariance(both, surfaces, len(d))
 
 
 def _excess(d: Array, V: Array, *, flat: float = 1e-09) -> float:

@@ -17,12 +17,7 @@ from seqid_cli.identify.friction_surface.trials import Trial, by_joint, collect_
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
 from seqid_cli.identify.rigid.parameters import rigid_stage
-from seqid_cli.identify.rigid.posterior import (
-    Posterior,
-    Sensitivity,
-    constant_moves,
-    friction_covariance,
-)
+from seqid_cli.identify.rigid.posterior import Posterior, constant_moves, friction_covariance
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
@@ -33,25 +28,9 @@ from seqid_cli.typing import Array, Mask
 
 
 def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stages) -> RigidStage:
-    """Identify the base parameters of gravity.
+    """Identify the base parameters of gravity; the stage is empty where it loads no joint.
 
-    Parameters
-    ----------
-    recordings : iterable of Recording
-        Logs in which one joint at a time moves at constant velocity, the others locked in several
-        configurations; those of the friction stage can be used again.
-
-    Returns
-    -------
-    RigidStage
-        Parameters with units kg m (kg for prismatic chains); empty where gravity loads no joint.
-
-    Raises
-    ------
-    UsageError
-        If there is no friction stage.
-    QualityError
-        If no usable trial was found.
+    Raises UsageError if there is no friction stage, QualityError if no usable trial was found.
     """
     if stages.friction is None:
         raise UsageError("gravity needs the friction stage", hint="run seqid friction first")
@@ -69,8 +48,7 @@ def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stag
         message = "no constant-velocity trial of a joint with known friction was found"
         hint = "give the logs of the friction stage again, or record single-joint moves"
         raise QualityError(message, hint=hint)
-    solution = solve(joints)
-    return _stage(robot, basis, solution, cross)
+    return _stage(robot, basis, solve(joints), cross)
 
 
 class GravityRows:
@@ -84,8 +62,8 @@ class GravityRows:
         self.size = len(held.theta)
         self.used = 0
         self.skipped: list[str] = []
-        self._cross: dict[int, Array] = {}
-        self._unseen: list[tuple[int, Array]] = []
+        self.cross: dict[int, Array] = {}
+        self.unseen: list[tuple[int, Array]] = []  # what is not known of acceleration and others
 
     def add_joint(self, trials: list[Trial], joints: list[Accumulator]) -> None:
         """Add the trials of one joint, the torque of what acceleration is left taken off."""
@@ -111,13 +89,13 @@ class GravityRows:
             for k, joint in enumerate(joints):
                 kept = (trial == number) & (k == j)
                 joint.add(H[kept], y[kept, 0])
-        self._cross[j] = H.T @ F
+        self.cross[j] = H.T @ F
         for k, each in enumerate(groups):
             pushed = each.std_error * accelerated[:, 0] * (group == k)
-            self._unseen.append((j, H.T @ pushed))
+            self.unseen.append((j, H.T @ pushed))
             for number in np.unique(log[group == k]):  # each with the same reading all along
                 there = (group == k) & (log == number)
-                self._unseen += [(j, H.T @ (column * there)) for column in stood.T]
+                self.unseen += [(j, H.T @ (column * there)) for column in stood.T]
 
     def _rows(
         self, trial: Trial, surface: FrictionSurface, about: list[int], *, group_size: int = 8
@@ -143,18 +121,6 @@ class GravityRows:
             [means, np.tile([slices * trial.weight, slices * trial.seconds, *about], (count, 1))]
         )
 
-    def sensitivity(self, solution: Solution) -> Sensitivity:
-        """How the parameters move with the coefficients of each joint's friction."""
-        return {
-            j: -solution.bread @ crossed / solution.sigma[j] ** 2
-            for j, crossed in self._cross.items()
-        }
-
-    def unseen_part(self, solution: Solution) -> Array:
-        """Covariance of what is not known of the trials' acceleration and of the other joints."""
-        moves = [solution.bread @ c / solution.sigma[j] ** 2 for j, c in self._unseen]
-        return sum((np.outer(move, move) for move in moves), np.zeros_like(solution.bread))
-
 
 def _settled(trial: Trial, *, settling_s: float = 0.03, most_share: float = 0.125) -> Mask:
     """Slices (K,) at which a trial's joint no longer speeds up and does not slow down yet.
@@ -179,8 +145,13 @@ def _stage(
 
     Gravity shows where a parameter is more than `clear_sigma` standard errors from zero.
     """
-    sensitivity = rows.sensitivity(solution)
-    covariance = solution.covariance + rows.unseen_part(solution)
+    sensitivity, unseen = {}, np.zeros_like(solution.bread)
+    for j, crossed in rows.cross.items():
+        sensitivity[j] = -solution.bread @ crossed / solution.sigma[j] ** 2
+    for j, crossed in rows.unseen:
+        move = solution.bread @ crossed / solution.sigma[j] ** 2
+        unseen += np.outer(move, move)
+    covariance = solution.covariance + unseen
     covariance += friction_covariance(sensitivity, rows.surfaces, rows.size)
     moves = constant_moves(solution, robot.torque_constant_errors, {})
     posterior = Posterior(covariance, sensitivity, moves)

@@ -24,7 +24,7 @@ from seqid_cli.identify.regression.streaming import open_if_long, streams
 from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
 from seqid_cli.identify.rigid.excitation import missing_pairs
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, InertiaRows
-from seqid_cli.identify.rigid.parameters import joint_verdicts, rigid_stage
+from seqid_cli.identify.rigid.parameters import imu_moves, joint_verdicts, rigid_stage
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import Coupling, decide
 from seqid_cli.logs.raw import TimeSource
@@ -32,7 +32,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
-from seqid_cli.robot.base_parameters import free_basis
+from seqid_cli.robot.base_parameters import free_basis, gear_ratios
 from seqid_cli.robot.types import Robot
 
 
@@ -46,28 +46,8 @@ def identify_inertia(
 ) -> RigidStage:
     """Identify the base parameters that gravity does not show.
 
-    Parameters
-    ----------
-    recordings : iterable of Recording or SurveyedLog
-        Logs with torque in which one, two or more joints move, held or to be passed over.
-    robot : Robot
-        Chain, gravity, gear ratios, known rotor inertias.
-    stages : Stages
-        With friction; with gravity where gravity loads the arm; with imu to use accelerometers.
-    compare : bool
-        Whether to do it a second time with the encoders alone, for their standard errors.
-
-    Returns
-    -------
-    RigidStage
-        Parameters in kg m^2 (others where gravity leaves them open), with a verdict per joint.
-
-    Raises
-    ------
-    UsageError
-        If the friction stage is missing.
-    QualityError
-        If no joint moves.
+    `compare` says whether to do it a second time with the encoders alone, for their standard
+    errors. Raises UsageError if the friction stage is missing, QualityError if no joint moves.
     """
     if stages.friction is None:
         raise UsageError("inertia needs the friction stage", hint="run seqid friction first")
@@ -91,16 +71,13 @@ def identify_inertia(
 
 def _compared(stage: RigidStage, encoders: RigidStage) -> RigidStage:
     """The stage with the standard errors that encoders alone would have left."""
-    before = {p.name: p.std_error for p in encoders.parameters}
-    both = [(before[p.name], p.std_error) for p in stage.parameters if p.name in before]
-    ratio = [encoder / max(used, 1e-300) for encoder, used in both]
-    note = ""
-    if ratio:
-        times = f"{np.median(ratio):.2g} times these"
-        note = f"by the encoders alone the standard errors would be {times} (median)"
-    return msgspec.structs.replace(
-        stage, encoder_std_errors=before, notes=[*stage.notes, *([note] if note else [])]
-    )
+    before, notes = {p.name: p.std_error for p in encoders.parameters}, list(stage.notes)
+    there = [p for p in stage.parameters if p.name in before]
+    if there:
+        ratio = np.median([before[p.name] / max(p.std_error, 1e-300) for p in there])
+        times = f"{ratio:.2g} times these"
+        notes.append(f"by the encoders alone the standard errors would be {times} (median)")
+    return msgspec.structs.replace(stage, encoder_std_errors=before, notes=notes)
 
 
 AllRows = tuple[InertiaRows | None, ...]  # as used, at neighbouring cut-offs, by the encoders
@@ -119,21 +96,17 @@ class InertiaRowsOf:
             return None
         return open_if_long(path, robot, time_source=time_source)
 
-    def __call__(self, recording: Recording | SurveyedLog, number: int) -> AllRows:
+    def __call__(self, recording: Recording | SurveyedLog, _: int) -> AllRows:
         """Reduce them."""
-        del number
         own = self.equations.rows_of(recording)
-        factors = self.equations.options.neighbours
-        near: tuple[InertiaRows | None, ...] = (None,) * len(factors)
-        if isinstance(recording, Recording):
-            near = tuple(self._near(recording, own.cutoffs[0] * factor) for factor in factors)
+        near: list[InertiaRows | None] = []
+        for factor in self.equations.options.neighbours:
+            near.append(None)
+            if isinstance(recording, Recording):
+                with contextlib.suppress(InputError):  # the log is too short or too slow for it
+                    other = self.equations.at_cutoff(own.cutoffs[0] * factor)
+                    near[-1] = other.rows_of(recording)
         return own, *near, self.others.rows_of(recording) if self.others else None
-
-    def _near(self, recording: Recording, cutoff_hz: float) -> InertiaRows | None:
-        """Rows at another cut-off; None where the log is too short or too slow for it."""
-        with contextlib.suppress(InputError):
-            return self.equations.at_cutoff(cutoff_hz).rows_of(recording)
-        return None
 
 
 def _all(first: AllRows, second: AllRows) -> AllRows:
@@ -152,7 +125,12 @@ def _stage(
     posterior = posterior.with_error(coupling.errors)
     there = {factor: equations.solved(other, share) for factor, other in near.items()}
     check = cutoff_check((solution, posterior), there, equations.surfaces)
-    moves = equations.imu_moves(rows, solution.theta)
+    robot, basis, imus = equations.robot, equations.basis, equations.stages.imu
+    used = {name for use in rows.uses for name in use.imus}
+    imu_errors = {name: imus.imus[name].acceleration_std_error or 0.0 for name in used if imus}
+    inertia = np.where(basis.gravity & bool(equations.stages.gravity), 0.0, solution.theta)
+    reflected = gear_ratios(robot) ** 2 * equations.rotors
+    moves = imu_moves(robot, basis, inertia, reflected, imu_errors)
     posterior = posterior.with_error(check.errors).with_error(moves)
     stage = _described(equations, rows, solution, posterior, coupling)
     return with_cutoff_check(stage, check, equations.basis)
@@ -172,7 +150,6 @@ def _described(
     stage = rigid_stage(robot, basis, solution, posterior, own, equations.rotors)
     pairs = missing_pairs(robot, basis, solution.left_open) if stage.not_excited else []
     moved, cutoff = [j for j in range(robot.n) if rows.joints[j].samples], np.median(rows.cutoffs)
-    # Say which parameters the logs leave open, and which moves would determine them.
     notes = list(stage.notes)
     if pairs:
         text = ", ".join(" + ".join(pair) for pair in pairs)

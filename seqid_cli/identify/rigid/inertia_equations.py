@@ -24,7 +24,6 @@ from seqid_cli.identify.regression.least_squares import (
     whitened,
 )
 from seqid_cli.identify.regression.streaming import chosen_cutoff
-from seqid_cli.identify.rigid.parameters import imu_moves
 from seqid_cli.identify.rigid.posterior import Posterior, by_joint, constant_moves, gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
@@ -51,16 +50,6 @@ class InertiaRows:
     cutoffs: list[float]
     uses: list[MotionUse]
     counts: Array  # (2,): samples that count as independent, and all
-
-    @classmethod
-    def none(cls, size: int, n: int) -> "InertiaRows":
-        """No equation of n joints with so many parameters."""
-        joints = [Accumulator(size) for _ in range(n)]
-        return cls(joints, np.zeros(n), {}, [], [], np.zeros(2))
-
-    def with_coupling(self, share: float) -> list[Accumulator]:
-        """The rows of all joints with the share of gyroscopic coupling held at a value."""
-        return [joint.with_fixed(joint.size - 1, share) for joint in self.joints]
 
     def __add__(self, other: "InertiaRows") -> "InertiaRows":
         cross = dict(self.cross)
@@ -89,7 +78,8 @@ class InertiaEquations:
 
     def rows_of(self, log: Recording | SurveyedLog) -> InertiaRows:
         """The rows of one log."""
-        rows = InertiaRows.none(self.basis.size + 1, self.robot.n)
+        joints = [Accumulator(self.basis.size + 1) for _ in range(self.robot.n)]
+        rows = InertiaRows(joints, np.zeros(self.robot.n), {}, [], [], np.zeros(2))
         motion = pass_over(log, self, rows)
         rows.cutoffs.append(motion.cutoff.hz)
         rows.uses.append(motion_use(log.path, self.robot, motion))
@@ -150,7 +140,9 @@ class InertiaEquations:
         directly and through gravity. After six `rounds` of reweighting the weights have settled to
         a thousandth of a standard error.
         """
-        joints = rows.joints if coupling is None else rows.with_coupling(coupling)
+        joints = rows.joints
+        if coupling is not None:
+            joints = [joint.with_fixed(joint.size - 1, coupling) for joint in joints]
         prior, through, inherited = gravity_prior(self.stages.gravity, self.basis), {}, {}
         if prior is not None and self.stages.gravity is not None:
             before, names = self.stages.gravity, self.robot.joint_names
@@ -177,15 +169,6 @@ class InertiaEquations:
         errors = self.robot.torque_constant_errors
         moves = constant_moves(solution, errors, known, by_gravity)
         return solution, replace(posterior, constants=moves)
-
-    def imu_moves(self, rows: InertiaRows, theta: Array) -> Array:
-        """By what the errors of the IMUs that took part move the parameters (b, d)."""
-        names = {name for use in rows.uses for name in use.imus}
-        imus = self.stages.imu.imus if self.stages.imu else {}
-        errors = {name: imus[name].acceleration_std_error or 0.0 for name in names}
-        inertia = np.where(self.basis.gravity & bool(self.stages.gravity), 0.0, theta)
-        reflected = gear_ratios(self.robot) ** 2 * self.rotors
-        return imu_moves(self.robot, self.basis, inertia, reflected, errors)
 
 
 def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:
@@ -223,11 +206,9 @@ def pass_over(
     size = CHUNK * int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
     column = equations.coupling_column
     columns = FilteredColumns(robot, equations.basis, min(size, samples), reach, column)
-    block_s = 1.0  # longer where blocks would be merged in any case
-    while (
-        samples > MOST_BLOCKS * block_s * lowpass.rate_hz and block_s * lowpass.rate_hz < CHUNK / 2
-    ):
-        block_s *= 2.0
+    block = lowpass.rate_hz  # samples of a second; longer where blocks would be merged in any case
+    while samples > MOST_BLOCKS * block and block < CHUNK / 2:
+        block *= 2.0
     moving, usable, last = np.zeros(robot.n, dtype=bool), False, None
     # Right sides need little memory: they are made of longer parts than the regressor.
     held = samples if isinstance(log, Recording) else 2 * size
@@ -242,7 +223,7 @@ def pass_over(
                 own = slice(at, min(at + CHUNK, end))
                 inner = H[own.start - first : own.stop - first], y[own]
                 used = slides[own.start - low : own.stop - low]
-                equations.add_chunk(rows, motion.part(own), *inner, used, block_s)
+                equations.add_chunk(rows, motion.part(own), *inner, used, block / lowpass.rate_hz)
         moving |= motion.moving.any(axis=0)
         usable |= bool(motion.usable.any())
         last = motion

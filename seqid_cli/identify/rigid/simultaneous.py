@@ -9,7 +9,7 @@ stage of orders (0, 1) and an inertia stage with all base parameters, so that ev
 reads it like any other file.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from copy import deepcopy
 from pathlib import Path
 
@@ -53,22 +53,9 @@ def identify_simultaneous(
 ) -> tuple[schema.FrictionStage, schema.RigidStage]:
     """Identify rigid body and Coulomb-viscous friction together.
 
-    Parameters
-    ----------
-    offset : bool
-        Whether each joint has the constant torque F_o.
-    source : {"auto", "encoder", "imu", "fused"}
-        Where motion comes from.
-
-    Returns
-    -------
-    tuple of FrictionStage and RigidStage
-        Friction as surfaces of orders (0, 1); all base parameters.
-
-    Raises
-    ------
-    QualityError
-        If no joint moves.
+    `offset` says whether each joint has the constant torque F_o, `source` ("auto", "encoder",
+    "imu", "fused") where motion comes from. Returns friction as surfaces of orders (0, 1) and all
+    base parameters. Raises QualityError if no joint moves.
     """
     paths, motions = [], []
     for recording in recordings:
@@ -87,9 +74,8 @@ def identify_simultaneous(
 def sign_width(motions: Iterable[Motion], n: int, *, share: float = 0.004) -> Array:
     """Speeds (n,) over which friction changes its sign, by the log in which each joint is fastest.
 
-    They are `share` of the speed there.
-
-    A log that moves a joint hardly, as others shake it, does not say how fast it slides.
+    They are `share` of the speed there. A log that moves a joint hardly, as others shake it, does
+    not say how fast it slides.
     """
     fastest = np.zeros(n)
     for motion in motions:
@@ -171,7 +157,17 @@ class SimultaneousEquations:
         )
         own, rotors = np.arange(self.basis.size), known_rotors(robot)
         stage = rigid_stage(robot, self.basis, solution, posterior, own, rotors)
-        missing = stage.not_excited
+        missing, notes = stage.not_excited, list(stage.notes)
+        free = [
+            name
+            for name, joint, own in zip(robot.joint_names, self.joints, self.own, strict=True)
+            if joint.samples and not solution.determined[own][2:].all()
+        ]
+        if free:
+            notes.append(
+                f"the offset of {', '.join(free)} is not told apart from other torques: "
+                "record wider moves, or leave offsets out (--no-offset)"
+            )
         rigid = replace(
             stage,
             rank=solution.rank - len(self.terms) * len(moved),
@@ -182,22 +178,9 @@ class SimultaneousEquations:
             motion_use=self.uses,
             cutoff_hz=cutoff,
             verdicts=self._verdicts(solution, missing),
-            notes=[*stage.notes, *self._notes(solution)],
+            notes=notes,
         )
         return friction, rigid
-
-    def _notes(self, solution: Solution) -> Iterator[str]:
-        """What to do where offsets are not determined."""
-        free = [
-            name
-            for name, joint, own in zip(self.robot.joint_names, self.joints, self.own, strict=True)
-            if joint.samples and not solution.determined[own][2:].all()
-        ]
-        if free:
-            yield (
-                f"the offset of {', '.join(free)} is not told apart from other torques: "
-                "record wider moves, or leave offsets out (--no-offset)"
-            )
 
     def _joint(self, j: int, solution: Solution, posterior: Posterior) -> schema.FrictionJoint:
         """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""

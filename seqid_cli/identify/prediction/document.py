@@ -64,7 +64,12 @@ def prediction_file(
     errors = []
     effects = effect_notes(stages, robot, unexplained=unexplained)
     with contextlib.ExitStack() as stack:
-        writer = stack.enter_context(_torque_writer(torques, names, inputs)) if torques else None
+        writer: McapTorqueWriter | TorqueWriter | None = None
+        if torques is not None and torques.suffix.lower() == ".mcap":
+            writer = stack.enter_context(McapTorqueWriter.open(torques, names))
+        elif torques is not None:
+            ids = [item.sha256 for item in inputs.ids()]
+            writer = stack.enter_context(TorqueWriter.open(torques, names, ids))
         own = slid = none
         for log in predictions:
             own = _both(own, _sums(log, sliding=False))
@@ -72,12 +77,24 @@ def prediction_file(
             if writer is not None:
                 writer.write(log)
             if log.last:
-                errors.append(_log_error(log, _joints(own, slid, names)))
+                errors.append(
+                    LogPredictionError(
+                        path=str(log.path),
+                        sha256=log.sha256,
+                        samples=log.samples,
+                        cutoff_hz=log.cutoff_hz,
+                        joints=_joints(own, slid, names),
+                        notes=list(log.notes),
+                        motion=log.motion,
+                    )
+                )
                 overall, sliding = _both(overall, own), _both(sliding, slid)
                 own = slid = none
     joints = _joints(overall, sliding, names)
     lacks = lacking(stages, robot)
     verdicts = [_verdict(n, e, lacks.get(n, ())) for n, e in joints.items() if e.samples]
+    still = ", ".join(name for name, error in joints.items() if not error.samples)
+    notes = [f"never slides in these logs and is not judged: {still}"] if still else []
     return PredictionFile(
         schema=PREDICTION_SCHEMA,
         created=now(),
@@ -90,27 +107,7 @@ def prediction_file(
         logs=errors,
         cutoff_origin=cutoff_origin or "chosen per log",
         verdicts=as_a_whole([*verdicts, *physics_verdicts(stages, robot), *logs.verdicts()]),
-        notes=[*effects, *_notes(joints), *logs.notes()],
-    )
-
-
-def _torque_writer(
-    path: Path, names: tuple[str, ...], inputs: Inputs
-) -> contextlib.AbstractContextManager[TorqueWriter | McapTorqueWriter]:
-    if path.suffix.lower() == ".mcap":
-        return McapTorqueWriter.open(path, names)
-    return TorqueWriter.open(path, names, [item.sha256 for item in inputs.ids()])
-
-
-def _log_error(log: LogPrediction, joints: dict[str, JointError]) -> LogPredictionError:
-    return LogPredictionError(
-        path=str(log.path),
-        sha256=log.sha256,
-        samples=log.samples,
-        cutoff_hz=log.cutoff_hz,
-        joints=joints,
-        notes=list(log.notes),
-        motion=log.motion,
+        notes=[*effects, *notes, *logs.notes()],
     )
 
 
@@ -132,11 +129,6 @@ def _joints(sums: Array, sliding: Array, names: tuple[str, ...]) -> dict[str, Jo
 
 def _root(squares: float, over: float) -> float | None:
     return math.sqrt(squares / over) if over else None
-
-
-def _notes(joints: dict[str, JointError]) -> list[str]:
-    still = [name for name, error in joints.items() if not error.samples]
-    return [f"never slides in these logs and is not judged: {', '.join(still)}"] if still else []
 
 
 def _verdict(

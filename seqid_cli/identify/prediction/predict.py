@@ -99,15 +99,13 @@ def slides_from(model: TorqueModel, options: InertiaOptions) -> Array:
 
 def lacking(stages: Stages, robot: Robot) -> dict[str, list[str]]:
     """What the file does not hold of each joint's torque, though there is something to identify."""
-    found: dict[str, list[str]] = {name: [] for name in robot.joint_names}
     without_inertia = stages.inertia is None and not free_basis(robot).gravity.all()
     surfaces = friction_surfaces(stages, robot)
-    for name, surface in zip(robot.joint_names, surfaces, strict=True):
-        if surface is None:
-            found[name].append("the file holds no friction of this joint")
-        if without_inertia:
-            found[name].append("the file holds no inertia stage")
-    return found
+    return {
+        name: ["the file holds no friction of this joint"] * (surface is None)
+        + ["the file holds no inertia stage"] * without_inertia
+        for name, surface in zip(robot.joint_names, surfaces, strict=True)
+    }
 
 
 def encoder_notes(
@@ -178,27 +176,12 @@ def predict(
 ) -> Iterator[LogPrediction]:
     """Predict the torque of any logs, with the effects that the parameter file names.
 
-    Parameters
-    ----------
-    stages : Stages
-        Whatever has been identified; what is missing is taken as zero and noted.
-    unexplained : bool
-        Whether smooth terms of no known cause count as well.
-    sliding_only : bool
-        Whether only samples count at which a joint slides: of logs that are held no interval is
-        worked out at rest, no friction of a joint that stays there, and no note on the encoders.
-
-    Yields
-    ------
-    LogPrediction
-        One per log; of a long one that is passed over, its parts one after the other.
-
-    Raises
-    ------
-    InputError
-        If a log carries neither torque nor current.
-    ConfigError
-        If an effect is not known to this version, or is not what it should be.
+    What has not been identified is taken as zero and noted. `unexplained`: whether smooth terms of
+    no known cause count as well. `sliding_only`: whether only samples count at which a joint
+    slides: of logs that are held no interval is worked out at rest, no friction of a joint that
+    stays there, and no note on the encoders. Yields one per log; of a long one that is passed over,
+    its parts one after the other. Raises InputError if a log carries neither torque nor current,
+    ConfigError if an effect is not known to this version, or is not what it should be.
     """
     model = TorqueModel.from_stages(stages, robot)
     effects = tuple(fitted_effects(stages, robot, unexplained=unexplained))
@@ -231,9 +214,8 @@ class _PredictionOf:
             return None
         return open_if_long(path, robot, time_source=time_source)
 
-    def __call__(self, log: Recording | SurveyedLog, number: int) -> Iterable[LogPrediction]:
+    def __call__(self, log: Recording | SurveyedLog, _: int) -> Iterable[LogPrediction]:
         """Predict it; parts of a long one follow as they are asked for."""
-        del number
         if isinstance(log, SurveyedLog):
             return LongPrediction.of(log, self.model, self.stages, self.options, self.effects)
         every = replace(self.options.motion, samples_per_cutoff=float("inf"))
@@ -290,40 +272,29 @@ class LongPrediction:
         return _described(self._parts(), self.model, self.stages)
 
     def _parts(self) -> "Iterator[tuple[LogPrediction, Motion]]":
-        lowpass = self.plan.lowpass
+        lowpass, log = self.plan.lowpass, self.log
         margin = 2 * (lowpass.memory + lowpass.settling)
-        with self._file() as log:
+        with contextlib.ExitStack() as stack:
+            if log.spool is None:  # a stored one's copy has gone with its first pass
+                file = stack.enter_context(local_copy(log.path))
+                log = log if file is log.path else replace(log, file=Path(file))
             blocks = motion_blocks(log.blocks(), self.plan)
             cut = overlapping(blocks, max(self.rows, 2 * margin), margin)
             for number, (motion, start, stop) in enumerate(cut):
-                part = self._part(motion, slice(start, stop))
+                held = Recording(
+                    path=log.path,
+                    sha256=self.sha256,
+                    format=log.format,
+                    t=motion.t,
+                    q=motion.q,
+                    valid=motion.valid,
+                    health=Health(log.rate_hz, log.jitter),
+                    start=log.start_ns * 1e-9,
+                )
+                about = np.array(self.slides_from), motion, held, slice(start, stop)
+                part = predicted(self.model, self.effects, *about)
                 ends = bool(part.t[-1] * log.rate_hz > log.samples - 1.5)
-                yield replace(part, part=number, last=ends), motion
-
-    @contextlib.contextmanager
-    def _file(self) -> Iterator[SurveyedLog]:
-        """The log with its file at hand: a stored one's copy has gone with its first pass."""
-        if self.log.spool is not None:
-            yield self.log
-            return
-        with local_copy(self.log.path) as file:
-            yield self.log if file is self.log.path else replace(self.log, file=Path(file))
-
-    def _part(self, motion: Motion, inner: slice) -> LogPrediction:
-        """Predict the inner samples of a motion."""
-        log = Recording(
-            path=self.log.path,
-            sha256=self.sha256,
-            format=self.log.format,
-            t=motion.t,
-            q=motion.q,
-            valid=motion.valid,
-            health=Health(self.log.rate_hz, self.log.jitter),
-            start=self.log.start_ns * 1e-9,
-        )
-        slowest = np.array(self.slides_from)
-        part = predicted(self.model, self.effects, slowest, motion, log, inner)
-        return replace(part, samples=self.log.samples)
+                yield replace(part, samples=log.samples, part=number, last=ends), motion
 
 
 def predicted(

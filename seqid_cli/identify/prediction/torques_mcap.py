@@ -108,7 +108,11 @@ def _messages(
     torque: Array,
 ) -> NDArray[np.uint8]:
     """Return the messages (N, bytes) of one topic; arrays are (N, n), None an empty field."""
-    message, places = bytearray(_head(frame, joints)), []
+    # Encapsulation header, stamp (to be filled in), frame and joint names in CDR.
+    message, places = bytearray(b"\x00\x01\x00\x00" + bytes(8) + _string(frame)), []
+    message += bytes(-len(message) % 4) + struct.pack("<I", len(joints))
+    for name in joints:
+        message += bytes(-len(message) % 4) + _string(name)
     for values in (q, dq, torque):
         count = 0 if values is None else values.shape[1]
         message += bytes(-len(message) % 4) + struct.pack("<I", count)
@@ -122,15 +126,6 @@ def _messages(
     for at, values in places:
         rows[:, at : at + 8 * values.shape[1]] = _bytes(values.astype("<f8"))
     return rows
-
-
-def _head(frame: str, joints: Sequence[str]) -> bytes:
-    """Encapsulation header, stamp (to be filled in), frame and joint names in CDR."""
-    head = b"\x00\x01\x00\x00" + bytes(8) + _string(frame)
-    head += bytes(-len(head) % 4) + struct.pack("<I", len(joints))
-    for name in joints:
-        head += bytes(-len(head) % 4) + _string(name)
-    return head
 
 
 def _string(text: str) -> bytes:

@@ -73,8 +73,12 @@ def whitener_of(rows: Rows) -> Callable[[Array], Array]:
     def cost(logs: Array) -> float:
         return _restricted(rows, shapes, strengths_of(logs))
 
-    precise = {"xatol": 0.05, "fatol": 0.02}
-    found = [minimize(cost, x, method="Nelder-Mead", options=precise) for x in np.array(STARTS)]
+    found = [
+        minimize(
+            cost, np.array(start), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.02}
+        )
+        for start in STARTS
+    ]
     strengths = strengths_of(min(found, key=lambda one: float(one.fun)).x)
     roots = [(at, _root(shape, strengths)) for at, *shape in shapes]
 

@@ -32,8 +32,8 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import layout
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import ImuCalibration, ImuStage, Verdict
-from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.params.schema import ImuStage, Verdict
+from seqid_cli.robot.types import Robot
 
 Gathered = tuple[list[Segment], list[Pair], list[float]]  # of one IMU; [rad/s^2/sqrt(Hz)]
 Found = tuple[dict[str, Gathered], list[float]]  # of every IMU; cut-off [Hz] of each log
@@ -42,26 +42,11 @@ Found = tuple[dict[str, Gathered], list[float]]  # of every IMU; cut-off [Hz] of
 def calibrate_imus(
     recordings: Iterable[Recording], robot: Robot, *, options: MotionOptions
 ) -> ImuStage:
-    """Calibrate every IMU of the robot file.
+    """Calibrate every IMU of the robot file; name what these logs do not determine.
 
-    Parameters
-    ----------
-    recordings : iterable of Recording
-        Logs in which joints before the IMUs move, best one at a time and fast, the others locked
-        in several configurations.
-
-    Returns
-    -------
-    ImuStage
-        Rotation from IMU to link, lever, biases, gains, axes and clock offset with their standard
-        errors, references of Eq. 29-31, and what these logs do not determine.
-
-    Raises
-    ------
-    UsageError
-        If the robot file has no IMU.
-    QualityError
-        If no log moves a joint before an IMU that it records.
+    `recordings`: best joints before the IMUs move one at a time and fast, the others locked in
+    several configurations. Raises UsageError if the robot file has no IMU, QualityError if no log
+    moves a joint before an IMU that it records.
     """
     if not robot.imus:
         raise UsageError(
@@ -79,10 +64,17 @@ def calibrate_imus(
             reason = "no log moves a joint before this IMU with its readings recorded"
             verdicts.append(Verdict(joint=imu.name, good=False, reason=reason))
             continue
-        calibration, converged = _calibrated(robot, imu, found[imu.name])
+        every, pairs, densities = found[imu.name]
+        most = max(segment.channels for segment in every)
+        segments = thinned([s for s in every if s.channels == most])
+        seen = replace(imu, gyro=most > len(imu.axes))
+        guess = fit_rotation(pairs) if pairs else np.eye(3)
+        fit = fit_constants(segments, robot, seen, starting_constants(segments, robot, seen, guess))
+        density = float(np.median(densities)) if densities else None
+        calibration = calibration_of(robot, seen, fit, segments, pairs, density)
         imus[imu.name] = calibration
         notes += [f"{imu.name}: {text}" for text in calibration.not_determined]
-        verdicts.append(verdict_of(robot, imu, calibration, converged=converged))
+        verdicts.append(verdict_of(robot, imu, calibration, converged=fit.converged))
     cutoff = float(np.median(cutoffs))
     return ImuStage(imus=imus, cutoff_hz=cutoff, verdicts=verdicts, notes=notes)
 
@@ -111,14 +103,3 @@ def _gathered(robot: Robot, options: MotionOptions, recording: Recording, number
             pairs, density = axis_pairs(recording, robot, seen, motion)
         found[imu.name] = own, pairs, [density] if pairs else []
     return found, [cutoff_hz]
-
-
-def _calibrated(robot: Robot, imu: Imu, gathered: Gathered) -> tuple[ImuCalibration, bool]:
-    every, pairs, densities = gathered
-    most = max(segment.channels for segment in every)
-    segments = thinned([s for s in every if s.channels == most])
-    imu = replace(imu, gyro=most > len(imu.axes))
-    guess = fit_rotation(pairs) if pairs else np.eye(3)
-    fit = fit_constants(segments, robot, imu, starting_constants(segments, robot, imu, guess))
-    density = float(np.median(densities)) if densities else None
-    return calibration_of(robot, imu, fit, segments, pairs, density), fit.converged

@@ -27,10 +27,10 @@ from seqid_cli.typing import Array
 SIGNIFICANT = 5.0  # standard deviations of a deflection's likelihood beyond the jolts'
 
 
-def joined(parts: Sequence[Rows]) -> Rows:
+def _joined(parts: Sequence[Rows]) -> Rows:
     """Rows of all segments."""
-    names = ("B", "u", "squares", "count", "share")
-    return Rows(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    columns = zip(*(vars(part).values() for part in parts), strict=True)
+    return Rows(*map(np.concatenate, columns))
 
 
 def renewed(linear: Sequence[Linearised], sizes: Sizes) -> Sizes:
@@ -39,8 +39,8 @@ def renewed(linear: Sequence[Linearised], sizes: Sizes) -> Sizes:
     A trajectory that a coarse encoder hardly holds takes up jolts: they count in full, whatever is
     left of them.
     """
-    jolts = likeliest(joined([x.jolts for x in linear]), sizes).deflection
-    return likeliest(joined([x.deflection for x in linear]), sizes, jolts)
+    jolts = likeliest(_joined([x.jolts for x in linear]), sizes).deflection
+    return likeliest(_joined([x.deflection for x in linear]), sizes, jolts)
 
 
 def likeliest(
@@ -89,20 +89,20 @@ def deflections(
     linear: Sequence[Linearised], sizes: Sizes, names: Sequence[str], *, beyond: float = 1.5
 ) -> list[JointDeflection]:
     """Every joint's deflection, by the likelihood that it is more than `beyond` times the jolts."""
-    rows, share = joined([x.deflection for x in linear]), [x.deflection.share[0] for x in linear]
-    jolts = likeliest(joined([x.jolts for x in linear]), sizes).deflection
-    best = log_likelihood(rows, sizes)
+    rows, share = _joined([x.deflection for x in linear]), [x.deflection.share[0] for x in linear]
+    jolts = likeliest(_joined([x.jolts for x in linear]), sizes).deflection
+    best = _log_likelihood(rows, sizes)
     found = []
     for joint, size in enumerate(sizes.deflection):
         without = sizes.deflection.copy()
         without[joint] = min(size, beyond * jolts[joint])
-        gain = max(best - log_likelihood(rows, Sizes(sizes.noise, without)), 0.0)
+        gain = max(best - _log_likelihood(rows, Sizes(sizes.noise, without)), 0.0)
         rms, sigma = float(size * np.sqrt(float(np.mean(share)))), float(np.sqrt(2 * gain))
         found.append(JointDeflection(joint=names[joint], acceleration=rms, significance=sigma))
     return found
 
 
-def log_likelihood(rows: Rows, sizes: Sizes) -> float:
+def _log_likelihood(rows: Rows, sizes: Sizes) -> float:
     """Log likelihood of sizes."""
     k, v = sizes.noise, sizes.deflection**2
     B, u = _over(rows.B, k), _over(rows.u, k)

@@ -43,7 +43,12 @@ def starting_constants(
     tables = [_table(segment, robot, imu) for segment in segments]
     delay = _delay(segments, tables)
     sums = _sums(segments, tables, delay)
-    tried = [_mounting(imu, sums, R, rough) for R in (guess, *_turns())]
+    # The 24 ways in which a box may be screwed on are starts as well.
+    sides = [("y", 90 * a) for a in range(4)] + [("z", 90), ("z", -90)]
+    first = [Rotation.from_euler(*side, degrees=True) for side in sides]
+    second = [Rotation.from_euler("x", 90 * b, degrees=True) for b in range(4)]
+    turns = [(a * b).as_matrix() for a in first for b in second]
+    tried = [_mounting(imu, sums, R, rough) for R in (guess, *turns)]
     best = min(tried, key=lambda pair: pair[0])[1]
     return replace(_mounting(imu, sums, best.R, fine)[1], delay=delay)
 
@@ -113,14 +118,6 @@ def _misfit(segments: list[Segment], tables: list[Array], delay: float) -> float
     left = yy - np.sum(b * solved, axis=0)
     power = np.maximum(yy - xy[-1] ** 2 / max(xx[-1, -1], 1.0), 1e-12)
     return float(np.mean(np.maximum(left, 0.0) / power))
-
-
-def _turns() -> list[Array]:
-    """The 24 ways in which a box may be screwed on."""
-    sides = [("y", 90 * a) for a in range(4)] + [("z", 90), ("z", -90)]
-    first = [Rotation.from_euler(*side, degrees=True) for side in sides]
-    second = [Rotation.from_euler("x", 90 * b, degrees=True) for b in range(4)]
-    return [(a * b).as_matrix() for a in first for b in second]
 
 
 def _mounting(

@@ -170,8 +170,10 @@ def linearise(
     plain = np.sqrt(weights * segment.share / np.maximum(segment.readings.noise, 1e-6) ** 2)
     by_ddq = plain[:, :, None] * slopes[:, :, 2]
     kinds = kinds_of(imu, r.shape[1])
-    if sizes is None:
-        root, scaled = plain, plain[:, :, None] * J[:, :, 2] * _jolt(segment, J[:, :, 2])
+    if sizes is None:  # jolts alone, rad/s^2 of a node, alike at all joints
+        power = float(np.mean(np.sum(J[:, :, 2] ** 2, axis=(1, 2)))) if J.size else 0.0
+        jolt = segment.readings.jolts / power / segment.share if power > 0.0 else 0.0
+        root, scaled = plain, plain[:, :, None] * J[:, :, 2] * float(np.sqrt(jolt))
     else:
         over = 1.0 / np.sqrt(sizes.noise[kinds])
         root, scaled = plain * over, by_ddq * over[:, None] * sizes.deflection
@@ -217,12 +219,6 @@ def _rows(A: Array, rows: Array, counts: Array, kinds: Index, share: float) -> R
         parts.append((across @ A[:, own], u, squares, count))
     B, u, squares, count = (np.stack(part, axis=1) for part in zip(*parts, strict=True))
     return Rows(B, u, squares, count, np.full(len(A), share))
-
-
-def _jolt(segment: Segment, by_ddq: Array) -> float:
-    """Jolts' acceleration, rad/s^2 of a node, alike at all joints with slopes (N, C, m)."""
-    power = float(np.mean(np.sum(by_ddq**2, axis=(1, 2)))) if by_ddq.size else 0.0
-    return float(np.sqrt(segment.readings.jolts / power / segment.share)) if power > 0.0 else 0.0
 
 
 def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:

@@ -38,7 +38,13 @@ def calibration_of(
     lever = _lever_known(sigma[3:6], about)
     delay_error = float(np.hypot(sigma[6], sampling * segments[0].readings.period))
     delay_known = delay_error < max_delay_error_s
-    missing = _missing(about, lever)
+    missing = []
+    if about is not None:
+        axis = ", ".join(f"{abs(x) if abs(x) < 5e-3 else x:.2f}" for x in about)
+        missing.append(f"the angle about the link's axis ({axis}) is not determined")
+    if not lever.all():
+        names = " and ".join(n for n, there in zip("xyz", lever, strict=True) if not there)
+        missing.append(f"the lever along the link's {names} is not determined")
     fields, open_channels = _of_sensors(imu, fit, segments)
     missing += open_channels
     if not delay_known:
@@ -178,18 +184,6 @@ def _listed(values: Array, known: Mask) -> list[float | None]:
     return [float(v) if k else None for v, k in zip(values, known, strict=True)]
 
 
-def _missing(about: Array | None, lever: Mask) -> list[str]:
-    """Say in words what the logs leave open of the mounting."""
-    missing = []
-    if about is not None:
-        axis = ", ".join(f"{abs(x) if abs(x) < 5e-3 else x:.2f}" for x in about)
-        missing.append(f"the angle about the link's axis ({axis}) is not determined")
-    if not lever.all():
-        names = " and ".join(n for n, there in zip("xyz", lever, strict=True) if not there)
-        missing.append(f"the lever along the link's {names} is not determined")
-    return missing
-
-
 def verdict_of(
     robot: Robot,
     imu: Imu,
@@ -207,13 +201,17 @@ def verdict_of(
     worst = calibration.std_error_deg
     reason = f"mounting known to {worst:.3g} degrees from {calibration.configurations} trials"
     angle = [text for text in calibration.not_determined if text.startswith("the angle")]
-    missing = bool(angle)
-    if missing:
+    good = worst < max_deg
+    if angle:
         reason += "; " + "; ".join(angle)
-        if _planar(robot, imu.after_joint):
+        # Whether all joints up to the IMU turn about parallel axes, whatever their angles.
+        q = np.random.default_rng(0).uniform(-3.0, 3.0, (8, robot.n))
+        turning = ~robot.chain.prismatic[: imu.after_joint + 1]
+        axes = axes_in_link(robot, q, imu.after_joint)[:, turning]
+        if (np.abs(axes @ robot.chain.axis[imu.after_joint]) > 1 - 1e-9).all():
             reason += ", and does not matter: every joint before the IMU turns about that axis"
-            missing = False
-    good = worst < max_deg and not missing
+        else:
+            good = False
     if not converged:
         good, reason = False, reason + "; the fit has not settled"
     if calibration.holdout is not None and calibration.holdout > max_holdout:
@@ -237,10 +235,3 @@ def deflecting(calibration: ImuCalibration) -> JointDeflection | None:
     """Return the joint that deflects by most, where one does significantly."""
     sure = [d for d in calibration.deflections if d.significance > SIGNIFICANT]
     return max(sure, key=lambda d: d.significance, default=None)
-
-
-def _planar(robot: Robot, link: int) -> bool:
-    """Whether all joints up to a link turn about parallel axes, whatever their angles."""
-    q = np.random.default_rng(0).uniform(-3.0, 3.0, (8, robot.n))
-    axes = axes_in_link(robot, q, link)[:, ~robot.chain.prismatic[: link + 1]]
-    return bool(np.all(np.abs(axes @ robot.chain.axis[link]) > 1 - 1e-9))

@@ -7,7 +7,6 @@ that lasts counts once however many samples repeat it. A locked joint keeps the 
 up to an unknown constant within the encoder's step.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -94,9 +93,17 @@ def calibration_cutoff(motion: Motion, chosen_hz: float | None, *, highest_hz: f
 
 
 def segments_of(
-    recording: Recording, robot: Robot, imu: Imu, motion: Motion, *, log: int, cutoff_hz: float
+    recording: Recording,
+    robot: Robot,
+    imu: Imu,
+    motion: Motion,
+    *,
+    log: int,
+    cutoff_hz: float,
+    longest_s: float = 20.0,
+    shortest_s: float = 0.3,
 ) -> list[Segment]:
-    """Cut one log into stretches of the calibration.
+    """Cut one log into stretches of the calibration, up to `longest_s` s, above `shortest_s` s.
 
     `motion`: of the same recording, for what moves and how fast. `log`: number of the log among
     those of the calibration. `cutoff_hz`: of the low-pass on readings and encoders. Returns: empty
@@ -110,19 +117,13 @@ def segments_of(
     source = _Log(log, recording, motion, lowpass, views, readings_of(recording, imu, lowpass))
     # Ends that feel the filter's own ends are not used.
     usable = shrink(recording.valid, lowpass.settling // 2)
-    pieces = [source.segment(own) for own in _pieces(usable, recording.rate_hz)]
-    return [piece for piece in pieces if piece is not None]
-
-
-def _pieces(
-    usable: Mask, rate_hz: float, *, longest_s: float = 20.0, shortest_s: float = 0.3
-) -> Iterator[slice]:
+    found = []
     for start, stop in runs(usable, len(usable)):
-        count = max(1, int(np.ceil((stop - start) / (longest_s * rate_hz))))
-        edges = np.linspace(start, stop, count + 1).astype(int)
-        for a, b in pairwise(edges):
-            if b - a > shortest_s * rate_hz:
-                yield slice(int(a), int(b))
+        count = max(1, int(np.ceil((stop - start) / (longest_s * recording.rate_hz))))
+        for a, b in pairwise(np.linspace(start, stop, count + 1).astype(int).tolist()):
+            piece = source.segment(slice(a, b)) if b - a > shortest_s * recording.rate_hz else None
+            found += [piece] if piece is not None else []
+    return found
 
 
 @dataclass(frozen=True)

@@ -143,11 +143,12 @@ def _fitted(
     freeze: int = 5,
     settled: float = 0.1,
     first_size: float = 10.0,
+    max_turn: float = 0.3,
 ) -> tuple[Fit, Sizes]:
     """Fit with the noise of raw readings, or from sizes on that are renewed in every round."""
     # The first `plain` of the `rounds` have no robust weights, those behind `freeze` the same. The
-    # fit ends with a step of `settled` standard errors. Deflections are looked for from
-    # `first_size` rad/s^2 of a node.
+    # fit ends with a step of `settled` standard errors; none turns by more than `max_turn` rad.
+    # Deflections are looked for from `first_size` rad/s^2 of a node.
     change, fixed = np.inf, None
     for number in range(rounds):
         sigma = state.noise_scale()
@@ -159,7 +160,8 @@ def _fitted(
         covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         change = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
         share = 1.0 if sizes is None or number < freeze else 0.5  # whole ones may jump to and fro
-        state = state.moved(share * _limited(step), share, inner)
+        limit = min(1.0, max_turn / max(float(np.linalg.norm(step[:3])), 1e-12))
+        state = state.moved(share * limit * step, share, inner)
         state = replace(state, widths=_renewed(state, covariance, inner))
         if sizes is not None:
             sizes = renewed([r.linear for r in reductions], sizes)
@@ -228,11 +230,6 @@ def _solve(reductions: list[Reduced], state: _State) -> tuple[Array, Array, list
     information = 0.5 * (information + information.T)
     step = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
     return step, information, inner
-
-
-def _limited(step: Array, *, max_turn: float = 0.3) -> Array:
-    turn = float(np.linalg.norm(step[:3]))
-    return step * min(1.0, max_turn / max(turn, 1e-12))
 
 
 def _renewed(state: _State, covariance: Array, inner: list[_Inner]) -> Widths:

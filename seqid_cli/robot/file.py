@@ -33,33 +33,23 @@ def load_robot(path: Path) -> "Robot":
         Naming the file, the key's full path, the value and the remedy.
     """
     read = read_robot_file(path)
-    urdf = _urdf_of(read)
-    return _robot(read, urdf)
-
-
-def _urdf_of(read: ReadRobotFile) -> UrdfText | None:
-    if read.content.urdf is None:
-        return None
-    urdf = read_urdf_text(read.path.parent / read.content.urdf)
-    check_names(urdf, tuple(joint.name for joint in read.content.joint), read.path)
-    return urdf
-
-
-def _robot(read: ReadRobotFile, urdf: UrdfText | None) -> "Robot":
+    content, urdf = read.content, None
+    names = tuple(joint.name for joint in content.joint)
+    if content.urdf is not None:
+        urdf = read_urdf_text(path.parent / content.urdf)
+        check_names(urdf, names, path)
     import numpy as np
 
     from seqid_cli.robot.types import Joint, OwnEffect, Robot
 
-    content = read.content
-    chain, nominal = _chain_of(read, urdf)
+    chain, nominal = _chain_of(read, urdf, names)
     if content.channels.effort == "gravity_compensated" and nominal is None:
         raise ConfigError(
             "channels.effort is 'gravity_compensated', but the gravity that the driver subtracts "
             "is not known",
-            where=str(read.path),
+            where=str(path),
             hint="Name a urdf with <inertial> that the driver uses, or log the torque as it is.",
         )
-    names = [joint.name for joint in content.joint]
     known = {joint.name: joint for path in chains(urdf) for joint in path} if urdf else {}
     joints = []
     for entry, slides in zip(content.joint, chain.prismatic, strict=True):
@@ -80,7 +70,7 @@ def _robot(read: ReadRobotFile, urdf: UrdfText | None) -> "Robot":
         chain=chain,
         gravity=np.array(content.gravity, dtype=float),
         sha256=hashlib.sha256(read.raw + (urdf.raw if urdf else b"")).hexdigest(),
-        source=read.path,
+        source=path,
         imus=tuple(_imu(entry, names) for entry in content.imu),
         channels=content.channels,
         nominal=nominal,
@@ -89,7 +79,9 @@ def _robot(read: ReadRobotFile, urdf: UrdfText | None) -> "Robot":
     )
 
 
-def _chain_of(read: ReadRobotFile, urdf: UrdfText | None) -> "tuple[Chain, Array | None]":
+def _chain_of(
+    read: ReadRobotFile, urdf: UrdfText | None, names: tuple[str, ...]
+) -> "tuple[Chain, Array | None]":
     if urdf is None:
         from seqid_cli.robot.kinematics import DhRow, chain_from_dh
 
@@ -98,7 +90,6 @@ def _chain_of(read: ReadRobotFile, urdf: UrdfText | None) -> "tuple[Chain, Array
         return chain_from_dh(rows), None
     from seqid_cli.robot.urdf.model import chain_from_urdf
 
-    names = tuple(joint.name for joint in read.content.joint)
     chain, nominal = chain_from_urdf(urdf, names, read.path)
     for k, joint in enumerate(read.content.joint):
         if joint.prismatic and not chain.prismatic[k]:
@@ -111,21 +102,14 @@ def _chain_of(read: ReadRobotFile, urdf: UrdfText | None) -> "tuple[Chain, Array
     return chain, nominal
 
 
-def _imu(entry: "ImuEntry", joints: list[str]) -> "Imu":
+def _imu(entry: "ImuEntry", joints: tuple[str, ...]) -> "Imu":
     import numpy as np
 
     from seqid_cli.robot.types import Imu
 
+    positions, axes = np.zeros((3, 3)), np.eye(3)
     if entry.accelerometers:
         positions = np.array([sensor.position for sensor in entry.accelerometers], dtype=float)
         axes = np.array([sensor.axis for sensor in entry.accelerometers], dtype=float)
         axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    else:
-        positions, axes = np.zeros((3, 3)), np.eye(3)
-    return Imu(
-        name=entry.name,
-        after_joint=joints.index(entry.after_joint),
-        positions=positions,
-        axes=axes,
-        gyro=entry.gyro,
-    )
+    return Imu(entry.name, joints.index(entry.after_joint), positions, axes, entry.gyro)

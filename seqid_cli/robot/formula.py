@@ -9,8 +9,8 @@ are searched. A symbol is of the effect's own joint; `dq_2` is that of the secon
 
 import ast
 import difflib
-import math
 import re
+import sys
 import warnings
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -137,7 +137,7 @@ class _Reader:
     def _linear(self, node: ast.expr, depth: int) -> bool:
         match node:
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
-                if not _finite(value):
+                if not abs(value) <= sys.float_info.max:
                     raise FormulaError("has a number that is too large")
                 return False
             case ast.Name(id=name):
@@ -177,13 +177,6 @@ class _Reader:
             raise FormulaError(f"calls {name} with {len(arguments)} arguments, it takes {wanted}")
         if any(self.linear(argument, depth + 1) for argument in arguments):
             raise FormulaError(f"has a coefficient inside {name}(): terms must be linear in them")
-        return False
-
-
-def _finite(value: float) -> bool:
-    try:
-        return math.isfinite(value)
-    except OverflowError:  # an integer beyond what a float holds
         return False
 
 

@@ -95,14 +95,6 @@ class Frames:
 
 
 @dataclass(frozen=True)
-class AngularMotion:
-    """`w` (N, 3) rad/s and `dw` (N, 3) rad/s^2 of a link, in the link's own frame."""
-
-    w: Array
-    dw: Array
-
-
-@dataclass(frozen=True)
 class LinkMotion:
     """All links' motion, samples last: the forward pass of Newton-Euler.
 
@@ -202,11 +194,13 @@ def forward(chain: Chain, q: Array) -> Frames:
     return Frames(R=R, p=p, z=np.einsum("niab,ib->nia", R, chain.axis))
 
 
-def link_angular_motion(chain: Chain, q: Array, dq: Array, ddq: Array, link: int) -> AngularMotion:
-    """Compute angular velocity and acceleration of `link` in its own frame (Eq. 39, any joints).
+def link_angular_motion(
+    chain: Chain, q: Array, dq: Array, ddq: Array, link: int
+) -> tuple[Array, Array]:
+    """Compute w (N, 3) [rad/s] and dw (N, 3) [rad/s^2] of `link` in its own frame (Eq. 39).
 
     `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `link`: the joint that moves
     the link, 0-based.
     """
     motion = link_motion(chain, np.zeros(3), q.T, dq.T, ddq.T)
-    return AngularMotion(w=motion.w[link].T.copy(), dw=motion.dw[link].T.copy())
+    return motion.w[link].T.copy(), motion.dw[link].T.copy()

@@ -17,7 +17,12 @@ from seqid_cli.identify.friction_surface.trials import Trial, by_joint, collect_
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
 from seqid_cli.identify.rigid.parameters import rigid_stage
-from seqid_cli.identify.rigid.posterior import Posterior, constant_moves, friction_covariance
+from seqid_cli.identify.rigid.posterior import (
+    Posterior,
+    Sensitivity,
+    constant_moves,
+    friction_covariance,
+)
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
@@ -121,6 +126,13 @@ class GravityRows:
             [means, np.tile([slices * trial.weight, slices * trial.seconds, *about], (count, 1))]
         )
 
+    def sensitivity(self, solution: Solution) -> Sensitivity:
+        """How the parameters move with the coefficients of each joint's friction."""
+        return {
+            j: -solution.bread @ crossed / solution.sigma[j] ** 2
+            for j, crossed in self.cross.items()
+        }
+
 
 def _settled(trial: Trial, *, settling_s: float = 0.03, most_share: float = 0.125) -> Mask:
     """Slices (K,) at which a trial's joint no longer speeds up and does not slow down yet.
@@ -145,9 +157,7 @@ def _stage(
 
     Gravity shows where a parameter is more than `clear_sigma` standard errors from zero.
     """
-    sensitivity, unseen = {}, np.zeros_like(solution.bread)
-    for j, crossed in rows.cross.items():
-        sensitivity[j] = -solution.bread @ crossed / solution.sigma[j] ** 2
+    sensitivity, unseen = rows.sensitivity(solution), np.zeros_like(solution.bread)
     for j, crossed in rows.unseen:
         move = solution.bread @ crossed / solution.sigma[j] ** 2
         unseen += np.outer(move, move)

@@ -207,7 +207,7 @@ def axes_in_link(robot: Robot, q: Array, link: int) -> Array:
 
 def _predicted(robot: Robot, motion: Motion, link: int) -> Array:
     """Angular acceleration (N, 3) of a link from the encoders alone."""
-    return link_angular_motion(robot.chain, motion.q, motion.dq, motion.ddq, link).dw
+    return link_angular_motion(robot.chain, motion.q, motion.dq, motion.ddq, link)[1]
 
 
 def _healthy(
@@ -241,7 +241,7 @@ def _solve(
     still = np.zeros_like(motion.q)
     for reading in readings:
         link = reading.imu.after_joint
-        c = link_angular_motion(robot.chain, motion.q, motion.dq, still, link).dw
+        c = link_angular_motion(robot.chain, motion.q, motion.dq, still, link)[1]
         J = np.zeros((motion.samples, 3, count))
         axes = axes_in_link(robot, motion.q, link)
         for k, j in enumerate(moving):

@@ -78,20 +78,17 @@ def nearest(word: str, known: Iterable[str]) -> str:
 def check_content(path: Path, robot: RobotFile) -> tuple[Formula | None, ...]:
     """Check the values of a robot file, apart from checks that need its URDF.
 
-    Returns the formula of each effect; None where an installed package offers the effect.
-
-    Raises
-    ------
-    ConfigError
-        A value makes no sense; the message names `path` and the key.
+    Returns the formula of each effect; None where an installed package offers the effect. Raises
+    ConfigError: a value makes no sense; the message names `path` and the key.
     """
     for message, hint in _problems(robot):
         raise ConfigError(message, where=str(path), hint=hint)
     formulas: list[Formula | None] = []
     for k, effect in enumerate(robot.effect):
+        known = None
         try:
-            text = effect.torque
-            known = None if text is None else parse_formula(text, len(robot.joint), effect.settings)
+            if effect.torque is not None:
+                known = parse_formula(effect.torque, len(robot.joint), effect.settings)
         except FormulaError as problem:
             message = f"effect[{k}].torque {problem} (effect {effect.name!r})"
             terms = f"'c1 * sign(dq) * abs(load)'; of {', '.join(SYMBOLS)}"
@@ -109,7 +106,13 @@ def _problems(robot: RobotFile) -> Iterator[_Problem]:
         hint = f"Name the joints of one serial arm; up to {MOST_JOINTS} are read."
         yield f"the robot has {len(robot.joint)} [[joint]] tables", hint
     for table in ("joint", "imu", "effect"):
-        yield from _unique(table, [entry.name for entry in getattr(robot, table)])
+        names = [entry.name for entry in getattr(robot, table)]
+        for k, name in enumerate(names):
+            yield from _text(f"{table}[{k}].name", name)
+            first = names.index(name)
+            if first < k:
+                hint = f"Every {table} needs a name of its own."
+                yield f"{table}[{k}].name {name!r} is already the name of {table}[{first}]", hint
     tables: list[tuple[str, str, Any]] = [("", "gravity", robot.gravity)]
     tables += [(f" (joint {j.name!r})", f"joint[{k}]", j) for k, j in enumerate(robot.joint)]
     tables += [(f" (imu {i.name!r})", f"imu[{k}]", i) for k, i in enumerate(robot.imu)]
@@ -121,7 +124,15 @@ def _problems(robot: RobotFile) -> Iterator[_Problem]:
             if abs(number) > LARGEST:
                 hint = f"Write it in SI units; up to {LARGEST:g} is read."
                 yield f"{place}{named} is {number:g}, which no arm has", hint
-    yield from _geometry(robot)
+    for k, joint in enumerate(robot.joint):
+        named = f"joint[{k}].dh (joint {joint.name!r})"
+        if robot.urdf is not None and joint.dh is not None:
+            hint = "Give the geometry once: a urdf, or dh for every joint."
+            yield f"both urdf and {named} are given", hint
+        if robot.urdf is None and joint.dh is None:
+            hint = 'Give urdf = "...", or dh = { alpha, a, d, theta0 } for every joint.'
+            yield f"neither urdf nor {named} is given", hint
+    yield from _text("urdf", "." if robot.urdf is None else robot.urdf)
     names = [joint.name for joint in robot.joint]
     for k, joint in enumerate(robot.joint):
         yield from _joint(f"joint[{k}]", joint)
@@ -147,27 +158,6 @@ def _numbers(key: str, value: Any) -> Iterator[tuple[str, float]]:
 def _text(key: str, value: str) -> Iterator[_Problem]:
     if not value.strip() or not value.isprintable():
         yield f"{key} is {value!r}", "Give it a name of printable characters."
-
-
-def _unique(table: str, names: list[str]) -> Iterator[_Problem]:
-    for k, name in enumerate(names):
-        yield from _text(f"{table}[{k}].name", name)
-        first = names.index(name)
-        if first < k:
-            hint = f"Every {table} needs a name of its own."
-            yield f"{table}[{k}].name {name!r} is already the name of {table}[{first}]", hint
-
-
-def _geometry(robot: RobotFile) -> Iterator[_Problem]:
-    for k, joint in enumerate(robot.joint):
-        named = f"joint[{k}].dh (joint {joint.name!r})"
-        if robot.urdf is not None and joint.dh is not None:
-            hint = "Give the geometry once: a urdf, or dh for every joint."
-            yield f"both urdf and {named} are given", hint
-        if robot.urdf is None and joint.dh is None:
-            hint = 'Give urdf = "...", or dh = { alpha, a, d, theta0 } for every joint.'
-            yield f"neither urdf nor {named} is given", hint
-    yield from _text("urdf", "." if robot.urdf is None else robot.urdf)
 
 
 def _joint(key: str, joint: JointEntry) -> Iterator[_Problem]:
@@ -219,7 +209,12 @@ def _channels(robot: RobotFile) -> Iterator[_Problem]:
         if isinstance(names, str):
             yield from _pattern(f"channels.{kind}", names, len(robot.joint))
         elif names is not None:
-            yield from _columns(f"channels.{kind}", [str(name) for name in names], robot)
+            key, columns = f"channels.{kind}", [str(name) for name in names]
+            for k, column in enumerate(columns):
+                yield from _text(f"{key}[{k}]", column)
+            if not len(set(columns)) == len(columns) == len(robot.joint):
+                hint = "List one column for each joint, in the order of the [[joint]] tables."
+                yield f"{key} names {len(set(columns))} columns for {len(robot.joint)} joints", hint
     said = {f"channels.{name}": name for name in _NEEDED if getattr(channels, name) is not None}
     if channels.effort == "current":
         said["channels.effort"] = "current"
@@ -232,14 +227,6 @@ def _channels(robot: RobotFile) -> Iterator[_Problem]:
                         f"(joint {joint.name!r}) is missing",
                         f"Add {name} and gear_ratio to that joint. {_NUMBERS[name][1]}",
                     )
-
-
-def _columns(key: str, columns: list[str], robot: RobotFile) -> Iterator[_Problem]:
-    for k, column in enumerate(columns):
-        yield from _text(f"{key}[{k}]", column)
-    if not len(set(columns)) == len(columns) == len(robot.joint):
-        hint = "List one column for each joint, in the order of the [[joint]] tables."
-        yield f"{key} names {len(set(columns))} columns for {len(robot.joint)} joints", hint
 
 
 def _pattern(key: str, pattern: str, joints: int) -> Iterator[_Problem]:

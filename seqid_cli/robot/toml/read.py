@@ -49,12 +49,7 @@ class ReadRobotFile:
 def read_robot_file(path: Path) -> ReadRobotFile:
     """Read and check a robot file, apart from checks that need its URDF.
 
-    `path`: the `robot.toml`.
-
-    Raises
-    ------
-    ConfigError
-        Naming the file and the key's full path.
+    Raises ConfigError naming the file and the key's full path.
     """
     raw = read_limited(path, "robot file", SIZE_LIMIT)
     document = _parse(path, raw)
@@ -71,12 +66,9 @@ def read_robot_file(path: Path) -> ReadRobotFile:
 
 
 def read_limited(path: Path, what: str, limit: int) -> bytes:
-    """Read the file `path`, called `what` in messages; refuses more than `limit` bytes.
+    """Read the file `path`, called `what` in messages.
 
-    Raises
-    ------
-    ConfigError
-        There is no such file, it cannot be read, or it is larger than `limit`.
+    Raises ConfigError: there is none, it cannot be read, or it is larger than `limit` bytes.
     """
     where = str(path)
     try:
@@ -142,6 +134,14 @@ def _check_schema(path: Path, document: dict[str, object]) -> None:
 
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$\.?(?P<path>.*)`)?$", re.DOTALL)
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<key>.*)`", re.DOTALL)
+_TABLES: dict[str, type[Table]] = {
+    "joint": JointEntry,
+    "joint.dh": DhEntry,
+    "imu": ImuEntry,
+    "imu.accelerometers": AccelerometerEntry,
+    "channels": Channels,
+    "effect": EffectEntry,
+}
 _MISSING = re.compile(r"Object missing required field `(?P<key>.*)`", re.DOTALL)
 
 
@@ -153,7 +153,7 @@ def _explained(
     what, at = match["what"], match["path"] or ""
     prefix = f"{at}." if at else ""
     if unknown := _UNKNOWN.match(what):
-        known = _keys_at(at)
+        known = _TABLES.get(re.sub(r"\[[^\]]*\]", "", at), RobotFile).__struct_fields__
         hint = f"{nearest(unknown['key'], known)}Known here: {', '.join(known)}."
         message = f"unknown key '{prefix}{unknown['key']}'"
     elif missing := _MISSING.match(what):
@@ -163,20 +163,6 @@ def _explained(
         message = f"{at or 'the document'}: {what[:1].lower()}{what[1:]}".replace("`", "'")
         hint = "Correct the value."
     return ConfigError(message + _named(document, at), where=str(path), hint=hint)
-
-
-def _keys_at(at: str) -> tuple[str, ...]:
-    tables: dict[str, type[Table]] = {
-        "": RobotFile,
-        "joint": JointEntry,
-        "joint.dh": DhEntry,
-        "imu": ImuEntry,
-        "imu.accelerometers": AccelerometerEntry,
-        "channels": Channels,
-        "effect": EffectEntry,
-    }
-    table = tables.get(re.sub(r"\[[^\]]*\]", "", at), RobotFile)
-    return table.__struct_fields__
 
 
 def _named(document: dict[str, object], at: str) -> str:

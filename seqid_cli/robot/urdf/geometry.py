@@ -39,21 +39,9 @@ class Geometry:
 
     def collides(self, q: Array) -> NDArray[np.bool_]:
         """Return which of the postures q (N, n) let a pair come nearer than the clearance."""
-        zero = pin.neutral(self.model)
-        return np.array(
-            [
-                pin.computeCollisions(
-                    self.model,
-                    self.data,
-                    self.shapes,
-                    self.found,
-                    pin.integrate(self.model, zero, posture),
-                    True,
-                )
-                for posture in q
-            ],
-            dtype=bool,
-        )
+        places = [pin.integrate(self.model, pin.neutral(self.model), posture) for posture in q]
+        arm = self.model, self.data, self.shapes, self.found
+        return np.array([pin.computeCollisions(*arm, place, True) for place in places], dtype=bool)
 
 
 def geometry_of(
@@ -96,7 +84,12 @@ def geometry_of(
                 shapes.addCollisionPair(pin.CollisionPair(b, a))
     _without_usual_contact(model, shapes, postures, clearance_m, usual_contact)
     for box in [*boxes, *([] if workspace is None else _walls(workspace))]:
-        number = shapes.addGeometryObject(_box(f"box_{shapes.ngeoms}", box))
+        low, high = np.array(box[:3]), np.array(box[3:])
+        place = pin.SE3(np.eye(3), (low + high) / 2)
+        solid = coal.Box(*np.abs(high - low))
+        number = shapes.addGeometryObject(
+            pin.GeometryObject(f"box_{shapes.ngeoms}", 0, place, solid)
+        )
         for a in range(count):
             if parents[a] > 0:
                 shapes.addCollisionPair(pin.CollisionPair(a, number))
@@ -123,12 +116,6 @@ def _without_usual_contact(
     pairs = [(pair.first, pair.second) for pair in shapes.collisionPairs]
     for pair in (pair for pair, out in zip(pairs, usual, strict=True) if out):
         shapes.removeCollisionPair(pin.CollisionPair(*pair))
-
-
-def _box(name: str, corners: Box) -> Any:
-    low, high = np.array(corners[:3]), np.array(corners[3:])
-    place = pin.SE3(np.eye(3), (low + high) / 2)
-    return pin.GeometryObject(name, 0, place, coal.Box(*np.abs(high - low)))
 
 
 def _walls(workspace: Box) -> list[Box]:

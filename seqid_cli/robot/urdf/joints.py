@@ -6,7 +6,7 @@ the dynamics and which hand-made files lack, and links with the name of a joint,
 """
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -41,18 +41,23 @@ def chains(urdf: UrdfText) -> list[tuple[UrdfJoint, ...]]:
     """
     elements = {joint.get("name", ""): joint for joint in urdf.root.findall("joint")}
     children: dict[str, list[str]] = {}
-    below = set()
     for name, joint in elements.items():
-        child = link_of(joint, "child")
         children.setdefault(link_of(joint, "parent"), []).append(name)
-        below.add(child)
-    roots = [link for link in children if link not in below]
-    found: list[tuple[str, ...]] = []
-    for link in roots:
-        found += _paths(link, children, elements)
-    kept = [tuple(n for n in path if _drives(urdf, n)) for path in found]
-    unique = dict.fromkeys(path for path in kept if path)
-    return [tuple(_joint(elements[name]) for name in path) for path in unique]
+    roots = children.keys() - {link_of(joint, "child") for joint in elements.values()}
+    found: dict[tuple[str, ...], None] = {}
+    stack: list[tuple[str, tuple[str, ...], frozenset[str]]] = [
+        (link, (), frozenset({link})) for link in reversed(children) if link in roots
+    ]
+    while stack:
+        at, path, seen = stack.pop()
+        if at not in children:  # a tip
+            drives = (n for n in path if urdf.types[n] in MOVABLE and n not in urdf.mimics)
+            found.setdefault(tuple(drives))
+        for name in reversed(children.get(at, [])):
+            child = link_of(elements[name], "child")
+            if child not in seen:
+                stack.append((child, (*path, name), seen | {child}))
+    return [tuple(_joint(elements[name]) for name in path) for path in found if path]
 
 
 def best_chain(
@@ -106,11 +111,8 @@ def _links_renamed(root: ElementTree.Element, joints: set[str]) -> bool:
 def check_urdf(urdf: UrdfText) -> None:
     """Check for faults that a reader of URDFs refuses without naming the place.
 
-    Raises
-    ------
-    ConfigError
-        Links named twice, joints between links that are not there, links with two parents, loops,
-        no or several roots, numbers that are none; naming the file, the joint or link.
+    Raises ConfigError naming the file, the joint or link: links named twice, joints between links
+    that are not there, links with two parents, loops, no or several roots, numbers that are none.
     """
     root = urdf.root
     links = [link.get("name", "") for link in root.findall("link")]
@@ -131,10 +133,7 @@ def check_urdf(urdf: UrdfText) -> None:
 def check_parents(urdf: UrdfText) -> dict[str, str]:
     """Return the joint that moves each link.
 
-    Raises
-    ------
-    ConfigError
-        A link has two, of which a reader of URDFs may drop one without a word.
+    Raises ConfigError: a link has two, of which a reader of URDFs may drop one without a word.
     """
     parents: dict[str, str] = {}
     for joint in urdf.root.findall("joint"):
@@ -166,47 +165,15 @@ def _refused(urdf: UrdfText, message: str, hint: str) -> ConfigError:
     return ConfigError(message, where=str(urdf.path), hint=hint)
 
 
-def _drives(urdf: UrdfText, name: str) -> bool:
-    return urdf.types[name] in MOVABLE and name not in urdf.mimics
-
-
-def _paths(
-    link: str, children: Mapping[str, list[str]], elements: Mapping[str, ElementTree.Element]
-) -> list[tuple[str, ...]]:
-    paths: list[tuple[str, ...]] = []
-    stack: list[tuple[str, tuple[str, ...], frozenset[str]]] = [(link, (), frozenset({link}))]
-    while stack:
-        at, path, seen = stack.pop()
-        below = children.get(at, [])
-        if not below:
-            paths.append(path)
-        for name in reversed(below):
-            child = link_of(elements[name], "child")
-            if child not in seen:
-                stack.append((child, (*path, name), seen | {child}))
-    return paths
-
-
 def _joint(element: ElementTree.Element) -> UrdfJoint:
-    limit = element.find("limit")
-    kind = element.get("type", "")
-    lower, upper = _number(limit, "lower"), _number(limit, "upper")
+    limit, kind = element.find("limit"), element.get("type", "")
+    known: dict[str, float] = {}
+    for key in ("lower", "upper", "velocity", "effort"):
+        found = numbers(limit.get(key, "")) if limit is not None else None
+        if found and len(found) == 1 and (key in ("lower", "upper") or found[0] > 0.0):
+            known[key] = found[0]
+    lower, upper = known.get("lower"), known.get("upper")
     if kind == "continuous" or lower is None or upper is None or lower >= upper:
         lower = upper = None
-    return UrdfJoint(
-        element.get("name", ""),
-        kind,
-        lower,
-        upper,
-        _positive(_number(limit, "velocity")),
-        _positive(_number(limit, "effort")),
-    )
-
-
-def _number(element: ElementTree.Element | None, key: str) -> float | None:
-    found = numbers(element.get(key, "")) if element is not None else None
-    return found[0] if found and len(found) == 1 else None
-
-
-def _positive(value: float | None) -> float | None:
-    return value if value is not None and value > 0.0 else None
+    largest = known.get("velocity"), known.get("effort")
+    return UrdfJoint(element.get("name", ""), kind, lower, upper, *largest)

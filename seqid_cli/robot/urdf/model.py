@@ -22,15 +22,24 @@ def chain_from_urdf(
     """Build the chain of the joints `names`, all other joints locked at zero and merged.
 
     `names`: movable joints of the URDF, in the order of the robot file. `source`: the robot file,
-    for messages. Returns: quarter turns and zeros that the file rounds are exact (see `placement`).
-
-    Raises
-    ------
-    ConfigError
-        The URDF is inconsistent, or `names` is not a serial chain in this order.
+    for messages. Returns: quarter turns and zeros that it rounds are exact (see `tidy_rotation`).
+    Raises ConfigError: the URDF is inconsistent, or `names` is not a serial chain in this order.
     """
     check_parents(urdf)
-    model = _reduced(_parsed(urdf), names)
+    try:
+        with _unheard():
+            whole = pin.buildModelFromXML(readable(urdf).decode("utf-8"))
+    except (ValueError, RuntimeError, UnicodeDecodeError) as problem:
+        reason = str(problem).strip().splitlines()[0] if str(problem).strip() else "no reason given"
+        raise ConfigError(
+            f"not a usable URDF: {reason}",
+            where=str(urdf.path),
+            hint="Check it with `check_urdf` (liburdfdom-tools): one root link, no loops, no link "
+            "or joint named twice, every joint between links that exist.",
+        ) from None
+    others = [k for k in range(1, whole.njoints) if whole.names[k] not in names]
+    # A continuous joint is (cos, sin) in the configuration, so its zero is not 0.0: neutral knows.
+    model = pin.buildReducedModel(whole, others, pin.neutral(whole))
     _check_chain(model, names, urdf, source)
     axes, prismatic = _axes(model)
     nominal = np.array([inertia.toDynamicParameters() for inertia in model.inertias[1:]])
@@ -42,20 +51,6 @@ def chain_from_urdf(
         prismatic=prismatic,
     )
     return chain, nominal if urdf.has_inertia else None
-
-
-def _parsed(urdf: UrdfText) -> pin.Model:
-    try:
-        with _unheard():
-            return pin.buildModelFromXML(readable(urdf).decode("utf-8"))
-    except (ValueError, RuntimeError, UnicodeDecodeError) as problem:
-        reason = str(problem).strip().splitlines()[0] if str(problem).strip() else "no reason given"
-        raise ConfigError(
-            f"not a usable URDF: {reason}",
-            where=str(urdf.path),
-            hint="Check it with `check_urdf` (liburdfdom-tools): one root link, no loops, no link "
-            "or joint named twice, every joint between links that exist.",
-        ) from None
 
 
 @contextlib.contextmanager
@@ -73,12 +68,6 @@ def _unheard() -> Iterator[None]:
     finally:
         os.dup2(screen, 2)
         os.close(screen)
-
-
-def _reduced(model: pin.Model, names: tuple[str, ...]) -> pin.Model:
-    others = [k for k in range(1, model.njoints) if model.names[k] not in names]
-    # A continuous joint is (cos, sin) in the configuration, so its zero is not 0.0: neutral knows.
-    return pin.buildReducedModel(model, others, pin.neutral(model))
 
 
 def _check_chain(model: pin.Model, names: tuple[str, ...], urdf: UrdfText, source: Path) -> None:

@@ -38,10 +38,7 @@ class UrdfText:
 def read_urdf_text(path: Path) -> UrdfText:
     """Read a URDF and check that it is one.
 
-    Raises
-    ------
-    ConfigError
-        The file is missing, is a xacro file, is not well-formed XML or not a URDF.
+    Raises ConfigError: it is missing, a xacro file, not well-formed XML or not a URDF.
     """
     raw = read_limited(path, "URDF", SIZE_LIMIT)
     where = str(path)
@@ -61,14 +58,9 @@ def read_urdf_text(path: Path) -> UrdfText:
         message = f"not a URDF: its outermost element is <{root.tag}>, not <robot>"
         hint = "SDF and MJCF files have to be converted to URDF."
         raise ConfigError(message, where=where, hint=hint)
-    return _collected(path, raw, root)
-
-
-def _collected(path: Path, raw: bytes, root: ElementTree.Element) -> UrdfText:
-    joints = root.findall("joint")
     types: dict[str, str] = {}
     mimics: dict[str, str] = {}
-    for joint in joints:
+    for joint in root.findall("joint"):
         name = joint.get("name", "")
         if name in types:
             raise ConfigError(f"the URDF has two joints named {name!r}", where=str(path))
@@ -77,14 +69,8 @@ def _collected(path: Path, raw: bytes, root: ElementTree.Element) -> UrdfText:
         if mimic is not None:
             mimics[name] = mimic.get("joint", "")
     _check_numbers(root, path)
-    return UrdfText(
-        path=path,
-        raw=raw,
-        root=root,
-        types=types,
-        mimics=mimics,
-        has_inertia=root.find("link/inertial") is not None,
-    )
+    has_inertia = root.find("link/inertial") is not None
+    return UrdfText(path, raw, root, types, mimics, has_inertia)
 
 
 def _check_numbers(root: ElementTree.Element, path: Path) -> None:
@@ -127,10 +113,7 @@ def link_of(joint: ElementTree.Element, which: str) -> str:
 def check_names(urdf: UrdfText, names: tuple[str, ...], source: Path) -> None:
     """Check that the robot file's joints `names` are movable joints of the URDF.
 
-    Raises
-    ------
-    ConfigError
-        Naming `source`, the key, the joint, and what the URDF has instead.
+    Raises ConfigError naming `source`, the key, the joint, and what the URDF has instead.
     """
     for k, name in enumerate(names):
         key, where = f"joint[{k}].name", str(source)

@@ -42,11 +42,11 @@ def test_angular_motion_is_pinocchios() -> None:
     q, dq, ddq = states(rng, 5, 4)
     data = model.createData()
     for link in range(4):
-        motion = link_angular_motion(chain, q, dq, ddq, link)
+        w, dw = link_angular_motion(chain, q, dq, ddq, link)
         for k in range(5):
             pin.forwardKinematics(model, data, q[k], dq[k], ddq[k])
-            np.testing.assert_allclose(motion.w[k], data.v[link + 1].angular, atol=1e-12)
-            np.testing.assert_allclose(motion.dw[k], data.a[link + 1].angular, atol=1e-12)
+            np.testing.assert_allclose(w[k], data.v[link + 1].angular, atol=1e-12)
+            np.testing.assert_allclose(dw[k], data.a[link + 1].angular, atol=1e-12)
 
 
 def test_dh_frames_are_products_of_the_four_moves() -> None:

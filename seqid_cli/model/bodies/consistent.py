@@ -23,7 +23,7 @@ are conic problems: log det by a semidefinite block of twice the size and four e
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import clarabel
@@ -105,14 +105,12 @@ def nearest_body(phi: Array, whitening: Array, *, margin: float = 1e-7) -> tuple
     scale = np.sqrt(np.outer(reach.diagonal(), reach.diagonal()))
     rows = np.array([_upper(step / scale) for step in steps])
     length = np.eye(11)[[10, *range(10)]]
-    body = sparse.csc_matrix(np.column_stack([-rows.T, np.zeros(10)]))
-    found = _solved(
-        np.eye(11)[10],
-        [
-            _Cone(clarabel.SecondOrderConeT(11), sparse.csc_matrix(-length), np.zeros(11)),
-            _Cone(clarabel.PSDTriangleConeT(4), body, _upper(J / scale - margin * np.eye(4))),
-        ],
-    )
+    body = np.column_stack([-rows.T, np.zeros(10)])
+    cones: list[_Cone] = [
+        (clarabel.SecondOrderConeT(11), -length, np.zeros(11)),
+        (clarabel.PSDTriangleConeT(4), body, _upper(J / scale - margin * np.eye(4))),
+    ]
+    found = _solved(np.eye(11)[10], cones)
     if found is None:
         hint = "Record more moves with the payload, of more joints."
         raise QualityError("no body was found near the estimate of the payload", hint=hint)
@@ -124,13 +122,15 @@ def _upper(matrix: Array) -> Array:
     return np.array([matrix[a, b] * (1.0 if a == b else np.sqrt(2.0)) for a, b in _UPPER])
 
 
-@dataclass(frozen=True)
-class _Cone:
-    """Rows A v + s = b of one kind."""
+_Cone = tuple[object, Array, Array]  # rows A v + s = b, s in a cone of a kind
 
-    kind: object
-    A: sparse.csc_matrix
-    b: Array
+
+def _triangle(place: Mapping[tuple[int, int], int], size: int, width: int) -> Array:
+    """Rows of a symmetric matrix, as clarabel has it, whose entries (a, b), a <= b, are variables."""
+    A = np.zeros((size * (size + 1) // 2, width))
+    for (a, b), column in place.items():
+        A[b * (b + 1) // 2 + a, column] = -1.0 if a == b else -np.sqrt(2.0)
+    return A
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,8 @@ class _Problem:
 
     def exact(self) -> Consistent | None:
         """Minimise D with every base parameter met; None where no body has them."""
-        v = self._minimised([self._equations(), *self._domain(), *self._logarithms()])
+        equations: _Cone = clarabel.ZeroConeT(len(self.B)), self.B, self.values
+        v = _solved(self._costs(), [equations, *self._domain(), *self._logarithms()])
         return None if v is None else self._met(v)
 
     def nearest(self, *, alike: float = 1.0) -> Consistent | None:
@@ -181,13 +182,10 @@ class _Problem:
         least = _solved(np.append(np.zeros(self.variables), 1.0), within)
         if least is None:
             return None
-        v, distance = least[:-1], float(least[-1])
-        radius = float(np.sqrt(distance**2 + alike))
-        near = self._minimised([self._ball(radius), *self._domain(), *self._logarithms()])
-        return self._found(v if near is None else near)
-
-    def _minimised(self, cones: Sequence[_Cone]) -> Array | None:
-        return _solved(self._costs(), cones)
+        radius = float(np.sqrt(least[-1] ** 2 + alike))
+        cones = [self._ball(radius), *self._domain(), *self._logarithms()]
+        near = _solved(self._costs(), cones)
+        return self._found(least[:-1] if near is None else near)
 
     def _costs(self, *, rotor_cost: float = 1e-3) -> Array:
         """Cost (v,) of each variable, so that their sum is D."""
@@ -199,9 +197,6 @@ class _Problem:
         cost[_PER_LINK * self.n :] = rotor_cost
         return cost
 
-    def _equations(self) -> _Cone:
-        return _Cone(clarabel.ZeroConeT(len(self.B)), sparse.csc_matrix(self.B), self.values)
-
     def _ball(self, radius: float | None) -> _Cone:
         """|W (values - B v)| <= radius; without one, the variable after the last is the radius."""
         rows = np.zeros((len(self.B) + 1, self.variables + (radius is None)))
@@ -209,52 +204,39 @@ class _Problem:
         b = np.concatenate([[radius or 0.0], self.W @ self.values])
         if radius is None:
             rows[0, -1] = -1.0
-        return _Cone(clarabel.SecondOrderConeT(len(b)), sparse.csc_matrix(rows), b)
+        return clarabel.SecondOrderConeT(len(b)), rows, b
 
     def _domain(self, extra: int = 0) -> list[_Cone]:
         """S_i - margin positive definite, rotors not negative."""
-        width = self.variables + extra
-        cones = []
+        width, count = self.variables + extra, len(self.rotors)
+        margin = np.array([-MARGIN if a == b else 0.0 for a, b in _UPPER])
+        cones: list[_Cone] = []
         for i in range(self.n):
-            rows, columns, values = [], [], []
-            for c, (a, b) in enumerate(_UPPER):
-                rows.append(c)
-                columns.append(_ENTRIES * i + c)
-                values.append(-1.0 if a == b else -np.sqrt(2.0))
-            A = sparse.csc_matrix((values, (rows, columns)), shape=(len(_UPPER), width))
-            margin = np.array([-MARGIN if a == b else 0.0 for a, b in _UPPER])
-            cones.append(_Cone(clarabel.PSDTriangleConeT(4), A, margin))
-        count = len(self.rotors)
+            place = {entry: _ENTRIES * i + c for c, entry in enumerate(_UPPER)}
+            cones.append((clarabel.PSDTriangleConeT(4), _triangle(place, 4, width), margin))
         if count:
-            columns = list(range(_PER_LINK * self.n, self.variables))
-            A = sparse.csc_matrix((-np.ones(count), (range(count), columns)), shape=(count, width))
-            cones.append(_Cone(clarabel.NonnegativeConeT(count), A, np.zeros(count)))
+            rotors = -np.eye(count, width, _PER_LINK * self.n)
+            cones.append((clarabel.NonnegativeConeT(count), rotors, np.zeros(count)))
         return cones
 
     def _logarithms(self) -> list[_Cone]:
-        """The logs sum to no more than log det S_i (Ben-Tal and Nemirovski, 2001, sec. 4.2)."""
-        return [cone for i in range(self.n) for cone in self._logarithm(i)]
+        """The logs sum to no more than log det S_i (Ben-Tal and Nemirovski, 2001, sec. 4.2).
 
-    def _logarithm(self, i: int) -> list[_Cone]:
-        """[S Z; Z' diag(Z)] positive definite with Z lower triangular, t_k <= log Z_kk."""
-        S, Z = _ENTRIES * i, _ENTRIES * self.n + _FACTORS * i
-        t = 2 * _ENTRIES * self.n + _LOGS * i
-        place = {(a, b): S + c for c, (a, b) in enumerate(_UPPER)}
-        for c, (a, b) in enumerate(_LOWER):
-            place[a, 4 + b] = Z + c
-            if a == b:
-                place[4 + a, 4 + a] = Z + c
-        rows, columns, values = [], [], []
-        for (a, b), column in place.items():
-            rows.append(b * (b + 1) // 2 + a)
-            columns.append(column)
-            values.append(-1.0 if a == b else -np.sqrt(2.0))
-        A = sparse.csc_matrix((values, (rows, columns)), shape=(36, self.variables))
-        cones = [_Cone(clarabel.PSDTriangleConeT(8), A, np.zeros(36))]
-        for k in range(_LOGS):
-            columns = [t + k, place[4 + k, 4 + k]]
-            A = sparse.csc_matrix(([-1.0, -1.0], ([0, 2], columns)), shape=(3, self.variables))
-            cones.append(_Cone(clarabel.ExponentialConeT(), A, np.array([0.0, 1.0, 0.0])))
+        [S Z; Z' diag(Z)] is positive definite with Z lower triangular, t_k <= log Z_kk.
+        """
+        cones: list[_Cone] = []
+        for i in range(self.n):
+            S, Z = _ENTRIES * i, _ENTRIES * self.n + _FACTORS * i
+            t = 2 * _ENTRIES * self.n + _LOGS * i
+            place = {entry: S + c for c, entry in enumerate(_UPPER)}
+            place |= {(a, 4 + b): Z + c for c, (a, b) in enumerate(_LOWER)}
+            place |= {(4 + a, 4 + a): Z + c for c, (a, b) in enumerate(_LOWER) if a == b}
+            both = _triangle(place, 8, self.variables)
+            cones.append((clarabel.PSDTriangleConeT(8), both, np.zeros(36)))
+            for k in range(_LOGS):
+                A = np.zeros((3, self.variables))
+                A[0, t + k] = A[2, place[4 + k, 4 + k]] = -1.0
+                cones.append((clarabel.ExponentialConeT(), A, np.array([0.0, 1.0, 0.0])))
         return cones
 
     def _met(self, v: Array, *, max_residual: float = 1e-7) -> Consistent | None:
@@ -267,20 +249,14 @@ class _Problem:
         left = np.abs(self.values - self.B @ polished).max(initial=0.0)
         moved = np.abs(polished - v)[free].max(initial=0.0)
         scale = 1.0 + np.abs(self.values).max(initial=0.0)
-        if left > max_residual * scale or moved > 1e-4 * scale or not self._possible(polished):
-            return None
-        return self._found(polished)
-
-    def _possible(self, v: Array) -> bool:
-        bodies = all(np.linalg.eigvalsh(S)[0] > 0.5 * MARGIN for S in self._shares(v))
-        return bodies and bool((v[_PER_LINK * self.n :] > -1e-9).all())
-
-    def _shares(self, v: Array) -> Array:
-        """Matrices S (n, 4, 4)."""
         S = np.zeros((self.n, 4, 4))
         for c, (a, b) in enumerate(_UPPER):
-            S[:, a, b] = S[:, b, a] = v[c : _ENTRIES * self.n : _ENTRIES]
-        return S
+            S[:, a, b] = S[:, b, a] = polished[c : _ENTRIES * self.n : _ENTRIES]
+        bodies = (np.linalg.eigvalsh(S)[:, 0] > 0.5 * MARGIN).all()
+        possible = bodies and (polished[_PER_LINK * self.n :] > -1e-9).all()
+        if left > max_residual * scale or moved > 1e-4 * scale or not possible:
+            return None
+        return self._found(polished)
 
     def _found(self, v: Array) -> Consistent:
         phi = (self.T @ v[: _ENTRIES * self.n]).reshape(self.n, 10)
@@ -294,13 +270,11 @@ def _solved(cost: Array, cones: Sequence[_Cone]) -> Array | None:
     settings.verbose = False
     settings.max_threads = 1
     settings.chordal_decomposition_enable = False
-    A = sparse.vstack([cone.A for cone in cones], format="csc")
-    b = np.concatenate([cone.b for cone in cones])
+    kinds, rows, right = zip(*cones, strict=True)
+    A, b = sparse.csc_matrix(np.vstack(rows)), np.concatenate(right)
     P = sparse.csc_matrix((len(cost), len(cost)))
-    solver = clarabel.DefaultSolver(P, cost, A, b, [cone.kind for cone in cones], settings)
-    solution = solver.solve()
-    solved = (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved)
-    if solution.status not in solved:
+    solution = clarabel.DefaultSolver(P, cost, A, b, list(kinds), settings).solve()
+    if solution.status not in (clarabel.SolverStatus.Solved, clarabel.SolverStatus.AlmostSolved):
         return None
     v = np.array(solution.x)
     return v if np.isfinite(v).all() else None

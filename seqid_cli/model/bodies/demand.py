@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.bodies.consistent import Demand
 from seqid_cli.model.torque import known_rotors, standard_parameters
-from seqid_cli.params.schema import Parameter, RigidStage, Stages
+from seqid_cli.params.schema import Parameter, Stages
 from seqid_cli.robot.base_parameters import Basis, free_basis
 from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Array, Robot
@@ -83,13 +84,10 @@ class Identified:
         """Compare with links (n, 10) and rotors (n,), the identified ones in `free`."""
         E = self.basis.expression[list(self.rows)]
         exported = E @ np.concatenate([phi.ravel(), rotor])
+        numbers = (x.tolist() for x in (self.values, exported, self.errors))
         return tuple(
-            Deviation(
-                self.basis.names[k], self.basis.unit(k), float(value), float(other), float(error)
-            )
-            for k, value, other, error in zip(
-                self.rows, self.values, exported, self.errors, strict=True
-            )
+            Deviation(self.basis.names[k], self.basis.unit(k), *own)
+            for k, *own in zip(self.rows, *numbers, strict=True)
         )
 
 
@@ -142,7 +140,14 @@ def _determined(stages: Stages, basis: Basis, robot: Robot) -> tuple[list[Parame
     for name, stage in (("inertia", stages.inertia), ("gravity", stages.gravity)):
         if stage is None:
             continue
-        _check(name, stage, basis, robot)
+        alien = next((p.name for p in stage.parameters if p.name not in basis.names), None)
+        if alien is not None:
+            raise ConfigError(
+                f"$.stages.{name}: {alien!r} is no base parameter of this robot",
+                where=str(robot.source),
+                hint="The robot file has changed since: geometry, gravity or known rotor inertias."
+                " Give the one that the parameters were identified with, or identify again.",
+            )
         taken = {parameter.name for parameter in found}
         own = [k for k, parameter in enumerate(stage.parameters) if parameter.name not in taken]
         errors = np.array([parameter.std_error for parameter in stage.parameters])
@@ -151,25 +156,9 @@ def _determined(stages: Stages, basis: Basis, robot: Robot) -> tuple[list[Parame
         blocks.append(full[np.ix_(own, own)])
         told, none = stage.torque_constant_moves, [0.0] * len(errors)
         moves.append(np.array([told.get(joint, none) for joint in robot.joint_names])[:, own])
-    covariance = np.zeros((len(found), len(found)))
-    start = 0
-    for block in blocks:
-        part = slice(start, start + len(block))
-        covariance[part, part] = block
-        start += len(block)
+    covariance = block_diag(*blocks) if blocks else np.zeros((0, 0))
     common = np.hstack(moves) if moves else np.zeros((robot.n, 0))  # one error per joint
     return found, covariance + common.T @ common, common
-
-
-def _check(name: str, stage: RigidStage, basis: Basis, robot: Robot) -> None:
-    for parameter in stage.parameters:
-        if parameter.name not in basis.names:
-            raise ConfigError(
-                f"$.stages.{name}: {parameter.name!r} is no base parameter of this robot",
-                where=str(robot.source),
-                hint="The robot file has changed since: geometry, gravity or known rotor inertias."
-                " Give the one that the parameters were identified with, or identify again.",
-            )
 
 
 def whitening(covariance: Array, least: float, *, min_variance: float = 1e-10) -> Array:

@@ -144,13 +144,9 @@ def nearest_bodies(robot: Robot, found: Identified, kept: Array | None = None) -
     own = replace(demand, values=demand.values - demand.E @ kept.ravel())
     expected = expected_links(robot, kept, own.E, own.values, own.G)
     ratio = gear_ratios(robot)
-    sizes = np.array([_turning(expected.J[j]) / ratio[j] ** 2 for j in found.free])
+    turning = expected.J[:, :3, :3].trace(axis1=1, axis2=2)  # sizes of the links' inertias, kg m^2
+    sizes = np.array([turning[j] / ratio[j] ** 2 for j in found.free])
     bodies = consistent_links(expected.J, sizes, own)
     rotor = found.known.copy()
     rotor[list(found.free)] = bodies.rotors
     return NearestBodies(bodies.phi, rotor, bodies.exact, expected)
-
-
-def _turning(J: Array) -> float:
-    """Size of a link's inertia, kg m^2."""
-    return float(np.trace(J[:3, :3]))

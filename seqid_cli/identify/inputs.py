@@ -100,7 +100,14 @@ def prepare(
             check_output(path, paths)
     models = read_models(given)
     previous = join(models) if models else None
-    _require(needs, previous, models)
+    there = present(previous.stages) if previous else {}
+    for name in needs:
+        if name not in there:
+            message = f"there is no {name} stage, which this command builds on"
+            hint = f"Run seqid {COMMAND_OF[name]} first and give its result with -p."
+            if name == "inertia":
+                hint += " From logs of any motion, seqid simultaneous gives one."
+            raise ConfigError(message, where=", ".join(file for file, _ in models), hint=hint)
     loaded = robot_of(robot, models)
     named = (found, loaded, models, previous, files, target, options, missing)
     return Inputs(*named, executor, on_progress)
@@ -137,45 +144,23 @@ def _logs(
     given: Sequence[Log], *, go_on: bool, stored: bool
 ) -> tuple[tuple[Path | Recording, ...], tuple[InputError, ...]]:
     """Return the logs that are meant, and what stands for none where that is no reason to stop."""
-    missing: list[InputError] = []
-    if go_on:
-        given, missing = _there(given, stored=stored)
-        if not given and missing:
-            raise missing[0]
-    files = expanded(given, stored=stored)
-    for file in files:
-        if not go_on and isinstance(file, Path) and not isinstance(file, StoredLog):
-            check_log(file)
-    return tuple(files), tuple(missing)
-
-
-def _there(given: Sequence[Log], *, stored: bool) -> tuple[list[Log], list[InputError]]:
     found: list[Log] = []
-    missing = []
+    missing: list[InputError] = []
     for log in given:
         try:
-            if is_place(log):
+            if go_on and is_place(log):
                 expand([os.fspath(log)], stored=stored)  # type: ignore[arg-type]
             found.append(log)
         except InputError as error:
             missing.append(error)
             warn(f"left out: {error}")
-    return found, missing
-
-
-def _require(
-    needs: Sequence[str],
-    previous: ParameterFile | None,
-    models: Sequence[tuple[str, ParameterFile]],
-) -> None:
-    there = present(previous.stages) if previous else {}
-    for name in needs:
-        if name not in there:
-            message = f"there is no {name} stage, which this command builds on"
-            hint = f"Run seqid {COMMAND_OF[name]} first and give its result with -p."
-            if name == "inertia":
-                hint += " From logs of any motion, seqid simultaneous gives one."
-            raise ConfigError(message, where=", ".join(name for name, _ in models), hint=hint)
+    if missing and not found:
+        raise missing[0]
+    files = expanded(found, stored=stored)
+    for file in files:
+        if not go_on and isinstance(file, Path) and not isinstance(file, StoredLog):
+            check_log(file)
+    return tuple(files), tuple(missing)
 
 
 def imu_stage_for(source: str) -> tuple[str, ...]:

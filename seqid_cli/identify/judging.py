@@ -114,15 +114,16 @@ def _physics(
     if isinstance(stage, FrictionStage):
         yield from friction_verdicts(stage, robot, limits)
     elif isinstance(stage, RigidStage) and stage.parameters:
-        gravity = _Gravity(robot, stage, limits)
+        q = _postures(robot, limits.postures)
+        samples = dict(enumerate((q, own) for own in _gravity(robot, stage, q).T))
         if stage is not known.gravity:
             yield from inertia_verdicts(stage, robot, limits)
             if known.gravity is not None and known.gravity.parameters:
-                before = _Gravity(robot, known.gravity, limits)
-                yield from _as_before(gravity.samples, before, IN_LOGS)
+                yield from _as_before(samples, robot, known.gravity, limits, IN_LOGS)
         elif known.friction is not None:
-            yield from _as_before(_measured(known.friction, robot, limits), gravity, IN_TRIALS)
-        yield from _as_nominal(gravity.samples, robot, limits)
+            measured = _measured(known.friction, robot, limits)
+            yield from _as_before(measured, robot, stage, limits, IN_TRIALS)
+        yield from _as_nominal(samples, robot, limits)
 
 
 def friction_verdicts(
@@ -169,57 +170,44 @@ def _measured(stage: FrictionStage, robot: Robot, limits: Limits) -> Samples:
     """Gravity torque by Eq. 12-14 in the postures of the friction trials."""
     found: Samples = {}
     for j, name in enumerate(robot.joint_names):
-        joint = stage.joints.get(name)
-        postures, torques = [], []
-        for group in joint.gravity if joint is not None else ():
-            if not group.p_xi or joint is None:
-                continue
-            first, last = joint.position_range
+        groups = [g for g in stage.joints[name].gravity if g.p_xi] if name in stage.joints else []
+        if groups:
+            first, last = stage.joints[name].position_range
             q = np.linspace(first, last, limits.positions)
-            full = np.tile(np.array(group.configuration), (limits.positions, 1))
-            full[:, j] = q
-            postures.append(full)
-            columns = gravity_columns(robot, j, np.array(group.configuration), q)
-            torques.append(columns @ np.array(group.p_xi))
-        if postures:
-            found[j] = np.vstack(postures), np.concatenate(torques)
+            places = np.array([group.configuration for group in groups])
+            torques = [
+                gravity_columns(robot, j, place, q) @ np.array(group.p_xi)
+                for place, group in zip(places, groups, strict=True)
+            ]
+            postures = np.repeat(places, len(q), axis=0)
+            postures[:, j] = np.tile(q, len(groups))
+            found[j] = postures, np.concatenate(torques)
     return found
 
 
-@dataclass(frozen=True)
-class _Gravity:
-    """Gravity torque by a stage's parameters, or by the URDF's inertials where it is None."""
+def _gravity(robot: Robot, stage: RigidStage | None, q: Array) -> Array:
+    """Gravity torque (N, n) N m by a stage, by the URDF's inertials where it is None."""
+    phi = robot.nominal if stage is None else standard_parameters(stage, robot.n)[0]
+    assert phi is not None
+    still = np.zeros_like(q)
+    return np.asarray(inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still))
 
-    robot: Robot
-    stage: RigidStage | None
-    limits: Limits
 
-    def __call__(self, q: Array) -> Array:
-        """Torque (N, n) N m in postures (N, n)."""
-        robot, still = self.robot, np.zeros_like(q)
-        phi = robot.nominal if self.stage is None else standard_parameters(self.stage, robot.n)[0]
-        assert phi is not None
-        return np.asarray(inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still))
+def _compared(
+    samples: Samples, robot: Robot, stage: RigidStage | None, limits: Limits
+) -> Iterator[tuple[str, float, float, float]]:
+    """Compare samples with the gravity of a stage, for joints that carry a fair share of it.
 
-    @property
-    def samples(self) -> Samples:
-        """Torque of every joint in postures within the limits."""
-        q = _postures(self.robot, self.limits.postures)
-        return dict(enumerate((q, own) for own in self(q).T))
-
-    def compared(self, samples: Samples) -> Iterator[tuple[str, float, float, float]]:
-        """Compare samples with this gravity, for joints that carry a fair share of it.
-
-        Yields: joint; RMS difference, RMS and projection, each over what this gravity says.
-        """
-        limits, every = self.limits, [own for _, own in self.samples.values()]
-        least = max(limits.min_torque, limits.light_share * float(np.abs(every).max()))
-        for j, (q, own) in samples.items():
-            told = self(q)[:, j]
-            rms = float(np.sqrt(np.mean(told**2)))
-            if rms >= least:
-                off, size = (float(np.sqrt(np.mean(x**2))) / rms for x in (own - told, own))
-                yield self.robot.joint_names[j], off, size, float(own @ told) / float(told @ told)
+    Yields: joint; RMS difference, RMS and projection, each over what the stage says.
+    """
+    largest = float(np.abs(_gravity(robot, stage, _postures(robot, limits.postures))).max())
+    least = max(limits.min_torque, limits.light_share * largest)
+    for j, (q, own) in samples.items():
+        told = _gravity(robot, stage, q)[:, j]
+        rms = float(np.sqrt(np.mean(told**2)))
+        if rms >= least:
+            off, size = (float(np.sqrt(np.mean(x**2))) / rms for x in (own - told, own))
+            yield robot.joint_names[j], off, size, float(own @ told) / float(told @ told)
 
 
 IN_TRIALS = (
@@ -233,10 +221,12 @@ IN_LOGS = (
 )
 
 
-def _as_before(samples: Samples, gravity: _Gravity, text: str) -> Iterator[Verdict]:
+def _as_before(
+    samples: Samples, robot: Robot, stage: RigidStage, limits: Limits, text: str
+) -> Iterator[Verdict]:
     """Compare gravity that shows in two ways."""
-    for name, off, _, ratio in gravity.compared(samples):
-        if off > gravity.limits.max_difference:
+    for name, off, _, ratio in _compared(samples, robot, stage, limits):
+        if off > limits.max_difference:
             yield Verdict(joint=name, good=False, reason=text.format(percent(off, 0), ratio))
 
 
@@ -244,7 +234,7 @@ def _as_nominal(samples: Samples, robot: Robot, limits: Limits) -> Iterator[Verd
     """Compare gravity with that of the URDF's inertials, where there are any."""
     if robot.nominal is None or not samples:
         return
-    for name, _, size, ratio in _Gravity(robot, None, limits).compared(samples):
+    for name, _, size, ratio in _compared(samples, robot, None, limits):
         if ratio < limits.false_sign:
             reason = (
                 f"gravity is {ratio:.2g} times that of the URDF's inertials: sign of the torque, "
@@ -279,11 +269,7 @@ def inertia_verdicts(
                 "cannot have negative inertia"
             )
             yield Verdict(joint=parameter.joint, good=False, reason=reason)
-    yield from _felt_inertia(stage, robot, limits)
-
-
-def _felt_inertia(stage: RigidStage, robot: Robot, limits: Limits) -> Iterator[Verdict]:
-    """The inertia M_jj that joint j's drive feels, by the stage's parameters and their errors."""
+    # The inertia M_jj that joint j's drive feels, by the stage's parameters and their errors.
     phi, rotor = standard_parameters(stage, robot.n)
     basis = free_basis(robot)
     place = {name: k for k, name in enumerate(basis.names)}
@@ -296,9 +282,8 @@ def _felt_inertia(stage: RigidStage, robot: Robot, limits: Limits) -> Iterator[V
     for j, name in enumerate(robot.joint_names):
         if stage.rmse and name not in stage.rmse:
             continue
-        pushed = np.zeros_like(q)
+        pushed, still = np.zeros_like(q), np.zeros_like(q)
         pushed[:, j] = 1.0
-        still = np.zeros_like(q)
         H = standard_regressor(robot, q, still, pushed, coupling="diagonal")
         H = H - standard_regressor(robot, q, still, still, coupling="diagonal")
         felt = H[:, j] @ standard

@@ -274,19 +274,14 @@ class _Task(Generic[P]):
             return _note_of(given), self.part(given, number)
         # Those that pass over a log read it again and again: a stored one's copy must last.
         with local_copy(given) as file:
-            log, findings = self._read(given, file)
+            place = file if file.is_absolute() or self.folder == Path.cwd() else self.folder / file
+            clock, opened = self.time_source, None
+            if isinstance(self.part, LogOpener):
+                opened = self.part.open_log(place, self.robot, clock)
+            log: Recording | SurveyedLog
+            if opened is not None:
+                log, findings = screened_long(replace(opened, path=given), self.robot)
+            else:
+                held, found = read_screened(place, self.robot, time_source=clock, imus=self.imus)
+                log, findings = replace(held, path=given), located(found, given)
             return replace(_note_of(log), findings=findings), self.part(log, number)
-
-    def _read(
-        self, name: Path, file: Path
-    ) -> tuple[Recording | SurveyedLog, tuple[InspectionFinding, ...]]:
-        """Read and check one log from a local copy."""
-        place = file if file.is_absolute() or self.folder == Path.cwd() else self.folder / file
-        opened = None
-        if isinstance(self.part, LogOpener):
-            opened = self.part.open_log(place, self.robot, self.time_source)
-        if opened is not None:
-            return screened_long(replace(opened, path=name), self.robot)
-        clock = self.time_source
-        held, found = read_screened(place, self.robot, time_source=clock, imus=self.imus)
-        return replace(held, path=name), located(found, name)

@@ -87,8 +87,8 @@ class FrictionSurface:
     @property
     def orders(self) -> tuple[int, int]:
         """Orders m and l."""
-        rows = self.positive.shape[0] - 1
-        return rows // 2 if self.scaling.periodic else rows, self.positive.shape[1] - 1
+        size, speeds = self.positive.shape
+        return self.scaling.over_position.order(size), speeds - 1
 
     @property
     def entries(self) -> int:
@@ -116,7 +116,8 @@ class FrictionSurface:
         whole = size + self.extension.size
         joined = np.zeros((whole, whole))
         joined[:size, :size] = self.entry_covariance
-        joined[size:, size:] = np.diag(self._extension_errors.ravel() ** 2)
+        errors = np.concatenate([self._errors_of(side) for side in self._sides])
+        joined[size:, size:] = np.diag(errors**2)
         return joined
 
     def columns(self, q: Array, v: Array) -> Array:
@@ -126,23 +127,22 @@ class FrictionSurface:
         sign = np.tanh(v / self.sign_width)[:, None]
         if not self.directional:
             return np.hstack([basis * sign, extension * sign])
-        return np.hstack([part * way / 2 for part in (basis, extension) for way in _ways(sign)])
+        ways = sign + 1.0, sign - 1.0  # how much of either direction's surface counts, times two
+        return np.hstack([part * way / 2 for part in (basis, extension) for way in ways])
 
     def torque(self, q: Array, v: Array) -> Array:
         """Friction torque (N,) N m at positions q (N,) and velocities v (N,)."""
         result = np.empty(len(q))
         for part in tiles(len(q)):
-            result[part] = self._torque(q[part], v[part])
+            at = q[part], v[part]
+            if self.directional:
+                result[part] = self.columns(*at) @ self.coefficients
+                continue
+            level = self.scaling.basis(*at, *self.orders) @ self.positive.ravel()
+            if self.extension.any():
+                level = level + self._extension(*at) @ self.extension[0]
+            result[part] = np.tanh(v[part] / self.sign_width) * level
         return result
-
-    def _torque(self, q: Array, v: Array) -> Array:
-        if self.directional:
-            return np.asarray(self.columns(q, v) @ self.coefficients)
-        basis = self.scaling.basis(q, v, *self.orders)
-        level: Array = basis @ self.positive.ravel()
-        if self.extension.any():
-            level = level + self._extension(q, v) @ self.extension[0]
-        return np.asarray(np.tanh(v / self.sign_width) * level)
 
     def std_error(self, q: Array, v: Array) -> Array:
         """Standard error (N,) N m of `torque`; zero where the file gives no covariance."""
@@ -193,17 +193,12 @@ class FrictionSurface:
     @cached_property
     def _grid(self) -> Array:
         """Basis (CELLS^2, size (l + 1)) over position and scaled speed, speed fastest."""
-        share = np.linspace(0.0, 1.0, CELLS)
-        q, v = np.meshgrid(self.scaling.over_position.at(share), self._speeds(share), indexing="ij")
-        return self.scaling.basis(q.ravel(), v.ravel(), *self.orders)
-
-    def _speeds(self, share: Array) -> Array:
-        """Speeds (N,) at shares of the scaled range."""
-        ends = np.array(self.scaling.speed)
-        if self.scaling.logarithmic:
-            ends = np.log(ends)
+        share, ends = np.linspace(0.0, 1.0, CELLS), np.array(self.scaling.speed)
+        ends = np.log(ends) if self.scaling.logarithmic else ends
         speeds = ends[0] + share * (ends[1] - ends[0])
-        return np.asarray(np.exp(speeds) if self.scaling.logarithmic else speeds)
+        speeds = np.exp(speeds) if self.scaling.logarithmic else speeds
+        q, v = np.meshgrid(self.scaling.over_position.at(share), speeds, indexing="ij")
+        return self.scaling.basis(q.ravel(), v.ravel(), *self.orders)
 
     @property
     def slopes_beyond(self) -> Array:
@@ -226,13 +221,9 @@ class FrictionSurface:
         speeds = np.stack([scaling.faster(v), scaling.slower(v)], axis=1)
         return np.hstack([scaling.over_position.novelty(q), speeds])
 
-    @cached_property
-    def _extension_errors(self) -> Array:
-        """Standard errors (directions, 4) of the extension's coefficients."""
-        return np.array([self._errors_of(side) for side in self._sides])
-
     def _errors_of(self, side: Array, *, slope_doubt: float = 0.3) -> Array:
-        """Spread over position, twice; doubt about the slope; change near the slowest speed."""
+        """Standard errors (4,) of the extension of one direction's surface."""
+        # Spread over position, twice; doubt about the slope; change near the slowest speed.
         level = (self._grid @ side.ravel()).reshape(CELLS, CELLS)
         spread = NEW_GROUND * float(np.sqrt(np.mean((level - level.mean(axis=0)) ** 2)))
         over_speed = self.scaling.over_position.mean(self.orders[0]) @ side
@@ -253,11 +244,6 @@ def _over_speed(scaling: Scaling, speeds: Array, coefficients: Array) -> Array:
     """Values (N,) of sum_r c_r T_r(u) at speeds inside the range."""
     values = chebval(scaling.u(speeds), coefficients)
     return np.asarray(values, dtype=np.float64)
-
-
-def _ways(sign: Array) -> tuple[Array, Array]:
-    """How much of either direction's surface counts, times two."""
-    return sign + 1.0, sign - 1.0
 
 
 def friction_torque(surfaces: list[FrictionSurface | None], q: Array, dq: Array) -> Array:

@@ -98,10 +98,7 @@ def parameter_unit(name: str) -> str:
 
 
 def standard_names(n: int) -> tuple[str, ...]:
-    """Name the 11 n standard parameters: link-major, then rotor inertias.
-
-    Rotor inertias are on the motor side.
-    """
+    """Name the 11 n standard parameters: link-major, then the motors' rotor inertias."""
     links = tuple(f"{kind}_{i}" for i in range(1, n + 1) for kind in STANDARD)
     return links + tuple(f"{ROTOR}_{i}" for i in range(1, n + 1))
 
@@ -144,19 +141,10 @@ def base_regressor(
     """
     whole = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
     H = whole[:, :, first : first + len(q)]
-    _fill_links(robot, basis, q, dq, ddq, H, fresh=out is None)
-    _add_rotors(robot, basis, ddq, H)
-    return H.transpose(2, 0, 1)
-
-
-def _fill_links(
-    robot: Robot, basis: Basis, q: Array, dq: Array, ddq: Array, H: Array, *, fresh: bool
-) -> None:
-    """Fill H (n, b, N) with the links' columns, block by block."""
-    P = basis.representative[: PER_LINK * robot.n]
+    P, rotors = np.split(basis.representative, [PER_LINK * robot.n])
     kept = columns_by_link(robot.n, np.flatnonzero(P.any(axis=1)).tolist())
     alone = (np.count_nonzero(basis.representative, axis=0) == 1) & P.any(axis=0)
-    if not fresh:
+    if out is not None:
         H[:, np.flatnonzero(~alone)] = 0.0
     for i, rows, block in link_blocks(robot.chain, robot.gravity, q, dq, ddq, kept):
         for column, c in enumerate(PER_LINK * i + kept[i]):
@@ -166,13 +154,10 @@ def _fill_links(
                     np.multiply(block[:, column], P[c, k], out=target)
                 else:
                     target += P[c, k] * block[:, column]
-
-
-def _add_rotors(robot: Robot, basis: Basis, ddq: Array, H: Array) -> None:
-    """Add the columns of rotors that are parameters to H (n, b, N)."""
-    P, ratio = basis.representative[PER_LINK * robot.n :], gear_ratios(robot)
-    for i, k in zip(*np.nonzero(P), strict=True):
-        H[i, k] += ratio[i] ** 2 * ddq[:, i] * P[i, k]
+    ratio = gear_ratios(robot)
+    for i, k in zip(*np.nonzero(rotors), strict=True):
+        H[i, k] += ratio[i] ** 2 * ddq[:, i] * rotors[i, k]
+    return H.transpose(2, 0, 1)
 
 
 def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
@@ -190,16 +175,8 @@ def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
 def base_parameters(robot: Robot, *, rotor: Sequence[int], zero: float = 1e-10) -> Basis:
     """Find the base parameters of the rigid body and of the rotors to identify.
 
-    Parameters
-    ----------
-    robot : Robot
-    rotor : sequence of int
-        Joints (0-based) whose rotor inertia is a parameter; the others' are known and left out.
-
-    Returns
-    -------
-    Basis
-        The same one every time for the same robot; gravity parameters first.
+    `rotor`: joints (0-based) whose rotor inertia is a parameter; the others' are known and left
+    out. Returns: the same every time for the same robot; gravity parameters first.
     """
     W_gravity, W = _random_regressors(robot)
     order = _reading_order(robot.chain)

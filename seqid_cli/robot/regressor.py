@@ -40,18 +40,9 @@ def torque_regressor(
 ) -> Array:
     """Compute the regressor Y of the rigid-body joint torque: tau = Y phi (Eq. 3, without rotors).
 
-    Parameters
-    ----------
-    chain : Chain
-    gravity : (3,) array [m/s^2], base frame
-    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
-    columns : sequence of int, optional
-        Compute only these of the 10 n columns, given in ascending order.
-
-    Returns
-    -------
-    (N, n, 10 n) array, or (N, n, len(columns))
-        Link-major columns in Pinocchio's parameter order, N m (N where prismatic) per unit.
+    `gravity` (3,) [m/s^2], base frame. `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where
+    prismatic]. `columns`: the ones to compute of the 10 n, ascending. Returns (N, n, 10 n or
+    len(columns)): link-major, in Pinocchio's order, N m (N where prismatic) per unit.
     """
     kept = columns_by_link(chain.n, columns)
     Y = np.empty((chain.n, sum(len(kinds) for kinds in kept), len(q)))
@@ -140,19 +131,11 @@ def rotor_regressor(
 def inverse_dynamics(
     chain: Chain, gravity: Array, phi: Array, q: Array, dq: Array, ddq: Array
 ) -> Array:
-    """Compute the joint torque by recursive Newton-Euler, for any phi, physical or not.
+    """Compute the joint torque (N, n) [N m; N where prismatic] by recursive Newton-Euler.
 
-    Parameters
-    ----------
-    chain : Chain
-    gravity : (3,) array [m/s^2], base frame
-    phi : (n, 10) array
-        Standard parameters (Pinocchio's order, inertia about the link frame's origin).
-    q, dq, ddq : (N, n) arrays [rad, rad/s, rad/s^2; m where prismatic]
-
-    Returns
-    -------
-    (N, n) array [N m; N where prismatic]
+    `gravity` (3,) [m/s^2], base frame. `phi` (n, 10): standard parameters, physical or not
+    (Pinocchio's order, inertia about the link frame's origin). `q`, `dq`, `ddq` (N, n) [rad, rad/s,
+    rad/s^2; m where prismatic].
     """
     motion = link_motion(chain, gravity, q.T, dq.T, ddq.T)
     force = np.zeros((3, len(q)))

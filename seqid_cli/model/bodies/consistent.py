@@ -126,7 +126,7 @@ _Cone = tuple[object, Array, Array]  # rows A v + s = b, s in a cone of a kind
 
 
 def _triangle(place: Mapping[tuple[int, int], int], size: int, width: int) -> Array:
-    """Rows of a symmetric matrix, as clarabel has it, whose entries (a, b), a <= b, are variables."""
+    """Rows of a symmetric matrix, as clarabel has it; entries (a, b), a <= b, are variables."""
     A = np.zeros((size * (size + 1) // 2, width))
     for (a, b), column in place.items():
         A[b * (b + 1) // 2 + a, column] = -1.0 if a == b else -np.sqrt(2.0)

@@ -157,7 +157,6 @@ class _Survey:
         self._add_track(part, np.where(counts, left, np.nan), kept)
 
     def _add_sums(self, part: LogPrediction, left: Array, counts: Mask, step: float) -> None:
-        assert part.dq is not None
         block = (part.t / BLOCK_S).astype(np.intp)
         starts = np.flatnonzero(np.diff(block, prepend=block[0] - 1))
         way = np.where(counts, part.dq * step, 0.0)
@@ -174,9 +173,6 @@ class _Survey:
         return result
 
     def _add_track(self, part: LogPrediction, left: Array, at: Index) -> None:
-        assert part.q is not None
-        assert part.dq is not None
-        assert part.ddq is not None
         q, dq, ddq = part.q[at], part.dq[at], part.ddq[at]
         rotor = known_rotors(self.model.robot) if self.model.rotor is None else self.model.rotor
         load = self.model.rigid(q, dq, ddq) - gear_ratios(self.model.robot) ** 2 * rotor * ddq

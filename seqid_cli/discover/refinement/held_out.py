@@ -150,7 +150,6 @@ class BlockSums:
 
     def add(self, log: LogPrediction, counts: Mask) -> None:
         """Add the next samples, those of `counts` (N, n)."""
-        assert log.outside is not None
         blocks = len(self.error.squares)
         at = np.arange(self.seen, self.seen + len(log.t))
         self.seen += len(log.t)

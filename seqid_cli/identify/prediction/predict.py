@@ -69,15 +69,15 @@ class LogPrediction:
     high: Array
     used: Mask
     sliding: Mask
+    q: Array
+    dq: Array
+    ddq: Array
+    outside: Mask
     notes: tuple[str, ...] = ()
-    q: Array | None = None
-    dq: Array | None = None
-    ddq: Array | None = None
     motion: MotionUse | None = None
     start: float = 0.0
     part: int = 0
     last: bool = True
-    outside: Mask | None = None
 
     @property
     def residual(self) -> Array:
@@ -352,8 +352,6 @@ def _described(
     moving = np.zeros(model.robot.n, dtype=bool)
     slowest = np.array([0.0 if own is None else own.scaling.speed[0] for own in model.surfaces])
     for part, motion in parts:
-        assert part.outside is not None
-        assert part.dq is not None
         slower = part.outside & (np.abs(part.dq) < slowest)
         counts += [mask.sum(axis=0) for mask in (part.sliding, part.outside, slower)]
         moving |= motion.moving.any(axis=0)

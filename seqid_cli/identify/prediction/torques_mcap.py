@@ -103,23 +103,21 @@ def _messages(
     stamps: NDArray[np.int64],
     frame: str,
     joints: Sequence[str],
-    q: Array | None,
-    dq: Array | None,
+    q: Array,
+    dq: Array,
     torque: Array,
 ) -> NDArray[np.uint8]:
-    """Return the messages (N, bytes) of one topic; arrays are (N, n), None an empty field."""
+    """Return the messages (N, bytes) of one topic; arrays are (N, n)."""
     # Encapsulation header, stamp (to be filled in), frame and joint names in CDR.
     message, places = bytearray(b"\x00\x01\x00\x00" + bytes(8) + _string(frame)), []
     message += bytes(-len(message) % 4) + struct.pack("<I", len(joints))
     for name in joints:
         message += bytes(-len(message) % 4) + _string(name)
     for values in (q, dq, torque):
-        count = 0 if values is None else values.shape[1]
-        message += bytes(-len(message) % 4) + struct.pack("<I", count)
-        if values is not None:
-            message += bytes(-(len(message) - 4) % 8)  # from behind the encapsulation header
-            places.append((len(message), values))
-            message += bytes(8 * count)
+        message += bytes(-len(message) % 4) + struct.pack("<I", len(joints))
+        message += bytes(-(len(message) - 4) % 8)  # from behind the encapsulation header
+        places.append((len(message), values))
+        message += bytes(8 * len(joints))
     rows = np.tile(np.frombuffer(message, dtype=np.uint8), (len(stamps), 1))
     rows[:, 4:8] = _bytes((stamps // 10**9).astype("<i4")[:, None])
     rows[:, 8:12] = _bytes((stamps % 10**9).astype("<u4")[:, None])

@@ -4,7 +4,6 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -65,8 +64,7 @@ class TorqueWriter:
         columns.append(pa.array(log.used))
         for joint in range(log.tau.shape[1]):
             for values in (log.q, log.dq):
-                known = np.full(len(log.t), np.nan) if values is None else values[:, joint]
-                columns.append(pa.array(known, from_pandas=True))  # NaN is null
+                columns.append(pa.array(values[:, joint], from_pandas=True))  # NaN is null
         with writing(self._path):
             table = pa.table(columns, schema=self._schema)
             self._writer.write_table(table, row_group_size=rows)

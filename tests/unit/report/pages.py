@@ -141,7 +141,8 @@ def write_torques(
             made = predicted_log(name, seed)
             less = (1.0 - drop) * made.predicted
             made = replace(made, predicted=less, low=less, high=less)
-            writer.write(made if motion else replace(made, q=None, dq=None))
+            none = np.full(made.tau.shape, np.nan)
+            writer.write(made if motion else replace(made, q=none, dq=none))
     return path
 
 

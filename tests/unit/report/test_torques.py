@@ -49,7 +49,6 @@ def test_what_the_real_writer_wrote_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(series[1].torque, made.tau[:, 1])
     np.testing.assert_array_equal(series[1].residual, made.tau[:, 1] - made.predicted[:, 1])
     np.testing.assert_array_equal(series[1].used, made.used)
-    assert made.dq is not None
     assert series[1].velocity is not None
     np.testing.assert_array_equal(series[1].velocity, made.dq[:, 1])
 

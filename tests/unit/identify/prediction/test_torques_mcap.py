@@ -26,7 +26,7 @@ JOINTS = ("shoulder", "elbow_with_a_longer_name", "wrist")
 SAMPLES = 40
 
 
-def prediction(name: str, start: float, *, motion: bool = True, seed: int = 0) -> LogPrediction:
+def prediction(name: str, start: float, *, seed: int = 0) -> LogPrediction:
     rng = np.random.default_rng(seed)
     tau, predicted, q, dq = rng.normal(size=(4, SAMPLES, len(JOINTS)))
     return made_prediction(
@@ -35,8 +35,8 @@ def prediction(name: str, start: float, *, motion: bool = True, seed: int = 0) -
         predicted,
         low=predicted - 0.5,
         high=predicted + 0.5,
-        q=q if motion else None,
-        dq=dq if motion else None,
+        q=q,
+        dq=dq,
         start=start,
     )
 
@@ -63,10 +63,9 @@ def save(path: Path, *logs: LogPrediction) -> None:
             writer.write(log)
 
 
-@pytest.mark.parametrize("motion", [True, False])
 @pytest.mark.parametrize("name", ["a", "logs/move.parquet"])
-def test_torques_read_back(tmp_path: Path, motion: bool, name: str) -> None:
-    log = prediction(name, 1_700_000_000.25, motion=motion)
+def test_torques_read_back(tmp_path: Path, name: str) -> None:
+    log = prediction(name, 1_700_000_000.25)
     save(tmp_path / "out.mcap", log)
     torques = (log.tau, log.predicted, log.tau - log.predicted, log.low, log.high)
     expected = dict(zip(TOPICS, torques, strict=True))
@@ -78,8 +77,8 @@ def test_torques_read_back(tmp_path: Path, motion: bool, name: str) -> None:
         assert tuple(state.name) == JOINTS
         assert state.header.frame_id == name
         np.testing.assert_array_equal(state.effort, expected[topic][k])
-        np.testing.assert_array_equal(state.position, [] if log.q is None else log.q[k])
-        np.testing.assert_array_equal(state.velocity, [] if log.dq is None else log.dq[k])
+        np.testing.assert_array_equal(state.position, log.q[k])
+        np.testing.assert_array_equal(state.velocity, log.dq[k])
         stamp = state.header.stamp.sec * 10**9 + state.header.stamp.nanosec
         assert stamp == message.log_time_ns
         assert abs(stamp - (1_700_000_000_250_000_000 + k * 4_000_000)) < 1000

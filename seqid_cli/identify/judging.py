@@ -16,7 +16,6 @@ from seqid_cli.identify.friction_surface.gravity_separation import gravity_colum
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import standard_parameters
 from seqid_cli.params.schema import (
-    FrictionJoint,
     FrictionStage,
     ImuStage,
     ParameterFile,
@@ -131,36 +130,27 @@ def friction_verdicts(
 ) -> Iterator[Verdict]:
     """Judge whether friction brakes, and whether the gravity beside it is of the URDF's size."""
     for name, joint in stage.joints.items():
-        drives = _driving(joint, limits)
-        if drives is not None:
-            value, error, speed = drives
+        surface = FrictionSurface.from_stage(joint)
+        (low, high), (first, last) = joint.speed_range, joint.position_range
+        levels = [level.speed for level in joint.speeds if level.speed > joint.sign_width]
+        speeds = np.array(levels or [high])
+        if joint.parameters:  # a law over speed, of one level alone
+            speeds = np.linspace(max(low, 3.0 * joint.sign_width), high, limits.speeds)
+        q, v = (x.ravel() for x in np.meshgrid(np.linspace(first, last, limits.positions), speeds))
+        # The mean of both directions: what is the same in both is an offset and takes no energy.
+        value = 0.5 * (surface.torque(q, v) - surface.torque(q, -v))
+        error = 0.5 * (surface.std_error(q, v) + surface.std_error(q, -v))
+        usual = float(np.sqrt(np.mean(value**2)))
+        drives = (value < -limits.clear_sigma * error) & (value < -limits.driving_share * usual)
+        if np.mean(drives) > limits.driving_cells:
+            worst = int(np.argmin(np.where(drives, value, np.inf)))
             reason = (
-                f"its friction is {value:.3g} +- {error:.2g} {joint.unit} at {speed:.3g} per "
-                "second: it would drive the joint. The sign of torque or current is wrong, or it "
-                "is another joint's"
+                f"its friction is {value[worst]:.3g} +- {error[worst]:.2g} {joint.unit} at "
+                f"{v[worst]:.3g} per second: it would drive the joint. The sign of torque or "
+                "current is wrong, or it is another joint's"
             )
             yield Verdict(joint=name, good=False, reason=reason)
     yield from _as_nominal(_measured(stage, robot, limits), robot, limits)
-
-
-def _driving(joint: FrictionJoint, limits: Limits) -> tuple[float, float, float] | None:
-    """Find friction that drives: the worst value, its standard error and the speed; else None."""
-    # The mean of both directions counts: what is the same in both is an offset and takes no energy.
-    surface = FrictionSurface.from_stage(joint)
-    (low, high), (first, last) = joint.speed_range, joint.position_range
-    levels = [level.speed for level in joint.speeds if level.speed > joint.sign_width]
-    speeds = np.array(levels or [high])
-    if joint.parameters:  # a law over speed, of one level alone
-        speeds = np.linspace(max(low, 3.0 * joint.sign_width), high, limits.speeds)
-    q, v = (x.ravel() for x in np.meshgrid(np.linspace(first, last, limits.positions), speeds))
-    value = 0.5 * (surface.torque(q, v) - surface.torque(q, -v))
-    error = 0.5 * (surface.std_error(q, v) + surface.std_error(q, -v))
-    usual = float(np.sqrt(np.mean(value**2)))
-    drives = (value < -limits.clear_sigma * error) & (value < -limits.driving_share * usual)
-    if np.mean(drives) <= limits.driving_cells:
-        return None
-    worst = int(np.argmin(np.where(drives, value, np.inf)))
-    return float(value[worst]), float(error[worst]), float(v[worst])
 
 
 Samples = dict[int, tuple[Array, Array]]  # joint: postures (N, n), gravity torque of it (N,)

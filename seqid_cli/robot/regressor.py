@@ -142,21 +142,16 @@ def inverse_dynamics(
     moment = np.zeros((3, len(q)))
     tau = np.empty((chain.n, len(q)))
     for i in reversed(range(chain.n)):
-        own_force, own_moment = _load(phi[i], motion.w[i], motion.dw[i], motion.a[i])
-        force, moment = force + own_force, moment + own_moment
+        w, dw, a = motion.w[i], motion.dw[i], motion.a[i]
+        mass, c = phi[i, 0], phi[i, 1:4, None]
+        xx, xy, yy, xz, yz, zz = phi[i, 4:]
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        force = force + (mass * a + cross(dw, c) + cross(w, cross(w, c)))
+        moment = moment + (cross(c, a) + inertia @ dw + cross(w, inertia @ w))
         tau[i] = chain.axis[i] @ (force if chain.prismatic[i] else moment)
         force = np.einsum("abn,bn->an", motion.R[i], force)
         moment = np.einsum("abn,bn->an", motion.R[i], moment) + cross(motion.p[i], force)
     return np.ascontiguousarray(tau.T)
-
-
-def _load(phi: Array, w: Array, dw: Array, a: Array) -> tuple[Array, Array]:
-    """Compute force and moment about its origin that move one link, in its frame."""
-    mass, c = phi[0], phi[1:4, None]
-    xx, xy, yy, xz, yz, zz = phi[4:]
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    force = mass * a + cross(dw, c) + cross(w, cross(w, c))
-    return force, cross(c, a) + inertia @ dw + cross(w, inertia @ w)
 
 
 def columns_by_link(n: int, columns: Sequence[int] | None) -> list[Kinds]:
@@ -203,8 +198,17 @@ class _Walk:
     @classmethod
     def along(cls, chain: Chain, samples: int) -> "_Walk":
         """Make room for so many samples at a time."""
-        places = zip(chain.rotation, chain.position, strict=True)
-        carriers = [_carriers(C, p) for C, p in places]
+        # Matrices (9, 18) that carry (w, dw, a | H), (6, 6) that carry (z, l) to a frame fixed in
+        # the link before, turned by C and placed at p.
+        carriers = []
+        for C, p in zip(chain.rotation, chain.position, strict=True):
+            to_motion, to_screws = np.zeros((9, 18)), np.zeros((6, 6))
+            to_motion[:3, :3] = to_motion[3:6, 3:6] = C.T
+            point = np.hstack([np.ones(1), p])  # a + H p, from the rows (a, H) of `load`
+            to_motion[6:, 6:] = C.T @ np.kron(np.eye(3), point)
+            to_screws[:3, :3] = to_screws[3:, 3:] = C.T
+            to_screws[3:, :3] = -C.T @ skew(p)
+            carriers.append((to_motion, to_screws))
         # Zeros, because mass and own component of the moment in z . (c x a) are never written.
         rows, screws = np.zeros((2, 36, samples)), np.empty((2, 6, chain.n * samples))
         return cls(chain, carriers, rows, screws)
@@ -230,18 +234,6 @@ class _Walk:
             every[:, :, i] = 0.0
             every[int(self.chain.prismatic[i]), :, i] = axis[:, None]
             yield link
-
-
-def _carriers(C: Array, p: Array) -> tuple[Array, Array]:
-    """Matrices that carry (w, dw, a | H) (18,), (z, l) (6,) to a frame fixed in the link before."""
-    # The frame is turned by C and placed at p: (9, 18) to w, dw and a there, (6, 6) to z and l.
-    to_motion, to_screws = np.zeros((9, 18)), np.zeros((6, 6))
-    to_motion[:3, :3] = to_motion[3:6, 3:6] = C.T
-    point = np.hstack([np.ones(1), p])  # a + H p, from the rows (a, H) of `load`
-    to_motion[6:, 6:] = C.T @ np.kron(np.eye(3), point)
-    to_screws[:3, :3] = to_screws[3:, 3:] = C.T
-    to_screws[3:, :3] = -C.T @ skew(p)
-    return to_motion, to_screws
 
 
 def _turn(motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array) -> None:

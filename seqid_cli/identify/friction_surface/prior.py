@@ -144,7 +144,16 @@ class Normal:
         scale = np.outer(prior[free], prior[free])
         inner = self.N[across] * scale
         inner[np.diag_indices_from(inner)] += 1.0
-        inverse, log_size = _inverse(inner)
+        try:
+            factor, _ = cho_factor(inner, lower=True, check_finite=False)
+            lower = np.tril(dpotri(factor, lower=True)[0])
+            inverse = lower + np.tril(lower, -1).T
+            log_size = 2.0 * float(np.log(np.diag(factor)).sum())
+        except np.linalg.LinAlgError:
+            # No eigenvalue is below 1, but by rounding, where sizes are far apart.
+            values, vectors = np.linalg.eigh(inner)
+            values = np.maximum(values, 1.0)
+            inverse, log_size = (vectors / values) @ vectors.T, float(np.log(values).sum())
         covariance = np.zeros_like(self.N)
         covariance[across] = scale * inverse
         return covariance @ self.b, covariance, log_size
@@ -273,21 +282,6 @@ class Evidence:
         by_noise = np.trace(normal.inverse, axis1=1, axis2=2).sum() - np.sum(white**2)
         by_noise -= np.sum((weighed @ variance) * weighed)
         return np.append(by_kind, sizes.noise**2 * by_noise)
-
-
-def _inverse(inner: Array) -> tuple[Array, float]:
-    """Inverse and log det of 1 + a positive semidefinite matrix, `inner` (k, k).
-
-    No eigenvalue is below 1, though by rounding one may seem to be, where sizes are far apart.
-    """
-    try:
-        factor, _ = cho_factor(inner, lower=True, check_finite=False)
-    except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(inner)
-        values = np.maximum(values, 1.0)
-        return (vectors / values) @ vectors.T, float(np.log(values).sum())
-    lower = np.tril(dpotri(factor, lower=True)[0])
-    return lower + np.tril(lower, -1).T, 2.0 * float(np.log(np.diag(factor)).sum())
 
 
 def _products(phi: Array) -> Array:

@@ -143,31 +143,28 @@ class Reduced:
         return Reduced(self.scaling, *(part[kept] for part in parts))
 
 
-def reduce_trials(data: Sequence[SpeedData], scaling: Scaling) -> Reduced:
-    """Reduce every trial to its R factor (Eq. 8)."""
-    parts = [_reduced(item, scaling) for item in data]
+def reduce_trials(
+    data: Sequence[SpeedData], scaling: Scaling, *, empty_share: float = 1e-12
+) -> Reduced:
+    """Reduce every trial to its R factor (Eq. 8); rows below `empty_share` of it are rounding."""
+    parts = []
+    for item in data:
+        root = np.sqrt(item.weight)
+        over_position = scaling.over_position.values(item.q, MAX_POSITION_ORDER)
+        columns = [over_position, item.edges, item.push, item.doubt, item.friction]
+        rows = np.column_stack(columns) * root[:, None]
+        size = rows.shape[1] - 1
+        padded = np.zeros((max(len(rows), size), size + 1))  # few slices: rows of zeros
+        padded[: len(rows)] = rows
+        factor: Array = np.asarray(np.linalg.qr(padded, mode="r"), dtype=np.float64)
+        R, z = factor[:size, :size], factor[:size, size]
+        rest = float(factor[size, size] ** 2) if len(factor) > size else 0.0
+        empty = np.linalg.norm(R, axis=1) <= empty_share * np.linalg.norm(R)
+        rest, z = rest + float(np.sum(z[empty] ** 2)), np.where(empty, 0.0, z)
+        slices = float(np.count_nonzero(item.weight > COUNTS * item.weight.max(initial=0.0)))
+        parts.append((R, z, rest, float(item.weight.sum()), slices))
     speeds = np.array([item.speed for item in data])
-    R, z, rest, total, slices = (np.array(part) for part in zip(*parts, strict=True))
-    return Reduced(scaling, speeds, scaling.u(speeds), R, z, rest, total, slices)
-
-
-def _reduced(
-    data: SpeedData, scaling: Scaling, *, empty_share: float = 1e-12
-) -> tuple[Array, Array, float, float, float]:
-    root = np.sqrt(data.weight)
-    over_position = scaling.over_position.values(data.q, MAX_POSITION_ORDER)
-    A = np.column_stack([over_position, data.edges, data.push, data.doubt]) * root[:, None]
-    y = root * data.friction
-    size = A.shape[1]
-    padded = np.zeros((max(len(y), size), size + 1))  # few slices: rows of zeros
-    padded[: len(y)] = np.column_stack([A, y])
-    factor: Array = np.asarray(np.linalg.qr(padded, mode="r"), dtype=np.float64)
-    R, z = factor[:size, :size], factor[:size, size]
-    rest = float(factor[size, size] ** 2) if len(factor) > size else 0.0
-    empty = np.linalg.norm(R, axis=1) <= empty_share * np.linalg.norm(R)
-    rest, z = rest + float(np.sum(z[empty] ** 2)), np.where(empty, 0.0, z)
-    slices = float(np.count_nonzero(data.weight > COUNTS * data.weight.max(initial=0.0)))
-    return R, z, rest, float(data.weight.sum()), slices
+    return Reduced(scaling, speeds, scaling.u(speeds), *map(np.array, zip(*parts, strict=True)))
 
 
 def edges_of(t: Array, seconds: float, *, edge_s: float = 0.05) -> Array:

@@ -34,17 +34,9 @@ def calibration_of(
     between two samples shift a clock by `sampling` of their period.
     """
     constants, sigma = fit.constants, np.sqrt(np.diag(fit.covariance))
-    about, worst = _open_direction(fit.covariance[:3, :3])
-    lever = _lever_known(sigma[3:6], about)
+    worst, lever, missing = _of_mounting(fit.covariance)
     delay_error = float(np.hypot(sigma[6], sampling * segments[0].readings.period))
     delay_known = delay_error < max_delay_error_s
-    missing = []
-    if about is not None:
-        axis = ", ".join(f"{abs(x) if abs(x) < 5e-3 else x:.2f}" for x in about)
-        missing.append(f"the angle about the link's axis ({axis}) is not determined")
-    if not lever.all():
-        names = " and ".join(n for n, there in zip("xyz", lever, strict=True) if not there)
-        missing.append(f"the lever along the link's {names} is not determined")
     fields, open_channels = _of_sensors(imu, fit, segments)
     missing += open_channels
     if not delay_known:
@@ -160,24 +152,23 @@ def _channels(
     }
 
 
-def _open_direction(covariance: Array, *, max_deg: float = 5.0) -> tuple[Array | None, float]:
-    """Axis about which the mounting is open, if any, and the standard error in degrees."""
-    value, vector = np.linalg.eigh(covariance)
+def _of_mounting(
+    covariance: Array, *, max_deg: float = 5.0, max_error_m: float = 0.02
+) -> tuple[float, Mask, list[str]]:
+    """Standard error in degrees, known components of the lever, and in words what is left open."""
+    value, vector = np.linalg.eigh(covariance[:3, :3])
     worst = np.degrees(np.sqrt(value))
-    if worst[2] <= max_deg:
-        return None, float(worst[2])
-    axis = vector[:, 2] * np.sign(vector[np.argmax(np.abs(vector[:, 2])), 2])
-    return axis, float(worst[1])
-
-
-def _lever_known(sigma: Array, about: Array | None, *, max_error_m: float = 0.02) -> Mask:
-    """Which of the lever's components the logs give."""
-    # Where the angle about an axis is open, so is where the IMU sits around it.
-    known = sigma < max_error_m
-    if about is None:
-        return known
-    near: Mask = np.linalg.norm(np.cross(np.eye(3), about), axis=1) < 0.1
-    return known & near
+    known: Mask = np.sqrt(np.diag(covariance)[3:6]) < max_error_m
+    missing, is_open = [], bool(worst[2] > max_deg)
+    if is_open:  # where the angle about an axis is open, so is where the IMU sits around it
+        about = vector[:, 2] * np.sign(vector[np.argmax(np.abs(vector[:, 2])), 2])
+        known &= np.linalg.norm(np.cross(np.eye(3), about), axis=1) < 0.1
+        axis = ", ".join(f"{abs(x) if abs(x) < 5e-3 else x:.2f}" for x in about)
+        missing.append(f"the angle about the link's axis ({axis}) is not determined")
+    if not known.all():
+        names = " and ".join(n for n, there in zip("xyz", known, strict=True) if not there)
+        missing.append(f"the lever along the link's {names} is not determined")
+    return float(worst[1 if is_open else 2]), known, missing
 
 
 def _listed(values: Array, known: Mask) -> list[float | None]:

@@ -156,7 +156,9 @@ class _Log:
             return None
         wide = np.arange(nodes[0] - REACH * every, nodes[-1] + REACH * every + 1, every)
         moves: Mask = np.any(self.motion.moving[own], axis=0)
-        moving = [j for j, view in enumerate(views) if moves[j] or _hunts(view, rate, own)]
+        # A joint that leaves a code of an encoder too coarse to show how counts as moving.
+        hunts = [_still_hz(v, rate) == 0.0 and bool(np.ptp(v.q[own]) > 0.0) for v in views]
+        moving = [j for j in range(len(views)) if moves[j] or hunts[j]]
         resting = [j for j in range(len(views)) if j not in moving]
         motion = np.zeros((3, self.smooth.shape[1], len(nodes)))
         motion[0] = self.smooth[nodes].T
@@ -243,11 +245,6 @@ def _jerk(ddq: Array, rate_hz: float, *, slack: float = 3.0) -> float:
     # its encoder shows of it.
     rms = np.sqrt(np.mean((np.diff(ddq, axis=0) * rate_hz) ** 2, axis=0))
     return max(slack * float(np.max(rms)), 1.0)
-
-
-def _hunts(view: EncoderView, rate_hz: float, own: slice) -> bool:
-    """Whether a joint leaves a code of an encoder that is too coarse to show how."""
-    return _still_hz(view, rate_hz) == 0.0 and bool(np.ptp(view.q[own]) > 0.0)
 
 
 def _still_hz(

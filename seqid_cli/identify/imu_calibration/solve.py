@@ -254,9 +254,14 @@ def _finished(reductions: list[Reduced], state: _State, *, converged: bool) -> F
     _, information, inner = _solve(reductions, state)
     own = sum((i.follow.T * i.precision) @ i.follow for i in inner)
     scores = np.concatenate([_scores(i) for i in inner])
+    # The model's covariance, each standard error at least that of the scores' own variance.
+    model, count = np.asarray(np.linalg.inv(information)), len(scores)
+    share = count / max(count - 5.0, 0.5 * count)
+    seen = model @ (share * scores.T @ scores + (state.prior + own)) @ model
+    factor = np.sqrt(np.maximum(np.diag(seen) / np.diag(model), 1.0))
     return Fit(
         constants=state.constants,
-        covariance=_widened(np.asarray(np.linalg.inv(information)), scores, state.prior + own),
+        covariance=model * np.outer(factor, factor),
         prior=prior_of(state.widths),
         kept=sum(int((r.linear.weights > 0).sum()) for r in reductions),
         outliers=sum(int(r.linear.outliers.sum()) for r in reductions),
@@ -275,15 +280,6 @@ def _scores(inner: _Inner, *, block_s: float = 0.25, block_periods: float = 4.0)
     rows = inner.through(-(segment.rows @ inner.reduced.back))
     np.add.at(out, block[segment.at], (segment.information * linear.off)[:, None] * rows)
     return out
-
-
-def _widened(model: Array, scores: Array, prior: Array) -> Array:
-    """The model's covariance, each standard error at least that of the scores' own variance."""
-    count = len(scores)
-    share = count / max(count - 5.0, 0.5 * count)
-    seen = model @ (share * scores.T @ scores + prior) @ model
-    factor = np.sqrt(np.maximum(np.diag(seen) / np.diag(model), 1.0))
-    return np.asarray(model * np.outer(factor, factor))
 
 
 def _left_out(inner: list[_Inner], information: Array) -> float | None:

@@ -102,17 +102,13 @@ def _shapes(rows: Rows, at: Index, *, lengths: float = 4.0) -> _Shape:
     longest = max(float(np.ptp(t)), float(rows.seconds[at].max()))
     low = 1.0 / (lengths * longest)
     high = np.maximum(1.0 / (2.0 * rows.seconds[at]), 2.0 * low)
-    return at, 1.0 / rows.weight[at], common, _flicker(t, low, high)
-
-
-def _flicker(t: Array, low: float, high: Array) -> Array:
-    """Covariance (N, N) of 1/f noise; each row passes what is below its own frequency (N,)."""
+    # Each row passes what is below its own frequency.
     lag = 2.0 * np.pi * np.abs(t[:, None] - t[None, :])
     upper = np.minimum(high[:, None], high[None, :])
     at_once = lag * upper < 1e-6
     safe = np.where(at_once, 1.0, lag)
-    covariance = sici(safe * upper)[1] - sici(safe * low)[1]
-    return np.asarray(np.where(at_once, np.log(upper / low), covariance))
+    slow = np.where(at_once, np.log(upper / low), sici(safe * upper)[1] - sici(safe * low)[1])
+    return at, 1.0 / rows.weight[at], common, slow
 
 
 def _root(

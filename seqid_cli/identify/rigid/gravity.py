@@ -29,7 +29,7 @@ from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
 from seqid_cli.robot.base_parameters import Basis, base_parameters
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Array
 
 
 def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stages) -> RigidStage:
@@ -103,14 +103,25 @@ class GravityRows:
                 self.unseen += [(j, H.T @ (column * there)) for column in stood.T]
 
     def _rows(
-        self, trial: Trial, surface: FrictionSurface, about: list[int], *, group_size: int = 8
+        self,
+        trial: Trial,
+        surface: FrictionSurface,
+        about: list[int],
+        *,
+        group_size: int = 8,
+        settling_s: float = 0.03,
+        most_share: float = 0.125,
     ) -> Array | None:
         """Rows of one trial: H, F, where others stand, acceleration, torque, time, samples, ...
 
-        So many slices (`group_size`) make a row.
+        So many slices (`group_size`) make a row. Left out are those in which the joint may speed up
+        or slow down: `settling_s` from either end, but no more than `most_share` of the trial.
         """
         v = np.full(len(trial.q), trial.velocity)
-        inside = _settled(trial) & ~surface.outside(trial.q, v)
+        middle = (trial.t[0] + trial.t[-1]) / 2.0
+        half = (trial.t[-1] - trial.t[0] + trial.seconds) / 2.0
+        settled = np.abs(trial.t - middle) < half - min(settling_s, 2.0 * most_share * half)
+        inside = settled & ~surface.outside(trial.q, v)
         count = int(inside.sum()) // group_size
         if count == 0:
             return None
@@ -132,16 +143,6 @@ class GravityRows:
             j: -solution.bread @ crossed / solution.sigma[j] ** 2
             for j, crossed in self.cross.items()
         }
-
-
-def _settled(trial: Trial, *, settling_s: float = 0.03, most_share: float = 0.125) -> Mask:
-    """Slices (K,) at which a trial's joint no longer speeds up and does not slow down yet.
-
-    `settling_s`: from either end, but no more than so much of the trial (`most_share`).
-    """
-    middle = (trial.t[0] + trial.t[-1]) / 2.0
-    half = (trial.t[-1] - trial.t[0] + trial.seconds) / 2.0
-    return np.asarray(np.abs(trial.t - middle) < half - min(settling_s, 2.0 * most_share * half))
 
 
 def _stage(

@@ -54,8 +54,8 @@ def identify_inertia(
     basis = free_basis(robot)
     equations = InertiaEquations(robot, basis, stages, options)
     compare = compare and stages.imu is not None and options.source != "encoder"
-    alone = replace(options.motion, cutoff_hz=options.motion.encoder_hz or options.motion.cutoff_hz)
-    by_encoder = replace(options, source="encoder", motion=alone)
+    hz = options.motion.encoder_hz or options.motion.cutoff_hz
+    by_encoder = replace(options, source="encoder", motion=replace(options.motion, cutoff_hz=hz))
     others = InertiaEquations(robot, basis, stages, by_encoder) if compare else None
     logs = cast("Iterable[Recording]", recordings)  # whoever reduces them does not look inside
     parts = reduced(logs, InertiaRowsOf(equations, others), _all)
@@ -64,14 +64,10 @@ def identify_inertia(
         raise QualityError("no joint with known friction moves in these logs")
     known = zip(options.neighbours, near, strict=True)
     stage = _stage(equations, own, {factor: rows for factor, rows in known if rows is not None})
-    if others and encoder and any(use.source != "encoder" for use in stage.motion_use):
-        stage = _compared(stage, _stage(others, encoder, {}))
-    return stage
-
-
-def _compared(stage: RigidStage, encoders: RigidStage) -> RigidStage:
-    """The stage with the standard errors that encoders alone would have left."""
-    before, notes = {p.name: p.std_error for p in encoders.parameters}, list(stage.notes)
+    if not (others and encoder and any(use.source != "encoder" for use in stage.motion_use)):
+        return stage
+    alone = _stage(others, encoder, {})
+    before, notes = {p.name: p.std_error for p in alone.parameters}, list(stage.notes)
     there = [p for p in stage.parameters if p.name in before]
     if there:
         ratio = np.median([before[p.name] / max(p.std_error, 1e-300) for p in there])

@@ -162,14 +162,9 @@ def _explained(
     else:
         message = f"{at or 'the document'}: {what[:1].lower()}{what[1:]}".replace("`", "'")
         hint = "Correct the value."
-    return ConfigError(message + _named(document, at), where=str(path), hint=hint)
-
-
-def _named(document: dict[str, object], at: str) -> str:
-    """`` (joint 'elbow')`` where `at` points into a table that has a name."""
-    match = re.match(r"(joint|imu|effect)\[(\d+)\]", at)
-    if match is None:
-        return ""
-    entry = cast("list[dict[str, object]]", document[match[1]])[int(match[2])]
-    name = entry.get("name") if isinstance(entry, dict) else None
-    return f" ({match[1]} {name!r})" if isinstance(name, str) else ""
+    owner = re.match(r"(joint|imu|effect)\[(\d+)\]", at)
+    if owner is not None:  # points into a table that may have a name
+        entry = cast("list[dict[str, object]]", document[owner[1]])[int(owner[2])]
+        name = entry.get("name") if isinstance(entry, dict) else None
+        message += f" ({owner[1]} {name!r})" if isinstance(name, str) else ""
+    return ConfigError(message, where=str(path), hint=hint)

@@ -74,38 +74,25 @@ def readable(urdf: UrdfText) -> bytes:
     shares its name with a joint is renamed. The text is returned as it is where nothing is to do.
     """
     root = copy.deepcopy(urdf.root)
-    joints = root.findall("joint")
-    changed = [_limited(joint) for joint in joints]
-    changed.append(_links_renamed(root, {joint.get("name", "") for joint in joints}))
-    return ElementTree.tostring(root) if any(changed) else urdf.raw
-
-
-def _limited(joint: ElementTree.Element) -> bool:
-    """Complete a joint's <limit>; return whether a part was missing."""
-    if joint.get("type") not in ("revolute", "prismatic"):
-        return False
-    limit = joint.find("limit")
-    needed = {"effort": WIDE, "velocity": WIDE}
-    if limit is None:
-        limit = ElementTree.SubElement(joint, "limit")
-        needed = {"lower": f"-{WIDE}", "upper": WIDE, **needed}
-    lacking = {key: value for key, value in needed.items() if key not in limit.attrib}
-    limit.attrib.update(lacking)
-    return bool(lacking)
-
-
-def _links_renamed(root: ElementTree.Element, joints: set[str]) -> bool:
-    """Rename links with the name of a joint; return whether there were any."""
-    links = {link.get("name", "") for link in root.findall("link")}
+    changed = False
+    for joint in root.findall("joint"):
+        if joint.get("type") in ("revolute", "prismatic"):
+            limit, needed = joint.find("limit"), {"effort": WIDE, "velocity": WIDE}
+            if limit is None:
+                limit = ElementTree.SubElement(joint, "limit")
+                needed |= {"lower": f"-{WIDE}", "upper": WIDE}
+            lacking = {key: value for key, value in needed.items() if key not in limit.attrib}
+            limit.attrib.update(lacking)
+            changed |= bool(lacking)
+    joints, links = ({x.get("name", "") for x in root.findall(kind)} for kind in ("joint", "link"))
     new = {name: f"{name}/link" for name in links & joints}
     while set(new.values()) & (links | joints):
         new = {name: f"{text}/" for name, text in new.items()}
-    for link in root.findall("link") if new else ():
-        link.set("name", new.get(link.get("name", ""), link.get("name", "")))
-    for end in root.findall("joint/*") if new else ():
-        if end.tag in ("parent", "child"):
-            end.set("link", new.get(end.get("link", ""), end.get("link", "")))
-    return bool(new)
+    named = [(link, "name") for link in root.findall("link")]
+    named += [(end, "link") for end in root.findall("joint/*") if end.tag in ("parent", "child")]
+    for element, key in named if new else ():
+        element.set(key, new.get(element.get(key, ""), element.get(key, "")))
+    return ElementTree.tostring(root) if changed or new else urdf.raw
 
 
 def check_urdf(urdf: UrdfText) -> None:

@@ -41,9 +41,8 @@ def chain_from_urdf(
     # A continuous joint is (cos, sin) in the configuration, so its zero is not 0.0: neutral knows.
     model = pin.buildReducedModel(whole, others, pin.neutral(whole))
     _check_chain(model, names, urdf, source)
-    axes, prismatic = _axes(model)
     nominal = np.array([inertia.toDynamicParameters() for inertia in model.inertias[1:]])
-    _check_numbers(model, axes, nominal, urdf)
+    axes, prismatic = _axes(model, nominal, urdf)
     chain = Chain(
         rotation=np.array([tidy_rotation(M.rotation) for M in model.jointPlacements[1:]]),
         position=np.array([tidy_position(M.translation) for M in model.jointPlacements[1:]]),
@@ -91,8 +90,13 @@ def _check_chain(model: pin.Model, names: tuple[str, ...], urdf: UrdfText, sourc
         raise ConfigError(message, where=str(source), hint=hint)
 
 
-def _axes(model: pin.Model) -> tuple[list[Array], np.ndarray[tuple[int], np.dtype[np.bool_]]]:
-    """Read each joint's axis in its own frame, and whether it slides, off its Jacobian."""
+def _axes(
+    model: pin.Model, nominal: Array, urdf: UrdfText
+) -> tuple[list[Array], np.ndarray[tuple[int], np.dtype[np.bool_]]]:
+    """Read each joint's axis in its own frame, and whether it slides, off its Jacobian.
+
+    Raises ConfigError where a number of the joint or of the link that it moves cannot be used.
+    """
     data = model.createData()
     pin.computeJointJacobians(model, data, pin.neutral(model))
     axes, prismatic = [], []
@@ -101,24 +105,20 @@ def _axes(model: pin.Model) -> tuple[list[Array], np.ndarray[tuple[int], np.dtyp
         column = np.reshape(jacobian, (6, -1))[:, model.joints[k].idx_v]  # (6,) of one joint
         linear, angular = column[:3], column[3:]
         slides = not angular.any()
-        axes.append(np.array(linear if slides else angular))
+        axis = np.array(linear if slides else angular)
+        axes.append(axis)
         prismatic.append(slides)
-    return axes, np.array(prismatic)
-
-
-def _check_numbers(model: pin.Model, axes: list[Array], nominal: Array, urdf: UrdfText) -> None:
-    for k, axis in enumerate(axes):
-        placement = model.jointPlacements[k + 1]
         parts = {
             "axis": axis if np.linalg.norm(axis) > LEAST_AXIS else np.full(3, np.nan),
-            "origin": placement.homogeneous,
-            "inertial of the link it moves": nominal[k],
+            "origin": model.jointPlacements[k].homogeneous,
+            "inertial of the link it moves": nominal[k - 1],
         }
         for part, values in parts.items():
             if not (np.abs(values) <= LARGEST).all():  # NaN as well
                 raise ConfigError(
-                    f"joint {model.names[k + 1]!r}: the {part} is zero, not finite or beyond "
+                    f"joint {model.names[k]!r}: the {part} is zero, not finite or beyond "
                     f"{LARGEST:g}",
                     where=str(urdf.path),
                     hint="Correct the number in the URDF.",
                 )
+    return axes, np.array(prismatic)

@@ -12,8 +12,13 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.export.effects import absorbed_effects
 from seqid_cli.export.observer import Thresholds, largest_mass, thresholds
 from seqid_cli.export.urdf_tree import UrdfBody, bodies_of_urdf
-from seqid_cli.model.bodies.demand import Deviation, Identified, identified
-from seqid_cli.model.bodies.nearest import Expected, nearest_bodies
+from seqid_cli.model.bodies.nearest import (
+    Deviation,
+    Expected,
+    Identified,
+    identified,
+    nearest_bodies,
+)
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.results.export import ExportedFriction

@@ -7,7 +7,6 @@ be done as a subclass of `SeqidError`. Cheap checks come before anything heavy i
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Unpack
 
 from msgspec.structs import replace
@@ -49,11 +48,11 @@ def friction(
     """
     inputs = prepare(logs, robot, (), options, **keywords)
     from seqid_cli.identify.friction_surface.stage import identify_friction
+    from seqid_cli.identify.log_set import LogSet
 
-    def identify(given: LogSet) -> Stages:
-        return Stages(friction=identify_friction(given, inputs.robot, options=options))
-
-    return _stage(inputs, identify)
+    given = LogSet.of(inputs)
+    stage = identify_friction(given, inputs.robot, options=options)
+    return _added(inputs, given, Stages(friction=stage))
 
 
 @documented(ParallelKeywords)
@@ -74,12 +73,12 @@ def gravity(
         With the friction stage.
     """
     inputs = prepare(logs, robot, parameters, options, needs=("friction",), **keywords)
+    from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.rigid.gravity import identify_gravity
 
-    def identify(given: LogSet) -> Stages:
-        return Stages(gravity=identify_gravity(given, inputs.robot, inputs.stages))
-
-    return _stage(inputs, identify)
+    given = LogSet.of(inputs)
+    stage = identify_gravity(given, inputs.robot, inputs.stages)
+    return _added(inputs, given, Stages(gravity=stage))
 
 
 @documented(ParallelKeywords)
@@ -105,17 +104,17 @@ def imu_calib(
         where = str(inputs.robot.source)
         raise ConfigError("the robot file names no IMU", where=where, hint=hint)
     from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
+    from seqid_cli.identify.log_set import LogSet
     from seqid_cli.motion.imu.array import layout_statements
     from seqid_cli.motion.options import MotionOptions
 
-    def identify(given: LogSet) -> Stages:
-        for imu in inputs.robot.imus:
-            for text in layout_statements(imu):
-                given.tell("note", text=f"{imu.name}: {text}")
-        filtering = MotionOptions(cutoff_hz=options.cutoff_hz)
-        return Stages(imu=calibrate_imus(given, inputs.robot, options=filtering))
-
-    return _stage(inputs, identify, imus=True)
+    given = LogSet.of(inputs, imus=True)
+    for imu in inputs.robot.imus:
+        for text in layout_statements(imu):
+            given.tell("note", text=f"{imu.name}: {text}")
+    filtering = MotionOptions(cutoff_hz=options.cutoff_hz)
+    stage = calibrate_imus(given, inputs.robot, options=filtering)
+    return _added(inputs, given, Stages(imu=stage))
 
 
 @documented(ParallelKeywords)
@@ -138,19 +137,18 @@ def inertia(
     needs = ("friction", "gravity", *imu_stage_for(options.source))
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.identify.common_cutoff import identification_options
+    from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.options import InertiaOptions
     from seqid_cli.identify.rigid.consistency import made_consistent
     from seqid_cli.identify.rigid.inertia import identify_inertia
 
-    def identify(given: LogSet) -> Stages:
-        motion = identification_options(inputs.logs, inputs.robot, options, inputs.stages.imu)
-        rigid = InertiaOptions(motion, options.source)
-        stage = identify_inertia(given, inputs.robot, inputs.stages, options=rigid, compare=True)
-        if options.consistent:
-            stage = made_consistent(stage, inputs.stages, inputs.robot)
-        return Stages(inertia=stage)
-
-    return _stage(inputs, identify)
+    given, arm = LogSet.of(inputs), inputs.robot
+    motion = identification_options(inputs.logs, arm, options, inputs.stages.imu)
+    rigid = InertiaOptions(motion, options.source)
+    stage = identify_inertia(given, arm, inputs.stages, options=rigid, compare=True)
+    if options.consistent:
+        stage = made_consistent(stage, inputs.stages, arm)
+    return _added(inputs, given, Stages(inertia=stage))
 
 
 @documented(Keywords)
@@ -173,20 +171,18 @@ def simultaneous(
     needs = imu_stage_for(options.source)
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.identify.common_cutoff import identification_options
+    from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.rigid.consistency import made_consistent
     from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 
-    def identify(given: LogSet) -> Stages:
-        robot, imu = inputs.robot, inputs.stages.imu
-        motion = identification_options(inputs.logs, robot, options, imu)
-        friction, inertia = identify_simultaneous(
-            given, robot, options=motion, imu=imu, source=options.source, offset=options.offset
-        )
-        if options.consistent:
-            inertia = made_consistent(inertia, Stages(), inputs.robot)
-        return Stages(friction=friction, inertia=inertia)
-
-    return _stage(inputs, identify)
+    given, arm, imu = LogSet.of(inputs), inputs.robot, inputs.stages.imu
+    motion = identification_options(inputs.logs, arm, options, imu)
+    friction, inertia = identify_simultaneous(
+        given, arm, options=motion, imu=imu, source=options.source, offset=options.offset
+    )
+    if options.consistent:
+        inertia = made_consistent(inertia, Stages(), arm)
+    return _added(inputs, given, Stages(friction=friction, inertia=inertia))
 
 
 @documented(ParallelKeywords)
@@ -238,15 +234,10 @@ def predict(
     return file
 
 
-def _stage(
-    inputs: Inputs, identify: Callable[[LogSet], Stages], *, imus: bool | None = None
-) -> ParameterFile:
-    """Identify new stages, judge them and add them to the stages before."""
+def _added(inputs: Inputs, logs: LogSet, found: Stages) -> ParameterFile:
+    """Judge new stages and add them to the stages before."""
     from seqid_cli.identify.judging import judged
-    from seqid_cli.identify.log_set import LogSet
 
-    logs = LogSet.of(inputs, imus=imus)
-    found = identify(logs)
     noted = {}
     for name in present(found):
         stage = getattr(found, name)

@@ -21,8 +21,7 @@ from seqid_cli.params.results.inspection import InspectedJoint
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.toml.schema import Columns
 from seqid_cli.robot.toml.template import ImuTemplate, JointTemplate, RobotTemplate
-from seqid_cli.robot.urdf.joints import UrdfJoint, best_chain, check_urdf
-from seqid_cli.robot.urdf.text import UrdfText
+from seqid_cli.robot.urdf.text import UrdfJoint, UrdfText, best_chain, check_urdf
 
 _FILLERS = re.compile(r"(joint|axis|link|act|actuator)")
 

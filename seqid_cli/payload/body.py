@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from seqid_cli.model.bodies.consistent import nearest_body
-from seqid_cli.model.bodies.demand import whitening
+from seqid_cli.model.bodies.nearest import whitening
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.typing import Array
 

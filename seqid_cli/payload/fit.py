@@ -17,7 +17,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.least_squares import Prior, Solution, solve
 from seqid_cli.identify.rigid.posterior import constant_moves, moves_covariance
 from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.model.bodies.demand import identified
+from seqid_cli.model.bodies.nearest import identified
 from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import Stages

@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.toml.read import ReadRobotFile, read_robot_file
-from seqid_cli.robot.urdf.joints import chains
-from seqid_cli.robot.urdf.text import UrdfText, check_names, read_urdf_text
+from seqid_cli.robot.urdf.text import UrdfText, chains, check_names, read_urdf_text
 
 if TYPE_CHECKING:
     from seqid_cli.robot.toml.schema import ImuEntry

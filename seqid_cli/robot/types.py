@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from seqid_cli.robot.formula import Formula
 from seqid_cli.robot.toml.schema import Channels
-from seqid_cli.robot.urdf.joints import UrdfJoint
+from seqid_cli.robot.urdf.text import UrdfJoint
 from seqid_cli.units import unit_of
 
 Array = NDArray[np.float64]

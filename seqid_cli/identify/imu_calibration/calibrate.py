@@ -17,8 +17,12 @@ from typing import Any
 import numpy as np
 
 from seqid_cli.errors import QualityError, UsageError
-from seqid_cli.identify.imu_calibration.axis_pairs import Pair, axis_pairs, fit_rotation
-from seqid_cli.identify.imu_calibration.initial_guess import starting_constants
+from seqid_cli.identify.imu_calibration.initial_guess import (
+    Pair,
+    axis_pairs,
+    fit_rotation,
+    starting_constants,
+)
 from seqid_cli.identify.imu_calibration.result import calibration_of, verdict_of
 from seqid_cli.identify.imu_calibration.segments import (
     Segment,

@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from seqid_cli.identify.imu_calibration import sensor_model
-from seqid_cli.identify.imu_calibration.axis_pairs import Pair
 from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT
+from seqid_cli.identify.imu_calibration.initial_guess import Pair
 from seqid_cli.identify.imu_calibration.segments import Segment
 from seqid_cli.identify.imu_calibration.solve import Fit
 from seqid_cli.motion.imu.array import layout

@@ -26,20 +26,23 @@ from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
 
-def _sums(log: LogPrediction, *, sliding: bool) -> Array:
-    """Sums (4, n) over one log: samples, squared errors and torques, and the largest error."""
-    # Over the samples that slide, or over all that count: at rest friction takes any value up to
-    # its limit, and the error is the distance to that interval.
-    counts = log.sliding if sliding else np.broadcast_to(log.used[:, None], log.tau.shape)
-    error = np.where(counts, log.residual if sliding else log.beyond, 0.0)
-    torque = np.where(counts, log.tau, 0.0)
-    sums = [values.sum(axis=0) for values in (counts, np.square(error), np.square(torque))]
-    return np.array([*sums, np.abs(error).max(axis=0, initial=0.0)])
+def _sums(log: LogPrediction) -> Array:
+    """Sums (2, 4, n) over one log: samples, squared errors and torques, and the largest error."""
+    # Over all samples that count, then over those that slide: at rest friction takes any value up
+    # to its limit, and the error is the distance to that interval.
+    used = np.broadcast_to(log.used[:, None], log.tau.shape)
+    found = []
+    for counts, left in ((used, log.beyond), (log.sliding, log.residual)):
+        error, torque = (np.where(counts, values, 0.0) for values in (left, log.tau))
+        sums = [values.sum(axis=0) for values in (counts, np.square(error), np.square(torque))]
+        found.append([*sums, np.abs(error).max(axis=0, initial=0.0)])
+    return np.array(found)
 
 
 def _both(first: Array, second: Array) -> Array:
     """Sums over two logs."""
-    return np.vstack([first[:3] + second[:3], np.maximum(first[3:], second[3:])])
+    sums, largest = first[:, :3] + second[:, :3], np.maximum(first[:, 3:], second[:, 3:])
+    return np.concatenate([sums, largest], axis=1)
 
 
 def prediction_file(
@@ -60,7 +63,7 @@ def prediction_file(
     """
     robot, stages = inputs.robot, inputs.stages
     names = robot.joint_names
-    overall = sliding = none = np.zeros((4, len(names)))
+    overall = own = none = np.zeros((2, 4, len(names)))
     errors = []
     effects = effect_notes(stages, robot, unexplained=unexplained)
     with contextlib.ExitStack() as stack:
@@ -70,10 +73,8 @@ def prediction_file(
         elif torques is not None:
             ids = [item.sha256 for item in inputs.ids()]
             writer = stack.enter_context(TorqueWriter.open(torques, names, ids))
-        own = slid = none
         for log in predictions:
-            own = _both(own, _sums(log, sliding=False))
-            slid = _both(slid, _sums(log, sliding=True))
+            own = _both(own, _sums(log))
             if writer is not None:
                 writer.write(log)
             if log.last:
@@ -83,15 +84,13 @@ def prediction_file(
                         sha256=log.sha256,
                         samples=log.samples,
                         cutoff_hz=log.cutoff_hz,
-                        joints=_joints(own, slid, names),
+                        joints=_joints(own, names),
                         notes=list(log.notes),
                         motion=log.motion,
                     )
                 )
-                overall, sliding = _both(overall, own), _both(sliding, slid)
-                own = slid = none
-    joints = _joints(overall, sliding, names)
-    lacks = lacking(stages, robot)
+                overall, own = _both(overall, own), none
+    joints, lacks = _joints(overall, names), lacking(stages, robot)
     verdicts = [_verdict(n, e, lacks.get(n, ())) for n, e in joints.items() if e.samples]
     still = ", ".join(name for name, error in joints.items() if not error.samples)
     notes = [f"never slides in these logs and is not judged: {still}"] if still else []
@@ -111,9 +110,9 @@ def prediction_file(
     )
 
 
-def _joints(sums: Array, sliding: Array, names: tuple[str, ...]) -> dict[str, JointError]:
+def _joints(sums: Array, names: tuple[str, ...]) -> dict[str, JointError]:
     found = {}
-    for name, (every, squares, _, _), own in zip(names, sums.T, sliding.T, strict=True):
+    for name, (every, squares, _, _), own in zip(names, *sums.transpose(0, 2, 1), strict=True):
         count, squared_error, squared_torque, largest = own
         found[name] = JointError(
             rmse=_root(squared_error, count),

@@ -9,8 +9,7 @@ constraint (see `model.bodies.consistent`).
 import numpy as np
 from msgspec.structs import replace
 
-from seqid_cli.model.bodies.demand import identified
-from seqid_cli.model.bodies.nearest import nearest_bodies
+from seqid_cli.model.bodies.nearest import identified, nearest_bodies
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.robot.types import Robot

@@ -22,9 +22,13 @@ from seqid_cli.identify.regression.equations import cutoff_note
 from seqid_cli.identify.regression.least_squares import Solution
 from seqid_cli.identify.regression.streaming import open_if_long, streams
 from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
-from seqid_cli.identify.rigid.excitation import missing_pairs
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, InertiaRows
-from seqid_cli.identify.rigid.parameters import imu_moves, joint_verdicts, rigid_stage
+from seqid_cli.identify.rigid.parameters import (
+    imu_moves,
+    joint_verdicts,
+    missing_pairs,
+    rigid_stage,
+)
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import Coupling, decide
 from seqid_cli.logs.raw import TimeSource

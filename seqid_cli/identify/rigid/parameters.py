@@ -1,13 +1,17 @@
-"""From a least-squares solution to a stage of the parameter file; shared by gravity and inertia."""
+"""From a least-squares solution to a stage of the parameter file; shared by gravity and inertia.
+
+Also which pairs of joints must move together to determine what is still open (Sec. 2.2.4).
+"""
 
 from collections.abc import Mapping, Sequence
+from itertools import combinations
 
 import numpy as np
 
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.params.schema import Parameter, RigidStage, Verdict
-from seqid_cli.robot.base_parameters import Basis, standard_names
+from seqid_cli.robot.base_parameters import Basis, base_regressor, standard_names
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Index
@@ -119,3 +123,48 @@ def imu_moves(
             moves.append(np.where(own, errors[imu.name] * whole, 0.0))
             first = imu.after_joint + 1
     return np.column_stack(moves) if moves else np.zeros((basis.size, 0))
+
+
+def missing_pairs(
+    robot: Robot, basis: Basis, left_open: Array, *, states: int = 120
+) -> list[list[str]]:
+    """Choose pairs greedily until every base parameter is seen, and none that the others make idle.
+
+    `left_open` (b, k): directions of the base parameters that are not determined yet. `states`:
+    random ones of two moving joints, the others at random angles. Returns: empty where no pair
+    would add anything; each pair once. An arm of one joint has that alone.
+    """
+    seen: dict[tuple[int, int], Array] = {}
+    for pair in list(combinations(range(robot.n), 2)) or [(0, 0)]:
+        rng = np.random.default_rng(0)
+        q = rng.uniform(-2.5, 2.5, (states, robot.n))
+        dq, ddq = np.zeros_like(q), np.zeros_like(q)
+        dq[:, list(pair)] = rng.normal(size=(states, 2))
+        ddq[:, list(pair)] = 3 * rng.normal(size=(states, 2))
+        H = base_regressor(robot, basis, q, dq, ddq)[:, list(pair)]
+        seen[pair] = H.reshape(-1, basis.size)
+    scale = np.max([np.linalg.norm(H, axis=0) for H in seen.values()], axis=0)
+    scale = np.where(scale > 0, scale, 1.0)
+    seen = {pair: H / scale for pair, H in seen.items()}
+    first = left = np.asarray(np.linalg.qr(scale[:, None] * left_open)[0])
+    chosen: list[tuple[int, int]] = []
+    while left.shape[1]:
+        after = {pair: _still_open(H, left) for pair, H in seen.items()}
+        best = min(after, key=lambda pair: after[pair].shape[1])
+        if after[best].shape[1] == left.shape[1]:
+            break
+        chosen.append(best)
+        left = after[best]
+    for pair in list(chosen):
+        others = [seen[each] for each in chosen if each != pair]
+        if others and _still_open(np.vstack(others), first).shape[1] <= left.shape[1]:
+            chosen.remove(pair)
+    return [[robot.joint_names[j] for j in dict.fromkeys(pair)] for pair in chosen]
+
+
+def _still_open(H: Array, left: Array, *, min_share: float = 1e-6) -> Array:
+    """The part of the directions `left` (b, k), orthonormal, that rows H (N, b) do not see."""
+    # Singular values below `min_share` of the largest are rounding.
+    _, s, Vt = np.linalg.svd(H @ left, full_matrices=True)
+    largest = float(np.linalg.norm(H, 2))
+    return np.asarray(left @ Vt[int(np.sum(s > min_share * largest)) :].T)

@@ -1,9 +1,8 @@
 """The bodies nearest to an identified model, in units of its errors.
 
-The expected inertials of the links: the CAD's, or a guess from the arm's geometry.
-
-The torque leaves many combinations of inertial parameters open. There the exported links stay as
-near as possible to these.
+The identified base parameters of a file are a demand on the links. The torque leaves many
+combinations of inertial parameters open; there the links stay as near as possible to the expected
+ones: the CAD's, or a guess from the arm's geometry.
 """
 
 from __future__ import annotations
@@ -12,13 +11,173 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.optimize import nnls
 
-from seqid_cli.model.bodies.consistent import consistent_links
-from seqid_cli.model.bodies.demand import Identified
+from seqid_cli.errors import ConfigError
+from seqid_cli.model.bodies.consistent import Demand, consistent_links
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
-from seqid_cli.robot.base_parameters import gear_ratios
+from seqid_cli.model.torque import known_rotors, standard_parameters
+from seqid_cli.params.schema import Parameter, Stages
+from seqid_cli.robot.base_parameters import Basis, free_basis, gear_ratios
+from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Array, Chain, Robot
+
+_LEAST_ERROR = 1e-9  # of a parameter's scale; data without noise give no errors to weigh by
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A base parameter that no body can have as identified, and what is exported instead."""
+
+    name: str
+    unit: str
+    identified: float
+    exported: float
+    std_error: float
+
+    @property
+    def std_errors(self) -> float | None:
+        """The difference in standard errors; None where the file gives no error."""
+        if self.std_error <= 0.0:
+            return None
+        return (self.exported - self.identified) / self.std_error
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What the rigid-body stages of a file say.
+
+    `values`, `errors` (b,) and `covariance` (b, b) are of the base parameters `rows` of `basis`,
+    the ones that the logs determined; `moves` (n, b) is the part of these errors that each joint's
+    torque constant has. `known` (n,) kg m^2 are rotor inertias of the robot file and `free` lists
+    joints whose rotor inertia was identified.
+    """
+
+    basis: Basis
+    rows: tuple[int, ...]
+    values: Array
+    errors: Array
+    covariance: Array
+    moves: Array
+    known: Array
+    free: tuple[int, ...]
+
+    @property
+    def held_covariance(self) -> Array:
+        """Covariance (b, b) for torque constants as they are: of torque by the same drives."""
+        return np.asarray(self.covariance - self.moves.T @ self.moves)
+
+    @property
+    def demand(self) -> Demand:
+        """The same for the solver."""
+        links = PER_LINK * len(self.known)
+        E = self.basis.expression[list(self.rows)]
+        scale = np.abs(self.values).max(initial=0.0) + np.abs(self.errors).max(initial=0.0)
+        rotors = [links + j for j in self.free]
+        return Demand(
+            E[:, :links],
+            E[:, rotors],
+            self.values,
+            whitening(self.covariance, _LEAST_ERROR * max(scale, 1e-12)),
+        )
+
+    @property
+    def open(self) -> tuple[str, ...]:
+        """Expressions of the base parameters that the logs did not determine."""
+        every = range(self.basis.size)
+        return tuple(self.basis.expression_text(k) for k in every if k not in self.rows)
+
+    def deviations(self, phi: Array, rotor: Array) -> tuple[Deviation, ...]:
+        """Compare with links (n, 10) and rotors (n,), the identified ones in `free`."""
+        E = self.basis.expression[list(self.rows)]
+        exported = E @ np.concatenate([phi.ravel(), rotor])
+        numbers = (x.tolist() for x in (self.values, exported, self.errors))
+        return tuple(
+            Deviation(self.basis.names[k], self.basis.unit(k), *own)
+            for k, *own in zip(self.rows, *numbers, strict=True)
+        )
+
+
+def identified(
+    stages: Stages, robot: Robot, *, more: Array | None = None, largest: float = 1e9
+) -> Identified:
+    """Collect the base parameters of a file.
+
+    `stages`: with gravity, with inertia, with both, or with neither. `more` (11 n,): standard
+    parameters, rotors last, that effects add to the identified ones. Raises ConfigError if the
+    parameters are not those of this robot file, or of no arm.
+    """
+    basis = free_basis(robot)
+    rigid = stages.inertia or stages.gravity
+    phi = np.zeros(basis.expression.shape[1])
+    if rigid is not None:
+        links, rotor = standard_parameters(rigid, robot.n)
+        phi = np.concatenate([links.ravel(), rotor])
+    if more is not None:
+        phi = phi + more
+    found, covariance, moves = _determined(stages, basis, robot)
+    rows = tuple(basis.names.index(parameter.name) for parameter in found)
+    known = np.array([joint.rotor_inertia is not None for joint in robot.joints])
+    first = PER_LINK * robot.n
+    if not (np.abs(phi) < largest).all():
+        raise ConfigError(
+            f"a standard parameter of the file is {np.abs(phi).max():.3g}, above {largest:g}",
+            where=str(robot.source),
+            hint="The file was edited or damaged: run the stage again that wrote it.",
+        )
+    values = basis.expression @ phi
+    seen = basis.expression[list(rows)][:, first:].any(axis=0) & ~known
+    return Identified(
+        basis=basis,
+        rows=rows,
+        values=values[list(rows)],
+        errors=np.array([parameter.std_error for parameter in found]),
+        covariance=covariance,
+        moves=moves,
+        known=np.where(known, phi[first:], 0.0) if stages.inertia else known_rotors(robot),
+        free=tuple(int(j) for j in np.flatnonzero(seen)),
+    )
+
+
+def _determined(stages: Stages, basis: Basis, robot: Robot) -> tuple[list[Parameter], Array, Array]:
+    """Parameters that the logs determined, inertia's word before gravity's, covariance, moves."""
+    found: list[Parameter] = []
+    blocks: list[Array] = []
+    moves: list[Array] = []
+    for name, stage in (("inertia", stages.inertia), ("gravity", stages.gravity)):
+        if stage is None:
+            continue
+        alien = next((p.name for p in stage.parameters if p.name not in basis.names), None)
+        if alien is not None:
+            raise ConfigError(
+                f"$.stages.{name}: {alien!r} is no base parameter of this robot",
+                where=str(robot.source),
+                hint="The robot file has changed since: geometry, gravity or known rotor inertias."
+                " Give the one that the parameters were identified with, or identify again.",
+            )
+        taken = {parameter.name for parameter in found}
+        own = [k for k, parameter in enumerate(stage.parameters) if parameter.name not in taken]
+        errors = np.array([parameter.std_error for parameter in stage.parameters])
+        full = np.array(stage.covariance) if stage.covariance else np.diag(errors**2)
+        found += [stage.parameters[k] for k in own]
+        blocks.append(full[np.ix_(own, own)])
+        told, none = stage.torque_constant_moves, [0.0] * len(errors)
+        moves.append(np.array([told.get(joint, none) for joint in robot.joint_names])[:, own])
+    covariance = block_diag(*blocks) if blocks else np.zeros((0, 0))
+    common = np.hstack(moves) if moves else np.zeros((robot.n, 0))  # one error per joint
+    return found, covariance + common.T @ common, common
+
+
+def whitening(covariance: Array, least: float, *, min_variance: float = 1e-10) -> Array:
+    """Return W (b, b) with W'W the inverse of a covariance (b, b), errors at least `least`."""
+    if not len(covariance):
+        return np.zeros((0, 0))
+    errors = np.maximum(np.sqrt(np.maximum(np.diag(covariance), 0.0)), least)
+    correlation = covariance / np.outer(errors, errors)
+    np.fill_diagonal(correlation, 1.0)
+    variances, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
+    return np.asarray((axes / np.sqrt(np.maximum(variances, min_variance))).T / errors)
 
 
 @dataclass(frozen=True)

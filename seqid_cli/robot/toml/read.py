@@ -53,7 +53,15 @@ def read_robot_file(path: Path) -> ReadRobotFile:
     """
     raw = read_limited(path, "robot file", SIZE_LIMIT)
     document = _parse(path, raw)
-    _check_schema(path, document)
+    schema, hint = document.get("schema"), f'Write schema = "{SCHEMA}" in the first line.'
+    if schema is None:
+        raise ConfigError("the key 'schema' is missing", where=str(path), hint=hint)
+    match = re.fullmatch(r"seqid/robot@([1-9][0-9]{0,5})", str(schema))
+    if match is None:
+        raise ConfigError(f"schema is {schema!r}, not {SCHEMA!r}", where=str(path), hint=hint)
+    if int(match[1]) > SCHEMA_VERSION:
+        message = f"schema {schema!r} is newer than this seqid knows ({SCHEMA!r})"
+        raise ConfigError(message, where=str(path), hint="Update seqid.")
     try:
         content = msgspec.convert(document, RobotFile)
     except msgspec.ValidationError as problem:
@@ -61,8 +69,7 @@ def read_robot_file(path: Path) -> ReadRobotFile:
     except (OverflowError, RecursionError):
         message = "a number is too large or the nesting too deep"
         raise ConfigError(message, where=str(path)) from None
-    formulas = check_content(path, content)
-    return ReadRobotFile(path=path, raw=raw, content=content, formulas=formulas)
+    return ReadRobotFile(path, raw, content, check_content(path, content))
 
 
 def read_limited(path: Path, what: str, limit: int) -> bytes:
@@ -117,19 +124,6 @@ def _parse(path: Path, raw: bytes) -> dict[str, object]:
     except (RecursionError, ValueError) as problem:
         message, hint = f"not valid TOML: {problem}", "Nesting or number out of range."
     raise ConfigError(message, where=str(path), hint=hint)
-
-
-def _check_schema(path: Path, document: dict[str, object]) -> None:
-    schema = document.get("schema")
-    hint = f'Write schema = "{SCHEMA}" in the first line.'
-    if schema is None:
-        raise ConfigError("the key 'schema' is missing", where=str(path), hint=hint)
-    match = re.fullmatch(r"seqid/robot@([1-9][0-9]{0,5})", str(schema))
-    if match is None:
-        raise ConfigError(f"schema is {schema!r}, not {SCHEMA!r}", where=str(path), hint=hint)
-    if int(match[1]) > SCHEMA_VERSION:
-        message = f"schema {schema!r} is newer than this seqid knows ({SCHEMA!r})"
-        raise ConfigError(message, where=str(path), hint="Update seqid.")
 
 
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$\.?(?P<path>.*)`)?$", re.DOTALL)

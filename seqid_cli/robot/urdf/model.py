@@ -12,8 +12,7 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.robot.kinematics import tidy_axis, tidy_position, tidy_rotation
 from seqid_cli.robot.toml.checks import LARGEST, LEAST_AXIS
 from seqid_cli.robot.types import Array, Chain
-from seqid_cli.robot.urdf.joints import check_parents, readable
-from seqid_cli.robot.urdf.text import UrdfText
+from seqid_cli.robot.urdf.text import UrdfText, check_parents, readable
 
 
 def chain_from_urdf(

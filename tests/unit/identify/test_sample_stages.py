@@ -10,9 +10,9 @@ from seqid_cli.errors import QualityError, UsageError
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.rigid.excitation import missing_pairs
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.identify.rigid.parameters import missing_pairs
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.errors import UsageError
-from seqid_cli.identify.imu_calibration.axis_pairs import Pair, fit_rotation
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
+from seqid_cli.identify.imu_calibration.initial_guess import Pair, fit_rotation
 from seqid_cli.motion.options import MotionOptions
 from tests.plants.arms.rigs import one_joint
 from tests.plants.motions.experiments import Trial, swing

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
-from seqid_cli.identify.imu_calibration.readings import cleaned
+from seqid_cli.identify.imu_calibration.segments import cleaned
 from seqid_cli.motion.imu.array import calibrated as mended
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration

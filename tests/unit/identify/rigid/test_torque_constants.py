@@ -18,7 +18,7 @@ from seqid_cli.identify.rigid.gravity import GravityRows, _stage, identify_gravi
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.bodies.demand import identified
+from seqid_cli.model.bodies.nearest import identified
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import base_parameters

@@ -11,7 +11,7 @@ import numpy as np
 from seqid_cli.errors import InputError
 from seqid_cli.logs.contents import Survey
 from seqid_cli.logs.tables.naming_schemes import COMMANDED, MEASURED
-from seqid_cli.robot.kinematics import DhRow, chain_from_dh
+from seqid_cli.robot.kinematics import chain_from_dh
 from seqid_cli.robot.toml.checks import MOST_JOINTS
 from seqid_cli.robot.toml.schema import Channels, Columns
 from seqid_cli.robot.types import Imu, Joint, Robot
@@ -229,7 +229,7 @@ def stand_in(guessed: Guess, *, source: Path) -> Robot:
         name="unknown",
         # A current is read as it is, so that it can be judged without drive data.
         joints=tuple(Joint(name, torque_constant=1.0) for name in guessed.joints),
-        chain=chain_from_dh([DhRow(0.0, 0.0, 0.0, 0.0)] * count),
+        chain=chain_from_dh(np.zeros((count, 4)).tolist()),
         gravity=np.array([0.0, 0.0, -9.81]),
         sha256="",
         source=source,

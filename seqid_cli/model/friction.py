@@ -248,8 +248,8 @@ def _over_speed(scaling: Scaling, speeds: Array, coefficients: Array) -> Array:
 
 def friction_torque(surfaces: list[FrictionSurface | None], q: Array, dq: Array) -> Array:
     """Friction torque (N, n) N m; zero for a joint whose friction is not known."""
-    columns = [
-        np.zeros(len(q)) if surface is None else surface.torque(q[:, j], dq[:, j])
-        for j, surface in enumerate(surfaces)
-    ]
-    return np.stack(columns, axis=1)
+    torque = np.zeros(q.shape)
+    for j, surface in enumerate(surfaces):
+        if surface is not None:
+            torque[:, j] = surface.torque(q[:, j], dq[:, j])
+    return torque

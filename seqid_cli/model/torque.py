@@ -142,13 +142,11 @@ class TorqueModel:
 
     def outside(self, motion: Motion) -> Mask:
         """Samples (N, n) at which a joint's friction was never identified."""
-        columns = [
-            np.zeros(motion.samples, dtype=bool)
-            if surface is None
-            else surface.outside(motion.q[:, j], motion.dq[:, j])
-            for j, surface in enumerate(self.surfaces)
-        ]
-        return np.stack(columns, axis=1)
+        found = np.zeros(motion.q.shape, dtype=bool)
+        for j, surface in enumerate(self.surfaces):
+            if surface is not None:
+                found[:, j] = surface.outside(motion.q[:, j], motion.dq[:, j])
+        return found
 
 
 def standard_parameters(stage: RigidStage, n: int) -> tuple[Array, Array]:

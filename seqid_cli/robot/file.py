@@ -4,6 +4,8 @@ import hashlib
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from msgspec.structs import astuple
+
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.toml.read import ReadRobotFile, read_robot_file
 from seqid_cli.robot.urdf.text import UrdfText, chains, check_names, read_urdf_text
@@ -82,11 +84,11 @@ def _chain_of(
     read: ReadRobotFile, urdf: UrdfText | None, names: tuple[str, ...]
 ) -> "tuple[Chain, Array | None]":
     if urdf is None:
-        from seqid_cli.robot.kinematics import DhRow, chain_from_dh
+        from seqid_cli.robot.kinematics import chain_from_dh
 
-        entries = [(joint.dh, joint.prismatic) for joint in read.content.joint]
-        rows = [DhRow(dh.alpha, dh.a, dh.d, dh.theta0, slides) for dh, slides in entries if dh]
-        return chain_from_dh(rows), None
+        rows = [astuple(joint.dh) for joint in read.content.joint if joint.dh]
+        sliding = [k for k, joint in enumerate(read.content.joint) if joint.prismatic]
+        return chain_from_dh(rows, sliding), None
     from seqid_cli.robot.urdf.model import chain_from_urdf
 
     chain, nominal = chain_from_urdf(urdf, names, read.path)

@@ -6,7 +6,7 @@ minus gravity, all three in the link's own frame. A link is called by the joint 
 0; the base is -1. Inside, samples are the last axis (contiguous); at the boundary the first.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,33 +55,23 @@ def tidy_axis(axis: Array) -> Array:
     return np.asarray(unit / np.linalg.norm(unit))
 
 
-@dataclass(frozen=True)
-class DhRow:
-    """One joint: RotX(alpha) TransX(a) RotZ(theta0 + q) TransZ(d), rad and m.
+def chain_from_dh(rows: Sequence[Sequence[float]], sliding: Collection[int] = ()) -> Chain:
+    """Build the chain of a modified DH table; joint axes are z of their frames (Eq. 27).
 
-    A prismatic joint keeps its angle `theta0` and moves by q along z.
+    `rows`: alpha, a, d and theta0 of each joint, rad and m: RotX(alpha) TransX(a) RotZ(theta0 + q)
+    TransZ(d). Joints in `sliding` (0-based) keep their angle theta0 and move by q along z.
     """
-
-    alpha: float
-    a: float
-    d: float
-    theta0: float
-    prismatic: bool = False
-
-
-def chain_from_dh(rows: Sequence[DhRow]) -> Chain:
-    """Build the chain of a modified DH table; joint axes are z of their frames (Eq. 27)."""
     x, z = np.eye(3)[[0, 2]]
     rotations, positions = [], []
-    for row in rows:
-        tilt = rotation_about(x, row.alpha)
-        rotations.append(tidy_rotation(tilt @ rotation_about(z, row.theta0)))
-        positions.append(tidy_position(row.a * x + row.d * tidy_rotation(tilt)[:, 2]))
+    for alpha, a, d, theta0 in rows:
+        tilt = rotation_about(x, alpha)
+        rotations.append(tidy_rotation(tilt @ rotation_about(z, theta0)))
+        positions.append(tidy_position(a * x + d * tidy_rotation(tilt)[:, 2]))
     return Chain(
         rotation=np.array(rotations),
         position=np.array(positions),
         axis=np.tile(z, (len(rows), 1)),
-        prismatic=np.array([row.prismatic for row in rows]),
+        prismatic=np.isin(np.arange(len(rows)), list(sliding)),
     )
 
 

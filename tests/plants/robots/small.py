@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from seqid_cli.robot.kinematics import DhRow, chain_from_dh
+from seqid_cli.robot.kinematics import chain_from_dh
 from seqid_cli.robot.types import Array, Chain, Joint, Robot
 
 HALF = float(np.pi / 2)
@@ -37,13 +37,13 @@ def robot_from_chain(
 def arm_6r(*, gear_ratio: float | None = None) -> Robot:
     """Return the UR5e-like arm from its DH table."""
     return robot_from_chain(
-        chain_from_dh([DhRow(alpha, a, d, 0.0) for alpha, a, d in ARM_6R]), gear_ratio=gear_ratio
+        chain_from_dh([(alpha, a, d, 0.0) for alpha, a, d in ARM_6R]), gear_ratio=gear_ratio
     )
 
 
 def planar_2r(*, gravity: Array = GRAVITY, gear_ratio: float = 6.0) -> Robot:
     """Return the arm of Sec. 4.2: two vertical axes, l_1 = 0.3 m."""
-    rows = [DhRow(0.0, 0.0, 0.0, 0.0), DhRow(0.0, 0.3, 0.0, 0.0)]
+    rows = [(0.0, 0.0, 0.0, 0.0), (0.0, 0.3, 0.0, 0.0)]
     return robot_from_chain(chain_from_dh(rows), gravity=gravity, gear_ratio=gear_ratio)
 
 

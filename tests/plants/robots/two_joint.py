@@ -6,7 +6,7 @@ import numpy as np
 
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import TorqueModel
-from seqid_cli.robot.kinematics import DhRow, chain_from_dh
+from seqid_cli.robot.kinematics import chain_from_dh
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.made import friction_joint
 from tests.plants.robots.small import random_inertia, robot_from_chain
@@ -22,7 +22,7 @@ def two_joint_robot(*, prismatic: bool = False, drives: bool = True) -> Robot:
 
     Without `drives` the robot file says nothing of gears, motors, encoders and limits.
     """
-    rows = [DhRow(0.0, 0.0, 0.0, 0.0), DhRow(0.4, 0.3, 0.1, 0.0)]
+    rows = [(0.0, 0.0, 0.0, 0.0), (0.4, 0.3, 0.1, 0.0)]
     chain = chain_from_dh(rows)
     chain = replace(chain, prismatic=np.array([False, prismatic]))
     robot = robot_from_chain(chain, gravity=np.array([0.0, -9.81, 0.0]))

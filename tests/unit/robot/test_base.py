@@ -10,7 +10,7 @@ from seqid_cli.robot.base_parameters import (
     standard_names,
     standard_regressor,
 )
-from seqid_cli.robot.kinematics import DhRow, chain_from_dh
+from seqid_cli.robot.kinematics import chain_from_dh
 from seqid_cli.robot.regressor import gravity_regressor
 from seqid_cli.robot.types import Array, Robot
 from tests.plants.robots.small import (
@@ -25,12 +25,12 @@ from tests.plants.robots.small import (
 
 def _scara() -> Robot:
     rows = [
-        DhRow(0.0, 0.0, 0.4, 0.0),
-        DhRow(0.0, 0.3, 0.0, 0.0),
-        DhRow(0.0, 0.25, 0.0, 0.0, prismatic=True),
-        DhRow(0.0, 0.0, 0.0, 0.0),
+        (0.0, 0.0, 0.4, 0.0),
+        (0.0, 0.3, 0.0, 0.0),
+        (0.0, 0.25, 0.0, 0.0),
+        (0.0, 0.0, 0.0, 0.0),
     ]
-    return robot_from_chain(chain_from_dh(rows), gear_ratio=50.0)
+    return robot_from_chain(chain_from_dh(rows, [2]), gear_ratio=50.0)
 
 
 def _skew() -> Robot:
@@ -41,7 +41,7 @@ def _skew() -> Robot:
 def _seven() -> Robot:
     twists = (0.0, -HALF, HALF, HALF, -HALF, HALF, HALF)
     offsets = ((0.0, 0.333), (0, 0), (0, 0.316), (0.0825, 0), (-0.0825, 0.384), (0, 0), (0.088, 0))
-    rows = [DhRow(al, a, d, 0.0) for al, (a, d) in zip(twists, offsets, strict=True)]
+    rows = [(al, a, d, 0.0) for al, (a, d) in zip(twists, offsets, strict=True)]
     return robot_from_chain(chain_from_dh(rows), gear_ratio=100.0)
 
 

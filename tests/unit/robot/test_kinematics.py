@@ -7,7 +7,6 @@ import pinocchio as pin
 import pytest
 
 from seqid_cli.robot.kinematics import (
-    DhRow,
     chain_from_dh,
     forward,
     link_angular_motion,
@@ -50,13 +49,13 @@ def test_angular_motion_is_pinocchios() -> None:
 
 
 def test_dh_frames_are_products_of_the_four_moves() -> None:
-    rows = [DhRow(0.3, 0.2, 0.5, -0.7), DhRow(-1.1, 0.1, 0.4, 0.9, prismatic=True)]
+    rows = [(0.3, 0.2, 0.5, -0.7), (-1.1, 0.1, 0.4, 0.9)]
     q = np.array([0.6, 0.25])
     T = np.eye(4)
     for row, value in zip(rows, q, strict=True):
         angle, slide = (row.theta0, row.d + value) if row.prismatic else (row.theta0 + value, row.d)
         T = T @ _move([1, 0, 0], row.alpha, row.a) @ _move([0, 0, 1], angle, slide)
-    frames = forward(chain_from_dh(rows), q[None])
+    frames = forward(chain_from_dh(rows, [1]), q[None])
     np.testing.assert_allclose(frames.R[0, 1], T[:3, :3], atol=1e-14)
     np.testing.assert_allclose(frames.p[0, 1], T[:3, 3], atol=1e-14)
 

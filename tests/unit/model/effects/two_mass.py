@@ -14,7 +14,7 @@ import numpy as np
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.motion import decimated
-from seqid_cli.robot.kinematics import DhRow, chain_from_dh
+from seqid_cli.robot.kinematics import chain_from_dh
 from tests import Array
 from tests.plants.robots.small import robot_from_chain
 from tests.plants.robots.two_joint import SIGN_WIDTH, friction_surface
@@ -101,7 +101,7 @@ def scene(log: Log, *, cutoff_hz: float, side: str = "motor", noise: float = 0.0
     settled[:500] = False
     motion = decimated(replace(motion, usable=settled), 24)
     robot = robot_from_chain(
-        chain_from_dh([DhRow(0.0, 0.0, 0.0, 0.0)]), gravity=np.array([0.0, -9.81, 0.0])
+        chain_from_dh([(0.0, 0.0, 0.0, 0.0)]), gravity=np.array([0.0, -9.81, 0.0])
     )
     robot = replace(robot, joints=(replace(robot.joints[0], rotor_inertia=MOTOR, gear_ratio=1.0),))
     phi = np.zeros((1, 10))

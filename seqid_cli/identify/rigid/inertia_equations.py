@@ -76,13 +76,54 @@ class InertiaEquations:
         scaled = robot.torque_constant_errors > 0.0
         self._rotor_torque = np.where(scaled, gear_ratios(robot) ** 2 * self.rotors, 0.0)
 
-    def rows_of(self, log: Recording | SurveyedLog) -> InertiaRows:
-        """The rows of one log."""
+    def rows_of(self, log: Recording | SurveyedLog, *, forgotten: float = 0.8) -> InertiaRows:
+        """The rows of one log; `forgotten`: share of the low-pass's memory that is computed beside.
+
+        The motion of a log that is held is one block, of one to be passed over it comes in many.
+        0.8 of the memory leaves 1e-10. Raises InputError if no stretch is long enough to filter.
+        """
+        options = self.options.motion
+        if isinstance(log, Recording):
+            imu, source = self.stages.imu, self.options.source
+            motion = torque_motion(log, self.robot, options, imu=imu, source=source)
+            parts: Iterable[Motion] = [motion]
+            lowpass, samples = motion.lowpass, motion.samples
+        else:
+            cutoff, step = chosen_cutoff(log, self.robot, options)
+            kept = options.samples_per_cutoff
+            plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=kept)
+            parts = motion_blocks(log.blocks(), plan)
+            lowpass, samples = plan.kept_lowpass, -(-log.samples // plan.factor)
+        reach = int(forgotten * lowpass.memory) + lowpass.settling
+        size = CHUNK * int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
+        longest, column = min(size, samples), self.coupling_column
+        columns = FilteredColumns(self.robot, self.basis, longest, reach, column)
+        block = lowpass.rate_hz  # samples of a second; longer where blocks would be merged anyway
+        while samples > MOST_BLOCKS * block and block < CHUNK / 2:
+            block *= 2.0
         joints = [Accumulator(self.basis.size + 1) for _ in range(self.robot.n)]
         rows = InertiaRows(joints, np.zeros(self.robot.n), {}, [], [], np.zeros(2))
-        motion = pass_over(log, self, rows)
+        moving, usable = np.zeros(self.robot.n, dtype=bool), False
+        # Right sides need little memory: they are made of longer parts than the regressor.
+        held = samples if isinstance(log, Recording) else 2 * size
+        for motion, start, stop in overlapping(parts, held, 2 * reach):
+            y = self.right_side(motion)
+            for first in range(start, stop, size):
+                end = min(first + size, stop)
+                low, high = max(0, first - reach), min(motion.samples, end + reach)
+                slides = sliding(motion.part(slice(low, high)), self.slowest)
+                H = columns.of(motion, first, end)
+                for at in range(first, end, CHUNK):
+                    own = slice(at, min(at + CHUNK, end))
+                    inner = H[own.start - first : own.stop - first], y[own]
+                    used = slides[own.start - low : own.stop - low]
+                    self.add_chunk(rows, motion.part(own), *inner, used, block / lowpass.rate_hz)
+            moving |= motion.moving.any(axis=0)
+            usable |= bool(motion.usable.any())
+        if not usable:
+            raise too_short(log.path, lowpass.cutoff_hz)
         rows.cutoffs.append(motion.cutoff.hz)
-        rows.uses.append(motion_use(log.path, self.robot, motion))
+        rows.uses.append(motion_use(log.path, self.robot, replace(motion, moving=moving[None])))
         return rows
 
     def at_cutoff(self, cutoff_hz: float) -> "InertiaEquations":
@@ -174,59 +215,3 @@ class InertiaEquations:
 def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:
     """Speed (n,) below which the sign of the friction is not certain."""
     return np.array([0.0 if s is None else SLIDES * s.sign_width for s in surfaces])
-
-
-def pass_over(
-    log: Recording | SurveyedLog,
-    equations: InertiaEquations,
-    rows: InertiaRows,
-    *,
-    forgotten: float = 0.8,
-) -> Motion:
-    """Add the equations of one log to some rows.
-
-    The motion of a log that is held is one block, of one to be passed over it comes in many.
-    `forgotten`: share of the low-pass's memory that is computed beside a part: 0.8 of it leaves
-    1e-10. Returns: the last samples, `moving` (1, n) being that of all of them. Raises InputError
-    if no stretch of the log is long enough to filter.
-    """
-    robot, options = equations.robot, equations.options
-    if isinstance(log, Recording):
-        imu, source = equations.stages.imu, options.source
-        motion = torque_motion(log, robot, options.motion, imu=imu, source=source)
-        parts: Iterable[Motion] = [motion]
-        lowpass, samples = motion.lowpass, motion.samples
-    else:
-        cutoff, step = chosen_cutoff(log, robot, options.motion)
-        kept = options.motion.samples_per_cutoff
-        plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=kept)
-        parts = motion_blocks(log.blocks(), plan)
-        lowpass, samples = plan.kept_lowpass, -(-log.samples // plan.factor)
-    reach = int(forgotten * lowpass.memory) + lowpass.settling
-    size = CHUNK * int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
-    column = equations.coupling_column
-    columns = FilteredColumns(robot, equations.basis, min(size, samples), reach, column)
-    block = lowpass.rate_hz  # samples of a second; longer where blocks would be merged in any case
-    while samples > MOST_BLOCKS * block and block < CHUNK / 2:
-        block *= 2.0
-    moving, usable, last = np.zeros(robot.n, dtype=bool), False, None
-    # Right sides need little memory: they are made of longer parts than the regressor.
-    held = samples if isinstance(log, Recording) else 2 * size
-    for motion, start, stop in overlapping(parts, held, 2 * reach):
-        y = equations.right_side(motion)
-        for first in range(start, stop, size):
-            end = min(first + size, stop)
-            low, high = max(0, first - reach), min(motion.samples, end + reach)
-            slides = sliding(motion.part(slice(low, high)), equations.slowest)
-            H = columns.of(motion, first, end)
-            for at in range(first, end, CHUNK):
-                own = slice(at, min(at + CHUNK, end))
-                inner = H[own.start - first : own.stop - first], y[own]
-                used = slides[own.start - low : own.stop - low]
-                equations.add_chunk(rows, motion.part(own), *inner, used, block / lowpass.rate_hz)
-        moving |= motion.moving.any(axis=0)
-        usable |= bool(motion.usable.any())
-        last = motion
-    if last is None or not usable:
-        raise too_short(log.path, lowpass.cutoff_hz)
-    return replace(last, moving=moving[None])

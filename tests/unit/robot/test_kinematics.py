@@ -51,10 +51,10 @@ def test_angular_motion_is_pinocchios() -> None:
 def test_dh_frames_are_products_of_the_four_moves() -> None:
     rows = [(0.3, 0.2, 0.5, -0.7), (-1.1, 0.1, 0.4, 0.9)]
     q = np.array([0.6, 0.25])
+    moved = [(0.3, 0.2, 0.5, -0.7 + q[0]), (-1.1, 0.1, 0.4 + q[1], 0.9)]
     T = np.eye(4)
-    for row, value in zip(rows, q, strict=True):
-        angle, slide = (row.theta0, row.d + value) if row.prismatic else (row.theta0 + value, row.d)
-        T = T @ _move([1, 0, 0], row.alpha, row.a) @ _move([0, 0, 1], angle, slide)
+    for alpha, a, d, theta in moved:
+        T = T @ _move([1, 0, 0], alpha, a) @ _move([0, 0, 1], theta, d)
     frames = forward(chain_from_dh(rows, [1]), q[None])
     np.testing.assert_allclose(frames.R[0, 1], T[:3, :3], atol=1e-14)
     np.testing.assert_allclose(frames.p[0, 1], T[:3, 3], atol=1e-14)

@@ -69,5 +69,4 @@ def _show(screen: Screen, file: PayloadFile) -> None:
         screen.result(f"{where}: {text}")
     show_poor(screen, [verdict for verdict in file.verdicts if verdict.joint], "payload")
     screen.result(f"payload: {verdict_text(file.verdicts, '')}")
-    for note in file.notes:
-        screen.remark(note)
+    screen.remark(*file.notes)

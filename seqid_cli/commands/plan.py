@@ -160,8 +160,7 @@ def run(
 def _show(screen: Screen, plan: PlanFile) -> None:
     screen.values(tables.moves(plan.moves))
     for name, stage in plan.stages.items():
-        for note in stage.notes:
-            screen.remark(note)
+        screen.remark(*stage.notes)
         if stage.separation:
             _show_separation(screen, stage.separation, plan.robot)
         if stage.rank is None:
@@ -179,8 +178,7 @@ def _show(screen: Screen, plan: PlanFile) -> None:
     for verdict in plan.verdicts:
         if not verdict.good:
             screen.warn(verdict.reason)
-    for note in plan.notes:
-        screen.remark(note)
+    screen.remark(*plan.notes)
     screen.note(f"noise of the torque: {plan.noise_origin}")
     screen.result(
         f"{len(plan.moves)} moves, {plan.duration_s:.0f} s of motion,"

@@ -56,8 +56,7 @@ def run(
     found = trend.trend(parameters, options, output=output, table=table)
     screen.document(found)
     _show(screen, found)
-    for note in found.notes:
-        screen.remark(note)
+    screen.remark(*found.notes)
     for path in (output, table):
         if path is not None:
             screen.note(f"written: {path}")

@@ -71,11 +71,12 @@ class Screen:
         """Keep messages from being said: they were, in other words."""
         self.said.update(messages)
 
-    def remark(self, message: str) -> None:
+    def remark(self, *messages: str) -> None:
         """Say what a result remarks, unless it was said before."""
-        if message not in self.said:
-            self.said.add(message)
-            self.note(folded(f"note: {message}", width_of(sys.stderr)))
+        for message in messages:
+            if message not in self.said:
+                self.said.add(message)
+                self.note(folded(f"note: {message}", width_of(sys.stderr)))
 
     def note(self, message: str) -> None:
         """Say what is good to know."""

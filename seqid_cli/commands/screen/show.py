@@ -55,8 +55,7 @@ def show_verdicts(
     for name in dict.fromkeys(verdict.joint for verdict in verdicts):
         if name not in shown:
             screen.result(f"{name or whole}: {verdict_text(verdicts, name)}")
-    for note in notes:
-        screen.remark(note)
+    screen.remark(*notes)
 
 
 def _friction(screen: Screen, stage: FrictionStage, robot: RobotId) -> None:

@@ -53,8 +53,7 @@ def show_diagnosis(screen: Screen, file: DiagnosisFile, joint: str | None = None
         screen.values(tables.hidden(hidden))
     elif hidden:
         screen.note(f"{len(hidden)} effects these motions cannot show: -v lists them.")
-    for note in file.notes:
-        screen.remark(note)
+    screen.remark(*file.notes)
 
 
 def _places(item: FindingEntry, file: DiagnosisFile) -> Collection[str]:
@@ -192,8 +191,7 @@ def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> No
     effects = file.stages.effects or []
     rows = [(item.effect, item.joint or "whole arm", parameters_text(item)) for item in effects]
     screen.values(values("effect | joint | parameters", "text text text", rows))
-    for note in loop.notes:
-        screen.remark(note)
+    screen.remark(*loop.notes)
 
 
 def _named(rounds: Sequence[RefinementRound]) -> str:

@@ -59,16 +59,11 @@ class Source(Generic[D]):
     content: D
 
 
-def read_parameters(
-    path: Path,
-    *,
-    version: int = PARAMS_VERSION,
-    migrations: Mapping[int, Migration] = PARAMS_MIGRATIONS,
-) -> ParameterFile:
+def read_parameters(path: Path) -> ParameterFile:
     """Read one parameter file strictly.
 
     Raises ConfigError: the file is missing, is no JSON, is another kind of document, is newer than
-    `version`, or does not follow the schema. The message names the line or the key.
+    this version knows, or does not follow the schema. The message names the line or the key.
     """
     data, document = _opened(path, _PARAMETER_HINT)
     name = _schema_of(document, "not a parameter file", str(path), _PARAMETER_HINT)
@@ -76,25 +71,18 @@ def read_parameters(
         message = f"is a {name['kind']} file ({name[0]}), not a parameter file"
         hint = f"Give the parameters that the {name['kind']} used."
         raise ConfigError(message, where=str(path), hint=hint)
-    return _parameters(data, document, int(name["version"]), str(path), version, migrations)
+    return _parameters(data, document, int(name["version"]), str(path))
 
 
-def _parameters(
-    data: bytes,
-    document: Json,
-    found: int,
-    where: str,
-    version: int = PARAMS_VERSION,
-    migrations: Mapping[int, Migration] = PARAMS_MIGRATIONS,
-) -> ParameterFile:
+def _parameters(data: bytes, document: Json, found: int, where: str) -> ParameterFile:
     """Decode a parameter file; one of an older version is brought up to date step by step."""
-    if found > version:
-        newest = f"seqid/params@{version}"
+    if found > PARAMS_VERSION:
+        newest = f"seqid/params@{PARAMS_VERSION}"
         message = f"is of the newer version seqid/params@{found}; this seqid reads up to {newest}"
         raise ConfigError(message, where=where, hint=_UPGRADE)
     try:
-        for current in range(found, version):
-            document = migrations[current](document)
+        for current in range(found, PARAMS_VERSION):
+            document = PARAMS_MIGRATIONS[current](document)
             data = msgspec.json.encode(document)
     except (LookupError, TypeError, ValueError, RecursionError) as error:
         message = f"is of the old version seqid/params@{found} and cannot be brought up to date"

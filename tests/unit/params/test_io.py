@@ -7,6 +7,7 @@ import msgspec
 import pytest
 
 from seqid_cli.errors import ConfigError
+from seqid_cli.params import io
 from seqid_cli.params.document import join
 from seqid_cli.params.encode import encode, plain
 from seqid_cli.params.io import read_parameters, write_json_atomic
@@ -153,7 +154,9 @@ def test_a_missing_file_a_folder_and_a_huge_file(tmp_path: Path) -> None:
         read_parameters(tmp_path / "huge")
 
 
-def test_older_files_are_migrated_step_by_step(tmp_path: Path) -> None:
+def test_older_files_are_migrated_step_by_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "p.json"
     path.write_text(json.dumps(edited(("robot", "joint_names"), [])))
 
@@ -166,10 +169,13 @@ def test_older_files_are_migrated_step_by_step(tmp_path: Path) -> None:
     def third(document: dict[str, object]) -> dict[str, object]:
         return document | {"schema": "seqid/params@3", "created": "migrated"}
 
-    file = read_parameters(path, version=3, migrations={1: second, 2: third})
+    monkeypatch.setattr(io, "PARAMS_VERSION", 3)
+    monkeypatch.setattr(io, "PARAMS_MIGRATIONS", {1: second, 2: third})
+    file = read_parameters(path)
     assert (file.schema, file.created) == ("seqid/params@3", "migrated")
+    monkeypatch.setattr(io, "PARAMS_MIGRATIONS", {1: second})
     with pytest.raises(ConfigError, match="old version seqid/params@1"):
-        read_parameters(path, version=3, migrations={1: second})
+        read_parameters(path)
 
 
 def write(folder: Path, name: str, make: Callable[[], ParameterFile]) -> Path:

@@ -28,7 +28,7 @@ from seqid_cli.logs.storage.files import (
     storage_file,
     unchanged,
 )
-from seqid_cli.logs.storage.spool import Spool
+from seqid_cli.logs.storage.temporary import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
 from seqid_cli.logs.thinned import Thinned

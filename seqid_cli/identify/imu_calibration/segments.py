@@ -22,7 +22,7 @@ from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import SIDE, differentiate, runs, shrink
 from seqid_cli.motion.motion import Motion, encoder_resolution
-from seqid_cli.motion.smoother.encoder import EncoderView, bridged, encoder_view
+from seqid_cli.motion.smoother.chunk import EncoderView, bridged, encoder_view
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough, white_noise
 from seqid_cli.typing import Array, Index, Mask

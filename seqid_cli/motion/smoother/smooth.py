@@ -18,8 +18,14 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.motion import encoder_resolution
-from seqid_cli.motion.smoother.chunk import Chunk, Mounted, motion_at, resampled
-from seqid_cli.motion.smoother.encoder import bridged, encoder_view
+from seqid_cli.motion.smoother.chunk import (
+    Chunk,
+    Mounted,
+    bridged,
+    encoder_view,
+    motion_at,
+    resampled,
+)
 from seqid_cli.motion.smoother.imus import handed_on, mounted_imus, read
 from seqid_cli.motion.smoother.screening import believed, contradiction, fits
 from seqid_cli.motion.smoother.solve import (

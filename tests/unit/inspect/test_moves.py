@@ -1,6 +1,6 @@
 """Which stages logs serve, each by itself and all together."""
 
-from seqid_cli.inspect.moves import serve_together
+from seqid_cli.inspect.parts import serve_together
 from seqid_cli.params.results.inspection import InspectedJoint, InspectedLog, InspectedMoves
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.logs.storage.spool import Spool
+from seqid_cli.logs.storage.temporary import Spool
 
 Usage = namedtuple("Usage", "total used free")
 

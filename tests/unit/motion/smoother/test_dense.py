@@ -17,8 +17,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.motion.smoother import solve as smoother_solve
-from seqid_cli.motion.smoother.chunk import CELL_S, Chunk, Mounted
-from seqid_cli.motion.smoother.encoder import encoder_view
+from seqid_cli.motion.smoother.chunk import CELL_S, Chunk, Mounted, encoder_view
 from seqid_cli.motion.smoother.imus import mounted_imus, read
 from seqid_cli.motion.smoother.solve import Solution, encoder_motion, halved, renewed
 from seqid_cli.motion.smoother.system import linearised

@@ -20,7 +20,7 @@ from seqid_cli.inspect.checks import check
 from seqid_cli.inspect.findings import found, grouped, located, verdict_of
 from seqid_cli.inspect.imu.motion import Following
 from seqid_cli.inspect.imu.readings import force_of, rest_rows
-from seqid_cli.inspect.material import LogData, Mask
+from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import Stream
 from seqid_cli.logs.recording import Health
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
@@ -113,15 +113,8 @@ def _postures(stretches: list[Stretch], joint: int, *, same: float = 0.03) -> in
     return len(found)
 
 
-def together(moving: Mask) -> Array:
-    """Count the samples at which each joint moves with others, and at which any moves, (n + 1,)."""
-    several = moving.sum(axis=1) >= 2
-    with_others = (moving & several[:, None]).sum(axis=0)
-    return np.append(with_others, moving.any(axis=1).sum()).astype(np.float64)
-
-
 def moving_together(robot: Robot, counts: Array, *, min_share: float = 0.1) -> tuple[str, ...]:
-    """Return the joints that move with others for a fair share of the time, by `together`."""
+    """Joints that move with others for a fair share of the samples (n + 1,) with motion."""
     share = counts[:-1] / max(counts[-1], 1.0)
     names = zip(robot.joint_names, share, strict=True)
     return tuple(name for name, part in names if part > min_share)
@@ -219,7 +212,7 @@ class Gathered:
     _joints: list[list[InspectedJoint]] = field(default_factory=list)
     _imus: list[InspectedImu] = field(default_factory=list)
     _stretches: list[Stretch] = field(default_factory=list)
-    _together: list[Array] = field(default_factory=list)
+    _together: list[Array] = field(default_factory=list)  # samples: each with others, any (n + 1,)
     _findings: list[InspectionFinding] = field(default_factory=list)
     _torque: bool = False
     _accelerated: bool = False  # an IMU is there
@@ -240,7 +233,9 @@ class Gathered:
         self._imus += imu_summaries(data, checked.following)
         q, rate, where = recording.q, health.rate_hz, recording.valid
         self._add_stretches(constant_velocity(q, rate, step=data.step, valid=where), offset, rate)
-        self._together.append(together(data.moving))
+        several = data.moving.sum(axis=1, keepdims=True) >= 2
+        moves = np.hstack([data.moving & several, data.moving.any(axis=1, keepdims=True)])
+        self._together.append(moves.sum(axis=0).astype(np.float64))
         self._torque |= recording.tau is not None
         self._accelerated |= bool(recording.accelerometers or recording.gyros)
         new = len(recording.t) if first else np.count_nonzero(recording.t + offset > self.end)

@@ -1,7 +1,7 @@
 """Long logs: joint position and torque on one uniform time base, in blocks.
 
 A first pass decodes the file and lays the base; every further pass yields the same samples as
-`read_recording`, from a temporary file where there is room for one (see `spool`), without ever
+`read_recording`, from a temporary file where there is room for one (see `Spool`), without ever
 holding more than some blocks. That works for logs whose stamps increase and whose rows hold every
 joint; `open_long` returns None for others, and for logs in which samples come in bursts, or are
 lost without the stamps showing it (`lost_samples`): these have to be read as a whole.

@@ -54,28 +54,22 @@ def cut(recording: Recording, ranges: Sequence[Range]) -> list[Recording]:
     the log.
     """
     whole, t = whole_of(recording), recording.t
-    pieces = []
-    for first, last in ranges:
-        part = slice(int(np.searchsorted(t, first - 1e-9)), int(np.searchsorted(t, last + 1e-9)))
-        pieces.append(_piece(recording, part, whole))
-    return pieces
-
-
-def _piece(recording: Recording, part: slice, whole: Whole) -> Recording:
     known = {field.name: getattr(recording, field.name) for field in fields(Recording)}
-    held = {name: values for name, values in known.items() if isinstance(values, np.ndarray)}
-    arrays: dict[str, Any] = {name: values[part].copy() for name, values in held.items()}
-    for name in ("accelerometers", "gyros"):
-        arrays[name] = {imu: values[part].copy() for imu, values in known[name].items()}
-    first = float(arrays["t"][0])
-    return replace(
-        recording,
-        **{**arrays, "t": arrays["t"] - first},
-        sha256=_digest(whole, first, len(arrays["t"])),
-        start=recording.start + first,
-        health=replace(recording.health, gaps=(), warnings=()),
-        whole=whole,
-    )
+    health = replace(recording.health, gaps=(), warnings=())
+    pieces = []
+    for begin, end in ranges:
+        part = slice(int(np.searchsorted(t, begin - 1e-9)), int(np.searchsorted(t, end + 1e-9)))
+        own: dict[str, Any] = {}
+        for name, values in known.items():
+            if isinstance(values, np.ndarray):
+                own[name] = values[part].copy()
+            elif isinstance(values, dict):  # IMUs
+                own[name] = {imu: readings[part].copy() for imu, readings in values.items()}
+        first = float(own["t"][0])
+        own |= {"t": own["t"] - first, "start": recording.start + first}
+        own["sha256"] = _digest(whole, first, len(own["t"]))
+        pieces.append(replace(recording, **own, health=health, whole=whole))
+    return pieces
 
 
 def _digest(whole: Whole, first: float, samples: int) -> str:

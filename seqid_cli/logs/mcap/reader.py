@@ -141,7 +141,11 @@ class _Log:
 
     def partial(self) -> str:
         """Say in one line what the file lost; empty for a whole one."""
-        unread = [note for collector in self.collectors.values() if (note := collector.note())]
+        unread = [
+            f"{each.damaged} of {each.received} messages of {topic} could not be decoded"
+            for topic, each in self.collectors.items()
+            if each.damaged
+        ]
         return "; ".join([*_losses(self.scan), *unread])
 
     def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:

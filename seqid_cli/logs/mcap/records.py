@@ -98,7 +98,10 @@ class Scan:
             self.channels.update(self.summary.channels)
             self.schemas.update(self.summary.schemas)
             chunks = [each.chunk_start_offset for each in self.summary.chunk_indexes]
-            walked = _Walk(file, size, self.losses, chunks, self._unneeded(), checksum)
+            # A checksum over everything is only worth its time where everything is read.
+            unneeded = self._unneeded()
+            checksum = 0 if unneeded else checksum
+            walked = _Walk(file, size, self.losses, chunks, unneeded, checksum)
             chunk: _Record | None = None
             index: list[bytes] = []
             for record in walked.records():
@@ -255,7 +258,8 @@ class _Walk:
 
     A record is taken for damaged unless it ends where another may begin: a wrong length leads into
     the middle of others, whose bytes make no head. Whole chunks in front of damage have checks of
-    their own. Those of `skip` are not needed; `checksum` is that of the data section.
+    their own. Those of `skip` are not needed; `checksum` is that of the data section, 0 where it is
+    not to be compared.
     """
 
     file: BinaryIO
@@ -265,11 +269,7 @@ class _Walk:
     skip: frozenset[tuple[int, int]]
     checksum: int
     finished: bool = False
-
-    def __post_init__(self) -> None:
-        # A checksum over everything is only worth its time where everything is read.
-        self._checked = bool(self.checksum) and not self.skip
-        self._sum = crc32(MAGIC)
+    _sum: int = crc32(MAGIC)
 
     def records(self) -> Iterator[_Record]:
         """Yield what is needed of the data section; loose messages come many in one record."""
@@ -294,7 +294,7 @@ class _Walk:
                     return
                 what = f"{found - at} damaged bytes at byte {at} of {self.size} were left out"
                 self.losses[what] += 1
-                self._checked = False
+                self.checksum = 0
                 at = found
             elif opcode in _LOOSE:
                 record = self._window(at, after - at)
@@ -304,7 +304,7 @@ class _Walk:
                 at = after
             elif opcode == Opcode.DATA_END:
                 self.finished = True
-                if self._checked and self.checksum != self._sum:
+                if self.checksum and self.checksum != self._sum:
                     what = "the checksum of the data does not match: values may be damaged"
                     self.losses[what] += 1
             else:
@@ -330,7 +330,7 @@ class _Walk:
             yield _Record(opcode, content)
             return
         self._add(head)
-        while self._checked and length:
+        while self.checksum and length:
             piece = self.file.read(min(length, _STEP))
             if not piece:
                 return
@@ -338,7 +338,7 @@ class _Walk:
             length -= len(piece)
 
     def _add(self, content: bytes) -> None:
-        if self._checked:
+        if self.checksum:
             self._sum = crc32(content, self._sum)
 
     def _window(self, at: int, length: int) -> _Record:

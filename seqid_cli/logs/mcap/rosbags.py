@@ -8,7 +8,7 @@ import importlib
 import re
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -63,14 +63,8 @@ _Columns = tuple[int, str, str, int]
 _Message = tuple[int, int, bytes]
 
 
-@dataclass(frozen=True)
-class _Bag:
-    """An opened bag: its topics, and its messages as (topic's number, time [ns], CDR)."""
-
-    topics: tuple[Topic, ...]
-    messages: Callable[[], Iterator[_Message]]
-
-
+# An opened bag: its topics, and its messages as (topic's number, time [ns], CDR).
+_Bag = tuple[tuple[Topic, ...], Callable[[], Iterator[_Message]]]
 _Wanted = Callable[[str], bool]
 _Open = Callable[[Path, _Wanted], AbstractContextManager[_Bag]]
 
@@ -85,25 +79,23 @@ class BagScan(Scan):
             first = file.read(len(_ROSBAG1)) == _ROSBAG1
         self.remedy = _REMEDY["rosbag1" if first else "rosbag2"]
         self.losses.update(_unmerged(self.path))
-        with self._opened(_rosbag1 if first else _rosbag2) as bag:
-            self._define(bag.topics)
-            for part in _together(self._sound(bag.messages())):
+        with ExitStack() as stack:
+            topics, messages = self._opened(_rosbag1 if first else _rosbag2, stack)
+            counts = {topic.number: topic.messages for topic in topics}
+            total = sum(counts.values())
+            self.summary.statistics = Statistics(0, len(topics), counts, 0, total, 0, 0, 0, 0)
+            for topic in topics:
+                definition = topic.definition or (_DYNAMIC if "Dynamic" in topic.kind else "")
+                number, name = topic.number, topic.name
+                self.schemas[number] = Schema(number, definition.encode(), "ros2msg", topic.kind)
+                self.channels[number] = Channel(number, name, "cdr", {}, number)
+            for part in _together(self._sound(messages())):
                 for number in dict.fromkeys(message[0] for message in part):
                     own = [message for message in part if message[0] == number]
                     self.counts[number] += len(own)
                     log_ns = np.array([max(0, message[1]) for message in own], np.int64)
                     payloads = Payloads.of([message[2] for message in own])
                     yield Batch(self.channels[number], self.schemas[number], log_ns, payloads)
-
-    def _define(self, topics: tuple[Topic, ...]) -> None:
-        counts = {topic.number: topic.messages for topic in topics}
-        total = sum(counts.values())
-        self.summary.statistics = Statistics(0, len(topics), counts, 0, total, 0, 0, 0, 0)
-        for topic in topics:
-            definition = topic.definition or (_DYNAMIC if "Dynamic" in topic.kind else "")
-            number, name = topic.number, topic.name
-            self.schemas[number] = Schema(number, definition.encode(), "ros2msg", topic.kind)
-            self.channels[number] = Channel(number, name, "cdr", {}, number)
 
     def _sound(self, messages: Iterator[_Message]) -> Iterator[_Message]:
         """Yield messages up to a fault of the bag, of which `losses` is told."""
@@ -113,22 +105,16 @@ class BagScan(Scan):
             reason = " ".join(str(error).split())[:120] or type(error).__name__
             self.losses[f"the bag is damaged ({reason})"] += 1
 
-    @contextmanager
-    def _opened(self, open_bag: _Open) -> Iterator[_Bag]:
+    def _opened(self, open_bag: _Open, stack: ExitStack) -> _Bag:
         """Open a bag; what the library says of a damaged one becomes an InputError."""
         try:
-            bag = open_bag(self.path, self.wanted)
-            opened = bag.__enter__()
+            return stack.enter_context(open_bag(self.path, self.wanted))
         except InputError:
             raise
         except Exception as error:
             reason = " ".join(str(error).split())[:200] or type(error).__name__
             message = f"the bag cannot be read ({reason})"
             raise InputError(message, hint=self.remedy, where=str(self.path)) from error
-        try:
-            yield opened
-        finally:
-            bag.__exit__(None, None, None)
 
 
 read_blocks = partial(reader.read_blocks, scan=BagScan)
@@ -166,7 +152,7 @@ def _rosbag2(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
         if others:
             raise ValueError(f"its serialization is {', '.join(sorted(others))}, not cdr")
         kept = [c for c in reader.connections if c.msgtype in _KEPT and wanted(c.topic)]
-        yield _Bag(topics, lambda: _unpacked(reader.messages(kept)))
+        yield topics, lambda: _unpacked(reader.messages(kept))
     finally:
         reader.close()
 
@@ -186,7 +172,7 @@ def _rosbag1(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
                 kind = connection.msgtype
                 yield connection.id, time_ns, bytes(store.ros1_to_cdr(data, kind))
 
-        yield _Bag(topics, messages)
+        yield topics, messages
 
 
 def _check_tables(path: Path) -> None:

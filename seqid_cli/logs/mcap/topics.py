@@ -80,12 +80,6 @@ class Collector:
             return Samples(*map(np.concatenate, zip(*done, strict=True)))
         return done[0] if done else Samples(none, none, np.zeros((0, width)))
 
-    def note(self) -> str:
-        """Say what could not be decoded, empty if nothing."""
-        if not self.damaged:
-            return ""
-        return f"{self.damaged} of {self.received} messages of {self.topic} could not be decoded"
-
     def _flush(self) -> None:
         if self._data:
             log_ns, data = np.array(self._log_ns, np.int64), Payloads.of(self._data)

@@ -62,18 +62,13 @@ def joined(parts: Sequence[Stream]) -> Stream:
     there = [part for part in parts if len(part)]
     if not there:
         return parts[0]
-    channels = {
-        name: np.concatenate([_values(part, name, there) for part in there])
-        for name in dict.fromkeys(name for part in there for name in part.channels)
-    }
+    channels = {}
+    for name, known in {n: own for part in there for n, own in part.channels.items()}.items():
+        own = [part.channels.get(name) for part in there]
+        sizes = [(len(part), known.shape[1]) for part in there]
+        whole = [np.full(s, np.nan) if x is None else x for x, s in zip(own, sizes, strict=True)]
+        channels[name] = np.concatenate(whole)
     return Stream(there[0].name, np.concatenate([part.stamp_ns for part in there]), channels)
-
-
-def _values(part: Stream, name: str, parts: Sequence[Stream]) -> Array:
-    if name in part.channels:
-        return part.channels[name]
-    width = next(other.channels[name].shape[1] for other in parts if name in other.channels)
-    return np.full((len(part), width), np.nan)
 
 
 # Reads the channels that the robot file knows, block by block: (path, robot, time source, rows in a

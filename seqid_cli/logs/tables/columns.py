@@ -36,11 +36,6 @@ class TimeColumn:
     sure: bool = False
     nanoseconds: str | None = None
 
-    @property
-    def columns(self) -> list[str]:
-        """Columns to load."""
-        return [self.name] if self.nanoseconds is None else [self.name, self.nanoseconds]
-
 
 def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
     """Return a column that is there once, dictionaries resolved."""

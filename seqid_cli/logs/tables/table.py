@@ -177,11 +177,10 @@ class Plan:
     @property
     def columns(self) -> list[str]:
         """All columns to load, each once."""
-        names = list(self.time.columns)
-        names += [name for row in self.joints.values() for name in row if name is not None]
+        names: list[str | None] = [self.time.name, self.time.nanoseconds]
+        names += [name for row in self.joints.values() for name in row]
         names += [name for pair in self.imus.values() for row in pair for name in row]
-        names += [self.episode] if self.episode is not None else []
-        return list(dict.fromkeys(names))
+        return list(dict.fromkeys(name for name in (*names, self.episode) if name is not None))
 
 
 def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterator[RawLog]:

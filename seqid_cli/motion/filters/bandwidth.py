@@ -238,20 +238,12 @@ def acceleration_powers(
     the encoder [rad]. `cutoffs` (C,) [Hz]. Returns (C,) (C,): [(rad/s^2)^2, (rad/s^2)^2, rad^2/Hz].
     """
     density = density / np.maximum(np.sinc(frequency / rate_hz) ** 4, 0.05)
-    omega4 = (2 * np.pi * frequency) ** 4
-    floor = _noise_density(frequency, density, omega4, rate_hz, step)
+    # The position's noise: the quantisation's, or what the top of the spectrum shows.
+    top = (frequency > 0.2 * rate_hz) & (frequency < 0.4 * rate_hz)
+    above = density[top] / (2 * np.pi * frequency[top]) ** 4
+    floor = max(step**2 / 12 * 2 / rate_hz, float(np.median(above)) if top.any() else 0.0, 1e-30)
     total = np.concatenate(([0.0], np.cumsum(density[1:] * frequency[1])))
     noise = differentiated_error(np.asarray(floor), cutoffs)
     signal = np.interp(cutoffs, frequency, total) - noise
     # Power beyond the first point where noise takes over is noise, whatever its exact level.
     return np.maximum.accumulate(np.maximum(signal, 1e-12)), noise, floor
-
-
-def _noise_density(
-    frequency: Array, density: Array, omega4: Array, rate_hz: float, step: float
-) -> float:
-    """Position noise, rad^2/Hz: the quantisation's, or what the top of the spectrum shows."""
-    quantisation = step**2 / 12 * 2 / rate_hz
-    top = (frequency > 0.2 * rate_hz) & (frequency < 0.4 * rate_hz)
-    seen = float(np.median(density[top] / omega4[top])) if top.any() else 0.0
-    return max(quantisation, seen, 1e-30)

@@ -117,10 +117,11 @@ class Lowpass:
         """
         response = _response(self, times, every)
         samples, reach = rows.shape[1], response.reach
+        hop = response.size - 2 * reach
         wide = np.pad(rows, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
         kept = np.empty((len(rows), -(-(samples - first) // every)))
-        for start in range(first, samples, response.step):
-            stop = min(start + response.step, samples)
+        for start in range(first, samples, hop):
+            stop = min(start + hop, samples)
             piece = response.of(wide[:, start : stop + 2 * reach])
             at = slice((start - first) // every, -(-(stop - first) // every))
             kept[:, at] = piece[:, : at.stop - at.start]
@@ -136,11 +137,6 @@ class _Response:
     every: int  # of so many samples one is wanted
     gain: Array  # (size // 2 + 1,) real: the phase is zero
     last: int  # frequency of a gain that is not negligible
-
-    @property
-    def step(self) -> int:
-        """Samples by which pieces follow one another."""
-        return self.size - 2 * self.reach
 
     def of(self, piece: Array) -> Array:
         """Filter a piece (c, m), from its sample `reach` on; zeros follow it."""

@@ -197,23 +197,21 @@ class Chunk:
         return np.arange(0, self.intervals, self.cell)
 
     def gathered(self) -> "Chunk":
-        """The same with all readings where their clocks' offsets have them."""
-        return replace(self, imus=tuple(_gathered(x, self) for x in self.imus))
-
-
-def _gathered(x: Mounted, chunk: Chunk) -> Mounted:
-    """Lay readings on the intervals in which they were taken."""
-    shift = int(np.ceil(x.delay / chunk.dt - 1e-9))
-    at = np.arange(len(x.raw)) * chunk.stride - shift
-    inside = (at >= 0) & (at < chunk.samples)
-    length = chunk.intervals * chunk.every
-    y, seen = np.zeros((length, x.raw.shape[1])), np.zeros((length, x.raw.shape[1]), dtype=bool)
-    y[at[inside]], seen[at[inside]] = x.raw[inside], x.live[inside]
-    if chunk.every > 1:
-        y = y.reshape(-1, chunk.every, y.shape[1]).mean(axis=1)
-        seen = np.asarray(seen.reshape(-1, chunk.every, y.shape[1]).all(axis=1))
-    fraction = shift - x.delay / chunk.dt
-    return replace(x, y=y, seen=seen, fraction=fraction, every=chunk.every)
+        """The same with all readings in the intervals in which they were taken, by their clocks."""
+        imus = []
+        for x in self.imus:
+            shift = int(np.ceil(x.delay / self.dt - 1e-9))
+            at = np.arange(len(x.raw)) * self.stride - shift
+            inside = (at >= 0) & (at < self.samples)
+            shape = self.intervals * self.every, x.raw.shape[1]
+            y, seen = np.zeros(shape), np.zeros(shape, dtype=bool)
+            y[at[inside]], seen[at[inside]] = x.raw[inside], x.live[inside]
+            if self.every > 1:
+                y = y.reshape(-1, self.every, shape[1]).mean(axis=1)
+                seen = np.asarray(seen.reshape(-1, self.every, shape[1]).all(axis=1))
+            fraction = shift - x.delay / self.dt
+            imus.append(replace(x, y=y, seen=seen, fraction=fraction, every=self.every))
+        return replace(self, imus=tuple(imus))
 
 
 def motion_at(chunk: Chunk, c: Array) -> Array:

@@ -67,20 +67,6 @@ class Smoothed:
         return between(self.covariance_at_places, self.places, len(self.q))
 
 
-def smoothed_motion(
-    recording: Recording, robot: Robot, stage: ImuStage | None, *, chunk_s: float = 10.0
-) -> Smoothed:
-    """Smooth all joints of one log.
-
-    `stage`: calibrations; IMUs without one take no part. `chunk_s`: length [s] of what is smoothed
-    at once. Returns: at the log's own rate. Joints that no believed IMU sees rest on their
-    encoders.
-    """
-    # Threads of the linear algebra only get into each other's way with matrices this narrow.
-    with threadpool_limits(1):
-        return _joined(recording, robot, stage, chunk_s)
-
-
 Part = tuple[Array, Index, Array, tuple[Mounted, ...], list[str]]
 
 
@@ -150,16 +136,21 @@ def _on_knots(chunk: Chunk, spacing: float) -> Chunk:
     return replace(chunk, views=views, dt=chunk.dt / finer, every=every)
 
 
-def _joined(
+def smoothed_motion(
     recording: Recording,
     robot: Robot,
     stage: ImuStage | None,
-    chunk_s: float,
     *,
+    chunk_s: float = 10.0,
     overlap_s: float = 0.5,
     first_jerk: float = 1000.0,
 ) -> Smoothed:
-    """Smooth chunks that fade into each other, each from the constants of the last."""
+    """Smooth all joints of one log, by chunks that fade into each other.
+
+    `stage`: calibrations; IMUs without one take no part. `chunk_s`: length [s] of what is smoothed
+    at once, from the constants that the chunk before has found. Returns: at the log's own rate.
+    Joints that no believed IMU sees rest on their encoders.
+    """
     samples, rate = len(recording.q), recording.rate_hz
     filled = np.column_stack([bridged(x, np.isfinite(x)) for x in recording.q.T])
     step = encoder_resolution(robot)
@@ -179,7 +170,9 @@ def _joined(
             for j in range(robot.n)
         )
         imus = tuple(read(x, recording, own) for x in known.values())
-        part, size = _smoothed(Chunk(robot, views, 1.0 / rate, 1, imus), size)
+        # Threads of the linear algebra only get into each other's way with matrices this narrow.
+        with threadpool_limits(1):
+            part, size = _smoothed(Chunk(robot, views, 1.0 / rate, 1, imus), size)
         motion, places, covariance, found, said = part
         known |= {x.name: x for x in found}
         used |= {x.name for x in found}

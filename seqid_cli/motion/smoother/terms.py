@@ -82,16 +82,12 @@ def couple_jerks(band: Array, precision: Array, relative: Array, *, stretch: int
     for start in range(0, len(inverse), stretch):
         own = inverse[start : start + stretch]
         couplings = own[:, :, None] * own[:, None] * precision
-        _add_couplings(band[start : start + len(own) + 3], couplings)
-
-
-def _add_couplings(band: Array, couplings: Array) -> None:
-    """Add precisions (M, n, n) of jerks to the lower band (M + 3, n, 4n) of their coefficients."""
-    m, n, _ = couplings.shape
-    for d in range(4):
-        share = np.zeros((m + 3, n, n))
-        for b in range(4 - d):
-            share[b : b + m] += (JERK[b + d] * JERK[b]) * couplings
-        for j in range(n):
-            first = 0 if d else j
-            band[:, j, d * n + first - j : (d + 1) * n - j] += share[:, j, first:]
+        m, n = own.shape
+        for d in range(4):
+            share = np.zeros((m + 3, n, n))
+            for b in range(4 - d):
+                share[b : b + m] += (JERK[b + d] * JERK[b]) * couplings
+            for j in range(n):
+                first = 0 if d else j
+                columns = slice(d * n + first - j, (d + 1) * n - j)
+                band[start : start + m + 3, j, columns] += share[:, j, first:]

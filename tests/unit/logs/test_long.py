@@ -12,7 +12,7 @@ from seqid_cli.logs import long as module
 from seqid_cli.logs.long import Block, LongLog, likely_rows, open_long
 from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.read import read_recording
-from seqid_cli.logs.storage import spool
+from seqid_cli.logs.storage import temporary
 from seqid_cli.logs.tables import parquet
 from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.robot.types import Robot
@@ -121,7 +121,7 @@ def test_an_even_log_is_surveyed_while_its_base_is_laid(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, even: bool, room: bool
 ) -> None:
     if not room:
-        monkeypatch.setattr(spool.Spool.__init__, "__defaults__", (0, 0.25))
+        monkeypatch.setattr(temporary.Spool.__init__, "__defaults__", (0, 0.25))
     samples = 6_000  # longer than the longest segment of a spectrum
     jitter = 0.0 if even else np.random.default_rng(4).uniform(-4e-4, 4e-4, samples)
     path = write(tmp_path / "log.parquet", np.arange(samples) / 250.0 + jitter)
@@ -146,7 +146,7 @@ def test_a_log_that_changes_between_two_passes_is_refused(
 ) -> None:
     """Neither mixed with what was read before nor told as what the result is made of."""
     if not spooled:
-        monkeypatch.setattr(spool.Spool, "complete", False)
+        monkeypatch.setattr(temporary.Spool, "complete", False)
     path = write(tmp_path / "log.parquet", np.arange(SAMPLES) / 100.0)
     log = open_long(path, make_robot())
     assert log is not None

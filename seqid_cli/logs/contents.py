@@ -22,17 +22,13 @@ class Channel:
 
 @dataclass(frozen=True)
 class Survey:
-    """The content of one log.
-
-    `joints` are those that messages or a LeRobot data set name, in its order. `columns` are those
-    of a table, elements of its lists as `column[k]`.
-    """
+    """The content of one log."""
 
     path: Path
     format: str
     channels: tuple[Channel, ...]
-    joints: tuple[str, ...]
-    columns: tuple[str, ...] = ()
+    joints: tuple[str, ...]  # that messages or a LeRobot data set name, in its order
+    columns: tuple[str, ...] = ()  # of a table, elements of its lists as `column[k]`
 
 
 def survey(path: Path) -> Survey:

@@ -68,17 +68,14 @@ class Block:
 
 @dataclass(frozen=True)
 class Bridge:
-    """Damaged samples [start, stop) of a joint's position, and the values around them.
-
-    `valid` says whether a straight line between those stands in for them.
-    """
+    """Damaged samples [start, stop) of a joint's position, and the values around them."""
 
     joint: int
     start: int
     stop: int
     before: float
     after: float
-    valid: bool
+    valid: bool  # whether a straight line stands in for them
 
     def laid(self, block: Block) -> None:
         """Write the bridge into a block's own arrays, where it has a part of it."""

@@ -43,11 +43,7 @@ class Stream:
 
 @dataclass(frozen=True)
 class RawLog:
-    """One log, decoded but not yet on one time base.
-
-    `imus[name]` are the streams that together carry the IMU's channels, in the order of its
-    accelerometers.
-    """
+    """One log, not yet on one time base; an IMU's streams follow its accelerometers' order."""
 
     joints: Stream
     imus: dict[str, tuple[Stream, ...]] = field(default_factory=dict)

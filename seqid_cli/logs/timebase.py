@@ -28,20 +28,16 @@ _OVERLAP = 32
 
 @dataclass(frozen=True)
 class Base:
-    """The uniform time base, or a window of it: sample i lies at `start_ns` + i `step_s`.
-
-    `first` is the number of its first sample; `rows` are the joint samples that it is made of,
-    `exact` where these lie on it.
-    """
+    """The uniform time base, or a window of it: sample i lies at `start_ns` + i `step_s`."""
 
     start_ns: int
     step_s: float
     count: int
     jitter: float
-    exact: bool
-    rows: NDArray[np.intp]
+    exact: bool  # whether `rows` lie on it
+    rows: NDArray[np.intp]  # the joint samples that it is made of
     gaps: tuple[tuple[float, float], ...]
-    first: int = 0
+    first: int = 0  # number of its first sample
 
     @property
     def t(self) -> Array:

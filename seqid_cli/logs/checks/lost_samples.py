@@ -95,19 +95,14 @@ SLOPE = float(0.5 * np.linalg.norm(LINE) / np.linalg.norm(FIT[0]))
 
 @dataclass(frozen=True)
 class LossCriteria:
-    """When a step of the positions is time that was lost; see the text of this module.
-
-    A `sudden` step differs from the mean of the increments beside it by so many times the smaller
-    of them, and by `sudden_noise` times the noise. Joints may differ in the motion of the lost
-    time, for they accelerate.
-    """
+    """When a step of the positions is time that was lost; see the text of this module."""
 
     sure: float = 5.0  # standard errors of the lost time, beyond which it is believed
     least_intervals: float = 1.5  # that are lost
     longest_s: float = 1.0  # lost at once: behind that, motion before says nothing
-    sudden: float = 1.2
-    sudden_noise: float = 5.0
-    uneven: float = 0.5  # of the motion of the lost time, by its faster side
+    sudden: float = 1.2  # times the smaller increment beside it, that it differs from their mean
+    sudden_noise: float = 5.0  # times the noise, likewise
+    uneven: float = 0.5  # of the lost motion by its faster side: joints accelerate
     counted: float = 0.3  # of an interval, by which stamps that count rows differ from even ones
     many: float = 0.2  # of the increments: steps as frequent are noise or a slower channel
     on_grid: float = 0.12  # of an interval (median) within which losses are whole intervals

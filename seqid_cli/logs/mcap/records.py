@@ -68,14 +68,10 @@ class _Record(NamedTuple):
 
 @dataclass
 class Scan:
-    """One pass over a file: what was met on the way, and what could not be read.
-
-    `wanted` tells which topics are asked for; messages of others are neither handed out nor, where
-    the file allows it, read.
-    """
+    """One pass over a file: what was met on the way, and what could not be read."""
 
     path: Path
-    wanted: Callable[[str], bool]
+    wanted: Callable[[str], bool]  # topics; others are not handed out nor, if it can be, read
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     counts: Counter[int] = field(default_factory=Counter)  # messages per channel

@@ -33,19 +33,16 @@ class Samples(NamedTuple):
 
 @dataclass
 class Collector:
-    """Gathers and decodes the messages of one topic.
-
-    Batches of less than `few` wait for more, up to `most`; `waiting` counts the samples to drain.
-    """
+    """Gathers and decodes the messages of one topic."""
 
     topic: str
     kind: Kind
     names: NameMap
-    few: int = 256
-    most: int = 4096
+    few: int = 256  # messages; less of them wait for more ...
+    most: int = 4096  # ... up to so many
     received: int = 0
     damaged: int = 0
-    waiting: int = 0
+    waiting: int = 0  # samples to drain
     refused: set[str] = field(default_factory=set)
     _decoders: dict[int, Decode | None] = field(default_factory=dict)
     _channel: int = -1

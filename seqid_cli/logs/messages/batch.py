@@ -61,14 +61,10 @@ class Payloads:
 
 @dataclass(frozen=True)
 class Decoded:
-    """M messages: header stamps [ns], values (NaN where missing), and which could be decoded.
-
-    Rows of joint states are position, velocity and effort of the wanted joints side by side
-    (M, 3 n); rows of IMUs are linear acceleration and angular velocity (M, 6).
-    """
+    """M messages: header stamps [ns], values (NaN where missing), and which could be decoded."""
 
     stamp_ns: Stamps
-    values: Array
+    values: Array  # (M, 3 n) positions, velocities, efforts; (M, 6) as IMU_FIELDS
     good: Mask
 
     @classmethod

@@ -38,16 +38,12 @@ _SEC = 1_000_000_000
 
 
 class Layout(NamedTuple):
-    """Where structure and numbers of a message of L bytes lie.
+    """Where structure and numbers of a message of L bytes lie."""
 
-    `mask` (L,) is 0xFF where messages must equal `reference` (L,); `columns` are pairs of column
-    and byte at which its float64 begins; `order` is that of the bytes, "<" or ">".
-    """
-
-    reference: Bytes
-    mask: Bytes
-    columns: Sequence[tuple[int, int]]
-    order: str
+    reference: Bytes  # (L,)
+    mask: Bytes  # (L,) 0xFF where messages must equal `reference`
+    columns: Sequence[tuple[int, int]]  # and the bytes at which their float64 begin
+    order: str  # of the bytes, "<" or ">"
 
 
 class _Run(NamedTuple):
@@ -60,18 +56,14 @@ class _Run(NamedTuple):
 
 @dataclass(frozen=True)
 class Form:
-    """A layout made ready for messages of its length, in rows of `width` numbers.
-
-    `mask` and `reference` (W,) are the words of the whole message, `pad` bytes in front of it
-    included; the `checked` ones hold structure.
-    """
+    """A layout made ready for messages of its length, in rows of `width` numbers."""
 
     order: str
     width: int
-    pad: int
-    mask: Words
-    reference: Words
-    checked: tuple[int, ...]
+    pad: int  # bytes in front of the message, for whole words
+    mask: Words  # (W,) of the message with its pad
+    reference: Words  # (W,) likewise
+    checked: tuple[int, ...]  # words that hold structure
     runs: tuple[_Run, ...]
 
     @classmethod

@@ -25,15 +25,11 @@ _EPOCH = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """Where time stands: one column, or whole seconds and the nanoseconds beside them.
-
-    `unit` is what the name or the format says, None where only the size of the numbers tells;
-    `sure` where it was written with the name.
-    """
+    """Where time stands: one column, or whole seconds and the nanoseconds beside them."""
 
     name: str
-    unit: str | None = None
-    sure: bool = False
+    unit: str | None = None  # by name or format; None: only the size of the numbers tells
+    sure: bool = False  # whether it stands with the name
     nanoseconds: str | None = None
 
 

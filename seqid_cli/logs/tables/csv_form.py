@@ -25,18 +25,14 @@ _HINT = "Write a line of names, then one line per sample: t,<joint>.position,...
 
 @dataclass(frozen=True)
 class CsvForm:
-    """The form of one file.
-
-    `names` are its columns in order, "1", "2" ... where no line names them; `skip` lines stand
-    before the data; `filler` columns without a name follow, where every line ends with delimiters.
-    """
+    """The form of one file."""
 
     encoding: str
     delimiter: str
     decimal: str
-    names: tuple[str, ...]
-    skip: int
-    filler: int = 0
+    names: tuple[str, ...]  # in order; "1", "2" ... where no line names them
+    skip: int  # lines before the data
+    filler: int = 0  # columns without a name, where every line ends with delimiters
 
 
 def is_text(head: bytes) -> bool:

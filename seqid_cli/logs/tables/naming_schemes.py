@@ -56,14 +56,10 @@ EPISODES = ("episode_index", "episode_id", "episode")
 
 @dataclass(frozen=True)
 class Scheme:
-    """Names of one kind of log.
+    """Names of one kind of log."""
 
-    `patterns[quantity]` are tried one after the other; `time_unit` is that of its time column
-    where the name does not say.
-    """
-
-    patterns: Mapping[str, tuple[str, ...]]
-    time_unit: str | None = None
+    patterns: Mapping[str, tuple[str, ...]]  # of a quantity, tried one after the other
+    time_unit: str | None = None  # of its time column where the name does not say
 
 
 @dataclass(frozen=True)

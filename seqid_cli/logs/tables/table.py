@@ -143,16 +143,12 @@ _SHOWN = 6
 
 @dataclass(frozen=True)
 class TableFile:
-    """An opened file that holds a table.
-
-    `names` are its columns, elements of list columns as `column[k]`; `entries` the places of the
-    joints in its lists, empty where the file does not name them; `notes` what was noticed.
-    """
+    """An opened file that holds a table."""
 
     path: Path
-    names: tuple[str, ...]
-    entries: Mapping[str, int] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    names: tuple[str, ...]  # elements of list columns as `column[k]`
+    entries: Mapping[str, int] = field(default_factory=dict)  # of joints in lists, if named
+    notes: tuple[str, ...] = ()  # what was noticed
 
     @property
     def where(self) -> str:

@@ -41,19 +41,14 @@ NOISE_BANDWIDTH = 0.807  # of white noise after two passes of the low-pass, over
 
 @dataclass(frozen=True)
 class Cutoff:
-    """The cut-off and what it was chosen from.
-
-    `encoder_step` (n,) rad is the smallest step seen; `bias` the acceleration noise power over the
-    signal power at the cut-off, of the worst moving joint. `alone_hz` is what the encoders alone
-    would have chosen where `hz` is another's choice.
-    """
+    """The cut-off and what it was chosen from."""
 
     hz: float
-    encoder_step: Array
-    bias: float
+    encoder_step: Array  # (n,) rad, the smallest step seen
+    bias: float  # noise over signal power of the acceleration there, of the worst moving joint
     chosen: bool
     noise_density: Array  # (n,) rad^2/Hz of the position noise
-    alone_hz: float | None = None
+    alone_hz: float | None = None  # the encoders' own choice where `hz` is another's
 
     @property
     def acceleration_noise(self) -> Array:
@@ -119,15 +114,11 @@ def _step(position: Array) -> float:
 
 @dataclass(frozen=True)
 class Score:
-    """J of the module's text for each of some cut-offs, summed over joints.
+    """J of the module's text for each of some cut-offs, summed over joints."""
 
-    `bandwidth_hz` is that of the motion of the `joints` that move; cut-offs above the Nyquist rate
-    score like the last below.
-    """
-
-    values: Array
-    bandwidth_hz: float
-    joints: int
+    values: Array  # above the Nyquist rate like the last below
+    bandwidth_hz: float  # of their motion
+    joints: int  # that move
     seconds: float = math.inf
 
     @property

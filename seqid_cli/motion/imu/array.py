@@ -37,16 +37,11 @@ class AngularReading:
 
 @dataclass(frozen=True)
 class ArrayLayout:
-    """What the accelerometers of an IMU can see, before any data.
-
-    `condition` is that of the unknowns that they determine; `errors` (12,) are standard errors of
-    force [m/s^2], angular acceleration [rad/s^2] and products [rad^2/s^2] per 1 m/s^2 of white
-    noise on each accelerometer, infinite where not seen.
-    """
+    """What the accelerometers of an IMU can see, before any data."""
 
     rank: int
-    condition: float
-    errors: Array
+    condition: float  # of the unknowns that they determine
+    errors: Array  # (12,) of f, dw, products for 1 m/s^2 of white noise; infinite if not seen
 
     @property
     def acceleration(self) -> bool:

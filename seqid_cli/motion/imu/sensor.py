@@ -20,17 +20,13 @@ MOTION = 15  # f, H, w
 
 @dataclass(frozen=True)
 class Mounting:
-    """An IMU on its link: accelerometers at `positions` (k, 3) m in its frame, then its gyro.
-
-    `axes` (C, 3) are all sensing axes in its frame, as long as their gains; `R` (3, 3) turns from
-    the IMU to the link, `lever` (3,) m is the IMU's origin in the link's frame.
-    """
+    """An IMU on its link: accelerometers in its frame, then its gyro."""
 
     link: int
-    positions: Array
-    axes: Array
-    R: Array
-    lever: Array
+    positions: Array  # (k, 3) m
+    axes: Array  # (C, 3) of all channels in its frame, as long as their gains
+    R: Array  # (3, 3) from the IMU to the link
+    lever: Array  # (3,) m, the IMU's origin in the link's frame
 
     @property
     def channels(self) -> int:

@@ -13,20 +13,15 @@ from seqid_cli.typing import Array, Index, Mask
 
 @dataclass(frozen=True)
 class EncoderView:
-    """What a joint's encoder codes say: `step` rad (0 where not quantised) and white noise rad^2.
-
-    `edge` (N,) is the position of the edge crossed between a sample and the next, else NaN;
-    `dwell` (N,) how many samples the code lasted. Only every `stride`-th place was sampled, and
-    of those, the `known` ones (N,) hold a position.
-    """
+    """What a joint's encoder codes say."""
 
     q: Array
-    step: float
-    white: float
-    edge: Array
-    dwell: Array
-    known: Mask
-    stride: int = 1
+    step: float  # rad, 0 where not quantised
+    white: float  # rad^2, noise
+    edge: Array  # (N,) position of the edge crossed before the next sample, else NaN
+    dwell: Array  # (N,) samples that the code lasted
+    known: Mask  # (N,) whether it holds a position
+    stride: int = 1  # one of so many places was sampled
 
     @property
     def edges(self) -> Array:

@@ -47,18 +47,14 @@ FINE_S, COARSE_S = 1e-3, 4e-3  # between knots: no more, of the motion and for t
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Motion (N, n) at every sample; `covariance` (N, n, 3, 3) of each joint's q, dq, ddq.
-
-    `mounted` has the IMUs that took part, by name, as the last chunk left them. The covariance is
-    kept at some `places` only and made for all samples when asked for.
-    """
+    """Motion (N, n) at every sample; covariance of each joint's q, dq, ddq at some places."""
 
     q: Array
     dq: Array
     ddq: Array
     places: Index
     covariance_at_places: Array  # (G, n, 3, 3)
-    mounted: dict[str, Mounted]
+    mounted: dict[str, Mounted]  # that took part, as the last chunk left them
     notes: tuple[str, ...]
 
     @property

@@ -1,7 +1,7 @@
 """Inspection of logs, one after the other, and of the set."""
 
 import difflib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Container, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -183,41 +183,43 @@ def _advice(
     return [f"seqid {stage} LOG... -r {robot.source} -o {stage}.json"] if there else []
 
 
-def nearest_name(name: str, known: Iterable[str], *, cutoff: float = 0.5) -> str:
-    """Return the known name nearest to a name in any case, empty where none is near."""
-    lower = {other.lower(): other for other in known}
-    close = difflib.get_close_matches(name.lower(), list(lower), n=1, cutoff=cutoff)
-    return lower[close[0]] if close else ""
+def _lacking(
+    names: Iterable[str], there: Iterable[str], known: Container[str], *, cutoff: float
+) -> dict[str, str]:
+    """Names that are not there, and the unknown one nearest to each in any case, if any is near."""
+    there = [*there]
+    lower = {other.lower(): other for other in there if other not in known}
+    found: dict[str, str] = {}
+    for name in names:
+        if name not in there:
+            close = difflib.get_close_matches(name.lower(), list(lower), n=1, cutoff=cutoff)
+            found[name] = lower[close[0]] if close else ""
+    return found
 
 
 def missing_imus(robot: Robot, survey: Survey) -> tuple[dict[str, str], list[InspectionFinding]]:
     """Find IMUs that a log lacks; a finding where an unknown name in it is very near."""
-    names = [channel.name for channel in survey.channels]
-    parts = [name.strip("/").rsplit("/" if "/" in name else ".", 1) for name in names]
-    prefixes = dict.fromkeys(part[0] for part in parts if len(part) > 1)
-    known = {*robot.joint_names, *(imu.name for imu in robot.imus)}
-    unknown = [prefix for prefix in prefixes if prefix not in known]
-    missing, findings = {}, []
-    for imu in robot.imus:
-        if imu.name in prefixes:
-            continue
-        missing[imu.name] = name = nearest_name(imu.name, unknown, cutoff=0.8)
-        if name:
-            text = f"the log has no IMU {imu.name!r}, but {name!r}"
-            findings.append(found("channel_missing", text, joint=imu.name, channel=name))
-    return missing, findings
+    names = (channel.name for channel in survey.channels)
+    parted = [name for name in names if "." in name or "/" in name]
+    ends = (name.strip("/").rsplit("/" if "/" in name else ".", 1) for name in parted)
+    prefixes = dict.fromkeys(end[0] for end in ends)
+    imus = [imu.name for imu in robot.imus]
+    missing = _lacking(imus, prefixes, {*robot.joint_names, *imus}, cutoff=0.8)
+    texts = {imu: f"the log has no IMU {imu!r}, but {near!r}" for imu, near in missing.items()}
+    return missing, [
+        found("channel_missing", texts[imu], joint=imu, channel=near)
+        for imu, near in missing.items()
+        if near
+    ]
 
 
 def missing_joints(
     robot: Robot, joints: tuple[str, ...]
 ) -> tuple[dict[str, str], list[InspectionFinding]]:
     """Find joints of the robot file that a log lacks, with the nearest name that it has."""
-    unknown = tuple(name for name in joints if name not in robot.joint_names)
-    missing, findings = {}, []
-    for name in robot.joint_names:
-        if name not in joints:
-            near = nearest_name(name, unknown)
-            missing[name] = near
-            text = f"the log has no joint {name!r}" + (f"; nearest: {near!r}" if near else "")
-            findings.append(found("channel_missing", text, joint=name, channel=near))
+    missing = _lacking(robot.joint_names, joints, robot.joint_names, cutoff=0.5)
+    findings = []
+    for name, near in missing.items():
+        text = f"the log has no joint {name!r}" + (f"; nearest: {near!r}" if near else "")
+        findings.append(found("channel_missing", text, joint=name, channel=near))
     return missing, findings

@@ -325,7 +325,7 @@ class _Log:
         places = np.concatenate([index, index + 0.5])
         information = np.concatenate([samples, edges]) / repeated
         information = information / (1.0 + information * (0.1 * rounding) ** 2)
-        value = np.concatenate([view.q, view.edges])
+        value = np.concatenate([view.q, np.nan_to_num(view.edge)])
         kept = (information > 0) & (places >= wide[0]) & (places <= wide[-1])
         u = (places[kept] - wide[0]) / every
         at = np.clip(np.floor(u).astype(np.intp) - 1, 0, count - 4)

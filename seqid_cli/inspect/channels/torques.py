@@ -16,8 +16,8 @@ from seqid_cli.shares import percent
 from seqid_cli.typing import Index, Mask
 
 
-def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
-    """Check the torque or current of every joint that moves."""
+def torque_findings(data: LogData, *, max_rms: float = 200.0) -> Iterator[InspectionFinding]:
+    """Check the torque or current of every joint that moves; no drive takes `max_rms` amperes."""
     effort = data.effort()
     if effort is None:
         yield found("torque_missing", "there is neither torque nor current")
@@ -27,13 +27,17 @@ def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
         if data.moves(j) and np.isfinite(values[:, j]).any():
             for code, text in _of_moving(data, j, values[:, j]):
                 yield found(code, text, joint=joint.name, channel=quantity)
-    if quantity == "current":
-        yield from _milliamperes(data, values)
-        return
+    for name, column in zip(data.robot.joint_names, values.T, strict=True):
+        present = column[np.isfinite(column)]
+        rms = float(np.sqrt(np.mean(present**2))) if len(present) else 0.0
+        if quantity == "current" and rms > max_rms:
+            text = f"is {rms:.3g} A RMS: it looks like mA"
+            yield found("current_in_ma", text, joint=name, channel="current")
     channels, joints = data.robot.channels, data.robot.joints
     drives = any(joint.torque_constant is not None for joint in joints)
     said = channels.effort == "torque" or channels.torque is not None
-    if data.modelled and drives and not said and largest_gravity(data.robot).max() < HEAVY:
+    light = data.modelled and largest_gravity(data.robot).max() < HEAVY
+    if quantity == "torque" and drives and light and not said:
         # Neither the robot file nor the robot's weight tells torque from current.
         text = "could be torque or current: the robot file gives torque_constant, the log torque"
         yield found("effort_unclear", text, channel=quantity)
@@ -105,31 +109,26 @@ def _starts_or_stops(
     return np.asarray(np.maximum(before, after) > min_change * slow)
 
 
-def torque_quality(data: LogData, broken: Container[str]) -> Iterator[InspectionFinding]:
+def torque_quality(
+    data: LogData, broken: Container[str], *, max_step: float = 0.25, max_changing: float = 0.6
+) -> Iterator[InspectionFinding]:
     """Check how well torque is measured, but for the joints named in `broken`."""
-    effort = data.effort()
-    if effort is None:
-        return
-    quantity, values = effort
-    for j, joint in enumerate(data.robot.joints):
-        yield from missing(values[:, j], joint.name, quantity)
-        if data.moves(j) and joint.name not in broken:
-            for code, text in _resolved(data, j, values[:, j]):
-                yield found(code, text, joint=joint.name, channel=quantity)
-
-
-def _resolved(
-    data: LogData, j: int, column: Array, *, max_step: float = 0.25, max_changing: float = 0.6
-) -> Iterator[tuple[str, str]]:
-    present = np.isfinite(column)
-    values, moving = column[present], data.moving_samples(j)[present]
-    size = held(values)
-    if size > 1:
-        yield "channel_held", f"repeats each value {size} times"
-    step, spread = lattice(values), float(values[moving].std()) if moving.any() else 0.0
-    dithered = len(values) > 1 and np.mean(np.diff(values) != 0) > max_changing
-    if step and spread and step > max_step * spread and not dithered:
-        yield "torque_quantised", f"comes in steps of {step:.3g}, its spread is {spread:.3g}"
+    quantity, all_values = data.effort() or ("", np.zeros((0, 0)))
+    for j, (name, column) in enumerate(zip(data.robot.joint_names, all_values.T, strict=False)):
+        yield from missing(column, name, quantity)
+        if not data.moves(j) or name in broken:
+            continue
+        present = np.isfinite(column)
+        values, moving = column[present], data.moving_samples(j)[present]
+        size = held(values)
+        if size > 1:
+            text = f"repeats each value {size} times"
+            yield found("channel_held", text, joint=name, channel=quantity)
+        step, spread = lattice(values), float(values[moving].std()) if moving.any() else 0.0
+        dithered = len(values) > 1 and np.mean(np.diff(values) != 0) > max_changing
+        if step and spread and step > max_step * spread and not dithered:
+            text = f"comes in steps of {step:.3g}, its spread is {spread:.3g}"
+            yield found("torque_quantised", text, joint=name, channel=quantity)
 
 
 def _stuck(
@@ -160,18 +159,6 @@ def echo_findings(data: LogData) -> Iterator[InspectionFinding]:
     for j in echoes(data.robot, log.t, log.q, log.tau, log.valid):
         if data.moves(j):
             yield found("torque_echo", WARNING, joint=data.robot.joint_names[j])
-
-
-def _milliamperes(
-    data: LogData, values: Array, *, max_rms: float = 200.0
-) -> Iterator[InspectionFinding]:
-    """No drive of an arm takes `max_rms` amperes RMS."""
-    for j, name in enumerate(data.robot.joint_names):
-        present = values[np.isfinite(values[:, j]), j]
-        rms = float(np.sqrt(np.mean(present**2))) if len(present) else 0.0
-        if rms > max_rms:
-            text = f"is {rms:.3g} A RMS: it looks like mA"
-            yield found("current_in_ma", text, joint=name, channel="current")
 
 
 def sensor_findings(data: LogData, *, opposed: float = -0.5) -> Iterator[InspectionFinding]:

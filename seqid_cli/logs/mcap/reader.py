@@ -59,7 +59,11 @@ def read_blocks(
         raw = streams.raw_log(log.joint_topic, samples, imus, partial)
         positions = positions or any_finite(raw.joints.channels["position"])
         if last and not positions:
-            raise _no_joints(path, log.names)
+            names, seen = log.names, ", ".join(list(log.names.seen)[:_SHOWN])
+            message = "the joint states hold no position of any joint of the robot "
+            message += f"({', '.join(names.joints[:_SHOWN])}); names in the log: "
+            hint = "Give the joints of the robot file the names that the log uses."
+            raise InputError(message + (seen or "no names at all"), hint=hint, where=str(path))
         yield raw
 
 
@@ -224,13 +228,3 @@ def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
     message = f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}"
     hint = hint or f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well."
     return InputError(message, hint=hint, where=where)
-
-
-def _no_joints(path: Path, names: NameMap) -> InputError:
-    seen = ", ".join(list(names.seen)[:_SHOWN]) or "no names at all"
-    return InputError(
-        f"the joint states hold no position of any joint of the robot "
-        f"({', '.join(names.joints[:_SHOWN])}); names in the log: {seen}",
-        hint="Give the joints of the robot file the names that the log uses.",
-        where=str(path),
-    )

@@ -42,7 +42,7 @@ class Layout(NamedTuple):
 
     reference: Bytes  # (L,)
     mask: Bytes  # (L,) 0xFF where messages must equal `reference`
-    columns: Sequence[tuple[int, int]]  # and the bytes at which their float64 begin
+    columns: Sequence[tuple[int, int]]  # column, byte at which its float64 begins
     order: str  # of the bytes, "<" or ">"
 
 

@@ -23,11 +23,6 @@ class EncoderView:
     known: Mask  # (N,) whether it holds a position
     stride: int = 1  # one of so many places was sampled
 
-    @property
-    def edges(self) -> Array:
-        """Positions (N,) of the edges, zero where there are none."""
-        return np.asarray(np.nan_to_num(self.edge))
-
     def refined(self, stride: int) -> "EncoderView":
         """The same with `stride` places per sample; edges lie between samples."""
         edge = np.full(len(self.q) * stride, np.nan)

@@ -43,7 +43,7 @@ def encoder_information(chunk: Chunk, c: Array, jerk: Array) -> terms.Band:
     for j, view in enumerate(chunk.views):
         own = slice(chunk.samples)
         both[0][0, own, j], both[0][1, own, j] = view.weights(speed[own, j], chunk.dt)
-        both[1][0, own, j], both[1][1, own, j] = view.q, view.edges
+        both[1][0, own, j], both[1][1, own, j] = view.q, np.nan_to_num(view.edge)
     for B, weight, seen in zip((chunk.knots[:, 0], at_edges), *both, strict=True):
         w, y = (
             np.ascontiguousarray(v.reshape(m, every, n).transpose(1, 0, 2)) for v in (weight, seen)

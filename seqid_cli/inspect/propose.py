@@ -111,10 +111,8 @@ def _driven(
             message = f"{len(values)} values of {key} for {len(joints)} joints"
             raise UsageError(message, hint=f"Give one for all, or one for each of {names}.")
         own = [*values] * (len(joints) if len(values) == 1 else 1)
-        joints = tuple(
-            replace(joint, **{key: value})  # type: ignore[arg-type]
-            for joint, value in zip(joints, own, strict=True)
-        )
+        pairs = zip(joints, own, strict=True)
+        joints = tuple(replace(joint, **{key: value}) for joint, value in pairs)  # type: ignore[arg-type]
     return joints
 
 

@@ -26,22 +26,19 @@ def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str,
         factor = np.array([length if joint.prismatic else angle for joint in robot.joints])
         found |= {name: found[name] * factor for name in POSITIONS if name in found}
     if robot.channels.effort == "gravity_compensated" and "torque" in found:
-        found["torque"] = found["torque"] + _gravity(found["position"], robot)
+        from seqid_cli.robot.regressor import inverse_dynamics
+
+        # The driver has subtracted gravity as the URDF's inertials give it.
+        assert robot.nominal is not None
+        q, still = found["position"], np.zeros_like(found["position"])
+        weight = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)
+        found["torque"] = found["torque"] + weight
     voltage, duty = found.pop("voltage", None), found.pop("pwm", None)
     if voltage is None and duty is not None:
         voltage = duty * _constants(robot, "supply_voltage")
     if voltage is not None and "current" not in found:
         found["current"] = _current(voltage, found, stamps, robot)
     return found
-
-
-def _gravity(q: Array, robot: Robot) -> Array:
-    """Gravity torque (M, n) N m of the URDF's inertials, which the driver has subtracted."""
-    from seqid_cli.robot.regressor import inverse_dynamics
-
-    assert robot.nominal is not None
-    still = np.zeros_like(q)
-    return inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)
 
 
 def _constants(robot: Robot, name: str) -> Array:

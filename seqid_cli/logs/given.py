@@ -56,17 +56,12 @@ def expanded(given: Sequence[Log], *, stored: bool = False) -> list[Path | Recor
         if is_path:
             found += expand([os.fspath(log) for log in group], warn, stored=stored)  # type: ignore[arg-type]
         else:
-            found += [_in_memory(log, len(found) + k) for k, log in enumerate(group, start=1)]
+            for log in group:  # a recording as it is, a table in the place of a path
+                held: Any = hasattr(log, "health") and hasattr(log, "tau")
+                found.append(log if held else TableLog.of(log, f"table_{len(found) + 1}"))  # type: ignore[arg-type]
     return found
 
 
 def is_place(log: Any) -> bool:
     """Whether a log is given by its place, and not itself."""
     return isinstance(log, str | os.PathLike)
-
-
-def _in_memory(log: Any, number: int) -> Path | Recording:
-    """A table in the place of a path; a recording as it is."""
-    if hasattr(log, "health") and hasattr(log, "tau"):
-        return log  # type: ignore[no-any-return]
-    return TableLog.of(log, f"table_{number}")

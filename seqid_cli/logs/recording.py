@@ -3,12 +3,8 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
 from seqid_cli.errors import InputError
-
-Array = NDArray[np.float64]
+from seqid_cli.typing import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -49,7 +45,7 @@ class Recording:
     format: str
     t: Array  # (N,) s from 0
     q: Array  # (N, n) rad, as the encoder reports it
-    valid: NDArray[np.bool_]  # (N,)
+    valid: Mask  # (N,)
     health: Health
     dq: Array | None = None  # (N, n) rad/s
     tau: Array | None = None  # (N, n) N m at the joint
@@ -61,7 +57,7 @@ class Recording:
     start: float = 0.0  # s, the first sample on the log's own clock
     partial: str = ""  # what was lost, where the log was salvaged
     whole: Whole | None = None  # the log, where this is a piece of it
-    bridged: NDArray[np.bool_] | None = None  # (N,) not measured, but known from both sides
+    bridged: Mask | None = None  # (N,) not measured, but known from both sides
 
     @property
     def rate_hz(self) -> float:

@@ -18,13 +18,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from numpy.typing import NDArray
 
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from seqid_cli.robot.types import Robot
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 RCOND = 1e-8
 

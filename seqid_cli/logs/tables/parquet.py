@@ -32,25 +32,17 @@ def list_entries(
     path: Path, file: pq.ParquetFile, lists: Mapping[str, int], joints: Sequence[str]
 ) -> tuple[dict[str, int], tuple[str, ...]]:
     """Find the place of each joint in the file's lists, where it names them all; and notes."""
-    if LEROBOT_STATE in lists:
-        length = lists[LEROBOT_STATE]
-        places = _places(_lerobot_names(path), joints)
-        if len(places) == len(joints):
-            return places, ()
-        if joints and length == len(joints):
-            return {}, (f"{LEROBOT_STATE}: values are taken in the order of the robot file",)
-        return {}, ()
-    places = _places(_name_column(path, file), joints)
-    return (places, ()) if len(places) == len(joints) else ({}, ())
-
-
-def _places(names: Sequence[str], joints: Sequence[str]) -> dict[str, int]:
+    lerobot = LEROBOT_STATE in lists
+    names = _lerobot_names(path) if lerobot else _name_column(path, file)
     found: dict[str, int] = {}
     for joint in joints:
-        for ending in _ENDINGS:
-            if joint + ending in names:
-                found.setdefault(joint, list(names).index(joint + ending))
-    return found
+        for name in (joint + ending for ending in _ENDINGS if joint + ending in names):
+            found.setdefault(joint, names.index(name))
+    if len(found) == len(joints):
+        return found, ()
+    if lerobot and joints and lists[LEROBOT_STATE] == len(joints):
+        return {}, (f"{LEROBOT_STATE}: values are taken in the order of the robot file",)
+    return {}, ()
 
 
 def motors_of(path: Path) -> tuple[str, ...]:

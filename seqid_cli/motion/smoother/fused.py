@@ -104,26 +104,19 @@ def promising(
         return True
     asked = _digest(recording, robot, stage), float(encoder.cutoff.hz), piece_s
     if asked not in _GAINS:
-        _GAINS[asked] = _gain_of_piece(recording, robot, stage, encoder, piece_s)
+        speed = np.where(encoder.usable, np.abs(encoder.dq).max(axis=1), 0.0)
+        middle = float(recording.t[np.argmax(speed)])
+        first = min(max(middle - 0.5 * piece_s, 0.0), float(recording.t[-1]) - piece_s)
+        piece = cut(recording, [(first, first + piece_s)])[0]
+        try:
+            alone = estimate_motion(piece, robot, MotionOptions(cutoff_hz=encoder.cutoff.hz))
+            _GAINS[asked] = _gain(fused_motion(piece, robot, stage, alone), alone)
+        except InputError:  # nothing of the piece can be filtered
+            _GAINS[asked] = np.inf
     return _GAINS[asked] > min_gain
 
 
 _GAINS = dict[tuple[bytes, float, float], float]()  # of pieces that were asked
-
-
-def _gain_of_piece(
-    recording: Recording, robot: Robot, stage: ImuStage | None, encoder: Motion, length_s: float
-) -> float:
-    """What IMUs gain in the seconds about the fastest moment; infinite where nothing tells."""
-    speed = np.where(encoder.usable, np.abs(encoder.dq).max(axis=1), 0.0)
-    middle = float(recording.t[np.argmax(speed)])
-    first = min(max(middle - 0.5 * length_s, 0.0), float(recording.t[-1]) - length_s)
-    piece = cut(recording, [(first, first + length_s)])[0]
-    try:
-        alone = estimate_motion(piece, robot, MotionOptions(cutoff_hz=encoder.cutoff.hz))
-        return _gain(fused_motion(piece, robot, stage, alone), alone)
-    except InputError:  # nothing of the piece can be filtered
-        return np.inf
 
 
 def _gain(motion: Motion, encoder: Motion) -> float:

@@ -6,7 +6,7 @@ is walked record by record. Both ways find the same messages.
 """
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import lz4.frame
@@ -158,13 +158,6 @@ def index_offsets(content: bytes) -> Integers | None:
     return offsets.astype(np.int64)
 
 
-def find_messages(data: Bytes, index: Sequence[Integers]) -> Contents:
-    """Find the records in a chunk by the offsets of its messages, per channel, as far as given."""
-    offsets = np.concatenate(index) if index else np.zeros(0, np.int64)
-    found = _by_index(data, np.sort(offsets, kind="stable")) if len(offsets) else None
-    return found or walk(data, 0, len(data))
-
-
 def walk(
     data: Bytes, start: int, end: int, only: frozenset[int] | None = None, most: int = 100_000
 ) -> Contents:
@@ -187,9 +180,9 @@ def walk(
     return _contents(offsets, others, at, _heads(data, offsets))
 
 
-def _by_index(data: Bytes, offsets: Integers) -> Contents | None:
-    """Find the records by sorted offsets; None where these are not true."""
-    if offsets[0] < 0 or offsets[-1] > len(data) - _HEAD:
+def by_index(data: Bytes, offsets: Integers) -> Contents | None:
+    """Find the records of a chunk by sorted offsets of messages; None where these are not true."""
+    if not len(offsets) or offsets[0] < 0 or offsets[-1] > len(data) - _HEAD:
         return None
     heads = _heads(data, offsets)
     lengths = heads[0]

@@ -29,7 +29,7 @@ from seqid_cli.logs.mcap.chunks import (
     Contents,
     DamageError,
     Unpacker,
-    find_messages,
+    by_index,
     index_offsets,
     walk,
 )
@@ -169,7 +169,8 @@ class Scan:
             self.losses[f"a chunk of {len(record.content)} bytes was left out: {damage}"] += 1
             return
         data = np.frombuffer(unpacked, np.uint8)
-        contents = find_messages(data, offsets)
+        every = np.sort(np.concatenate([np.zeros(0, np.int64), *offsets]), kind="stable")
+        contents = by_index(data, every) or walk(data, 0, len(data))
         yield from self._contents(data, contents)
         if contents.end < len(data) and whole:
             left = len(data) - contents.end

@@ -172,27 +172,22 @@ def find_quantities(joints: Sequence[str], known: Collection[str]) -> dict[str, 
     Each by the first scheme that gives all joints, else by the default names for some of them.
     """
     columns: dict[str, list[str | None]] = {}
+    tries = [*((scheme, True) for scheme in SCHEMES), (DEFAULT, False)]
     for quantity in _ALL[1:]:
-        for scheme in SCHEMES:
-            found = _find(scheme.patterns.get(quantity, ()), joints, known, None, whole=True)
+        for scheme, whole in tries:
+            found = _find(scheme.patterns.get(quantity, ()), joints, known, None, whole=whole)
             if found is not None:
                 columns.setdefault(quantity, found)
-        some = _find(DEFAULT.patterns[quantity], joints, known, None, whole=False)
-        if some is not None:
-            columns.setdefault(quantity, some)
     return columns
 
 
 def nearest_scheme(joints: Sequence[str], known: Collection[str]) -> list[str]:
     """List the position columns that a log lacks of the scheme that fits it best."""
-    best: list[str] = []
-    for scheme in SCHEMES:
-        for pattern in scheme.patterns["position"]:
-            names = [column_name(pattern, joint, i) for i, joint in enumerate(joints)]
-            missing = [name for name in names if name not in known]
-            if not best or len(missing) < len(best):
-                best = missing
-    return best
+    tried = []
+    for pattern in (pattern for scheme in SCHEMES for pattern in scheme.patterns["position"]):
+        names = [column_name(pattern, joint, i) for i, joint in enumerate(joints)]
+        tried.append([name for name in names if name not in known])
+    return min(tried, key=len)
 
 
 def _find(

@@ -57,16 +57,9 @@ class ArrayLayout:
 def array_matrix(imu: Imu) -> Array:
     """Readings as a linear map (K, 12) of f, dw and the products of w."""
     s, r = imu.axes, imu.positions
-    along = np.sum(s * r, axis=1)
-    squares = s * r - along[:, None]
-    mixed = np.column_stack(
-        [
-            s[:, 0] * r[:, 1] + s[:, 1] * r[:, 0],
-            s[:, 0] * r[:, 2] + s[:, 2] * r[:, 0],
-            s[:, 1] * r[:, 2] + s[:, 2] * r[:, 1],
-        ]
-    )
-    return np.hstack([s, np.cross(r, s), squares, mixed])
+    squares = s * r - np.sum(s * r, axis=1)[:, None]
+    a, b = [0, 0, 1], [1, 2, 2]
+    return np.hstack([s, np.cross(r, s), squares, s[:, a] * r[:, b] + s[:, b] * r[:, a]])
 
 
 def layout(imu: Imu, *, min_resolution: float = 1 - 1e-6) -> ArrayLayout:

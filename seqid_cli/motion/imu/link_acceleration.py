@@ -167,12 +167,11 @@ def link_reading(
     values = _on_encoders_clock(values, recording, offset)
     gyro = None if gyro is None else _on_encoders_clock(gyro, recording, offset)
     reading = read_angular(mended, values, gyro, lowpass, recording.valid)
-    R = np.array(calibration.rotation)
-    dw = (reading.dw @ R.T)[::factor]
-    gain = _gain(calibration)
+    dw = (reading.dw @ np.array(calibration.rotation).T)[::factor]
     noise = (calibration.noise_density or 0.0) * np.sqrt(lowpass.cutoff_hz)
     size = float(np.sqrt(np.mean(np.sum(dw**2, axis=1))))
-    return LinkReading(imu, gain * dw, float(np.hypot(noise, axis_error * size)))
+    error = float(np.hypot(noise, axis_error * size))
+    return LinkReading(imu, _gain(calibration) * dw, error)
 
 
 def _on_encoders_clock(
@@ -193,7 +192,7 @@ def _gain(calibration: ImuCalibration) -> float:
     if not references or any(scale is not None for scale in single):
         return 1.0
     weight = np.array([1 / max(r.gain_std_error, 1e-6) ** 2 for r in references])
-    mean = float(np.sum(weight * [r.gain for r in references]) / weight.sum())
+    mean = float(np.average([r.gain for r in references], weights=weight))
     return mean if abs(mean - 1.0) > 4 / np.sqrt(weight.sum()) else 1.0
 
 
@@ -242,11 +241,8 @@ def _solve(
     for reading in readings:
         link = reading.imu.after_joint
         c = link_angular_motion(robot.chain, motion.q, motion.dq, still, link)[1]
-        J = np.zeros((motion.samples, 3, count))
-        axes = axes_in_link(robot, motion.q, link)
-        for k, j in enumerate(moving):
-            if j <= link:
-                J[:, :, k] = axes[:, j]
+        J, own = np.zeros((motion.samples, 3, count)), moving <= link
+        J[:, :, own] = axes_in_link(robot, motion.q, link)[:, moving[own]].swapaxes(1, 2)
         weight = 1.0 / max(reading.noise, 1e-9) ** 2
         normal += weight * np.einsum("nik,nil->nkl", J, J)
         right += weight * np.einsum("nik,ni->nk", J, reading.dw - c)

@@ -45,12 +45,11 @@ def _mounted(imu: Imu, known: ImuCalibration, *, gyro: bool, rate_hz: float) -> 
     if gyro:
         axes = np.vstack([axes, _axes(known.gyro_axes, known.gyro_scale, np.eye(3))])
     R, lever = np.array(known.rotation), entries(known.lever, 3, 0.0)
+    given = (known.accelerometer_bias, known.gyro_bias)
+    noises = (known.accelerometer_noise, known.gyro_noise)
     bias, density = (
-        np.concatenate([entries(accelerometers, count, 0.0), entries(gyros, rates, 0.0)])
-        for accelerometers, gyros in (
-            (known.accelerometer_bias, known.gyro_bias),
-            (known.accelerometer_noise, known.gyro_noise),
-        )
+        np.concatenate([entries(own, count, 0.0), entries(gyros, rates, 0.0)])
+        for own, gyros in (given, noises)
     )
     prior = _prior(known, count, rates)
     nothing = np.zeros((0, count + rates))
@@ -95,14 +94,10 @@ def _prior(
             (known.gyro_scale_std_errors, rates, gain_prior, gain_drift),
         )
     )
-    tilts = [
-        np.radians(entries(values, size, np.degrees(gain_prior)))
-        for values, size in (
-            (known.accelerometer_tilt_std_errors_deg, count),
-            (known.gyro_tilt_std_errors_deg, rates),
-        )
-    ]
-    axes = np.maximum(np.concatenate([gain, gyro_gain]), np.concatenate(tilts))
+    usual = np.degrees(gain_prior)
+    tilts = entries(known.accelerometer_tilt_std_errors_deg, count, usual)
+    tilts = np.append(tilts, entries(known.gyro_tilt_std_errors_deg, rates, usual))
+    axes = np.maximum(np.concatenate([gain, gyro_gain]), np.radians(tilts))
     offset = known.time_offset_std_error_s
     late = delay_s if offset is None else float(np.hypot(offset, DELAY_DRIFT_S))
     turn = np.full(3, np.radians(np.clip(np.max(turns), *turn_deg)))

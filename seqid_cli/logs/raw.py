@@ -58,12 +58,13 @@ def joined(parts: Sequence[Stream]) -> Stream:
     there = [part for part in parts if len(part)]
     if not there:
         return parts[0]
-    channels = {}
-    for name, known in {n: own for part in there for n, own in part.channels.items()}.items():
-        own = [part.channels.get(name) for part in there]
-        sizes = [(len(part), known.shape[1]) for part in there]
-        whole = [np.full(s, np.nan) if x is None else x for x, s in zip(own, sizes, strict=True)]
-        channels[name] = np.concatenate(whole)
+    widths = {name: own.shape[1] for part in there for name, own in part.channels.items()}
+    channels = {
+        name: np.concatenate(
+            [p.channels.get(name, np.broadcast_to(np.nan, (len(p), width))) for p in there]
+        )
+        for name, width in widths.items()
+    }
     return Stream(there[0].name, np.concatenate([part.stamp_ns for part in there]), channels)
 
 

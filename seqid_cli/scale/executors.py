@@ -19,6 +19,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -69,11 +70,7 @@ def ordered(
     rest = iter(items)
     try:
         while True:
-            while len(pending) < ahead * _workers(executor):
-                try:
-                    item = next(rest)
-                except StopIteration:
-                    break
+            for item in islice(rest, max(0, ahead * _workers(executor) - len(pending))):
                 pending.append((item, _submitted(executor, function, item)))
             if not pending:
                 return

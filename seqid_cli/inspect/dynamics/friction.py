@@ -235,12 +235,9 @@ def _smooth(q: Array, terms: int) -> Array:
 
 def joint_columns(robot: Robot, sample: Sample) -> Array:
     """Columns (N, n, 4 n) that belong to one joint each: offset, rotor, direction and speed."""
-    n, rows = robot.n, len(sample.q)
-    columns = np.zeros((rows, n, 4 * n))
-    for j in range(n):
-        columns[:, j, 4 * j] = 1.0
-        if j in sample.moving:
-            columns[:, j, 4 * j + 1] = sample.ddq[:, j]
-            columns[:, j, 4 * j + 2] = sample.direction[:, j]
-            columns[:, j, 4 * j + 3] = sample.dq[:, j]
-    return columns
+    n, rows, moving = robot.n, len(sample.q), list(sample.moving)
+    columns = np.zeros((rows, n, n, 4))
+    columns[:, range(n), range(n), 0] = 1.0
+    own = np.stack([sample.ddq, sample.direction, sample.dq], axis=-1)
+    columns[:, moving, moving, 1:] = own[:, moving]
+    return columns.reshape(rows, n, 4 * n)

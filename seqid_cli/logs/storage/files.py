@@ -67,25 +67,20 @@ def expand(paths: Sequence[str], note: Note | None = None, *, stored: bool = Fal
     stands for no file at all.
     """
     found: dict[Path, Path] = {}
-    for argument in paths:
+    for argument in map(str, paths):
+        if is_url(argument) and not stored:
+            message = "is on object storage, which this command does not read"
+            raise InputError(message, hint="Copy it here first.", where=argument)
         try:
-            matches = (
-                _stored(str(argument), welcome=stored)
-                if is_url(str(argument))
-                else _matches(str(argument), note or (lambda text: None))
-            )
+            if is_url(argument):
+                matches = natural_order(stored_logs(argument, SUFFIXES))
+            else:
+                matches = _matches(argument, note or (lambda text: None))
         except OSError as error:
-            raise InputError(f"cannot be looked up ({error})", where=str(argument)) from error
+            raise InputError(f"cannot be looked up ({error})", where=argument) from error
         for path in matches:
             found.setdefault(path.resolve(), path)
     return natural_order(found.values())
-
-
-def _stored(url: str, *, welcome: bool) -> list[Path]:
-    if not welcome:
-        message = "is on object storage, which this command does not read"
-        raise InputError(message, hint="Copy it here first.", where=url)
-    return natural_order(stored_logs(url, SUFFIXES))
 
 
 def storage_file(path: Path) -> Path:
@@ -162,20 +157,14 @@ def check_log(path: Path) -> str:
     if not size:
         raise InputError("is empty (0 bytes)", hint="Record or copy it again.", where=where)
     kind = _format(head, tail, size, where)
-    if kind == "csv":
-        _check_csv(path)
-    return kind
-
-
-def _check_csv(path: Path) -> None:
     try:
-        read_form(path)
+        if kind == "csv":
+            read_form(path)
     except InputError as error:
-        if path.suffix.lower() in _TEXTS:
-            raise
-        raise InputError(
-            f"{_OTHER}: {error.message}", hint=error.hint, where=error.where
-        ) from error
+        if path.suffix.lower() not in _TEXTS:
+            error.message = f"{_OTHER}: {error.message}"
+        raise
+    return kind
 
 
 def _format(head: bytes, tail: bytes, size: int, where: str) -> str:

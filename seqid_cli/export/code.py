@@ -56,9 +56,11 @@ def _content(model: ExportModel) -> dict[str, object]:
         "prismatic": ", ".join("1" if slides else "0" for slides in chain.prismatic),
         "phi": [_row(phi) for phi in model.bodies],
         "armature": _row(model.armature),
-        "coupled": model.coupling == "gyroscopic" and bool(model.rotor.any()),
-        "coupling": _row(np.where(chain.prismatic, 0.0, gear_ratios(robot) * model.rotor)),
-        "springs": [_row(row) for row in model.springs] if model.springs.any() else [],
+        "coupled": model.coupling == "gyroscopic" and bool(model.nearest.rotor.any()),
+        "coupling": _row(np.where(chain.prismatic, 0.0, gear_ratios(robot) * model.nearest.rotor)),
+        "springs": [_row(row) for row in model.effects.springs]
+        if model.effects.springs.any()
+        else [],
         "surfaces": surfaces,
         "gain": real(observer.gain),
         "limit": _row(np.nan_to_num(observer.limit, posinf=_NO_LIMIT)),

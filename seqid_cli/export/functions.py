@@ -65,7 +65,7 @@ def export(parameters: Models, robot: PathLike, output: PathLike) -> ExportFile:
         path=str(target),
         parameters=[model_id(name, file, files) for name, file in models],
         stages=list(present(previous.stages)),
-        exact=model.exact,
+        exact=model.nearest.exact,
         largest_deviation=model.largest_deviation,
         base_parameters=[
             msgspec.convert(deviation, ExportedParameter, from_attributes=True)
@@ -84,8 +84,8 @@ def _link(model: ExportModel, k: int) -> ExportedLink:
         mass=body.mass,
         center_of_mass=body.center.tolist(),
         inertia=body.inertia.tolist(),
-        rotor_inertia=float(model.rotor[k]),
+        rotor_inertia=float(model.nearest.rotor[k]),
         armature=float(model.armature[k]),
-        prior="urdf" if model.from_cad[k] else "guessed",
+        prior="urdf" if model.nearest.expected.from_cad[k] else "guessed",
         friction=model.friction[k],
     )

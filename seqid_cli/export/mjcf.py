@@ -31,7 +31,7 @@ def _body(model: ExportModel, k: int, *, min_length: float = 1e-3) -> dict[str, 
     name = f"{model.robot.joint_names[k]}_link"
     inertial = {"pos": reals(solid.center), "mass": real(solid.mass)}
     reach = chain.position[k + 1] if k + 1 < chain.n else np.zeros(3)
-    plays = model.gaps[k] > 0.0 and model.armature[k] > 0.0
+    plays = model.effects.gaps[k] > 0.0 and model.armature[k] > 0.0
     return {
         "place": {"name": name, "pos": reals(chain.position[k]), "xyaxes": reals(axes)},
         "inertial": {**inertial, "fullinertia": reals(solid.inertia[_FULL])},
@@ -52,8 +52,10 @@ def _joint(model: ExportModel, k: int) -> dict[str, str]:
         values |= {"damping": real(fit.viscous), "frictionloss": real(fit.coulomb)}
     if joint.position_limits is not None:
         values["range"] = reals(joint.position_limits)
-    if model.springs[k].any():  # stiffness by powers of the way from where the spring is slack
-        torque = np.polynomial.Polynomial(model.springs[k])
+    if model.effects.springs[
+        k
+    ].any():  # stiffness by powers of the way from where the spring is slack
+        torque = np.polynomial.Polynomial(model.effects.springs[k])
         roots = torque.trim().roots()
         slack = float(min(roots, key=lambda root: (abs(root.imag), abs(root))).real)
         moved = torque(np.polynomial.Polynomial([slack, 1.0])).trim().coef
@@ -66,7 +68,7 @@ def _gap(model: ExportModel, k: int, *, share: float = 0.01) -> dict[str, str]:
 
     It gets a `share` of the motor's armature, which only relative acceleration feels.
     """
-    name, half = model.robot.joints[k].name, 0.5 * model.gaps[k]
+    name, half = model.robot.joints[k].name, 0.5 * model.effects.gaps[k]
     return {
         "name": f"{name}_backlash",
         "type": "slide" if model.robot.joints[k].prismatic else "hinge",

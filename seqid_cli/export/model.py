@@ -9,13 +9,14 @@ import numpy as np
 from scipy.optimize import nnls
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.export.effects import absorbed_effects
+from seqid_cli.export.effects import Absorbed, absorbed_effects
 from seqid_cli.export.observer import Thresholds, largest_mass, thresholds
 from seqid_cli.export.urdf_tree import UrdfBody, bodies_of_urdf
 from seqid_cli.model.bodies.nearest import (
     Deviation,
     Expected,
     Identified,
+    NearestBodies,
     identified,
     nearest_bodies,
 )
@@ -35,42 +36,36 @@ _POSITIONS, _SPEEDS = 41, 60
 class ExportModel:
     """One arm, ready to be written.
 
-    `own` (n, 10): standard parameters that are written as each link's inertial. `kept` (n, 10): the
-    rest of each body: links behind other joints, which keep theirs. `rotor` (n,): rotor inertias,
-    motor side [kg m^2]. `deviations`: of every identified base parameter. `exact`: whether the
-    identified base parameters are met exactly. `from_cad`: whether a link's expected inertial came
-    from the URDF. `springs` (n, 4): torque of a spring at each joint by powers of its position [N
-    m, N m/rad ...]. `gaps` (n,): backlash of each joint [rad]. `observer`: when a momentum observer
-    raises an alarm. `notes`: what the reader of the file has to know. `urdf`: that of the robot,
-    and the `links` of it that belong to each joint; None where there is none.
+    `nearest`: standard parameters that are written as each link's inertial, and rotor inertias,
+    motor side [kg m^2]. `kept` (n, 10): the rest of each body: links behind other joints, which
+    keep theirs. `deviations`: of every identified base parameter. `effects`: what they add.
+    `observer`: when a momentum observer raises an alarm. `notes`: what the reader of the file
+    has to know. `urdf`: that of the robot, and the `links` of it that belong to each joint;
+    None where there is none.
     """
 
     robot: Robot
     urdf: UrdfText | None
     links: tuple[UrdfBody, ...]
-    own: Array
+    nearest: NearestBodies
     kept: Array
-    rotor: Array
     coupling: Coupling
     surfaces: tuple[FrictionSurface | None, ...]
     friction: tuple[ExportedFriction | None, ...]
     deviations: tuple[Deviation, ...]
-    exact: bool
-    from_cad: tuple[bool, ...]
-    springs: Array
-    gaps: Array
+    effects: Absorbed
     observer: Thresholds
     notes: tuple[str, ...]
 
     @property
     def bodies(self) -> Array:
         """Standard parameters (n, 10) of the bodies that each joint moves."""
-        return self.own + self.kept
+        return self.nearest.links + self.kept
 
     @property
     def armature(self) -> Array:
         """Rotor inertias (n,) as the joints feel them, kg m^2 [kg where prismatic]."""
-        reflected: Array = gear_ratios(self.robot) ** 2 * self.rotor
+        reflected: Array = gear_ratios(self.robot) ** 2 * self.nearest.rotor
         return reflected
 
     @property
@@ -116,17 +111,13 @@ def export_model(
         robot=robot,
         urdf=urdf,
         links=links,
-        own=nearest.links,
+        nearest=nearest,
         kept=kept,
-        rotor=nearest.rotor,
         coupling="gyroscopic" if coupled else "diagonal",
         surfaces=surfaces,
         friction=friction,
         deviations=demand.deviations(nearest.links + kept, nearest.rotor),
-        exact=nearest.exact,
-        from_cad=nearest.expected.from_cad,
-        springs=effects.springs,
-        gaps=effects.gaps,
+        effects=effects,
         observer=thresholds(robot, stages, surfaces, mass, errors),
         notes=(
             *_notes_on_links(robot, stages, demand, nearest.expected),

@@ -50,7 +50,7 @@ def plain(text: str) -> str:
 
 def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
     """Return the remarks that a reader of any exported file needs, a line each."""
-    state = "exactly" if model.exact else "but for the deviations that follow"
+    state = "exactly" if model.nearest.exact else "but for the deviations that follow"
     lines = [
         f"Inertial parameters of {model.robot.name!r} identified by seqid {__version__}.",
         "Every link is physically consistent; what torque does not show is nearest to the prior.",
@@ -60,7 +60,7 @@ def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
         f"{d.name}: identified {d.identified:.6g} {d.unit}, exported {d.exported:.6g}"
         f" ({d.std_errors:+.2f} standard errors)"
         for d in model.deviations
-        if not model.exact and d.std_errors is not None and abs(d.std_errors) >= min_errors
+        if not model.nearest.exact and d.std_errors is not None and abs(d.std_errors) >= min_errors
     ]
     for joint, fit in zip(model.robot.joints, model.friction, strict=True):
         if fit is not None:

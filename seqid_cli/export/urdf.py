@@ -39,7 +39,7 @@ def urdf(model: ExportModel) -> str:
     links = {element.getAttribute("name"): element for element in _children(root, "link")}
     joints = {element.getAttribute("name"): element for element in _children(root, "joint")}
     for k, body in enumerate(bodies):
-        _set_inertial(document, links[body.link], model.own[k])
+        _set_inertial(document, links[body.link], model.nearest.links[k])
         for link in (links[name] for name in body.merged):
             for old in _children(link, "inertial"):
                 comment = document.createComment(plain(f" seqid: part of {body.link} "))
@@ -114,12 +114,12 @@ def _set_joint(document: Document, joint: Element, model: ExportModel, k: int) -
 
 def _set_transmission(document: Document, root: Element, model: ExportModel, k: int) -> None:
     """Write rotor inertia and gear ratio into the joint's transmission, made if missing."""
-    if model.rotor[k] <= 0.0:
+    if model.nearest.rotor[k] <= 0.0:
         return
     name, ratio = model.robot.joint_names[k], abs(float(gear_ratios(model.robot)[k]))
     actuator = _actuator(document, root, name, ratio)
     root.setAttribute("xmlns:drake", _DRAKE)
-    for tag, value in (("rotor_inertia", model.rotor[k]), ("gear_ratio", ratio)):
+    for tag, value in (("rotor_inertia", model.nearest.rotor[k]), ("gear_ratio", ratio)):
         for old in _children(actuator, f"drake:{tag}"):
             actuator.removeChild(old)
         _add(document, actuator, f"drake:{tag}", 3, value=real(value))

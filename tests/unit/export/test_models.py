@@ -31,7 +31,7 @@ from tests.unit.export.arms import (
 
 def test_pinocchio_finds_the_identified_torque_in_the_urdf(arm: Arm) -> None:
     done = written(arm, "URDF")
-    assert done.model.exact
+    assert done.model.nearest.exact
     torque = pinocchio_torque(arm[0], done.text, done.model.armature)
     np.testing.assert_allclose(torque, rigid(arm), rtol=0, atol=1e-9 * np.abs(torque).max())
 
@@ -43,11 +43,11 @@ def test_mujoco_finds_the_identified_torque_in_the_mjcf(arm: Arm) -> None:
 
 def test_every_link_is_a_body_that_can_exist(arm: Arm) -> None:
     model = written(arm, "URDF").model
-    for own, whole in zip(model.own, model.bodies, strict=True):
+    for own, whole in zip(model.nearest.links, model.bodies, strict=True):
         for phi in (own, whole):
             J = pseudo_inertia(phi)
             assert np.linalg.eigvalsh(J)[0] > 1e-9 * np.trace(J)
-    assert (model.rotor >= 0.0).all()
+    assert (model.nearest.rotor >= 0.0).all()
 
 
 def test_ros2_parameters_read_back_as_the_same_bodies(arm: Arm) -> None:
@@ -198,7 +198,7 @@ def test_what_no_body_has_is_projected_and_reported(tmp_path: Path) -> None:
     stages.inertia = inertia_stage(robot, random_bodies(rng, robot.n), shift=shift)
     done = export(robot, stages, kind="URDF")
     model = done.model
-    assert not model.exact
+    assert not model.nearest.exact
     assert model.largest_deviation > 10.0
     torque = pinocchio_torque(robot, done.text, model.armature)
     q, dq, ddq = states(robot.n)
@@ -208,7 +208,7 @@ def test_what_no_body_has_is_projected_and_reported(tmp_path: Path) -> None:
     told = next(d for d in model.deviations if d.name == "Izz_6")
     assert told.exported > told.identified
     assert "Izz_6: identified" in done.text
-    for phi in model.own:
+    for phi in model.nearest.links:
         assert np.linalg.eigvalsh(pseudo_inertia(phi))[0] > 0.0
 
 
@@ -220,7 +220,7 @@ def test_a_gravity_file_takes_inertias_from_the_urdf(tmp_path: Path) -> None:
     gravity.parameters = [gravity.parameters[k] for k in own]
     gravity.covariance = [[gravity.covariance[i][j] for j in own] for i in own]
     done = export(robot, Stages(gravity=gravity), kind="URDF")
-    assert done.model.exact
+    assert done.model.nearest.exact
     assert any("no inertia stage" in note for note in done.model.notes)
     zero = np.zeros((25, robot.n))
     q = states(robot.n)[0]
@@ -236,4 +236,4 @@ def test_what_torque_does_not_show_stays_as_in_the_cad(tmp_path: Path) -> None:
     stages = stages_of(robot, robot.nominal)
     model = export(robot, stages, kind="URDF").model
     np.testing.assert_allclose(model.bodies, robot.nominal, atol=1e-3 * robot.nominal.max())
-    assert all(model.from_cad)
+    assert all(model.nearest.expected.from_cad)

@@ -229,7 +229,7 @@ def test_a_rotor_inertia_that_was_wrong_is_corrected() -> None:
     model = export(robot, stages, kind="MJCF").model
     expected = np.array([j.rotor_inertia or 0.0 for j in robot.joints])
     expected[3] += 1.5e-5
-    np.testing.assert_allclose(model.rotor, expected, rtol=1e-6)
+    np.testing.assert_allclose(model.nearest.rotor, expected, rtol=1e-6)
 
 
 def test_effects_without_a_place_are_named() -> None:
@@ -294,7 +294,7 @@ def test_noise_of_any_size_gives_bodies_that_exist(tmp_path: Path, error: float)
     size = len(stages_of(robot, phi, rotor).inertia.parameters)  # type: ignore[union-attr]
     stages = stages_of(robot, phi, rotor, error=error, shift=rng.normal(size=size))
     model = export(robot, stages, kind="URDF").model
-    assert all(np.linalg.eigvalsh(pseudo_inertia(row))[0] > 0.0 for row in model.own)
+    assert all(np.linalg.eigvalsh(pseudo_inertia(row))[0] > 0.0 for row in model.nearest.links)
     assert model.largest_deviation < 5.0
 
 
@@ -305,7 +305,7 @@ def test_torque_scale_of_any_size_is_solved() -> None:
     for scale in (1e-6, 1e6):
         stages = stages_of(robot, scale * phi)
         model = export(robot, stages, kind="MJCF").model
-        assert model.exact
+        assert model.nearest.exact
         q, dq, ddq = np.random.default_rng(12).normal(size=(3, 10, 2))
         torque = TorqueModel.from_stages(stages, robot).rigid(q, dq, ddq)
         found = inverse_dynamics(robot.chain, robot.gravity, model.bodies, q, dq, ddq)

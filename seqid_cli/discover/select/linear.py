@@ -125,11 +125,10 @@ class Linear:
 
     @cached_property
     def _scale(self) -> Array:
-        diagonal = np.diag(self.prior) + np.diag(self._sums[0])
-        return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
+        return _scale_of(np.diag(self.prior) + np.diag(self._sums[0]))
 
     def _factor(self, A: Array) -> Factor:
-        return _factored(A + self.prior, self._scale)
+        return _factored((A + self.prior) * np.outer(self._scale, self._scale))
 
     def _solved(self, factor: Factor, right: Array) -> Array:
         scale = self._scale[:, None] if right.ndim == 2 else self._scale
@@ -213,19 +212,10 @@ class Linear:
     @cached_property
     def evidence(self) -> float:
         """Log density of the rows, their weights' part aside."""
-        return self.evidence_under([])
-
-    def evidence_under(self, precisions: Sequence[Array]) -> float:
-        """The same where the first parts had other precisions (k, k) beforehand."""
-        (A, b), P = self._sums, self.prior.copy()
-        for precision, where in zip(precisions, self.where, strict=False):
-            P[where, where] = precision
-        diagonal = np.diag(P) + np.diag(A)
-        scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
-        after = _factored(A + P, scale)
-        theta = scale * cho_solve(after, scale * b, check_finite=False)
-        before = sum(_spread(_factored(P[at, at], scale[at])) for at in self.where)
-        return 0.5 * (float(b @ theta) - self._square) - _spread(after) + before
+        factor, theta = self._whole
+        scaled = self.prior * np.outer(self._scale, self._scale)
+        before = sum(_spread(_factored(scaled[at, at])) for at in self.where)
+        return 0.5 * (float(self._sums[1] @ theta) - self._square) - _spread(factor) + before
 
     @cached_property
     def _square(self) -> float:
@@ -318,6 +308,44 @@ class Linear:
         return _Crossed(terms, where, C, d, D)
 
 
+class Loosened:
+    """A solved model while parts of it are held by other precisions, one after the other.
+
+    With C the covariance of some parameters, t their values and D what their precision grows by,
+    all by those of before, the log evidence grows by (log det(P + D) - log det P
+    - log det(1 + D C) - t' (1 + D C)^-1 D t) / 2.
+
+    Parameters
+    ----------
+    linear : Linear
+    """
+
+    def __init__(self, linear: Linear) -> None:
+        self.theta, self.covariance = linear.theta.copy(), linear.covariance.copy()
+        self._told = np.diag(linear._sums[0])  # by the rows
+
+    def gained(self, at: slice, before: Array, after: Array) -> float:
+        """Log evidence that other precisions (k, k) of some parameters gain."""
+        t, K, spread = self.theta[at], *self._change(at, after - before)
+        grown = self._half_log_det(at, after) - self._half_log_det(at, before)
+        return grown - 0.5 * float(spread + t @ K @ t)
+
+    def hold(self, at: slice, before: Array, after: Array) -> None:
+        """Have them hold from now on."""
+        C, K = self.covariance[:, at], self._change(at, after - before)[0]
+        self.theta -= C @ (K @ self.theta[at])
+        self.covariance -= C @ K @ C.T
+
+    def _half_log_det(self, at: slice, precision: Array) -> float:
+        scale = _scale_of(np.diag(precision) + self._told[at])
+        return _spread(_factored(precision * np.outer(scale, scale))) - float(np.log(scale).sum())
+
+    def _change(self, at: slice, more: Array) -> tuple[Array, float]:
+        """(1 + D C)^-1 D and the logarithm of the determinant of 1 + D C."""
+        M = np.eye(len(more)) + more @ self.covariance[at, at]
+        return np.asarray(np.linalg.solve(M, more)), float(np.linalg.slogdet(M)[1])
+
+
 @dataclass(frozen=True)
 class _Crossed:
     """Products of terms with the model's columns, the rows and themselves, block by block."""
@@ -343,9 +371,13 @@ def _times(root: Array, columns: Sequence[Array]) -> Array:
     return result
 
 
-def _factored(A: Array, scale: Array) -> Factor:
+def _scale_of(diagonal: Array) -> Array:
+    """Factors (p,) that make ones of what is not zero in a matrix's diagonal."""
+    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
+
+
+def _factored(scaled: Array) -> Factor:
     """Cholesky factor of a matrix (p, p) whose rows and columns are scaled."""
-    scaled = A * np.outer(scale, scale)
     scaled[np.diag_indices(len(scaled))] += RIDGE
     return cho_factor(scaled, check_finite=False)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +11,7 @@ import numpy as np
 from seqid_cli.discover.base import Base
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.noise.spectra import DETAIL
-from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.linear import Linear, Loosened
 from seqid_cli.discover.select.noise import Noise, settled
 from seqid_cli.discover.select.rows import Part, Rows
 from seqid_cli.discover.select.terms import Term, effects
@@ -37,6 +37,14 @@ class Hold:
     def of(self, joint: int) -> float:
         """By how much friction of a joint may move."""
         return self.own[joint] if self.own else self.rigid
+
+    def others(self, number: int, joints: int) -> Iterator[Hold]:
+        """The same with the rigid body (0), or friction of a joint (from 1), held otherwise."""
+        own = [self.of(j) for j in range(joints)]
+        for scale in SCALES:
+            if scale != [self.rigid, *own][number]:
+                each = [*own[: number - 1], scale, *own[number:]] if number else own
+                yield replace(self, rigid=self.rigid if number else scale, own=tuple(each))
 
     def doubt(self, joints: int, *, spread: float = 0.8) -> float:
         """Log odds against standard errors that are so many times too small, part by part.
@@ -91,17 +99,17 @@ class Ground:
         """Time [s] by which torque may be early or late at any drive."""
         return OWN_OFFSET * max(scene.period for scene in self.stage.scenes)
 
-    def precisions(self, hold: Hold) -> list[Array]:
-        """Precision (k, k) of the rigid body beforehand, then of each joint's friction."""
-        rows = [self.base.rigid_hold(hold.rigid)]
-        rows += [self.base.friction_hold(j, hold.of(j)) for j in range(self.n)]
-        return [own.T @ own for own in rows]
+    def precision(self, hold: Hold, number: int) -> Array:
+        """Precision (k, k) beforehand of the rigid body (0), or friction of a joint (from 1)."""
+        base, own = self.base, hold.of(number - 1) if number else hold.rigid
+        rows = base.friction_hold(number - 1, own) if number else base.rigid_hold(own)
+        return rows.T @ rows
 
     def parts(self, hold: Hold, timed: Sequence[bool]) -> list[Part]:
         """The base: rigid body, friction by joint, time offset by joint where it has its own."""
         base, stage, joints, n = self.base, self.stage, range(self.n), self.n
         drives = [j for j in joints if stage.drive.of(j)]
-        rigid, *friction = self.precisions(hold)
+        rigid, *friction = [self.precision(hold, number) for number in range(1 + n)]
         timing = [np.diag(base.bounds[2][j] ** 2 + self.own_offset**-2) for j in joints]
         own = [np.diag(bound**2) for bound in base.bounds[1]]
         return [
@@ -163,17 +171,17 @@ class Model:
         """The hold that the evidence prefers, part by part, and its evidence less its doubt."""
         n = self.ground.n
         best, most = self.hold, linear.evidence - self.hold.doubt(n)
-        for number in range(1 + n):
-            for scale in SCALES:
-                own = [best.of(j) for j in range(n)]
-                if scale == [best.rigid, *own][number]:
-                    continue
-                if number:
-                    own[number - 1] = scale
-                hold = replace(best, rigid=best.rigid if number else scale, own=tuple(own))
-                worth = linear.evidence_under(self.ground.precisions(hold)) - hold.doubt(n)
-                if worth > most:
-                    best, most = hold, worth
+        model, known = Loosened(linear), most + self.hold.doubt(n)
+        for number, at in enumerate(linear.where[: 1 + n]):
+            first = best
+            held, gains = self.ground.precision(first, number), {first: 0.0}
+            for hold in first.others(number, n):
+                gains[hold] = model.gained(at, held, self.ground.precision(hold, number))
+                if known + gains[hold] - hold.doubt(n) > most:
+                    best, most = hold, known + gains[hold] - hold.doubt(n)
+            if best is not first:
+                model.hold(at, held, self.ground.precision(best, number))
+                known += gains[best]
         return best, most
 
     @property

@@ -57,8 +57,8 @@ class Taken:
 
     `rivals` ranks all that touches its channels, itself included, in its place; `left` (M_c,) N m
     is what the model without it leaves of every channel's blocks, each fitted to all others.
-    `margin` is the log evidence for it against a base that may leave the file instead; `beyond` the
-    share of what the file leaves of the squared error that the model takes away.
+    `evidence` is the log evidence for it and `share` the part of the squared error that it takes
+    away, both no more than beside a base that may leave the file, and beyond the file as it is.
     `instead` are effects that other finished models have in its place, and how far these are
     behind in log evidence. `untried` are effects that look alike and that these logs lack the
     channels to look for.
@@ -67,8 +67,8 @@ class Taken:
     one: Ranked
     rivals: tuple[Ranked, ...]
     left: Sequence[Array]
-    margin: float
-    beyond: float
+    evidence: float
+    share: float
     instead: Mapping[str, float]
     untried: tuple[str, ...] = ()
 
@@ -76,16 +76,6 @@ class Taken:
     def without(self) -> Array:
         """RMS (channels,) N m of that."""
         return rms_of_rows(self.left)
-
-    @property
-    def evidence(self) -> float:
-        """Log evidence for it, the lesser of both."""
-        return min(self.one.predicted.total, self.margin)
-
-    @property
-    def share(self) -> float:
-        """Share of the squared error that it takes away, of the lesser of both as well."""
-        return min(self.one.predicted.share, self.beyond)
 
     @property
     def term(self) -> Term:

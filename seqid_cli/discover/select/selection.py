@@ -18,6 +18,7 @@ selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -252,19 +253,16 @@ class Selection:
 
     def largest(self) -> Selected:
         """Of the effects that were taken the one of the largest gain, with its rivals."""
-        told = [self._is_told(t, 0.0) for t in self.model.terms if not t.smooth]
-        first = sorted(filter(None, told), key=_by_gain)[:1]
-        return Selected(self.model, tuple(self._taken(one.term) for one in first), {})
+        weighed = [_Weighed(term, self.model) for term in self.model.terms if not term.smooth]
+        told = [own for own in weighed if self._is_told(own, 0.0)]
+        first = sorted(told, key=lambda own: _by_gain(own.one))[:1]
+        return Selected(self.model, tuple(map(self._taken, first)), {})
 
-    def _is_told(self, term: Term, least: float) -> Ranked | None:
-        """A term as it gains beside all others, if it is told."""
-        linear, one = self.model.beside(term), _again(term, self.model)
-        gain = min(one.predicted.total, self.model.margin(linear))
-        share = min(one.predicted.share, self.model.beyond_file(term.channels))
-        worth = self._passes(one) and share > self.options.improvement
-        there = worth and reality(share, gain) >= least
-        alone = there and not self._of_a_law(one) and self._made_up_for(term) is None
-        return one if alone else None
+    def _is_told(self, own: _Weighed, least: float) -> bool:
+        """Whether a term is worth it beside all others, likely, and by itself."""
+        worth = self._passes(own.one) and own.share > self.options.improvement
+        there = worth and reality(own.share, own.evidence) >= least
+        return there and not self._of_a_law(own.one) and self._made_up_for(own.term) is None
 
     def _made_up_for(self, term: Term) -> Term | None:
         """The effect of which a term takes back what the file's friction has taken in.
@@ -279,7 +277,7 @@ class Selection:
     def _all_taken(self, least: float) -> tuple[Taken, ...]:
         """Terms that are told, with their rivals; they give way to simpler ones."""
         model = self.model
-        told = {t: self._taken(t) for t in model.terms if self._is_told(t, least)}
+        told = self._told_now(least)
         better = dict[Term, Term]()
         for term, one in told.items():
             better[term] = self._better(one, {other.key for other in better.values()})
@@ -287,7 +285,11 @@ class Selection:
             return tuple(told.values())
         model.terms = [better.get(term, term) for term in model.terms]
         model.settle()
-        return tuple(self._taken(t) for t in better.values() if self._is_told(t, least))
+        return tuple(self._told_now(least).values())
+
+    def _told_now(self, least: float) -> dict[Term, Taken]:
+        weighed = [_Weighed(term, self.model) for term in self.model.terms]
+        return {own.term: self._taken(own) for own in weighed if self._is_told(own, least)}
 
     def _better(self, taken: Taken, gone: set[Key]) -> Term:
         """The simplest of a term and of its rivals that do as well."""
@@ -297,19 +299,24 @@ class Selection:
         best = self._simplest(free)
         return best.term if best else taken.term
 
-    def _taken(self, term: Term) -> Taken:
+    def _taken(self, own: _Weighed) -> Taken:
         """A term and its rivals."""
-        linear, one = self.model.beside(term), _again(term, self.model)
-        tried = self._search.near(term, linear)
+        term, linear, one = own.term, own.linear, own.one
         near = [
             t
-            for t in tried
+            for t in self._search.near(term, linear)
             if t.evidence > 0.0 and t.term.key != term.key and t.term.channels & term.channels
         ]
         ranked = tuple(sorted([one, *_ranked(linear, near)], key=_by_gain))
-        margin, instead = self.model.margin(linear), self._instead_of(term)
-        beyond = self.model.beyond_file(term.channels)
-        return Taken(one, ranked, linear.left_out, margin, beyond, instead, self._untried(term))
+        return Taken(
+            one,
+            ranked,
+            linear.left_out,
+            evidence=own.evidence,
+            share=own.share,
+            instead=self._instead_of(term),
+            untried=self._untried(term),
+        )
 
     def _instead_of(self, term: Term) -> dict[str, float]:
         """Effects that other finished models have where they lack a term; how far these are behind.
@@ -349,6 +356,36 @@ class Selection:
         like = _alike(term, one.term)
         greater = like and _again(term, self.model).predicted.total > one.predicted.total
         return self.options.likeness if greater else self.options.law
+
+
+class _Weighed:
+    """What a term of a model does beside all others, the lesser of two figures each.
+
+    Beside a base that may leave the file instead, and beside the file as it is.
+    """
+
+    def __init__(self, term: Term, model: Model) -> None:
+        self.term, self.model = term, model
+
+    @cached_property
+    def one(self) -> Ranked:
+        """It, as it was tried before it was taken."""
+        return _again(self.term, self.model)
+
+    @cached_property
+    def linear(self) -> Linear:
+        """The model without it."""
+        return self.model.beside(self.term)
+
+    @cached_property
+    def evidence(self) -> float:
+        """Log evidence for it."""
+        return min(self.one.predicted.total, self.model.margin(self.linear))
+
+    @cached_property
+    def share(self) -> float:
+        """Share of the squared error that it takes away."""
+        return min(self.one.predicted.share, self.model.beyond_file(self.term.channels))
 
 
 def _alike(one: Term, other: Term) -> bool:

@@ -50,7 +50,7 @@ def diagnose(
     from seqid_cli.discover.excerpts.excerpts import one_each
     from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
-    from seqid_cli.identify.motion_use import motion_uses
+    from seqid_cli.identify.regression.equations import motion_uses
 
     search = _search(inputs, options)
     given = LogSet.of(inputs)
@@ -139,7 +139,7 @@ def _refined(
     from seqid_cli.discover.refinement.rounds import refine as decide
     from seqid_cli.identify.judging import physics_verdicts
     from seqid_cli.identify.log_set import LogSet
-    from seqid_cli.identify.motion_use import motion_uses
+    from seqid_cli.identify.regression.equations import motion_uses
 
     assert inputs.previous is not None
     robot, previous = inputs.robot, inputs.previous

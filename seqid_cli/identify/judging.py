@@ -59,13 +59,14 @@ class Limits:
     postures: int = 60
 
 
+LIMITS = Limits()
+
+
 def judged(
     found: Stages,
     previous: ParameterFile | None,
     robot: Robot,
     of_logs: Sequence[Verdict] = (),
-    *,
-    limits: Limits = Limits(),
 ) -> Stages:
     """Add to the verdicts of new stages those by physics, and those `of_logs`.
 
@@ -79,21 +80,19 @@ def judged(
     for name in JUDGED:
         stage = getattr(found, name)
         if stage is not None:
-            own = [*stage.verdicts, *_physics(stage, known, robot, limits), *of_logs]
+            own = [*stage.verdicts, *_physics(stage, known, robot), *of_logs]
             stages[name] = replace(stage, verdicts=as_a_whole(own))
     return replace(found, **stages)
 
 
-def physics_verdicts(stages: Stages, robot: Robot, *, limits: Limits = Limits()) -> list[Verdict]:
+def physics_verdicts(stages: Stages, robot: Robot) -> list[Verdict]:
     """Judge stages that a command builds on as `judged` does, whatever logs they are used on.
 
     `robot`: as it is now: its gear ratios or gravity may not be those of the identification.
     Returns: what no arm can be, each reason once per joint.
     """
     there = (stages.friction, stages.gravity, stages.inertia)
-    found = [
-        v for stage in there if stage is not None for v in _physics(stage, stages, robot, limits)
-    ]
+    found = [v for stage in there if stage is not None for v in _physics(stage, stages, robot)]
     return list({(v.joint, v.reason): v for v in found}.values())
 
 
@@ -108,26 +107,24 @@ def as_a_whole(verdicts: Sequence[Verdict]) -> list[Verdict]:
 
 
 def _physics(
-    stage: FrictionStage | RigidStage | ImuStage, known: Stages, robot: Robot, limits: Limits
+    stage: FrictionStage | RigidStage | ImuStage, known: Stages, robot: Robot
 ) -> Iterator[Verdict]:
     if isinstance(stage, FrictionStage):
-        yield from friction_verdicts(stage, robot, limits)
+        yield from friction_verdicts(stage, robot)
     elif isinstance(stage, RigidStage) and stage.parameters:
-        q = _postures(robot, limits.postures)
+        q = _postures(robot)
         samples = dict(enumerate((q, own) for own in _gravity(robot, stage, q).T))
         if stage is not known.gravity:
-            yield from inertia_verdicts(stage, robot, limits)
+            yield from inertia_verdicts(stage, robot)
             if known.gravity is not None and known.gravity.parameters:
-                yield from _as_before(samples, robot, known.gravity, limits, IN_LOGS)
+                yield from _as_before(samples, robot, known.gravity, IN_LOGS)
         elif known.friction is not None:
-            measured = _measured(known.friction, robot, limits)
-            yield from _as_before(measured, robot, stage, limits, IN_TRIALS)
-        yield from _as_nominal(samples, robot, limits)
+            measured = _measured(known.friction, robot)
+            yield from _as_before(measured, robot, stage, IN_TRIALS)
+        yield from _as_nominal(samples, robot)
 
 
-def friction_verdicts(
-    stage: FrictionStage, robot: Robot, limits: Limits = Limits()
-) -> Iterator[Verdict]:
+def friction_verdicts(stage: FrictionStage, robot: Robot) -> Iterator[Verdict]:
     """Judge whether friction brakes, and whether the gravity beside it is of the URDF's size."""
     for name, joint in stage.joints.items():
         surface = FrictionSurface.from_stage(joint)
@@ -135,14 +132,14 @@ def friction_verdicts(
         levels = [level.speed for level in joint.speeds if level.speed > joint.sign_width]
         speeds = np.array(levels or [high])
         if joint.parameters:  # a law over speed, of one level alone
-            speeds = np.linspace(max(low, 3.0 * joint.sign_width), high, limits.speeds)
-        q, v = (x.ravel() for x in np.meshgrid(np.linspace(first, last, limits.positions), speeds))
+            speeds = np.linspace(max(low, 3.0 * joint.sign_width), high, LIMITS.speeds)
+        q, v = (x.ravel() for x in np.meshgrid(np.linspace(first, last, LIMITS.positions), speeds))
         # The mean of both directions: what is the same in both is an offset and takes no energy.
         value = 0.5 * (surface.torque(q, v) - surface.torque(q, -v))
         error = 0.5 * (surface.std_error(q, v) + surface.std_error(q, -v))
         usual = float(np.sqrt(np.mean(value**2)))
-        drives = (value < -limits.clear_sigma * error) & (value < -limits.driving_share * usual)
-        if np.mean(drives) > limits.driving_cells:
+        drives = (value < -LIMITS.clear_sigma * error) & (value < -LIMITS.driving_share * usual)
+        if np.mean(drives) > LIMITS.driving_cells:
             worst = int(np.argmin(np.where(drives, value, np.inf)))
             reason = (
                 f"its friction is {value[worst]:.3g} +- {error[worst]:.2g} {joint.unit} at "
@@ -150,20 +147,20 @@ def friction_verdicts(
                 "current is wrong, or it is another joint's"
             )
             yield Verdict(joint=name, good=False, reason=reason)
-    yield from _as_nominal(_measured(stage, robot, limits), robot, limits)
+    yield from _as_nominal(_measured(stage, robot), robot)
 
 
 Samples = dict[int, tuple[Array, Array]]  # joint: postures (N, n), gravity torque of it (N,)
 
 
-def _measured(stage: FrictionStage, robot: Robot, limits: Limits) -> Samples:
+def _measured(stage: FrictionStage, robot: Robot) -> Samples:
     """Gravity torque by Eq. 12-14 in the postures of the friction trials."""
     found: Samples = {}
     for j, name in enumerate(robot.joint_names):
         groups = [g for g in stage.joints[name].gravity if g.p_xi] if name in stage.joints else []
         if groups:
             first, last = stage.joints[name].position_range
-            q = np.linspace(first, last, limits.positions)
+            q = np.linspace(first, last, LIMITS.positions)
             places = np.array([group.configuration for group in groups])
             torques = [
                 gravity_columns(robot, j, place, q) @ np.array(group.p_xi)
@@ -184,14 +181,14 @@ def _gravity(robot: Robot, stage: RigidStage | None, q: Array) -> Array:
 
 
 def _compared(
-    samples: Samples, robot: Robot, stage: RigidStage | None, limits: Limits
+    samples: Samples, robot: Robot, stage: RigidStage | None
 ) -> Iterator[tuple[str, float, float, float]]:
     """Compare samples with the gravity of a stage, for joints that carry a fair share of it.
 
     Yields: joint; RMS difference, RMS and projection, each over what the stage says.
     """
-    largest = float(np.abs(_gravity(robot, stage, _postures(robot, limits.postures))).max())
-    least = max(limits.min_torque, limits.light_share * largest)
+    largest = float(np.abs(_gravity(robot, stage, _postures(robot))).max())
+    least = max(LIMITS.min_torque, LIMITS.light_share * largest)
     for j, (q, own) in samples.items():
         told = _gravity(robot, stage, q)[:, j]
         rms = float(np.sqrt(np.mean(told**2)))
@@ -211,31 +208,29 @@ IN_LOGS = (
 )
 
 
-def _as_before(
-    samples: Samples, robot: Robot, stage: RigidStage, limits: Limits, text: str
-) -> Iterator[Verdict]:
+def _as_before(samples: Samples, robot: Robot, stage: RigidStage, text: str) -> Iterator[Verdict]:
     """Compare gravity that shows in two ways."""
-    for name, off, _, ratio in _compared(samples, robot, stage, limits):
-        if off > limits.max_difference:
+    for name, off, _, ratio in _compared(samples, robot, stage):
+        if off > LIMITS.max_difference:
             yield Verdict(joint=name, good=False, reason=text.format(percent(off, 0), ratio))
 
 
-def _as_nominal(samples: Samples, robot: Robot, limits: Limits) -> Iterator[Verdict]:
+def _as_nominal(samples: Samples, robot: Robot) -> Iterator[Verdict]:
     """Compare gravity with that of the URDF's inertials, where there are any."""
     if robot.nominal is None or not samples:
         return
-    for name, _, size, ratio in _compared(samples, robot, None, limits):
-        if ratio < limits.false_sign:
+    for name, _, size, ratio in _compared(samples, robot, None):
+        if ratio < LIMITS.false_sign:
             reason = (
                 f"gravity is {ratio:.2g} times that of the URDF's inertials: sign of the torque, "
                 "direction of the joint's axis, or direction of gravity in the robot file"
             )
-        elif not 1.0 / limits.max_factor < size < limits.max_factor:
+        elif not 1.0 / LIMITS.max_factor < size < LIMITS.max_factor:
             reason = (
                 f"gravity is {size:.2g} times that of the URDF's inertials: unit of the torque, "
                 "torque_constant, gear_ratio"
             )
-        elif ratio < limits.min_correlation * size:
+        elif ratio < LIMITS.min_correlation * size:
             reason = (
                 "gravity over the positions is not that of the URDF's inertials: direction of "
                 "gravity in the robot file, zeros and order of the joints"
@@ -245,15 +240,13 @@ def _as_nominal(samples: Samples, robot: Robot, limits: Limits) -> Iterator[Verd
         yield Verdict(joint=name, good=False, reason=reason)
 
 
-def inertia_verdicts(
-    stage: RigidStage, robot: Robot, limits: Limits = Limits()
-) -> Iterator[Verdict]:
+def inertia_verdicts(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
     """Judge whether rotors and the inertia that each drive feels are positive."""
     for parameter in stage.parameters:
         positive = parameter.terms and all(
             factor > 0.0 and name.startswith("Ia_") for name, factor in parameter.terms.items()
         )
-        if positive and parameter.value < -limits.clear_sigma * parameter.std_error:
+        if positive and parameter.value < -LIMITS.clear_sigma * parameter.std_error:
             reason = (
                 f"{parameter.name} is {parameter.value:.3g} +- {parameter.std_error:.2g}: a rotor "
                 "cannot have negative inertia"
@@ -267,7 +260,7 @@ def inertia_verdicts(
     if len(own) != len(stage.parameters) or np.shape(stage.covariance) != (len(own), len(own)):
         return
     covariance = np.array(stage.covariance)
-    q = _postures(robot, limits.postures)
+    q = _postures(robot)
     standard = np.concatenate([phi.ravel(), rotor])
     for j, name in enumerate(robot.joint_names):
         if stage.rmse and name not in stage.rmse:
@@ -279,8 +272,8 @@ def inertia_verdicts(
         felt = H[:, j] @ standard
         columns = H[:, j] @ basis.representative[:, own]
         error = np.sqrt(np.maximum(np.einsum("nk,kl,nl->n", columns, covariance, columns), 0.0))
-        worst = int(np.argmax(felt + limits.clear_sigma * error))
-        if felt[worst] < -limits.clear_sigma * error[worst]:  # in every posture
+        worst = int(np.argmax(felt + LIMITS.clear_sigma * error))
+        if felt[worst] < -LIMITS.clear_sigma * error[worst]:  # in every posture
             reason = (
                 f"the inertia that its drive feels is at most {felt[worst]:.3g} +- "
                 f"{error[worst]:.2g}: it cannot be negative. Check sign and unit of the torque, "
@@ -289,10 +282,10 @@ def inertia_verdicts(
             yield Verdict(joint=name, good=False, reason=reason)
 
 
-def _postures(robot: Robot, count: int) -> Array:
+def _postures(robot: Robot) -> Array:
     """Postures (P, n) within the limits, always the same."""
     rng = np.random.default_rng(0)
     default = [(-0.5, 0.5) if joint.prismatic else (-np.pi, np.pi) for joint in robot.joints]
-    limits = [j.position_limits or d for j, d in zip(robot.joints, default, strict=True)]
-    low, high = np.array(limits).T
-    return rng.uniform(low, high, (count, robot.n))
+    ranges = [j.position_limits or d for j, d in zip(robot.joints, default, strict=True)]
+    low, high = np.array(ranges).T
+    return rng.uniform(low, high, (LIMITS.postures, robot.n))

@@ -130,17 +130,16 @@ def base_regressor(
     *,
     spare: int = 0,
     out: Array | None = None,
-    first: int = 0,
 ) -> Array:
     """Compute the regressor H = Y P of the base parameters (Eq. 4).
 
     `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `spare`: columns to be filled
     by the caller; zeros without `out`. `out` (n, b + spare, M): written to, where `loaded_columns`
-    tells that H can differ from zero; zeros elsewhere. `first`: where in `out` the N samples go.
-    Returns (N, n, b + spare): each column contiguous in memory.
+    tells that H can differ from zero; zeros elsewhere. Returns (N, n, b + spare): each column
+    contiguous in memory.
     """
     whole = np.zeros((robot.n, basis.size + spare, len(q))) if out is None else out
-    H = whole[:, :, first : first + len(q)]
+    H = whole[:, :, : len(q)]
     P, rotors = np.split(basis.representative, [PER_LINK * robot.n])
     kept = columns_by_link(robot.n, np.flatnonzero(P.any(axis=1)).tolist())
     alone = (np.count_nonzero(basis.representative, axis=0) == 1) & P.any(axis=0)

@@ -1,16 +1,23 @@
-"""Rows of the torque equation (Eq. 4) of one log, filtered and decimated, block by block."""
+"""The motion of one log and how files describe it; rows of its torque equation (Eq. 4).
 
-from collections.abc import Callable, Iterator, Sequence
+Rows are filtered and decimated, block by block.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
+from seqid_cli.errors import InputError
+from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import Motion, decimated
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import ImuStage
+from seqid_cli.params.schema import ImuStage, MotionUse
 from seqid_cli.robot.base_parameters import Basis, base_regressor, loaded_columns
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -119,3 +126,43 @@ def blocks(samples: int, rate_hz: float, *, block_s: float = 1.0) -> Iterator[sl
     edges = np.linspace(0, samples, count + 1).astype(int)
     for a, b in pairwise(edges):
         yield slice(int(a), int(b))
+
+
+def motion_use(path: Path, robot: Robot, motion: Motion) -> MotionUse:
+    """Describe the motion of one log."""
+    own = motion.acceleration_error
+    before = own if motion.encoder_error is None else motion.encoder_error
+    moving = np.flatnonzero(motion.moving.any(axis=0))
+
+    def of_joints(values: Array) -> dict[str, float]:
+        return {robot.joint_names[j]: float(values[j]) for j in moving}
+
+    return MotionUse(
+        log=str(path),
+        source=motion.source,
+        imus=list(motion.imus),
+        cutoff_hz=float(motion.cutoff.hz),
+        acceleration_error=of_joints(own),
+        encoder_error=of_joints(before),
+        warnings=list(motion.warnings),
+    )
+
+
+def source_text(use: MotionUse) -> str:
+    """The source with the IMUs that took part: "encoder", "fused: imu_a, imu_b"."""
+    return f"{use.source}: {', '.join(use.imus)}" if use.imus else use.source
+
+
+def motion_uses(
+    recordings: Iterable[Recording], robot: Robot, imu: ImuStage | None, *, options: InertiaOptions
+) -> list[MotionUse]:
+    """Describe the motion that commands with these options take from logs.
+
+    Logs from which they can take none are left out; that is for those commands to complain about.
+    """
+    uses = []
+    for recording in recordings:
+        with contextlib.suppress(InputError):
+            motion = log_motion(recording, robot, options.motion, imu=imu, source=options.source)
+            uses.append(motion_use(recording.path, robot, motion))
+    return uses

@@ -12,9 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.identify.motion_use import motion_use
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.equations import CHUNK, FilteredColumns, blocks, torque_motion
+from seqid_cli.identify.regression.equations import (
+    CHUNK,
+    FilteredColumns,
+    blocks,
+    motion_use,
+    torque_motion,
+)
 from seqid_cli.identify.regression.least_squares import (
     MOST_BLOCKS,
     Accumulator,

@@ -18,11 +18,12 @@ from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface.summary import constants_note
-from seqid_cli.identify.motion_use import motion_use, source_text
 from seqid_cli.identify.regression.equations import (
     blocks,
     cutoff_note,
     filtered_regressor,
+    motion_use,
+    source_text,
     torque_motion,
 )
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve

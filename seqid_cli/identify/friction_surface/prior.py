@@ -179,8 +179,9 @@ class Evidence:
         decay: float = 3.0,
         usual_shares: tuple[float, ...] = (0.1, 0.1, 0.03, 0.01, 0.01, 0.01, 0.1),
     ) -> Evidence:
-        """Set up; the sizes' usual values are shares of the friction."""
-        level = max(max(own.level_of_friction for own in sets), 1e-300)
+        """Set up; the sizes' usual values are shares of the friction's RMS."""
+        squares = [(np.sum(own.z**2) + own.rest.sum()) / own.total.sum() for own in sets]
+        level = max(float(np.sqrt(max(squares))), 1e-300)
         rest = sum(own.rest.sum() for own in sets)
         free = sum(np.maximum(own.slices - own.z.shape[1], 0.0).sum() for own in sets)
         noise = np.sqrt(rest / free) if free > 0 else 0.0
@@ -194,18 +195,27 @@ class Evidence:
         values = (self.usual * np.exp(logs)).tolist()
         return Sizes(**dict(zip(NAMES, values, strict=True)), broad=self.broad)
 
-    def logs(self, sizes: Sizes) -> Array:
-        """Logarithms (10,) of what sizes are times the usual ones."""
-        values = np.array([getattr(sizes, name) for name in NAMES])
-        return np.asarray(np.log(values / self.usual))
-
     def __call__(self, logs: Array) -> tuple[float, Array]:
         """Twice the negative logarithm, but for a constant, and its gradient (10,)."""
         sizes = self.sizes(logs)
         cost, gradient = float(np.sum((logs / self.spread) ** 2)), 2.0 * logs / self.spread**2
         for own in self.sets:
-            more, slope = self._of_set(own, sizes)
-            cost, gradient = cost + more, gradient + slope
+            prior = sizes.prior(own.scaling, own.size, self.highest)
+            normal = Normal.of(own, sizes, self.highest.velocity)
+            mean, covariance, log_size = normal.posterior(prior.ravel())
+            beyond = float(np.sum(own.slices - own.z.shape[1]))
+            rest = float(own.rest.sum()) / sizes.noise**2
+            more = normal.log_size + normal.power + log_size - float(mean @ normal.b)
+            more += 2.0 * beyond * np.log(sizes.noise) + rest
+            square = (np.diag(covariance) + mean**2).reshape(prior.shape)
+            share = np.where(prior > 0, 1.0 - square / np.where(prior > 0, prior, 1.0) ** 2, 0.0)
+            share[own.size :] = 0.0
+            slope = np.empty(len(self.usual))
+            slope[:3] = share[1:, 0].sum(), share[0, 2:].sum(), share[1:, 1:].sum()
+            slope[3:8] = self._of_errors(own, sizes, normal, mean, covariance)
+            slope[7] += beyond - rest
+            slope[8:] = _of_falls(own, sizes, share)
+            cost, gradient = cost + more, gradient + 2.0 * slope
         return cost, gradient
 
     def strongest(self, near: Sizes | None = None, *, limit: float = 5.0) -> tuple[Sizes, float]:
@@ -213,9 +223,10 @@ class Evidence:
 
         The search starts from sizes that are `near`, else from the usual ones.
         """
-        start = np.zeros(len(self.usual)) if near is None else self.logs(near)
-        furthest = limit * self.spread
-        start = np.clip(start, -furthest, furthest)
+        start, furthest = np.zeros(len(self.usual)), limit * self.spread
+        if near is not None:
+            values = np.array([getattr(near, name) for name in NAMES])
+            start = np.clip(np.log(values / self.usual), -furthest, furthest)
         bounds = [(-far, far) for far in furthest.tolist()]
         found = minimize(self, start, jac=True, method="L-BFGS-B", bounds=bounds)
         logs = self._polished(np.asarray(found.x, dtype=np.float64))
@@ -245,24 +256,6 @@ class Evidence:
             if np.abs(step).max() < done:
                 break
         return logs
-
-    def _of_set(self, own: Reduced, sizes: Sizes) -> tuple[float, Array]:
-        prior = sizes.prior(own.scaling, own.size, self.highest)
-        normal = Normal.of(own, sizes, self.highest.velocity)
-        mean, covariance, log_size = normal.posterior(prior.ravel())
-        beyond = float(np.sum(own.slices - own.z.shape[1]))
-        rest = float(own.rest.sum()) / sizes.noise**2
-        cost = normal.log_size + normal.power + log_size - float(mean @ normal.b)
-        cost += 2.0 * beyond * np.log(sizes.noise) + rest
-        gradient = np.empty(len(self.usual))
-        square = (np.diag(covariance) + mean**2).reshape(prior.shape)
-        share = np.where(prior > 0, 1.0 - square / np.where(prior > 0, prior, 1.0) ** 2, 0.0)
-        share[own.size :] = 0.0
-        gradient[:3] = share[1:, 0].sum(), share[0, 2:].sum(), share[1:, 1:].sum()
-        gradient[3:8] = self._of_errors(own, sizes, normal, mean, covariance)
-        gradient[7] += beyond - rest
-        gradient[8:] = _of_falls(own, sizes, share)
-        return cost, 2.0 * gradient
 
     def _of_errors(
         self, own: Reduced, sizes: Sizes, normal: Normal, mean: Array, covariance: Array

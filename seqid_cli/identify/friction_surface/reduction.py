@@ -128,11 +128,6 @@ class Reduced:
         """Scaled speeds, each once, slowest first."""
         return np.unique(self.u)
 
-    @property
-    def level_of_friction(self) -> float:
-        """RMS of friction, N m."""
-        return float(np.sqrt((np.sum(self.z**2) + self.rest.sum()) / self.total.sum()))
-
     def over_speed(self, order: int) -> Array:
         """Chebyshev values (T, order + 1) at the trials' speeds."""
         return np.asarray(chebvander(self.u, order), dtype=np.float64)

@@ -20,7 +20,7 @@ from seqid_cli.logs.tables.naming_schemes import find_scheme, time_names
 from seqid_cli.params.results.inspection import InspectedJoint
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.toml.schema import Columns
-from seqid_cli.robot.toml.template import ImuTemplate, JointTemplate, RobotTemplate
+from seqid_cli.robot.toml.template import JointTemplate, RobotTemplate
 from seqid_cli.robot.urdf.text import UrdfJoint, UrdfText, best_chain, check_urdf
 
 _FILLERS = re.compile(r"(joint|axis|link|act|actuator)")
@@ -91,7 +91,7 @@ def propose(
         joints=joints,
         urdf=urdf_path if pairs else None,
         effort=effort,
-        imus=tuple(ImuTemplate(i.name, len(i.positions), i.gyro) for i in guessed.imus),
+        imus=guessed.imus,
         channels={**channels, **units},
         left_out=tuple(joint.name for joint in chain if joint.name not in taken),
     )

@@ -58,11 +58,6 @@ class Basis:
         """Number of base parameters."""
         return len(self.names)
 
-    @property
-    def columns(self) -> NDArray[np.intp]:
-        """Indices of the standard parameters that the representative set uses, ascending."""
-        return np.flatnonzero(self.representative.any(axis=1))
-
     def terms(self, k: int) -> dict[str, float]:
         """Return base parameter `k` as factors of standard ones, the one that names it first."""
         names = standard_names(self.expression.shape[1] // (PER_LINK + 1))

@@ -92,7 +92,7 @@ def straightforward(robot_path: Path, log: Path) -> Callable[[], Found]:
         wide = np.pad(q, ((4, 4), (0, 0)), mode="reflect", reflect_type="odd")
         dq, ddq = (correlate1d(wide, taps, axis=0)[4:-4] for taps in (FIRST, SECOND))
         tau -= smooth(smooth(friction_torque(surfaces, q, dq)))
-        n, kept = model.nv, basis.columns
+        n, kept = model.nv, np.flatnonzero(basis.representative.any(axis=1))
         data = model.createData()
         W = np.empty((len(q), n, len(kept)))
         for i in range(len(q)):

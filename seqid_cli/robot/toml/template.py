@@ -2,11 +2,15 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import partial
+from typing import TYPE_CHECKING
 
 from seqid_cli.robot.toml.schema import SCHEMA, Columns
 from seqid_cli.templates import filled
+
+if TYPE_CHECKING:
+    from seqid_cli.robot.types import Imu
 
 
 @dataclass(frozen=True)
@@ -24,15 +28,6 @@ class JointTemplate:
 
 
 @dataclass(frozen=True)
-class ImuTemplate:
-    """An IMU found in a log, with the number of its accelerometers."""
-
-    name: str
-    accelerometers: int
-    gyro: bool
-
-
-@dataclass(frozen=True)
 class RobotTemplate:
     """The content of the file.
 
@@ -45,7 +40,7 @@ class RobotTemplate:
     joints: tuple[JointTemplate, ...]
     urdf: str | None = None
     effort: str = ""
-    imus: tuple[ImuTemplate, ...] = ()
+    imus: tuple["Imu", ...] = ()
     channels: Mapping[str, Columns] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
@@ -55,18 +50,13 @@ def robot_toml(template: RobotTemplate) -> str:
     filters = {
         "text": json.dumps,
         "number": _number,
-        "comment": _comment,
+        "comment": lambda text: "".join(char if char.isprintable() else "?" for char in text),
         "pattern": partial(json.dumps, ensure_ascii=False),
     }
-    content = {field.name: getattr(template, field.name) for field in fields(template)}
-    content["schema"] = SCHEMA
+    content = {**vars(template), "schema": SCHEMA}
     return filled("seqid_cli.robot.toml", "robot.toml.j2", content, filters=filters)
 
 
 def _number(value: float, digits: int) -> str:
     text = f"{value:.{digits}g}"
     return text if "." in text or "e" in text else f"{text}.0"
-
-
-def _comment(text: str) -> str:
-    return "".join(char if char.isprintable() else "?" for char in text)

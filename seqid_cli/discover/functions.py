@@ -12,7 +12,7 @@ from msgspec import structs
 from seqid_cli.discover.options import DiagnoseOptions, DiscoverOptions, RefineOptions
 from seqid_cli.discover.refinement.log_sets import check_unseen, find_earlier, held_out_logs
 from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
-from seqid_cli.identify.keywords import Keywords, documented
+from seqid_cli.identify.options import Keywords, documented
 from seqid_cli.logs.given import Logs, PathLike, optional
 from seqid_cli.params.document import present, refined, robot_id
 from seqid_cli.params.files import check_output

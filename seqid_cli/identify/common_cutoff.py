@@ -19,7 +19,7 @@ import numpy as np
 
 from seqid_cli.errors import SeqidError
 from seqid_cli.identify.options import RigidOptions
-from seqid_cli.identify.regression.streaming import open_if_long, survey_of
+from seqid_cli.identify.regression.equations import open_if_long, survey_of
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.remote import local_copy

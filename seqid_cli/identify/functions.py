@@ -13,13 +13,15 @@ from msgspec.structs import replace
 
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.identify.inputs import Inputs, Models, imu_stage_for, prepare
-from seqid_cli.identify.keywords import Keywords, ParallelKeywords, documented
 from seqid_cli.identify.options import (
     FrictionOptions,
+    Keywords,
     LogOptions,
+    ParallelKeywords,
     PredictOptions,
     RigidOptions,
     SimultaneousOptions,
+    documented,
 )
 from seqid_cli.logs.given import Logs, PathLike, optional, warn
 from seqid_cli.params.document import present, robot_id, stale_stages, with_stage

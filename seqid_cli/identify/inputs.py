@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from seqid_cli.errors import ConfigError, InputError
-from seqid_cli.identify.keywords import OnProgress
-from seqid_cli.identify.options import LogOptions
+from seqid_cli.identify.options import LogOptions, OnProgress
 from seqid_cli.logs.given import Log, Logs, PathLike, expanded, is_place, listed, optional, warn
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.logs.storage.remote import StoredLog

@@ -1,16 +1,26 @@
-"""The identified model as a sum of torques: friction, rigid body, rotors."""
+"""The identified model as a sum of torques: friction, rigid body, rotors.
+
+Friction steps where a joint reverses, so its spectrum goes far beyond half of a thinned rate, and
+samples of it say only to half a sample when it stepped. Around reversals the velocity is therefore
+interpolated, friction computed at `PARTS` points per sample, and these go through a short low-pass
+that passes what the motion's own one does (it is flat up to twice the cut-off at ten samples per
+period) and stops what would be folded back there. Elsewhere friction is as smooth as the motion;
+where samples are many per period of the cut-off, what would be folded back is little and far above.
+"""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter1d
+from scipy.ndimage import binary_dilation, minimum_filter1d
+from scipy.signal import firwin
 
 from seqid_cli.model.friction import FrictionSurface, friction_torque
-from seqid_cli.model.friction_samples import sampled_friction
+from seqid_cli.motion.filters.differentiation import shrink
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import STANDARD, gear_ratios, standard_names
@@ -18,7 +28,11 @@ from seqid_cli.robot.regressor import Coupling, inverse_dynamics, rotor_regresso
 from seqid_cli.robot.types import Array, Robot
 
 Mask = NDArray[np.bool_]
+Places = NDArray[np.intp]
 
+PARTS = 8  # points per sample at which friction is computed where a joint reverses
+HALF = 4  # samples on either side that their low-pass reaches
+KNOTS = np.arange(-2, 4)  # samples about a point that it is interpolated from
 REACH = 0.25  # periods of the cut-off, over which the low-pass mixes samples
 
 
@@ -183,3 +197,64 @@ def slowest_near(motion: Motion, velocity: Array, *, per_period: float = 80.0) -
     fine = np.abs(velocity[:, None] * (1.0 - share) + ahead * share).reshape(-1, velocity.shape[1])
     size = 2 * max(1, int(REACH * motion.rate_hz * parts / cutoff)) + 1
     return np.asarray(minimum_filter1d(fine, size, axis=0, mode="nearest")[::parts])
+
+
+def sampled_friction(
+    surfaces: list[FrictionSurface | None], motion: Motion, *, dense: float = 80.0
+) -> Array:
+    """Friction torque of a motion, its step at reversals kept below half of the rate.
+
+    Returns (N, n) [N m; N where prismatic]: before the motion's own low-pass; zero for a joint
+    whose friction is not known.
+    """
+    torque = friction_torque(surfaces, motion.q, motion.dq)
+    if motion.rate_hz >= dense * motion.lowpass.cutoff_hz:
+        return torque
+    inside = shrink(motion.valid, HALF + len(KNOTS) // 2)
+    for j, surface in enumerate(surfaces):
+        if surface is not None:
+            near = np.flatnonzero(inside & _near_reversals(motion, j, surface.sign_width))
+            if near.size:
+                torque[near, j] = _band_limited(surface, motion.q[:, j], motion.dq[:, j], near)
+    return torque
+
+
+def _near_reversals(motion: Motion, j: int, width: float, *, wide: float = 3.0) -> Mask:
+    """Samples (N,) that the low-pass reaches from where a joint is slower than the sign's width."""
+    v, moving = motion.dq[:, j], motion.moving[:, j]
+    slow = np.abs(v) < wide * width
+    turns = (v[1:] * v[:-1] <= 0) | slow[1:] | slow[:-1]
+    turns &= moving[1:] & moving[:-1]
+    found: Mask = np.zeros(len(v), dtype=np.bool_)
+    found[:-1] = turns
+    found[1:] |= turns
+    return np.asarray(binary_dilation(found, np.ones(2 * HALF + 1, dtype=np.bool_)))
+
+
+def _band_limited(surface: FrictionSurface, q: Array, dq: Array, near: Places) -> Array:
+    """Low-passed friction at samples `near` (M,) of a motion (N,)."""
+    used = np.unique(near[:, None] + np.arange(-HALF, HALF + 1))
+    around = used[:, None] + KNOTS
+    q, dq = (x[around] @ _interpolation() for x in (q, dq))
+    parts = surface.torque(q.ravel(), dq.ravel()).reshape(len(used), PARTS)
+    first = np.searchsorted(used, near)[:, None] + np.arange(-HALF, HALF + 1)
+    return np.asarray(np.tensordot(parts[first], _taps(), axes=2))
+
+
+@lru_cache(maxsize=1)
+def _interpolation() -> Array:
+    """Lagrange's weights (6, PARTS) of the knots for the points from a sample to the next."""
+    at = np.arange(PARTS) / PARTS
+    weights = np.ones((len(KNOTS), PARTS))
+    for i, knot in enumerate(KNOTS):
+        for other in np.delete(KNOTS, i):
+            weights[i] *= (at - other) / (knot - other)
+    return weights
+
+
+@lru_cache(maxsize=1)
+def _taps(*, beta: float = 7.5) -> Array:
+    """Low-pass (2 HALF + 1, PARTS) over the points of the samples around one."""
+    taps = np.zeros((2 * HALF + 1) * PARTS)
+    taps[: 2 * HALF * PARTS + 1] = firwin(2 * HALF * PARTS + 1, 1 / PARTS, window=("kaiser", beta))
+    return taps.reshape(2 * HALF + 1, PARTS)

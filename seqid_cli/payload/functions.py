@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Unpack
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.identify.inputs import Models, imu_stage_for, prepare
-from seqid_cli.identify.keywords import Keywords, documented
+from seqid_cli.identify.options import Keywords, documented
 from seqid_cli.logs.given import Logs, PathLike
 from seqid_cli.params.document import present
 from seqid_cli.params.io import write_json_atomic

@@ -25,8 +25,7 @@ from seqid_cli.identify.regression.equations import blocks, filtered_regressor
 from seqid_cli.identify.regression.least_squares import Accumulator
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
-from seqid_cli.model.friction_samples import sampled_friction
-from seqid_cli.model.torque import TorqueModel
+from seqid_cli.model.torque import TorqueModel, sampled_friction
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import Basis, free_basis

@@ -13,7 +13,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction
 from seqid_cli.identify.prediction.torques_mcap import TOPICS
-from seqid_cli.identify.regression import streaming
+from seqid_cli.identify.regression import equations
 from seqid_cli.motion import blocks
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.io import write_json_atomic
@@ -122,7 +122,7 @@ def test_a_log_that_is_passed_over_gives_the_same_files(
 
     predict("held")
     assert not parts
-    monkeypatch.setattr(streaming, "LONG", 5_000)
+    monkeypatch.setattr(equations, "LONG", 5_000)
     monkeypatch.setattr(LongPrediction, "rows", 1_500)
     monkeypatch.setattr(blocks, "LEAST_BLOCK", 2_000)
     predict("long")

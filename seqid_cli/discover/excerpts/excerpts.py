@@ -20,7 +20,7 @@ from seqid_cli.discover.excerpts.design import excerpts_of
 from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey, residual_survey
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.streaming import open_if_long
+from seqid_cli.identify.regression.equations import open_if_long
 from seqid_cli.inspect.screening import sound
 from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.pieces import Range, by_log, cut, read_pieces, whole_of

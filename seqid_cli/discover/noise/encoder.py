@@ -14,7 +14,7 @@ import numpy as np
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.friction_samples import sampled_friction
+from seqid_cli.model.torque import sampled_friction
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate

@@ -25,7 +25,7 @@ from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, local_effects, predict
-from seqid_cli.identify.regression.streaming import LONG, open_if_long, streams
+from seqid_cli.identify.regression.equations import LONG, open_if_long, streams
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.raw import TimeSource

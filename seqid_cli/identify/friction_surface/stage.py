@@ -7,11 +7,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from seqid_cli.errors import QualityError
+from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
 from seqid_cli.identify.friction_surface.fit import SurfaceFit, choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
-from seqid_cli.identify.friction_surface.held_joints import HeldJoints
 from seqid_cli.identify.friction_surface.prior import Sizes
-from seqid_cli.identify.friction_surface.ramps import without_acceleration
 from seqid_cli.identify.friction_surface.reduction import (
     Orders,
     SpeedData,

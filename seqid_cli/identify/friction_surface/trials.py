@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial import Chebyshev
 
 from seqid_cli.identify.log_set import reduced
-from seqid_cli.identify.regression.streaming import open_if_long, survey_of
+from seqid_cli.identify.regression.equations import open_if_long, survey_of
 from seqid_cli.logs.long import Block, LongLog
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, torque_of

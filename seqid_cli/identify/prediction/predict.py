@@ -17,8 +17,13 @@ from scipy.special import beta
 
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.equations import motion_use, torque_motion
-from seqid_cli.identify.regression.streaming import chosen_cutoff, open_if_long, streams
+from seqid_cli.identify.regression.equations import (
+    chosen_cutoff,
+    motion_use,
+    open_if_long,
+    streams,
+    torque_motion,
+)
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Health, Recording

@@ -11,8 +11,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError, UsageError
-from seqid_cli.identify.friction_surface.held_joints import HeldJoints
-from seqid_cli.identify.friction_surface.ramps import without_acceleration
+from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
 from seqid_cli.identify.friction_surface.trials import Trial, by_joint, collect_trials
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of

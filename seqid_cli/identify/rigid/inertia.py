@@ -17,9 +17,8 @@ import numpy as np
 from seqid_cli.errors import InputError, QualityError, UsageError
 from seqid_cli.identify.log_set import reduced
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression.equations import cutoff_note, source_text
+from seqid_cli.identify.regression.equations import cutoff_note, open_if_long, source_text, streams
 from seqid_cli.identify.regression.least_squares import Solution
-from seqid_cli.identify.regression.streaming import open_if_long, streams
 from seqid_cli.identify.rigid.cutoff_check import cutoff_check, with_cutoff_check
 from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, InertiaRows
 from seqid_cli.identify.rigid.parameters import (

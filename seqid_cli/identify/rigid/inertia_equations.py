@@ -17,6 +17,7 @@ from seqid_cli.identify.regression.equations import (
     CHUNK,
     FilteredColumns,
     blocks,
+    chosen_cutoff,
     motion_use,
     torque_motion,
 )
@@ -28,12 +29,10 @@ from seqid_cli.identify.regression.least_squares import (
     solve,
     whitened,
 )
-from seqid_cli.identify.regression.streaming import chosen_cutoff
 from seqid_cli.identify.rigid.posterior import Posterior, by_joint, constant_moves, gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
-from seqid_cli.model.friction_samples import sampled_friction
-from seqid_cli.model.torque import friction_surfaces, known_rotors, sliding
+from seqid_cli.model.torque import friction_surfaces, known_rotors, sampled_friction, sliding
 from seqid_cli.motion.blocks import SurveyedLog, make_plan, motion_blocks, overlapping
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages

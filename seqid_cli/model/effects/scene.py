@@ -10,8 +10,7 @@ import numpy as np
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES
-from seqid_cli.model.friction_samples import sampled_friction
-from seqid_cli.model.torque import TorqueModel, known_rotors, sliding
+from seqid_cli.model.torque import TorqueModel, known_rotors, sampled_friction, sliding
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot

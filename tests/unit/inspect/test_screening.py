@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.identify.regression.streaming import open_if_long
+from seqid_cli.identify.regression.equations import open_if_long
 from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.read import read_recording

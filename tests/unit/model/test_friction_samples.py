@@ -6,7 +6,7 @@ import numpy as np
 
 from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.friction_basis import Scaling
-from seqid_cli.model.friction_samples import sampled_friction
+from seqid_cli.model.torque import sampled_friction
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion, decimated
 from tests import Array

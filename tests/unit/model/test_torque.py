@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seqid_cli.model.friction_samples import sampled_friction
-from seqid_cli.model.torque import TorqueModel, friction_surfaces, sliding
+from seqid_cli.model.torque import TorqueModel, friction_surfaces, sampled_friction, sliding
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion

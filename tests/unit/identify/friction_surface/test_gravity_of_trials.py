@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
 from seqid_cli.identify.friction_surface.gravity_separation import (
     GravityFit,
     fit_gravity,
     gravity_columns,
 )
-from seqid_cli.identify.friction_surface.held_joints import HeldJoints
-from seqid_cli.identify.friction_surface.ramps import without_acceleration
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling

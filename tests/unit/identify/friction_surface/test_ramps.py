@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seqid_cli.identify.friction_surface.ramps import without_acceleration
+from seqid_cli.identify.friction_surface.corrections import without_acceleration
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial, collect_trials
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling

@@ -8,7 +8,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.identify.friction_surface.trials import Trial, TrialsOf
-from seqid_cli.identify.regression import streaming
+from seqid_cli.identify.regression import equations
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.tables import parquet
 from seqid_cli.motion.blocks import SurveyedLog
@@ -74,7 +74,7 @@ def parts_of(path: Path, robot: Robot, rows: int) -> tuple[list[Trial], list[Tri
 def test_the_trials_are_those_of_the_held_log(
     waving: bool, rows: int, robot: Robot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(streaming, "LONG", 1_000)
+    monkeypatch.setattr(equations, "LONG", 1_000)
     monkeypatch.setattr(parquet, "BLOCK_ROWS", 3_000)
     found, expected = parts_of(write(tmp_path / "log.parquet", waving=waving), robot, rows)
     assert len(found) == len(expected) > 10

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from seqid_cli.identify.friction_surface.held_joints import HeldJoints
+from seqid_cli.identify.friction_surface.corrections import HeldJoints
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.identify.rigid.gravity import GravityRows, _stage

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.compare.differences import _torque_constants_held
-from seqid_cli.identify.friction_surface.held_joints import HeldJoints
+from seqid_cli.identify.friction_surface.corrections import HeldJoints
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.regression.least_squares import Accumulator, solve

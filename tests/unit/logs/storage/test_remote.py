@@ -102,11 +102,11 @@ def test_damage_is_told_under_the_name_of_the_object(
 def test_a_long_log_keeps_its_copy_until_it_is_done(
     store: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from seqid_cli.identify.regression import streaming
+    from seqid_cli.identify.regression import equations
     from seqid_cli.identify.rigid import inertia
 
     passed: list[str] = []
-    real = streaming.open_if_long
+    real = equations.open_if_long
 
     def of_any_length(*arguments: Any, **named: Any) -> Any:
         log = real(*arguments, **named, least=1)

@@ -13,6 +13,7 @@ from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_
 from seqid_cli.discover.survey.rows import TOGETHER, Rows
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -44,6 +45,15 @@ class Candidate:
     def address(self) -> tuple[object, ...]:
         """What it is with its settings."""
         return (*self.key, self.apart, *sorted(self.settings.items()))
+
+    @property
+    def sided(self) -> bool:
+        """Whether its torque turns with the direction of motion."""
+        return self.effect.sided
+
+    def axis(self, joint: int) -> Axis | None:
+        """The quantity that its torque on a joint goes with."""
+        return self.effect.axis(joint, self.settings)
 
     @property
     def kind(self) -> tuple[float, ...]:

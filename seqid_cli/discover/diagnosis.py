@@ -39,7 +39,6 @@ from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.results import Taken
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.discover.survey.events import Interval
 from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
@@ -47,12 +46,10 @@ from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.effects.registry import CATALOGUE, catalogue_of
 from seqid_cli.params.document import now, robot_id, tool
-from seqid_cli.params.evidence_schema import RivalEntry
 from seqid_cli.params.results.diagnosis import (
     DIAGNOSIS_SCHEMA,
     ClosestEffect,
     DiagnosisFile,
-    DiagnosisVerdict,
     EffectParameter,
     EventEntry,
     FindingEntry,
@@ -123,12 +120,25 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
         inputs=[],
         parameters=[],
         stages=[],
-        verdict=_verdict(findings, rest),
+        verdict="effect_found" if findings else "unexplained" if rest else "nothing_missing",
         findings=findings,
         unexplained=rest,
         joints=_joints(found, robot),
-        events=[_event(found, robot, event) for event in found.events],
-        hidden=_hidden(found, robot),
+        events=[
+            EventEntry(
+                log=str(log.path),
+                start=log.offset + event.start,
+                end=log.offset + event.end,
+                joints=[robot.joint_names[j] for j in event.joints],
+            )
+            for event in found.events
+            for log in [found.logs[event.scene]]
+        ],
+        hidden=[
+            HiddenEntry(effect=name, joint=_name(robot, joint), visible=share)
+            for (name, joint), share in sorted(found.found.visible.items(), key=lambda x: x[1])
+            if share < HIDDEN
+        ],
         notes=[
             *offset_notes(offsets, robot),
             *excess_notes(excess, robot),
@@ -189,20 +199,8 @@ def _apart(found: Investigation, energies: Sequence[float]) -> float:
     return float(max(shares))
 
 
-def _event(found: Investigation, robot: Robot, event: Interval) -> EventEntry:
-    log = found.logs[event.scene]
-    return EventEntry(
-        log=str(log.path),
-        start=log.offset + event.start,
-        end=log.offset + event.end,
-        joints=[robot.joint_names[j] for j in event.joints],
-    )
-
-
-def _verdict(findings: Sequence[FindingEntry], rest: Sequence[UnexplainedPart]) -> DiagnosisVerdict:
-    if findings:
-        return "effect_found"
-    return "unexplained" if rest else "nothing_missing"
+def _name(robot: Robot, joint: int | None) -> str | None:
+    return None if joint is None else robot.joint_names[joint]
 
 
 def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
@@ -214,7 +212,7 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
     values = effect.reported(robot, what.joint, what.settings, *found_there)
     return FindingEntry(
         effect=effect.name,
-        joint=None if what.joint is None else robot.joint_names[what.joint],
+        joint=_name(robot, what.joint),
         confidence=name.confidence,
         name_confidence=name.by_itself,
         explains=_explains(found, taken),
@@ -255,8 +253,7 @@ def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int 
 def _explains(found: Investigation, taken: Taken) -> float:
     """What `share_above` says of the effect's joints, on blocks that were left out."""
     joints = joints_below(taken.term.channels, found.ground.n)
-    after = found.model.rms()[joints]
-    return share_above(taken.without[joints], after, found.floor.rms[joints])
+    return share_above(taken.without[joints], found.model.rms()[joints], found.floor.rms[joints])
 
 
 def share_above(before: Array, after: Array, floor: Array) -> float:
@@ -306,36 +303,19 @@ def _excess(found: Investigation, robot: Robot, excess: Excess) -> UnexplainedPa
 
 
 def _joints(found: Investigation, robot: Robot) -> dict[str, ResidualEntry]:
-    model, rows = found.model, found.ground.stage.rows
-    rms, whites = model.rms(), white(rows, model.left())
-    return {
-        name: _residual(found, j, float(rms[j]), bool(whites[j]), tried_at(found, robot, j))
-        for j, name in enumerate(robot.joint_names)
-    }
-
-
-def _residual(
-    found: Investigation, j: int, rms: float, is_white: bool, tried: list[RivalEntry]
-) -> ResidualEntry:
-    """The residual of one joint; without a sample there is nothing to compute numbers from."""
-    samples = found.ground.stage.rows.count(j)
-    counted = samples > 0
-    return ResidualEntry(
-        rmse=float(found.start[j]) if counted else None,
-        noise_floor=float(found.floor.rms[j]) if counted else None,
-        noise_floor_interval=list(found.floor.interval(j)) if counted else [],
-        white=is_white,
-        rmse_explained=rms if counted else None,
-        samples=samples,
-        tried=tried,
-    )
-
-
-def _hidden(found: Investigation, robot: Robot) -> list[HiddenEntry]:
-    return [
-        HiddenEntry(
-            effect=name, joint=None if joint is None else robot.joint_names[joint], visible=share
+    """The residual of each joint; without a sample there is nothing to compute numbers from."""
+    model, rows, floor = found.model, found.ground.stage.rows, found.floor
+    entries = {}
+    whites, left = white(rows, model.left()), model.rms()
+    for j, name in enumerate(robot.joint_names):
+        samples, tried = rows.count(j), tried_at(found, robot, j)
+        entries[name] = ResidualEntry(
+            rmse=float(found.start[j]) if samples else None,
+            noise_floor=float(floor.rms[j]) if samples else None,
+            noise_floor_interval=list(floor.interval(j)) if samples else [],
+            white=bool(whites[j]),
+            rmse_explained=float(left[j]) if samples else None,
+            samples=samples,
+            tried=tried,
         )
-        for (name, joint), share in sorted(found.found.visible.items(), key=lambda item: item[1])
-        if share < HIDDEN
-    ]
+    return entries

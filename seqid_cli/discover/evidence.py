@@ -110,12 +110,6 @@ def _channel_of(term: Term, model: Model) -> int:
     return max(shown, key=lambda c: shown[c])
 
 
-def _sided(what: What) -> bool:
-    if isinstance(what, SmoothFunction):
-        return what.source.factor == "direction"
-    return what.effect.sided
-
-
 def _sign(over: _Over, scenes: Sequence[Scene], j: int, take: Take) -> Array | float:
     """Direction of motion at a joint's rows where it counts, else 1."""
     if not over.sided:
@@ -130,18 +124,12 @@ def _over(what: What, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
         return _Over("wave", j, values=[_turn(X, theta) for X in columns])
     if isinstance(what, Candidate) and what.effect.over == "driving_load":
         along = [scene.load[:, j] * np.sign(scene.motion.dq[:, j]) for scene in scenes]
-        return _Over("driving_load", j, _sided(what), along)
-    axis = _axis(what, j)
+        return _Over("driving_load", j, what.sided, along)
+    axis = what.axis(j)
     found = _values(axis, scenes) if axis else None
     if axis is None or found is None:
         return _Over("torque", j)
-    return _Over(NAMES.get(axis.measure, axis.measure), axis.joint, _sided(what), found)
-
-
-def _axis(what: What, j: int) -> Axis | None:
-    if isinstance(what, SmoothFunction):
-        return what.source.axes[0]
-    return what.effect.axis(j, what.settings)
+    return _Over(NAMES.get(axis.measure, axis.measure), axis.joint, what.sided, found)
 
 
 def _values(axis: Axis, scenes: Sequence[Scene]) -> list[Array] | None:

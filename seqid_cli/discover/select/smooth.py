@@ -36,19 +36,6 @@ SIZE = 12  # functions of one quantity, the constant among them
 TENSOR_SIZE = 6  # the same per quantity of a product
 
 
-@dataclass(frozen=True)
-class Shape:
-    """The functions that it is made of: see `model.effects.smooth.shape`."""
-
-    joint: int
-    axes: tuple[Axis, ...]
-    factor: Factor = "one"
-
-    def basis(self, scene: Scene) -> Array:
-        """Compute the functions (N, K), unfiltered."""
-        return shape(scene, self.joint, self.axes, self.factor)
-
-
 @dataclass(frozen=True, eq=False)
 class SmoothFunction:
     """A smooth function that might be what the residual of a joint is.
@@ -61,8 +48,8 @@ class SmoothFunction:
         What it depends on, as the contract spells it, the strongest meaning first.
     label : str
         The same in words.
-    source : Shape
-        Its functions.
+    axes, factor
+        The functions that it is made of: see `model.effects.smooth.shape`.
     mixing : (K, k) array
         The combinations of them that are its columns.
     """
@@ -70,7 +57,8 @@ class SmoothFunction:
     joint: int
     quantities: tuple[str, ...]
     label: str
-    source: Shape
+    axes: tuple[Axis, ...]
+    factor: Factor
     mixing: Array
 
     @property
@@ -79,10 +67,24 @@ class SmoothFunction:
         return int(self.mixing.shape[1])
 
     @property
+    def sided(self) -> bool:
+        """Whether its torque turns with the direction of motion."""
+        return self.factor == "direction"
+
+    def axis(self, joint: int) -> Axis:
+        """The quantity that its torque goes with, the first one of two; `joint` is its own."""
+        assert joint == self.joint
+        return self.axes[0]
+
+    @property
     def bending(self) -> Array:
         """How much each column (k,) bends: its place among the smoothest."""
         place = np.arange(1.0, self.size + 1.0)
-        return np.sqrt(place) if len(self.source.axes) > 1 else place
+        return np.sqrt(place) if len(self.axes) > 1 else place
+
+    def basis(self, scene: Scene) -> Array:
+        """Compute the functions (N, K), unfiltered."""
+        return shape(scene, self.joint, self.axes, self.factor)
 
     def columns(self, rows: Rows) -> Array:
         """Compute the columns (M, k) on the joint's rows.
@@ -90,14 +92,14 @@ class SmoothFunction:
         Functions of what is slow beside the low-pass pass it as they are: only the direction has
         steps. Low-passed one by one, they cost as much as all effects.
         """
-        axes, j, scenes = self.source.axes, self.joint, rows.scenes
-        if not {axis.measure for axis in axes} <= SLOW:
-            wide = rows.columns(({j: self.source.basis(scene)} for scene in scenes), passes=2)
+        j, scenes = self.joint, rows.scenes
+        if not {axis.measure for axis in self.axes} <= SLOW:
+            wide = rows.columns(({j: self.basis(scene)} for scene in scenes), passes=2)
             return wide[j] @ self.mixing
-        values = [[_known(axis.values(scene)) for scene in scenes] for axis in axes]
-        every = zip(values, axes, strict=True)
+        values = [[v for x in scenes if (v := axis.values(x)) is not None] for axis in self.axes]
+        every = zip(values, self.axes, strict=True)
         basis = reduce(row_product, [splines(rows.of(j, v), axis.knots) for v, axis in every])
-        if self.source.factor == "direction":
+        if self.sided:
             sign = [s.motion.filtered(s.sign[:, [j]], times=2) for s in scenes]
             basis = basis * rows.of(j, sign)
         return rows.whitened(j, basis @ self.mixing)
@@ -107,18 +109,13 @@ class SmoothFunction:
     ) -> None:
         """Add its torque, low-passed, to (N, n) N m at all samples of every scene."""
         for torque, scene in zip(total, scenes, strict=True):
-            shown = self.source.basis(scene) @ (self.mixing @ coefficients)
+            shown = self.basis(scene) @ (self.mixing @ coefficients)
             torque[:, self.joint] += scene.motion.filtered(shown, times=2)
 
     def term(self, coefficients: Array) -> SmoothTerm:
         """Return the torque of coefficients (k,) as a model has it."""
         c = self.mixing @ coefficients
-        return SmoothTerm(self.joint, self.quantities, self.source.axes, self.source.factor, c)
-
-
-def _known(values: Array | None) -> Array:
-    assert values is not None
-    return values
+        return SmoothTerm(self.joint, self.quantities, self.axes, self.factor, c)
 
 
 def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
@@ -175,7 +172,7 @@ def _smooth(
         return None
     factor: Factor = "direction" if "direction" in quantities else "one"
     mixing = smoothest(splines(x, axis.knots), greville(axis.knots))[:, :SIZE]
-    return SmoothFunction(joint, quantities, label, Shape(joint, (axis,), factor), mixing)
+    return SmoothFunction(joint, quantities, label, (axis,), factor, mixing)
 
 
 def _axis(
@@ -207,11 +204,6 @@ def smooth_products(rows: Rows, j: int) -> list[SmoothFunction]:
             V = smoothest(splines(z, other.knots), greville(other.knots))
             quantities = measure, f"other_joint:{names[k]}"
             label = f"{measure} and that of {names[k]}"
-            mixing = _kronecker(U[:, :TENSOR_SIZE], V[:, :TENSOR_SIZE])
-            found.append(SmoothFunction(j, quantities, label, Shape(j, (own, other)), mixing))
+            mixing = np.asarray(np.kron(U[:, :TENSOR_SIZE], V[:, :TENSOR_SIZE]))
+            found.append(SmoothFunction(j, quantities, label, (own, other), "one", mixing))
     return found
-
-
-def _kronecker(U: Array, V: Array) -> Array:
-    product = U[:, None, :, None] * V[None, :, None, :]
-    return product.reshape(len(U) * len(V), -1)

@@ -23,12 +23,12 @@ from seqid_cli.model.effects.smooth import (
     Axis,
     Factor,
     Measure,
+    SmoothTerm,
     greville,
     row_product,
     shape,
     splines,
 )
-from seqid_cli.model.effects.unexplained import SmoothTerm
 from seqid_cli.typing import Array
 
 SLOW = {"position", "velocity", "temperature", "time", "session_time"}

@@ -19,8 +19,7 @@ from typing import Literal, cast
 
 import numpy as np
 
-from seqid_cli.model.effects.excitation import has_rigid_body, moves
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes, has_rigid_body, moves
 from seqid_cli.model.effects.smooth import MEASURES, Axis, Measure
 from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.base_parameters import free_basis

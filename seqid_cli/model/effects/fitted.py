@@ -11,8 +11,8 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
 from seqid_cli.model.effects.scene import Joint, Scene
-from seqid_cli.model.effects.unexplained import NAME as UNEXPLAINED
-from seqid_cli.model.effects.unexplained import SmoothTerm
+from seqid_cli.model.effects.smooth import SmoothTerm
+from seqid_cli.model.effects.units import UNEXPLAINED
 from seqid_cli.params.schema import EffectOfJoint, EffectSession, Parameter, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array

@@ -14,8 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
-from seqid_cli.model.effects.excitation import moves
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes, moves
 from seqid_cli.typing import Array
 
 

@@ -21,8 +21,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.excitation import travel
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes, travel
 from seqid_cli.typing import Array
 
 DISTANCES = 11

@@ -20,8 +20,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.excitation import moves, session
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes, moves, session
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.typing import Array
 

@@ -24,8 +24,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
-from seqid_cli.model.effects.excitation import top_speed
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes, top_speed
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.model.torque import slowest_near

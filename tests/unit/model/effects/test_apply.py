@@ -25,8 +25,7 @@ from seqid_cli.model.effects.fitted import (
 )
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.model.effects.smooth import Axis
-from seqid_cli.model.effects.unexplained import SmoothTerm
+from seqid_cli.model.effects.smooth import Axis, SmoothTerm
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import EffectOfJoint, EffectSession, FrictionStage, Stages
 from tests import Array

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.model.effects.smooth import Axis, greville, splines
-from seqid_cli.model.effects.unexplained import SmoothTerm
+from seqid_cli.model.effects.smooth import Axis, SmoothTerm, greville, splines
 from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.model.effects.scenes import scene_of, wander
 

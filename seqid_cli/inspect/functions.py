@@ -37,20 +37,15 @@ class LogNote:
 
 @dataclass(frozen=True)
 class Progress:
-    """Progress of a function, reported before a log is read and after it was worked on.
-
-    `done` of `total` logs are finished. `state` is "reading" (`log` comes next), "done" (`note` is
-    what was read), "failed" (`error` says why `log` is left out), or "note" and "detail" (`text`
-    says what the function is about).
-    """
+    """Progress of a function, reported before a log is read and after it was worked on."""
 
     state: Literal["reading", "done", "failed", "note", "detail"]
-    done: int = 0
+    done: int = 0  # of `total` logs
     total: int = 0
-    log: str = ""
-    note: LogNote | None = None
-    error: Exception | None = None
-    text: str = ""
+    log: str = ""  # that comes next, is done or has failed
+    note: LogNote | None = None  # what was read, of "done"
+    error: Exception | None = None  # why it is left out, of "failed"
+    text: str = ""  # of "note" and "detail": what the function is about
 
 
 def inspect(

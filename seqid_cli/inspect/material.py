@@ -34,18 +34,13 @@ def per_robot(function: Callable[[Robot], V]) -> Callable[[Robot], V]:
 
 @dataclass(frozen=True)
 class LogData:
-    """A log as `assemble` gives it: its joint samples are in the order of time.
-
-    `modelled` is False where the robot is only guessed from the log, so that nothing may be
-    concluded from its geometry. `begun_ns` is the stamp of the log's first sample, from which times
-    are told; None where that is the first of these.
-    """
+    """A log as `assemble` gives it: its joint samples are in the order of time."""
 
     recording: Recording
     raw: RawLog
     robot: Robot
-    modelled: bool = True
-    begun_ns: int | None = None
+    modelled: bool = True  # False: a robot guessed from the log; nothing follows from its geometry
+    begun_ns: int | None = None  # the log's first stamp, from which times are told; None: own
 
     @property
     def joints(self) -> Stream:

@@ -33,27 +33,22 @@ class Whole:
 
 @dataclass(frozen=True)
 class Recording:
-    """One log, or a piece of one, on one uniform time base.
-
-    Channels that the log lacks are None; `valid` is False where values were bridged over a gap.
-    `accelerometers[name]` is (N, K) m/s^2, one column per accelerometer of the robot file;
-    `gyros[name]` is (N, 3) rad/s.
-    """
+    """One log, or a piece of one, on one uniform time base; None for channels that it lacks."""
 
     path: Path
     sha256: str
     format: str
     t: Array  # (N,) s from 0
     q: Array  # (N, n) rad, as the encoder reports it
-    valid: Mask  # (N,)
+    valid: Mask  # (N,) false where values were bridged over a gap
     health: Health
     dq: Array | None = None  # (N, n) rad/s
     tau: Array | None = None  # (N, n) N m at the joint
     temperature: Array | None = None  # (N, n) degC
     load: Array | None = None  # (N, n) N m, a torque sensor behind the gear
     link_position: Array | None = None  # (N, n) rad, an encoder on the link side
-    accelerometers: dict[str, Array] = field(default_factory=dict)
-    gyros: dict[str, Array] = field(default_factory=dict)
+    accelerometers: dict[str, Array] = field(default_factory=dict)  # (N, K) m/s^2 by IMU
+    gyros: dict[str, Array] = field(default_factory=dict)  # (N, 3) rad/s by IMU
     start: float = 0.0  # s, the first sample on the log's own clock
     partial: str = ""  # what was lost, where the log was salvaged
     whole: Whole | None = None  # the log, where this is a piece of it

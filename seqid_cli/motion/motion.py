@@ -26,10 +26,6 @@ class Motion:
 
     `q`, `dq`, `ddq` (N, n) went through the low-pass once, `tau` (N, n) N m twice: terms computed
     from the motion are to be filtered once more with `lowpass` (see `filtered`), friction twice.
-    `usable` (N,) is False near ends and gaps, where the filter has not settled. `source` is
-    "encoder", "imu" (accelerations by Eq. 30-42) or "fused" (all of it by the smoother), `imus` are
-    the IMUs that took part, `error` (n,) rad/s^2 the standard deviation of `ddq` that they leave,
-    `encoder_error` that of the encoders alone, and `warnings` say what was not as it should be.
     """
 
     t: Array
@@ -38,16 +34,16 @@ class Motion:
     ddq: Array
     tau: Array | None
     moving: Mask
-    usable: Mask
+    usable: Mask  # (N,) false near ends and gaps, where the filter has not settled
     valid: Mask
     rate_hz: float
     lowpass: Lowpass
     cutoff: Cutoff
-    source: str = "encoder"
-    imus: tuple[str, ...] = ()
-    error: Array | None = None
-    encoder_error: Array | None = None
-    warnings: tuple[str, ...] = ()
+    source: str = "encoder"  # or "imu" (`ddq` by Eq. 30-42), "fused" (all by the smoother)
+    imus: tuple[str, ...] = ()  # that took part
+    error: Array | None = None  # (n,) rad/s^2, standard deviation of `ddq` that they leave
+    encoder_error: Array | None = None  # that of the encoders alone
+    warnings: tuple[str, ...] = ()  # what was not as it should be
 
     PER_SAMPLE = ("t", "q", "dq", "ddq", "tau", "moving", "usable", "valid")
 

@@ -9,20 +9,12 @@ SOURCES = ("auto", "needed", "encoder", "imu", "fused")
 
 @dataclass(frozen=True)
 class MotionOptions:
-    """How logs are filtered.
+    """How logs are filtered."""
 
-    `cutoff_hz` is the low-pass cut-off of all logs, and `origin` says where it came from; None has
-    each log choose its own. After the low-pass `samples_per_cutoff` samples at least stay per
-    period of the cut-off; infinite keeps all. `encoder_hz` is the cut-off that would suit the
-    encoders alone. Logs of `own` (their SHA-256) choose for themselves whatever the cut-off.
-
-    `kept` is a dictionary in which motions are kept, for whoever works on the same logs again and
-    again (see `log_motion`).
-    """
-
-    cutoff_hz: float | None = None
-    samples_per_cutoff: float = 10.0
-    origin: str = ""
-    encoder_hz: float | None = None
-    own: frozenset[str] = frozenset()
+    cutoff_hz: float | None = None  # the low-pass of all logs; None: each log chooses its own
+    samples_per_cutoff: float = 10.0  # that stay per period of it at least; infinite: all
+    origin: str = ""  # where the cut-off came from
+    encoder_hz: float | None = None  # that would suit the encoders alone
+    own: frozenset[str] = frozenset()  # SHA-256 of logs that choose for themselves
+    # Motions of logs that are worked on again and again (see `log_motion`).
     kept: dict[Any, Any] | None = field(default=None, compare=False, repr=False)

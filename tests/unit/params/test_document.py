@@ -1,10 +1,25 @@
+"""Documents: what they hold, how numbers are written, and what schemas and readers refuse."""
+
+import json
+import math
 import re
+from pathlib import Path
+
+import jsonschema
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from seqid_cli import __version__
+from seqid_cli.model.effects.units import UNTOLD
 from seqid_cli.params.document import present, refined, stale_stages, with_stage
-from seqid_cli.params.schema import EffectOfJoint, Stages
+from seqid_cli.params.encode import LARGEST, encode, plain
+from seqid_cli.params.io import read_parameters
+from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
+from seqid_cli.params.schema import SCHEMA, EffectOfJoint, Stages
 from tests.unit.params.documents import (
     closed_loop,
+    diagnosis_file,
     friction_file,
     friction_stage,
     full_file,
@@ -13,6 +28,7 @@ from tests.unit.params.documents import (
     rigid_stage,
     robot,
 )
+from tests.unit.params.generate import DOCUMENTS, json_schema, schema_path
 
 
 def test_a_stage_is_added_to_what_was_there() -> None:
@@ -65,3 +81,87 @@ def test_a_refinement_without_result_says_that_there_are_no_effects() -> None:
     assert refined(full_file(), robot(), [], Stages(), closed_loop()).stages.effects == (
         full_file().stages.effects
     )
+
+
+REMEDY = "run python -m tests.unit.params.generate"
+
+
+@pytest.mark.parametrize("name", DOCUMENTS)
+def test_the_shipped_schema_is_the_generated_one(name: str) -> None:
+    shipped = json.loads(schema_path(name).read_text())
+    assert shipped == json_schema(name), REMEDY
+    jsonschema.Draft202012Validator.check_schema(shipped)
+
+
+def validator(name: str) -> jsonschema.Draft202012Validator:
+    return jsonschema.Draft202012Validator(json.loads(schema_path(name).read_text()))
+
+
+def test_the_schema_refuses_what_the_reader_refuses() -> None:
+    document = json.loads(encode(full_file()))
+    document["schema"] = "seqid/params@2"
+    document["stages"]["inertia"]["surprise"] = 1
+    del document["robot"]["sha256"]
+    found = {error.json_path for error in validator(SCHEMA).iter_errors(document)}
+    assert found == {"$.schema", "$.robot", "$.stages.inertia"}
+
+
+def test_the_schema_refuses_a_diagnosis_that_breaks_the_contract() -> None:
+    document = json.loads(encode(diagnosis_file()))
+    document["verdict"] = "perhaps"
+    del document["findings"][0]["separate_by"]
+    document["joints"]["elbow"]["white"] = 1
+    found = {error.json_path for error in validator(DIAGNOSIS_SCHEMA).iter_errors(document)}
+    assert found == {"$.verdict", "$.findings[0]", "$.joints.elbow.white"}
+
+
+finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-LARGEST, max_value=LARGEST)
+documents = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**53), 2**53) | finite | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=20,
+)
+
+
+@given(documents)
+def test_text_is_json_of_the_rounded_document(document: object) -> None:
+    assert json.loads(encode(document)) == plain(document)
+
+
+@given(finite)
+def test_twelve_digits_are_kept_and_rounding_is_final(value: float) -> None:
+    rounded = plain(value)
+    assert isinstance(rounded, float)
+    assert rounded == pytest.approx(value, rel=1e-11, abs=0.0)
+    assert plain(rounded) == rounded
+    assert len(f"{rounded!r}".split("e")[0].lstrip("-0.").replace(".", "").rstrip("0")) <= 12
+
+
+def test_what_no_sample_shows_is_written_as_a_file_may_hold_it(tmp_path: Path) -> None:
+    file = full_file()
+    file.stages.gravity.parameters[0].std_error = 1e150
+    (tmp_path / "model.json").write_text(encode(file))
+    stage = read_parameters(tmp_path / "model.json").stages.gravity
+    assert stage.parameters[0].std_error == LARGEST == UNTOLD
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+def test_a_number_that_is_not_finite_is_named(bad: float) -> None:
+    stage = rigid_stage()
+    stage.parameters[0].value = bad
+    with pytest.raises(ValueError, match=r"^\$\.parameters\[0\]\.value is -?(nan|inf)"):
+        encode(stage)
+
+
+def test_a_value_without_json_form_is_named() -> None:
+    with pytest.raises(TypeError, match=r"^\$\.a\[1\] is a complex"):
+        encode({"a": [1, 2j]})
+
+
+def test_stages_that_are_not_there_are_left_out() -> None:
+    file = full_file()
+    file.stages.gravity = None
+    document = json.loads(encode(file))
+    assert list(document["stages"]) == ["friction", "imu", "inertia", "effects"]
+    assert document["stages"]["friction"]["cutoff_hz"] is None
+    assert document["closed_loop"]["rounds"][0]["effect"] == "stribeck"

@@ -1,12 +1,16 @@
-"""The low-pass by convolution against the recursive one, and what it remembers."""
+"""The low-pass: its response, its blocks, and thinning that commutes with it."""
+
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfilt
+from scipy.signal import butter, sosfilt, sosfreqz
 
-from seqid_cli.motion.filters.butterworth import SHORTEST, Lowpass
-from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.motion.filters.butterworth import ORDER, SHORTEST, Lowpass, impulse_response
+from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.typing import Array, Mask
 
 
@@ -122,3 +126,104 @@ def test_passes_at_once_are_passes_one_by_one(samples: int, every: int) -> None:
     expected = lowpass(lowpass(values, valid), valid)[::every]
     found = lowpass(values, valid, times=2, every=every)
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(values).max())
+
+
+RATE_HZ = 1000.0
+
+
+def gain(lowpass: Lowpass, frequency: Array) -> Array:
+    """Of both ways."""
+    h, reach = impulse_response(lowpass), lowpass.memory
+    angle = 2 * np.pi / lowpass.rate_hz * np.outer(frequency, np.arange(reach + 1))
+    return np.asarray(2 * np.cos(angle) @ h[reach:] - h[reach])
+
+
+def usual(cutoff_hz: float, frequency: Array, rate_hz: float) -> Array:
+    """Of both ways of scipy's Butterworth filter."""
+    sections = butter(ORDER, cutoff_hz, fs=rate_hz, output="sos")
+    return np.abs(sosfreqz(sections, frequency, fs=rate_hz)[1]) ** 2
+
+
+@settings(deadline=None)
+@given(st.floats(1e-3, 0.44))
+def test_both_ways_are_a_butterworth_filters(share: float) -> None:
+    cutoff = share * RATE_HZ
+    frequency = np.concatenate([np.geomspace(0.01 * cutoff, 0.49 * RATE_HZ, 200), [0.0]])
+    found = gain(Lowpass(cutoff, RATE_HZ), frequency)
+    np.testing.assert_allclose(found, usual(cutoff, frequency, RATE_HZ), atol=1e-10)
+
+
+@settings(deadline=None)  # the transforms of low cut-offs are long
+@given(st.integers(2, 300), st.floats(10.0, 100.0))
+def test_the_response_is_that_of_the_full_rate(every: int, per_cutoff: float) -> None:
+    cutoff = RATE_HZ / every / per_cutoff
+    frequency = np.linspace(0.0, RATE_HZ / every / 2, 200)
+    found = gain(Lowpass(cutoff, RATE_HZ / every, every), frequency)
+    np.testing.assert_allclose(found, usual(cutoff, frequency, RATE_HZ), atol=4e-6)
+
+
+def test_filtering_and_thinning_commute() -> None:
+    """Terms of thinned motion, filtered, are those of the full motion, filtered and thinned."""
+    every, cutoff = 20, 5.0
+    t = np.arange(40_000) / RATE_HZ
+    values = np.stack([np.sin(9.0 * t), np.cos(25.0 * t + 1.0) + 0.3 * np.sin(31.0 * t)], axis=1)
+    full = Lowpass(cutoff, RATE_HZ)(values)[::every]
+    thinned = Lowpass(cutoff, RATE_HZ / every, every)(values[::every])
+    inner = slice(150, -150)
+    np.testing.assert_allclose(thinned[inner], full[inner], atol=1e-5)
+    other = Lowpass(cutoff, RATE_HZ / every)(values[::every])
+    assert np.abs(other - full)[inner].max() > 1e-3  # another filter
+
+
+RATE = 500.0
+MASKS = st.lists(st.booleans(), max_size=60).map(lambda bits: np.array(bits, dtype=bool))
+
+
+@pytest.mark.parametrize("length", range(1, 14))
+def test_short_runs_are_survived(length: int) -> None:
+    x = np.linspace(0.0, 1.0, length)[:, None] * np.array([1.0, 2.0])
+    assert Lowpass(10.0, RATE)(x).shape == x.shape
+    first, second = differentiate(x, RATE)
+    assert np.isfinite(first).all()
+    assert np.isfinite(second).all()
+
+
+@pytest.mark.parametrize("degree", range(9))
+def test_derivatives_of_polynomials_are_exact_inside(degree: int) -> None:
+    t = np.linspace(-1, 1, 81)
+    rate = 1 / (t[1] - t[0])
+    p = np.polynomial.Polynomial(np.random.default_rng(degree).standard_normal(degree + 1))
+    first, second = differentiate(p(t), rate)
+    inner = slice(4, -4)
+    np.testing.assert_allclose(first[inner], p.deriv()(t)[inner], atol=1e-9)
+    np.testing.assert_allclose(second[inner], p.deriv(2)(t)[inner], atol=1e-8)
+
+
+def test_derivatives_do_not_reach_across_a_gap() -> None:
+    t = np.arange(200) / RATE
+    x = np.sin(20 * t)
+    jump = x.copy()
+    jump[100:] += 50.0
+    valid = np.ones(200, dtype=bool)
+    valid[100] = False
+    for plain, jumped in zip(
+        differentiate(x, RATE, valid), differentiate(jump, RATE, valid), strict=True
+    ):
+        np.testing.assert_allclose(jumped, plain, atol=1e-6)
+        assert jumped[100] == 0.0
+
+
+@given(MASKS)
+def test_runs_are_the_true_samples_in_order(mask: Mask) -> None:
+    found = runs(mask, len(mask))
+    covered = [i for start, stop in found for i in range(start, stop)]
+    assert covered == np.flatnonzero(mask).tolist()
+    assert all(a < b for a, b in found)
+    assert all(b < c for (_, b), (c, _) in pairwise(found))
+
+
+@given(MASKS, st.integers(0, 8))
+def test_shrink_keeps_what_has_enough_true_samples_on_both_sides(mask: Mask, k: int) -> None:
+    wide = np.concatenate([np.zeros(k, dtype=bool), mask, np.zeros(k, dtype=bool)])
+    expected = [bool(wide[i : i + 2 * k + 1].all()) for i in range(len(mask))]
+    assert shrink(mask, k).tolist() == expected

@@ -1,5 +1,6 @@
-"""Checks of torques on their own numbers: what is not known is no fault."""
+"""Checks on their own numbers, and the documents' table of what they find."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -7,10 +8,13 @@ import numpy as np
 import pytest
 
 from seqid_cli.inspect.channels.torques import _spikes, _starts_or_stops
+from seqid_cli.inspect.channels.values import _refined, lattice
 from seqid_cli.inspect.dynamics.friction import Friction, _exchanged
+from seqid_cli.inspect.findings import ERRORS, WARNINGS
 from seqid_cli.inspect.inspection import inspect_log
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
+from tests import ROOT
 from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
 
 
@@ -62,3 +66,38 @@ def test_a_driver_that_subtracts_gravity_is_told_from_a_mounting(tmp_path: Path,
         (tmp_path / "robot.toml").write_text(own_text)
         found = inspect_log(tmp_path / "log.parquet", load_robot(tmp_path / "robot.toml")).findings
         assert {finding.code for finding in found} == codes
+
+
+def test_the_step_is_found_to_all_digits() -> None:
+    counts = np.random.default_rng(0).integers(-500, 500, 2000)
+    assert lattice(counts * 0.0123) == pytest.approx(0.0123, rel=1e-9)
+
+
+def test_levels_within_half_a_step_leave_it_as_it_is() -> None:
+    with np.errstate(all="raise"):
+        assert _refined(np.array([0.0, 0.1, 0.2, 50.0, 90.0]), 1.0) == pytest.approx(1.0, rel=0.01)
+
+
+@pytest.mark.parametrize("lost", [0, 80])
+def test_the_hole_between_episodes_is_no_gap(tmp_path: Path, lost: int) -> None:
+    t, episode = np.tile(np.arange(0.0, 10.0, 0.01), 3), np.repeat([0.0, 1.0, 2.0], 1000)
+    kept = np.delete(np.arange(3000), slice(1500, 1500 + lost))
+    table = {
+        "t": t,
+        "episode_index": episode,
+        "a.position": np.round(np.sin(t) / 1e-4) * 1e-4,
+        "a.torque": np.cos(1.3 * t) + 0.5 * np.sign(np.cos(t)),
+    }
+    write_columns(tmp_path / "log.parquet", {name: x[kept] for name, x in table.items()})
+    found = [f for f in inspect_log(tmp_path / "log.parquet").findings if f.code == "clock_gap"]
+    assert [f.message.split(",")[0] for f in found] == ["1 gaps"] * bool(lost)
+
+
+ROW = re.compile(r"^\| `(\w+)` \| (error|warning) \| [^|]+ \| [^|]+ \| ([^|]+) \|$", re.MULTILINE)
+
+
+def test_the_table_of_codes_is_the_packages_own() -> None:
+    rows = ROW.findall((ROOT / "docs" / "inspect.md").read_text())
+    assert len(rows) == len(ERRORS) + len(WARNINGS)
+    assert {code: remedy for code, severity, remedy in rows if severity == "error"} == ERRORS
+    assert {code: remedy for code, severity, remedy in rows if severity == "warning"} == WARNINGS

@@ -14,18 +14,11 @@ from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions, LogOptions
 from seqid_cli.logs.read import read_recording
-from seqid_cli.params.document import robot_id, with_stage
-from seqid_cli.params.schema import ParameterFile
 from tests.unit.discover.long_logs import LongCase, long_case
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
 
 MOST = 429_760
-
-
-def file_of(case: LongCase) -> ParameterFile:
-    identity, friction, inertia = robot_id(case.robot), case.stages.friction, case.stages.inertia
-    return with_stage(None, identity, [], friction=friction, inertia=inertia)
 
 
 @pytest.fixture(autouse=True)
@@ -37,7 +30,7 @@ def _passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def inputs_of(case: LongCase, folder: Path) -> Inputs:
-    file, log = file_of(case), folder / "fitted.parquet"
+    file, log = case.file, folder / "fitted.parquet"
     return Inputs((log,), case.robot, (("model", file),), file, (), None, LogOptions())
 
 

@@ -11,7 +11,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.params.schema import Stages
+from seqid_cli.params.document import robot_id, with_stage
+from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 from tests import Array
 from tests.plants.cases import Case, declared_plant, injections, motions
@@ -39,6 +40,12 @@ class LongCase:
     def with_torque(self, torque: Callable[[Array], Array]) -> LongCase:
         """The same with a torque (N, n) of time (N,) added to what is measured."""
         return replace(self, log=replace(self.log, tau=self.log.tau + torque(self.log.t)))
+
+    @property
+    def file(self) -> ParameterFile:
+        """The model as a parameter file."""
+        friction, inertia = self.stages.friction, self.stages.inertia
+        return with_stage(None, robot_id(self.robot), [], friction=friction, inertia=inertia)
 
     def written(self, path: Path) -> Path:
         """Write the log as Parquet, in row groups."""

@@ -17,8 +17,7 @@ from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.prediction.predict import LongPrediction
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion import blocks
-from seqid_cli.params.document import robot_id, with_stage
-from seqid_cli.params.schema import ClosedLoop, ParameterFile, Stages
+from seqid_cli.params.schema import ClosedLoop, Stages
 from tests.unit.discover.long_logs import LongCase, long_case
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
@@ -45,12 +44,6 @@ def cases() -> tuple[LongCase, LongCase]:
     return long_case(HUMP), long_case(HUMP, seed=11)
 
 
-def file_of(case: LongCase) -> ParameterFile:
-    stages = case.stages
-    identity, friction, inertia = robot_id(case.robot), stages.friction, stages.inertia
-    return with_stage(None, identity, [], friction=friction, inertia=inertia)
-
-
 def pieces(case: LongCase, path: Path) -> Excerpts:
     files = LogSet([case.written(path)], case.robot)
     return take_excerpts(
@@ -71,9 +64,7 @@ def refined(folder: Path) -> tuple[Stages, ClosedLoop]:
     assert len(fitted.recordings) == 2
     assert held.surveys
     whole = WholeLogs((folder / "held.parquet",), training.robot)
-    found = refine(
-        fitted.recordings, training.robot, file_of(training), earlier={}, options=OPTIONS
-    )
+    found = refine(fitted.recordings, training.robot, training.file, earlier={}, options=OPTIONS)
     return found.stages, confirm(found, held.recordings, whole)
 
 
@@ -90,7 +81,7 @@ def test_errors_are_of_the_whole_log(folder: Path) -> None:
     stages, loop = refined(folder)
     training, _ = cases()
     log = read_recording(folder / "held.parquet", training.robot)
-    robot, file = training.robot, file_of(training)
+    robot, file = training.robot, training.file
     motion = on_the_same_samples(OPTIONS, file.stages, robot).motion
     before = held_out_error([log], robot, file.stages, options=motion)
     after = held_out_error([log], robot, stages, options=motion)

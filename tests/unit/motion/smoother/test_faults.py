@@ -11,10 +11,10 @@ from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.typing import Array
 from tests.plants.fused import Case, Fault, Rig, case
+from tests.unit.motion.smoother.bounds import SETTLED, rms
 
 pytestmark = pytest.mark.slow
 COARSE = 600  # counts per turn
-SETTLED = slice(200, -200)
 EVERYTHING = Fault(bias=0.2, drift=0.05, gain=0.01, tilt_deg=0.5, delay_s=0.0203)
 
 
@@ -34,10 +34,6 @@ def alone(rig: Rig) -> Array:
     """RMS errors (n,) rad/s^2 of the encoders alone."""
     c = recorded(rig)
     return rms(smoothed_motion(c.recording, c.robot, None).ddq - c.truth)
-
-
-def rms(values: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(values[SETTLED] ** 2, axis=0)))
 
 
 def error(rig: Rig) -> Array:

@@ -6,8 +6,6 @@ friction = seqid.identify.friction("logs/friction", "robot.toml", output="fricti
 print(friction.stages.friction.joints["elbow"].rmse)
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from types import ModuleType
 

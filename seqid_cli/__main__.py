@@ -1,7 +1,5 @@
 """Entry point of `seqid` and of `python -m seqid_cli`."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

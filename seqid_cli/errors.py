@@ -3,8 +3,6 @@
 Library code raises; only the command layer prints and exits.
 """
 
-from __future__ import annotations
-
 EXIT_INTERRUPTED = 130
 
 

@@ -1,7 +1,5 @@
 """Standard deviations that a few large values do not move."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

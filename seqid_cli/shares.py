@@ -1,7 +1,5 @@
 """Shares as people read them: the one way to print a percentage."""
 
-from __future__ import annotations
-
 import math
 
 MORE_DIGITS = 2  # that a share may be given so as not to look like none or all

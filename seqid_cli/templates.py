@@ -1,7 +1,5 @@
 """Templates that stand in a folder `templates` beside the code that fills them in."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

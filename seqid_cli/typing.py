@@ -1,7 +1,5 @@
 """Names for arrays, the same in all modules; shapes and units stand in the docstrings."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

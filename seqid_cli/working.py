@@ -4,8 +4,6 @@ Standard library only. A listener is set for a block (`heard_by`); the work itse
 a part of it begins, without passing anything down to where that is.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar

@@ -1,7 +1,5 @@
 """`seqid compare`: whether a result changed, beyond its standard errors."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """`seqid completion`: scripts, made from the parsers, that complete without starting Python."""
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """`seqid diagnose`: what a model lacks, with the evidence."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

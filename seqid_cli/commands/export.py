@@ -1,7 +1,5 @@
 """`seqid export`: an identified arm as URDF, MJCF, ROS 2 parameters or C."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """`seqid friction`: the first stage."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -1,7 +1,5 @@
 """`seqid gravity`: the second stage."""
 
-from __future__ import annotations
-
 import typer
 
 from seqid_cli.commands import options as opt

@@ -1,7 +1,5 @@
 """`seqid imu-calib`: how the IMUs sit on their links."""
 
-from __future__ import annotations
-
 import typer
 
 from seqid_cli.commands import options as opt

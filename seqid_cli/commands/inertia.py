@@ -1,7 +1,5 @@
 """`seqid inertia`: the last stage."""
 
-from __future__ import annotations
-
 import typer
 
 from seqid_cli.commands import options as opt

@@ -1,7 +1,5 @@
 """`seqid init`: a robot file from a log and a URDF, to be completed by hand."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

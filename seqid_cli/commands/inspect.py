@@ -1,7 +1,5 @@
 """`seqid inspect`: what is in some logs and what is wrong with them."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Annotated

@@ -1,7 +1,5 @@
 """`seqid payload`: what the flange carries."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -1,7 +1,5 @@
 """`seqid plan`: the experiment to run next, and the errors that it will give."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path

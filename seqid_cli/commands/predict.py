@@ -1,7 +1,5 @@
 """`seqid predict`: how well a model explains the torque of some logs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

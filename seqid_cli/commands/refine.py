@@ -1,7 +1,5 @@
 """`seqid refine`: the loop closed, from what a model lacks to a model that has it."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -1,7 +1,5 @@
 """`seqid report`: results as one HTML page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

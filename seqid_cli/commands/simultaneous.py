@@ -1,7 +1,5 @@
 """`seqid simultaneous`: the classical way, for comparison."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -1,7 +1,5 @@
 """`seqid trend`: what changed over time."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -6,8 +6,6 @@ have one too; friction surfaces are compared over the positions and speeds of bo
 coefficients.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TypeVar

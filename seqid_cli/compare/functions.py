@@ -1,7 +1,5 @@
 """Comparing two results as a function: two files in, the document out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from seqid_cli.logs.given import PathLike

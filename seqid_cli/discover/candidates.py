@@ -1,7 +1,5 @@
 """Candidates: an effect at a joint with its settings, and its columns on the rows."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 

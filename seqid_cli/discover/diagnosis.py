@@ -5,8 +5,6 @@ with smooth functions of everything that was measured (see `select.naming`): wha
 better is not understood, and is said to be so.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 

@@ -10,8 +10,6 @@ not in these rows: it does not hide an effect of the drive there, nor pass for o
 channels, one per joint, beside the rows of the motor's whole torque.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ with it: both on blocks of time that were left out of the fit, so that they show
 After must be flat, where the law is the right one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -4,8 +4,6 @@ Short stretches that stand out against everything else the logs show are events.
 and so are samples at which the torque of an effect is not known. Then the selection goes on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """What a diagnosis says beside its findings, and where more is left than noise and encoder make."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What a user may set about discovery; kept free of heavy imports for the command line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from seqid_cli.identify.options import InertiaOptions, LogOptions, Source

@@ -1,7 +1,5 @@
 """Why what was tried was not taken, in one line each, with its number."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable
 
 from seqid_cli.discover.investigate import Investigation

@@ -1,7 +1,5 @@
 """From recordings to data sets: filtered motion, the model's torque, one clock for all logs."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Effects of a refined file: what a format can hold is exported, the others are named."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -6,8 +6,6 @@ stiffness (where it is not linear, several numbers, which needs MuJoCo 4), backl
 own. Capsules along the links show the arm; they have no mass and touch nothing.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.export.model import ExportModel

@@ -1,7 +1,5 @@
 """The exported model, whatever the format: bodies, rotors, friction, and effects left out."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ to f crosses +-h no more than 2 f exp(-h^2 / 2 s^2) times a second (Rice, 1945).
 steps d adds no more than K^2 M d / sqrt(12) to it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Numbers and remarks of model files, their templates, and the one of ROS 2 parameters."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable
 

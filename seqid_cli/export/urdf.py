@@ -6,8 +6,6 @@ beside friction as a parameter of the joint in a `ros2_control` system, which is
 that has none.
 """
 
-from __future__ import annotations
-
 from xml.dom import minidom
 from xml.dom.minidom import Comment, Document, Element, Text
 

@@ -5,8 +5,6 @@ fixed to it are merged into it. Links behind another joint (a gripper's finger) 
 during identification, but move where the file is loaded: they keep their own inertials.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree

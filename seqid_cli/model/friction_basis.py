@@ -15,8 +15,6 @@ is the least-squares slope of the position mean over the upper part of the speed
 slowest speed the value at the slowest holds.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 

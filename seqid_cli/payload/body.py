@@ -10,8 +10,6 @@ a conic problem (Wensing, Kim, Slotine, "Linear matrix inequalities for physical
 inertial parameter identification", RA-L 2018). Where the estimate is a body, the two are the same.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

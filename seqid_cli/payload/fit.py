@@ -5,8 +5,6 @@ model without it, from friction that may have changed, and from the torque const
 the payload as they scale the model.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ Izz, Ixy, Ixz, Iyz]; `set_payload(m, cog)` before software 5.10. Franka Robotics
 2: `geometry_msgs/msg/Inertia`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

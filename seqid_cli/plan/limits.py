@@ -1,7 +1,5 @@
 """How far, how fast and how hard each joint may move in a plan."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """From a robot file and earlier results to a plan file: all plans are made here."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterable, Sequence
 

@@ -1,7 +1,5 @@
 """Options of a plan; kept free of heavy imports for the command line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

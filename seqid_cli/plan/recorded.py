@@ -8,8 +8,6 @@ an offset k is a sum of three correlations with the mask m of valid samples,
 so that offsets that reach over the log's ends or over gaps count by what is there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The documents of one report, sorted: one robot, its models, their predictions and diagnoses."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One page about many robots: the verdict on each, its errors, and what is open."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 

@@ -1,7 +1,5 @@
 """The verdict on a model: good or not, its grounds, and the missing results."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Literal

@@ -1,7 +1,5 @@
 """One page about one robot, from the documents that the commands wrote."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

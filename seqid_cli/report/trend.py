@@ -1,7 +1,5 @@
 """One page about what changed over dates, on any number of robots."""
 
-from __future__ import annotations
-
 from datetime import datetime
 
 import numpy as np

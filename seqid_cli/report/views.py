@@ -5,8 +5,6 @@ that comes from a file is escaped by the templates. The page may not load anythi
 the style sheet and the script by their hashes and forbids everything else.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 from collections.abc import Iterable, Sequence

@@ -1,7 +1,5 @@
 """Numbers and names as they stand on the page."""
 
-from __future__ import annotations
-
 import math
 import re
 import shlex

@@ -5,8 +5,6 @@ items, and what goes wrong comes as an exception that names its item. Kept free 
 the command line.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib.util
 import logging

@@ -15,8 +15,6 @@ The z-score of d is held against Student's distribution, all steps and lines of 
 counted (Bonferroni). The hypothesis with the largest |z| of a quantity is the one that is told.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a user may set; kept free of heavy imports for the command line."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from seqid_cli.params.files import By

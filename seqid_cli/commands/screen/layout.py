@@ -3,8 +3,6 @@
 Lines break at words, no number is cut, and nothing steers the terminal.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

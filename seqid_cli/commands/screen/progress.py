@@ -1,7 +1,5 @@
 """One line on a terminal's stderr that tells how far a command is, once it takes half a second."""
 
-from __future__ import annotations
-
 import contextlib
 import threading
 import time

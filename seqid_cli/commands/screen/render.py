@@ -1,7 +1,5 @@
 """What the user sees: results on stdout, everything else on stderr."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterable, Sequence

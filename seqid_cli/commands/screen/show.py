@@ -1,7 +1,5 @@
 """Stages as tables: numbers with their units, a verdict per joint, and why it is poor."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Collection, Sequence
 from statistics import median

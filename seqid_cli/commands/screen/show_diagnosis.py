@@ -3,8 +3,6 @@
 Of one joint it says as well what was tried there, and why it was not taken.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 
 from seqid_cli.commands.screen.render import Screen, number, percent

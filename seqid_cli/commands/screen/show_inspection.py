@@ -1,7 +1,5 @@
 """An inspection on the screen: the verdict first, then logs, joints, moves, findings."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Standard streams that are closed, full or cannot spell a name."""
 
-from __future__ import annotations
-
 import errno
 import io
 import os

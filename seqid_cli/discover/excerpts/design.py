@@ -11,8 +11,6 @@ same way of one. The residual has no say in it: excerpts that were taken because
 there would make it look more wrong than it is.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
 

@@ -6,8 +6,6 @@ recording of its own. Short ones about places at which the residual stands out a
 pushes may be.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial

@@ -6,8 +6,6 @@ the log (see `survey.events`). None of it says what the model lacks. It says whe
 `design`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path

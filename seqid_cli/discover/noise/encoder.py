@@ -5,8 +5,6 @@ torque is the model's, with friction that flips within one sample. The encoder's
 on them, and what comes back is predicted from it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

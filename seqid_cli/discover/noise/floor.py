@@ -19,8 +19,6 @@ The estimate is one of its own: what a model leaves of the torque does not bound
 interval lies above all that is left are refuted.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce

@@ -1,7 +1,5 @@
 """Spectra of what is random in a log's torque, and how the low-pass passes them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -8,8 +8,6 @@ and is tested by the squares of its correlations at the first lags (Box and Pier
 that are there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

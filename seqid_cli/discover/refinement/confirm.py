@@ -1,7 +1,5 @@
 """What held-out logs say of a refinement: opened after the last decision, they change none."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Logs of earlier stages, read for a refinement as far as memory bears them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

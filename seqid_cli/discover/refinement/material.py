@@ -1,7 +1,5 @@
 """What a model is identified from, and a model with its effects."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Stages moved by deviations of the base, and held where logs hardly tell them."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import msgspec

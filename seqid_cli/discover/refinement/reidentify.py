@@ -11,8 +11,6 @@ stages are not at hand, the base moves as the joint fit on the training logs say
 fitted, beside a base that may move within the errors that the file gives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial

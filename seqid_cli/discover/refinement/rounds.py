@@ -12,8 +12,6 @@ Held-out logs play no part in any of this: `refine` is not given them. What they
 is in `confirm`.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace

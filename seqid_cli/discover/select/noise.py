@@ -7,8 +7,6 @@ JASA 84, 1989): (nu + 1) / (nu + m), m their mean square in units of the noise. 
 signals tell partly the same: `ALIKE` of them count as one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

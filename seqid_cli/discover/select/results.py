@@ -1,7 +1,5 @@
 """What the selection decides by, what it ranks, and what it ends with."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property

@@ -5,8 +5,6 @@ Bayesian bootstrap", Annals of Statistics 9, 1981): what shows in a few blocks a
 sure, if nothing speaks against it elsewhere.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache

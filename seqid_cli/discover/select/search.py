@@ -4,8 +4,6 @@ Where a term was taken or taken back all is searched anew. Elsewhere what came f
 what it gains is another now.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 

@@ -8,8 +8,6 @@ bends more than the one before (eigenvectors of the second differences, Demmler 
 the constant first: not every base has an offset.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce

@@ -1,7 +1,5 @@
 """Splines that are safe to judge by leaving out: their knots, and the smoothest out of them."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.linalg import eigh
 

@@ -1,7 +1,5 @@
 """What a model may lack as terms of one list: effects with settings, and smooth functions."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

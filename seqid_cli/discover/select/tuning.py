@@ -1,7 +1,5 @@
 """Settings of an effect between the grid's values: those of the largest evidence."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass, replace
 

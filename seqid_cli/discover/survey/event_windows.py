@@ -3,8 +3,6 @@
 Cut from the rows of data sets, or from tracks: kept samples of logs of any length.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -12,8 +12,6 @@ m_w is the mean of the residual over the window, med_c and s_c median and robust
 over the comparison c; s is of unit size for Gaussian noise, so z counts robust sigmas.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -7,8 +7,6 @@ further channels of the normal equations, one per joint, that no base column tou
 count as much as the joint's rows below the cut-off.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast

@@ -1,7 +1,5 @@
 """Logs whose torque says nothing about the model are left out, and said to be."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 from seqid_cli.errors import InputError

@@ -5,8 +5,6 @@ combinations of inertial parameters open; there the links stay as near as possib
 ones: the CAD's, or a guess from the arm's geometry.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -6,8 +6,6 @@ exactly, T [s] being the drive's time constant. To first order the same as torqu
 T. Khalil, Dombre, "Modeling, identification and control of robots", 2002.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.signal import lfilter
 

@@ -5,8 +5,6 @@ session does not know is placed by its own clock, after the logs that started be
 common clock it counts as recorded after all of them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

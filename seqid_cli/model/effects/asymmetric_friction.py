@@ -9,8 +9,6 @@ optimization-based dynamic model identification package for the da Vinci Researc
 RA-L 4(4), 2019; Bona, Indri, "Friction compensation in robotics: an overview", CDC 2005.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings

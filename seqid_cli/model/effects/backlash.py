@@ -12,8 +12,6 @@ setting `trial_gap`: both must agree. Nordin, Gutman, "Controlling mechanical sy
 a survey", Automatica 38(10), 2002.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

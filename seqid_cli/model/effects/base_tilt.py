@@ -9,8 +9,6 @@ torque is as linear: Gautier, Khalil, "Direct calculation of minimum set of iner
 serial robots", IEEE Trans. Robotics and Automation 6(3), 1990.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

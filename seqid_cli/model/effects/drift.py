@@ -6,8 +6,6 @@ A [N m], B [N m/s]; t [s] counts from the first log where the logs share a clock
 start of each. Beyond the recorded session (`duration`) the offset is held.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -9,8 +9,6 @@ searched: first over a grid, then by variable projection. The sign convention is
 measured torque: tau_measured = model + tau_effect.
 """
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

@@ -11,8 +11,6 @@ encoder's shaft: Matsuzoe et al., "High-performance absolute rotary encoder usin
 M-code", Optical Engineering 42(1), 2003.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

@@ -6,8 +6,6 @@ and that no other period of the motion shows, and are left out. Haddadin, De Luc
 33(6), 2017.
 """
 
-from __future__ import annotations
-
 from seqid_cli.model.effects.effect import Columns, Effect, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 

@@ -1,7 +1,5 @@
 """Effects with numbers in them: how they stand in a parameter file, and back."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -9,8 +9,6 @@ experiment design for identification of wear in a robot joint under load and tem
 uncertainties based on friction data", IEEE/ASME Trans. Mechatronics 19(5), 2014.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings

@@ -12,8 +12,6 @@ Duclusaud et al., "Extended friction models for the physics simulation of servo 
 2410.08650, 2024.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Settings

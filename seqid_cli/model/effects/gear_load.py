@@ -11,8 +11,6 @@ that the logs show. Hamon, Gautier, Garrec, "New dry friction model with load- a
 velocity-dependence and dynamic identification of multi-DOF robots", ICRA 2011.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from seqid_cli.model.effects.effect import Effect, Grid, Setting, Settings, rotor_hidden

@@ -19,8 +19,6 @@ Jubien, Janot, "New iterative learning identification and model based control of
 actual motor torque data", IROS 2013.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

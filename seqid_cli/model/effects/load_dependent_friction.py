@@ -9,8 +9,6 @@ Hamon, Gautier, Garrec, "New dry friction model with load- and velocity-dependen
 identification of multi-DOF robots", ICRA 2011.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Settings

@@ -4,8 +4,6 @@ They act on the joint's whole torque, tau_measured = F(tau), so that their colum
 the modelled torque, and a recording can be freed of them exactly by the inverse of F.
 """
 
-from __future__ import annotations
-
 import abc
 from collections.abc import Callable
 from dataclasses import replace

@@ -10,8 +10,6 @@ a dynamic friction model with nonlinear viscous and thermal dependency for a mot
 drive gear", ICRA 2018.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

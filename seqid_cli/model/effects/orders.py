@@ -1,7 +1,5 @@
 """Lines in a residual's spectrum over position, found in bins of position."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self

@@ -5,8 +5,6 @@
 Every X_k follows from the formula's text (`robot.formula`); nothing of it is ever executed.
 """
 
-from __future__ import annotations
-
 import ast
 import inspect
 from collections.abc import Mapping, Sequence

@@ -9,8 +9,6 @@ link once the latter is free. Compare Khalil, Gautier, Lemoine, "Identification 
 inertial parameters of industrial manipulators", ICRA 2007.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

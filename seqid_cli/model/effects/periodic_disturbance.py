@@ -11,8 +11,6 @@ A line is not taken for a disturbance if the motion makes it: if it is missing i
 if its phase wanders, or if the modelled torque has a line there of comparable size.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

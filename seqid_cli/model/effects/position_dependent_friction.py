@@ -8,8 +8,6 @@ holds it already. Popovic, Goldenberg, "Modeling of friction using spectral anal
 Robotics and Automation 14(1), 1998.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -14,8 +14,6 @@ model", Aerospace Corp. TOR-0158, 1968; Canudas de Wit, Olsson, Astrom, Lischins
 control of systems with friction", IEEE Trans. Autom. Control 40(3), 1995.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

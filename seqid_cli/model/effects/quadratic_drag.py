@@ -6,8 +6,6 @@ c [N m s^2/rad^2] is the drag coefficient. Kermani, Patel, Moallem, "Friction id
 compensation in robotic manipulators", IEEE Trans. Instrum. Meas. 56(6), 2007.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings

@@ -3,8 +3,6 @@
 A robot file adds its own (`own`) without touching the source.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from seqid_cli.errors import ConfigError

@@ -10,8 +10,6 @@ Murphy, Wen, Saridis, "Simulation and analysis of flexibly jointed manipulators"
 Rotor1D.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings

@@ -1,7 +1,5 @@
 """How the links' torque answers when one joint's link is not where its measured angle says."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 

@@ -5,8 +5,6 @@ a clock, the phases that the line has in them fix its frequency to a fraction of
 that they span: demodulated to a few values per log, that search costs next to nothing.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -11,8 +11,6 @@ compensators see Klimchik et al., "Identification of geometrical and elastostati
 heavy industrial robots", ICRA 2013.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

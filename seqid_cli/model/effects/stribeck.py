@@ -8,8 +8,6 @@ Canudas de Wit, "A survey of models, analysis tools and compensation methods for
 machines with friction", Automatica 30(7), 1994.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -13,8 +13,6 @@ modeling and identification of load and temperature effects", J. Dyn. Sys. Meas.
 2012.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

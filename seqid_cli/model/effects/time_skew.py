@@ -12,8 +12,6 @@ A delay and a lag agree to first order and part in the second, d^2/2 against T^2
 derivative.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

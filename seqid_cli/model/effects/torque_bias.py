@@ -6,8 +6,6 @@ A [N m] is there in every state, at rest too. On a joint whose range is small it
 same as a gravity parameter.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Settings

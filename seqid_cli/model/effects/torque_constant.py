@@ -7,8 +7,6 @@ invisible: it scales every inertial parameter. Gautier, Briot, "New method for g
 of the joint drive gains of robots using a known payload mass", IROS 2011.
 """
 
-from __future__ import annotations
-
 from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
 from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
 from seqid_cli.model.effects.scene import Joint, Scene

@@ -21,8 +21,6 @@ Piccoli, Yim, "Anticogging: torque ripple suppression, modeling, and parameter s
 Mech. Des. 123(1), 2001.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

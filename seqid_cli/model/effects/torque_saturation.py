@@ -12,8 +12,6 @@ The cubic law is the first term of any saturation that is odd in the current. Pi
 Appl. 25(2), 1989, has the linear law that it departs from.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

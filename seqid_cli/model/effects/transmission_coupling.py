@@ -17,8 +17,6 @@ What the model already has acts on dq_j. The effect moves it, so that its column
 s(u) - s(dq_j) and so on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plan the motion that tells two effects apart, and say how sure the answer will be."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Sequence
 from dataclasses import replace

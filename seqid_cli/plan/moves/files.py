@@ -6,8 +6,6 @@ also stand in one MCAP file. Slowed down by a factor s, times are t / s, speeds 
 s^2 a.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO

@@ -4,8 +4,6 @@ A stroke gets up to its speed v and back to rest in cosine ramps, v (1 - cos(pi 
 length r = pi v / (2 a) at which their largest acceleration is a.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

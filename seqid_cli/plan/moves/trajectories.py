@@ -1,7 +1,5 @@
 """Planned moves as time series."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

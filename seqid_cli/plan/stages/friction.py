@@ -1,7 +1,5 @@
 """Plan the friction stage: every joint by itself over its range, both ways, at many speeds."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.errors import ConfigError

@@ -4,8 +4,6 @@ Joints move one at a time, slowly, over their ranges. Postures are chosen greedi
 error, then exchanged one by one for others of the pool while that lowers cond(Phi(H_g)).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import msgspec

@@ -6,8 +6,6 @@ chosen to raise the least information of all rotations and IMUs; levers and scal
 other joints.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.errors import ConfigError

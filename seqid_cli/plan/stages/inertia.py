@@ -3,8 +3,6 @@
 The validation has moves of all joints, drawn by a seed of their own, not optimised.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

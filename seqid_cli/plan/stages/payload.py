@@ -5,8 +5,6 @@ two changes of each joint's friction that the payload stage frees. What the mode
 are uncertain by is passed on: phi is what their torque leaves.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

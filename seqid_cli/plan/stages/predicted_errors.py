@@ -1,7 +1,5 @@
 """Predicted results of a set of moves: standard errors, rank, condition, torque error."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

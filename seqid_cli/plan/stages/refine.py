@@ -8,8 +8,6 @@ limits enter as a penalty, and a move that breaks them is not taken. The gradien
 all steps in one batch of regressors.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

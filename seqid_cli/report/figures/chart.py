@@ -4,8 +4,6 @@ A drawing is one `<svg role="img">` with title and description. Lines carry thei
 the values at both ends of their axis, from which the page's script reads values back.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple

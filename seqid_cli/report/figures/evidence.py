@@ -1,7 +1,5 @@
 """Evidence of a finding: its residual before and after, and the terms tried in its place."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Friction over position and velocity: a map, and cuts through it with their intervals."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

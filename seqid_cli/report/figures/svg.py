@@ -4,8 +4,6 @@ Coordinates are user units of the drawing, y downwards; colours come from the cl
 style sheet, so that one drawing serves light and dark.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping, Sequence

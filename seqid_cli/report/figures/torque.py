@@ -1,7 +1,5 @@
 """Measured and predicted torque, and the residual against time, position, velocity, frequency."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Effects that the model lacks: findings with evidence, unexplained parts, events."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from seqid_cli.model.effects.registry import CATALOGUE

@@ -1,7 +1,5 @@
 """Friction, joint by joint."""
 
-from __future__ import annotations
-
 from seqid_cli.params.schema import FrictionStage
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.figures.friction import FIGURES, drawable

@@ -1,7 +1,5 @@
 """How accelerometers and IMUs are mounted on the links, and how well that is known."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The closed loop: the error before and after refinement, on held-out logs."""
 
-from __future__ import annotations
-
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis import nothing_added
 from seqid_cli.params.schema import ClosedLoop

@@ -1,7 +1,5 @@
 """The head of the page: the verdict, its grounds, gaps, the joints at a glance."""
 
-from __future__ import annotations
-
 from markupsafe import Markup
 
 from seqid_cli.report.collection import Collection

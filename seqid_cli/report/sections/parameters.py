@@ -1,7 +1,5 @@
 """Base parameters with their expressions, intervals and units; effects with theirs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from markupsafe import Markup

@@ -1,7 +1,5 @@
 """The way from the logs to the model: which command made which file from which."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 from seqid_cli.params.document import COMMAND_OF, present

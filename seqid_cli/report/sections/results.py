@@ -1,7 +1,5 @@
 """What the flange carries, and what to record next."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from seqid_cli.params.results import tables

@@ -1,7 +1,5 @@
 """How well the model predicts: errors per joint, and the torque behind them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -77,7 +77,9 @@ def placed(scene: Scene, recording: Recording, session: EffectSession | None) ->
     """Return the scene as a session counts it: number, start, clock."""
     if session is None:
         return scene
-    known = next((x for x in _names(recording) if x in session.logs), None)
+    # A session may know a recording by its own digest, or by that of its log.
+    names = [recording.sha256, *([recording.whole.sha256] if recording.whole else [])]
+    known = next((x for x in names if x in session.logs), None)
     if known is not None:
         number = session.logs.index(known)
         within = 0.0 if known == recording.sha256 else recording.offset
@@ -91,11 +93,6 @@ def placed(scene: Scene, recording: Recording, session: EffectSession | None) ->
     before = [k for k, other in enumerate(session.starts) if other <= start]
     number = max(before, key=lambda k: session.starts[k]) if before else -1
     return replace(scene, log=number, start=start, shared_clock=True)
-
-
-def _names(recording: Recording) -> list[str]:
-    """Digests by which a session may know a recording: its own, and that of its log."""
-    return [recording.sha256, *([recording.whole.sha256] if recording.whole else [])]
 
 
 def effect_torque(scene: Scene, fitted: Sequence[Fitted]) -> Array:

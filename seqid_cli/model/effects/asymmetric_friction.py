@@ -11,22 +11,20 @@ RA-L 4(4), 2019; Bona, Indri, "Friction compensation in robotics: an overview", 
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
-from seqid_cli.model.effects.scene import Joint, Scene
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Settings
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.typing import Array
 
 
-class AsymmetricFriction(Effect):
+class AsymmetricFriction(FrictionLaw):
     """Coulomb and viscous friction that depend on the direction of motion."""
 
     name = "asymmetric_friction"
-    family = "friction"
-    drive = True
     over = "velocity"
     linear = (
         Coefficient("coulomb_asymmetry", "N m"),
         Coefficient("viscous_asymmetry", "N m s/rad"),
     )
-    needs = ("motion",)
     alike = ("torque_bias", "spring", "drift", "gear_efficiency")
     separate_by = (
         "10 s with the brakes on or the motors off before and after (an offset of the channel "
@@ -34,8 +32,7 @@ class AsymmetricFriction(Effect):
         "three speeds"
     )
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Whether the joint moves, and its speed."""
-        assert joint is not None
         moving, speed = np.abs(scene.sign[:, joint]), np.abs(scene.motion.dq[:, joint])
-        return {joint: np.stack([moving, speed], axis=1)}
+        return np.stack([moving, speed], axis=1)

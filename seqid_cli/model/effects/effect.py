@@ -298,6 +298,23 @@ class Effect(abc.ABC):
         return all(spec.low <= x <= spec.high for spec, x in zip(specs, c, strict=True))
 
 
+class FrictionLaw(Effect):
+    """Friction of one joint: a torque sensor behind the gear does not see it."""
+
+    family = "friction"
+    drive = True
+    needs: tuple[Literal["motion", "load"], ...] = ("motion",)
+
+    @abc.abstractmethod
+    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
+        """Compute the torque (N, k) per unit coefficient at the joint, unfiltered."""
+
+    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+        """The law at the joint alone."""
+        assert joint is not None
+        return {joint: self.law(scene, joint, settings)}
+
+
 def rotor_hidden(robot: Robot, joint: int) -> bool:
     """Whether neither the robot file nor any motion tells a rotor's inertia from the link's."""
     known = robot.joints[joint].rotor_inertia is not None

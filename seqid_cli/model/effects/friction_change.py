@@ -11,17 +11,15 @@ uncertainties based on friction data", IEEE/ASME Trans. Mechatronics 19(5), 2014
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes, moves
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Settings
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.typing import Array
 
 
-class FrictionChange(Effect):
+class FrictionChange(FrictionLaw):
     """A constant change of Coulomb and viscous friction."""
 
     name = "friction_change"
-    family = "friction"
-    drive = True
     change = True
     over = "speed"
     sided = True
@@ -35,18 +33,16 @@ class FrictionChange(Effect):
 
     def available(self, scenes: Scenes, joint: Joint) -> bool:
         """Ask that the joint moves and that its friction was known."""
-        if joint is None or not moves(scenes, joint):
-            return False
-        return all(scene.model.surfaces[joint] is not None for scene in scenes)
+        known = joint is None or all(scene.model.surfaces[joint] is not None for scene in scenes)
+        return known and super().available(scenes, joint)
 
     def searched(self, settings: Settings) -> int:
         """Return 1: when it happened, which no channel tells; laws with a cause do without."""
         return 1
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Direction and velocity."""
-        assert joint is not None
-        return {joint: np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)}
+        return np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)
 
     def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Ask that friction, the change included, still takes power from the motion."""

@@ -14,7 +14,7 @@ Duclusaud et al., "Extended friction models for the physics simulation of servo 
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
+from seqid_cli.model.effects.effect import Coefficient, Settings
 from seqid_cli.model.effects.gear_load import LoadLoss
 from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.model.effects.units import Value
@@ -37,13 +37,12 @@ class GearEfficiency(LoadLoss):
         "half-sum of both torques keeps a share of the load only where the two losses differ"
     )
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Magnitude of the load times direction, where the gear drives and where it is driven."""
-        assert joint is not None
         load, sign = self.load(scene, joint, settings), scene.sign[:, joint]
         loss = np.abs(load) * sign
         drives = load * sign > 0.0
-        return {joint: np.stack([np.where(drives, loss, 0.0), np.where(drives, 0.0, loss)], axis=1)}
+        return np.stack([np.where(drives, loss, 0.0), np.where(drives, 0.0, loss)], axis=1)
 
     def values(
         self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array

@@ -13,7 +13,7 @@ velocity-dependence and dynamic identification of multi-DOF robots", ICRA 2011.
 
 from collections.abc import Sequence
 
-from seqid_cli.model.effects.effect import Effect, Grid, Setting, Settings, rotor_hidden
+from seqid_cli.model.effects.effect import FrictionLaw, Grid, Setting, Settings, rotor_hidden
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.sensitivity import link_inertia
 from seqid_cli.typing import Array
@@ -22,11 +22,9 @@ ROTOR = "reflected_rotor_inertia"
 SHARES = (0.02, 0.06, 0.2, 0.6)  # of the smallest inertia about the joint
 
 
-class LoadLoss(Effect):
+class LoadLoss(FrictionLaw):
     """An effect of the torque that a gear passes on."""
 
-    family = "friction"
-    drive = True
     sided = True
     settings = (Setting(ROTOR, "kg m^2", low=1e-12, high=1e6, logarithmic=True, asked=False),)
     needs = ("motion", "load")

@@ -11,9 +11,10 @@ identification of multi-DOF robots", ICRA 2011.
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
+from seqid_cli.model.effects.effect import Coefficient, Settings
 from seqid_cli.model.effects.gear_load import LoadLoss
-from seqid_cli.model.effects.scene import Joint, Scene
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.typing import Array
 
 
 class LoadDependentFriction(LoadLoss):
@@ -28,8 +29,7 @@ class LoadDependentFriction(LoadLoss):
         "lower each"
     )
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Magnitude of the load times direction."""
-        assert joint is not None
         load = self.load(scene, joint, settings)
-        return {joint: (np.abs(load) * scene.sign[:, joint])[:, None]}
+        return (np.abs(load) * scene.sign[:, joint])[:, None]

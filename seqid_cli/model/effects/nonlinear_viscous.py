@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.typing import Array
 
@@ -22,16 +22,13 @@ EXPONENTS = (0.5, 3.0)
 TAKEN = ((0.85, 1.15), (1.8, 2.2))  # exponents that go by other names
 
 
-class NonlinearViscous(Effect):
+class NonlinearViscous(FrictionLaw):
     """Friction with a power of the speed."""
 
     name = "nonlinear_viscous"
-    family = "friction"
-    drive = True
     settings = (Setting("exponent", "1", low=0.3, high=4.0),)
     over = "speed"
     sided = True
-    needs = ("motion",)
     alike = ("quadratic_drag", "stribeck", "thermal_friction")
     separate_by = (
         "a ladder of eight constant speeds up and down again, both ways, from a fiftieth of the "
@@ -47,11 +44,10 @@ class NonlinearViscous(Effect):
         """A root and a cubic."""
         return {"exponent": EXPONENTS}
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Power of the speed times direction."""
-        assert joint is not None
         power = np.abs(scene.motion.dq[:, joint]) ** settings["exponent"]
-        return {joint: (power * scene.sign[:, joint])[:, None]}
+        return (power * scene.sign[:, joint])[:, None]
 
     def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Ask for an exponent that is neither viscous friction's nor quadratic drag's."""

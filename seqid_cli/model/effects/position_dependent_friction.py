@@ -12,26 +12,23 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes, travel
 from seqid_cli.typing import Array
 
 WAVES = (1.0, 2.0, 3.0, 5.0)  # per turn of the joint
 
 
-class PositionDependentFriction(Effect):
+class PositionDependentFriction(FrictionLaw):
     """Friction in waves over the position."""
 
     name = "position_dependent_friction"
-    family = "friction"
-    drive = True
     settings = (
         Setting("period", "rad", low=0.0, continuous=False),
         Setting("waves", "1", low=1.0, continuous=False),
     )
     over = "position"
     sided = True
-    needs = ("motion",)
     alike = ("friction_change", "torque_ripple", "load_dependent_friction")
     separate_by = (
         "constant speeds of this joint both ways over its whole range, at three speeds and with "
@@ -56,10 +53,9 @@ class PositionDependentFriction(Effect):
         period = 2.0 * travel(scenes, joint) if slides else 2.0 * np.pi
         return {"period": (period,), "waves": WAVES}
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Direction of motion times cosines and sines."""
-        assert joint is not None
         order = np.arange(1, round(settings["waves"]) + 1)
         phase = 2.0 * np.pi / settings["period"] * np.outer(scene.motion.q[:, joint], order)
         waves: Array = np.stack([np.cos(phase), np.sin(phase)], axis=2).reshape(len(phase), -1)
-        return {joint: scene.sign[:, [joint]] * waves}
+        return scene.sign[:, [joint]] * waves

@@ -18,7 +18,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes, travel
 from seqid_cli.typing import Array
 
@@ -27,15 +27,12 @@ SHORTEST, LONGEST = 1e-4, 0.2  # of the joint's travel, at most of 1 rad
 NOTHING = 1e-30  # share of the past that is forgotten; keeps products out of the denormals
 
 
-class PreslidingHysteresis(Effect):
+class PreslidingHysteresis(FrictionLaw):
     """Bristle deflection after reversals."""
 
     name = "presliding_hysteresis"
-    family = "friction"
-    drive = True
     settings = (Setting("presliding_distance", "rad", low=1e-7, high=0.5, logarithmic=True),)
     linear = (Coefficient("presliding_torque", "N m", low=0.0),)
-    needs = ("motion",)
     alike = ("stribeck", "joint_elasticity", "backlash", "actuator_lag")
     separate_by = (
         "small triangles of half to five presliding distances at three accelerations, at two "
@@ -54,11 +51,10 @@ class PreslidingHysteresis(Effect):
         distances = np.maximum(np.geomspace(SHORTEST, LONGEST, DISTANCES) * scale, 1e-7)
         return {"presliding_distance": [float(x) for x in distances]}
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Deflection less the step that the base model has."""
-        assert joint is not None
         x = deflection(scene.motion.q[:, joint], settings["presliding_distance"])
-        return {joint: (x - scene.sign[:, joint])[:, None]}
+        return (x - scene.sign[:, joint])[:, None]
 
     def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Ask for friction that settles within the way: else it would be a spring."""

@@ -8,28 +8,25 @@ compensation in robotic manipulators", IEEE Trans. Instrum. Meas. 56(6), 2007.
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Settings
-from seqid_cli.model.effects.scene import Joint, Scene
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Settings
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.typing import Array
 
 
-class QuadraticDrag(Effect):
+class QuadraticDrag(FrictionLaw):
     """Friction with the square of the speed."""
 
     name = "quadratic_drag"
-    family = "friction"
-    drive = True
     over = "speed"
     sided = True
     linear = (Coefficient("drag_coefficient", "N m s^2/rad^2", low=0.0),)
-    needs = ("motion",)
     alike = ("nonlinear_viscous", "stribeck", "thermal_friction")
     separate_by = (
         "a ladder of six constant speeds up and down again, both ways, from a tenth of the speed "
         "limit to the limit; repeated after ten minutes of motion"
     )
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Speed times velocity."""
-        assert joint is not None
         v = scene.motion.dq[:, joint]
-        return {joint: (v * np.abs(v))[:, None]}
+        return (v * np.abs(v))[:, None]

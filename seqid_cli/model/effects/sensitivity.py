@@ -32,17 +32,12 @@ def link_inertia(scene: Scene, joint: int) -> Array:
     """Column `joint` (N, n) of the links' mass matrix, kg m^2: torque per its acceleration."""
     key = ("link_inertia", joint)
     if key not in scene.memo:
-        scene.memo[key] = (_link_inertia(scene, joint),)
+        q, phi, still = scene.motion.q, scene.model.phi, np.zeros_like(scene.motion.q)
+        unit = still + np.eye(scene.robot.n)[joint]
+        chain, no_gravity = scene.robot.chain, np.zeros(3)
+        made = still if phi is None else inverse_dynamics(chain, no_gravity, phi, q, still, unit)
+        scene.memo[key] = (made,)
     return scene.memo[key][0]
-
-
-def _link_inertia(scene: Scene, joint: int) -> Array:
-    q, phi = scene.motion.q, scene.model.phi
-    if phi is None:
-        return np.zeros_like(q)
-    still, unit = np.zeros_like(q), np.zeros_like(q)
-    unit[:, joint] = 1.0
-    return inverse_dynamics(scene.robot.chain, np.zeros(3), phi, q, still, unit)
 
 
 def slopes(

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes, top_speed
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.typing import Array
@@ -23,12 +23,10 @@ SPEEDS = 7
 SLOWEST_SHARE, FASTEST_SHARE = 0.02, 0.5  # of the top speed
 
 
-class Stribeck(Effect):
+class Stribeck(FrictionLaw):
     """A hump of friction at low speed."""
 
     name = "stribeck"
-    family = "friction"
-    drive = True
     settings = (
         Setting("stribeck_speed", "rad/s", low=1e-6, high=100.0, logarithmic=True),
         Setting("exponent", "1", low=0.5, high=2.0, continuous=False),
@@ -36,7 +34,6 @@ class Stribeck(Effect):
     over = "speed"
     sided = True
     linear = (Coefficient("stribeck_torque", "N m", low=0.0),)
-    needs = ("motion",)
     alike = ("presliding_hysteresis", "quadratic_drag", "nonlinear_viscous")
     separate_by = (
         "constant speeds, both ways, from a third of the Stribeck speed up to the joint's limit, "
@@ -52,12 +49,11 @@ class Stribeck(Effect):
         speeds = np.clip(np.geomspace(slow, FASTEST_SHARE * top, SPEEDS), 1e-6, 100.0)
         return {"stribeck_speed": [float(x) for x in speeds], "exponent": EXPONENTS}
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Hump times direction."""
-        assert joint is not None
         ratio = np.abs(scene.motion.dq[:, joint]) / settings["stribeck_speed"]
         hump = np.exp(-(ratio ** settings["exponent"])) * scene.sign[:, joint]
-        return {joint: hump[:, None]}
+        return hump[:, None]
 
     def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
         """Ask for more friction at low speed, and that the hump ends within the speeds seen.

@@ -17,8 +17,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes, moves, session
+from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
+from seqid_cli.model.effects.scene import Joint, Scene, Scenes, session
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.typing import Array
 
@@ -27,12 +27,10 @@ SHORTEST_S, LONGEST_S = 5.0, 1e5
 TIME_CONSTANTS = 8
 
 
-class ThermalFriction(Effect):
+class ThermalFriction(FrictionLaw):
     """Coulomb and viscous friction that follow the temperature."""
 
     name = "thermal_friction"
-    family = "friction"
-    drive = True
     settings = (
         Setting("warm_up_time", "s", low=SHORTEST_S, high=LONGEST_S, logarithmic=True),
         Setting("logged", "1", low=0.0, high=1.0, continuous=False),
@@ -46,10 +44,6 @@ class ThermalFriction(Effect):
         "the same trajectory cold, after five and after twenty minutes of motion, with motor "
         "temperature logged if the drive offers it; payload and mounting untouched"
     )
-
-    def available(self, scenes: Scenes, joint: Joint) -> bool:
-        """Ask for a joint that moves."""
-        return joint is not None and moves(scenes, joint)
 
     def possible(self, scenes: Scenes, joint: Joint) -> bool:
         """Where logs or file do not know the temperature: a steady one has no law of time."""
@@ -95,15 +89,14 @@ class ThermalFriction(Effect):
             "reference_temperature": [_reference(scenes, joint) if logged else 0.0],
         }
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Direction and velocity, each times the temperature or the warm-up."""
-        assert joint is not None
         if settings["logged"]:
             heat = _celsius(scene, joint) - settings["reference_temperature"]
         else:
             heat = np.exp(-scene.time / settings["warm_up_time"])
         both = np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)
-        return {joint: heat[:, None] * both}
+        return heat[:, None] * both
 
 
 def _celsius(scene: Scene, joint: int) -> Array:

@@ -37,9 +37,7 @@ LAWS = ("constant", "torque", "direction", "load")
 PEAKS = 4  # per law
 USUAL = (1.0, 2.0)  # cycles per motor turn: eccentricity of the drive, a strain wave's two lobes
 LOWEST = 1.5  # cycles per joint turn: below it a smooth dependence on position does as well
-FINE = (
-    12.0  # cycles per joint turn, below which a ripple is a whole number per motor turn, or clear
-)
+FINE = 12.0  # cycles per joint turn, below which a ripple is whole per motor turn, or clear
 FINE_IN_RANGE = 8.0  # cycles in the range of a slide, likewise: it has no turn
 HIGHEST = 4000.0
 HIGHEST_OF_SLIDE = 40000.0  # cycles per 2 pi m: waves of 0.16 mm
@@ -47,9 +45,7 @@ CYCLES_IN_RANGE = 2.0
 WHOLE, WHOLE_IF_SPARSE = 0.98, 0.9  # of the best gain, from which a whole number is taken
 TURNED = 0.3  # rad, that a lag must turn a ripple by to be worth a name
 LAGS_S = (0.005, 0.01, 0.015, 0.02)
-CLEAR = (
-    15.0  # times the level around it, that a line of lag or few waves has: the luckiest of noise
-)
+CLEAR = 15.0  # times the level around it, as the luckiest line of noise: of lag or few waves
 SPARSE = 3.0  # motor turns in the range: whole numbers then lie far apart
 
 

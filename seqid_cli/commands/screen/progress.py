@@ -3,7 +3,7 @@
 import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TextIO
 
 from seqid_cli.commands.screen.layout import shortened
@@ -19,10 +19,13 @@ class ProgressLine:
     Draws nothing where no terminal listens.
     """
 
-    def __init__(self, stream: TextIO, *, enabled: bool) -> None:
+    def __init__(
+        self, stream: TextIO, *, enabled: bool, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self._stream = stream
         self._enabled = enabled and stream.isatty()
-        self._start = time.monotonic()
+        self._clock = clock
+        self._start = clock()
         self._state: tuple[int, int, str] = (0, 0, "starting")
         self._began = self._start  # the work of which `done` parts are finished
         self._told = self._start  # the last part
@@ -34,7 +37,7 @@ class ProgressLine:
 
     def show(self, done: int, total: int, text: str) -> None:
         """Say that `done` of `total` parts are finished and what comes next."""
-        self._told = time.monotonic()
+        self._told = self._clock()
         if total != self._state[1] or done < self._state[0]:
             self._began = self._told
         self._state = (done, total, text)
@@ -61,7 +64,7 @@ class ProgressLine:
             self._draw()
 
     def _draw(self) -> None:
-        now = time.monotonic()
+        now = self._clock()
         with self._lock:
             if not self._enabled or self._closed.is_set() or now - self._start < _PATIENCE_S:
                 return

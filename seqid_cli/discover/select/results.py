@@ -21,7 +21,8 @@ class Options:
     `doubt` is the probability over drawn blocks that a term gains nothing, and `improvement` the
     share of the squared error left out that it must take away; `chance` is the log evidence that
     the best of all terms has on noise; an effect's law is known to `law` of its torque, beside
-    effects that look like it to `likeness`, and less than that at its joints is not told; terms
+    effects that look like it to `likeness`, or to `apart` where motor and link move apart, and less
+    than that at its joints is not told; terms
     that gain within `tie` of each other are equal, and an effect goes before a smooth function
     then; at most `most` terms.
     """
@@ -31,6 +32,7 @@ class Options:
     chance: float = 6.0
     law: float = 0.03
     likeness: float = 0.2
+    apart: float = 0.5
     tie: float = 0.04
     most: int = 8
 

@@ -355,7 +355,9 @@ class Selection:
         """Share of a term's torque to which its law is known, beside another term."""
         like = _alike(term, one.term)
         greater = like and _again(term, self.model).predicted.total > one.predicted.total
-        return self.options.likeness if greater else self.options.law
+        free = isinstance(term.what, Candidate) and term.what.effect.apart
+        likeness = self.options.apart if free else self.options.likeness
+        return likeness if greater else self.options.law
 
 
 class _Weighed:

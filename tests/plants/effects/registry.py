@@ -70,13 +70,13 @@ REGISTRY: Mapping[str, Entry] = {
     "periodic_disturbance": Entry("periodic_disturbance", drive.mains),
     "drift": Entry("drift", drive.drift),
     "external_contact": Entry("external_contact", arm.contact, "arm"),
+    "position_dependent_friction": Entry("position_dependent_friction", friction.level_wave),
     # the same effects by another law
     "nonlinear_viscous.root": Entry("nonlinear_viscous", friction.root_viscous),
     "spring.counterbalance": Entry("spring", friction.counterbalance),
     # outside the catalogue
     "outside.bump": Entry(None, arm.bump, depends_on=("position",)),
     "outside.other_speed": Entry(None, arm.other_speed, depends_on=("other_joint",)),
-    "outside.level_wave": Entry(None, friction.level_wave, depends_on=("position", "direction")),
     "outside.acceleration_cube": Entry(None, arm.acceleration_cube, depends_on=("acceleration",)),
     "outside.two_positions": Entry(None, arm.two_positions, depends_on=("position", "other_joint")),
 }

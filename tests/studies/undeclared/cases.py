@@ -137,6 +137,7 @@ QUANTITIES: Mapping[str, tuple[str, ...]] = {
     "stribeck": ("velocity", "direction"),
     "thermal_friction": ("temperature", "time", "velocity"),
     "nonlinear_viscous": ("velocity",),
+    "position_dependent_friction": ("position", "direction"),
     "torque_ripple": ("position",),
     "joint_elasticity": ("acceleration", "load"),
     "transmission_coupling": ("other_joint",),

@@ -22,7 +22,7 @@ from seqid_cli.working import heard_by
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from seqid_cli.inspect.functions import Progress
+    from seqid_cli.inspect.progress import Progress
     from seqid_cli.params.results.inspection import InspectionFinding
 
 T = TypeVar("T")

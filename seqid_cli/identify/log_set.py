@@ -14,7 +14,7 @@ from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
 from seqid_cli.errors import ConfigError, InputError, UsageError
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.inspect.findings import grouped, located
-from seqid_cli.inspect.functions import LogNote, Progress
+from seqid_cli.inspect.progress import LogNote, Progress
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.given import warn
 from seqid_cli.logs.raw import TimeSource

@@ -90,7 +90,7 @@ class InertiaOptions:
 
 
 if TYPE_CHECKING:
-    from seqid_cli.inspect.functions import Progress
+    from seqid_cli.inspect.progress import Progress
     from seqid_cli.logs.given import PathLike
 
 F = TypeVar("F", bound=Callable[..., object])

@@ -3,49 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from msgspec import structs
 
 from seqid_cli.errors import UsageError
+from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.given import Logs, PathLike, expanded, is_place, listed, optional
 from seqid_cli.params.files import check_output
 from seqid_cli.params.io import write_json_atomic
-from seqid_cli.params.results.inspection import InspectionFile, InspectionFinding
+from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.robot.file import load_robot
 
 if TYPE_CHECKING:
     from seqid_cli.logs.raw import TimeSource
     from seqid_cli.robot.types import Robot
-
-
-@dataclass(frozen=True)
-class LogNote:
-    """A log that was read: its size, warnings and findings."""
-
-    path: Path
-    sha256: str
-    samples: int
-    rate_hz: float
-    warnings: tuple[str, ...]
-    partial: str
-    findings: tuple[InspectionFinding, ...] = ()
-    mended: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Progress of a function, reported before a log is read and after it was worked on."""
-
-    state: Literal["reading", "done", "failed", "note", "detail"]
-    done: int = 0  # of `total` logs
-    total: int = 0
-    log: str = ""  # that comes next, is done or has failed
-    note: LogNote | None = None  # what was read, of "done"
-    error: Exception | None = None  # why it is left out, of "failed"
-    text: str = ""  # of "note" and "detail": what the function is about
 
 
 def inspect(

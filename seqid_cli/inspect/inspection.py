@@ -9,11 +9,11 @@ from msgspec import structs
 
 from seqid_cli.errors import InputError
 from seqid_cli.inspect.findings import found, located, verdict_of
-from seqid_cli.inspect.functions import Progress
 from seqid_cli.inspect.guess import guess, stand_in
 from seqid_cli.inspect.imu.readings import layout_findings
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.parts import Gathered, Inspected, serve_together
+from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.contents import Survey, survey
 from seqid_cli.logs.pieces import read_parts
 from seqid_cli.logs.raw import TimeSource

@@ -27,11 +27,10 @@ def log_with(folder: Path, rename: dict[str, str]) -> str:
     """Write the sample log under other column names."""
     columns = {}
     for name, values in read_columns(LOG).items():
+        for old, text in rename.items():
+            name = name.replace(old, text)
         if "imu" not in name:
-            new = name
-            for old, text in rename.items():
-                new = new.replace(old, text)
-            columns[new] = values
+            columns[name] = values
     write_columns(folder / "log.parquet", columns)
     shutil.copy(URDF, folder / "arm.urdf")
     return "log.parquet"

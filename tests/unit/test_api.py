@@ -18,7 +18,7 @@ import seqid_cli
 from seqid_cli import compare, discover, identify, inspect, report
 from seqid_cli.commands.app import COMMANDS, run
 from seqid_cli.errors import ConfigError, InputError, SeqidWarning, UsageError
-from seqid_cli.inspect.functions import Progress
+from seqid_cli.inspect.progress import Progress
 from seqid_cli.logs.read import read_recording
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot

@@ -72,9 +72,9 @@ class Linear:
         """The model without some of its parts; the products of all rows are taken on."""
         kept = [k for k, part in enumerate(self.parts) if not any(part is one for one in gone)]
         index = np.concatenate([np.arange(self.size)[self.where[k]] for k in kept])
-        A, b = self._sums
+        A, b = self.sums
         fewer = Linear(self.rows, [self.parts[k] for k in kept], self.weight)
-        fewer._sums = A[np.ix_(index, index)], b[index]
+        fewer.sums = A[np.ix_(index, index)], b[index]
         return fewer
 
     def _of_channel(self, channel: int) -> tuple[Index, list[Array]]:
@@ -119,16 +119,16 @@ class Linear:
         return A, b
 
     @cached_property
-    def _sums(self) -> tuple[Array, Array]:
+    def sums(self) -> tuple[Array, Array]:
         """The same of all rows."""
         return self._sums_of([slice(None)] * len(self._own))
 
     @cached_property
     def _scale(self) -> Array:
-        return _scale_of(np.diag(self.prior) + np.diag(self._sums[0]))
+        return scale_of(np.diag(self.prior) + np.diag(self.sums[0]))
 
     def _factor(self, A: Array) -> Factor:
-        return _factored((A + self.prior) * np.outer(self._scale, self._scale))
+        return factored((A + self.prior) * np.outer(self._scale, self._scale))
 
     def _solved(self, factor: Factor, right: Array) -> Array:
         scale = self._scale[:, None] if right.ndim == 2 else self._scale
@@ -137,14 +137,14 @@ class Linear:
 
     @cached_property
     def _whole(self) -> tuple[Factor, Array]:
-        A, b = self._sums
+        A, b = self.sums
         factor = self._factor(A)
         return factor, self._solved(factor, b)
 
     @cached_property
     def _without(self) -> list[tuple[Factor, Array]]:
         """Factor and solution (p,) without each block."""
-        A, b = self._sums
+        A, b = self.sums
         return [
             (factor, self._solved(factor, b - own_b))
             for own_A, own_b in map(self._sums_of, zip(*self.rows.at, strict=True))
@@ -154,7 +154,7 @@ class Linear:
     @cached_property
     def _without_file(self) -> tuple[Factor, Array]:
         """Factor and solution (p,) without what the parameter file says."""
-        A, b = self._sums
+        A, b = self.sums
         factor = self._factor(A - self._of_file)
         return factor, self._solved(factor, b)
 
@@ -200,7 +200,7 @@ class Linear:
         rows = self.rows.independent[sorted(part.columns)].sum(axis=0)
         value, a, S = every
         seen = np.trace(np.linalg.inv(S) - part.precision)
-        visible = float(seen / max(float(np.trace(self._sums[0][at, at])), 1e-300))
+        visible = float(seen / max(float(np.trace(self.sums[0][at, at])), 1e-300))
         gained = Gained(value, a, S, max(visible, 0.0))
         return gained, Predicted(value - np.array(others), rows, value - alone[0])
 
@@ -214,8 +214,8 @@ class Linear:
         """Log density of the rows, their weights' part aside."""
         factor, theta = self._whole
         scaled = self.prior * np.outer(self._scale, self._scale)
-        before = sum(_spread(_factored(scaled[at, at])) for at in self.where)
-        return 0.5 * (float(self._sums[1] @ theta) - self._square) - _spread(factor) + before
+        before = sum(half_log_det(factored(scaled[at, at])) for at in self.where)
+        return 0.5 * (float(self.sums[1] @ theta) - self._square) - half_log_det(factor) + before
 
     @cached_property
     def _square(self) -> float:
@@ -308,44 +308,6 @@ class Linear:
         return _Crossed(terms, where, C, d, D)
 
 
-class Loosened:
-    """A solved model while parts of it are held by other precisions, one after the other.
-
-    With C the covariance of some parameters, t their values and D what their precision grows by,
-    all by those of before, the log evidence grows by (log det(P + D) - log det P
-    - log det(1 + D C) - t' (1 + D C)^-1 D t) / 2.
-
-    Parameters
-    ----------
-    linear : Linear
-    """
-
-    def __init__(self, linear: Linear) -> None:
-        self.theta, self.covariance = linear.theta.copy(), linear.covariance.copy()
-        self._told = np.diag(linear._sums[0])  # by the rows
-
-    def gained(self, at: slice, before: Array, after: Array) -> float:
-        """Log evidence that other precisions (k, k) of some parameters gain."""
-        t, K, spread = self.theta[at], *self._change(at, after - before)
-        grown = self._half_log_det(at, after) - self._half_log_det(at, before)
-        return grown - 0.5 * float(spread + t @ K @ t)
-
-    def hold(self, at: slice, before: Array, after: Array) -> None:
-        """Have them hold from now on."""
-        C, K = self.covariance[:, at], self._change(at, after - before)[0]
-        self.theta -= C @ (K @ self.theta[at])
-        self.covariance -= C @ K @ C.T
-
-    def _half_log_det(self, at: slice, precision: Array) -> float:
-        scale = _scale_of(np.diag(precision) + self._told[at])
-        return _spread(_factored(precision * np.outer(scale, scale))) - float(np.log(scale).sum())
-
-    def _change(self, at: slice, more: Array) -> tuple[Array, float]:
-        """(1 + D C)^-1 D and the logarithm of the determinant of 1 + D C."""
-        M = np.eye(len(more)) + more @ self.covariance[at, at]
-        return np.asarray(np.linalg.solve(M, more)), float(np.linalg.slogdet(M)[1])
-
-
 @dataclass(frozen=True)
 class _Crossed:
     """Products of terms with the model's columns, the rows and themselves, block by block."""
@@ -371,12 +333,12 @@ def _times(root: Array, columns: Sequence[Array]) -> Array:
     return result
 
 
-def _scale_of(diagonal: Array) -> Array:
+def scale_of(diagonal: Array) -> Array:
     """Factors (p,) that make ones of what is not zero in a matrix's diagonal."""
     return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
 
 
-def _factored(scaled: Array) -> Factor:
+def factored(scaled: Array) -> Factor:
     """Cholesky factor of a matrix (p, p) whose rows and columns are scaled."""
     scaled[np.diag_indices(len(scaled))] += RIDGE
     return cho_factor(scaled, check_finite=False)
@@ -391,7 +353,7 @@ def _taken_back(a: Array, covariance: Array, part: Part) -> tuple[float, Array, 
     return 0.5 * float(np.sum(u**2 / value + np.log(value))), a, covariance
 
 
-def _spread(factor: Factor) -> float:
+def half_log_det(factor: Factor) -> float:
     """Half the logarithm of the determinant."""
     return float(np.sum(np.log(np.diag(factor[0]))))
 

@@ -11,7 +11,8 @@ import numpy as np
 from seqid_cli.discover.base import Base
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.noise.spectra import DETAIL
-from seqid_cli.discover.select.linear import Linear, Loosened
+from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.loosened import Loosened
 from seqid_cli.discover.select.noise import Noise, settled
 from seqid_cli.discover.select.rows import Part, Rows
 from seqid_cli.discover.select.terms import Term, effects

@@ -6,6 +6,7 @@ from functools import cached_property
 
 from scipy.special import ndtri
 
+from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import Model, rms_of_rows
 from seqid_cli.discover.select.rows import Gained, Predicted
 from seqid_cli.discover.select.terms import Term
@@ -49,6 +50,41 @@ class Ranked:
     term: Term
     gained: Gained
     predicted: Predicted
+
+
+def again(term: Term, model: Model) -> Ranked:
+    """A taken term as it gains beside all others."""
+    return Ranked(term, *model.linear.again(term.part))
+
+
+class Weighed:
+    """What a term of a model does beside all others, the lesser of two figures each.
+
+    Beside a base that may leave the file instead, and beside the file as it is.
+    """
+
+    def __init__(self, term: Term, model: Model) -> None:
+        self.term, self.model = term, model
+
+    @cached_property
+    def one(self) -> Ranked:
+        """It, as it was tried before it was taken."""
+        return again(self.term, self.model)
+
+    @cached_property
+    def linear(self) -> Linear:
+        """The model without it."""
+        return self.model.beside(self.term)
+
+    @cached_property
+    def evidence(self) -> float:
+        """Log evidence for it."""
+        return min(self.one.predicted.total, self.model.margin(self.linear))
+
+    @cached_property
+    def share(self) -> float:
+        """Share of the squared error that it takes away."""
+        return min(self.one.predicted.share, self.model.beyond_file(self.term.channels))
 
 
 @dataclass(frozen=True)

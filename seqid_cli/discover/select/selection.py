@@ -18,7 +18,6 @@ selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -28,7 +27,7 @@ from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
 from seqid_cli.discover.select.naming import TOLD, reality
 from seqid_cli.discover.select.noise import Noise
-from seqid_cli.discover.select.results import Key, Options, Ranked, Selected, Taken
+from seqid_cli.discover.select.results import Key, Options, Ranked, Selected, Taken, Weighed, again
 from seqid_cli.discover.select.rows import scatter
 from seqid_cli.discover.select.search import Search, is_wide
 from seqid_cli.discover.select.terms import Term
@@ -129,7 +128,7 @@ class Selection:
         tie, and standard errors of the file are not likely to be far too small.
         """
         gained = [
-            _again(term, self.model).predicted.total for term in self.model.terms if term.smooth
+            again(term, self.model).predicted.total for term in self.model.terms if term.smooth
         ]
         granted = self.options.tie * sum(gained) + self.options.chance * len(self.model.terms)
         granted += self.model.hold.doubt(self.model.ground.n)
@@ -225,7 +224,7 @@ class Selection:
         """Take back, the weakest first, what is not worth it beside all others."""
         model, gone = self.model, set[Key]()
         while model.terms:
-            every = [_again(term, model) for term in model.terms]
+            every = [again(term, model) for term in model.terms]
             weak = [one for one in every if not self._passes(one)]
             if not weak:
                 break
@@ -253,12 +252,12 @@ class Selection:
 
     def largest(self) -> Selected:
         """Of the effects that were taken the one of the largest gain, with its rivals."""
-        weighed = [_Weighed(term, self.model) for term in self.model.terms if not term.smooth]
+        weighed = [Weighed(term, self.model) for term in self.model.terms if not term.smooth]
         told = [own for own in weighed if self._is_told(own, 0.0)]
         first = sorted(told, key=lambda own: _by_gain(own.one))[:1]
         return Selected(self.model, tuple(map(self._taken, first)), {})
 
-    def _is_told(self, own: _Weighed, least: float) -> bool:
+    def _is_told(self, own: Weighed, least: float) -> bool:
         """Whether a term is worth it beside all others, likely, and by itself."""
         worth = self._passes(own.one) and own.share > self.options.improvement
         there = worth and reality(own.share, own.evidence) >= least
@@ -288,7 +287,7 @@ class Selection:
         return tuple(self._told_now(least).values())
 
     def _told_now(self, least: float) -> dict[Term, Taken]:
-        weighed = [_Weighed(term, self.model) for term in self.model.terms]
+        weighed = [Weighed(term, self.model) for term in self.model.terms]
         return {own.term: self._taken(own) for own in weighed if self._is_told(own, least)}
 
     def _better(self, taken: Taken, gone: set[Key]) -> Term:
@@ -299,7 +298,7 @@ class Selection:
         best = self._simplest(free)
         return best.term if best else taken.term
 
-    def _taken(self, own: _Weighed) -> Taken:
+    def _taken(self, own: Weighed) -> Taken:
         """A term and its rivals."""
         term, linear, one = own.term, own.linear, own.one
         near = [
@@ -354,40 +353,10 @@ class Selection:
     def _known_to(self, term: Term, one: Ranked) -> float:
         """Share of a term's torque to which its law is known, beside another term."""
         like = _alike(term, one.term)
-        greater = like and _again(term, self.model).predicted.total > one.predicted.total
+        greater = like and again(term, self.model).predicted.total > one.predicted.total
         free = isinstance(term.what, Candidate) and term.what.effect.apart
         likeness = self.options.apart if free else self.options.likeness
         return likeness if greater else self.options.law
-
-
-class _Weighed:
-    """What a term of a model does beside all others, the lesser of two figures each.
-
-    Beside a base that may leave the file instead, and beside the file as it is.
-    """
-
-    def __init__(self, term: Term, model: Model) -> None:
-        self.term, self.model = term, model
-
-    @cached_property
-    def one(self) -> Ranked:
-        """It, as it was tried before it was taken."""
-        return _again(self.term, self.model)
-
-    @cached_property
-    def linear(self) -> Linear:
-        """The model without it."""
-        return self.model.beside(self.term)
-
-    @cached_property
-    def evidence(self) -> float:
-        """Log evidence for it."""
-        return min(self.one.predicted.total, self.model.margin(self.linear))
-
-    @cached_property
-    def share(self) -> float:
-        """Share of the squared error that it takes away."""
-        return min(self.one.predicted.share, self.model.beyond_file(self.term.channels))
 
 
 def _alike(one: Term, other: Term) -> bool:
@@ -403,11 +372,6 @@ def _ranked(linear: Linear, tried: Sequence[Tried]) -> list[Ranked]:
     told = linear.predicted([t.term.part for t in tried])
     ranked = [Ranked(t.term, t.gained, f) for t, f in zip(tried, told, strict=True)]
     return sorted(ranked, key=_by_gain)
-
-
-def _again(term: Term, model: Model) -> Ranked:
-    """A taken term as it gains beside all others."""
-    return Ranked(term, *model.linear.again(term.part))
 
 
 def _by_gain(one: Ranked) -> float:

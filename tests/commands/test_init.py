@@ -38,9 +38,8 @@ def log_with(folder: Path, rename: dict[str, str]) -> str:
 
 def completed(path: Path) -> Path:
     """Fill in the drive data that only a person knows."""
-    text = path.read_text()
-    text = re.sub(r"# (torque_constant = [0-9.]+)", r"\1", text)
-    path.write_text(re.sub(r"# (gear_ratio = [0-9.]+)", r"\1", text))
+    pattern = r"# ((?:torque_constant|gear_ratio) = [0-9.]+)"
+    path.write_text(re.sub(pattern, r"\1", path.read_text()))
     return path
 
 

@@ -114,6 +114,21 @@ def test_the_lesser_of_two_that_look_alike_may_be_the_error_of_the_other(
     assert len(found.model.terms) == 2  # for the other one's sake
 
 
+@pytest.mark.parametrize(("apart", "told"), [(0.0, 2), (0.2, 1)])
+def test_where_motor_and_link_move_apart_a_law_has_a_bound_of_its_own(
+    apart: float, told: int
+) -> None:
+    gain = type(CATALOGUE["torque_constant"])()
+    gain.apart = True
+    catalogue, options = (
+        [gain, CATALOGUE["load_dependent_friction"]],
+        Options(likeness=0.0, apart=apart),
+    )
+    ground = ground_of(arm_scenes(at_joint(0, gain_and_losses)), None)
+    found = select(ground, options, catalogue).told()
+    assert keys(found) == [("torque_constant", 0), ("load_dependent_friction", 0)][:told]
+
+
 @pytest.mark.slow
 def test_rivals_of_a_term_hold_it_first_and_what_hides_is_known(pair: Selected) -> None:
     for taken in pair.taken:

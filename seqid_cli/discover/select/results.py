@@ -23,9 +23,8 @@ class Options:
     share of the squared error left out that it must take away; `chance` is the log evidence that
     the best of all terms has on noise; an effect's law is known to `law` of its torque, beside
     effects that look like it to `likeness`, or to `apart` where motor and link move apart, and less
-    than that at its joints is not told; terms
-    that gain within `tie` of each other are equal, and an effect goes before a smooth function
-    then; at most `most` terms.
+    than that at its joints is not told; terms that gain within `tie` of each other are equal, and
+    an effect goes before a smooth function then; at most `most` terms.
     """
 
     doubt: float = 0.025

@@ -287,7 +287,7 @@ class Selection:
         return tuple(self._told_now(least).values())
 
     def _told_now(self, least: float) -> dict[Term, Taken]:
-        weighed = [Weighed(term, self.model) for term in self.model.terms]
+        weighed = (Weighed(term, self.model) for term in self.model.terms)  # one at a time: memory
         return {own.term: self._taken(own) for own in weighed if self._is_told(own, least)}
 
     def _better(self, taken: Taken, gone: set[Key]) -> Term:

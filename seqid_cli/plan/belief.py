@@ -25,7 +25,7 @@ from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.limits import Limits
-from seqid_cli.plan.moves.fourier import COARSE_HZ, COEFFICIENTS, SPARSE, Drawn, Moves, Shapes
+from seqid_cli.plan.moves.fourier import COARSE_HZ, COEFFICIENTS, SPARSE, Moves, Shapes
 from seqid_cli.robot.base_parameters import (
     Basis,
     base_regressor,
@@ -168,10 +168,8 @@ def typical(belief: Belief, seed: int, *, count: int = 60) -> Moves:
     """All-joint moves that stand for the robot's work: errors of the torque count there."""
     rng = np.random.default_rng(seed)
     size = (count, belief.robot.n)
-    moving = belief.limits.moves[:, None]
-    drawn = Drawn(
-        rng.normal(size=(*size, COEFFICIENTS)) * moving, rng.uniform(size=size), np.ones(size)
-    )
+    coefficients = rng.normal(size=(*size, COEFFICIENTS)) * belief.limits.moves[:, None]
+    drawn = np.dstack([coefficients, rng.uniform(size=size), np.ones(size)])
     shapes = Shapes.over(10.0, COARSE_HZ)
     return shapes.moves(drawn, belief.limits).every(SPARSE)
 

@@ -23,11 +23,10 @@ from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.friction import plan_friction
-from seqid_cli.plan.stages.gravity import plan_gravity
-from seqid_cli.plan.stages.imu import plan_imu
-from seqid_cli.plan.stages.inertia import Planned, plan_inertia, plan_validation
+from seqid_cli.plan.stages.goal import Planned
+from seqid_cli.plan.stages.inertia import plan_inertia, plan_validation
 from seqid_cli.plan.stages.payload import loaded, plan_payload
+from seqid_cli.plan.stages.sweeps import plan_friction, plan_gravity, plan_imu
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf.geometry import Geometry
 from seqid_cli.shares import percent

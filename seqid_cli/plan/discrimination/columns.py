@@ -12,7 +12,7 @@ from seqid_cli.model.effects.effect import Columns
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.discrimination.question import Question, Slot
-from seqid_cli.plan.stages.choose import Goal
+from seqid_cli.plan.stages.goal import Goal
 from seqid_cli.robot.base_parameters import base_regressor
 from seqid_cli.typing import Array, Index
 

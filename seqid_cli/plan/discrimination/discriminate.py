@@ -26,12 +26,11 @@ from seqid_cli.plan.moves.strokes import (
     postures_of,
     reachable,
     stroke_move,
-    there_and_back,
     top_speed,
 )
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.choose import Goal, draw_pool
-from seqid_cli.plan.stages.inertia import Planned, check_torque, within_limits
+from seqid_cli.plan.stages.goal import Goal, Planned
+from seqid_cli.plan.stages.search import check_torque, draw_pool, within_limits
 from seqid_cli.robot.types import Robot
 
 ENOUGH = 0.9  # power from which a plan is good
@@ -76,7 +75,7 @@ def plan_discriminate(
         special_case=next((x.name for x, y in zip(effects, found.open, strict=True) if y), None),
     )
     moves = [
-        msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}")
+        msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}", stage="discriminate")
         for i, k in enumerate(chosen, start=1)
     ]
     notes = [
@@ -136,11 +135,11 @@ def pool_of(
         limits = belief.limits
         slowed = replace(limits, speed=pace * limits.speed, acceleration=pace * limits.acceleration)
         slower = replace(belief, limits=slowed)
-        pool = draw_pool(slower, goal, shapes, groups, each, rng)
-        if len(pool.drawn):
-            found += within_limits(slower, pool.drawn, options, "discriminate")[0]
+        drawn, _ = draw_pool(slower, goal, shapes, groups, each, rng)
+        if len(drawn):
+            found += within_limits(slower, drawn, options, "discriminate")[0]
         elif pace == min(paces) and not found:
-            check_torque(slower, pool, options)
+            check_torque(slower, drawn, options)
     for j in moving if joint is None else [joint]:
         found += _strokes(belief, j, options.length_s, rng)
     return found
@@ -161,8 +160,8 @@ def _strokes(
             if half <= ramp * speed / 2 or overloads(belief, j, posture[None], speed)[0] > 1.0:
                 continue
             middle = float(np.clip(posture[j], low + half, high - half))
-            strokes = there_and_back(limits, j, [float(speed)], (middle - half, middle + half))
-            found.append(stroke_move(belief, "stroke", "discriminate", j, posture, strokes))
+            ends = middle - half, middle + half
+            found.append(stroke_move(belief, "stroke", j, posture, ends, [float(speed)]))
     return found
 
 

@@ -8,11 +8,15 @@ The window w rises from 0 to 1 over half a period of the highest harmonic, as
 10 x^3 - 15 x^4 + 6 x^5, and falls alike, so that position, velocity and acceleration meet rest. The
 amplitude A is the largest that range, speed and acceleration allow; the centre c is placed by a
 share in [0, 1] of the room that is left. So every set of coefficients is a move within the limits.
+
+M moves are drawn as an array (M, n, 2 K + 2): for each joint the coefficients a_1, b_1, a_2, ...,
+then at `PLACE` its share of the free room and at `EXTENT` that of the largest amplitude. A joint
+whose coefficients are zero stands still at its place.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +27,7 @@ from seqid_cli.plan.limits import Limits
 from seqid_cli.robot.types import Array
 
 COEFFICIENTS = 2 * HARMONICS
+PLACE, EXTENT = COEFFICIENTS, COEFFICIENTS + 1
 COARSE_HZ = 25.0  # five samples and more to a period of the highest harmonic of a 2 s move
 SPARSE = 4  # of the coarse samples, one in so many carries the information
 
@@ -51,45 +56,6 @@ class Moves:
 
 
 @dataclass(frozen=True)
-class Drawn:
-    """Description of M moves.
-
-    `coefficients` (M, n, 2 K), `place` (M, n) shares of the free room, `extent` (M, n) shares of
-    the largest amplitude. A joint whose coefficients are zero stands still at its place.
-    """
-
-    coefficients: Array
-    place: Array
-    extent: Array
-
-    def __len__(self) -> int:
-        """Number of moves."""
-        return len(self.place)
-
-    def __getitem__(self, which: slice | NDArray[np.intp] | list[int]) -> Drawn:
-        """Some of the moves."""
-        return Drawn(*(array[which] for array in self.arrays))
-
-    @property
-    def arrays(self) -> tuple[Array, Array, Array]:
-        """All arrays of the description."""
-        return self.coefficients, self.place, self.extent
-
-    def smaller(self, which: NDArray[np.intp] | list[int], factor: float) -> Drawn:
-        """The same with smaller amplitudes of some moves."""
-        extent = self.extent.copy()
-        extent[which] *= factor
-        return Drawn(self.coefficients, self.place, extent)
-
-
-def joined(parts: Sequence[Drawn]) -> Drawn:
-    """The moves of all parts."""
-    return Drawn(
-        *(np.concatenate(arrays) for arrays in zip(*(p.arrays for p in parts), strict=True))
-    )
-
-
-@dataclass(frozen=True)
 class Shapes:
     """The 2 K shapes of unit coefficients and their first two derivatives, each (2 K, N)."""
 
@@ -109,9 +75,9 @@ class Shapes:
         dds = -(pace**2) * s
         return cls(t, w * s, dw * s + w * ds, ddw * s + 2 * dw * ds + w * dds)
 
-    def moves(self, drawn: Drawn, limits: Limits) -> Moves:
+    def moves(self, drawn: Array, limits: Limits) -> Moves:
         """Scale and place shapes so that they use the limits and keep them."""
-        y, dy, ddy = (drawn.coefficients @ part for part in (self.y, self.dy, self.ddy))
+        y, dy, ddy = (drawn[..., :COEFFICIENTS] @ part for part in (self.y, self.dy, self.ddy))
         low = y.min(axis=2)
         span = y.max(axis=2) - low
         room = limits.range
@@ -120,8 +86,8 @@ class Shapes:
         factors = [a / np.maximum(b, 1e-12) for a, b in zip(allowed, used, strict=True)]
         amplitude = np.min(factors, axis=0)
         still = span <= 0
-        amplitude = np.where(still, 0.0, drawn.extent * amplitude)
-        free = limits.lower + drawn.place * (room - amplitude * span)
+        amplitude = np.where(still, 0.0, drawn[..., EXTENT] * amplitude)
+        free = limits.lower + drawn[..., PLACE] * (room - amplitude * span)
         scaled = [(amplitude[:, :, None] * part).transpose(0, 2, 1) for part in (y, dy, ddy)]
         centre = free - amplitude * np.where(still, 0.0, low)
         return Moves(self.t, centre[:, None] + scaled[0], scaled[1], scaled[2])

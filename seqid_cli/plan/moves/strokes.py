@@ -32,16 +32,19 @@ def reduced_accelerations(belief: Belief, *, max_halvings: int = 4) -> Iterator[
         yield replace(belief, limits=replace(belief.limits, acceleration=acceleration))
 
 
-def there_and_back(
-    limits: Limits, j: int, speeds: Sequence[float], ends: tuple[float, float]
-) -> list[Stroke]:
-    """Strokes of joint j between two ends at each speed, there and back."""
-    acceleration = float(limits.acceleration[j])
-    return [
-        Stroke(start=start, end=end, speed=float(v), acceleration=acceleration)
-        for v in speeds
-        for start, end in (ends, ends[::-1])
-    ]
+def lifted(
+    belief: Belief, j: int, postures: Array, span: float, needed: int
+) -> tuple[Belief, float, Array]:
+    """The largest accelerations with which joint j can sweep over `span` in `needed` postures.
+
+    With them come the speed of the sweep and its largest torques over their limits (P,).
+    """
+    for reduced in reduced_accelerations(belief):
+        speed = top_speed(reduced.limits, j, span)
+        load = overloads(reduced, j, postures, speed)
+        if np.sum(load <= 1.0) >= needed:
+            break
+    return reduced, speed, load
 
 
 def profile(stroke: Stroke, rate_hz: float) -> tuple[Array, Array, Array]:
@@ -68,16 +71,27 @@ def seconds_of(strokes: Sequence[Stroke]) -> float:
 
 
 def stroke_move(
-    belief: Belief, name: str, stage: str, j: int, posture: Array, strokes: list[Stroke]
+    belief: Belief,
+    name: str,
+    j: int,
+    posture: Array,
+    ends: tuple[float, float],
+    speeds: Sequence[float],
 ) -> PlannedMove:
-    """A move of joint j from the start of its first stroke, all others at `posture` (n,)."""
+    """A move of joint j there and back between two ends at each speed, all others at `posture`."""
     names = belief.robot.joint_names
+    acceleration = float(belief.limits.acceleration[j])
+    strokes = [
+        Stroke(start=start, end=end, speed=float(v), acceleration=acceleration)
+        for v in speeds
+        for start, end in (ends, ends[::-1])
+    ]
     start = posture.copy()
-    start[j] = strokes[0].start
-    share = float(overloads(belief, j, posture[None], max(s.speed for s in strokes))[0])
+    start[j] = ends[0]
+    share = float(overloads(belief, j, posture[None], max(speeds))[0])
     return PlannedMove(
         name=name,
-        stage=stage,
+        stage="",
         joints=[names[j]],
         duration_s=seconds_of(strokes),
         start={name: float(x) for name, x in zip(names, start, strict=True)},

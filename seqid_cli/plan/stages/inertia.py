@@ -3,32 +3,21 @@
 The validation has moves of all joints, drawn by a seed of their own, not optimised.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from seqid_cli.errors import ConfigError
-from seqid_cli.params.results.plan import FourierMotion, PlannedMove, PlannedStage
+from seqid_cli.identify.regression.least_squares import whitened
+from seqid_cli.identify.rigid.posterior import by_joint, gravity_prior
+from seqid_cli.params.results.plan import PlannedStage, PredictedParameter
 from seqid_cli.params.schema import Stages
-from seqid_cli.plan.belief import Belief
-from seqid_cli.plan.moves.fourier import COARSE_HZ, Drawn, Moves, Shapes
+from seqid_cli.plan.belief import Belief, typical
+from seqid_cli.plan.moves.fourier import COARSE_HZ, Moves, Shapes
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.choose import REDUCTION, Goal, Pool, choose, draw_pool, groups_of
-from seqid_cli.plan.stages.predicted_errors import predicted_stage
-from seqid_cli.plan.stages.refine import refine
+from seqid_cli.plan.stages.goal import Goal, Planned, predicted_stage
+from seqid_cli.plan.stages.search import check_torque, draw_pool, optimised, within_limits
 from seqid_cli.robot.types import Array
-
-
-@dataclass(frozen=True)
-class Planned:
-    """The moves of a stage and their predicted results.
-
-    `information` (b, b) is theirs on the base parameters, for the stages that follow.
-    """
-
-    moves: list[PlannedMove]
-    stage: PlannedStage
-    information: Array | None = None
 
 
 def plan_inertia(
@@ -41,8 +30,7 @@ def plan_inertia(
     goal = Goal.of(belief, options.seed)
     known = np.zeros_like(goal.W) if have is None else goal.scaled(have)
     moves, dense, each = optimised(belief, goal, options, known, "inertia")
-    stage = predicted_stage(belief, goal, stages, dense, each, known)
-    return Planned(moves, stage)
+    return Planned(moves, rigid_stage(belief, goal, stages, dense, each, known))
 
 
 def plan_validation(
@@ -53,104 +41,74 @@ def plan_validation(
     goal = Goal.of(belief, own.seed)
     shapes = Shapes.over(own.length_s, COARSE_HZ)
     rng = np.random.default_rng(own.seed)
-    pool = draw_pool(belief, goal, shapes, [tuple(belief.limits.moving)], 10 * count, rng)
-    check_torque(belief, pool, own)
-    moves, _ = within_limits(belief, pool.drawn[slice(count)], own, "validation")
+    drawn, _ = draw_pool(belief, goal, shapes, [tuple(belief.limits.moving)], 10 * count, rng)
+    check_torque(belief, drawn, own)
+    moves, _ = within_limits(belief, drawn[:count], own, "validation")
     return Planned(moves, PlannedStage(duration_s=own.length_s * len(moves)))
 
 
-def optimised(
-    belief: Belief, goal: Goal, options: PlanOptions, known: Array, stage: str
-) -> tuple[list[PlannedMove], Moves, Array]:
-    """Draw, choose and refine moves for a goal; with them come their samples and information.
-
-    Samples are dense: errors of friction cancel over a move, which few samples do not show. The
-    information (M, b, b) is scaled.
-    """
-    shapes = Shapes.over(options.length_s, COARSE_HZ)
-    count = max(1, int(options.duration_s / options.length_s))
-    groups = groups_of(belief.limits, together=options.together)
-    rng = np.random.default_rng(options.seed)
-    pool = draw_pool(belief, goal, shapes, groups, options.pool, rng)
-    check_torque(belief, pool, options)
-    chosen = pool.drawn[choose(goal, pool.information, count, known)]
-    refined = refine(belief, goal, shapes, chosen, known, sweeps=options.sweeps)
-    moves, sampled = within_limits(belief, refined, options, stage)
-    dense = sampled.every(2)
-    each = [belief.information(one, belief.regressor(one))[0] for one in dense.singly()]
-    return moves, dense, goal.scaled(np.array(each))
-
-
-def check_torque(belief: Belief, pool: Pool, options: PlanOptions) -> None:
-    """Stop where the pool is empty, naming the joint that the load is too heavy for."""
-    if len(pool.drawn):
-        return
-    places = np.random.default_rng(options.seed).uniform(size=(200, belief.robot.n))
-    q = (belief.limits.lower + places * belief.limits.range)[:, None]
-    still = Moves(np.arange(2.0), q, np.zeros_like(q), np.zeros_like(q))
-    load = belief.torque(still, belief.regressor(still)) / belief.limits.torque
-    where = str(belief.robot.source)
-    if load.max(axis=(1, 2)).min() <= 1.0 and belief.geometry is not None:
-        message = f"no move of {options.pool} keeps the arm off itself and the boxes"
-        hint = "Narrow position_limits, or widen --workspace and --keep-out."
-        raise ConfigError(message, where=where, hint=hint)
-    j = int(np.argmax(load.min(axis=(0, 1))))
-    joint, torque = belief.robot.joints[j], belief.limits.torque[j]
-    limit = f"torque limit of joint {joint.name!r}: {torque:.4g} {joint.unit('N m')}"
-    hint = "Correct effort in the URDF, or lower speeds with a longer --ramp."
-    raise ConfigError(f"no move of {options.pool} keeps the {limit}", where=where, hint=hint)
-
-
-def within_limits(
+def rigid_stage(
     belief: Belief,
-    drawn: Drawn,
-    options: PlanOptions,
-    stage: str,
+    goal: Goal,
+    stages: Stages,
+    moves: Moves,
+    each: Array,
+    have: Array,
     *,
-    most: int = 40,
-    dense_hz: float = 200.0,
-) -> tuple[list[PlannedMove], Moves]:
-    """Make moves smaller until torques hold on dense samples and nothing is touched.
+    wanted: NDArray[np.bool_] | None = None,
+) -> PlannedStage:
+    """Describe what moves tell of the base parameters beyond `have`.
 
-    Those that touch something even when they are small are left out; the others are described, and
-    sampled.
+    `moves` are the samples that the scaled information `each` (M, b, b) was taken from, `wanted`
+    (b,) the parameters that the stage is about; all by default.
     """
-    shapes = Shapes.over(options.length_s, dense_hz)
-    moves, where = shapes.moves(drawn, belief.limits), np.arange(len(drawn))
-    bad, shares = np.ones(len(drawn), dtype=bool), np.zeros(len(drawn))
-    for k in range(most + 1):
-        if k:
-            drawn = drawn.smaller(where, 1.0 - (1.0 - REDUCTION) / 10)
-            moves = shapes.moves(drawn, belief.limits)
-        own = moves[where]
-        shares[where] = [belief.overload(x, belief.regressor(x))[0] for x in own.singly()]
-        bad[where] = (shares[where] > 1.0) | belief.collides(own.every(4).q)
-        where = np.flatnonzero(bad)
-        if not len(where):
-            break
-    kept, names, found = np.flatnonzero(~bad), belief.robot.joint_names, []
-    for number, k in enumerate(kept.tolist(), start=1):
-        moving = np.flatnonzero(drawn.coefficients[k].any(axis=1)).tolist()
-        joints = [names[j] for j in moving]
-        found.append(
-            PlannedMove(
-                name=f"{stage}_{number:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}",
-                stage=stage,
-                joints=joints,
-                duration_s=options.length_s,
-                start={name: float(x) for name, x in zip(names, moves.q[k, 0], strict=True)},
-                fourier={names[j]: _fourier(moves, drawn, k, j) for j in moving},
-                torque_share=float(shares[k]) if belief.checks_torque else None,
-            )
+    basis, names = belief.basis, belief.robot.joint_names
+    about = np.ones(basis.size, dtype=bool) if wanted is None else wanted
+    spread = spread_of(belief, goal, stages, moves, have + each.sum(axis=0))
+    errors = np.sqrt(np.diag(spread))
+    parameters = [
+        PredictedParameter(
+            name=basis.names[k],
+            joint=names[basis.joint_index(k)],
+            unit=basis.unit(k),
+            std_error=float(errors[k]),
+            value=None if belief.theta is None else float(belief.theta[k]),
+            expression=basis.expression_text(k),
         )
-    return found, moves[kept]
+        for k in range(basis.size)
+    ]
+    found = predicted_stage(goal, have, each, parameters, about, float(moves.t[-1]))
+    known = {p.name for p in stages.gravity.parameters} if stages.gravity else set()
+    found.parameters = [p for p in found.parameters if p.name not in known]
+    values, vectors = np.linalg.eigh(spread * np.outer(about, about))
+    H = belief.regressor(typical(belief, seed=0))
+    torque = H @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+    sizes = np.sqrt(np.mean(np.sum(torque**2, axis=3), axis=(0, 1)))
+    found.torque_error = {names[j]: float(sizes[j]) for j in belief.limits.moving}
+    return found
 
 
-def _fourier(moves: Moves, drawn: Drawn, k: int, j: int) -> FourierMotion:
-    """The scaled coefficients of joint j in move k, found from the motion itself."""
-    shape = Shapes.over(float(moves.t[-1]), (len(moves.t) - 1) / float(moves.t[-1]))
-    y = drawn.coefficients[k, j] @ shape.y
-    centre = float(moves.q[k, 0, j])  # the window is zero at the ends
-    amplitude = float(y @ (moves.q[k, :, j] - centre) / (y @ y))
-    scaled = amplitude * drawn.coefficients[k, j]
-    return FourierMotion(centre=centre, sine=scaled[0::2].tolist(), cosine=scaled[1::2].tolist())
+def spread_of(belief: Belief, goal: Goal, stages: Stages, some: Moves, total: Array) -> Array:
+    """Covariance (b, b) after moves with the scaled information `total`, friction's errors in it.
+
+    Friction was subtracted: an error d of a surface's coefficients moves the parameters by
+    -C (H' D F) d, and by what it moved gravity's parameters through their prior.
+    """
+    C = goal.covariance(total)
+    whole = C.copy()
+    H = belief.regressor(some)
+    weights = belief.weights(some)
+    prior = gravity_prior(stages.gravity, belief.basis)
+    known = stages.gravity.friction_sensitivity if stages.gravity else {}
+    sensitivity = by_joint(known, belief.robot.joint_names)
+    for j, surface in enumerate(belief.surfaces):
+        if surface is None:
+            continue
+        F = surface.columns(some.q[..., j].ravel(), some.dq[..., j].ravel())
+        rows = weights[..., j, None] * H[:, :, j]
+        moved = -C @ (rows.reshape(-1, len(C)).T @ F)
+        if prior is not None and stages.gravity is not None and j in sensitivity:
+            gain = C @ prior.A.T
+            moved += gain @ whitened(np.array(stages.gravity.covariance)) @ sensitivity[j]
+        whole += moved @ surface.covariance @ moved.T
+    return whole

@@ -9,16 +9,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.params.results.plan import PlannedStage, PredictedParameter
+from seqid_cli.params.results.plan import PredictedParameter
 from seqid_cli.params.schema import Stages
 from seqid_cli.payload.options import PayloadOptions
 from seqid_cli.payload.rows import FRICTION_TERMS
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.choose import VAGUE, Goal
-from seqid_cli.plan.stages.inertia import Planned, optimised
-from seqid_cli.plan.stages.predicted_errors import OPEN_SHARE, growth_of, rank_and_condition
+from seqid_cli.plan.stages.goal import Goal, Planned, predicted_stage, rank_and_condition
+from seqid_cli.plan.stages.search import optimised
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Array
@@ -86,36 +85,20 @@ def plan_payload(belief: Belief, stages: Stages, options: PlanOptions) -> Planne
     goal = replace(goal, W=W)
     nothing = np.zeros_like(W)
     moves, dense, each = optimised(whole, goal, options, nothing, "payload")
-    total = each.sum(axis=0)
-    C = goal.covariance(total)
-    spread = C + loaded(belief, 0.0).passed_on(dense, C)
-    known = goal.prior - np.eye(len(W)) / VAGUE**2
-    body = slice(0, PER_LINK)
-    rank, condition = rank_and_condition((total + known)[body, body])
-    errors = np.sqrt(np.diag(spread))
-    vague = errors * goal.scale > OPEN_SHARE * VAGUE
+    C = goal.covariance(each.sum(axis=0))
+    errors = np.sqrt(np.diag(C + loaded(belief, 0.0).passed_on(dense, C)))
     parameters = [
         PredictedParameter(
             name=f"payload_{kind}",
             joint=belief.robot.joint_names[-1],
             unit=parameter_unit(f"{kind}_1"),
-            std_error=float(errors[k]),
+            std_error=float(error),
             value=None,
             expression=f"payload_{kind}",
         )
-        for k, kind in enumerate(STANDARD)
-        if not vague[k]
+        for kind, error in zip(STANDARD, errors, strict=False)  # friction's come behind
     ]
-    seconds = options.length_s
-    return Planned(
-        moves,
-        PlannedStage(
-            parameters=parameters,
-            rank=rank,
-            structural_rank=rank_and_condition(W[body, body])[0],
-            condition=condition,
-            not_excited=[f"payload_{STANDARD[int(k)]}" for k in np.flatnonzero(vague[body])],
-            growth=growth_of(goal, nothing, each, seconds),
-            duration_s=seconds * len(moves),
-        ),
-    )
+    body = np.arange(len(W)) < PER_LINK
+    stage = predicted_stage(goal, nothing, each, parameters, body, options.length_s)
+    stage.structural_rank, _ = rank_and_condition(W[np.ix_(body, body)])
+    return Planned(moves, stage)

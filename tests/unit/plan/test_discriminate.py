@@ -24,7 +24,7 @@ from seqid_cli.plan.discrimination.separation import (
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.inertia import Planned
+from seqid_cli.plan.stages.goal import Planned
 from seqid_cli.typing import Array
 from tests.plants.arms.vertical import vertical_two_joint
 from tests.plants.robots.lab import robot_of

@@ -9,16 +9,18 @@ import pytest
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of, typical
 from seqid_cli.plan.limits import limits_of
-from seqid_cli.plan.moves.fourier import COARSE_HZ, Shapes
+from seqid_cli.plan.moves.fourier import COARSE_HZ, COEFFICIENTS, Shapes
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.choose import Goal, Pool, assess, choose, draw_pool, groups_of
+from seqid_cli.plan.stages.goal import Goal
 from seqid_cli.plan.stages.inertia import plan_inertia
 from seqid_cli.plan.stages.payload import loaded, plan_payload
-from seqid_cli.plan.stages.refine import refine
+from seqid_cli.plan.stages.search import assess, choose, draw_pool, groups_of, refine
 from seqid_cli.robot.base_parameters import base_regressor
+from seqid_cli.robot.types import Array
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.stages import friction_stage, inertia_stage
 
+Pool = tuple[Array, Array]  # moves that were drawn, their information
 SECONDS = 6.0
 COUNT = 8
 
@@ -42,46 +44,46 @@ def pool(belief: Belief, goal: Goal) -> Pool:
 
 
 def test_information_is_that_of_the_regressor(belief: Belief, goal: Goal, pool: Pool) -> None:
-    moves = Shapes.over(SECONDS, COARSE_HZ).moves(pool.drawn[[4]], belief.limits).every(4)
+    moves = Shapes.over(SECONDS, COARSE_HZ).moves(pool[0][[4]], belief.limits).every(4)
     H = base_regressor(belief.robot, belief.basis, moves.q[0], moves.dq[0], moves.ddq[0])
     slide = moves.dq[0] ** 2 / (moves.dq[0] ** 2 + belief.slow**2)
     expected = np.zeros((belief.basis.size, belief.basis.size))
     for j, density in enumerate(belief.density):
         rows = H[:, j]
         expected += density * (moves.t[1] - moves.t[0]) * (rows.T * slide[:, j]) @ rows
-    found = pool.information[4] * np.outer(goal.scale, goal.scale)
+    found = pool[1][4] * np.outer(goal.scale, goal.scale)
     assert np.allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
 def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(goal: Goal, pool: Pool) -> None:
     nothing = np.zeros_like(goal.W)
-    chosen = choose(goal, pool.information, COUNT, nothing)
+    chosen = choose(goal, pool[1], COUNT, nothing)
     assert len(set(chosen)) == COUNT
     rng = np.random.default_rng(1)
-    sets = [rng.choice(len(pool.drawn), COUNT, replace=False) for _ in range(1000)]
-    chance = [float(goal.errors(pool.information[s].sum(axis=0))) for s in sets]
-    assert goal.errors(pool.information[chosen].sum(axis=0)) < min(chance)
+    sets = [rng.choice(len(pool[0]), COUNT, replace=False) for _ in range(1000)]
+    chance = [float(goal.errors(pool[1][s].sum(axis=0))) for s in sets]
+    assert goal.errors(pool[1][chosen].sum(axis=0)) < min(chance)
 
 
 @pytest.mark.slow
 def test_refinement_lowers_the_error(belief: Belief, goal: Goal, pool: Pool) -> None:
     nothing, shapes = np.zeros_like(goal.W), Shapes.over(SECONDS, COARSE_HZ)
-    chosen = choose(goal, pool.information, COUNT, nothing)
-    better = refine(belief, goal, shapes, pool.drawn[chosen], nothing, sweeps=1)
+    chosen = choose(goal, pool[1], COUNT, nothing)
+    better = refine(belief, goal, shapes, pool[0][chosen], nothing, sweeps=1)
     information, overload = assess(belief, goal, shapes.moves(better, belief.limits))
-    before = float(goal.errors(pool.information[chosen].sum(axis=0)))
+    before = float(goal.errors(pool[1][chosen].sum(axis=0)))
     assert float(goal.errors(information.sum(axis=0))) < 0.9 * before
     assert overload.max() <= 1.0
-    moved = better.coefficients.any(axis=2)
-    assert np.array_equal(moved, pool.drawn[chosen].coefficients.any(axis=2))
+    moved, before_it = (x[..., :COEFFICIENTS].any(axis=2) for x in (better, pool[0][chosen]))
+    assert np.array_equal(moved, before_it)
 
 
 def test_what_is_there_already_changes_the_choice(goal: Goal, pool: Pool) -> None:
-    first = choose(goal, pool.information, COUNT, np.zeros_like(goal.W))
-    have = 10 * pool.information[first[:4]].sum(axis=0)
-    later = choose(goal, pool.information, 4, have)
-    with_new = float(goal.errors(have + pool.information[later].sum(axis=0)))
-    again = float(goal.errors(have + pool.information[first[:4]].sum(axis=0)))
+    first = choose(goal, pool[1], COUNT, np.zeros_like(goal.W))
+    have = 10 * pool[1][first[:4]].sum(axis=0)
+    later = choose(goal, pool[1], 4, have)
+    with_new = float(goal.errors(have + pool[1][later].sum(axis=0)))
+    again = float(goal.errors(have + pool[1][first[:4]].sum(axis=0)))
     assert with_new < again
 
 

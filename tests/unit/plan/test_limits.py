@@ -13,7 +13,7 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of, typical
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
-from seqid_cli.plan.moves.fourier import COEFFICIENTS, Drawn, Shapes
+from seqid_cli.plan.moves.fourier import COEFFICIENTS, Shapes
 from seqid_cli.plan.options import PlanOptions, What
 from seqid_cli.plan.stages.inertia import plan_inertia
 from seqid_cli.plan.stages.payload import loaded
@@ -38,7 +38,7 @@ def test_limits_hold_on_dense_samples(rig: str, draw: int, seconds: float) -> No
     rng = np.random.default_rng(draw)
     size = (3, robot.n)
     coefficients = rng.uniform(-1.0, 1.0, (*size, COEFFICIENTS))
-    drawn = Drawn(coefficients, rng.uniform(size=size), np.ones(size))
+    drawn = np.dstack([coefficients, rng.uniform(size=size), np.ones(size)])
     moves = Shapes.over(seconds, DENSE_HZ).moves(drawn, limits)
     assert np.all(moves.q >= limits.lower - 1e-9)
     assert np.all(moves.q <= limits.upper + 1e-9)

@@ -16,10 +16,8 @@ from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.moves.strokes import profile, seconds_of
 from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.stages.friction import plan_friction
-from seqid_cli.plan.stages.gravity import plan_gravity
-from seqid_cli.plan.stages.imu import POSTURES, plan_imu
 from seqid_cli.plan.stages.inertia import plan_validation
+from seqid_cli.plan.stages.sweeps import POSTURES, plan_friction, plan_gravity, plan_imu
 from seqid_cli.robot.base_parameters import base_regressor
 from tests.plants.planned import limits_used
 from tests.plants.robots.sample import sample_robot

@@ -177,7 +177,7 @@ class _Found:
 def _made(recording: Recording, robot: Robot, stage: ImuStage | None) -> _Found:
     s = smoothed_motion(recording, robot, stage)
     known = recording.valid[s.places]
-    variance = np.diagonal(s.covariance_at_places, axis1=2, axis2=3)
+    variance = s.variance_at_places
     variance = np.median(variance[known] if known.any() else variance, axis=0)
     last = max((x.place.link for x in s.mounted.values()), default=-1)
     seen = np.arange(robot.n) <= last

@@ -1,4 +1,4 @@
-"""Joint motion from encoders and all calibrated IMUs together, by one smoother with covariance.
+"""Joint motion from encoders and all calibrated IMUs together, by one smoother with variances.
 
 Each joint's jerk is white, so its trajectory is a cubic spline whose third differences are
 penalised (see `terms`). Encoders enter by the edges that they cross and by their codes,
@@ -6,7 +6,7 @@ IMUs by every accelerometer and gyro as a function of all joints before them; wh
 its small misalignment and its biases are constants of a chunk. Gauss-Newton on the whole chunk: the
 normal equations are banded, bordered by the constants. The size of each joint's jerk in a chunk is
 the maximum of the marginal likelihood (MacKay's fixed point), its correlation between joints goes
-towards it by expectation and maximisation; traces come from probing with random signs, covariances
+towards it by expectation and maximisation; traces come from probing with random signs, variances
 from the factor's rows behind some of the knots.
 """
 
@@ -30,10 +30,10 @@ from seqid_cli.motion.smoother.imus import handed_on, mounted_imus, read
 from seqid_cli.motion.smoother.screening import believed, contradiction, fits
 from seqid_cli.motion.smoother.solve import (
     Solution,
-    between,
     detailed,
     encoder_motion,
-    probed_covariance,
+    interpolated,
+    probed_variance,
     settled,
 )
 from seqid_cli.motion.smoother.system import chosen
@@ -47,20 +47,20 @@ FINE_S, COARSE_S = 1e-3, 4e-3  # between knots: no more, of the motion and for t
 
 @dataclass(frozen=True)
 class Smoothed:
-    """Motion (N, n) at every sample; covariance of each joint's q, dq, ddq at some places."""
+    """Motion (N, n) at every sample; variances of each joint's q, dq, ddq at some places."""
 
     q: Array
     dq: Array
     ddq: Array
     places: Index
-    covariance_at_places: Array  # (G, n, 3, 3)
+    variance_at_places: Array  # (G, n, 3)
     mounted: dict[str, Mounted]  # that took part, as the last chunk left them
     notes: tuple[str, ...]
 
     @property
-    def covariance(self) -> Array:
-        """(N, n, 3, 3), interpolated between the places."""
-        return between(self.covariance_at_places, self.places, len(self.q))
+    def variance(self) -> Array:
+        """(N, n, 3), interpolated between the places."""
+        return interpolated(np.arange(len(self.q)), self.places, self.variance_at_places)
 
 
 Part = tuple[Array, Index, Array, tuple[Mounted, ...], list[str]]
@@ -69,7 +69,7 @@ Part = tuple[Array, Index, Array, tuple[Mounted, ...], list[str]]
 def _smoothed(chunk: Chunk, size: Array) -> tuple[Part, Array]:
     """Constants on coarse knots, motion on fine ones; the jerk's size (n,) on the coarse.
 
-    Of a chunk come motion (N, 3, n), covariance at some places, its IMUs and what it says of them.
+    Of a chunk come motion (N, 3, n), variances at some places, its IMUs and what it says of them.
     """
     coarse = _on_knots(chunk, COARSE_S if chunk.dt <= FINE_S else FINE_S).gathered()
     c, jerk = encoder_motion(coarse, size)
@@ -77,7 +77,7 @@ def _smoothed(chunk: Chunk, size: Array) -> tuple[Part, Array]:
     shared, said = _agreed(chunk, coarse, c, jerk)
     last = detailed(*_refined(chunk, shared))
     motion = motion_at(last.chunk, last.c)[:: last.chunk.stride]
-    known = *probed_covariance(last, shared), _with_covariance(shared, last)
+    known = *probed_variance(last, shared), _with_covariance(shared, last)
     size = shared.jerk.size * np.sqrt(shared.chunk.spacing / coarse.spacing)
     return (motion, *known, notes + said), size
 
@@ -158,7 +158,7 @@ def smoothed_motion(
     starts = np.maximum(edges[:-1] - lap, 0).tolist()
     stops = np.minimum(np.append(edges[1:-1], samples) + lap, samples).tolist()
     joined, used = np.zeros((samples, 3, robot.n)), set()
-    at, covariances, notes = [], [], []
+    at, variances, notes = [], [], []
     for k, (start, stop) in enumerate(zip(starts, stops, strict=True)):
         own = slice(start, stop)
         views = tuple(
@@ -169,7 +169,7 @@ def smoothed_motion(
         # Threads of the linear algebra only get into each other's way with matrices this narrow.
         with threadpool_limits(1):
             part, size = _smoothed(Chunk(robot, views, 1.0 / rate, 1, imus), size)
-        motion, places, covariance, found, said = part
+        motion, places, variance, found, said = part
         known |= {x.name: x for x in found}
         used |= {x.name for x in found}
         notes += [f"{start / rate:.1f} s: {x}" for x in said]
@@ -180,9 +180,9 @@ def smoothed_motion(
         joined[own] += share[:, None, None] * motion
         kept = share[places] >= 0.5
         at.append(places[kept] + start)
-        covariances.append(covariance[kept])
+        variances.append(variance[kept])
     q, dq, ddq = (np.ascontiguousarray(joined[:, d]) for d in range(3))
     mounted = {name: x for name, x in known.items() if name in used}
     return Smoothed(
-        q, dq, ddq, np.concatenate(at), np.concatenate(covariances), mounted, tuple(notes)
+        q, dq, ddq, np.concatenate(at), np.concatenate(variances), mounted, tuple(notes)
     )

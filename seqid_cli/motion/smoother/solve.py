@@ -244,10 +244,10 @@ def _renewed_jerk(
     return Jerk(size, jerk.correlation, np.clip(relative, *relative_limits))
 
 
-def probed_covariance(
+def probed_variance(
     solution: Solution, shared: Solution, *, probe_s: float = 0.125
 ) -> tuple[Index, Array]:
-    """Covariance (G, n, 3, 3) of q, dq, ddq at samples (G,); `shared` tells of the constants."""
+    """Variance (G, n, 3) of q, dq, ddq at samples (G,); `shared` tells of the constants."""
     chunk = solution.chunk
     every = max(1, int(probe_s / chunk.spacing))
     knots = np.arange(min(every, chunk.intervals) // 2, chunk.intervals, every)
@@ -258,8 +258,8 @@ def probed_covariance(
         at = np.minimum(at, shared.chunk.intervals - 1)
         reach = shared.reach().reshape(len(shared.c), chunk.joints, -1)
         near = np.stack([reach[at + a] for a in range(4)])
-        along = np.moveaxis(np.tensordot(shared.chunk.knots[0], near, (1, 0)), 0, 2)
-        found += along @ np.swapaxes(along, 2, 3)  # (G, n, 3, r): constants move the motion
+        along = np.tensordot(shared.chunk.knots[0], near, (1, 0))  # (3, G, n, r)
+        found += np.moveaxis(np.sum(along**2, axis=3), 0, 2)  # constants move the motion
     return _everywhere(solution, knots, found)
 
 
@@ -272,59 +272,44 @@ def _everywhere(
     follows: tuple[float, float] = (0.0, 2.0),
     few: float = 0.3,
 ) -> tuple[Index, Array]:
-    """Covariance at samples closer together, by the power of the jerk that the variance follows."""
-    chunk, relative = solution.chunk, solution.jerk.relative
+    """Variance at samples closer together, by the power of the jerk that it follows."""
+    chunk, size = solution.chunk, np.log(solution.jerk.relative)
     every = max(1, int(dense_s / chunk.spacing))
     places = -(-np.arange(0, chunk.intervals, every) // chunk.stride) * chunk.stride
     places = np.unique(np.minimum(places, chunk.intervals - 1))
-    out = np.empty((len(places), *found.shape[1:]))
-    for j in range(chunk.joints):
-        size = np.log(relative[:, j])
-        spread = size[knots] - size[knots].mean()
-        follow = (spread @ np.log(found[:, j, 2, 2]) + few) / (spread @ spread + few)
-        rise = np.exp(np.clip(follow, *follows) * size)[:, None, None]
-        usual = found[:, j] / rise[knots]
-        at = np.clip(np.searchsorted(knots, places), 1, max(len(knots) - 1, 1))
-        before, after = usual[at - 1], usual[np.minimum(at, len(knots) - 1)]
-        gap = np.maximum(knots[np.minimum(at, len(knots) - 1)] - knots[at - 1], 1)
-        share = np.clip((places - knots[at - 1]) / gap, 0.0, 1.0)[:, None, None]
-        out[:, j] = (before * (1 - share) + after * share) * rise[places]
-    return places * chunk.every // chunk.stride, out
+    spread = size[knots] - size[knots].mean(axis=0)
+    follow = np.sum(spread * np.log(found[:, :, 2]), axis=0) + few
+    rise = np.exp(np.clip(follow / (np.sum(spread**2, axis=0) + few), *follows) * size)[:, :, None]
+    usual = found / rise[knots]
+    return places * chunk.every // chunk.stride, interpolated(places, knots, usual) * rise[places]
 
 
 def _at_knots(solution: Solution, knots: Index, *, fewer: int = 4) -> Array:
-    """Covariance (G, n, 3, 3) at knots: whole at a few, the acceleration's variance at all."""
-    few = np.arange(0, len(knots), fewer)
-    found = between(_forward(solution, knots[few], slice(0, 3)), few, len(knots))
-    variance = _forward(solution, knots, slice(2, 3))[:, :, 0]
-    share = np.sqrt(variance / found[:, :, 2, 2:])
-    found[:, :, 2] *= share
-    found[:, :, :, 2] *= share
+    """Variance (G, n, 3) at knots: of all at a few, of the acceleration everywhere."""
+    few = knots[::fewer]
+    places = np.arange(len(knots))
+    found = interpolated(places, places[::fewer], _forward(solution, few, slice(0, 3)))
+    found[:, :, 2] = _forward(solution, knots, slice(2, 3))[:, :, 0]
     return found
 
 
 def _forward(solution: Solution, knots: Index, which: slice) -> Array:
-    """Covariance (G, n, d, d) of some derivatives at knots."""
+    """Variance (G, n, d) of some derivatives at knots."""
     # The factor's rows of a knot hold all that comes before it. What comes after the next knot is
     # left away: it hardly tells more.
     n, W = solution.chunk.joints, solution.chunk.knots[0][which]
-    d = len(W)
-    found = np.empty((len(knots), n, d, d))
+    found = np.empty((len(knots), n, len(W)))
     for k, (start, after) in enumerate(pairwise(np.append(knots, len(solution.c)) * n)):
         stop = max(after, start + 4 * n)
-        right = np.zeros((stop - start, n, d))
+        right = np.zeros((stop - start, n, len(W)))
         for j in range(n):
             right[j : 4 * n : n, j] = W.T
-        own = halved(solution.factor[:, start:stop], right.reshape(-1, d * n))
-        own = own.T.reshape(n, d, -1)
-        found[k] = own @ own.transpose(0, 2, 1)
+        own = halved(solution.factor[:, start:stop], right.reshape(stop - start, -1))
+        found[k] = np.sum(own**2, axis=0).reshape(n, -1)
     return found
 
 
-def between(values: Array, at: Index, samples: int) -> Array:
-    """Interpolate (G, ...) linearly to all samples."""
-    k = np.clip(np.searchsorted(at, np.arange(samples)) - 1, 0, max(len(at) - 2, 0))
-    after = np.minimum(k + 1, len(at) - 1)
-    share = np.clip((np.arange(samples) - at[k]) / np.maximum(at[after] - at[k], 1), 0.0, 1.0)
-    share = share.reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray(values[k] * (1 - share) + values[after] * share)
+def interpolated(at: Index, places: Index, values: Array) -> Array:
+    """Values (G, ...) at `places` (G,), interpolated linearly to others (M,)."""
+    columns = [np.interp(at, places, column) for column in values.reshape(len(places), -1).T]
+    return np.stack(columns, axis=1).reshape(len(at), *values.shape[1:])

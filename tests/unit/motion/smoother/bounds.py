@@ -12,7 +12,7 @@ from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.smoother.chunk import Chunk, encoder_view
 from seqid_cli.motion.smoother.imus import mounted_imus, read
-from seqid_cli.motion.smoother.solve import probed_covariance, renewed
+from seqid_cli.motion.smoother.solve import probed_variance, renewed
 from seqid_cli.motion.smoother.system import linearised
 from seqid_cli.motion.smoother.terms import Jerk
 from tests import Array
@@ -76,5 +76,5 @@ def bound(c: Case, rig: Rig) -> Array:
     q = truth.q - dt**2 * truth.ddq / 6
     coefficients = np.vstack([q[:1], q, q[-1:], q[-1:]])
     solution = renewed(chunk, coefficients, jerk, linearised(chunk, coefficients), "place")
-    covariance = probed_covariance(solution, solution)[1]
-    return np.asarray(np.sqrt(np.mean(covariance[:, :, 2, 2], axis=0)))
+    variance = probed_variance(solution, solution)[1]
+    return np.asarray(np.sqrt(np.mean(variance[:, :, 2], axis=0)))

@@ -43,7 +43,7 @@ def error(rig: Rig) -> Array:
 def coverage(rig: Rig) -> Array:
     """RMS of errors over their standard errors, (n,)."""
     got = fused(rig)
-    return rms((got.ddq - recorded(rig).truth) / np.sqrt(got.covariance[:, :, 2, 2]))
+    return rms((got.ddq - recorded(rig).truth) / np.sqrt(got.variance[:, :, 2]))
 
 
 @pytest.mark.parametrize("late", [0.002, 0.02, -0.0137])

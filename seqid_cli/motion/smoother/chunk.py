@@ -1,14 +1,50 @@
-"""What one stretch of a log holds: encoder codes, IMUs, and its motion as cubic splines."""
+"""What one stretch of a log holds: encoder codes, IMUs, and its motion as cubic splines.
+
+The trajectory of a joint is a cubic spline, its jerk constant between knots. In interval k the
+position, velocity and acceleration depend on the coefficients k to k + 3 alone, so states
+(q, dq, ddq) driven by white jerk take one unknown per knot.
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from seqid_cli.motion.imu.sensor import Mounting
-from seqid_cli.motion.smoother.terms import spline_weights
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Index, Mask
+
+JERK = np.array([-1.0, 3.0, -3.0, 1.0])
+
+
+def spline_weights(u: Array, spacing: float) -> Array:
+    """Weights (len(u), 3, 4) of four coefficients in q, dq, ddq at `u` in [0, 1) of an interval."""
+    one, none = np.ones_like(u), np.zeros_like(u)
+    q = [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]
+    dq = [-((1 - u) ** 2), 3 * u**2 - 4 * u, -3 * u**2 + 2 * u + one, u**2]
+    ddq = [1 - u, 3 * u - 2, 1 - 3 * u, u + none]
+    weights = [np.array(q) / 6, np.array(dq) / 2 / spacing, np.array(ddq) / spacing**2]
+    return np.array(weights).transpose(2, 0, 1)
+
+
+@dataclass(frozen=True)
+class Jerk:
+    """White jerk of all joints: `size` (n,) rad/s^3 between knots, `correlation` (n, n).
+
+    A jolt of one joint jolts the others through the arm's inertia: jerks come together. `relative`
+    (M, n) is how much larger than usual they are in each interval: friction jolts a joint that
+    turns back, and an arm that rests has none.
+    """
+
+    size: Array
+    correlation: Array
+    relative: Array
+
+    @property
+    def precision(self) -> Array:
+        """Inverse covariance (n, n) of the usual jerk."""
+        covariance = self.correlation * np.outer(self.size, self.size)
+        return np.asarray(np.linalg.inv(covariance), dtype=np.float64)
 
 
 @dataclass(frozen=True)

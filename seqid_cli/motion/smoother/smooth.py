@@ -1,7 +1,7 @@
 """Joint motion from encoders and all calibrated IMUs together, by one smoother with variances.
 
 Each joint's jerk is white, so its trajectory is a cubic spline whose third differences are
-penalised (see `terms`). Encoders enter by the edges that they cross and by their codes,
+penalised (see `chunk`). Encoders enter by the edges that they cross and by their codes,
 IMUs by every accelerometer and gyro as a function of all joints before them; where an IMU sits,
 its small misalignment and its biases are constants of a chunk. Gauss-Newton on the whole chunk: the
 normal equations are banded, bordered by the constants. The size of each joint's jerk in a chunk is
@@ -20,6 +20,7 @@ from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.smoother.chunk import (
     Chunk,
+    Jerk,
     Mounted,
     bridged,
     encoder_view,
@@ -37,7 +38,6 @@ from seqid_cli.motion.smoother.solve import (
     settled,
 )
 from seqid_cli.motion.smoother.system import chosen
-from seqid_cli.motion.smoother.terms import Jerk
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index

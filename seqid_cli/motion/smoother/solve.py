@@ -5,14 +5,13 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import cholesky_banded
 from scipy.linalg.lapack import dtbtrs
 from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.motion.smoother import system
-from seqid_cli.motion.smoother.chunk import Chunk, jerk_of
+from seqid_cli.motion.smoother.chunk import JERK, Chunk, Jerk, jerk_of
 from seqid_cli.motion.smoother.imus import moved
-from seqid_cli.motion.smoother.terms import JERK, Jerk
 from seqid_cli.typing import Array, Index
 
 
@@ -53,18 +52,11 @@ def halved(factor: Array, right: Array, *, transposed: bool = False) -> Array:
 
 def encoder_motion(chunk: Chunk, size: Array, *, encoder_rounds: int = 4) -> tuple[Array, Jerk]:
     """Coefficients (K, n) and the jerk from the encoders alone, which couple no joints."""
-    c, rng = _first_coefficients(chunk), np.random.default_rng(0)
-    jerk = Jerk(size, np.eye(len(size)), np.ones((chunk.intervals, len(size))))
+    c, rng, alone = _first_coefficients(chunk), np.random.default_rng(0), np.eye(len(size))
+    jerk = Jerk(size, alone, np.ones((chunk.intervals, len(size))))
     for _ in range(encoder_rounds):
-        band = system.encoder_information(chunk, c, jerk.size * jerk.relative)
-        factor = _factor(band.by_joint())
-        signs = rng.choice([-1.0, 1.0], jerk.relative.shape)
-        probe = _jerk_probe(chunk, jerk, signs)
-        right = np.column_stack([band.gradient.T.ravel(), probe.T.ravel()])
-        step, seen = cho_solve_banded((factor, True), right, check_finite=False).T
-        c = c + step.reshape(c.T.shape).T
-        left_open = _jerks(chunk, seen.reshape(c.T.shape).T, jerk) * signs
-        jerk = _renewed_jerk(chunk, c, jerk, left_open)
+        solution = renewed(chunk, c, jerk, (), "none")
+        c, jerk = solution.c, replace(_probed_jerk(solution, rng), correlation=alone)
     return c, jerk
 
 
@@ -76,15 +68,6 @@ def _factor(band: Array, *, stiffness: tuple[float, ...] = (0.0, 1e-14, 1e-12, 1
         with contextlib.suppress(np.linalg.LinAlgError):
             return np.asarray(cholesky_banded(own, lower=True, check_finite=False))
     raise np.linalg.LinAlgError("the encoders' information is not positive definite")
-
-
-def _jerk_probe(chunk: Chunk, jerk: Jerk, signs: Array) -> Array:
-    """Random signs (M, n) on every jerk, as they fall on the coefficients (K, n), over its size."""
-    signs = signs / (chunk.spacing**3 * jerk.size * jerk.relative)
-    probe = np.zeros((chunk.intervals + 3, chunk.joints))
-    for a in range(4):
-        probe[a : a + chunk.intervals] += JERK[a] * signs
-    return probe
 
 
 def _jerks(chunk: Chunk, c: Array, jerk: Jerk) -> Array:
@@ -184,8 +167,11 @@ def _first_coefficients(chunk: Chunk, *, first_mean_s: float = 0.05) -> Array:
 def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:
     """Jerk renewed by what the solution shows of it and by what it leaves open."""
     chunk, jerk, n = solution.chunk, solution.jerk, solution.chunk.joints
-    signs = rng.choice([-1.0, 1.0], (chunk.intervals, n))
-    probe = _jerk_probe(chunk, jerk, signs)
+    signs = rng.choice([-1.0, 1.0], (chunk.intervals, n))  # on every jerk, over its size
+    over = signs / (chunk.spacing**3 * jerk.size * jerk.relative)
+    probe = np.zeros((chunk.intervals + 3, n))
+    for a in range(4):
+        probe[a : a + chunk.intervals] += JERK[a] * over
     seen = _jerks(chunk, solution.inverse(probe.reshape(-1, 1)).reshape(-1, n), jerk)
     # Expectation and maximisation for the correlations, the faster fixed point for the sizes.
     found, left_open = _jerks(chunk, solution.c, jerk), signs.T @ seen

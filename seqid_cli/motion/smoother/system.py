@@ -1,29 +1,34 @@
 """Normal equations of the motion smoother: encoders, jerk and IMUs along one stretch of a log."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from seqid_cli.motion.imu.sensor import link_slopes, link_state
-from seqid_cli.motion.smoother import terms
-from seqid_cli.motion.smoother.chunk import Chunk, Mounted, jerk_of, mean_motion, sampled
+from seqid_cli.motion.smoother.chunk import (
+    JERK,
+    Chunk,
+    Jerk,
+    Mounted,
+    jerk_of,
+    mean_motion,
+    sampled,
+    spline_weights,
+)
 from seqid_cli.typing import Array, Index, Mask
 
 Constants = Literal["none", "clock", "place", "all"]  # all but the channels' axes: "place"
 
 
-@dataclass(frozen=True)
-class Cells:
+class Cells(NamedTuple):
     """Jacobians of one IMU in every cell: (C, K, 3, m) in q, dq, ddq, (C, K, g) in constants."""
 
     by_motion: Array
     by_constants: Array
 
 
-@dataclass(frozen=True)
-class Normal:
+class Normal(NamedTuple):
     """Normal equations: lower `band` (4n, Kn), `border` (Kn, g), `corner` (g, g), gradients."""
 
     band: Array
@@ -33,26 +38,21 @@ class Normal:
     corner_gradient: Array
 
 
-def encoder_information(chunk: Chunk, c: Array, jerk: Array) -> terms.Band:
-    """What encoders and jerk, (n,) or (M, n) rad/s^3, say about coefficients `c` (K, n)."""
-    band = terms.Band(chunk.intervals, chunk.joints)
+def _encoders(chunk: Chunk, c: Array) -> tuple[Array, Array]:
+    """What encoders say of each joint: information (M, n, 4, 4) and gradients (4, M, n)."""
     m, every, n = chunk.intervals, chunk.every, chunk.joints
+    at_edges = spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
     speed = sampled(c, chunk.knots[:, 1]).transpose(1, 0, 2).reshape(m * every, n)
-    at_edges = terms.spline_weights((np.arange(every) + 0.5) / every, chunk.spacing)[:, 0]
-    both = np.zeros((2, m * every, n)), np.zeros((2, m * every, n))
+    weight, seen = np.zeros((2, 2, m * every, n))  # of samples, and of the edges behind them
     for j, view in enumerate(chunk.views):
         own = slice(chunk.samples)
-        both[0][0, own, j], both[0][1, own, j] = view.weights(speed[own, j], chunk.dt)
-        both[1][0, own, j], both[1][1, own, j] = view.q, np.nan_to_num(view.edge)
-    for B, weight, seen in zip((chunk.knots[:, 0], at_edges), *both, strict=True):
-        w, y = (
-            np.ascontiguousarray(v.reshape(m, every, n).transpose(1, 0, 2)) for v in (weight, seen)
-        )
-        band.add(B, w, w * (y - sampled(c, B)))
-    weight = 1.0 / np.atleast_2d(jerk) ** 2
-    pull = -jerk_of(c, chunk.spacing) * weight
-    band.add(terms.JERK[None] / chunk.spacing**3, weight[None], pull[None])
-    return band
+        weight[:, own, j] = view.weights(speed[own, j], chunk.dt)
+        seen[:, own, j] = view.q, np.nan_to_num(view.edge)
+    rows = np.concatenate([chunk.knots[:, 0], at_edges])
+    w, y = (v.reshape(2, m, every, n).swapaxes(1, 2).reshape(-1, m, n) for v in (weight, seen))
+    both = (rows[:, :, None] * rows[:, None]).reshape(-1, 16)
+    information = np.tensordot(w, both, (0, 0)).reshape(m, n, 4, 4)
+    return information, np.tensordot(rows, w * (y - sampled(c, rows)), (0, 0))
 
 
 def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
@@ -102,37 +102,31 @@ def _share(chunk: Chunk, x: Mounted) -> Array:
     return np.asarray(np.add.reduceat(x.seen.astype(float), chunk.cells) / count[:, None])
 
 
-def _lay_out(chunk: Chunk, part: Array, there: Mask, out: Array) -> None:
-    """Add to `out` (..., K, V) `part` (4, ..., C, V) of each cell where readings are `there`."""
-    m = chunk.intervals
-    cells = np.arange(m) // chunk.cell
-    for b, own in enumerate(part):
-        out[..., b : b + m, :] += own[..., cells, :] * there[:, None]
-
-
 def normal_equations(
     chunk: Chunk,
     c: Array,
-    jerk: terms.Jerk,
+    jerk: Jerk,
     linear: tuple[Cells, ...] = (),
     *,
     constants: Constants = "none",
     told: tuple[Array, ...] | None = None,
+    stretch: int = 256,
 ) -> Normal:
-    """Gradients at `c` (K, n) and information; `told` are the readings expected there."""
-    spacing, m, n, count = chunk.spacing, chunk.intervals, chunk.joints, len(chunk.cells)
-    precision = jerk.precision
-    own = np.diag(precision)
-    between = (precision - np.diag(own)) / spacing**3
-    band = encoder_information(chunk, c, jerk.relative / np.sqrt(own))
-    pull = (jerk_of(c, spacing) / jerk.relative) @ between / jerk.relative
-    for a in range(4):
-        band.gradient[a : a + m] -= terms.JERK[a] * pull
+    """Gradients at `c` (K, n) and information; `told` are the readings expected there.
+
+    Each interval tells of its own four coefficients. `stretch`: intervals laid out at once.
+    """
+    m, n, count = chunk.intervals, chunk.joints, len(chunk.cells)
+    own, pulls = _encoders(chunk, c)
+    rise, precision = JERK / chunk.spacing**3, jerk.precision
+    unlikely = jerk_of(c, chunk.spacing) / jerk.relative @ precision / jerk.relative
+    pulls -= rise[:, None, None] * unlikely
     slots = list(chosen(chunk, constants)) if linear else []
     total = sum(len(taken) for _, taken, _ in slots)
     border, corner, right = np.zeros((total, m + 3, n)), np.zeros((total, total)), np.zeros(total)
     told = told or tuple(predicted(chunk, c, x) for x, *_ in slots)
-    flat = np.zeros((m + 3, 4 * n * n))
+    of_cells = np.arange(m) // chunk.cell
+    shared: dict[bytes, Array] = {}  # of IMUs with readings in the same intervals
     for (x, taken, at), cells, expected in zip(slots, linear, told, strict=True):
         # Of the four coefficients of an interval, and of the constants.
         W = np.zeros((count, len(x.noise), 4, n))
@@ -141,31 +135,37 @@ def normal_equations(
         G = cells.by_constants[:, :, taken] / x.spread[:, None]
         W = np.concatenate([W.reshape(count, -1, 4 * n), G], axis=2)
         H = (W * _share(chunk, x)[:, :, None]).transpose(0, 2, 1) @ W
-        _lay_out(chunk, _columns(H, n), x.there, flat)
+        seen = x.there.tobytes()
+        shared[seen] = shared.get(seen, 0.0) + H[:, : 4 * n, : 4 * n]
         both = H[:, : 4 * n, 4 * n :].reshape(count, 4, n, -1).transpose(1, 3, 0, 2)
-        _lay_out(chunk, both, x.there, border[at])
+        for b in range(4):
+            border[at, b : b + m] += both[b][:, of_cells] * x.there[:, None]
         there = np.add.reduceat(x.there.astype(float), chunk.cells)
         corner[at, at] = np.tensordot(there, H[:, 4 * n :, 4 * n :], 1)
         corner[at, at] += x.precision[np.ix_(taken, taken)]
         r: Array = np.zeros((count * chunk.cell, len(x.noise)))
         r[:m] = ((x.y - expected) / x.spread) * x.seen
         r = r.reshape(count, chunk.cell, -1)
-        g = (r @ W[..., : 4 * n]).reshape(-1, 4, n)[:m]
-        for a in range(4):
-            band.gradient[a : a + m] += g[:, a]
+        pulls += (r @ W[..., : 4 * n]).reshape(-1, 4, n)[:m].swapaxes(0, 1)
         right[at] = np.tensordot(r.sum(axis=1), G, 2) - (x.precision @ x.away)[taken]
-    lower = band.added_to(flat.reshape(-1, n, 4 * n))
-    terms.couple_jerks(lower, between / spacing**3, jerk.relative)
-    whole = lower.reshape(c.size, -1).T, border.reshape(total, c.size).T
-    return Normal(*whole, corner, band.gradient.ravel(), right)
-
-
-def _columns(H: Array, n: int) -> Array:
-    """Columns (4, C, n * 4n) of a lower band that belong to an interval's four coefficients."""
-    columns = np.zeros((4, len(H), n, 4 * n))
-    for k in range(4 * n):
-        columns[k // n, :, k % n, : 4 * n - k] = H[:, k, k : 4 * n]
-    return columns.reshape(4, len(H), -1)
+    band, gradient = np.zeros((m + 3, n, 4 * n)), np.zeros((m + 3, n))
+    for a in range(4):
+        gradient[a : a + m] += pulls[a]
+    for start in range(0, m, stretch):
+        now = slice(start, start + stretch)
+        size = 1.0 / jerk.relative[now]
+        coupled = size[:, :, None] * size[:, None] * precision
+        H = np.multiply.outer(rise, rise)[:, None, :, None] * coupled[:, None, :, None]
+        for j in range(n):
+            H[:, :, j, :, j] += own[now, j]
+        H = H.reshape(-1, 4 * n, 4 * n)
+        for seen, part in shared.items():
+            H += part[of_cells[now]] * np.frombuffer(seen, np.bool_)[now, None, None]
+        for k in range(4 * n):  # LAPACK's: entry r of coefficient k is of it and of k + r
+            first = start + k // n
+            band[first : first + len(H), k % n, : 4 * n - k] += H[:, k, k:]
+    whole = band.reshape(c.size, -1).T, border.reshape(total, c.size).T
+    return Normal(*whole, corner, gradient.ravel(), right)
 
 
 def chosen(chunk: Chunk, constants: Constants) -> Iterator[tuple[Mounted, Index, slice]]:

@@ -10,11 +10,10 @@ from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.smoother.chunk import Chunk, encoder_view
+from seqid_cli.motion.smoother.chunk import Chunk, Jerk, encoder_view
 from seqid_cli.motion.smoother.imus import mounted_imus, read
 from seqid_cli.motion.smoother.solve import probed_variance, renewed
 from seqid_cli.motion.smoother.system import linearised
-from seqid_cli.motion.smoother.terms import Jerk
 from tests import Array
 from tests.plants.fused import GYRO_NOISE, Case, Rig
 

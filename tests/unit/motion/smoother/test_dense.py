@@ -17,11 +17,10 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.motion.smoother import solve as smoother_solve
-from seqid_cli.motion.smoother.chunk import CELL_S, Chunk, Mounted, encoder_view
+from seqid_cli.motion.smoother.chunk import CELL_S, Chunk, Jerk, Mounted, encoder_view
 from seqid_cli.motion.smoother.imus import mounted_imus, read
 from seqid_cli.motion.smoother.solve import Solution, encoder_motion, halved, renewed
 from seqid_cli.motion.smoother.system import linearised
-from seqid_cli.motion.smoother.terms import Jerk
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.typing import Array
 from tests.plants.arms.rigs import two_joint

@@ -16,7 +16,7 @@ from seqid_cli.motion.smoother.chunk import (
     sampled,
     spline_weights,
 )
-from seqid_cli.typing import Array, Index, Mask
+from seqid_cli.typing import Array, Index
 
 Constants = Literal["none", "clock", "place", "all"]  # all but the channels' axes: "place"
 

@@ -6,7 +6,6 @@ is walked record by record. Both ways find the same messages.
 """
 
 import struct
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import lz4.frame
@@ -25,7 +24,6 @@ MESSAGE_SIZE = 22  # channel, sequence, log time, publish time
 _WORDS = 3  # of a message's record behind the opcode: length; channel, sequence; rest of log time
 _INDEX = struct.Struct("<HI")
 _ENTRY = np.dtype([("log_ns", "<u8"), ("offset", "<u8")])
-_STEP = 1 << 20
 _LIMIT = 1 << 30  # bytes in one unpacked chunk; recorders write about 1 MB
 SMALL, MOST_TIMES = 16 << 20, 200  # bytes that any log may have; of one packed byte beyond them
 _HEAD = RECORD.size + MESSAGE_SIZE
@@ -98,53 +96,20 @@ class Unpacker:
             raise DamageError("its checksum does not match")
         return data, True
 
-    def _decompress(self, name: str, payload: memoryview, limit: int) -> tuple[bytes, str]:
-        """Unpack up to a fault; returns the bytes before it and what it was."""
+    def _decompress(self, name: str, payload: memoryview, size: int) -> tuple[bytes, str]:
+        """Unpack up to a byte more than `size`; returns what there is, and what is wrong."""
         if name == "":
             return bytes(payload), ""
-        if name not in ("zstd", "lz4"):
-            raise DamageError(f"its compression {name[:20]!r} is unknown")
-        if name == "zstd" and (data := self._zstd_frame(payload, limit)) is not None:
-            return data, ""
-        out: list[bytes] = []
-        total = 0
-        pieces = _zstd(payload) if name == "zstd" else _lz4(payload, limit)
         try:
-            for piece in pieces:
-                out.append(piece)
-                total += len(piece)
-                if total > limit:
-                    return b"".join(out), "it unpacks to more than it declares"
+            if name == "zstd":
+                with self._zstd.stream_reader(payload) as reader:
+                    return reader.read(size + 1), ""
+            if name == "lz4":
+                decompressor = lz4.frame.LZ4FrameDecompressor()
+                return decompressor.decompress(payload, max_length=size + 1), ""
         except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError, ValueError) as error:
-            return b"".join(out), f"{name} data are damaged ({error})"
-        return out[0] if len(out) == 1 else b"".join(out), ""
-
-    def _zstd_frame(self, payload: memoryview, size: int) -> bytes | None:
-        """Unpack the usual form, one frame of known size; None where it is another or damaged."""
-        try:
-            if zstandard.frame_content_size(payload) != size:
-                return None
-            data = self._zstd.decompress(payload, allow_extra_data=False)
-        except (zstandard.ZstdError, MemoryError):
-            return None
-        return data if len(data) == size else None
-
-
-def _zstd(payload: memoryview) -> Iterator[bytes]:
-    with zstandard.ZstdDecompressor().stream_reader(payload) as reader:
-        while piece := reader.read(_STEP):
-            yield piece
-
-
-def _lz4(payload: memoryview, limit: int) -> Iterator[bytes]:
-    decompressor = lz4.frame.LZ4FrameDecompressor()
-    step = min(limit + 1, 16 * _STEP)
-    piece = decompressor.decompress(payload, max_length=step)
-    while piece:
-        yield piece
-        if decompressor.eof or decompressor.needs_input:
-            return
-        piece = decompressor.decompress(b"", max_length=step)
+            return b"", f"{name} data are damaged ({error})"
+        raise DamageError(f"its compression {name[:20]!r} is unknown")
 
 
 def index_offsets(content: bytes) -> Integers | None:

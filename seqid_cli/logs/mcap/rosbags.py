@@ -38,14 +38,6 @@ _REMEDY = {
     "rosbag2": "Salvage it: `sqlite3 FILE .recover | sqlite3 NEW.db3`, or copy it again from the "
     "source.",
 }
-_LINE = "=" * 80
-_DYNAMIC = (
-    "std_msgs/Header header\nstring[] joint_names\n"
-    "control_msgs/InterfaceValue[] interface_values\n"
-    f"{_LINE}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
-    f"{_LINE}\nMSG: std_msgs/Header\nbuiltin_interfaces/Time stamp\nstring frame_id\n"
-    f"{_LINE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
-)
 
 
 @dataclass(frozen=True)
@@ -85,9 +77,10 @@ class BagScan(Scan):
             total = sum(counts.values())
             self.summary.statistics = Statistics(0, len(topics), counts, 0, total, 0, 0, 0, 0)
             for topic in topics:
-                definition = topic.definition or (_DYNAMIC if "Dynamic" in topic.kind else "")
                 number, name = topic.number, topic.name
-                self.schemas[number] = Schema(number, definition.encode(), "ros2msg", topic.kind)
+                self.schemas[number] = Schema(
+                    number, topic.definition.encode(), "ros2msg", topic.kind
+                )
                 self.channels[number] = Channel(number, name, "cdr", {}, number)
             for part in _together(self._sound(messages())):
                 for number in dict.fromkeys(message[0] for message in part):

@@ -115,10 +115,3 @@ class NameMap:
                 self._pairs.clear()
             self._pairs[key] = [(entry, joint) for joint, entry in found.items()]
         return self._pairs[key]
-
-
-def check_lengths(names: int, arrays: Sequence[int]) -> None:
-    """Refuse a JointState whose arrays are neither empty nor as long as its names."""
-    for quantity, length in zip(JOINT_QUANTITIES, arrays, strict=True):
-        if length not in (0, names):
-            raise ValueError(f"{length} values of {quantity} for {names} names")

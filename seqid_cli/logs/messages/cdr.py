@@ -10,10 +10,8 @@ doubles come to lie aligned in this way.
 """
 
 import struct
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from itertools import count
-from typing import NamedTuple
+from itertools import count, groupby
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,61 +19,125 @@ from numpy.typing import NDArray
 from seqid_cli.logs.messages.batch import (
     JOINT_QUANTITIES,
     Bytes,
-    Decode,
     Decoded,
     Kind,
     NameMap,
     Payloads,
-    check_lengths,
 )
+from seqid_cli.logs.messages.rows import row_of
 from seqid_cli.logs.raw import STAMP_LIMIT_NS, Mask, Stamps
 
 Words = NDArray[np.uint64]
 
 WORD = 8
-STAMP = 4  # byte at which seconds (int32) and nanoseconds (uint32) stand
 _SEC = 1_000_000_000
+_ENCAPSULATION, _STAMP_END = 4, 12  # bytes; between them seconds (int32), nanoseconds (uint32)
+# Representation identifier -> (byte order, largest alignment): plain CDR of XCDR 1 and 2.
+_REPRESENTATIONS = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}
 
 
-class Layout(NamedTuple):
-    """Where structure and numbers of a message of L bytes lie."""
+class _Cursor:
+    """Reads CDR behind the stamp of a header; every read checks the bounds.
 
-    reference: Bytes  # (L,)
-    mask: Bytes  # (L,) 0xFF where messages must equal `reference`
-    columns: Sequence[tuple[int, int]]  # column, byte at which its float64 begins
-    order: str  # of the bytes, "<" or ">"
+    `mask` is 0xFF where a message of the same layout must have the same bytes.
+    """
 
+    def __init__(self, data: bytes) -> None:
+        if len(data) < _STAMP_END or data[0] or data[1] not in _REPRESENTATIONS:
+            raise ValueError("no plain CDR")
+        self.data = data
+        self.order, self._largest = _REPRESENTATIONS[data[1]]
+        self.at = _STAMP_END
+        self.mask = bytearray(b"\xff" * _ENCAPSULATION + bytes(len(data) - _ENCAPSULATION))
 
-class _Run(NamedTuple):
-    """Numbers side by side: `size` of them, from a byte of a row into columns from one on."""
+    def message(self, kind: Kind) -> dict[str, object]:
+        """Read a message: places instead of its numbers."""
+        self.text(structural=False)  # the frame
+        if kind == "imu":
+            self.doubles(4 + 9)  # orientation and its covariance
+            gyro = self.doubles(3)
+            self.doubles(9)
+            acceleration = self.doubles(3)
+            self.doubles(9)
+            vectors = {"angular_velocity": gyro, "linear_acceleration": acceleration}
+            return {name: dict(zip("xyz", own, strict=True)) for name, own in vectors.items()}
+        names = self.texts()
+        if kind == "joint_state":
+            arrays = {name: self.doubles(self.count(8)) for name in JOINT_QUANTITIES}
+            return {"name": names, **arrays}
+        interfaces = [
+            {"interface_names": self.texts(), "values": self.doubles(self.count(8))}
+            for _ in range(self.count(8))
+        ]
+        return {"joint_names": names, "interface_values": interfaces}
 
-    at: int
-    column: int
-    size: int
+    def count(self, least: int = 0) -> int:
+        """Read a length (uint32) of items of at least that many bytes; it is structure."""
+        self._align(4)
+        start = self._advance(4, structure=4)
+        (value,) = struct.unpack_from(f"{self.order}I", self.data, start)
+        if value * least > len(self.data):
+            raise ValueError("more items than bytes")
+        return int(value)
+
+    def text(self, *, structural: bool = True) -> str:
+        """Read a string."""
+        length = self.count()
+        start = self._advance(length, structure=length if structural else 0)
+        return self.data[start : self.at].rstrip(b"\0").decode("utf-8")
+
+    def texts(self) -> list[str]:
+        """Read a list of strings."""
+        return [self.text() for _ in range(self.count(4))]
+
+    def doubles(self, count: int) -> range:
+        """Step over float64 values; returns where they begin."""
+        if count:
+            self._align(8)
+        first = self._advance(8 * count)
+        return range(first, first + 8 * count, 8)
+
+    def _align(self, size: int) -> None:
+        size = min(size, self._largest)
+        self.at += -(self.at - _ENCAPSULATION) % size
+
+    def _advance(self, length: int, structure: int = 0) -> int:
+        """Step over bytes, the first of which may be structure; returns where they begin."""
+        start, self.at = self.at, self.at + length
+        if self.at > len(self.data):
+            raise ValueError("the message breaks off")
+        self.mask[start : start + structure] = b"\xff" * structure
+        return start
 
 
 @dataclass(frozen=True)
-class Form:
-    """A layout made ready for messages of its length, in rows of `width` numbers."""
+class Layout:
+    """Where structure and numbers of messages of one length lie, in rows of `width` numbers."""
 
-    order: str
+    order: str  # of the bytes, "<" or ">"
     width: int
     pad: int  # bytes in front of the message, for whole words
-    mask: Words  # (W,) of the message with its pad
-    reference: Words  # (W,) likewise
+    mask: Words  # (W,) of the message with its pad: bits of structure
+    reference: Words  # (W,) likewise: what they must be
     checked: tuple[int, ...]  # words that hold structure
-    runs: tuple[_Run, ...]
+    runs: tuple[tuple[int, int, int], ...]  # numbers side by side: byte of a row, column, how many
 
     @classmethod
-    def of(cls, layout: Layout, width: int) -> "Form":
-        """Prepare a layout."""
-        pad = -len(layout.mask) % WORD
-        front = np.zeros(pad, np.uint8)
-        mask = np.concatenate([front, layout.mask]).view(np.uint64)
-        reference = np.concatenate([front, layout.reference]).view(np.uint64) & mask
+    def of(cls, data: bytes, kind: Kind, names: NameMap) -> "Layout":
+        """Parse a message. Raises ValueError: it is damaged."""
+        cursor = _Cursor(data)
+        row = row_of(kind, cursor.message(kind), names)
+        front = bytes(-len(data) % WORD)
+        mask = np.frombuffer(front + cursor.mask, np.uint64)
+        reference = np.frombuffer(front + data, np.uint64) & mask
+        runs = []
+        for offset, group in groupby(enumerate(row), _offset):
+            if offset is not None:
+                columns = [column for column, _ in group]
+                at = offset + WORD * columns[0] + len(front)
+                runs.append((at, columns[0], len(columns)))
         checked = tuple(np.flatnonzero(mask).tolist())
-        runs = tuple(_runs_of(sorted(layout.columns), pad))
-        return cls(layout.order, width, pad, mask, reference, checked, runs)
+        return cls(cursor.order, len(row), len(front), mask, reference, checked, tuple(runs))
 
     def decode(self, payloads: Payloads) -> tuple[Mask, Decoded]:
         """Tell which payloads of the layout's length have its structure, and decode these."""
@@ -86,12 +148,12 @@ class Form:
             fits &= (words[:, i] ^ self.reference[i]) & self.mask[i] == 0
         rows = rows if fits.all() else rows[fits]
         values = np.empty((len(rows), self.width))
-        if sum(run.size for run in self.runs) < self.width:
+        if sum(size for *_, size in self.runs) < self.width:
             values.fill(np.nan)
-        for run in self.runs:
-            target = values[:, run.column : run.column + run.size]
-            target[:] = rows[:, run.at : run.at + WORD * run.size].view(f"{self.order}f8")
-        stamps, good = self._stamps(rows[:, self.pad + STAMP :])
+        for at, column, size in self.runs:
+            numbers = rows[:, at : at + WORD * size].view(f"{self.order}f8")
+            values[:, column : column + size] = numbers
+        stamps, good = self._stamps(rows[:, self.pad + _ENCAPSULATION :])
         return fits, Decoded(stamps, values, good)
 
     def _stamps(self, rows: Bytes) -> tuple[Stamps, Mask]:
@@ -106,19 +168,24 @@ class Form:
         return stamps, good
 
 
+def _offset(entry: tuple[int, object]) -> int | None:
+    """Tell what places have in common that lie side by side, as their columns do."""
+    column, place = entry
+    return place - WORD * column if isinstance(place, int) else None
+
+
 @dataclass
 class LayoutDecoder:
-    """Decodes batches; remembers the layouts that it has met, up to `most`.
+    """Decodes batches of a kind; remembers the layouts that it has met, up to `most`.
 
-    `parse` raises ValueError or struct.error where a payload is damaged. Of one length `rounds`
-    layouts are decoded together; what remains goes one by one. Rows have `width` numbers.
+    Of one length `rounds` layouts are decoded together; what remains goes one by one.
     """
 
-    parse: Callable[[bytes], Layout]
-    width: int
+    kind: Kind
+    names: NameMap
     rounds: int = 32
     most: int = 512
-    _known: dict[int, list[Form]] = field(default_factory=dict)
+    _known: dict[int, list[Layout]] = field(default_factory=dict)
 
     def __call__(self, payloads: Payloads) -> Decoded:
         """Decode one batch."""
@@ -128,7 +195,7 @@ class LayoutDecoder:
             fits, part = usual[0].decode(payloads)
             if fits.all():
                 return part
-        out = Decoded.empty(len(payloads), self.width)
+        out = Decoded.empty(len(payloads), self.names.width(self.kind))
         order = np.argsort(lengths, kind="stable")
         for rows in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1):
             self._in_turn(payloads, rows, out)
@@ -141,157 +208,22 @@ class LayoutDecoder:
         for number in count():
             if not len(left):
                 return
-            form = known[number] if number < tried else self._made(payloads.take(left[:1]), known)
+            layout = known[number] if number < tried else self._made(payloads.take(left[:1]), known)
             some = left if number < self.rounds else left[:1]
             fits = np.zeros(len(some), np.bool_)
-            if form is not None:
-                fits, part = form.decode(payloads.take(some))
+            if layout is not None:
+                fits, part = layout.decode(payloads.take(some))
                 out.put(some[fits], part)
             fits[0] |= number >= tried  # it had its turn, even where it is damaged
             left = np.concatenate([some[~fits], left[len(some) :]])
 
-    def _made(self, first: Payloads, known: list[Form]) -> Form | None:
+    def _made(self, first: Payloads, known: list[Layout]) -> Layout | None:
         """Make the layout of one payload and remember it; None where it has none."""
         try:
-            made = Form.of(self.parse(next(iter(first))), self.width)
-        except (ValueError, struct.error):
+            made = Layout.of(next(iter(first)), self.kind, self.names)
+        except ValueError:
             return None
         if len(known) < self.rounds and sum(map(len, self._known.values())) < self.most:
             known.append(made)
             self._known[int(first.lengths[0])] = known
         return made
-
-
-def _runs_of(columns: Sequence[tuple[int, int]], pad: int) -> list[_Run]:
-    """Join neighbouring columns whose numbers are neighbours as well."""
-    found: list[_Run] = []
-    for column, place in columns:
-        last, at = found[-1] if found else None, place + pad
-        if last and (column, at) == (last.column + last.size, last.at + WORD * last.size):
-            found[-1] = last._replace(size=last.size + 1)
-        else:
-            found.append(_Run(at, column, 1))
-    return found
-
-
-_ENCAPSULATION = 4
-_STAMP_END = 12
-# Representation identifier -> (byte order, largest alignment): plain CDR of XCDR 1 and 2.
-_REPRESENTATIONS = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}
-
-
-class _Cursor:
-    """Reads CDR behind the stamp of a header; every read checks the bounds."""
-
-    def __init__(self, data: bytes) -> None:
-        if len(data) < _STAMP_END or data[0] or data[1] not in _REPRESENTATIONS:
-            raise ValueError("no plain CDR")
-        self.data = data
-        self.order, self._largest = _REPRESENTATIONS[data[1]]
-        self.at = _STAMP_END
-        self.mask = np.zeros(len(data), np.uint8)
-        self.mask[:_ENCAPSULATION] = 0xFF
-
-    def count(self, least: int = 0) -> int:
-        """Read a length (uint32) of items of at least that many bytes; it is structure."""
-        self._align(4)
-        (value,) = struct.unpack_from(f"{self.order}I", self.data, self.at)
-        self.mask[self.at : self.at + 4] = 0xFF
-        self.at += 4
-        if value * least > len(self.data):
-            raise ValueError("more items than bytes")
-        return int(value)
-
-    def text(self, *, structural: bool = True) -> str:
-        """Read a string."""
-        start, end = self._advance(self.count())
-        if structural:
-            self.mask[start:end] = 0xFF
-        return self.data[start:end].rstrip(b"\0").decode("utf-8")
-
-    def texts(self) -> list[str]:
-        """Read a list of strings."""
-        return [self.text() for _ in range(self.count(4))]
-
-    def doubles(self, count: int) -> range:
-        """Step over float64 values; returns where they begin."""
-        if count:
-            self._align(8)
-        first = self._advance(8 * count)[0]
-        return range(first, first + 8 * count, 8)
-
-    def layout(self, columns: Sequence[tuple[int, int]]) -> Layout:
-        """Make the layout of the message."""
-        return Layout(np.frombuffer(self.data, np.uint8), self.mask, columns, self.order)
-
-    def _align(self, size: int) -> None:
-        size = min(size, self._largest)
-        self.at += -(self.at - _ENCAPSULATION) % size
-
-    def _advance(self, length: int) -> tuple[int, int]:
-        start, self.at = self.at, self.at + length
-        if self.at > len(self.data):
-            raise ValueError("the message breaks off")
-        return start, self.at
-
-
-def decoder(kind: Kind, names: NameMap) -> Decode:
-    """Decode `sensor_msgs/msg/JointState`, `control_msgs/msg/DynamicJointState` or `Imu`."""
-    parse = _PARSERS[kind]
-    return LayoutDecoder(lambda data: parse(data, names), names.width(kind))
-
-
-def _joint_state(data: bytes, names: NameMap) -> Layout:
-    cursor = _Cursor(data)
-    cursor.text(structural=False)
-    entries = cursor.texts()
-    arrays = [cursor.doubles(cursor.count(8)) for _ in JOINT_QUANTITIES]
-    check_lengths(len(entries), [len(places) for places in arrays])
-    pairs = names.pairs(entries)
-    columns = [
-        (quantity * len(names.joints) + joint, places[entry])
-        for quantity, places in enumerate(arrays)
-        for entry, joint in (pairs if places else ())
-    ]
-    return cursor.layout(columns)
-
-
-def _dynamic_joint_state(data: bytes, names: NameMap) -> Layout:
-    cursor = _Cursor(data)
-    cursor.text(structural=False)
-    entries = cursor.texts()
-    if cursor.count(8) != len(entries):
-        raise ValueError("joints and interfaces differ in number")
-    interfaces = []
-    for _ in entries:
-        kinds = cursor.texts()
-        values = cursor.doubles(cursor.count(8))
-        interfaces.append((kinds, values))
-    columns: dict[int, int] = {}
-    for entry, joint in names.pairs(entries):
-        given = dict(zip(*interfaces[entry], strict=True))
-        if names.effort in given:
-            given.setdefault("effort", given[names.effort])
-        for quantity, name in enumerate(JOINT_QUANTITIES):
-            if name in given:
-                columns[quantity * len(names.joints) + joint] = given[name]
-    return cursor.layout(list(columns.items()))
-
-
-def _imu(data: bytes, names: NameMap) -> Layout:
-    del names
-    cursor = _Cursor(data)
-    cursor.text(structural=False)
-    cursor.doubles(4 + 9)  # orientation and its covariance
-    gyro = cursor.doubles(3)
-    cursor.doubles(9)
-    acceleration = cursor.doubles(3)
-    cursor.doubles(9)
-    return cursor.layout(list(enumerate([*acceleration, *gyro])))
-
-
-_PARSERS: dict[Kind, Callable[[bytes, NameMap], Layout]] = {
-    "joint_state": _joint_state,
-    "dynamic_joint_state": _dynamic_joint_state,
-    "imu": _imu,
-}

@@ -15,8 +15,7 @@ The z-score of d is held against Student's distribution, all steps and lines of 
 counted (Bonferroni). The hypothesis with the largest |z| of a quantity is the one that is told.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,100 +26,32 @@ from scipy import stats
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.files import replacing, writing
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.results.trend import TREND_SCHEMA, ChangeEntry, SeriesEntry, TrendFile
+from seqid_cli.params.results.trend import (
+    TREND_SCHEMA,
+    ChangeEntry,
+    QuantityEntry,
+    SeriesEntry,
+    TrendFile,
+)
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.types import Array
 from seqid_cli.robust import gaussian_spread
 from seqid_cli.trend.options import TrendOptions
-from seqid_cli.trend.series import Dated, Series, robots_of, series_of
+from seqid_cli.trend.series import Named, days_of, robots_of, series_of
 
 
-def scatter_of(series: Iterable[Series], *, enough: int = 30) -> tuple[float, int]:
-    """Inflation of the standard errors of one stage, and how many differences say so (0: none)."""
-    ratios = [
-        np.diff(own.values) / np.hypot(own.errors[1:], own.errors[:-1])
-        for own in series
-        if (own.errors > 0.0).all()
-    ]
-    every = np.concatenate(ratios) if ratios else np.zeros(0)
-    if len(every) < enough:
-        return 1.0, 0
-    return max(float(gaussian_spread(every)), 1.0), len(every)
-
-
-def limit_of(series: Sequence[Series], differences: Iterable[int], alpha: float) -> float:
-    """The |z| that any hypothesis on healthy robots exceeds with the probability `alpha`."""
-    hypotheses = sum(len(own.values) for own in series)  # a step between any two dates, and a line
-    share = alpha / (2 * max(hypotheses, 1))
-    told = [count for count in differences if count]
-    return float(stats.t.isf(share, min(told) / 2) if told else stats.norm.isf(share))
-
-
-def best_change(series: Series, inflation: float, least: float) -> tuple[float, ChangeEntry]:
-    """The step or drift that a quantity's values tell most clearly, and its standard errors.
-
-    `least` is the size that the quantity has at least.
-    """
-    count, days = len(series.values), series.days
-    tried = [("step", k, (np.arange(count) >= k).astype(np.float64)) for k in range(1, count)]
-    if count > 2 and days[-1] > 0.0:
-        tried.append(("drift", 0, days / days[-1]))
-    found = []
-    for kind, at, column in tried:
-        before, change, error = _fitted(series, inflation, column)
-        sigmas = abs(change) / error if error > 0.0 else np.inf
-        found.append((sigmas, kind, at, before, change, error))
-    sigmas, kind, at, before, change, error = max(found, key=lambda one: one[0])
-    size = max(abs(before), abs(before + change), least)
-    return sigmas, ChangeEntry(
-        robot=series.robot,
-        **asdict(series.quantity),
-        kind=kind,
-        since=series.files[at].date,
-        before=before,
-        after=before + change,
-        change=change,
-        std_error=error,
-        sigmas=sigmas if np.isfinite(sigmas) else None,
-        relative=change / size if size > 0.0 else 0.0,
-    )
-
-
-def _fitted(
-    series: Series, inflation: float, column: Array, *, per_kelvin: float = 0.02
-) -> tuple[float, float, float]:
-    """Generalised least squares for one hypothesis: before, the change and its error."""
-    errors = inflation * series.errors
-    least = 1e-12 * max(float(np.abs(series.values).max()), 1e-300)
-    root = 1.0 / np.maximum(errors, least)
-    warmth = series.temperatures
-    known = bool(np.isfinite(warmth).all())
-    warmer = warmth - warmth.mean() if known else np.zeros(len(column))
-    A = np.column_stack([np.ones(len(column)), column, warmer]) * root[:, None]
-    size = max(float(np.abs(series.values).mean()), least)
-    rows = np.vstack([A, [0.0, 0.0, 1.0 / (per_kelvin * size)]])
-    y = np.append(series.values * root, 0.0)
-    covariance = np.linalg.pinv(rows.T @ rows, hermitian=True, rcond=1e-14)
-    theta = covariance @ (rows.T @ y)
-    return float(theta[0]), float(theta[1]), float(np.sqrt(max(covariance[1, 1], 0.0)))
-
-
-def trend_file(
-    models: Sequence[tuple[str, ParameterFile]], ids: list[FileId], options: TrendOptions
-) -> TrendFile:
+def trend_file(models: Sequence[Named], ids: list[FileId], options: TrendOptions) -> TrendFile:
     """Judge the files of all robots together."""
-    robots = robots_of([Dated.of(name, file) for name, file in models], options.by)
+    robots = robots_of(models, options.by)
     series = [own for name, files in robots.items() for own in series_of(name, files)]
-    scatters = {
-        stage: scatter_of(own for own in series if own.quantity.stage == stage)
-        for stage in dict.fromkeys(own.quantity.stage for own in series)
-    }
-    limit = limit_of(series, (count for _, count in scatters.values()), options.alpha)
+    stages = {own.stage: [x for x in series if x.stage == own.stage] for own in series}
+    scatters = {stage: scatter_of(own) for stage, own in stages.items()}
+    limit = limit_of(series, [count for _, count in scatters.values()], options.alpha)
     sizes = _sizes(series)
     changes = []
     for own in series:
-        stage, unit = own.quantity.stage, own.quantity.unit
-        sigmas, change = best_change(own, scatters[stage][0], sizes[own.robot, stage, unit])
+        least = sizes[own.robot, own.stage, own.unit]
+        sigmas, change = best_change(own, scatters[own.stage][0], least)
         if sigmas > limit and abs(change.relative or 0.0) > options.rtol:
             changes.append(change)
     changes += [entry for name, files in robots.items() for entry in _effects(name, files)]
@@ -130,7 +61,7 @@ def trend_file(
     notes += [
         f"{name}: the robot files differ: geometry, limits or drives may have changed"
         for name, files in robots.items()
-        if len({dated.file.robot.sha256 for dated in files}) > 1
+        if len({file.robot.sha256 for file in files}) > 1
     ]
     return TrendFile(
         schema=TREND_SCHEMA,
@@ -142,39 +73,97 @@ def trend_file(
         limit=limit,
         inflation={stage: inflation for stage, (inflation, _) in scatters.items()},
         changes=changes,
-        series=[
-            SeriesEntry(
-                robot=own.robot,
-                **asdict(own.quantity),
-                dates=[dated.date for dated in own.files],
-                values=own.values.tolist(),
-                std_errors=own.errors.tolist(),
-                temperatures=own.temperatures.tolist()
-                if np.isfinite(own.temperatures).all()
-                else [],
-            )
-            for own in series
-        ],
+        series=series,
         notes=notes,
     )
 
 
+def scatter_of(series: Sequence[SeriesEntry], *, enough: int = 30) -> tuple[float, int]:
+    """Inflation of the standard errors of one stage, and how many differences say so (0: none)."""
+    ratios = [
+        np.diff(own.values) / np.hypot(own.std_errors[1:], own.std_errors[:-1])
+        for own in series
+        if min(own.std_errors) > 0.0
+    ]
+    every = np.concatenate([np.zeros(0), *ratios])
+    if len(every) < enough:
+        return 1.0, 0
+    return max(float(gaussian_spread(every)), 1.0), len(every)
+
+
+def limit_of(series: Sequence[SeriesEntry], differences: Sequence[int], alpha: float) -> float:
+    """The |z| that any hypothesis on healthy robots exceeds with the probability `alpha`."""
+    hypotheses = sum(len(own.values) for own in series)  # a step between any two dates, and a line
+    share = alpha / (2 * max(hypotheses, 1))
+    told = [count for count in differences if count]
+    return float(stats.t.isf(share, min(told) / 2) if told else stats.norm.isf(share))
+
+
+def best_change(series: SeriesEntry, inflation: float, least: float) -> tuple[float, ChangeEntry]:
+    """The step or drift that a quantity's values tell most clearly, and its standard errors.
+
+    `least` is the size that the quantity has at least.
+    """
+    count, days = len(series.values), days_of(series.dates)
+    tried = [("step", k, (np.arange(count) >= k).astype(np.float64)) for k in range(1, count)]
+    if count > 2 and days[-1] > 0.0:
+        tried.append(("drift", 0, days / days[-1]))
+    found = []
+    for kind, at, column in tried:
+        before, change, error = _fitted(series, inflation, column)
+        sigmas = abs(change) / error if error > 0.0 else np.inf
+        found.append((sigmas, kind, at, before, change, error))
+    sigmas, kind, at, before, change, error = max(found, key=lambda one: one[0])
+    size = max(abs(before), abs(before + change), least)
+    return sigmas, ChangeEntry(
+        **_quantity(series),
+        kind=kind,
+        since=series.dates[at],
+        before=before,
+        after=before + change,
+        change=change,
+        std_error=error,
+        sigmas=sigmas if np.isfinite(sigmas) else None,
+        relative=change / size if size > 0.0 else 0.0,
+    )
+
+
+def _quantity(entry: QuantityEntry) -> dict[str, str]:
+    return {name: getattr(entry, name) for name in QuantityEntry.__struct_fields__}
+
+
+def _fitted(
+    series: SeriesEntry, inflation: float, column: Array, *, per_kelvin: float = 0.02
+) -> tuple[float, float, float]:
+    """Generalised least squares for one hypothesis: before, the change and its error."""
+    values, errors = np.array(series.values), inflation * np.array(series.std_errors)
+    least = 1e-12 * max(float(np.abs(values).max()), 1e-300)
+    root = 1.0 / np.maximum(errors, least)
+    warmth = np.array(series.temperatures or np.zeros(len(column)))
+    A = np.column_stack([np.ones(len(column)), column, warmth - warmth.mean()]) * root[:, None]
+    size = max(float(np.abs(values).mean()), least)
+    rows = np.vstack([A, [0.0, 0.0, 1.0 / (per_kelvin * size)]])
+    y = np.append(values * root, 0.0)
+    covariance = np.linalg.pinv(rows.T @ rows, hermitian=True, rcond=1e-14)
+    theta = covariance @ (rows.T @ y)
+    return float(theta[0]), float(theta[1]), float(np.sqrt(max(covariance[1, 1], 0.0)))
+
+
 def _sizes(
-    series: Sequence[Series], *, least_size: float = 0.001
+    series: Sequence[SeriesEntry], *, least_size: float = 0.001
 ) -> Mapping[tuple[str, str, str], float]:
     """Least size of quantities, by robot, stage and unit."""
     found: dict[tuple[str, str, str], float] = {}
     for own in series:
-        group = (own.robot, own.quantity.stage, own.quantity.unit)
-        size = least_size * float(np.abs(own.values).max())
-        found[group] = max(found.get(group, 0.0), size)
+        group = (own.robot, own.stage, own.unit)
+        found[group] = max(found.get(group, 0.0), least_size * float(np.abs(own.values).max()))
     return found
 
 
-def _effects(robot: str, files: Sequence[Dated]) -> Iterator[ChangeEntry]:
+def _effects(robot: str, files: Sequence[ParameterFile]) -> Iterator[ChangeEntry]:
     """Effects that a robot's first file does not hold and the last one does, or the other way."""
-    refined = [dated for dated in files if dated.file.stages.effects is not None]
-    held = [{(e.effect, e.joint or "") for e in d.file.stages.effects or []} for d in refined]
+    refined = [file for file in files if file.stages.effects is not None]
+    held = [{(x.effect, x.joint or "") for x in file.stages.effects or []} for file in refined]
     if len(held) < 2:
         return
     for kind, some, others in (("appeared", held[-1], held[0]), ("gone", held[0], held[-1])):
@@ -188,17 +177,16 @@ def _effects(robot: str, files: Sequence[Dated]) -> Iterator[ChangeEntry]:
                 name=effect,
                 unit="",
                 kind=kind,
-                since=refined[last + 1].date,
+                since=refined[last + 1].created,
             )
 
 
 def write_table(path: Path, found: TrendFile) -> None:
     """Write every quantity at every date as one row of a Parquet file."""
-    names = ("robot", "stage", "joint", "name", "unit")
-    rows = []
-    for own in found.series:
-        what = {key: getattr(own, key) for key in names}
-        for date, value, error in zip(own.dates, own.values, own.std_errors, strict=True):
-            rows.append({**what, "date": date, "value": value, "std_error": error})
+    rows = [
+        {**_quantity(own), "date": date, "value": value, "std_error": error}
+        for own in found.series
+        for date, value, error in zip(own.dates, own.values, own.std_errors, strict=True)
+    ]
     with replacing(path) as partial, writing(path):
         pq.write_table(pa.Table.from_pylist(rows), partial)

@@ -27,6 +27,7 @@ from seqid_cli.params.results.diagnosis import (
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
+from tests.commands.transcripts import check_transcript
 from tests.unit.params.documents import diagnosis_file, diagnosis_of, gravity_file, inertia_file
 from tests.unit.params.generate import json_schema
 
@@ -95,7 +96,7 @@ OPEN = diagnosis_of(
 class Library:
     """Stands in for the diagnosis: reads all recordings and returns what it was given."""
 
-    result: DiagnosisFile | Exception = FOUND
+    result: DiagnosisFile = FOUND
     calls: list[object] = field(default_factory=list)
 
     def diagnose(
@@ -107,8 +108,6 @@ class Library:
         options: DiscoverOptions,
     ) -> DiagnosisFile:
         self.calls.append((len(list(recordings)), robot, stages, options))
-        if isinstance(self.result, Exception):
-            raise self.result
         return self.result
 
 
@@ -155,95 +154,17 @@ def test_the_document(rig: Rig, library: Library) -> None:
     assert document["parameters"][0]["path"] == "p.json"
 
 
-def test_the_story_of_a_joint(rig: Rig, library: Library) -> None:
-    """What was taken there comes with its rivals; other joints' findings do not."""
-    done = rig.run(*BASE, "-o", "out.json", "--explain", "shoulder")
-    assert done.code == 0
-    assert (rig.folder / "out.json").exists()
-    lines = done.out.splitlines()
-    assert (
-        " ".join(lines[1].split()) == "payload whole arm 60.0 % 10.0 % not determined by these logs"
-    )
-    assert "stribeck" not in done.out
-    part = next(line for line in lines if "other_joint:elbow" in line)
-    assert part.split()[:5] == ["shoulder", "position,", "other_joint:elbow", "40.0", "%"]
-    spring = next(line for line in lines if line.startswith("spring"))
-    assert spring.endswith("explains 75.0 % less")
-    drift = next(line for line in lines if line.startswith("drift"))
-    assert drift.endswith("gain of 0.9 standard errors; 2 are asked at least")
-    joint = next(line.split() for line in lines if line.split()[:2] == ["shoulder", "0.3"])
-    assert joint == ["shoulder", "0.3", "0.1", "0.08", "to", "0.13", "3", "0.12", "no"]
-
-
-def test_the_story_of_a_finding(rig: Rig, library: Library) -> None:
-    done = rig.run(*BASE, "--explain", "elbow")
-    lines = done.out.splitlines()
-    assert lines[1].startswith("stribeck")
-    choice = "stribeck at elbow (90.0 % by this name): could also be"
-    assert f"{choice} presliding_hysteresis or quadratic_drag" in lines
-    assert any("takes away 70.0 % of the squared error" in line for line in lines)
-    assert any("times direction" in line for line in lines)
-    drag = next(line for line in lines if line.startswith("quadratic_drag"))
-    assert drag.split()[:3] == ["quadratic_drag", "elbow", "120"]
-    assert any(line.endswith("record: slow reversals at two accelerations") for line in lines)
-    assert "shoulder" not in done.out.replace("of shoulder", "")
-    assert "2 effects these motions cannot show" in done.err
-
-
-def test_an_unknown_joint_cannot_be_explained(rig: Rig, library: Library) -> None:
-    done = rig.run(*BASE, "-o", "out.json", "--explain", "knee")
-    assert done.code == 2
-    assert "--explain names no joint of this robot: 'knee'" in done.err
-    assert "shoulder, elbow" in done.err
-    assert done.out == ""
-    assert not (rig.folder / "out.json").exists()
-    assert library.calls == []
-
-
-def test_what_the_user_sees(rig: Rig, library: Library) -> None:
-    done = rig.run(*BASE, "-o", "out.json")
-    lines = done.out.splitlines()
-    assert lines[0] == (
-        "The model lacks stribeck at elbow, payload; a part stays unexplained"
-        " (shoulder: position, other_joint:elbow)."
-    )
-    assert lines[1].split() == ["effect", "joint", "confidence", "explains", "parameters"]
-    assert "stribeck_torque 1.5 +- 0.05 N m, stribeck_speed 0.05 rad/s, exponent 2" in lines[2]
-    assert lines[3].split()[:3] == ["payload", "whole", "arm"]
-    assert lines[3].endswith("not determined by these logs")
-    assert lines[4] == (
-        "stribeck at elbow (90.0 % by this name): could also be"
-        " presliding_hysteresis or quadratic_drag"
-    )
-    assert lines[5] == "  to tell them apart, record: slow reversals at two accelerations"
-    assert "payload: could also be" not in done.out
-    assert "residual of shoulder N m: * before, o after" in done.out
-    assert "position rad" in done.out
-    joint = lines[next(k for k, line in enumerate(lines) if "noise floor" in line) + 1].split()
-    assert joint == ["shoulder", "0.3", "0.1", "0.08", "to", "0.13", "3", "0.12", "no"]
-    assert "note: stribeck at elbow: a remark on it" in done.err
-    assert "note: a remark" in done.err
-    assert "next: seqid refine LOG... --holdout LOG... -r robot.toml -p p.json -o" in done.err
-
-
-def test_long_lists_are_for_those_who_ask(rig: Rig, library: Library) -> None:
-    brief = rig.run(*BASE)
-    assert brief.out.count("a.parquet") == 10
-    assert "2 more such events: -v" in brief.err
-    assert "2 effects these motions cannot show: -v lists them." in brief.err
-    assert "base_tilt" not in brief.out
-    whole = rig.run(*BASE, "-v")
-    assert whole.out.count("a.parquet") == 12
-    assert "base_tilt" in whole.out
-
-
-@pytest.mark.parametrize(("found", "strict"), [(FOUND, 1), (OPEN, 1), (NOTHING, 0)])
-def test_strict_is_about_the_verdict(
-    rig: Rig, library: Library, found: DiagnosisFile, strict: int
+@pytest.mark.parametrize(
+    ("name", "result", "calls"), [("found", FOUND, 4), ("nothing", NOTHING, 2), ("open", OPEN, 2)]
+)
+def test_what_the_user_sees(
+    rig: Rig, library: Library, name: str, result: DiagnosisFile, calls: int
 ) -> None:
-    library.result = found
-    assert rig.run(*BASE).code == 0
-    assert rig.run(*BASE, "--strict").code == strict
+    library.result = result
+    rig.params("gravity.json", gravity_file())
+    check_transcript(rig, f"diagnose_{name}")
+    assert len(library.calls) == calls
+    assert not (rig.folder / "none.json").exists()
 
 
 def test_errors_of_the_logs_are_in_the_document(rig: Rig, reader: Reader, library: Library) -> None:
@@ -251,28 +172,15 @@ def test_errors_of_the_logs_are_in_the_document(rig: Rig, reader: Reader, librar
         found("position_spikes", "jumps", joint="elbow", channel="position"),
         found("clock_gap", "1 gaps"),
     )
-    done = rig.run(*BASE, "--json")
-    document = json.loads(done.out)
+    document = json.loads(rig.run(*BASE, "--json").out)
     jsonschema.validate(document, json_schema(DIAGNOSIS_SCHEMA))
     assert [verdict["joint"] for verdict in document["verdicts"]] == ["elbow"]
     assert "[position_spikes] a.parquet" in document["verdicts"][0]["reason"]
     assert any("[clock_gap] a.parquet" in note for note in document["notes"])
-    assert "elbow: poor" in rig.run(*BASE).out
-    assert rig.run(*BASE, "--strict").code == 1
+    library.result = NOTHING
+    check_transcript(rig, "diagnose_faulty")
 
 
 def test_a_partly_read_log(rig: Rig, reader: Reader, library: Library) -> None:
-    reader.partial = "the last 12 of 40 chunks are damaged"
-    assert rig.run(*BASE).code == 3
-    assert rig.run(*BASE, "--strict").code == 1
-
-
-@pytest.mark.parametrize("options", [[], ["--motion", "imu"]])
-def test_a_missing_stage(rig: Rig, library: Library, options: list[str]) -> None:
-    rig.params("p.json", gravity_file())
-    done = rig.run(*BASE, *options)
-    assert done.code == 2
-    assert "p.json: there is no inertia stage" in done.err
-    assert "Run seqid inertia first" in done.err
-    assert "From logs of any motion, seqid simultaneous gives one." in " ".join(done.err.split())
-    assert library.calls == []
+    reader.partial, library.result = "the last 12 of 40 chunks are damaged", NOTHING
+    check_transcript(rig, "diagnose_partial")

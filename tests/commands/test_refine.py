@@ -33,6 +33,7 @@ from seqid_cli.params.schema import (
 )
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
+from tests.commands.transcripts import check_transcript
 from tests.unit.params.documents import friction_file, inertia_file
 from tests.unit.params.generate import json_schema
 
@@ -70,7 +71,6 @@ LOOP = ClosedLoop(
     evaluated_on=["b.parquet"],
     notes=["a remark"],
 )
-NOTHING = structs.replace(LOOP, rounds=[], after=LOOP.before)
 EFFECT = EffectOfJoint(
     effect="stribeck",
     joint="elbow",
@@ -205,86 +205,34 @@ def test_a_refined_file_is_taken_wherever_an_inertia_file_is(rig: Rig, library: 
     assert library.earlier == {"effects": ["a.parquet"]}
 
 
-def test_what_the_user_sees(rig: Rig, library: Library) -> None:
-    done = rig.run(*BASE, "-o", "out.json")
-    lines = done.out.splitlines()
-    assert lines[0] == "Added: stribeck at elbow."
-    assert lines[1] == "Verdict good: the held-out logs confirm what was added."
-    assert " ".join(lines[3].split()) == (
-        "stribeck elbow 62.0 % 55.0 % to 64.0 % 60.0 % 50.0 % to 63.0 % added, confirmed"
-    )
-    assert lines[4].endswith("refused: the interval holds zero")
-    assert "whole arm" in lines[4]
-    (elbow,) = (" ".join(line.split()) for line in lines if line.startswith("elbow"))
-    assert elbow == "elbow 0.4 0.2 0.18 0.17 to 0.19 75.0 % 70.0 % to 80.0 % 10.0 % 0.8 0.4"
-    assert "stribeck_torque" in done.out
-    assert any("stribeck_speed 0.05 rad/s" in line for line in lines)
-    assert "note: a remark" in done.err
-    assert "friction was identified: b.parquet" in done.err
-    assert "next: seqid predict LOG... -r robot.toml -p out.json -o prediction.json" in done.err
+DOUBTFUL = structs.replace(ADDED, held_out_gain=0.02, interval=[-0.3, 0.34], confirmed=False)
+SCREENS = {  # what a refinement found
+    "refine": LOOP,
+    "refine_refused": structs.replace(LOOP, rounds=[], after=LOOP.before),
+    "refine_nothing": structs.replace(LOOP, rounds=[], refused=[], after=LOOP.before),
+    "refine_unconfirmed": structs.replace(LOOP, verdict="poor", rounds=[DOUBTFUL], refused=[]),
+}
 
 
-def test_nothing_added_is_a_result(rig: Rig, library: Library) -> None:
-    library.loop, library.effects = NOTHING, None
-    done = rig.run(*BASE, "-o", "out.json")
-    assert done.code == 0
-    assert done.out.startswith("Nothing was added: no effect predicts left-out blocks better.\n")
-    file = read_parameters(rig.folder / "out.json")
-    assert file.stages.effects == []
-    assert file.closed_loop.rounds == []
-    assert rig.run(*BASE, "--strict").code == 1
-    library.loop = structs.replace(NOTHING, refused=[])
-    assert rig.run(*BASE).out.startswith("Nothing was added: nothing was found.\n")
-
-
-def test_what_held_out_logs_do_not_confirm_is_poor(rig: Rig, library: Library) -> None:
-    doubtful = structs.replace(ADDED, held_out_gain=0.02, interval=[-0.3, 0.34], confirmed=False)
-    library.loop = structs.replace(LOOP, verdict="poor", rounds=[doubtful], refused=[])
-    done = rig.run(*BASE, "-o", "out.json")
-    assert done.code == 0
-    assert "verdict poor: the held-out logs do not confirm stribeck at elbow" in done.err
-    assert "added, not confirmed" in done.out
-    file = read_parameters(rig.folder / "out.json")
-    assert file.closed_loop.verdict == "poor"
-    assert file.stages.effects == [EFFECT]
-    assert rig.run(*BASE, "--strict").code == 1
-
-
-def test_exit_codes(rig: Rig, reader: Reader, library: Library) -> None:
-    assert rig.run(*BASE, "--strict").code == 0
-    reader.partial = "the end is missing"
-    assert rig.run(*BASE).code == 3
-    library.loop = NOTHING
-    assert rig.run(*BASE, "--strict").code == 1
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (
-            ["refine", "a.parquet", "-r", "robot.toml", "-p", "p.json"],
-            "seqid refine: error: Missing option '--holdout'",
-        ),
-        ([*BASE, "--holdout", "no.parquet"], "no.parquet: does not exist"),
-        ([*BASE, "--holdout", "a.parquet"], "a.parquet: is given both to fit and to hold out"),
-        ([*BASE, "--holdout", "./a.parquet"], "a.parquet: is given both to fit and to hold out"),
-        ([*BASE, "--holdout", "*.parquet"], "a.parquet: is given both to fit and to hold out"),
-        ([*BASE, "--rounds", "0"], "0 is not in the range 1<=x<=100"),
-        ([*BASE, "-o", "b.parquet"], "b.parquet: is an input of this command"),
-        ([*BASE[:-1], "swapped.json"], "swapped.json: is about robot 'arm' with joints elbow,"),
-        ([*BASE[:-1], "f.json"], "f.json: there is no inertia stage"),
-    ],
-)
-def test_what_cannot_run(rig: Rig, library: Library, arguments: list[str], message: str) -> None:
-    rig.params("f.json", friction_file())
+@pytest.mark.parametrize("name", SCREENS)
+def test_what_the_user_sees(rig: Rig, library: Library, name: str) -> None:
+    library.loop = SCREENS[name]
+    library.effects = [EFFECT] if library.loop.rounds else None
     swapped = inertia_file()
     swapped.robot.joints = swapped.robot.joints[::-1]
     rig.params("swapped.json", swapped)
-    done = rig.run(*arguments)
-    assert done.code == 2
-    assert message in done.err
-    assert "  hint: " in done.err
-    assert library.training == []
+    rig.params("f.json", friction_file())
+    check_transcript(rig, name)
+    file = read_parameters(rig.folder / "out.json")
+    assert file.stages.effects == (library.effects or [])
+    loop = library.loop
+    assert (file.closed_loop.verdict, file.closed_loop.rounds) == (loop.verdict, loop.rounds)
+
+
+def test_a_partly_read_log(rig: Rig, reader: Reader, library: Library) -> None:
+    reader.partial = "the end is missing"
+    library.loop, library.effects = SCREENS["refine_nothing"], None
+    check_transcript(rig, "refine_partial")
 
 
 def test_a_copy_of_what_was_fitted_is_refused_when_it_is_opened(rig: Rig, library: Library) -> None:

@@ -13,6 +13,7 @@ from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import SCHEMA, RigidStage
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import SAMPLES, Reader, Rig
+from tests.commands.transcripts import check_transcript
 from tests.unit.params.documents import (
     friction_file,
     friction_stage,
@@ -80,25 +81,23 @@ def test_simultaneous(rig: Rig, reader: Reader, identified: Replace, offset: boo
     assert stages.gravity is None
 
 
-def test_a_stage_with_nothing_to_identify(rig: Rig, reader: Reader, identified: Replace) -> None:
-    before = rig.params("p.json", friction_file())
+def test_what_the_other_stages_show(rig: Rig, reader: Reader, identified: Replace) -> None:
+    """Nothing to identify, IMUs, inertia, stages that are stale, and everything at once."""
+    rig.params("f.json", friction_file())
+    rig.params("full.json", full_file())
     empty = RigidStage(parameters=[], condition=0.0, rank=0, notes=["the arm is planar"])
     identified("rigid.gravity", "identify_gravity", empty)
-    done = rig.run("gravity", *COMMON, "-p", before)
-    assert done.code == 0
-    assert "gravity: nothing to identify on this robot" in done.out
-    assert "note: the arm is planar" in done.err
-    assert read_parameters(rig.folder / "out.json").stages.gravity == empty
-
-
-def test_stale_stages_are_left_out_and_named(rig: Rig, reader: Reader, identified: Replace) -> None:
-    before = rig.params("p.json", full_file())
-    identified("rigid.gravity", "identify_gravity", rigid_stage())
-    done = rig.run("gravity", *COMMON, "-p", before)
-    assert "warning: the inertia stage rested on the old result" in done.err
-    stages = read_parameters(rig.folder / "out.json").stages
-    assert stages.inertia is None
-    assert stages.imu is not None
+    identified("imu_calibration.calibrate", "calibrate_imus", imu_stage())
+    identified("rigid.inertia", "identify_inertia", rigid_stage("kg m^2"))
+    found = (friction_stage(), rigid_stage())
+    identified("rigid.simultaneous", "identify_simultaneous", found)
+    with (rig.folder / "robot.toml").open("a") as file:
+        file.write("# changed\n")
+    check_transcript(rig, "stages")
+    assert read_parameters(rig.folder / "g.json").stages.gravity == empty
+    again = read_parameters(rig.folder / "again.json").stages
+    assert again.inertia is None
+    assert again.imu is not None
 
 
 def test_json_is_the_file(rig: Rig, reader: Reader, identified: Replace) -> None:
@@ -110,71 +109,26 @@ def test_json_is_the_file(rig: Rig, reader: Reader, identified: Replace) -> None
     assert "warning: a.parquet: jitter is 20 %" in done.err
 
 
-def test_without_output_nothing_is_written(rig: Rig, reader: Reader, identified: Replace) -> None:
+def test_what_friction_shows(rig: Rig, reader: Reader, identified: Replace) -> None:
     identified("friction_surface.stage", "identify_friction", friction_stage())
-    before = set(rig.folder.iterdir())
-    done = rig.run("friction", "a.parquet", "-r", "robot.toml")
-    assert done.code == 0
-    assert "good" in done.out
-    assert "Nothing was written" in done.err
-    assert set(rig.folder.iterdir()) == before
+    check_transcript(rig, "friction")
 
 
-@pytest.mark.parametrize(("strict", "code"), [([], 0), (["--strict"], 1)])
-def test_a_poor_verdict(
-    rig: Rig, reader: Reader, identified: Replace, strict: list[str], code: int
-) -> None:
-    identified("friction_surface.stage", "identify_friction", friction_stage(good=False))
-    done = rig.run("friction", *COMMON, *strict)
-    assert done.code == code
-    assert done.out.splitlines()[2].endswith("poor: only 1 speed, 3 are needed")
-    assert (rig.folder / "out.json").exists()
-    assert "next:" not in done.err
-    assert "do: look at the reasons above" in done.err
-
-
-@pytest.mark.parametrize(("strict", "code"), [([], 0), (["--strict"], 1)])
-def test_an_error_in_a_log_makes_its_joint_poor(
-    rig: Rig, reader: Reader, identified: Replace, strict: list[str], code: int
-) -> None:
-    identified("friction_surface.stage", "identify_friction", friction_stage())
-    reader.findings = (found("sign_mismatch", "it would gain", joint="elbow", channel="torque"),)
-    done = rig.run("friction", *COMMON, *strict)
-    assert done.code == code
-    assert "a.parquet: [sign_mismatch] elbow torque: it would gain" in done.err
-    assert "next:" not in done.err
-    assert f"do: {reader.findings[0].remedy}" in done.err
-    stage = read_parameters(rig.folder / "out.json").stages.friction
-    poor = {v.joint: v.reason for v in stage.verdicts if not v.good}
-    assert poor.keys() == {"elbow", ""}
-    assert "a.parquet and 1 more log: torque it would gain" in poor["elbow"]
-    assert poor[""].endswith("not good: elbow")
-
-
-def test_a_partly_read_log(rig: Rig, reader: Reader, identified: Replace) -> None:
-    identified("friction_surface.stage", "identify_friction", friction_stage())
-    reader.partial = "the last 12 of 40 chunks are damaged"
-    done = rig.run("friction", *COMMON)
-    assert done.code == 3
-    assert "a.parquet: only partly read: the last 12 of 40 chunks are damaged" in done.err
-    assert (rig.folder / "out.json").exists()
-    identified("friction_surface.stage", "identify_friction", friction_stage(good=False))
-    assert rig.run("friction", *COMMON, "--strict").code == 1
-
-
-def test_quiet_and_verbose(rig: Rig, reader: Reader, identified: Replace) -> None:
-    identified("friction_surface.stage", "identify_friction", friction_stage())
-    quiet = rig.run("friction", *COMMON, "-q")
-    assert quiet.err == ""
-    assert "good" in quiet.out
-    assert "b.parquet: 5 samples at 100 Hz" in rig.run("friction", *COMMON, "-v").err
-
-
-def test_a_changed_robot_file_is_a_warning(rig: Rig, reader: Reader, identified: Replace) -> None:
-    before = rig.params("p.json", friction_file())
-    with (rig.folder / "robot.toml").open("a") as file:
-        file.write("# changed\n")
-    identified("rigid.gravity", "identify_gravity", rigid_stage())
-    done = rig.run("gravity", *COMMON, "-p", before)
-    assert done.code == 0
-    assert "p.json: the robot file robot.toml has changed" in done.err
+@pytest.mark.parametrize("name", ["poor", "faulty", "partial"])
+def test_what_is_poor(rig: Rig, reader: Reader, identified: Replace, name: str) -> None:
+    """A verdict of the stage itself, errors in its logs, and logs that are read in part."""
+    stage = friction_stage(good=name != "poor")
+    identified("friction_surface.stage", "identify_friction", stage)
+    if name == "faulty":
+        fault = found("sign_mismatch", "it would gain", joint="elbow", channel="torque")
+        reader.findings = (fault,)
+    elif name == "partial":
+        reader.partial = "the last 12 of 40 chunks are damaged"
+    check_transcript(rig, f"friction_{name}")
+    verdicts = read_parameters(rig.folder / "out.json").stages.friction.verdicts
+    poor = {v.joint: v.reason for v in verdicts if not v.good}
+    if name == "faulty":
+        assert poor.keys() == {"elbow", ""}
+        assert "a.parquet and 1 more log: torque it would gain" in poor["elbow"]
+        assert poor[""].endswith("not good: elbow")
+    assert bool(poor) == (name != "partial")

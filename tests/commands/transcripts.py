@@ -1,0 +1,35 @@
+"""What commands show, to the letter: transcripts that are run again.
+
+A line `$ compare a.json b.json` is a command line. Below stand its lines on stdout, those on stderr
+behind `! `, and its exit code in brackets; hashes are left out. After an intended change the tests
+write them anew with the variable TRANSCRIPTS=write; the commit then shows what users see.
+"""
+
+import os
+import re
+import shlex
+from pathlib import Path
+
+from tests.commands.conftest import Rig
+
+FOLDER = Path(__file__).parent / "transcripts"
+
+
+def check_transcript(rig: Rig, name: str) -> None:
+    """Run the command lines of a transcript, and compare all that they show with it."""
+    path = FOLDER / f"{name}.txt"
+    told = path.read_text(encoding="utf-8")
+    lines = [line.removeprefix("$ ") for line in told.splitlines() if line.startswith("$ ")]
+    assert lines
+    shown = "\n".join(f"$ {line}\n{_shown(rig, line)}" for line in lines)
+    if os.environ.get("TRANSCRIPTS") == "write":
+        path.write_text(shown, encoding="utf-8")
+    else:
+        assert shown == told
+
+
+def _shown(rig: Rig, line: str) -> str:
+    done = rig.run(*shlex.split(line))
+    said = [f"! {text}".rstrip() for text in done.err.splitlines()]
+    lines = [*done.out.splitlines(), *said, f"[{done.code}]", ""]
+    return re.sub(r"\b[0-9a-f]{12}\b", "<hash>", "\n".join(lines))

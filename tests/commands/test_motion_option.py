@@ -18,7 +18,7 @@ from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.commands.conftest import Reader, Rig
 from tests.plants.robotfile import robot_toml
-from tests.unit.motion.smoother.test_smooth import scene
+from tests.unit.motion.smoother.rigs import scene
 from tests.unit.params.documents import full_file
 from tests.unit.params.generate import json_schema
 

@@ -20,7 +20,7 @@ from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 from tests.plants.fused import Case
-from tests.unit.motion.smoother.test_smooth import scene as simulated
+from tests.unit.motion.smoother.rigs import scene as simulated
 
 pytestmark = pytest.mark.slow
 

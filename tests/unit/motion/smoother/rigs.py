@@ -1,6 +1,7 @@
-"""What the smoother is measured by: errors of its sources alone, and the bound."""
+"""Rigs that the smoother is judged by: errors of its sources alone, and the bound of its model."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -12,20 +13,56 @@ from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.smoother.chunk import Chunk, Jerk, encoder_view
 from seqid_cli.motion.smoother.imus import mounted_imus, read
+from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.motion.smoother.solve import probed_variance, renewed
 from seqid_cli.motion.smoother.system import linearised
 from tests import Array
-from tests.plants.fused import GYRO_NOISE, Case, Rig
+from tests.plants.fused import GYRO_NOISE, Case, Rig, case
 
 SETTLED = slice(200, -200)
 ENCODER_HZ = np.geomspace(2.0, 120.0, 30)
 IMU_HZ = (10.0, 30.0, 90.0, 200.0, 400.0)
-LINES_400 = 2400  # counts per joint turn behind the gear of 6
+RIGS = {
+    "one": Rig(1, seconds=3.0),
+    "one_400": Rig(1, 2400, seconds=3.0),  # counts per joint turn behind the gear of 6
+    "two": Rig(2, seconds=3.0),
+    "six": Rig(6, seconds=3.0),
+}
+
+recorded = cache(case)
+
+
+def scene(name: str) -> Case:
+    """Three seconds of one or two joints at their limits, or of all six."""
+    return recorded(RIGS[name])
+
+
+@cache
+def smoothed(rig: Rig, *, imus: bool = True) -> Smoothed:
+    """What the smoother makes of a rig, with its IMUs or without."""
+    c = recorded(rig)
+    return smoothed_motion(c.recording, c.robot, c.stage if imus else None)
 
 
 def rms(values: Array) -> Array:
     """RMS (n,) away from the ends."""
     return np.asarray(np.sqrt(np.mean(values[SETTLED] ** 2, axis=0)))
+
+
+def error(rig: Rig, got: Smoothed | None = None) -> Array:
+    """RMS errors (n,) of the acceleration."""
+    return rms((got or smoothed(rig)).ddq - recorded(rig).truth)
+
+
+def alone(rig: Rig) -> Array:
+    """RMS errors (n,) of what the smoother makes of the encoders alone."""
+    return error(rig, smoothed(rig, imus=False))
+
+
+def coverage(rig: Rig, got: Smoothed | None = None) -> Array:
+    """RMS (n,) of the acceleration's errors over their standard errors."""
+    got = got or smoothed(rig)
+    return rms((got.ddq - recorded(rig).truth) / np.sqrt(got.variance[:, :, 2]))
 
 
 def differentiated(c: Case) -> Array:
@@ -38,7 +75,7 @@ def differentiated(c: Case) -> Array:
     return np.asarray(np.min([rms(ddq - c.truth) for _, ddq in found], axis=0))
 
 
-def from_imus(c: Case) -> Array | None:
+def from_imus(c: Case) -> Array:
     """Errors (n,) of the IMUs sample by sample, with the best of several cut-offs."""
     errors = []
     for hz in IMU_HZ:
@@ -48,7 +85,7 @@ def from_imus(c: Case) -> Array | None:
         except SeqidError:
             continue
         errors.append(rms(got.ddq - c.truth))
-    return np.asarray(np.min(errors, axis=0)) if errors else None
+    return np.asarray(np.min(errors, axis=0))
 
 
 def bound(c: Case, rig: Rig) -> Array:

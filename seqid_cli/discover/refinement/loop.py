@@ -149,7 +149,7 @@ def joints_of(key: Key, robot: Robot) -> set[int]:
 def with_effects(model: Refitted, robot: Robot) -> Stages:
     """The stages with the effects written into them."""
     effects = [
-        as_stage(f, robot) if isinstance(f, FittedEffect) else f.term.to_stage(robot)
+        as_stage(f, robot) if isinstance(f, FittedEffect) else f.to_stage(robot)
         for f in model.effects
     ]
     return msgspec.structs.replace(model.stages, effects=effects)

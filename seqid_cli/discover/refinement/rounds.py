@@ -35,7 +35,7 @@ from seqid_cli.discover.survey.events import Interval
 from seqid_cli.discover.survey.usable import usable_logs
 from seqid_cli.identify.prediction.predict import slides_from
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.fitted import Fitted, FittedTerm, fitted_effects
+from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.schema import ParameterFile, Stages
@@ -346,7 +346,7 @@ def _add_smooth(loop: Loop, found: Investigation) -> None:
         if told.accepted:
             what, model = taken.term.what, loop.model
             assert isinstance(what, SmoothFunction)
-            term = FittedTerm(what.term(taken.one.gained.coefficients))
+            term = what.term(taken.one.gained.coefficients)
             loop.steps.append(replace(model, effects=(*model.effects, term)))
 
 

@@ -123,7 +123,7 @@ def added_torque(
     scene : Scene
         From `scene_of_log`.
     recording : Recording
-    fitted : sequence of FittedEffect or FittedTerm
+    fitted : sequence of FittedEffect or SmoothTerm
     slowest : (n,) array
         Speed at which a joint surely slides: friction there bounds what it holds at rest.
     """
@@ -180,7 +180,7 @@ def without_effects(
     robot : Robot
     stages : Stages
         The model; its own `effects` play no part.
-    fitted : sequence of FittedEffect or FittedTerm
+    fitted : sequence of FittedEffect or SmoothTerm
         What to take out.
     motion : MotionOptions
         The cut-off, where the user sets it.

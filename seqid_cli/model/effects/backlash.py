@@ -33,7 +33,11 @@ class Backlash(Effect):
 
     name = "backlash"
     family = "transmission"
-    settings = (Setting("trial_gap", "rad", low=SMALLEST, high=LARGEST, continuous=False),)
+    settings = (
+        Setting(
+            "trial_gap", "rad", low=SMALLEST, high=LARGEST, continuous=False, agreement=AGREEMENT
+        ),
+    )
     needs = ("load",)
     apart = True
     linear = (Coefficient("gap", "rad", low=0.0, high=0.1),)
@@ -66,10 +70,6 @@ class Backlash(Effect):
                 best, most = gap, explained
         yield {"trial_gap": best}
 
-    def sharpened(self, settings: Settings, c: Array) -> dict[str, float] | None:
-        """The gap that was found."""
-        return {"trial_gap": float(np.clip(c[0], SMALLEST, LARGEST))}
-
     def _flights(self, scene: Scene, joint: int) -> tuple[Array, ...]:
         """Torque (N,) of the flights of every gap; it is asked for again and again."""
         key = (self.name, joint)
@@ -94,13 +94,6 @@ class Backlash(Effect):
         deviation = play(scene.load[:, joint], inertia, scene.motion, gap) / -gap
         torque = link_deviation(scene, joint, deviation)
         return {j: torque[:, j : j + 1] for j in range(scene.robot.n)}
-
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
-        """The gap agrees with the one that shaped the flights, as far as the band shows shapes."""
-        ratio = float(c[0]) / settings["trial_gap"]
-        return super().plausible(scenes, joint, settings, c) and (
-            1.0 / AGREEMENT < ratio < AGREEMENT
-        )
 
 
 def play(load: Array, inertia: Array, motion: Motion, gap: float) -> Array:

@@ -19,7 +19,7 @@ import numpy as np
 
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes, has_rigid_body, moves
 from seqid_cli.model.effects.smooth import MEASURES, Axis, Measure
-from seqid_cli.model.effects.units import Value
+from seqid_cli.model.effects.units import Value, amplitude_and_phase
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
@@ -57,7 +57,10 @@ class Setting:
     ratio. A `usual` value is taken where no other does clearly better. From the grid's value on
     those of `then` are followed one after the other while the gain grows, with the other settings
     searched anew at each: of a shape that is found only in its blunt form. One that is not `asked`
-    for is left out where that does not do clearly worse.
+    for is left out where that does not do clearly worse. `grid` are the values of the default grid.
+
+    `agreement` is of a setting that is the effect's own size, near which its column is exact: it
+    follows the first coefficient, and where it is not 0 the two must agree to this ratio.
     """
 
     name: str
@@ -69,6 +72,8 @@ class Setting:
     usual: tuple[float, ...] = ()
     then: tuple[float, ...] = ()
     asked: bool = True
+    grid: tuple[float, ...] = ()
+    agreement: float | None = None
 
     def bracket(self, value: float, spacing: float = SPACING) -> tuple[float, float]:
         """Interval about a value that is searched; in logarithms where it is searched by ratio."""
@@ -77,6 +82,12 @@ class Setting:
             return float(np.log(low)), float(np.log(high))
         reach = 0.5 * max(abs(value), 1e-3)
         return max(value - reach, self.low), min(value + reach, self.high)
+
+    def agrees(self, value: float, size: float) -> bool:
+        """Whether a value belongs to the size that was found with it."""
+        if self.agreement is None or value == 0.0:
+            return True
+        return 1.0 / self.agreement <= size / value <= self.agreement
 
     def at(self, x: float) -> float:
         """The value at a place of such an interval."""
@@ -122,6 +133,9 @@ class Effect(abc.ABC):
     drive : bool
         Whether its torque arises between the motor's current and a torque sensor behind the gear,
         which does not see it.
+    wave : str
+        What its two coefficients are the sine and cosine of: they are reported as its amplitude and
+        phase.
     later : tuple of str
         Coefficients, the last ones, that files of earlier versions do not have: zero there.
     over : str
@@ -154,6 +168,7 @@ class Effect(abc.ABC):
     change: bool = False
     apart: bool = False
     drive: bool = False
+    wave: str = ""
     later: tuple[str, ...] = ()
     over: Over = "torque"
     sided: bool = False
@@ -237,7 +252,7 @@ class Effect(abc.ABC):
 
     def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
         """Return the grid's values of each setting; the default `grid` is their product."""
-        return {}
+        return {setting.name: setting.grid for setting in self.settings if setting.grid}
 
     def reached(self, settings: Settings, *, points: int = 15) -> Grid:
         """Yield settings at which a search from a grid's may end, `points` to every interval."""
@@ -255,7 +270,8 @@ class Effect(abc.ABC):
 
         For columns that are exact only near the effect's true size.
         """
-        return None
+        own = [setting for setting in self.settings if setting.agreement is not None]
+        return {one.name: float(np.clip(c[0], one.low, one.high)) for one in own} or None
 
     def guessed(self, scene: Scene, joint: Joint, settings: Settings) -> Mapping[int, Mask]:
         """Return, by joint, samples (N,) at which nobody can say what torque the effect has.
@@ -276,11 +292,15 @@ class Effect(abc.ABC):
         self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return the physical parameters of coefficients c (k,) with their covariance (k, k)."""
-        errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+        specs = self.coefficients(settings)
         slides = joint is not None and robot.joints[joint].prismatic
+        if self.wave:
+            unit = unit_of(specs[0].unit, slides)
+            return amplitude_and_phase(c, covariance, unit, name=self.wave)
+        errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return [
             Value(spec.name, float(x), float(e), unit_of(spec.unit, slides))
-            for spec, x, e in zip(self.coefficients(settings), c, errors, strict=True)
+            for spec, x, e in zip(specs, c, errors, strict=True)
         ]
 
     def lacking(self, robot: Robot, joint: Joint) -> str:
@@ -293,9 +313,14 @@ class Effect(abc.ABC):
         )
 
     def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
-        """Return whether coefficients c (k,) are physical; the default asks their bounds."""
+        """Return whether coefficients c (k,) are physical; the default asks their bounds.
+
+        And that a setting which is the effect's size agrees with it.
+        """
         specs = self.coefficients(settings)
-        return all(spec.low <= x <= spec.high for spec, x in zip(specs, c, strict=True))
+        bounded = all(spec.low <= x <= spec.high for spec, x in zip(specs, c, strict=True))
+        size, own = float(c[0]) if len(c) else 0.0, self.settings
+        return bounded and all(x.agrees(settings.get(x.name, 0.0), size) for x in own)
 
 
 class FrictionLaw(Effect):

@@ -21,11 +21,9 @@ from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settin
 from seqid_cli.model.effects.measurement import MeasurementEffect
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.sensitivity import modelled_slopes
-from seqid_cli.model.effects.units import Value, amplitude_and_phase
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
-from seqid_cli.units import unit_of
 
 ORDERS = (1.0, 2.0)
 FINE_GEAR = 5.0  # below it an order of the joint and one of the motor are the same thing
@@ -42,6 +40,7 @@ class EncoderEccentricity(MeasurementEffect):
         Coefficient("error_sin", "rad", -LARGEST_RAD, LARGEST_RAD),
         Coefficient("error_cos", "rad", -LARGEST_RAD, LARGEST_RAD),
     )
+    wave = "error"
     alike = ("torque_ripple", "joint_elasticity")
     separate_by = (
         "one slow and one fast pass at constant speed: torque from a wrong angle grows with the "
@@ -86,10 +85,3 @@ class EncoderEccentricity(MeasurementEffect):
         q = recording.q.copy()
         q[:, joint] -= c[0] * np.sin(p) + c[1] * np.cos(p)
         return replace(recording, q=q)
-
-    def values(
-        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
-    ) -> list[Value]:
-        """Return amplitude and phase of the error."""
-        unit = unit_of("rad", bool(robot.chain.prismatic[joint or 0]))
-        return amplitude_and_phase(c, covariance, unit, name="error")

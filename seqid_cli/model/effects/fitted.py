@@ -47,34 +47,10 @@ class FittedEffect:
         return {j: X @ self.coefficients for j, X in columns.items()}
 
 
-@dataclass(frozen=True)
-class FittedTerm:
-    """A smooth term that no effect explains, behaving like a fitted effect."""
-
-    term: SmoothTerm
-    session: EffectSession | None = None
-
-    @property
-    def passes(self) -> int:
-        """How many times the low-pass is to be applied."""
-        return self.term.passes
-
-    @property
-    def local(self) -> bool:
-        """Whether its torque at a moment follows from the motion around it."""
-        return not {axis.measure for axis in self.term.axes} & {"temperature", "time"}
-
-    def torques(self, scene: Scene) -> dict[int, Array]:
-        """Torque (N,) N m of its joint, unfiltered."""
-        return {self.term.joint: self.term.torque(scene)}
+Fitted = FittedEffect | SmoothTerm
 
 
-Fitted = FittedEffect | FittedTerm
-
-
-def fitted_effects(
-    stages: Stages, robot: Robot, *, unexplained: bool = False
-) -> list[FittedEffect | FittedTerm]:
+def fitted_effects(stages: Stages, robot: Robot, *, unexplained: bool = False) -> list[Fitted]:
     """Restore the effects of a parameter file.
 
     Parameters
@@ -96,7 +72,7 @@ def fitted_effects(
         if entry.effect != UNEXPLAINED:
             found.append(_restored(f"$.stages.effects[{index}]", entry, robot, catalogue))
         elif unexplained:
-            found.append(FittedTerm(SmoothTerm.from_stage(entry, robot), entry.session))
+            found.append(SmoothTerm.from_stage(entry, robot))
     return found
 
 
@@ -230,7 +206,7 @@ def effect_notes(stages: Stages, robot: Robot, *, unexplained: bool = False) -> 
 
 
 def _name(fitted: Fitted, robot: Robot) -> str:
-    if isinstance(fitted, FittedTerm):
-        return f"{UNEXPLAINED} ({robot.joint_names[fitted.term.joint]})"
+    if isinstance(fitted, SmoothTerm):
+        return f"{UNEXPLAINED} ({robot.joint_names[fitted.joint]})"
     where = "all joints" if fitted.joint is None else robot.joint_names[fitted.joint]
     return f"{fitted.effect.name} ({where})"

@@ -10,15 +10,12 @@ a dynamic friction model with nonlinear viscous and thermal dependency for a mot
 drive gear", ICRA 2018.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.typing import Array
 
-EXPONENTS = (0.5, 3.0)
 TAKEN = ((0.85, 1.15), (1.8, 2.2))  # exponents that go by other names
 
 
@@ -26,7 +23,7 @@ class NonlinearViscous(FrictionLaw):
     """Friction with a power of the speed."""
 
     name = "nonlinear_viscous"
-    settings = (Setting("exponent", "1", low=0.3, high=4.0),)
+    settings = (Setting("exponent", "1", low=0.3, high=4.0, grid=(0.5, 3.0)),)
     over = "speed"
     sided = True
     alike = ("quadratic_drag", "stribeck", "thermal_friction")
@@ -39,10 +36,6 @@ class NonlinearViscous(FrictionLaw):
         """Return the torque at 1 rad/s; a negative root would be a Stribeck hump."""
         low = 0.0 if settings["exponent"] < 1.0 else -np.inf
         return (Coefficient("viscous_torque", "N m", low=low),)
-
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
-        """A root and a cubic."""
-        return {"exponent": EXPONENTS}
 
     def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Power of the speed times direction."""

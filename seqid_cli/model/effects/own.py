@@ -7,7 +7,7 @@ Every X_k follows from the formula's text (`robot.formula`); nothing of it is ev
 
 import ast
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import entry_points
 
 import numpy as np
@@ -15,7 +15,7 @@ import numpy as np
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Over, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
-from seqid_cli.robot.formula import Formula, Symbol, is_coefficient, symbol_of
+from seqid_cli.robot.formula import Formula, Symbol, symbol_of
 from seqid_cli.robot.types import OwnEffect, Robot
 from seqid_cli.typing import Array
 
@@ -43,6 +43,13 @@ _FUNCTIONS = {
     "tanh": np.tanh,
     "min": np.minimum,
     "max": np.maximum,
+}
+_OPERATORS: Mapping[type[ast.operator], Callable[[Array, Array], Array]] = {
+    ast.Add: np.add,
+    ast.Sub: np.subtract,
+    ast.Mult: np.multiply,
+    ast.Div: np.divide,
+    ast.Pow: np.power,
 }
 
 
@@ -135,11 +142,12 @@ class FormulaEffect(Effect):
             If a term is no finite number somewhere.
         """
         assert joint is not None
+        names = self.formula.coefficients
+        X = np.empty((scene.samples, len(names)))
         with np.errstate(all="ignore"):
-            terms = _Terms(scene, joint, settings).of(self.formula.tree)
-        X = np.column_stack(
-            [np.broadcast_to(terms[name], scene.samples) for name in self.formula.coefficients]
-        ).astype(np.float64)
+            for k, own in enumerate(np.eye(len(names))):  # linear in its coefficients
+                numbers = {**settings, **dict(zip(names, own, strict=True))}
+                X[:, k] = _evaluated(self.formula.tree, scene, joint, numbers)
         bad = ~np.isfinite(X).all(axis=1)
         if bad.any():
             raise ConfigError(
@@ -152,75 +160,43 @@ class FormulaEffect(Effect):
         return {joint: X}
 
 
-_Value = dict[str, Array]  # factors of coefficients, or of "" for what has none
+def _evaluated(node: ast.expr, scene: Scene, joint: int, numbers: Settings) -> Array:
+    """Evaluate a tree that was checked, with `numbers` for its settings and coefficients."""
+
+    def of(part: ast.expr) -> Array:
+        return _evaluated(part, scene, joint, numbers)
+
+    match node:
+        case ast.Constant(value=value):
+            return np.asarray(float(value))  # type: ignore[arg-type]
+        case ast.Name(id=name):
+            return np.asarray(numbers[name] if name in numbers else _quantity(scene, joint, name))
+        case ast.UnaryOp(op=op, operand=inner):
+            return np.asarray((-1.0 if isinstance(op, ast.USub) else 1.0) * of(inner))
+        case ast.BinOp(left=left, op=op, right=right):
+            return np.asarray(_OPERATORS[type(op)](of(left), of(right)))
+        case ast.Call(func=ast.Name(id=name), args=[first, *more]):
+            if name == "sign" and isinstance(first, ast.Name) and first.id not in numbers:
+                symbol = symbol_of(first.id)
+                if symbol is not None and symbol.name == "dq":
+                    return scene.sign[:, joint if symbol.joint is None else symbol.joint]
+            return np.asarray(_FUNCTIONS[name](*map(of, [first, *more])))
+    raise AssertionError(ast.dump(node))
 
 
-class _Terms:
-    """Evaluates a tree that was checked, as factors of the coefficients."""
-
-    def __init__(self, scene: Scene, joint: int, settings: Settings) -> None:
-        self.scene, self.joint, self.settings = scene, joint, settings
-
-    def of(self, node: ast.expr) -> _Value:
-        match node:
-            case ast.Constant(value=value):
-                return {"": np.asarray(float(value))}  # type: ignore[arg-type]
-            case ast.Name(id=name):
-                return {name: np.ones(())} if is_coefficient(name) else {"": self._known(name)}
-            case ast.UnaryOp(op=op, operand=inner):
-                sign = -1.0 if isinstance(op, ast.USub) else 1.0
-                return {name: sign * x for name, x in self.of(inner).items()}
-            case ast.BinOp(left=left, op=op, right=right):
-                return _joined(op, self.of(left), self.of(right))
-            case ast.Call(func=ast.Name(id=name), args=arguments):
-                return {"": self._called(name, arguments)}
-        raise AssertionError(ast.dump(node))
-
-    def _called(self, name: str, arguments: list[ast.expr]) -> Array:
-        symbol = symbol_of(arguments[0].id) if isinstance(arguments[0], ast.Name) else None
-        if name == "sign" and symbol is not None and symbol.name == "dq":
-            return self.scene.sign[:, self._joint(symbol)]
-        return np.asarray(_FUNCTIONS[name](*(self.of(argument)[""] for argument in arguments)))
-
-    def _known(self, name: str) -> Array:
-        if name in self.settings:
-            return np.asarray(self.settings[name])
-        symbol = symbol_of(name)
-        assert symbol is not None
-        return _quantity(self.scene, symbol.name, self._joint(symbol))
-
-    def _joint(self, symbol: Symbol) -> int:
-        return self.joint if symbol.joint is None else symbol.joint
-
-
-def _joined(op: ast.operator, left: _Value, right: _Value) -> _Value:
-    match op:
-        case ast.Add() | ast.Sub():
-            turned = right if isinstance(op, ast.Add) else {k: -x for k, x in right.items()}
-            names = left.keys() | turned.keys()
-            return {k: left.get(k, np.zeros(())) + turned.get(k, np.zeros(())) for k in names}
-        case ast.Mult():
-            factors, plain = (left, right) if "" in right else (right, left)
-            return {k: x * plain[""] for k, x in factors.items()}
-        case ast.Div():
-            return {k: x / right[""] for k, x in left.items()}
-    return {"": np.asarray(left[""] ** right[""])}
-
-
-def _quantity(scene: Scene, name: str, joint: int) -> Array:
-    """One quantity (N,) of a joint."""
-    if name == "t":
+def _quantity(scene: Scene, joint: int, name: str) -> Array:
+    """One quantity (N,) of the joint, or of the one that its name ends with."""
+    symbol = symbol_of(name)
+    assert symbol is not None
+    own = joint if symbol.joint is None else symbol.joint
+    if symbol.name == "t":
         return scene.time
-    if name == "theta":
-        return np.asarray(scene.gear[joint] * scene.angle[:, joint])
-    if name == "temperature":
-        assert scene.temperature is not None
-        return scene.temperature[:, joint]
-    if name in {"q", "dq", "ddq"}:
-        return np.asarray(getattr(scene.motion, name)[:, joint])
-    return np.asarray(
-        {"tau": scene.modelled, "load": scene.load}.get(name, scene.friction)[:, joint]
-    )
+    if symbol.name == "theta":
+        return np.asarray(scene.gear[own] * scene.angle[:, own])
+    if symbol.name in {"q", "dq", "ddq"}:
+        return np.asarray(getattr(scene.motion, symbol.name)[:, own])
+    held = getattr(scene, "modelled" if symbol.name == "tau" else symbol.name)
+    return np.asarray(held[:, own])
 
 
 def _turns(tree: ast.expr) -> bool:

@@ -24,7 +24,7 @@ from scipy.interpolate import BSpline
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.units import UNEXPLAINED
-from seqid_cli.params.schema import EffectOfJoint, Parameter
+from seqid_cli.params.schema import EffectOfJoint, EffectSession, Parameter
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -163,6 +163,8 @@ class SmoothTerm:
         `one`, `direction` or `load`.
     coefficients : (K,) array
         N m (1 with the factor `load`), one per product of the axes' functions.
+    session : EffectSession, optional
+        Which logs its times are of.
     """
 
     name: ClassVar[str] = UNEXPLAINED
@@ -173,6 +175,16 @@ class SmoothTerm:
     axes: tuple[Axis, ...]
     factor: Factor
     coefficients: Array
+    session: EffectSession | None = None
+
+    @property
+    def local(self) -> bool:
+        """Whether its torque at a moment follows from the motion around it."""
+        return not {axis.measure for axis in self.axes} & {"temperature", "time"}
+
+    def torques(self, scene: Scene) -> dict[int, Array]:
+        """Torque (N,) N m of its joint, unfiltered."""
+        return {self.joint: self.torque(scene)}
 
     def torque(self, scene: Scene) -> Array:
         """Torque (N,) N m at the joint, unfiltered; the low-pass is to be applied twice."""
@@ -225,7 +237,7 @@ class SmoothTerm:
         if not np.all(np.isfinite(values)):
             raise _damaged(entry.joint, "parameters", "a coefficient that is not finite")
         quantities = tuple(str(settings.get("depends_on", "")).split())
-        return cls(joint, quantities, axes, cast(Factor, factor), values)
+        return cls(joint, quantities, axes, cast(Factor, factor), values, entry.session)
 
 
 def _axis(entry: EffectOfJoint, robot: Robot, number: int) -> Axis:

@@ -11,12 +11,10 @@ compensators see Klimchik et al., "Identification of geometrical and elastostati
 heavy industrial robots", ICRA 2013.
 """
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -28,7 +26,7 @@ class Spring(Effect):
 
     name = "spring"
     family = "transmission"
-    settings = (Setting("cubic", "1", low=0.0, high=1.0, continuous=False),)
+    settings = (Setting("cubic", "1", low=0.0, high=1.0, continuous=False, grid=(0.0, 1.0)),)
     passes = 1
     later = ("quadratic_stiffness",)
     over = "position"
@@ -45,10 +43,6 @@ class Spring(Effect):
             squared = Coefficient("quadratic_stiffness", "N m/rad^2")
             return (*linear, Coefficient("cubic_stiffness", "N m/rad^3"), squared)
         return linear
-
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
-        """Try the linear and the cubic law."""
-        return {"cubic": (0.0, 1.0)}
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Position, one, its cube and its square."""

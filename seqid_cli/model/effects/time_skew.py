@@ -12,14 +12,11 @@ A delay and a lag agree to first order and part in the second, d^2/2 against T^2
 derivative.
 """
 
-from collections.abc import Mapping, Sequence
-
-import numpy as np
 from scipy.ndimage import shift
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
 from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.typing import Array
 
@@ -34,7 +31,17 @@ class TimeSkew(TorqueMeasurement):
 
     name = "time_skew"
     family = "measurement"
-    settings = (Setting("around", "s", low=-LARGEST_S, high=LARGEST_S, continuous=False),)
+    settings = (
+        Setting(
+            "around",
+            "s",
+            low=-LARGEST_S,
+            high=LARGEST_S,
+            continuous=False,
+            grid=(0.0,),
+            agreement=CONSISTENT,
+        ),
+    )
     timing = True
     first_order = True
     shared = True
@@ -44,14 +51,6 @@ class TimeSkew(TorqueMeasurement):
         "fast reversals and steps of acceleration; stamp positions and torques with one clock, or "
         "log a common trigger"
     )
-
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
-        """Around none; `sharpened` does the rest."""
-        return {"around": [0.0]}
-
-    def sharpened(self, settings: Settings, c: Array) -> dict[str, float] | None:
-        """Around the delay that was found."""
-        return {"around": float(np.clip(c[0], -LARGEST_S, LARGEST_S))}
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Change of the modelled torque per second of delay."""
@@ -63,13 +62,6 @@ class TimeSkew(TorqueMeasurement):
     def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
         """Shift back."""
         return delayed(tau, -float(c[0]), rate_hz)
-
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
-        """Ask for a delay that its column belongs to; a lag is not to pass for a delay."""
-        d, around = float(c[0]), settings["around"]
-        if abs(d) > LARGEST_S:
-            return False
-        return around == 0.0 or 1.0 / CONSISTENT <= d / around <= CONSISTENT
 
 
 def delayed(values: Array, delay_s: float, rate_hz: float) -> Array:

@@ -28,10 +28,7 @@ import numpy as np
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
 from seqid_cli.model.effects.orders import Profile, clearest, clearness, peaks
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
-from seqid_cli.model.effects.units import Value, amplitude_and_phase
-from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
-from seqid_cli.units import unit_of
 
 LAWS = ("constant", "torque", "direction", "load")
 PEAKS = 4  # per law
@@ -61,6 +58,7 @@ class TorqueRipple(Effect):
         Setting("lag", "s", low=0.0, high=max(LAGS_S), continuous=False),
     )
     wide = True
+    wave = "ripple"
     over = "wave"
     alike = ("encoder_eccentricity", "periodic_disturbance")
     separate_by = (
@@ -114,15 +112,6 @@ class TorqueRipple(Effect):
         p = settings["order"] * scene.gear[joint] * _angle(scene, joint, settings["lag"])
         m = multiplier(scene, joint, int(settings["law"]))
         return {joint: np.stack([m * np.sin(p), m * np.cos(p)], axis=1)}
-
-    def values(
-        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
-    ) -> list[Value]:
-        """Return amplitude (N m; laws 1, 3: share of the torque) and phase."""
-        unit = self.coefficients(settings)[0].unit
-        return amplitude_and_phase(
-            c, covariance, unit_of(unit, bool(robot.chain.prismatic[joint or 0]))
-        )
 
 
 def _profiles(

@@ -31,7 +31,7 @@ class TorqueSaturation(TorqueMeasurement):
     name = "torque_saturation"
     family = "measurement"
     drive = True
-    settings = (Setting("around", "1/(N m)^2", low=0.0, continuous=False),)
+    settings = (Setting("around", "1/(N m)^2", low=0.0, continuous=False, agreement=CONSISTENT),)
     first_order = True
     over = "load"
     linear = (Coefficient("saturation", "1/(N m)^2", low=0.0),)
@@ -46,10 +46,6 @@ class TorqueSaturation(TorqueMeasurement):
         peak = max(_peak(scene, joint) for scene in scenes)
         return {"around": [loss / peak**2 for loss in LOSSES_AT_PEAK] if peak > 0.0 else [0.0]}
 
-    def sharpened(self, settings: Settings, c: Array) -> dict[str, float] | None:
-        """Around the loss that was found."""
-        return {"around": max(float(c[0]), 0.0)}
-
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Measured minus true torque per unit of b."""
         around = settings["around"]
@@ -62,13 +58,6 @@ class TorqueSaturation(TorqueMeasurement):
         held = np.clip(tau, -top, top)
         true: Array = held * (1.0 - b * held**2)
         return true
-
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
-        """Ask for a loss, and for a column that belongs to it."""
-        b, around = float(c[0]), settings["around"]
-        if around == 0.0:
-            return b >= 0.0
-        return around / CONSISTENT <= b <= around * CONSISTENT
 
 
 def _peak(scene: Scene, joint: Joint) -> float:

@@ -41,9 +41,7 @@ def smooth_in_words(coefficients: Sized, settings: Mapping[str, str | float | in
     return f"a smooth function of {quantities}, {len(coefficients)} coefficients without errors"
 
 
-def amplitude_and_phase(
-    c: Array, covariance: Array, unit: str, *, name: str = "ripple"
-) -> list[Value]:
+def amplitude_and_phase(c: Array, covariance: Array, unit: str, *, name: str) -> list[Value]:
     """Turn c_0 sin(p) + c_1 cos(p) into A sin(p + phase), errors by the delta method.
 
     `unit` is that of c (2,) with its covariance (2, 2), `name` what the amplitude is of.

@@ -18,7 +18,6 @@ from seqid_cli.model.effects.apply import (
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.fitted import (
     FittedEffect,
-    FittedTerm,
     as_stage,
     effect_notes,
     fitted_effects,
@@ -257,7 +256,7 @@ def test_a_smooth_term_counts_when_asked(logs: list[Scene]) -> None:
     stages = through_a_file([as_stage(stribeck(), ROBOT), term.to_stage(ROBOT)])
     assert len(fitted_effects(stages, ROBOT)) == 1
     both = fitted_effects(stages, ROBOT, unexplained=True)
-    assert isinstance(both[1], FittedTerm)
+    assert isinstance(both[1], SmoothTerm)
     np.testing.assert_allclose(effect_torque(logs[0], both[1:])[:, 0], term.torque(logs[0]))
     without, with_it = effect_notes(stages, ROBOT), effect_notes(stages, ROBOT, unexplained=True)
     assert without[0] == "effects in the prediction: stribeck (joint_1)"

@@ -1,11 +1,11 @@
 """`seqid diagnose`: what a model lacks, with the evidence."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from seqid_cli.commands import options as opt
-from seqid_cli.commands.job import exit_code, listening, tell_output, tell_remedies
+from seqid_cli.commands.job import listening
 from seqid_cli.commands.screen.show import show_motion
 from seqid_cli.commands.screen.show_diagnosis import show_diagnosis
 from seqid_cli.errors import UsageError
@@ -25,17 +25,13 @@ EXAMPLES = (
 )
 
 
+@opt.takes("logs robot parameters output source cutoff_hz time_source strict explain")
 def run(
     context: typer.Context,
-    logs: opt.Logs,
     robot: opt.RobotPath,
     parameters: opt.Parameters,
-    output: opt.Output = None,
-    source: opt.MotionSource = "auto",
-    cutoff_hz: opt.Cutoff = None,
-    time_source: opt.Clock = "header",
-    strict: opt.Strict = False,
     explain: Explain = None,
+    **shared: Any,
 ) -> int:
     """Find out which physical effects a model lacks; any logs will do, nothing is changed.
 
@@ -52,20 +48,16 @@ def run(
     with listening(context) as told:
         from seqid_cli import discover
 
-        options = told.options(discover.DiagnoseOptions)
-        file = discover.diagnose(logs, robot, parameters, options, output=output, on_progress=told)
+        file = told.call(discover.diagnose, discover.DiagnoseOptions)
     screen = told.screen
     screen.document(file)
     show_diagnosis(screen, file, explain)
     show_motion(screen, file.motion, file.robot)
-    tell_output(screen, output, robot)
+    told.tell_output()
     if file.verdict != "nothing_missing":
         smooth = "" if file.findings else " --with-unexplained"
         given = " ".join(f"-p {path}" for path in parameters) + smooth
         screen.note(
             f"next: seqid refine LOG... --holdout LOG... -r {robot} {given} -o refined.json"
         )
-    if file.verdicts:
-        tell_remedies(screen, told.findings)
-    missing = file.verdict != "nothing_missing" or bool(file.verdicts)
-    return exit_code(untrusted=strict and missing, partial=told.partial)
+    return told.ended(file.verdicts, untrusted=file.verdict != "nothing_missing")

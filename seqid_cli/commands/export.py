@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.job import exit_code, listening
+from seqid_cli.commands.job import listening
 from seqid_cli.commands.options import RobotPath, Strict, option
 from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.export.formats import FORMATS
@@ -43,7 +43,7 @@ def run(
     told.screen.document(file)
     _show(told.screen, file)
     told.screen.note(f"written: {output} ({file.format})")
-    return exit_code(untrusted=strict and file.largest_deviation > MAX_STD_ERRORS)
+    return told.ended(untrusted=file.largest_deviation > MAX_STD_ERRORS)
 
 
 def _show(screen: Screen, file: ExportFile) -> None:

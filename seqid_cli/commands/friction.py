@@ -1,11 +1,11 @@
 """`seqid friction`: the first stage."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from seqid_cli.commands import options as opt
-from seqid_cli.commands.job import listening, show_stage, workers
+from seqid_cli.commands.job import listening, show_stage
 
 EXAMPLES = (
     "seqid friction sample_logs/six_joint/friction -r sample_logs/six_joint/robot.toml"
@@ -34,32 +34,24 @@ Beta = Annotated[
 ]
 
 
+@opt.takes(
+    "logs robot output position_order velocity_order beta"
+    " cutoff_hz time_source jobs engine scheduler skip_failed strict"
+)
 def run(
     context: typer.Context,
-    logs: opt.Logs,
-    robot: opt.RobotPath,
-    output: opt.Output = None,
     position_order: PositionOrder = None,
     velocity_order: VelocityOrder = None,
     beta: Beta = None,
-    cutoff_hz: opt.Cutoff = None,
-    time_source: opt.Clock = "header",
-    jobs: opt.Jobs = None,
-    engine: opt.Engine = "local",
-    scheduler: opt.Scheduler = None,
-    skip_failed: opt.SkipFailed = False,
-    strict: opt.Strict = False,
+    **shared: Any,
 ) -> int:
     """Identify joint friction over position and velocity.
 
     The logs hold moves of one joint at a time at constant velocity, forward and backward, at
     several speeds.
     """
-    with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
+    with listening(context) as told:
         from seqid_cli import identify
 
-        options = told.options(identify.FrictionOptions)
-        file = identify.friction(
-            logs, robot, options, output=output, executor=executor, on_progress=told
-        )
+        file = told.call(identify.friction, identify.FrictionOptions)
     return show_stage(told, file, ["friction"], _FOLLOWING)

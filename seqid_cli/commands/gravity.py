@@ -1,9 +1,11 @@
 """`seqid gravity`: the second stage."""
 
+from typing import Any
+
 import typer
 
 from seqid_cli.commands import options as opt
-from seqid_cli.commands.job import listening, show_stage, workers
+from seqid_cli.commands.job import listening, show_stage
 
 EXAMPLES = (
     "seqid gravity sample_logs/six_joint/gravity sample_logs/six_joint/friction"
@@ -17,30 +19,17 @@ _FOLLOWING = (
 )
 
 
-def run(
-    context: typer.Context,
-    logs: opt.Logs,
-    robot: opt.RobotPath,
-    parameters: opt.Parameters,
-    output: opt.Output = None,
-    cutoff_hz: opt.Cutoff = None,
-    time_source: opt.Clock = "header",
-    jobs: opt.Jobs = None,
-    engine: opt.Engine = "local",
-    scheduler: opt.Scheduler = None,
-    skip_failed: opt.SkipFailed = False,
-    strict: opt.Strict = False,
-) -> int:
+@opt.takes(
+    "logs robot parameters output cutoff_hz time_source jobs engine scheduler skip_failed strict"
+)
+def run(context: typer.Context, **shared: Any) -> int:
     """Identify the gravity parameters, given the friction.
 
     The logs hold moves of one joint at a time at constant velocity, with the other joints locked in
     several configurations.
     """
-    with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
+    with listening(context) as told:
         from seqid_cli import identify
 
-        options = told.options(identify.LogOptions)
-        file = identify.gravity(
-            logs, robot, parameters, options, output=output, executor=executor, on_progress=told
-        )
+        file = told.call(identify.gravity, identify.LogOptions)
     return show_stage(told, file, ["gravity"], _FOLLOWING)

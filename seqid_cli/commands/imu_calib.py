@@ -1,9 +1,11 @@
 """`seqid imu-calib`: how the IMUs sit on their links."""
 
+from typing import Any
+
 import typer
 
 from seqid_cli.commands import options as opt
-from seqid_cli.commands.job import listening, show_stage, workers
+from seqid_cli.commands.job import listening, show_stage
 
 EXAMPLES = (
     "seqid imu-calib sample_logs/six_joint/imu -r sample_logs/six_joint/robot.toml"
@@ -13,36 +15,21 @@ EXAMPLES = (
 _FOLLOWING = "seqid inertia LOG... -r {robot} -p {output} -o inertia.json"
 
 
+@opt.takes(
+    "logs robot parameters output cutoff_hz time_source jobs engine scheduler skip_failed strict"
+)
 def run(
     context: typer.Context,
-    logs: opt.Logs,
-    robot: opt.RobotPath,
     parameters: opt.OptionalParameters = None,
-    output: opt.Output = None,
-    cutoff_hz: opt.Cutoff = None,
-    time_source: opt.Clock = "header",
-    jobs: opt.Jobs = None,
-    engine: opt.Engine = "local",
-    scheduler: opt.Scheduler = None,
-    skip_failed: opt.SkipFailed = False,
-    strict: opt.Strict = False,
+    **shared: Any,
 ) -> int:
     """Find how accelerometers and IMUs are mounted on the links, and what they are like.
 
     The logs hold rotations of the first joint with the other joints locked in several
     configurations. Mounting, place, biases, scales, axes and clock offset are found together.
     """
-    with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
+    with listening(context) as told:
         from seqid_cli import identify
 
-        options = told.options(identify.LogOptions)
-        file = identify.imu_calib(
-            logs,
-            robot,
-            parameters or (),
-            options,
-            output=output,
-            executor=executor,
-            on_progress=told,
-        )
+        file = told.call(identify.imu_calib, identify.LogOptions)
     return show_stage(told, file, ["imu"], _FOLLOWING)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from seqid_cli.params.results.inspection import InspectionFinding
 
 T = TypeVar("T")
+_INPUTS = ("logs", "holdout", "robot", "parameters", "output", "torques")
 EXIT_DONE, EXIT_UNTRUSTED, EXIT_PARTIAL = 0, 1, 3
 # Below this many bytes of logs one process is done before others have imported what they need.
 WORTH_BYTES = 32_000_000
@@ -50,6 +51,19 @@ class Told:
         """Return the options of a function, fields of `form`, as the command line has them."""
         names = {field.name for field in fields(form)}  # type: ignore[arg-type]
         return form(**{name: value for name, value in self.given.items() if name in names})
+
+    def call(self, function: Callable[..., T], form: type) -> T:
+        """Call a function of the package with the command line; `form` is the type of its options.
+
+        A command with --jobs lends it whoever is to read the logs.
+        """
+        given = {name: self.given[name] for name in _INPUTS if self.given.get(name) is not None}
+        options = {"options": self.options(form), "on_progress": self}
+        if "jobs" not in self.given:
+            return function(**given, **options)
+        who = {name: self.given[name] for name in ("engine", "scheduler") if name in self.given}
+        with workers(given["logs"], self.given["jobs"], **who) as executor:
+            return function(**given, **options, executor=executor)
 
     def __call__(self, progress: Progress) -> None:
         """Take what is told."""
@@ -76,13 +90,33 @@ class Told:
             else:
                 sys.stderr.write(warnings.formatwarning(message, category, *more[:2]))
 
-    def ended(self, verdicts: Sequence[Verdict], *, strict: bool) -> int:
-        """Say what to do about poor verdicts; returns the exit code of the command."""
+    def tell_output(self, following: str = "") -> None:
+        """Say where the result went and which command to type next."""
+        output = self.given.get("output")
+        if output is None:
+            self.screen.note("Nothing was written: give -o FILE to keep the result.")
+            return
+        self.screen.note(f"written: {output}")
+        if following:
+            self.screen.note(f"next: {following.format(output=output, robot=self.given['robot'])}")
+
+    def ended(self, verdicts: Sequence[Verdict] = (), *, untrusted: bool = False) -> int:
+        """Return the exit code of a command that has written its result.
+
+        After poor verdicts it says what to do. With --strict they, and what is `untrusted` for
+        another reason, count.
+        """
         poor = any_poor(verdicts)
         if poor:
-            tell_remedies(self.screen, self.findings)
-        partial = [*self.partial, *self.left_out]
-        return exit_code(untrusted=strict and poor, partial=partial)
+            for remedy in dict.fromkeys(f.remedy for f in self.findings if f.severity == "error"):
+                self.screen.note(f"do: {remedy}")
+            self.screen.note(
+                "do: look at the reasons above and mend the logs or the robot file before going on"
+                + ("" if self.findings else " (seqid inspect LOG... -r ROBOT looks closer)")
+            )
+        if (poor or untrusted) and self.given.get("strict"):
+            return EXIT_UNTRUSTED
+        return EXIT_PARTIAL if self.partial or self.left_out else EXIT_DONE
 
 
 @contextlib.contextmanager
@@ -141,36 +175,9 @@ def processes_for(logs: Sequence[str], jobs: int | None) -> int:
     return max(1, min(jobs or cores(), len(sizes)))
 
 
-def exit_code(*, untrusted: bool, partial: Sequence[str] = ()) -> int:
-    """Return the exit code of a command that has written its result."""
-    if untrusted:
-        return EXIT_UNTRUSTED
-    return EXIT_PARTIAL if partial else EXIT_DONE
-
-
 def any_poor(verdicts: Sequence[Verdict]) -> bool:
     """Whether a verdict is not good."""
     return any(not verdict.good for verdict in verdicts)
-
-
-def tell_output(screen: Screen, output: Path | None, robot: Path, following: str = "") -> None:
-    """Say where the result went and which command to type next."""
-    if output is None:
-        screen.note("Nothing was written: give -o FILE to keep the result.")
-        return
-    screen.note(f"written: {output}")
-    if following:
-        screen.note(f"next: {following.format(output=output, robot=robot)}")
-
-
-def tell_remedies(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
-    """Say what to do after a poor verdict."""
-    for remedy in dict.fromkeys(f.remedy for f in findings if f.severity == "error"):
-        screen.note(f"do: {remedy}")
-    screen.note(
-        "do: look at the reasons above and mend the logs or the robot file before going on"
-        + ("" if findings else " (seqid inspect LOG... -r ROBOT looks closer)")
-    )
 
 
 def show_stage(told: Told, file: ParameterFile, names: Sequence[str], following: str) -> int:
@@ -183,7 +190,6 @@ def show_stage(told: Told, file: ParameterFile, names: Sequence[str], following:
     stages = Stages(**{name: getattr(file.stages, name) for name in names})
     told.screen.document(file)
     show_stages(told.screen, stages, file.robot)
-    verdicts, given = [v for name in names for v in getattr(stages, name).verdicts], told.given
-    following = "" if any_poor(verdicts) else following
-    tell_output(told.screen, given.get("output"), given["robot"], following)
-    return told.ended(verdicts, strict=given.get("strict", False))
+    verdicts = [verdict for name in names for verdict in getattr(stages, name).verdicts]
+    told.tell_output("" if any_poor(verdicts) else following)
+    return told.ended(verdicts)

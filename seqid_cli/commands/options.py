@@ -1,15 +1,17 @@
 """Arguments and options that commands share, spelled once."""
 
+import inspect
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import typer
 from typer.core import TyperOption
 from typer.models import OptionInfo
 
 TimeSource = Literal["header", "log"]
+F = TypeVar("F", bound=Callable[..., int])
 
 
 def only(
@@ -101,6 +103,41 @@ Consistent = Annotated[
     ),
 ]
 Strict = Annotated[bool, option("--strict", "Exit with 1 when a verdict is poor.")]
+
+
+def _shared(
+    logs: Logs,
+    robot: RobotPath,
+    parameters: Parameters,
+    output: Output = None,
+    source: MotionSource = "auto",
+    cutoff_hz: Cutoff = None,
+    time_source: Clock = "header",
+    jobs: Jobs = None,
+    engine: Engine = "local",
+    scheduler: Scheduler = None,
+    skip_failed: SkipFailed = False,
+    consistent: Consistent = False,
+    strict: Strict = False,
+) -> None:
+    """Arguments that commands share, with their defaults."""
+
+
+def takes(names: str) -> Callable[[F], F]:
+    """Give a command the arguments `names`, in this order: its own ones, and shared ones.
+
+    Shared ones reach it as `**shared`; all of them are in `context.params`.
+    """
+
+    def decorate(run: F) -> F:
+        own = inspect.signature(run).parameters
+        known = {**inspect.signature(_shared).parameters, **own}
+        told = [known[name].replace(kind=inspect.Parameter.KEYWORD_ONLY) for name in names.split()]
+        run.__signature__ = inspect.Signature([own["context"], *told])  # type: ignore[attr-defined]
+        return run
+
+    return decorate
+
 
 _SCREEN_FLAGS = (
     ("quiet", ["-q", "--quiet"], "No progress and no advice, only results and warnings."),

@@ -1,11 +1,11 @@
 """`seqid payload`: what the flange carries."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from seqid_cli.commands import options as opt
-from seqid_cli.commands.job import listening, tell_output
+from seqid_cli.commands.job import listening
 from seqid_cli.commands.screen.render import Screen
 from seqid_cli.commands.screen.show import show_poor, verdict_text
 from seqid_cli.params.results import tables
@@ -28,18 +28,13 @@ FrictionChange = Annotated[
 ]
 
 
+@opt.takes(
+    "logs robot parameters output friction_change source cutoff_hz time_source skip_failed strict"
+)
 def run(
     context: typer.Context,
-    logs: opt.Logs,
-    robot: opt.RobotPath,
-    parameters: opt.Parameters,
-    output: opt.Output = None,
     friction_change: FrictionChange = 0.2,
-    source: opt.MotionSource = "auto",
-    cutoff_hz: opt.Cutoff = None,
-    time_source: opt.Clock = "header",
-    skip_failed: opt.SkipFailed = False,
-    strict: opt.Strict = False,
+    **shared: Any,
 ) -> int:
     """Identify the mass, centre of mass and inertia of what the flange carries.
 
@@ -49,13 +44,12 @@ def run(
     with listening(context) as told:
         from seqid_cli import payload
 
-        options = told.options(payload.PayloadOptions)
-        file = payload.payload(logs, robot, parameters, options, output=output, on_progress=told)
+        file = told.call(payload.payload, payload.PayloadOptions)
     screen = told.screen
     screen.document(file)
     _show(screen, file)
-    tell_output(screen, output, robot)
-    return told.ended(file.verdicts, strict=strict)
+    told.tell_output()
+    return told.ended(file.verdicts)
 
 
 def _show(screen: Screen, file: PayloadFile) -> None:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.job import any_poor, exit_code, listening
+from seqid_cli.commands.job import any_poor, listening
 from seqid_cli.commands.options import Output, RobotPath, Strict, only, option
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results import tables
@@ -152,7 +152,7 @@ def run(
     for path in (trajectories, output):
         if path is not None:
             screen.note(f"written: {path}")
-    return exit_code(untrusted=strict and any_poor(file.verdicts))
+    return told.ended(untrusted=any_poor(file.verdicts))
 
 
 def _show(screen: Screen, plan: PlanFile) -> None:

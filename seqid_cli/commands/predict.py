@@ -1,12 +1,12 @@
 """`seqid predict`: how well a model explains the torque of some logs."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from seqid_cli.commands import options as opt
-from seqid_cli.commands.job import listening, tell_output, workers
+from seqid_cli.commands.job import listening
 from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.commands.screen.show import show_motion, show_verdicts, verdict_text
 from seqid_cli.params.results.prediction import PredictionFile
@@ -30,22 +30,15 @@ WithUnexplained = Annotated[
 ]
 
 
+@opt.takes(
+    "logs robot parameters output torques source"
+    " cutoff_hz time_source jobs engine scheduler skip_failed strict with_unexplained"
+)
 def run(
     context: typer.Context,
-    logs: opt.Logs,
-    robot: opt.RobotPath,
-    parameters: opt.Parameters,
-    output: opt.Output = None,
     torques: Torques = None,
-    source: opt.MotionSource = "auto",
-    cutoff_hz: opt.Cutoff = None,
-    time_source: opt.Clock = "header",
-    jobs: opt.Jobs = None,
-    engine: opt.Engine = "local",
-    scheduler: opt.Scheduler = None,
-    skip_failed: opt.SkipFailed = False,
-    strict: opt.Strict = False,
     with_unexplained: WithUnexplained = False,
+    **shared: Any,
 ) -> int:
     """Predict the joint torques of any logs and compare them with the measured ones.
 
@@ -53,27 +46,17 @@ def run(
     of the measured torque there. At rest friction is an interval: the error over all samples counts
     the distance to it.
     """
-    with listening(context) as told, workers(logs, jobs, engine, scheduler) as executor:
+    with listening(context) as told:
         from seqid_cli import identify
 
-        options = told.options(identify.PredictOptions)
-        file = identify.predict(
-            logs,
-            robot,
-            parameters,
-            options,
-            output=output,
-            torques=torques,
-            executor=executor,
-            on_progress=told,
-        )
+        file = told.call(identify.predict, identify.PredictOptions)
     screen = told.screen
     screen.document(file)
     _show(screen, file)
     if torques is not None:
         screen.note(f"written: {torques}")
-    tell_output(screen, output, robot)
-    return told.ended(file.verdicts, strict=strict)
+    told.tell_output()
+    return told.ended(file.verdicts)
 
 
 def _show(screen: Screen, file: PredictionFile) -> None:

@@ -1,11 +1,11 @@
 """`seqid refine`: the loop closed, from what a model lacks to a model that has it."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from seqid_cli.commands import options as opt
-from seqid_cli.commands.job import exit_code, listening, tell_output, tell_remedies
+from seqid_cli.commands.job import listening
 from seqid_cli.commands.screen.show import show_motion
 from seqid_cli.commands.screen.show_diagnosis import show_refinement
 
@@ -34,19 +34,16 @@ WithUnexplained = Annotated[
 ]
 
 
+@opt.takes(
+    "logs holdout robot parameters output rounds with_unexplained"
+    " source cutoff_hz time_source strict"
+)
 def run(
     context: typer.Context,
-    logs: opt.Logs,
     holdout: Holdout,
-    robot: opt.RobotPath,
-    parameters: opt.Parameters,
-    output: opt.Output = None,
     rounds: Rounds = 4,
     with_unexplained: WithUnexplained = False,
-    source: opt.MotionSource = "auto",
-    cutoff_hz: opt.Cutoff = None,
-    time_source: opt.Clock = "header",
-    strict: opt.Strict = False,
+    **shared: Any,
 ) -> int:
     """Add the effects that a model lacks, as long as left-out blocks are predicted better.
 
@@ -56,17 +53,11 @@ def run(
     with listening(context) as told:
         from seqid_cli import discover
 
-        options = told.options(discover.RefineOptions)
-        file = discover.refine(
-            logs, holdout, robot, parameters, options, output=output, on_progress=told
-        )
+        file = told.call(discover.refine, discover.RefineOptions)
     screen, loop = told.screen, file.closed_loop
     assert loop is not None
     screen.document(file)
     show_refinement(screen, loop, file)
     show_motion(screen, loop.motion, file.robot)
-    tell_output(screen, output, robot, _FOLLOWING)
-    if loop.verdicts:
-        tell_remedies(screen, told.findings)
-    untrusted = strict and (loop.verdict == "poor" or not loop.rounds)
-    return exit_code(untrusted=untrusted, partial=told.partial)
+    told.tell_output(_FOLLOWING)
+    return told.ended(loop.verdicts, untrusted=loop.verdict == "poor" or not loop.rounds)

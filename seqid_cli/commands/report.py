@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.job import exit_code, listening
+from seqid_cli.commands.job import listening
 from seqid_cli.commands.options import Strict, option
 from seqid_cli.commands.screen.render import Screen
 from seqid_cli.params.files import By
@@ -61,7 +61,7 @@ def run(
         made = report(files, output, torques=torques, title=title, by=by)
     told.screen.document(made)
     _show(told.screen, made)
-    return exit_code(untrusted=strict and made.verdict != "good")
+    return told.ended(untrusted=made.verdict != "good")
 
 
 def _show(screen: Screen, report: ReportFile) -> None:

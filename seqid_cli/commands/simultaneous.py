@@ -1,6 +1,6 @@
 """`seqid simultaneous`: the classical way, for comparison."""
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -19,18 +19,12 @@ EXAMPLES = (
 _FOLLOWING = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
 
 
+@opt.takes("logs robot parameters output offset source cutoff_hz time_source consistent strict")
 def run(
     context: typer.Context,
-    logs: opt.Logs,
-    robot: opt.RobotPath,
     parameters: opt.OptionalParameters = None,
-    output: opt.Output = None,
     offset: Offset = True,
-    source: opt.MotionSource = "auto",
-    cutoff_hz: opt.Cutoff = None,
-    time_source: opt.Clock = "header",
-    consistent: opt.Consistent = False,
-    strict: opt.Strict = False,
+    **shared: Any,
 ) -> int:
     """Identify all parameters at once, with Coulomb and viscous friction (Eq. 5-6).
 
@@ -40,8 +34,5 @@ def run(
     with listening(context) as told:
         from seqid_cli import identify
 
-        options = told.options(identify.SimultaneousOptions)
-        file = identify.simultaneous(
-            logs, robot, parameters or (), options, output=output, on_progress=told
-        )
+        file = told.call(identify.simultaneous, identify.SimultaneousOptions)
     return show_stage(told, file, ["friction", "inertia"], _FOLLOWING)

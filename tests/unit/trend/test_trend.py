@@ -53,6 +53,15 @@ def test_a_step_is_named_with_its_date() -> None:
     assert entry.std_error == pytest.approx(ERROR * np.sqrt(1 / 7 + 1 / 5), rel=1e-6)
 
 
+def test_files_count_in_the_order_of_their_dates_and_quantities_where_two_hold_them() -> None:
+    files = history(1, np.where(np.arange(DATES) >= 7, 0.1, 0.0))
+    found = trend(files)
+    alone = replace(files[3].stages.gravity.parameters[0], name="mz_1")
+    files[3].stages.gravity.parameters.append(alone)
+    again = trend(files[::-1])
+    assert (again.changes, again.series) == (found.changes, found.series)
+
+
 def test_a_drift_is_told_from_a_step() -> None:
     (entry, *more) = trend(history(2, np.linspace(0.0, 0.15, DATES))).changes
     assert not more

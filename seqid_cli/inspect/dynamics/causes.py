@@ -1,6 +1,6 @@
 """Causes of a misfit between log and robot, each as the change to log or robot that undoes it."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -9,48 +9,80 @@ import numpy as np
 from seqid_cli.inspect.dynamics.friction import Sample
 from seqid_cli.inspect.material import LogData
 from seqid_cli.robot.base_parameters import base_parameters
-from seqid_cli.robot.regressor import inverse_dynamics
-from seqid_cli.robot.types import Array, Robot
-
-Change = Callable[[Robot, Sample], tuple[Robot, Sample]]
+from seqid_cli.robot.types import Array
 
 
 @dataclass(frozen=True)
 class Cause:
-    """A change that mends the fit: of which kind, of which joints."""
+    """A change that mends the fit: of which kind, of which joints.
+
+    The two `joints` exchange their motion, their torque or both; then motion and torque are
+    multiplied, and zeros shifted, all (n,).
+    """
 
     code: str
     joints: tuple[int, ...]
     text: str
-    change: Change
     channel: str = "position"
+    exchanged: tuple[bool, bool] = (False, False)  # motion, torque
+    motion: Array | float = 1.0
+    torque: Array | float = 1.0
+    shift: Array | float = 0.0
+    gravity: Array | None = None  # (3,) m/s^2, that acts instead
+    weighed: bool = False  # gravity as the URDF's inertials give it is added to the torque
+
+    def on(self, sample: Sample) -> Sample:
+        """Return the sample as it would be."""
+        if self.gravity is not None:
+            robot = replace(sample.robot, gravity=self.gravity)
+            return replace(sample, robot=robot, basis=base_parameters(robot, rotor=[]))
+        order = np.arange(sample.robot.n)
+        order[list(self.joints)] = self.joints[::-1]
+        tau = sample.tau[:, order] if self.exchanged[1] else sample.tau
+        if self.exchanged[0]:
+            moving = tuple(sorted(order[list(sample.moving)].tolist()))
+            sample = replace(sample.mapped(lambda x: x[:, order]), moving=moving)
+        return replace(
+            sample,
+            q=sample.q * self.motion + self.shift,
+            dq=sample.dq * self.motion,
+            ddq=sample.ddq * self.motion,
+            tau=(tau + sample.nominal()[0] if self.weighed else tau) * self.torque,
+            direction=sample.direction * np.sign(self.motion),
+        )
 
 
-def causes_of(robot: Robot, sample: Sample) -> Iterator[Cause]:
+def causes_of(sample: Sample) -> Iterator[Cause]:
     """Yield the common faults of axes, zeros, signs, units and the order of joints."""
+    joints, every = sample.robot.joints, np.arange(sample.robot.n)
+
+    def at(own: Sequence[int], value: float, usual: float = 1.0) -> Array:
+        return np.where(np.isin(every, own), value, usual)
+
     far = np.abs(sample.q).max(axis=0) > 2.0 * np.pi  # less in degrees is no motion to speak of
-    turning = tuple(j for j in range(robot.n) if not robot.joints[j].prismatic)
+    turning = tuple(j for j, joint in enumerate(joints) if not joint.prismatic)
     degrees = [(j,) for j in turning] + ([turning] if len(turning) > 1 else [])
-    for joints in (group for group in degrees if far[list(group)].any()):
-        yield Cause("position_in_degrees", joints, "is in degrees", _scaled(joints, np.pi / 180.0))
-    for j in range(robot.n):
-        yield Cause("axis_flipped", (j,), "turns the other way round", _scaled((j,), -1.0, -1.0))
-        yield Cause("sign_mismatch", (j,), "its torque is reversed", _scaled((j,), 1.0, -1.0))
-        yield Cause("sign_mismatch", (j,), "its position is reversed", _scaled((j,), -1.0))
-        if not robot.joints[j].prismatic:
+    for group in (group for group in degrees if far[list(group)].any()):
+        small = at(group, np.pi / 180.0)
+        yield Cause("position_in_degrees", group, "is in degrees", motion=small)
+    for j in every.tolist():
+        back, own = at([j], -1.0), (j,)
+        yield Cause("axis_flipped", own, "turns the other way round", motion=back, torque=back)
+        yield Cause("sign_mismatch", own, "its torque is reversed", torque=back)
+        yield Cause("sign_mismatch", own, "its position is reversed", motion=back)
+        if j in turning:
             for turns, angle in (("a quarter", 0.5), ("minus a quarter", -0.5), ("half a", 1.0)):
                 text = f"its zero is {turns} turn off"
-                yield Cause("position_zero", (j,), text, _scaled((j,), 1.0, shift=angle * np.pi))
+                yield Cause("position_zero", own, text, shift=at([j], angle * np.pi, 0.0))
     # Exchanging a joint that stands with one that moves changes what is compared.
-    for a, b in combinations(sample.moving, 2):
-        for text, motion, torque in (
-            ("are exchanged", True, True),
-            ("have exchanged positions", True, False),
-            ("have exchanged torques", False, True),
+    for pair in combinations(sample.moving, 2):
+        for text, exchanged in (
+            ("are exchanged", (True, True)),
+            ("have exchanged positions", (True, False)),
+            ("have exchanged torques", (False, True)),
         ):
-            if robot.joints[a].prismatic == robot.joints[b].prismatic:
-                change = _swapped(a, b, motion=motion, torque=torque)
-                yield Cause("joints_swapped", (a, b), text, change)
+            if joints[pair[0]].prismatic == joints[pair[1]].prismatic:
+                yield Cause("joints_swapped", pair, text, exchanged=exchanged)
 
 
 def units_of(data: LogData) -> Iterator[Cause]:
@@ -61,11 +93,8 @@ def units_of(data: LogData) -> Iterator[Cause]:
         return
     every, logged = tuple(range(len(joints))), effort[0]
     other, scale = ("torque", 1.0 / factor) if logged == "current" else ("current", factor)
-
-    def change(robot: Robot, sample: Sample) -> tuple[Robot, Sample]:
-        return robot, replace(sample, tau=sample.tau * scale)
-
-    yield Cause(f"effort_is_{other}", every, f"carry {other}, not {logged}", change, logged)
+    text = f"carry {other}, not {logged}"
+    yield Cause(f"effort_is_{other}", every, text, logged, torque=scale)
 
 
 def compensated(data: LogData) -> Iterator[Cause]:
@@ -74,55 +103,11 @@ def compensated(data: LogData) -> Iterator[Cause]:
     told = robot.channels.effort == "gravity_compensated" or robot.nominal is None
     if effort is None or effort[0] != "torque" or told or not robot.gravity.any():
         return
-
-    def change(robot: Robot, sample: Sample) -> tuple[Robot, Sample]:
-        assert robot.nominal is not None
-        still = np.zeros_like(sample.q)
-        weight = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, sample.q, still, still)
-        return robot, replace(sample, tau=sample.tau + weight)
-
     every = tuple(range(robot.n))
-    yield Cause("effort_without_gravity", every, "gravity is not in it", change, "torque")
+    yield Cause("effort_without_gravity", every, "gravity is not in it", "torque", weighed=True)
 
 
 def mounted(gravity: Array) -> Cause:
     """Gravity (3,) m/s^2 that acts in another direction."""
-
-    def change(robot: Robot, sample: Sample) -> tuple[Robot, Sample]:
-        turned = replace(robot, gravity=gravity)
-        return turned, replace(sample, basis=base_parameters(turned, rotor=[]))
-
-    return Cause("gravity_direction", (), str([float(f"{x:.3g}") + 0.0 for x in gravity]), change)
-
-
-def _scaled(
-    joints: Sequence[int], motion: float, torque: float = 1.0, shift: float = 0.0
-) -> Change:
-    """Some joints' motion and torque times factors, and their zeros shifted."""
-
-    def change(robot: Robot, sample: Sample) -> tuple[Robot, Sample]:
-        own = np.isin(np.arange(sample.q.shape[1]), joints)
-        moved = np.where(own, motion, 1.0)
-        return robot, replace(
-            sample,
-            q=sample.q * moved + np.where(own, shift, 0.0),
-            dq=sample.dq * moved,
-            ddq=sample.ddq * moved,
-            tau=sample.tau * np.where(own, torque, 1.0),
-            direction=sample.direction * np.sign(moved),
-        )
-
-    return change
-
-
-def _swapped(a: int, b: int, *, motion: bool, torque: bool) -> Change:
-    def change(robot: Robot, sample: Sample) -> tuple[Robot, Sample]:
-        order = list(range(sample.q.shape[1]))
-        order[a], order[b] = b, a
-        if not motion:
-            return robot, replace(sample, tau=sample.tau[:, order])
-        moving = tuple(sorted({a: b, b: a}.get(j, j) for j in sample.moving))
-        swapped = sample.mapped(lambda x: x[:, order], torque=torque)
-        return robot, replace(swapped, moving=moving)
-
-    return change
+    text = str([float(f"{x:.3g}") + 0.0 for x in gravity])
+    return Cause("gravity_direction", (), text, gravity=gravity)

@@ -9,19 +9,13 @@ is torque.
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
 
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, compensated, mounted, units_of
-from seqid_cli.inspect.dynamics.friction import (
-    Sample,
-    joint_columns,
-    position_columns,
-    scaled_fit,
-)
+from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit, smooth
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -43,17 +37,7 @@ class Left(NamedTuple):
     columns: int = 0
 
 
-Measure = Callable[[Robot, Sample], Left]
-
-
-class Weight(NamedTuple):
-    """Measured over nominal gravity torque of one joint: its error and its limits."""
-
-    joint: int
-    ratio: float
-    error: float
-    low: float
-    high: float
+Measure = Callable[[Sample], Left]
 
 
 def geometry_findings(
@@ -74,7 +58,7 @@ def geometry_findings(
         mends = [f for f in structural if f.code != "model_mismatch"]
         agrees = any((f.code, frozenset(f.joint.split(", "))) in known for f in mends)
         return friction if agrees or not mends else mends
-    return structural or [*_scale(data, sample, _weights(data.robot, _thinned(sample)))]
+    return structural or [*_scale(data, sample.thinned())]
 
 
 def _structural(
@@ -85,15 +69,15 @@ def _structural(
     poor: float = 0.6,
     min_steps: float = 10.0,
 ) -> Iterator[InspectionFinding]:
-    robot, thin = data.robot, _thinned(sample)
-    left = _structural_error(robot, thin)
+    thin, moving = sample.thinned(), list(sample.moving)
+    left = _structural_error(thin)
     error = left.error
     if error < suspicious:
         return
-    free = _structural_error(robot, thin, own_law=True).error
-    causes = [*causes_of(robot, thin), *units_of(data), *compensated(data)]
-    mended, _ = _mending(robot, thin, left, _structural_error, causes, free=free)
-    seen = all(sample.rms_speed(j) > min_steps * data.step[j] for j in sample.moving)
+    free = _structural_error(thin, own_law=True).error
+    causes = [*causes_of(thin), *units_of(data), *compensated(data)]
+    mended, _ = _mending(thin, left, _structural_error, causes, free=free)
+    seen = (sample.rms_speeds > min_steps * data.step)[moving].all()
     if mended is not None:
         yield mended
     elif error > poor and seen:
@@ -102,7 +86,6 @@ def _structural(
 
 
 def _mending(
-    robot: Robot,
     sample: Sample,
     before: Left,
     measure: Measure,
@@ -118,16 +101,16 @@ def _mending(
     # first counts, unless a later one leaves clearly less. Where several of a kind do as well, the
     # inertials of a URDF decide: gravity turned round fits as well with parameters of the other
     # sign.
-    few = _thinned(sample, few_rows)
-    tried = sorted(causes, key=lambda cause: measure(*cause.change(robot, few)).error)
+    few, nominal = sample.thinned(few_rows), sample.robot.nominal is not None
+    tried = sorted(causes, key=lambda cause: measure(cause.on(few)).error)
     kinds = [tried[:max_rivals]]
-    strength = float(np.linalg.norm(robot.gravity))
+    strength = float(np.linalg.norm(sample.robot.gravity))
     if strength:
         axes = [mounted(g) for g in strength * np.vstack([np.eye(3), -np.eye(3)])]
-        kinds += [axes, _slanted(robot, few, axes, measure)]
+        kinds += [axes, _slanted(few, axes, measure)]
     chosen, least = [], np.inf
     for kind in kinds:
-        fits = [(measure(*cause.change(robot, sample)), cause) for cause in kind]
+        fits = [(measure(cause.on(sample)), cause) for cause in kind]
         mends = [(left.error, c) for left, c in fits if left.error <= _limit(before, left, free)]
         best = min((error for error, _ in mends), default=np.inf)
         alike = [cause for error, cause in mends if error < best / BETTER]
@@ -135,18 +118,19 @@ def _mending(
             chosen, least = alike, best
     if not chosen:
         return None, least
-    if robot.nominal is not None:
-        chosen.sort(key=lambda cause: _nominal_error(*cause.change(robot, sample)).error)
+    if nominal:
+        chosen.sort(key=lambda cause: _nominal_error(cause.on(sample)).error)
     fall = f"falls from {percent(before.error)} to {percent(least)}"
-    return _found(robot, sample, chosen, fall), least
+    return _found(sample, chosen, fall), least
 
 
-def _found(robot: Robot, sample: Sample, alike: Sequence[Cause], fall: str) -> InspectionFinding:
+def _found(sample: Sample, alike: Sequence[Cause], fall: str) -> InspectionFinding:
     """Tell the first of causes that mend a fit alike, and the others."""
-    cause, names = alike[0], robot.joint_names
+    cause, names = alike[0], sample.robot.joint_names
     if not cause.joints:
-        told = " or ".join(each.text for each in alike[: 1 if robot.nominal is not None else 2])
-        if not _felt(*cause.change(robot, sample)):
+        most = 2 if sample.robot.nominal is None else 1
+        told = " or ".join(each.text for each in alike[:most])
+        if not _felt(cause.on(sample)):
             told += ", where no joint that moves feels it, or the driver takes it off the torque"
         return found(cause.code, f"gravity acts along {told}; the equations' error {fall}")
     others = [
@@ -160,16 +144,13 @@ def _found(robot: Robot, sample: Sample, alike: Sequence[Cause], fall: str) -> I
     return found(cause.code, text, joint=joint, channel=cause.channel)
 
 
-def _felt(robot: Robot, sample: Sample, *, share: float = 0.05) -> bool:
+def _felt(sample: Sample, *, share: float = 0.05) -> bool:
     """Whether gravity acts on a joint that moves, by more than `share` of what it could."""
-    assert sample.basis is not None
-    still = np.zeros_like(sample.q)
-    columns = base_regressor(robot, sample.basis, sample.q, still, still)[:, list(sample.moving)]
-    return bool(np.abs(columns).max() > share * np.linalg.norm(robot.gravity))
+    columns = sample.gravity_columns()[:, list(sample.moving)]
+    return bool(np.abs(columns).max() > share * np.linalg.norm(sample.robot.gravity))
 
 
 def _slanted(
-    robot: Robot,
     sample: Sample,
     axes: Sequence[Cause],
     measure: Measure,
@@ -179,8 +160,8 @@ def _slanted(
     evaluations: int = 60,
 ) -> list[Cause]:
     """Gravity in the direction that fits best, from the best of the `axes`, and against it."""
-    best = min(axes, key=lambda axis: measure(*axis.change(robot, sample)).error)
-    start = best.change(robot, sample)[0].gravity
+    start = min(axes, key=lambda axis: measure(axis.on(sample)).error).gravity
+    assert start is not None
     strength, across = np.linalg.norm(start), np.linalg.svd(start[None])[2][1:]
 
     def gravity(x: Array) -> Array:
@@ -188,7 +169,7 @@ def _slanted(
         return np.asarray(turned * strength / np.linalg.norm(turned))
 
     found_best = minimize(  # type: ignore[call-overload]
-        lambda x: measure(*mounted(gravity(x)).change(robot, sample)).error,
+        lambda x: measure(mounted(gravity(x)).on(sample)).error,
         np.zeros(2),
         method="Nelder-Mead",
         options={
@@ -214,26 +195,21 @@ def _limit(
     return min(max_ratio * fewer, max_error)
 
 
-def _thinned(sample: Sample, count: int = 600) -> Sample:
-    """Keep about `count` rows, for a fit of all joints at once."""
-    every = max(1, len(sample.q) // count)
-    memory = max(1.0, sample.memory / every)
-    return replace(sample.mapped(lambda values: values[::every]), memory=memory)
-
-
-def _structural_error(
-    robot: Robot, sample: Sample, *, own_law: bool = False, min_speed: float = 0.2
-) -> Left:
+def _structural_error(sample: Sample, *, own_law: bool = False, min_speed: float = 0.2) -> Left:
     """RMS that rigid body and friction leave of the torques, each as a share of its own."""
     # With `own_law`, and a smooth function of each joint's own position.
     assert sample.basis is not None
-    Y = base_regressor(robot, sample.basis, sample.q, sample.dq, sample.ddq)
-    parts = [Y, joint_columns(robot, sample), *([position_columns(sample)] if own_law else [])]
-    X = np.concatenate(parts, axis=2)
-    tau = sample.tau
+    tau, n = sample.tau, sample.robot.n
+    own = sample.own_columns()
+    if own_law:
+        laws = np.stack([smooth(q)[:, 1:] for q in sample.q.T], axis=1)
+        own = np.concatenate([own, laws], axis=2)
+    each = own[:, :, None] * np.eye(n)[:, :, None]  # no joint has those of another
+    Y = base_regressor(sample.robot, sample.basis, sample.q, sample.dq, sample.ddq)
+    X = np.concatenate([Y, each.reshape(len(tau), n, -1)], axis=2)
     # At rest friction takes any value.
-    least = np.array([min_speed * sample.rms_speed(j) for j in range(robot.n)])
-    sliding = np.isin(np.arange(robot.n), sample.moving) & (np.abs(sample.dq) > least)
+    sliding = np.abs(sample.dq) > min_speed * sample.rms_speeds
+    sliding &= np.isin(np.arange(n), sample.moving)
     squares = np.where(sliding, tau, 0.0) ** 2
     size = np.sqrt(squares.sum(axis=0) / np.maximum(sliding.sum(axis=0), 1))
     size = np.maximum(size, 1e-12)
@@ -242,40 +218,6 @@ def _structural_error(
     y = (tau / size)[sliding]
     theta, _, rank, _ = np.linalg.lstsq(W, y, rcond=1e-8)
     return Left(float(np.sqrt(np.mean((y - W @ theta) ** 2))), int(rank))
-
-
-def _weights(
-    robot: Robot,
-    sample: Sample,
-    *,
-    min_load: float = 0.2,  # of the largest gravity torque in the log
-    min_acting: float = 0.1,  # of the joint's largest gravity torque in any posture
-    min_weight: float = 0.05,  # of the largest gravity torque of any joint
-    sigmas: float = 3.0,  # from a ratio to its limits
-) -> list[Weight]:
-    """Compare the torque of each moving joint with gravity by the URDF's inertials."""
-    # Only joints that carry a fair share of the weight, by which a URDF can be judged.
-    if robot.nominal is None or not robot.gravity.any():
-        return []
-    gravity, inertia = _nominal(robot, sample)
-    rms, could = gravity.std(axis=0), largest_gravity(robot)
-    slides = np.array([joint.prismatic for joint in robot.joints])
-    moving = np.isin(np.arange(robot.n), sample.moving)
-    columns = joint_columns(robot, sample)
-    result = []
-    for j in sample.moving:
-        alike = slides == slides[j]  # forces and torques are not to be compared
-        loaded = min_load * max(float(rms[alike & moving].max()), HEAVY)
-        acting = min_acting * float(could[j])
-        if rms[j] < max(loaded, acting) or could[j] < min_weight * could[alike].max():
-            continue  # friction that changes with position would pass for gravity
-        X = np.column_stack([gravity[:, j], inertia[:, j], columns[:, j, 4 * j : 4 * j + 4]])
-        theta, inverse, left = scaled_fit(X, sample.tau[:, j])
-        variance = float(np.mean(left**2)) * sample.memory
-        error = float(np.sqrt(variance * (inverse[0] @ inverse[0])))
-        ratio = float(theta[0])
-        result.append(Weight(j, ratio, error, ratio - sigmas * error, ratio + sigmas * error))
-    return result
 
 
 @per_robot
@@ -292,65 +234,86 @@ def largest_gravity(robot: Robot, *, postures: int = 200) -> Array:
     return np.asarray(np.abs(torque).max(axis=0))
 
 
-def _nominal(robot: Robot, sample: Sample) -> tuple[Array, Array]:
-    """Gravity and inertia torque (N, n) by the URDF's inertials."""
-    assert robot.nominal is not None
-    chain, g, phi = robot.chain, robot.gravity, robot.nominal
-    still = np.zeros_like(sample.q)
-    gravity = inverse_dynamics(chain, g, phi, sample.q, still, still)
-    return gravity, inverse_dynamics(chain, g, phi, sample.q, sample.dq, sample.ddq) - gravity
-
-
-def _nominal_error(robot: Robot, sample: Sample, *, scaled: bool = False) -> Left:
+def _nominal_error(sample: Sample, *, scaled: bool = False) -> Left:
     """RMS that the URDF's inertials and friction leave of torques, each as a share of its own."""
     # With `scaled`, inertials of each joint's own scale, as of a torque in another unit.
-    gravity, inertia = _nominal(robot, sample)
-    columns = joint_columns(robot, sample)
     shares = []
+    gravity, inertia = sample.nominal()
+    own = sample.own_columns()
     for j in sample.moving:
-        own = columns[:, j, 4 * j : 4 * j + 4]
-        y = sample.tau[:, j] - (0.0 if scaled else gravity[:, j] + inertia[:, j])
-        X = np.column_stack([own, gravity[:, j], inertia[:, j]]) if scaled else own
-        *_, left = scaled_fit(X, y)
-        shares.append(float(np.mean(left**2)) / max(float(np.var(sample.tau[:, j])), 1e-300))
+        y = sample.tau[:, j]
+        X = np.column_stack([own[:, j], gravity[:, j], inertia[:, j]]) if scaled else own[:, j]
+        *_, left = scaled_fit(X, y if scaled else y - gravity[:, j] - inertia[:, j])
+        shares.append(float(np.mean(left**2)) / max(float(np.var(y)), 1e-300))
     return Left(float(np.sqrt(np.mean(shares))))
+
+
+def _weights(
+    sample: Sample,
+    *,
+    min_load: float = 0.2,  # of the largest gravity torque in the log
+    min_acting: float = 0.1,  # of the joint's largest gravity torque in any posture
+    min_weight: float = 0.05,  # of the largest gravity torque of any joint
+) -> Iterator[tuple[int, float, float]]:
+    """Compare the torque of moving joints with gravity by the URDF's inertials: ratio and error."""
+    # Only joints that carry a fair share of the weight, by which a URDF can be judged.
+    robot = sample.robot
+    if robot.nominal is None or not robot.gravity.any():
+        return
+    gravity, inertia = sample.nominal()
+    rms, could, own = gravity.std(axis=0), largest_gravity(robot), sample.own_columns()
+    slides = np.array([joint.prismatic for joint in robot.joints])
+    moving = np.isin(np.arange(robot.n), sample.moving)
+    for j in sample.moving:
+        alike = slides == slides[j]  # forces and torques are not to be compared
+        loaded = min_load * max(float(rms[alike & moving].max()), HEAVY)
+        acting = min_acting * float(could[j])
+        if rms[j] < max(loaded, acting) or could[j] < min_weight * could[alike].max():
+            continue  # friction that changes with position would pass for gravity
+        X = np.column_stack([gravity[:, j], inertia[:, j], own[:, j]])
+        theta, inverse, left = scaled_fit(X, sample.tau[:, j])
+        variance = float(np.mean(left**2)) * sample.memory
+        yield j, float(theta[0]), float(np.sqrt(variance * (inverse[0] @ inverse[0])))
 
 
 def _scale(
     data: LogData,
     sample: Sample,
-    weights: list[Weight],
     *,
+    sigmas: float = 3.0,  # from a ratio to its limits
     min_opposite: float = 0.25,  # of the expected gravity torque, in the opposite direction
     small: float = 0.25,  # ratios to the expected gravity torque, beyond which a torque is off
     large: float = 4.0,
 ) -> Iterator[InspectionFinding]:
     """Judge the size of the torque at the joints that carry weight."""
-    off = [w for w in weights if w.high < small or max(w.low, -w.high) > large]
+    off = []
+    for j, ratio, error in _weights(sample):
+        low, high = ratio - sigmas * error, ratio + sigmas * error
+        if high < small or max(low, -high) > large:
+            off.append((j, ratio, error, low, high))
     if not off:
         return
-    thin = _thinned(sample)
-    before = _nominal_error(data.robot, thin)
-    causes = [*causes_of(data.robot, thin), *compensated(data)]
-    mended, error = _mending(data.robot, thin, before, _nominal_error, causes)
-    unit = _nominal_error(data.robot, thin, scaled=True).error
-    pulls = all(w.low > 0.0 for w in off)  # gravity acts, in the right direction
-    if mended is not None and not (pulls and unit < error / BETTER):
+    before = _nominal_error(sample)
+    causes = [*causes_of(sample), *compensated(data)]
+    mended, left = _mending(sample, before, _nominal_error, causes)
+    unit = _nominal_error(sample, scaled=True).error
+    pulls = all(low > 0.0 for *_, low, _ in off)  # gravity acts, in the right direction
+    if mended is not None and not (pulls and unit < left / BETTER):
         yield mended
         return
     quantity, _ = data.effort() or ("torque", None)
-    for w in off:
-        joint = data.robot.joints[w.joint]
-        text = f"the torque is {w.ratio:.3g} +- {w.error:.1g} of the expected gravity torque"
+    for j, ratio, error, _, high in off:
+        joint = data.robot.joints[j]
+        text = f"the torque is {ratio:.3g} +- {error:.1g} of the expected gravity torque"
         factor = abs(joint.torque_per_ampere or 0.0)
-        in_amperes = abs(w.ratio) / factor if factor else 0.0
+        in_amperes = abs(ratio) / factor if factor else 0.0
         code = "torque_scale"
-        if w.high < -min_opposite:
+        if high < -min_opposite:
             code = "axis_flipped"
-        elif quantity == "current" and 300.0 < abs(w.ratio) < 3000.0:
+        elif quantity == "current" and 300.0 < abs(ratio) < 3000.0:
             code = "current_in_ma"
         elif quantity == "current" and 0.4 < in_amperes < 2.5:
             code = "effort_is_torque"
-        elif quantity == "torque" and 0.4 < abs(w.ratio) * factor < 2.5:
+        elif quantity == "torque" and 0.4 < abs(ratio) * factor < 2.5:
             code = "effort_is_current"
         yield found(code, text, joint=joint.name, channel=quantity)

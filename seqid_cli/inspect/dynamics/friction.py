@@ -26,6 +26,7 @@ from seqid_cli.logs.checks.echo import driven
 from seqid_cli.motion.motion import Motion, decimated
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import Basis, base_parameters, base_regressor
+from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Array, Robot
 
 SIGMAS = 4.0
@@ -37,6 +38,7 @@ SMOOTH_TERMS = 4
 class Sample:
     """Filtered motion and torque of a log at the rows that count, all (N, n)."""
 
+    robot: Robot
     q: Array
     dq: Array
     ddq: Array
@@ -46,15 +48,43 @@ class Sample:
     moving: tuple[int, ...]  # joints that are driven far enough both ways
     basis: Basis | None  # of the robot without rotors; None where its geometry is not known
 
-    def mapped(self, change: Callable[[Array], Array], *, torque: bool = True) -> "Sample":
-        """Change every array alike, but for the torque where it is not meant."""
-        names = ["q", "dq", "ddq", "direction", *(["tau"] if torque else [])]
+    def mapped(self, change: Callable[[Array], Array]) -> "Sample":
+        """Change every array alike."""
+        names = ("q", "dq", "ddq", "tau", "direction")
         changed: dict[str, Any] = {name: change(getattr(self, name)) for name in names}
         return replace(self, **changed)
 
-    def rms_speed(self, j: int) -> float:
-        """RMS speed of a joint, rad/s."""
-        return max(float(np.sqrt(np.mean(self.dq[:, j] ** 2))), 1e-12)
+    def thinned(self, count: int = 600) -> "Sample":
+        """Keep about `count` rows, for a fit of all joints at once."""
+        every = max(1, len(self.q) // count)
+        few = self.mapped(lambda values: values[::every])
+        return replace(few, memory=max(1.0, self.memory / every))
+
+    @property
+    def rms_speeds(self) -> Array:
+        """RMS speed of each joint (n,), rad/s."""
+        return np.asarray(np.maximum(np.sqrt(np.mean(self.dq**2, axis=0)), 1e-12))
+
+    def gravity_columns(self) -> Array:
+        """Gravity torque (N, n, b) of every parameter, none where it is not known."""
+        if self.basis is None or not self.robot.gravity.any():
+            return np.zeros((*self.q.shape, 0))
+        still = np.zeros_like(self.q)
+        return base_regressor(self.robot, self.basis, self.q, still, still)
+
+    def own_columns(self) -> Array:
+        """Columns (N, n, 4) of one joint each: offset, rotor, direction and speed."""
+        moves = np.isin(np.arange(self.robot.n), self.moving)[:, None]
+        own = np.where(moves, np.stack([self.ddq, self.direction, self.dq], axis=-1), 0.0)
+        return np.concatenate([np.ones((*self.q.shape, 1)), own], axis=2)
+
+    def nominal(self) -> tuple[Array, Array]:
+        """Gravity and inertia torque (N, n) by the URDF's inertials."""
+        robot, still = self.robot, np.zeros_like(self.q)
+        assert robot.nominal is not None
+        given = robot.chain, robot.gravity, robot.nominal, self.q
+        gravity = inverse_dynamics(*given, still, still)
+        return gravity, inverse_dynamics(*given, self.dq, self.ddq) - gravity
 
 
 @dataclass(frozen=True)
@@ -94,7 +124,7 @@ def sample_of(
     memory = max(1.0, memory_s / spacing)
     basis = _basis(robot) if data.modelled and moving else None
     q, dq, ddq, tau = motion.q, motion.dq, motion.ddq, motion.tau
-    whole = Sample(q, dq, ddq, tau, direction, memory, moving, basis)
+    whole = Sample(robot, q, dq, ddq, tau, direction, memory, moving, basis)
     return whole.mapped(lambda values: values[rows])
 
 
@@ -124,10 +154,7 @@ def friction_findings(
     max_unexplained: float = 0.25,  # of the torque's spread
 ) -> Iterator[InspectionFinding]:
     """Check signs of torques and their order by the friction that they show."""
-    names, still = data.robot.joint_names, np.zeros_like(sample.q)
-    gravity = np.zeros((*sample.q.shape, 0))  # columns (N, n, b), none of an unknown geometry
-    if sample.basis is not None and data.robot.gravity.any():
-        gravity = base_regressor(data.robot, sample.basis, sample.q, still, still)
+    names, gravity = data.robot.joint_names, sample.gravity_columns()
     tried = {j: _friction(sample, gravity[:, j], j) for j in range(data.robot.n)}
     fits = {j: fit for j, fit in tried.items() if fit is not None}
     swapped = _exchanged(fits, sample.moving)
@@ -145,7 +172,7 @@ def friction_findings(
             unit = data.robot.joints[j].unit
             text = (
                 f"its friction is {value:.3g} +- {error:.2g} {unit('N m')} at "
-                f"{sample.rms_speed(j):.3g} {unit('rad/s')}: the joint would gain energy"
+                f"{sample.rms_speeds[j]:.3g} {unit('rad/s')}: the joint would gain energy"
             )
             yield found("sign_mismatch", text, joint=names[j], channel="torque")
 
@@ -166,9 +193,9 @@ def _friction(sample: Sample, gravity: Array, j: int) -> Friction | None:
     moving = list(sample.moving)
     columns = [*sample.direction[:, moving].T, *sample.ddq[:, moving].T]
     if j in moving:  # beside it, the coefficient of the direction is friction at RMS speed
-        columns.append(sample.dq[:, j] / sample.rms_speed(j) - sample.direction[:, j])
+        columns.append(sample.dq[:, j] / sample.rms_speeds[j] - sample.direction[:, j])
     # What depends on position alone: a smooth function of its own, and gravity.
-    own = _smooth(sample.q[:, j], SMOOTH_TERMS if j in sample.moving else 1)
+    own = smooth(sample.q[:, j], SMOOTH_TERMS if j in sample.moving else 1)
     heavy = [g for g in gravity.T if np.abs(g).max() > 1e-9]
     theta, inverse, residual = scaled_fit(np.column_stack([*columns, own, *heavy]), tau)
     freedom = max(len(tau) - len(theta) * sample.memory, 10.0)
@@ -217,27 +244,8 @@ def _alien(
     return seen and alien >= largest and abs(own) < max(max_own * alien, 2.0 * own_error)
 
 
-def position_columns(sample: Sample) -> Array:
-    """Columns (N, n, 3 k) of smooth functions of each of the k moving joints' own position."""
-    terms = SMOOTH_TERMS - 1
-    columns = np.zeros((*sample.q.shape, terms * len(sample.moving)))
-    for k, j in enumerate(sample.moving):
-        columns[:, j, terms * k : terms * (k + 1)] = _smooth(sample.q[:, j], SMOOTH_TERMS)[:, 1:]
-    return columns
-
-
-def _smooth(q: Array, terms: int) -> Array:
+def smooth(q: Array, terms: int = SMOOTH_TERMS) -> Array:
     """Chebyshev polynomials (N, terms) over the range of positions (N,)."""
     return np.asarray(
         chebvander(2.0 * (q - q.min()) / max(float(np.ptp(q)), 1e-12) - 1.0, terms - 1)
     )
-
-
-def joint_columns(robot: Robot, sample: Sample) -> Array:
-    """Columns (N, n, 4 n) that belong to one joint each: offset, rotor, direction and speed."""
-    n, rows, moving = robot.n, len(sample.q), list(sample.moving)
-    columns = np.zeros((rows, n, n, 4))
-    columns[:, range(n), range(n), 0] = 1.0
-    own = np.stack([sample.ddq, sample.direction, sample.dq], axis=-1)
-    columns[:, moving, moving, 1:] = own[:, moving]
-    return columns.reshape(rows, n, 4 * n)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, Generic, TypeVar
 
 from seqid_cli.errors import ConfigError, InputError, UsageError
 from seqid_cli.identify.inputs import Inputs
@@ -30,14 +30,7 @@ L = TypeVar("L")  # a Recording, or a log that is passed over
 P = TypeVar("P")
 PartOf = Callable[[L, int], P]
 Merge = Callable[[P, P], P]
-
-
-@runtime_checkable
-class LogOpener(Protocol):
-    """A part that passes over some logs instead of having them read."""
-
-    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
-        """Open a log that is better passed over; None for others."""
+Opens = Callable[..., SurveyedLog | None]  # a log better passed over than read; None of others
 
 
 @dataclass
@@ -118,14 +111,14 @@ class LogSet:
             count = len(self.read) + len(self.left_out)
             self.on_progress(Progress(state, count, len(self.logs), **about))
 
-    def mapped(self, part: PartOf[Any, P]) -> Iterator[P]:
+    def mapped(self, part: PartOf[Any, P], opens: Opens | None = None) -> Iterator[P]:
         """Yield the parts of all logs in their order; those that fail, and may, are left out.
 
         Raises SeqidError: a log cannot be used, the first of them in the order given; or none can.
         """
         self._next()
         errors: list[Exception] = []
-        for given, reply in zip(self.logs, self._replies(part), strict=True):
+        for given, reply in zip(self.logs, self._replies(part, opens), strict=True):
             error = reply.error
             if error is None:
                 note, found = reply.get()
@@ -151,8 +144,10 @@ class LogSet:
             hint = getattr(errors[0], "hint", "")
             raise InputError(f"none of the {len(errors)} logs can be used: {errors[0]}", hint=hint)
 
-    def _replies(self, part: PartOf[Any, P]) -> Iterator[Reply[tuple[LogNote, P]]]:
-        task = _Task(self.robot, self.time_source, part, self.imus, Path.cwd())
+    def _replies(
+        self, part: PartOf[Any, P], opens: Opens | None
+    ) -> Iterator[Reply[tuple[LogNote, P]]]:
+        task = _Task(self.robot, self.time_source, part, opens, self.imus, Path.cwd())
         items = list(enumerate(self.logs))
         if self.executor is not None:
             return ordered(self.executor, task, items)
@@ -184,22 +179,24 @@ class LogSet:
             warn(f"{note.path}: only partly read: {note.partial}")
 
 
-def reduced(logs: Iterable[L], part: PartOf[L, P], merge: Merge[P]) -> P | None:
+def reduced(
+    logs: Iterable[L], part: PartOf[L, P], merge: Merge[P], opens: Opens | None = None
+) -> P | None:
     """Merge the parts of all logs.
 
     `part`: from a log and its number to a part. To be sent elsewhere it must be an object of a
-    class, or a function, of a module. `merge`: from two neighbouring parts to one. Returns: none
-    without logs.
+    class, or a function, of a module. `merge`: from two neighbouring parts to one. `opens`: opens
+    logs that are passed over, as `open_if_long` does. Returns: none without logs.
     """
-    parts = mapped(logs, part)
+    parts = mapped(logs, part, opens)
     first = next(parts, None)
     return None if first is None else functools.reduce(merge, parts, first)
 
 
-def mapped(logs: Iterable[L], part: PartOf[L, P]) -> Iterator[P]:
+def mapped(logs: Iterable[L], part: PartOf[L, P], opens: Opens | None = None) -> Iterator[P]:
     """Yield the parts of all logs, in their order; see `reduced`."""
     if isinstance(logs, LogSet):
-        yield from logs.mapped(part)
+        yield from logs.mapped(part, opens)
         return
     for number, log in enumerate(logs):
         yield part(log, number)
@@ -261,6 +258,7 @@ class _Task(Generic[P]):
     robot: Robot
     time_source: TimeSource
     part: PartOf[Any, P]
+    opens: Opens | None
     imus: bool
     folder: Path
 
@@ -275,9 +273,8 @@ class _Task(Generic[P]):
         # Those that pass over a log read it again and again: a stored one's copy must last.
         with local_copy(given) as file:
             place = file if file.is_absolute() or self.folder == Path.cwd() else self.folder / file
-            clock, opened = self.time_source, None
-            if isinstance(self.part, LogOpener):
-                opened = self.part.open_log(place, self.robot, clock)
+            clock = self.time_source
+            opened = self.opens and self.opens(place, self.robot, time_source=clock)
             log: Recording | SurveyedLog
             if opened is not None:
                 log, findings = screened_long(replace(opened, path=given), self.robot)

@@ -105,7 +105,8 @@ def take_excerpts(
     channels = sum(len(imu.positions) + 3 * imu.gyro for imu in robot.imus)
     most = most_values / (robot.n + ARM + CHANNEL * channels)
     if isinstance(recordings, LogSet) and sum(map(_likely, recordings.logs)) > most:
-        surveys = tuple(recordings.mapped(_Surveyor(robot, stages, options)))
+        opens, part = partial(open_if_long, least=PASSED_OVER), _Surveyor(robot, stages, options)
+        surveys = tuple(recordings.mapped(part, opens))
         if sum(_size(one.samples, one.rate_hz) for one in surveys) <= most:
             return Excerpts(tuple(recordings.again(imus=stages.imu is not None)))
         given, clock = recordings.logs, recordings.time_source
@@ -154,10 +155,6 @@ class _Surveyor:
     robot: Robot
     stages: Stages
     options: InertiaOptions
-
-    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
-        """Open a log that is better passed over; None for others."""
-        return open_if_long(path, robot, time_source=time_source, least=PASSED_OVER)
 
     def __call__(self, log: Recording | SurveyedLog, number: int) -> ResidualSurvey:
         """Pass over it."""

@@ -7,7 +7,7 @@ slice replace a low-pass. The log may be too long to be held.
 import operator
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from pathlib import Path
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
@@ -16,7 +16,6 @@ from numpy.polynomial import Chebyshev
 from seqid_cli.identify.log_set import reduced
 from seqid_cli.identify.regression.equations import open_if_long, survey_of
 from seqid_cli.logs.long import Block, LongLog
-from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.motion.blocks import SurveyedLog, joined
 from seqid_cli.motion.motion import encoder_resolution
@@ -26,7 +25,7 @@ from seqid_cli.typing import Array
 
 
 def pieces(
-    log: Recording | LongLog, step: Array, *, rows: int = 65_536
+    log: Recording | LongLog, step: Array, *, rows: int
 ) -> Iterator[tuple[Block, list[Stretch]]]:
     """Find the stretches of constant velocity of a log.
 
@@ -138,30 +137,21 @@ def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]
 
     Raises InputError if a log carries neither torque nor current.
     """
-    return reduced(recordings, TrialsOf(robot), operator.add) or []
+    return reduced(recordings, partial(trials_of, robot), operator.add, open_if_long) or []
 
 
-@dataclass(frozen=True)
-class TrialsOf:
-    """The constant-velocity trials of one log; a long one comes in pieces of `rows` samples."""
-
-    robot: Robot
-    rows: int = 65_536
-
-    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
-        """Open a log that is better passed over than read; None for others."""
-        return open_if_long(path, robot, time_source=time_source)
-
-    def __call__(self, log: Recording | SurveyedLog, number: int) -> list[Trial]:
-        """Find them."""
-        survey, resolution = survey_of(log), encoder_resolution(self.robot)
-        count = survey.count(resolution)
-        temperature = log.temperature if isinstance(log, Recording) else None
-        return [
-            replace(_trial(block, each, log.rate_hz, number, temperature), count=count)
-            for block, own in pieces(log, survey.noise_step(resolution), rows=self.rows)
-            for each in own
-        ]
+def trials_of(
+    robot: Robot, log: Recording | SurveyedLog, number: int, *, rows: int = 65_536
+) -> list[Trial]:
+    """Constant-velocity trials of one log; a long one comes in pieces of `rows` samples."""
+    survey, resolution = survey_of(log), encoder_resolution(robot)
+    count = survey.count(resolution)
+    temperature = log.temperature if isinstance(log, Recording) else None
+    return [
+        replace(_trial(block, each, log.rate_hz, number, temperature), count=count)
+        for block, own in pieces(log, survey.noise_step(resolution), rows=rows)
+        for each in own
+    ]
 
 
 def _trial(

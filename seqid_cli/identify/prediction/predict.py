@@ -25,7 +25,6 @@ from seqid_cli.identify.regression.equations import (
     torque_motion,
 )
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
-from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
@@ -189,7 +188,9 @@ def predict(
     """
     model = TorqueModel.from_stages(stages, robot)
     effects = tuple(fitted_effects(stages, robot, unexplained=unexplained))
-    for found in mapped(recordings, _PredictionOf(model, stages, options, effects, sliding_only)):
+    whole = not (streams(stages, options) and local_effects(model, effects))
+    part = _Predictor(model, stages, options, effects, sliding_only)
+    for found in mapped(recordings, part, None if whole else open_if_long):
         yield from found
 
 
@@ -203,49 +204,66 @@ def local_effects(model: TorqueModel, effects: Sequence[Fitted]) -> bool:
 
 
 @dataclass(frozen=True)
-class _PredictionOf:
-    """The prediction of one log."""
+class _Predictor:
+    """Predicts one log; parts of a long one follow as they are asked for."""
 
     model: TorqueModel
     stages: Stages
     options: InertiaOptions
     effects: tuple[Fitted, ...]
-    sliding_only: bool
-
-    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
-        """Open a log that is better passed over than read; None for others."""
-        if not (streams(self.stages, self.options) and local_effects(self.model, self.effects)):
-            return None
-        return open_if_long(path, robot, time_source=time_source)
+    sliding_only: bool = False
 
     def __call__(self, log: Recording | SurveyedLog, _: int) -> Iterable[LogPrediction]:
-        """Predict it; parts of a long one follow as they are asked for."""
         if isinstance(log, SurveyedLog):
             return LongPrediction.of(log, self.model, self.stages, self.options, self.effects)
         every = replace(self.options.motion, samples_per_cutoff=float("inf"))
         imu, source = self.stages.imu, self.options.source
         motion = torque_motion(log, self.model.robot, every, imu=imu, source=source)
-        slowest = slides_from(self.model, self.options)
-        given = self.effects, slowest, motion, log, slice(None)
-        part = predicted(self.model, *given, sliding_only=self.sliding_only)
+        part = self.part(motion, log, slice(None))
         noise = () if self.sliding_only else tuple(encoder_notes(self.model, motion, part))
-        found = _described([(part, motion)], self.model, self.stages)
+        found = self.described([(part, motion)])
         return [replace(one, notes=(*one.notes, *noise)) for one in found]
+
+    def part(self, motion: Motion, log: Recording, inner: slice) -> LogPrediction:
+        """Predict the inner samples of a motion."""
+        slowest = slides_from(self.model, self.options)
+        given = self.model, self.effects, slowest, motion, log, inner
+        return predicted(*given, sliding_only=self.sliding_only)
+
+    def described(self, parts: Iterable[tuple[LogPrediction, Motion]]) -> Iterator[LogPrediction]:
+        """The parts of a log, the last with its notes and where its motion is from."""
+        model = self.model
+        counts, used = np.zeros((3, model.robot.n)), False
+        moving = np.zeros(model.robot.n, dtype=bool)
+        slowest = np.array([0.0 if own is None else own.scaling.speed[0] for own in model.surfaces])
+        for part, motion in parts:
+            slower = part.outside & (np.abs(part.dq) < slowest)
+            counts += [mask.sum(axis=0) for mask in (part.sliding, part.outside, slower)]
+            moving |= motion.moving.any(axis=0)
+            used |= bool(part.used.any())
+            if not part.last:
+                yield part
+                continue
+            if not used:
+                raise too_short(part.path, part.cutoff_hz)
+            shares = counts[1:] / np.maximum(counts[0], 1.0)
+            use = motion_use(part.path, model.robot, replace(motion, moving=moving[None]))
+            notes = tuple(notes_on(model, self.stages, *shares))
+            yield replace(part, notes=notes, motion=use)
 
 
 @dataclass(frozen=True)
 class LongPrediction:
-    """A long log, opened; `parts` passes over it. Sent elsewhere, it reads the file anew."""
+    """A long log, opened, with how it is filtered; iterating passes over it, part by part.
+
+    Sent elsewhere, it reads the file anew.
+    """
 
     rows: ClassVar[int] = 32_768  # samples of a part, and twice the margin at least
 
     log: SurveyedLog
-    sha256: str
     plan: Plan
-    model: TorqueModel
-    stages: Stages
-    slides_from: tuple[float, ...]  # rad/s, by joint
-    effects: tuple[Fitted, ...] = ()
+    predictor: _Predictor
 
     @classmethod
     def of(
@@ -259,9 +277,8 @@ class LongPrediction:
         """Choose how the log is filtered; the effects must be `local_effects`."""
         cutoff, step = chosen_cutoff(log, model.robot, options.motion)
         plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=float("inf"))
-        slowest = tuple(slides_from(model, options).tolist())
-        log = replace(log, survey=None)
-        return cls(log, log.sha256, plan, model, stages, slowest, tuple(effects))
+        predictor = _Predictor(model, stages, options, tuple(effects))
+        return cls(replace(log, survey=None), plan, predictor)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the temporary file, which is of this process."""
@@ -273,7 +290,7 @@ class LongPrediction:
         Raises InputError: the file can no longer be read, or no stretch of it is long enough to
         filter.
         """
-        return _described(self._parts(), self.model, self.stages)
+        return self.predictor.described(self._parts())
 
     def _parts(self) -> "Iterator[tuple[LogPrediction, Motion]]":
         lowpass, log = self.plan.lowpass, self.log
@@ -287,7 +304,7 @@ class LongPrediction:
             for number, (motion, start, stop) in enumerate(cut):
                 held = Recording(
                     path=log.path,
-                    sha256=self.sha256,
+                    sha256=log.sha256,
                     format=log.format,
                     t=motion.t,
                     q=motion.q,
@@ -295,8 +312,7 @@ class LongPrediction:
                     health=Health(log.rate_hz, log.jitter),
                     start=log.start_ns * 1e-9,
                 )
-                about = np.array(self.slides_from), motion, held, slice(start, stop)
-                part = predicted(self.model, self.effects, *about)
+                part = self.predictor.part(motion, held, slice(start, stop))
                 ends = bool(part.t[-1] * log.rate_hz > log.samples - 1.5)
                 yield replace(part, samples=log.samples, part=number, last=ends), motion
 
@@ -346,25 +362,3 @@ def predicted(
         start=log.start,
         outside=model.outside(own) & slides[inner],
     )
-
-
-def _described(
-    parts: Iterable[tuple[LogPrediction, Motion]], model: TorqueModel, stages: Stages
-) -> Iterator[LogPrediction]:
-    """The parts of a log, the last with its notes and where its motion is from."""
-    counts, used = np.zeros((3, model.robot.n)), False
-    moving = np.zeros(model.robot.n, dtype=bool)
-    slowest = np.array([0.0 if own is None else own.scaling.speed[0] for own in model.surfaces])
-    for part, motion in parts:
-        slower = part.outside & (np.abs(part.dq) < slowest)
-        counts += [mask.sum(axis=0) for mask in (part.sliding, part.outside, slower)]
-        moving |= motion.moving.any(axis=0)
-        used |= bool(part.used.any())
-        if not part.last:
-            yield part
-            continue
-        if not used:
-            raise too_short(part.path, part.cutoff_hz)
-        shares = counts[1:] / np.maximum(counts[0], 1.0)
-        use = motion_use(part.path, model.robot, replace(motion, moving=moving[None]))
-        yield replace(part, notes=tuple(notes_on(model, stages, *shares)), motion=use)

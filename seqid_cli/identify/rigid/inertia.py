@@ -7,8 +7,8 @@ asked whether the gyroscopic coupling to the link that carries the rotor is ther
 
 import contextlib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
+from functools import partial
 from typing import cast
 
 import msgspec
@@ -29,7 +29,6 @@ from seqid_cli.identify.rigid.parameters import (
 )
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.identify.rigid.rotor_coupling import Coupling, decide
-from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
@@ -60,7 +59,8 @@ def identify_inertia(
     by_encoder = replace(options, source="encoder", motion=replace(options.motion, cutoff_hz=hz))
     others = InertiaEquations(robot, basis, stages, by_encoder) if compare else None
     logs = cast("Iterable[Recording]", recordings)  # whoever reduces them does not look inside
-    parts = reduced(logs, InertiaRowsOf(equations, others), _all)
+    opens = open_if_long if others is None and streams(stages, options) else None
+    parts = reduced(logs, partial(_rows_of, equations, others), _all, opens)
     own, *near, encoder = parts or (None, None)
     if own is None or not any(joint.samples for joint in own.joints):
         raise QualityError("no joint with known friction moves in these logs")
@@ -81,30 +81,21 @@ def identify_inertia(
 AllRows = tuple[InertiaRows | None, ...]  # as used, at neighbouring cut-offs, by the encoders
 
 
-@dataclass(frozen=True)
-class InertiaRowsOf:
-    """The reduced equations of one log, and those by its encoders where they are asked for."""
-
-    equations: InertiaEquations
-    others: InertiaEquations | None
-
-    def open_log(self, path: Path, robot: Robot, time_source: TimeSource) -> SurveyedLog | None:
-        """Open a log that is better passed over than read; None for others."""
-        if self.others is not None or not streams(self.equations.stages, self.equations.options):
-            return None
-        return open_if_long(path, robot, time_source=time_source)
-
-    def __call__(self, recording: Recording | SurveyedLog, _: int) -> AllRows:
-        """Reduce them."""
-        own = self.equations.rows_of(recording)
-        near: list[InertiaRows | None] = []
-        for factor in self.equations.options.neighbours:
-            near.append(None)
-            if isinstance(recording, Recording):
-                with contextlib.suppress(InputError):  # the log is too short or too slow for it
-                    other = self.equations.at_cutoff(own.cutoffs[0] * factor)
-                    near[-1] = other.rows_of(recording)
-        return own, *near, self.others.rows_of(recording) if self.others else None
+def _rows_of(
+    equations: InertiaEquations,
+    others: InertiaEquations | None,
+    log: Recording | SurveyedLog,
+    _: int,
+) -> AllRows:
+    """Reduce the equations of one log, and those by its encoders where they are asked for."""
+    own = equations.rows_of(log)
+    near: list[InertiaRows | None] = []
+    for factor in equations.options.neighbours:
+        near.append(None)
+        if isinstance(log, Recording):
+            with contextlib.suppress(InputError):  # the log is too short or too slow for it
+                near[-1] = equations.at_cutoff(own.cutoffs[0] * factor).rows_of(log)
+    return own, *near, others.rows_of(log) if others else None
 
 
 def _all(first: AllRows, second: AllRows) -> AllRows:

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.identify.friction_surface.trials import Trial, TrialsOf
+from seqid_cli.identify.friction_surface.trials import Trial, trials_of
 from seqid_cli.identify.regression import equations
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.tables import parquet
@@ -62,10 +62,10 @@ def write(path: Path, *, waving: bool) -> Path:
 
 def parts_of(path: Path, robot: Robot, rows: int) -> tuple[list[Trial], list[Trial]]:
     """Return the trials of the log passed over, and those of the held one."""
-    find = TrialsOf(robot, rows)
-    log = find.open_log(path, robot, "header")
+    log = equations.open_if_long(path, robot)
     assert isinstance(log, SurveyedLog)
-    return find(log, 0), find(read_recording(path, robot), 0)
+    held = read_recording(path, robot)
+    return trials_of(robot, log, 0, rows=rows), trials_of(robot, held, 0)
 
 
 @pytest.mark.slow

@@ -10,9 +10,10 @@ and kept only where the data speak for it.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from seqid_cli.identify.friction_surface.trials import Trial, configurations, speed_levels
 from seqid_cli.robot.kinematics import forward
@@ -52,11 +53,20 @@ def plane_across(axis: Array) -> tuple[Array, Array]:
     return e_x, np.cross(axis, e_x)
 
 
-HalfSums = tuple[Array, Array, float, float]  # (K,) rad, N m; the pair's speed, samples per slice
+class HalfSum(NamedTuple):
+    """Half-sum `tau` (K,) N m of a forward and a backward trial at `q` (K,) rad (Eq. 15).
+
+    `speed` is the pair's, `weight` samples per slice.
+    """
+
+    q: Array
+    tau: Array
+    speed: float
+    weight: float
 
 
-def _half_sums(group: list[Trial]) -> list[HalfSums]:
-    """Half-sums of forward and backward trials of one configuration, speed by speed (Eq. 15)."""
+def _half_sums(group: list[Trial]) -> list[HalfSum]:
+    """Half-sums of forward and backward trials of one configuration, speed by speed."""
     result = []
     for level in speed_levels(group):
         ways = ([t for t in level if t.velocity > 0], [t for t in level if t.velocity < 0])
@@ -66,7 +76,7 @@ def _half_sums(group: list[Trial]) -> list[HalfSums]:
             twin = np.interp(ahead.q[inside], back.q[order], back.tau[order])
             if inside.sum() >= 4:
                 half = (ahead.tau[inside] + twin) / 2
-                result.append((ahead.q[inside], half, level[0].speed, ahead.weight))
+                result.append(HalfSum(ahead.q[inside], half, level[0].speed, ahead.weight))
     return result
 
 
@@ -96,81 +106,6 @@ class GravityFit:
     asymmetry: float
 
 
-def fit_gravity(robot: Robot, joint: int, trials: list[Trial]) -> GravityFit:
-    """Fit p_xi per configuration to the half-sums, with or without direction dependence.
-
-    Returns: groups without a forward/backward pair are left out and counted in `unpaired`.
-    """
-    groups = configurations(trials)
-    paired = [(group, sums) for group in groups if (sums := _half_sums(group))]
-    if len(paired) < len(groups) and not any(_loads(robot, joint, groups)):
-        none = np.zeros(0)  # nothing to remove, no twin needed
-        free = [GravityGroup(robot, group[0].configuration, group, none, none) for group in groups]
-        return GravityFit(free, 0, False, 0.0)
-    unpaired = len(trials) - sum(len(group) for group, _ in paired)
-    if not paired:
-        return GravityFit([], unpaired, False, 0.0)
-    columns, extra, y, root, block, of_group = _system(robot, joint, paired)
-    both = np.hstack([columns, extra])
-    plain, extended = (_solved(each, y, root, block) for each in (columns, both))
-    squares = []  # of friction: half the difference of the directions
-    for group, _ in paired:
-        ahead = [t.tau.mean() for t in group if t.velocity > 0]
-        back = [t.tau.mean() for t in group if t.velocity < 0]
-        squares.append(((np.mean(ahead) - np.mean(back)) / 2) ** 2)
-    friction = float(np.sqrt(np.mean(squares)))
-    share, directional = _asymmetry(plain, extended, extra, friction)
-    p_xi, errors, _ = extended if directional else plain
-    fitted = [
-        GravityGroup(robot, group[0].configuration, group, p_xi[own], errors[own])
-        for (group, _), own in zip(paired, of_group, strict=True)
-    ]
-    return GravityFit(fitted, unpaired, directional, share)
-
-
-def _loads(robot: Robot, joint: int, groups: list[list[Trial]]) -> list[int]:
-    """How many gravity columns each configuration has, 0 to 2."""
-    none = np.zeros(1)
-    return [gravity_columns(robot, joint, g[0].configuration, none).shape[1] for g in groups]
-
-
-Paired = list[tuple[list[Trial], list[HalfSums]]]
-Solved = tuple[Array, Array, float]  # solution, its standard errors, squares left
-
-
-def _system(
-    robot: Robot, joint: int, paired: Paired, *, enough_pairs: int = 8
-) -> tuple[Array, Array, Array, Array, Index, list[slice]]:
-    """Half-sums stacked: gravity columns per configuration, offset and slope over the speed.
-
-    Then the half-sums, their weights' roots, the blocks that share errors, and the columns of each
-    configuration: none where gravity does not load the joint.
-    """
-    rows, extra, right, root, block = [], [], [], [], []
-    pairs = sum(len(sums) for _, sums in paired)
-    fastest = max(speed for _, sums in paired for *_, speed, _ in sums)
-    count = 0
-    ends = np.cumsum([0, *_loads(robot, joint, [group for group, _ in paired])])
-    of_group = [slice(a, b) for a, b in pairwise(ends)]
-    for (group, sums), own in zip(paired, of_group, strict=True):
-        for q, half, speed, weight in sums:
-            wide = np.zeros((len(q), ends[-1]))
-            wide[:, own] = gravity_columns(robot, joint, group[0].configuration, q)
-            rows.append(wide)
-            slope = np.full(len(q), speed / fastest)
-            # The gravity force of a prismatic joint is itself an offset.
-            offset = [] if robot.chain.prismatic[joint] and ends[-1] else [np.ones_like(slope)]
-            extra.append(np.column_stack([*offset, slope]))
-            right.append(half)
-            root.append(np.full(len(q), np.sqrt(weight)))
-            # Drift and friction errors are shared within a pair; few pairs must be cut up.
-            parts = 1 if pairs >= enough_pairs else 4
-            block.append(count + np.arange(len(q)) * parts // len(q))
-            count += parts
-    y, weights, blocks = (np.concatenate(part) for part in (right, root, block))
-    return np.vstack(rows), np.vstack(extra), y, weights, blocks, of_group
-
-
 @dataclass(frozen=True)
 class Clustered:
     """Least squares `theta` (p,) whose rows share errors within clusters.
@@ -194,20 +129,80 @@ class Clustered:
         np.add.at(scores, cluster, A * left[:, None])
         return cls(theta, left, bread, scores @ bread)
 
+    @property
+    def std_error(self) -> Array:
+        """Standard errors (p,), robust within clusters."""
+        count, p = self.moves.shape
+        return np.asarray(np.sqrt(np.sum(self.moves**2, axis=0) * count / max(count - p, 1)))
 
-def _solved(columns: Array, y: Array, root: Array, block: Index) -> Solved:
-    """Weighted least squares with standard errors that are robust within blocks."""
-    if columns.shape[1] == 0:
-        return np.zeros(0), np.zeros(0), float(np.sum((root * y) ** 2))
-    found = Clustered.of(columns * root[:, None], y * root, block)
-    blocks = len(found.moves)
-    variance = np.sum(found.moves**2, axis=0) * blocks / max(blocks - columns.shape[1], 1)
-    return found.theta, np.sqrt(variance), float(found.left @ found.left)
+
+def fit_gravity(
+    robot: Robot, joint: int, trials: list[Trial], *, enough_pairs: int = 8
+) -> GravityFit:
+    """Fit p_xi per configuration to the half-sums, with or without direction dependence.
+
+    Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up.
+    Returns: groups without a forward/backward pair are left out and counted in `unpaired`.
+    """
+    groups = configurations(trials)
+    sums = [_half_sums(group) for group in groups]
+    places = [np.concatenate([np.zeros(0), *(half.q for half in own)]) for own in sums]
+    a = [
+        gravity_columns(robot, joint, group[0].configuration, q)
+        for group, q in zip(groups, places, strict=True)
+    ]
+    kept = [k for k, own in enumerate(sums) if own]
+    if len(kept) < len(groups) and not any(own.shape[1] for own in a):
+        none = np.zeros(0)  # nothing to remove, no twin needed
+        free = [GravityGroup(robot, group[0].configuration, group, none, none) for group in groups]
+        return GravityFit(free, 0, False, 0.0)
+    unpaired = len(trials) - sum(len(groups[k]) for k in kept)
+    if not kept:
+        return GravityFit([], unpaired, False, 0.0)
+    pairs = [half for k in kept for half in sums[k]]
+    parts = 1 if len(pairs) >= enough_pairs else 4
+    block = np.concatenate(
+        [
+            number * parts + np.arange(len(half.q)) * parts // len(half.q)
+            for number, half in enumerate(pairs)
+        ]
+    )
+    speed, weight = (
+        np.concatenate([np.full(len(half.q), getattr(half, name)) for half in pairs])
+        for name in ("speed", "weight")
+    )
+    columns, root = block_diag(*(a[k] for k in kept)), np.sqrt(weight)
+    extra = np.column_stack([np.ones_like(speed), speed / speed.max()])
+    if robot.chain.prismatic[joint] and columns.shape[1]:
+        extra = extra[:, 1:]  # the gravity force of a prismatic joint is itself an offset
+    y = np.concatenate([half.tau for half in pairs]) * root
+    plain, extended = (
+        Clustered.of(each * root[:, None], y, block)
+        for each in (columns, np.hstack([columns, extra]))
+    )
+    squares = []  # of friction: half the difference of the directions
+    for k in kept:
+        ahead = [t.tau.mean() for t in groups[k] if t.velocity > 0]
+        back = [t.tau.mean() for t in groups[k] if t.velocity < 0]
+        squares.append(((np.mean(ahead) - np.mean(back)) / 2) ** 2)
+    share, directional = _asymmetry(plain, extended, extra, float(np.sqrt(np.mean(squares))))
+    found = extended if directional else plain
+    ends = np.cumsum([a[k].shape[1] for k in kept])
+    fitted = [
+        GravityGroup(robot, groups[k][0].configuration, groups[k], p_xi, error)
+        for k, p_xi, error in zip(
+            kept,
+            np.split(found.theta, ends)[:-1],
+            np.split(found.std_error, ends)[:-1],
+            strict=True,
+        )
+    ]
+    return GravityFit(fitted, unpaired, directional, share)
 
 
 def _asymmetry(
-    plain: Solved,
-    extended: Solved,
+    plain: Clustered,
+    extended: Clustered,
     extra: Array,
     friction: float,
     *,
@@ -215,8 +210,8 @@ def _asymmetry(
     min_sigma: float = 6.0,
 ) -> tuple[float, bool]:
     """Share of friction that depends on direction, and whether it is large and significant."""
-    solution, errors = (values[len(plain[0]) :] for values in extended[:2])
+    solution, errors = (x[len(plain.theta) :] for x in (extended.theta, extended.std_error))
     share = float(np.sqrt(np.mean((extra @ solution) ** 2)) / max(friction, 1e-12))
     sigma = np.abs(solution) / np.maximum(errors, 1e-300)
-    helps = extended[2] < 0.97 * plain[2]
+    helps = extended.left @ extended.left < 0.97 * (plain.left @ plain.left)
     return share, bool(share > min_share and sigma.max() > min_sigma and helps)

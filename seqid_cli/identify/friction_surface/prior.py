@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor
 from scipy.linalg.lapack import dpotri
-from scipy.optimize import minimize, root
+from scipy.optimize import fsolve, minimize
 
 from seqid_cli.identify.friction_surface.reduction import EDGES, EXTRA, SHARED, Orders, Reduced
 from seqid_cli.model.friction_basis import Scaling
@@ -232,9 +232,13 @@ class Evidence:
             start = np.clip(np.log(values / self.usual), -furthest, furthest)
         bounds = [(-far, far) for far in furthest.tolist()]
         found = minimize(self, start, jac=True, method="L-BFGS-B", bounds=bounds)
-        level = root(lambda logs: self(logs)[1], found.x, options={"xtol": 1e-10, "eps": 1e-8})
-        logs = level.x if np.abs(level.x - found.x).max() < near_by else found.x
+        start = np.asarray(found.x, dtype=np.float64)
+        level = fsolve(self._slope, start, full_output=True, xtol=1e-10, epsfcn=1e-8)[0]
+        logs = level if np.abs(level - start).max() < near_by else start
         return self.sizes(logs), -self(logs)[0]
+
+    def _slope(self, logs: Array) -> Array:
+        return self(logs)[1]
 
     def _of_errors(
         self, own: Reduced, sizes: Sizes, normal: Normal, mean: Array, covariance: Array

@@ -96,7 +96,7 @@ def export_model(
     effects = absorbed_effects(stages, robot, holds)
     demand = identified(stages, robot, more=effects.parameters)
     urdf = None if robot.urdf is None else read_urdf_text(robot.urdf)
-    links = () if urdf is None else bodies_of_urdf(urdf.root, robot.joint_names)
+    links = () if urdf is None else bodies_of_urdf(urdf, robot.joint_names)
     kept = np.array([body.kept for body in links]) if links else np.zeros((robot.n, PER_LINK))
     nearest = nearest_bodies(robot, demand, kept)
     rigid = stages.inertia or stages.gravity

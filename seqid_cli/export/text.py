@@ -81,7 +81,7 @@ def ros2_parameters(model: ExportModel) -> str:
     """
     root, tip = "base_link", f"{model.robot.joint_names[-1]}_link"
     if model.urdf is not None:
-        root, tip = root_link(model.urdf.root), model.links[-1].link
+        root, tip = root_link(model.urdf), model.links[-1].link
     return rendered(
         "arm.yaml.jinja",
         model,

@@ -9,7 +9,6 @@ that has none.
 from xml.dom import minidom
 from xml.dom.minidom import Comment, Document, Element, Text
 
-import numpy as np
 import pinocchio as pin
 
 from seqid_cli.export.model import ExportModel
@@ -17,7 +16,6 @@ from seqid_cli.export.text import plain, real, reals, remarks, rendered
 from seqid_cli.export.urdf_tree import UrdfBody
 from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.robot.base_parameters import gear_ratios
-from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Array, Joint
 
 _DRAKE = "http://drake.mit.edu"
@@ -72,7 +70,7 @@ def _new(model: ExportModel) -> tuple[bytes, tuple[UrdfBody, ...]]:
         }
         moves.append({"attributes": own, "parts": parts})
     raw = rendered("arm.urdf.jinja", model, name=model.robot.name, links=links, moves=moves)
-    return raw.encode(), tuple(UrdfBody(link, (), (), np.zeros(PER_LINK)) for link in links[1:])
+    return raw.encode(), tuple(map(UrdfBody, links[1:]))
 
 
 def _limits(joint: Joint, kind: str, *, no_limit: float = 1000.0) -> dict[str, str]:

@@ -24,18 +24,7 @@ def chain_from_urdf(
     for messages. Returns: quarter turns and zeros that it rounds are exact (see `tidy_rotation`).
     Raises ConfigError: the URDF is inconsistent, or `names` is not a serial chain in this order.
     """
-    check_parents(urdf)
-    try:
-        with _unheard():
-            whole = pin.buildModelFromXML(readable(urdf).decode("utf-8"))
-    except (ValueError, RuntimeError, UnicodeDecodeError) as problem:
-        reason = str(problem).strip().splitlines()[0] if str(problem).strip() else "no reason given"
-        raise ConfigError(
-            f"not a usable URDF: {reason}",
-            where=str(urdf.path),
-            hint="Check it with `check_urdf` (liburdfdom-tools): one root link, no loops, no link "
-            "or joint named twice, every joint between links that exist.",
-        ) from None
+    whole = whole_model(urdf)
     others = [k for k in range(1, whole.njoints) if whole.names[k] not in names]
     # A continuous joint is (cos, sin) in the configuration, so its zero is not 0.0: neutral knows.
     model = pin.buildReducedModel(whole, others, pin.neutral(whole))
@@ -49,6 +38,22 @@ def chain_from_urdf(
         prismatic=prismatic,
     )
     return chain, nominal if urdf.has_inertia else None
+
+
+def whole_model(urdf: UrdfText) -> pin.Model:
+    """Read all links and joints of a URDF; raises ConfigError where it is inconsistent."""
+    check_parents(urdf)
+    try:
+        with _unheard():
+            return pin.buildModelFromXML(readable(urdf).decode("utf-8"))
+    except (ValueError, RuntimeError, UnicodeDecodeError) as problem:
+        reason = str(problem).strip().splitlines()[0] if str(problem).strip() else "no reason given"
+        raise ConfigError(
+            f"not a usable URDF: {reason}",
+            where=str(urdf.path),
+            hint="Check it with `check_urdf` (liburdfdom-tools): one root link, no loops, no link "
+            "or joint named twice, every joint between links that exist.",
+        ) from None
 
 
 @contextlib.contextmanager

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
@@ -13,6 +12,7 @@ from seqid_cli.export.urdf_tree import bodies_of_urdf
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.urdf.text import read_urdf_text
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.small import NAMES_6R, NAMES_GANTRY, urdf_6r, urdf_gantry
 from tests.plants.robots.stages import random_bodies, save_robot, seven_joints, stages_of
@@ -25,7 +25,9 @@ def made(folder: Path, text: str, names: tuple[str, ...], seed: int, *, known: b
     extra = "gear_ratio = 50.0\n" + "rotor_inertia = 1e-4\n" * known
     robot = save_robot(folder, text, names, joint_extra=extra)
     rotor = np.zeros(robot.n) if known else np.full(robot.n, 1e-4)
-    kept = np.array([body.kept for body in bodies_of_urdf(ElementTree.fromstring(text), names)])
+    assert robot.urdf is not None
+    bodies = bodies_of_urdf(read_urdf_text(robot.urdf), names)
+    kept = np.array([body.kept for body in bodies])
     return robot, stages_of(robot, random_bodies(rng, robot.n) + kept, rotor)
 
 

@@ -33,8 +33,8 @@ def spike(columns: Columns, rng: np.random.Generator) -> None:
 FAULTS: Mapping[str, Plant] = {
     "none": p.nothing,
     "wrong sign": p.negated("joint_1.current"),
-    "amperes as torque": p.ending("current", "torque"),
-    "degrees": p.scaled("joint_1.position", 180.0 / np.pi),
+    "amperes as torque": p.renamed("current", "torque"),
+    "degrees": p.times(180.0 / np.pi, "joint_1.position"),
     "spike": spike,
 }
 NEEDS_NO_TORQUE = {"wrong sign", "amperes as torque"}  # of imu-calib

@@ -1,6 +1,8 @@
 """Changes to the columns of a log, each as some driver, logger or cable makes it."""
 
 from collections.abc import Callable
+from fnmatch import fnmatch
+from typing import Concatenate, ParamSpec
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,132 +11,117 @@ from tests import Array
 
 Columns = dict[str, Array]
 Plant = Callable[[Columns, np.random.Generator], None]
+P = ParamSpec("P")
 
 
-def nothing(columns: Columns, rng: np.random.Generator) -> None:
-    pass
+def planter(
+    change: Callable[Concatenate[Columns, np.random.Generator, P], None],
+) -> Callable[P, Plant]:
+    """Make plants of a change to columns that takes more than these."""
+
+    def made(*args: P.args, **named: P.kwargs) -> Plant:
+        return lambda columns, rng: change(columns, rng, *args, **named)
+
+    return made
 
 
-def those(chosen: Callable[[str], bool], change: Callable[[Array], Array]) -> Plant:
-    """The columns of some names, each changed alike."""
-
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        columns.update({n: change(values) for n, values in columns.items() if chosen(n)})
-
-    return plant
-
-
-def only(name: str, change: Callable[[Array], Array]) -> Plant:
-    return those(name.__eq__, change)
+@planter
+def changed(
+    columns: Columns, _: np.random.Generator, pattern: str, change: Callable[[Array], Array]
+) -> None:
+    """The columns whose names are like a pattern, each changed alike."""
+    columns.update({n: change(values) for n, values in columns.items() if fnmatch(n, pattern)})
 
 
-def scaled(name: str, factor: float) -> Plant:
-    return only(name, lambda x: x * factor)
+def times(factor: float, *patterns: str) -> Plant:
+    return both(*(changed(pattern, lambda x: x * factor) for pattern in patterns))
 
 
-def shifted(name: str, offset: float) -> Plant:
-    return only(name, lambda x: x + offset)
+def negated(*patterns: str) -> Plant:
+    return times(-1.0, *patterns)
 
 
-def constant(name: str, value: float) -> Plant:
-    return only(name, lambda x: np.full_like(x, value))
+def shifted(pattern: str, offset: float) -> Plant:
+    return changed(pattern, lambda x: x + offset)
 
 
-def quantised(name: str, step: float) -> Plant:
-    return only(name, lambda x: np.round(x / step) * step)
+def constant(pattern: str, value: float) -> Plant:
+    return changed(pattern, lambda x: np.full_like(x, value))
 
 
-def held(name: str, size: int) -> Plant:
-    return only(name, lambda x: x[np.arange(len(x)) // size * size])
+def quantised(pattern: str, step: float) -> Plant:
+    return changed(pattern, lambda x: np.round(x / step) * step)
 
 
-def clipped(name: str, share: float) -> Plant:
-    return only(name, lambda x: np.clip(x, *(share * np.abs(x).max() * np.array([-1.0, 1.0]))))
+def held(pattern: str, size: int) -> Plant:
+    return changed(pattern, lambda x: x[np.arange(len(x)) // size * size])
 
 
-def wrapped(name: str) -> Plant:
-    return only(name, lambda x: (x - np.median(x)) % (2 * np.pi) + np.median(x))
+def clipped(pattern: str, share: float) -> Plant:
+    return changed(pattern, lambda x: np.clip(x, -share * abs(x).max(), share * abs(x).max()))
 
 
-def every(names: tuple[str, ...], factor: float) -> Plant:
-    return those(names.__contains__, lambda x: x * factor)
+def wrapped(pattern: str) -> Plant:
+    return changed(pattern, lambda x: (x - np.median(x)) % (2 * np.pi) + np.median(x))
 
 
-def negated(*names: str) -> Plant:
-    return every(names, -1.0)
+def delayed(pattern: str, samples: int) -> Plant:
+    return changed(pattern, lambda x: np.roll(x, samples))
 
 
-def all_scaled(suffix: str, factor: float) -> Plant:
-    return those(lambda name: name.endswith(suffix), lambda x: x * factor)
+@planter
+def both(columns: Columns, rng: np.random.Generator, *plants: Plant) -> None:
+    for plant in plants:
+        plant(columns, rng)
 
 
-def beginning(prefix: str, factor: float) -> Plant:
-    return those(lambda name: name.startswith(prefix), lambda x: x * factor)
+nothing = both()
 
 
-def delayed(prefix: str, samples: int) -> Plant:
-    return those(lambda name: name.startswith(prefix), lambda x: np.roll(x, samples))
-
-
-def beside(joint: str, motor: str, sensor: str) -> Plant:
+@planter
+def beside(columns: Columns, _: np.random.Generator, joint: str, motor: str, sensor: str) -> None:
     """A second sensor at every joint, reversed at one."""
-
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        for name in [name for name in columns if name.endswith(motor)]:
-            sign = -1.0 if name == f"{joint}{motor}" else 1.0
-            columns[name.replace(motor, sensor)] = sign * columns[name]
-
-    return plant
+    for name in [name for name in columns if name.endswith(motor)]:
+        sign = -1.0 if name == f"{joint}{motor}" else 1.0
+        columns[name.replace(motor, sensor)] = sign * columns[name]
 
 
-def swapped(*pairs: tuple[str, str]) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        for a, b in pairs:
-            columns[a], columns[b] = columns[b], columns[a]
-
-    return plant
+@planter
+def swapped(columns: Columns, _: np.random.Generator, *pairs: tuple[str, str]) -> None:
+    for a, b in pairs:
+        columns[a], columns[b] = columns[b], columns[a]
 
 
-def stuck(name: str, seconds: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        t = columns["t"]
-        inside = (t > t[0] + 4.0) & (t < t[0] + 4.0 + seconds)
-        columns[name][inside] = columns[name][inside][0]
-
-    return plant
+@planter
+def stuck(columns: Columns, _: np.random.Generator, name: str, seconds: float) -> None:
+    t = columns["t"] - columns["t"][0]
+    inside = (t > 4.0) & (t < 4.0 + seconds)
+    columns[name][inside] = columns[name][inside][0]
 
 
-def frozen(name: str, samples: int) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        q = columns[name]
-        slope = np.gradient(np.convolve(q, np.ones(25) / 25, "same"))
-        fast = int(np.argmax(np.abs(slope[100:-100])))
-        q[fast + 100 : fast + 100 + samples] = q[fast + 100]
-
-    return plant
+@planter
+def frozen(columns: Columns, _: np.random.Generator, name: str, samples: int) -> None:
+    q = columns[name]
+    slope = np.gradient(np.convolve(q, np.ones(25) / 25, "same"))
+    fast = int(np.argmax(np.abs(slope[100:-100])))
+    q[fast + 100 : fast + 100 + samples] = q[fast + 100]
 
 
-def spikes(name: str, size: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        at = rng.choice(len(columns[name]) - 200, 4, replace=False) + 100
-        columns[name][at] += size * np.array([1.0, -1.0, 1.0, -1.0])
-
-    return plant
+@planter
+def spikes(columns: Columns, rng: np.random.Generator, name: str, size: float) -> None:
+    at = rng.choice(len(columns[name]) - 200, 4, replace=False) + 100
+    columns[name][at] += size * np.array([1.0, -1.0, 1.0, -1.0])
 
 
-def jump(name: str, size: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        columns[name][len(columns[name]) // 2 :] += size
-
-    return plant
+@planter
+def jump(columns: Columns, _: np.random.Generator, name: str, size: float) -> None:
+    columns[name][len(columns[name]) // 2 :] += size
 
 
-def missing(name: str, share: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        inside = rng.choice(len(columns[name]) - 20, int(share * len(columns[name]))) + 10
-        columns[name][inside] = np.nan
-
-    return plant
+@planter
+def missing(columns: Columns, rng: np.random.Generator, name: str, share: float) -> None:
+    inside = rng.choice(len(columns[name]) - 20, int(share * len(columns[name]))) + 10
+    columns[name][inside] = np.nan
 
 
 def taken(columns: Columns, rows: NDArray[np.intp] | NDArray[np.bool_]) -> None:
@@ -142,12 +129,10 @@ def taken(columns: Columns, rows: NDArray[np.intp] | NDArray[np.bool_]) -> None:
     columns.update({name: values[rows] for name, values in columns.items()})
 
 
-def cut(start: float, stop: float) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        t = columns["t"] - columns["t"][0]
-        taken(columns, (t < start) | (t > stop))
-
-    return plant
+@planter
+def cut(columns: Columns, _: np.random.Generator, start: float, stop: float) -> None:
+    t = columns["t"] - columns["t"][0]
+    taken(columns, (t < start) | (t > stop))
 
 
 def jittered(columns: Columns, rng: np.random.Generator) -> None:
@@ -159,48 +144,26 @@ def jittered(columns: Columns, rng: np.random.Generator) -> None:
     columns["t"] = t[0] + np.cumsum(steps)
 
 
-def exchanged_rows(columns: Columns, rng: np.random.Generator) -> None:
+def exchanged_rows(columns: Columns, _: np.random.Generator) -> None:
     order = np.arange(len(columns["t"]))
     for at in (300, 900, 1500):
         order[[at, at + 1]] = order[[at + 1, at]]
     taken(columns, order)
 
 
-def repeated_rows(columns: Columns, rng: np.random.Generator) -> None:
+def repeated_rows(columns: Columns, _: np.random.Generator) -> None:
     taken(columns, np.sort(np.concatenate([np.arange(len(columns["t"])), [200, 700, 701, 702]])))
 
 
-def called(columns: Columns, name_of: Callable[[str], str]) -> None:
-    """Give the columns other names, the columns without a name up."""
-    named = {name_of(name): values for name, values in columns.items()}
+@planter
+def renamed(columns: Columns, _: np.random.Generator, old: str, new: str | None) -> None:
+    """Another part of names, or the columns with it gone."""
+    named = {
+        name.replace(old, new or ""): x for name, x in columns.items() if new or old not in name
+    }
     columns.clear()
-    columns.update({name: values for name, values in named.items() if name})
+    columns.update(named)
 
 
-def renamed(old: str, new: str) -> Plant:
-    return lambda columns, _: called(
-        columns, lambda name: new + name[len(old) :] if name.startswith(old) else name
-    )
-
-
-def ending(old: str, new: str) -> Plant:
-    return lambda columns, _: called(
-        columns, lambda name: name.removesuffix(old) + new if name.endswith(old) else name
-    )
-
-
-def without(suffix: str) -> Plant:
-    return lambda columns, _: called(columns, lambda name: "" if name.endswith(suffix) else name)
-
-
-def commanded_gravity(columns: Columns, rng: np.random.Generator) -> None:
-    q = columns["elbow.position"]
-    columns["elbow.current"] = 0.4 * np.cos(q) + 0.1
-
-
-def both(first: Plant, second: Plant) -> Plant:
-    def plant(columns: Columns, rng: np.random.Generator) -> None:
-        first(columns, rng)
-        second(columns, rng)
-
-    return plant
+def commanded_gravity(columns: Columns, _: np.random.Generator) -> None:
+    columns["elbow.current"] = 0.4 * np.cos(columns["elbow.position"]) + 0.1

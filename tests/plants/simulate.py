@@ -5,7 +5,10 @@ order, no energy drift). The torque commanded at t_k acts from half a period bef
 after, so position, current and acceleration of one row belong to the same instant.
 """
 
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -52,6 +55,13 @@ class Plant:
     def torque_per_ampere(self) -> Array:
         """Joint torque per motor current, (n,) N m/A."""
         return self.torque_constant * self.arm.gear
+
+    def hiding(self, **parts: Any) -> Plant:
+        """The same with one part more of each kind of `Hidden`."""
+        more: dict[str, Any] = {
+            kind: (*getattr(self.hidden, kind), part) for kind, part in parts.items()
+        }
+        return replace(self, hidden=replace(self.hidden, **more))
 
 
 @dataclass(frozen=True)
@@ -137,7 +147,7 @@ def _current(plant: Plant, truth: Truth, run: Run) -> Array:
     current = truth.commanded / plant.torque_per_ampere
     t = np.asarray(run.start + run.dt * np.arange(len(current)), dtype=np.float64)
     for error in plant.hidden.currents:
-        current = error.read(t, current, run)
+        current = error(t, current)
     return current
 
 
@@ -157,8 +167,8 @@ def _run(plant: Plant, reference: Reference, run: Run) -> Truth:
     controller = Controller(plant.gains, dt)
     ahead = feedforward(Rigid(plant.nominal), reference, plant.coulomb_guess)
     wanted = reference.q
-    stages = [stage.begin(run) for stage in hidden.drives]
-    sources = (*plant.sources, *(torque.begin(run) for torque in hidden.torques))
+    stages = [begin(run) for begin in hidden.drives]
+    sources = (*plant.sources, *(begin(run) for begin in hidden.torques))
     body = mechanics(plant.arm, plant.friction.begin(), sources, hidden, wanted[0], dt)
     out = Truth(*(np.empty(wanted.shape) for _ in Truth.__dataclass_fields__))
     for k in range(len(wanted)):

@@ -3,14 +3,15 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 
 from tests import Array
 from tests.plants.arms.rated import reach, strongest, tool_point
 from tests.plants.arms.rigs import GRAVITY, standard_parameters
 from tests.plants.effects.drive import at
-from tests.plants.effects.friction import clear, middle_and_half
-from tests.plants.mechanics.rigid import rot_x, rot_z
-from tests.plants.mechanics.torques import AccelerationCube, Contact, State
+from tests.plants.effects.friction import clear, middle_and_half, on_joint
+from tests.plants.mechanics.hidden import Run, TorqueSource
+from tests.plants.mechanics.rigid import build_model, rot_x, rot_z
 from tests.plants.simulate import Plant
 
 
@@ -36,10 +37,39 @@ def rotor_inertia(plant: Plant, joint: int, size: float) -> Plant:
 
 
 def contact(plant: Plant, joint: int, size: float) -> Plant:
-    """Pushes of the last link that are 10 % of rated times size for the strongest joint."""
-    force = 0.10 * size * strongest(plant) / reach(plant)
-    model = Contact(plant.arm, tool_point(plant), force)
-    return replace(plant, hidden=plant.hidden.with_torque(model))
+    """Half-sine pushes of the last link, 10 % of rated times size for the strongest joint.
+
+    One or two per log; times, directions and lengths (0.2 to 0.6 s) come from its start and seed.
+    """
+    mean = 0.10 * size * strongest(plant) / reach(plant)
+    arm, point = plant.arm, tool_point(plant)
+
+    def begin(run: Run) -> TorqueSource:
+        rng = np.random.default_rng([run.seed, round(1000.0 * run.start), 11])
+        count = int(rng.integers(1, 3))
+        pushes = []
+        for part in range(count):
+            share = (part + rng.uniform(0.15, 0.75)) / count
+            way = rng.standard_normal(3)
+            force = mean * rng.uniform(0.8, 1.2) / np.linalg.norm(way)
+            first = run.start + share * run.duration
+            pushes.append((first, float(rng.uniform(0.2, 0.6)), force * way))
+        model = build_model(arm)
+        data = model.createData()
+
+        def source(t: float, q: Array, dq: Array) -> Array:
+            for first, length, most in pushes:
+                if first < t < first + length:
+                    force = most * np.sin(np.pi * ((t - first) / length))
+                    pin.computeJointJacobians(model, data, q)
+                    jac = pin.getJointJacobian(model, data, arm.n, pin.LOCAL_WORLD_ALIGNED)
+                    lever = data.oMi[arm.n].rotation @ point
+                    return np.asarray(jac[:3].T @ force + jac[3:].T @ np.cross(lever, force))
+            return np.zeros_like(q)
+
+        return source
+
+    return plant.hiding(torques=begin)
 
 
 def other(plant: Plant, joint: int) -> int:
@@ -51,35 +81,46 @@ def bump(plant: Plant, joint: int, size: float) -> Plant:
     """Torque bump over position, a tenth of the range wide, near the middle of it."""
     middle, half = middle_and_half(plant, joint)
     place, width, torque = middle + 0.15 * half, 0.10 * half, clear(plant, joint, size)
-
-    def law(q: Array, dq: Array) -> float:
-        return -torque * float(np.exp(-0.5 * ((q[joint] - place) / width) ** 2))
-
-    return replace(plant, hidden=plant.hidden.with_torque(State(joint, law)))
+    return on_joint(
+        plant, joint, lambda q, dq: -torque * np.exp(-0.5 * ((q[joint] - place) / width) ** 2)
+    )
 
 
 def other_speed(plant: Plant, joint: int, size: float) -> Plant:
     """Torque sin(4 v_other + 0.6)."""
     torque, source = clear(plant, joint, size), other(plant, joint)
-
-    def law(q: Array, dq: Array) -> float:
-        return -torque * float(np.sin(4.0 * dq[source] + 0.6))
-
-    return replace(plant, hidden=plant.hidden.with_torque(State(joint, law)))
-
-
-def acceleration_cube(plant: Plant, joint: int, size: float) -> Plant:
-    """Torque that grows with the cube of the acceleration; clear at 70 % of its limit."""
-    top = 0.7 * float(plant.acceleration_limits[joint])
-    model = AccelerationCube(joint, clear(plant, joint, size), top)
-    return replace(plant, hidden=plant.hidden.with_torque(model))
+    return on_joint(plant, joint, lambda q, dq: -torque * np.sin(4.0 * dq[source] + 0.6))
 
 
 def two_positions(plant: Plant, joint: int, size: float) -> Plant:
     """Torque sin(3 q_j) cos(2 q_k + 0.5) of this joint and the one before."""
     torque, source = clear(plant, joint, size), other(plant, joint)
+    return on_joint(
+        plant,
+        joint,
+        lambda q, dq: -torque * (np.sin(3.0 * q[joint]) * np.cos(2.0 * q[source] + 0.5)),
+    )
 
-    def law(q: Array, dq: Array) -> float:
-        return -torque * float(np.sin(3.0 * q[joint]) * np.cos(2.0 * q[source] + 0.5))
 
-    return replace(plant, hidden=plant.hidden.with_torque(State(joint, law)))
+def acceleration_cube(plant: Plant, joint: int, size: float) -> Plant:
+    """Torque that grows with the cube of the acceleration, to where it is clear: 70 % of its limit.
+
+    The acceleration is that of the rates of the last two periods.
+    """
+    top, torque = 0.7 * float(plant.acceleration_limits[joint]), clear(plant, joint, size)
+
+    def begin(run: Run) -> TorqueSource:
+        before = np.nan
+
+        def source(t: float, q: Array, dq: Array) -> Array:
+            nonlocal before
+            rate = float(dq[joint])
+            ddq = 0.0 if np.isnan(before) else (rate - before) / run.dt
+            before = rate
+            out = np.zeros_like(q)
+            out[joint] = -torque * min(max(ddq / top, -1.0), 1.0) ** 3
+            return out
+
+        return source
+
+    return plant.hiding(torques=begin)

@@ -11,17 +11,7 @@ import numpy as np
 from tests import Array
 from tests.plants.arms.rated import rated_torque
 from tests.plants.effects.friction import clear
-from tests.plants.mechanics.drives import (
-    EncoderWave,
-    Gain,
-    Hum,
-    Lag,
-    Offset,
-    Ripple,
-    Saturation,
-    Skew,
-)
-from tests.plants.mechanics.hidden import Spring
+from tests.plants.mechanics.hidden import Run, Spring, Stage
 from tests.plants.mechanics.joints import swung
 from tests.plants.mechanics.rigid import Rigid
 from tests.plants.simulate import Plant
@@ -40,10 +30,15 @@ def at(plant: Plant, joint: int, value: float) -> Array:
 
 
 def ripple(plant: Plant, joint: int, size: float) -> Plant:
-    """Order 2 of the motor (strain wave), independent of torque."""
-    gear = float(plant.arm.gear[joint])
-    stage = Ripple(joint, 2.0, gear, 0.7, clear(plant, joint, size))
-    return replace(plant, hidden=plant.hidden.with_drive(stage))
+    """Order 2 of the motor (strain wave), also without current: sin(2 gear angle + 0.7)."""
+    torque, pace = clear(plant, joint, size), 2.0 * float(plant.arm.gear[joint])
+
+    def stage(t: float, tau: Array, angle: Array) -> Array:
+        out = tau.copy()
+        out[joint] += torque * np.sin(pace * angle[joint] + 0.7)
+        return out
+
+    return plant.hiding(drives=lambda run: stage)
 
 
 def elastic(plant: Plant, joint: int, size: float) -> Plant:
@@ -59,8 +54,8 @@ def backlash(plant: Plant, joint: int, size: float) -> Plant:
 def _spring(plant: Plant, joint: int, bend: float, ratio: float, gap: float = 0.0) -> Plant:
     stiffness = float(rated_torque(plant)[joint]) / bend
     inertia = swung(Rigid(plant.arm), joint, plant.position_limits.mean(axis=1))
-    part = Spring(joint, stiffness, float(2.0 * ratio * np.sqrt(stiffness * inertia)), gap)
-    return replace(plant, hidden=plant.hidden.with_spring(part))
+    damping = float(2.0 * ratio * np.sqrt(stiffness * inertia))
+    return plant.hiding(springs=Spring(joint, stiffness, damping, gap))
 
 
 def coupling(plant: Plant, joint: int, size: float) -> Plant:
@@ -75,50 +70,89 @@ def coupling(plant: Plant, joint: int, size: float) -> Plant:
 def encoder(plant: Plant, joint: int, size: float) -> Plant:
     """Eccentric disc: 5 mrad of the motor's turn times size, once per turn."""
     gear = float(plant.arm.gear[joint])
-    wave = EncoderWave(joint, 0.005 * size / gear, gear, 0.4)
-    return replace(plant, hidden=plant.hidden.with_encoder(wave))
+    amplitude = 0.005 * size / gear
+
+    def error(angle: Array) -> Array:
+        out = np.zeros_like(angle)
+        out[..., joint] = amplitude * np.sin(gear * angle[..., joint] + 0.4)
+        return out
+
+    return plant.hiding(encoders=error)
 
 
 def gain(plant: Plant, joint: int, size: float) -> Plant:
     """Torque per ampere 8 % times size above the robot file's."""
-    return replace(plant, hidden=plant.hidden.with_drive(Gain(at(plant, joint, 0.08 * size))))
+    factor = 1.0 + at(plant, joint, 0.08 * size)
+    return plant.hiding(drives=lambda run: lambda t, tau, angle: factor * tau)
 
 
 def saturation(plant: Plant, joint: int, size: float) -> Plant:
-    """8 % times size of the torque is lost at rated current, cubic in the current."""
-    stage = Saturation(at(plant, joint, 0.08 * size), rated_torque(plant))
-    return replace(plant, hidden=plant.hidden.with_drive(stage))
+    """8 % times size of the torque is lost at rated current, cubic in the current.
+
+    The torque stays at its maximum beyond the current where it no longer grows.
+    """
+    share, rated = at(plant, joint, 0.08 * size), rated_torque(plant)
+    with np.errstate(divide="ignore"):
+        top = rated / np.sqrt(3.0 * share)
+
+    def stage(t: float, tau: Array, angle: Array) -> Array:
+        most = np.clip(tau, -top, top)
+        return np.asarray(most * (1.0 - share * (most / rated) ** 2))
+
+    return plant.hiding(drives=lambda run: stage)
 
 
 def lag(plant: Plant, joint: int, size: float) -> Plant:
-    """Log holds the command; this motor's torque follows with 4 ms times size."""
-    return replace(plant, hidden=plant.hidden.with_drive(Lag(at(plant, joint, 0.004 * size))))
+    """Log holds the command; this motor's torque follows with 4 ms times size, first order."""
+    time = at(plant, joint, 0.004 * size)
+
+    def begin(run: Run) -> Stage:
+        share = run.dt / (run.dt + time)  # so that the mean delay is `time`
+        now: Array | None = None
+
+        def stage(t: float, tau: Array, angle: Array) -> Array:
+            nonlocal now
+            now = tau.copy() if now is None else now + share * (tau - now)
+            return now
+
+        return stage
+
+    return plant.hiding(drives=begin)
 
 
 def skew_all(plant: Plant, joint: int, size: float) -> Plant:
-    """All currents are logged 4 ms times size late."""
-    late = Skew(np.full(plant.arm.n, 0.004 * size))
-    return replace(plant, hidden=plant.hidden.with_current(late))
+    """All currents are logged 4 ms times size late; the ends are held."""
+    delay = 0.004 * size
+
+    def error(t: Array, current: Array) -> Array:
+        return np.column_stack([np.interp(t - delay, t, x) for x in current.T])
+
+    return plant.hiding(currents=error)
 
 
-def _amperes(plant: Plant, joint: int, size: float) -> float:
-    return clear(plant, joint, size) / float(plant.torque_per_ampere[joint])
+def _amperes(plant: Plant, joint: int, size: float) -> Array:
+    """A clear torque at the joint as current, (n,) A."""
+    return at(plant, joint, clear(plant, joint, size) / float(plant.torque_per_ampere[joint]))
 
 
 def bias(plant: Plant, joint: int, size: float) -> Plant:
     """Offset of the current sensor."""
-    error = Offset(at(plant, joint, _amperes(plant, joint, size)), np.zeros(plant.arm.n))
-    return replace(plant, hidden=plant.hidden.with_current(error))
+    offset = _amperes(plant, joint, size)
+    return plant.hiding(currents=lambda t, current: current + offset)
 
 
 def drift(plant: Plant, joint: int, size: float) -> Plant:
     """Offset that grows by a clear torque in 15 minutes since power-on."""
     slope = _amperes(plant, joint, size) / DRIFT_TIME
-    error = Offset(np.zeros(plant.arm.n), at(plant, joint, slope))
-    return replace(plant, hidden=plant.hidden.with_current(error))
+    return plant.hiding(currents=lambda t, current: current + slope * t[:, None])
 
 
 def mains(plant: Plant, joint: int, size: float) -> Plant:
-    """Hum of 50 Hz in the current reading, 2 % of rated times size."""
-    error = Hum(at(plant, joint, 0.4 * _amperes(plant, joint, size)), 50.0)
-    return replace(plant, hidden=plant.hidden.with_current(error))
+    """Hum of 50 Hz in the current reading, 2 % of rated times size, of one phase all the time."""
+    amplitude = 0.4 * _amperes(plant, joint, size)
+
+    def error(t: Array, current: Array) -> Array:
+        wave = np.sin(2.0 * np.pi * 50.0 * t + 1.1)
+        return np.asarray(current + amplitude * wave[:, None])
+
+    return plant.hiding(currents=error)

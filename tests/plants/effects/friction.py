@@ -4,15 +4,17 @@ Every function takes (plant, joint, size) and returns the plant that has the eff
 is clear, about 5 % of rated torque (`CLEAR`) where the docstring says nothing else.
 """
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import cos
 
 import numpy as np
 
+from tests import Array
 from tests.plants.arms.rated import dry_level, rated_torque
 from tests.plants.friction.heat import Heat, WarmingFriction
-from tests.plants.friction.hysteresis import Bristles
-from tests.plants.friction.laws import Asymmetry, Curve, Extra, LevelWave, MeshLoss, Power, Stribeck
-from tests.plants.mechanics.torques import Counterbalance, LinearSpring
+from tests.plants.friction.laws import Bristles, Curve, Extra, MeshLoss, Stribeck
+from tests.plants.mechanics.hidden import Run, TorqueSource
 from tests.plants.simulate import Plant
 
 CLEAR = 0.05  # share of rated torque at size 1
@@ -44,7 +46,7 @@ def stribeck(plant: Plant, joint: int, size: float) -> Plant:
 def asymmetric(plant: Plant, joint: int, size: float) -> Plant:
     """More dry friction forward, less backward, by at most 80 % of the level."""
     more = min(clear(plant, joint, size), 0.8 * dry_level(plant, joint))
-    return _add(plant, joint, Asymmetry(more))
+    return _add(plant, joint, lambda q, v, load: (more, -more, 0.0))
 
 
 def load_dependent(plant: Plant, joint: int, size: float) -> Plant:
@@ -57,22 +59,35 @@ def gear_efficiency(plant: Plant, joint: int, size: float) -> Plant:
     return _add(plant, joint, MeshLoss(0.15 * size, 0.03 * size))
 
 
+def _power(plant: Plant, joint: int, torque: float, share: float, exponent: float) -> Plant:
+    """Viscous friction factor |v|^exponent sign(v), of so much torque at a share of the top speed.
+
+    Below an exponent of 1 it counts as dry, so that it is not stiff at rest.
+    """
+    factor = torque / (share * top_speed(plant, joint)) ** exponent
+
+    def curve(q: float, v: float, load: float) -> tuple[float, float, float]:
+        size = factor * abs(v) ** exponent
+        if exponent < 1.0:
+            return size, size, 0.0
+        return 0.0, 0.0, size if v > 0 else -size
+
+    return _add(plant, joint, curve)
+
+
 def quadratic_drag(plant: Plant, joint: int, size: float) -> Plant:
     """c v |v|; clear at 80 % of the top speed."""
-    speed = 0.8 * top_speed(plant, joint)
-    return _add(plant, joint, Power(clear(plant, joint, size) / speed**2, 2.0))
+    return _power(plant, joint, clear(plant, joint, size), 0.8, 2.0)
 
 
 def cubic_viscous(plant: Plant, joint: int, size: float) -> Plant:
     """c v^3; clear at 80 % of the top speed."""
-    speed = 0.8 * top_speed(plant, joint)
-    return _add(plant, joint, Power(clear(plant, joint, size) / speed**3, 3.0))
+    return _power(plant, joint, clear(plant, joint, size), 0.8, 3.0)
 
 
 def root_viscous(plant: Plant, joint: int, size: float) -> Plant:
     """c |v|^0.5 sign(v); clear at 40 % of the top speed."""
-    speed = 0.4 * top_speed(plant, joint)
-    return _add(plant, joint, Power(clear(plant, joint, size) / speed**0.5, 0.5))
+    return _power(plant, joint, clear(plant, joint, size), 0.4, 0.5)
 
 
 def presliding(plant: Plant, joint: int, size: float) -> Plant:
@@ -88,7 +103,12 @@ def presliding(plant: Plant, joint: int, size: float) -> Plant:
 def level_wave(plant: Plant, joint: int, size: float) -> Plant:
     """Coulomb level that varies as cos(3 q), by at most 80 % of it."""
     more = min(clear(plant, joint, size), 0.8 * dry_level(plant, joint))
-    return _add(plant, joint, LevelWave(more, 3.0, 0.0))
+
+    def curve(q: float, v: float, load: float) -> tuple[float, float, float]:
+        level = more * cos(3.0 * q)
+        return level, level, 0.0
+
+    return _add(plant, joint, curve)
 
 
 def thermal(plant: Plant, joint: int, size: float) -> Plant:
@@ -116,18 +136,58 @@ def middle_and_half(plant: Plant, joint: int) -> tuple[float, float]:
     return float(0.5 * (low + high)), float(0.5 * (high - low))
 
 
+def on_joint(plant: Plant, joint: int, law: Callable[[Array, Array], float]) -> Plant:
+    """Add a torque law(q, dq) N m on one joint, both (n,)."""
+
+    def source(t: float, q: Array, dq: Array) -> Array:
+        out = np.zeros_like(q)
+        out[joint] = law(q, dq)
+        return out
+
+    return plant.hiding(torques=lambda run: source)
+
+
+@dataclass(frozen=True)
+class LinearSpring:
+    """-stiffness (q - rest) on one joint; N m/rad, rad."""
+
+    joint: int
+    stiffness: float
+    rest: float
+
+    def __call__(self, run: Run) -> TorqueSource:
+        def source(t: float, q: Array, dq: Array) -> Array:
+            out = np.zeros_like(q)
+            out[self.joint] = -self.stiffness * (q[self.joint] - self.rest)
+            return out
+
+        return source
+
+
 def spring(plant: Plant, joint: int, size: float) -> Plant:
     """Linear spring; clear at 60 % of the way from its rest, near the middle, to the end."""
     middle, half = middle_and_half(plant, joint)
     stiffness = clear(plant, joint, size) / (0.6 * half)
-    model = LinearSpring(joint, stiffness, middle + 0.1 * half)
-    return replace(plant, hidden=plant.hidden.with_torque(model))
+    return plant.hiding(torques=LinearSpring(joint, stiffness, middle + 0.1 * half))
 
 
-def counterbalance(plant: Plant, joint: int, size: float) -> Plant:
-    """Coil spring between two points, always in tension; at most four times clear."""
+def counterbalance(
+    plant: Plant, joint: int, size: float, *, arm: float = 0.3, slack: float = 0.5
+) -> Plant:
+    """Coil spring between a point of either link, always in tension; at most four times clear.
+
+    Distances are in that of the point on the base from the axis: `arm` that of the other, `slack`
+    the spring's length without tension. Its torque is minus the slope of its energy.
+    """
     middle, half = middle_and_half(plant, joint)
-    model = Counterbalance(joint, 1.0, 0.3, 0.5, middle - 0.5)
-    most = max(abs(model.torque(q)) for q in np.linspace(middle - half, middle + half, 200))
-    model = replace(model, stiffness=4.0 * clear(plant, joint, size) / most)
-    return replace(plant, hidden=plant.hidden.with_torque(model))
+    zero = middle - 0.5
+
+    def torque(q: float, stiffness: float) -> float:
+        angle = q - zero
+        length = float(np.sqrt(1.0 + arm**2 - 2.0 * arm * np.cos(angle)))
+        pull = stiffness * max(length - slack, 0.0)
+        return -pull * arm * float(np.sin(angle)) / length
+
+    most = max(abs(torque(q, 1.0)) for q in np.linspace(middle - half, middle + half, 200))
+    stiffness = 4.0 * clear(plant, joint, size) / most
+    return on_joint(plant, joint, lambda q, dq: torque(float(q[joint]), stiffness))

@@ -1,8 +1,10 @@
-"""Friction of one joint beyond the plant's own: what a curve adds to the dry and smooth parts."""
+"""Friction of one joint beyond the plant's own: what a curve adds, and bristles that bend."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import cos, exp
+from math import exp
+
+import numpy as np
 
 from tests import Array
 from tests.plants.friction.surface import Friction, FrictionModel, Law
@@ -47,17 +49,6 @@ class Stribeck:
 
 
 @dataclass(frozen=True)
-class Asymmetry:
-    """dry |sign(v)| + viscous |v|: more friction forward than backward."""
-
-    dry: float
-    viscous: float = 0.0
-
-    def __call__(self, q: float, v: float, load: float) -> tuple[float, float, float]:
-        return self.dry, -self.dry, self.viscous * abs(v)
-
-
-@dataclass(frozen=True)
 class MeshLoss:
     """|load| sign(v), times `driving` where the drive moves the load, else `back_driving`."""
 
@@ -72,27 +63,41 @@ class MeshLoss:
 
 
 @dataclass(frozen=True)
-class Power:
-    """factor |v|^exponent sign(v); below 1 it counts as dry, so that it is not stiff at rest."""
+class Bristles:
+    """Replaces the dry friction of one joint by bristles that bend before they slip.
 
-    factor: float
-    exponent: float
+    z' = v - |v| z / z_ss with z_ss = level(v)/stiffness, torque = stiffness z + damping z' + the
+    smooth part; level is the dry level of `base` in the direction of motion, so that the torque
+    at constant speed is that of `base`. `stiffness` N m/rad, `damping` N m s/rad, at the joint.
+    """
 
-    def __call__(self, q: float, v: float, load: float) -> tuple[float, float, float]:
-        size = self.factor * abs(v) ** self.exponent
-        if self.exponent < 1.0:
-            return size, size, 0.0
-        return 0.0, 0.0, size if v > 0 else -size
+    base: FrictionModel
+    joint: int
+    stiffness: float
+    damping: float = 0.0
+
+    def begin(self) -> Law:
+        """Return the law of one run, from unbent bristles."""
+        base, i = self.base.begin(), self.joint
+        bend, before = 0.0, np.nan
+
+        def law(t: float, q: Array, dq: Array, load: Array) -> Friction:
+            nonlocal bend, before
+            forward, backward, smooth = (x.copy() for x in base(t, q, dq, load))
+            here, rate = float(q[i]), float(dq[i])
+            way = 0.0 if np.isnan(before) else here - before
+            before = here
+            limit = max(float(forward[i] if way >= 0 else backward[i]), 1e-12) / self.stiffness
+            bend = slip(bend, way, limit)
+            bending = rate - abs(rate) * bend / limit
+            smooth[i] += self.stiffness * bend + self.damping * bending
+            forward[i] = backward[i] = 0.0
+            return Friction(forward, backward, smooth)
+
+        return law
 
 
-@dataclass(frozen=True)
-class LevelWave:
-    """amplitude cos(order q + phase) sign(v): dry friction that varies with position."""
-
-    amplitude: float
-    order: float
-    phase: float
-
-    def __call__(self, q: float, v: float, load: float) -> tuple[float, float, float]:
-        more = self.amplitude * cos(self.order * q + self.phase)
-        return more, more, 0.0
+def slip(bend: float, way: float, limit: float) -> float:
+    """Bend of the bristles after a move of `way` rad, exact for any length of it, rad."""
+    goal = limit if way >= 0 else -limit
+    return float(goal + (bend - goal) * np.exp(-abs(way) / limit))

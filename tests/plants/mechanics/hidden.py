@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,8 @@ from tests import Array
 TorqueSource = Callable[[float, Array, Array], Array]  # (t, q, dq) -> (n,) N m acting on the joints
 Stage = Callable[[float, Array, Array], Array]  # (t, torque, drive angle) -> torque, (n,) N m
 EncoderError = Callable[[Array], Array]  # true angle (..., n) rad -> error to add, rad
+# (t (N,) s since power-on, current (N, n) A) -> what the log says of it, (N, n) A
+CurrentError = Callable[[Array, Array], Array]
 
 
 class Run(NamedTuple):
@@ -22,30 +24,6 @@ class Run(NamedTuple):
     duration: float
     dt: float
     seed: int
-
-
-class TorqueModel(Protocol):
-    """A torque on the links with fresh internal state for one run."""
-
-    def begin(self, run: Run) -> TorqueSource:
-        """Return the source of one run."""
-        ...
-
-
-class DriveStage(Protocol):
-    """Turns the torque that the current stands for into the one that the motor makes."""
-
-    def begin(self, run: Run) -> Stage:
-        """Return the stage of one run."""
-        ...
-
-
-class CurrentError(Protocol):
-    """Falsifies the current reading."""
-
-    def read(self, t: Array, current: Array, run: Run) -> Array:
-        """Turn current (N, n) A at t (N,) s since power-on into what the log says."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -79,33 +57,17 @@ class Spring:
 class Hidden:
     """Everything undeclared; the empty one leaves the plant as its robot file says.
 
+    `torques` on the links and `drives`, which turn the torque that the current stands for into the
+    one that the motor makes, are begun anew in each run. `encoders` and `currents` falsify what the
+    log says.
+
     `coupling` is A (n, n) in drive rates = A dq; friction acts on them and maps back with A^T.
     `springs` lie between drive and link; controller and log read the drives' angles.
     """
 
-    torques: tuple[TorqueModel, ...] = ()
-    drives: tuple[DriveStage, ...] = ()
+    torques: tuple[Callable[[Run], TorqueSource], ...] = ()
+    drives: tuple[Callable[[Run], Stage], ...] = ()
     springs: tuple[Spring, ...] = ()
     encoders: tuple[EncoderError, ...] = ()
     currents: tuple[CurrentError, ...] = ()
     coupling: Array | None = None
-
-    def with_torque(self, model: TorqueModel) -> Hidden:
-        """Add a torque on the links."""
-        return replace(self, torques=(*self.torques, model))
-
-    def with_drive(self, stage: DriveStage) -> Hidden:
-        """Add a stage of the drives."""
-        return replace(self, drives=(*self.drives, stage))
-
-    def with_spring(self, spring: Spring) -> Hidden:
-        """Put a spring into a joint."""
-        return replace(self, springs=(*self.springs, spring))
-
-    def with_encoder(self, error: EncoderError) -> Hidden:
-        """Add an error of the encoders."""
-        return replace(self, encoders=(*self.encoders, error))
-
-    def with_current(self, error: CurrentError) -> Hidden:
-        """Add an error of the current reading."""
-        return replace(self, currents=(*self.currents, error))

@@ -40,6 +40,28 @@ def span_of(plant: Plant, joint: int, share: float = 0.95) -> tuple[float, float
     return float(middle - half), float(middle + half)
 
 
+def limits_of(plant: Plant, share: float = 0.9) -> tuple[Array, Array, Array, Array]:
+    """Ends of the ranges that moves use, and a share of the limits of speed and acceleration."""
+    low, high = np.array([span_of(plant, joint) for joint in range(plant.arm.n)]).T
+    return low, high, share * plant.velocity_limits, share * plant.acceleration_limits
+
+
+def swept(
+    plant: Plant,
+    posture: Array,
+    joint: int,
+    shares: Sequence[float],
+    rate_hz: float,
+    *,
+    span: float = 0.95,
+    dwell: float = 0.25,
+) -> Reference:
+    """One joint both ways over a share `span` of its range, at `shares` of its top speed."""
+    top, accel = float(plant.velocity_limits[joint]), float(plant.acceleration_limits[joint])
+    ends, speeds = span_of(plant, joint, span), [top * share for share in shares]
+    return sweeps(posture, joint, ends, speeds, accel, rate_hz=rate_hz, dwell=dwell)
+
+
 def friction_trials(
     plant: Plant,
     postures: Sequence[Array],
@@ -51,17 +73,10 @@ def friction_trials(
     """Each joint by itself, both ways over its range at every speed, once per locked posture."""
     trials = []
     for joint, name in enumerate(plant.arm.names):
-        top = float(plant.velocity_limits[joint])
+        top, accel = float(plant.velocity_limits[joint]), float(plant.acceleration_limits[joint])
         pace = [float(v) for v in np.geomspace(lowest * top, top, speeds)]
         for number, posture in enumerate(postures, start=1):
-            motion = sweeps(
-                posture,
-                joint,
-                span_of(plant, joint),
-                pace,
-                float(plant.acceleration_limits[joint]),
-                rate_hz=rate_hz,
-            )
+            motion = sweeps(posture, joint, span_of(plant, joint), pace, accel, rate_hz=rate_hz)
             label = name if len(postures) == 1 else f"{name}_posture_{number}"
             trials.append(Trial("friction", label, motion))
     return trials
@@ -76,24 +91,13 @@ def gravity_trials(
 ) -> list[Trial]:
     """Slow single-joint moves from the last joint to the first, in several locked postures.
 
-    One log per joint; between postures all joints move.
-
-
-    `speeds` are shares of the velocity limit.
+    One log per joint; between postures all joints move. `speeds` are shares of the velocity limit.
     """
     trials = []
     for joint in reversed(range(plant.arm.n)):
-        top = float(plant.velocity_limits[joint])
         parts: list[Reference] = []
         for posture in postures:
-            sweep = sweeps(
-                posture,
-                joint,
-                span_of(plant, joint),
-                [top * share for share in speeds],
-                float(plant.acceleration_limits[joint]),
-                rate_hz=rate_hz,
-            )
+            sweep = swept(plant, posture, joint, speeds, rate_hz)
             parts += [transfer(plant, parts[-1].q[-1], sweep.q[0], rate_hz)] if parts else []
             parts.append(sweep)
         motion = join(parts)
@@ -115,10 +119,7 @@ def swing(
     plant: Plant, posture: Array, joint: int, turns: int, *, share: float, rate_hz: float
 ) -> Reference:
     """One joint back and forth in triangles of speed, at its acceleration limit."""
-    span = span_of(plant, joint, share)
-    top = float(plant.velocity_limits[joint])
-    accel = float(plant.acceleration_limits[joint])
-    return sweeps(posture, joint, span, [top] * turns, accel, rate_hz=rate_hz, dwell=0.2)
+    return swept(plant, posture, joint, [1.0] * turns, rate_hz, span=share, dwell=0.2)
 
 
 def imu_trials(
@@ -198,26 +199,14 @@ def validation_trials(
     rate_hz: float = 1000.0,
 ) -> list[Trial]:
     """Motion of all joints that no stage sees: Fourier series, then moves between postures."""
-    spans = np.array([span_of(plant, joint) for joint in range(plant.arm.n)])
-    low, high = spans.T
-    speed, accel = 0.9 * plant.velocity_limits, 0.9 * plant.acceleration_limits
-    trials = [
-        Trial(
-            "validation",
-            f"fourier_{number}",
-            fourier(
-                rng,
-                low,
-                high,
-                speed,
-                accel,
-                seconds=seconds,
-                harmonics=max(4, round(0.8 * seconds)),
-                rate_hz=rate_hz,
-            ),
-            imus=True,
-        )
-        for number in range(1, runs + 1)
+    limits, harmonics = limits_of(plant), max(4, round(0.8 * seconds))
+    series = [
+        fourier(rng, *limits, seconds=seconds, harmonics=harmonics, rate_hz=rate_hz)
+        for _ in range(runs)
     ]
-    moves = point_to_point(rng, low, high, speed, accel, points=points, rate_hz=rate_hz)
+    trials = [
+        Trial("validation", f"fourier_{number}", motion, imus=True)
+        for number, motion in enumerate(series, start=1)
+    ]
+    moves = point_to_point(rng, *limits, points=points, rate_hz=rate_hz)
     return [*trials, Trial("validation", "point_to_point", moves, imus=True)]

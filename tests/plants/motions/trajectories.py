@@ -150,12 +150,8 @@ def fourier(
     q = sine @ weight[0] + cosine @ weight[1]
     dq = cosine @ (rate * weight[0]) - sine @ (rate * weight[1])
     ddq = -sine @ (rate**2 * weight[0]) - cosine @ (rate**2 * weight[1])
-    q, dq, ddq = _windowed(t, seconds, q - q.mean(axis=0), dq, ddq)
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    scale = np.min(
-        [half / np.abs(q).max(0), speed / np.abs(dq).max(0), accel / np.abs(ddq).max(0)], axis=0
-    )
-    return Reference(middle + scale * q, scale * dq, scale * ddq, rate_hz)
+    motion = _windowed(t, seconds, q - q.mean(axis=0), dq, ddq)
+    return _scaled(*motion, low, high, speed, accel, rate_hz)
 
 
 def periodic(
@@ -190,7 +186,21 @@ def periodic(
     rows = np.arange(-edge, periods * count + edge) % count
     total = periods * period + 2.0 * fade
     t = np.arange(len(rows)) / rate_hz
-    q, dq, ddq = _windowed(t, total, *(x[rows] for x in cycle), fade=fade)
+    motion = _windowed(t, total, *(x[rows] for x in cycle), fade=fade)
+    return _scaled(*motion, low, high, speed, accel, rate_hz)
+
+
+def _scaled(
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    low: Array,
+    high: Array,
+    speed: Array,
+    accel: Array,
+    rate_hz: float,
+) -> Reference:
+    """Motion about the middle of the ranges, each joint up to the first of its limits."""
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     scale = np.min(
         [half / np.abs(q).max(0), speed / np.abs(dq).max(0), accel / np.abs(ddq).max(0)], axis=0

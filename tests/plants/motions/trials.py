@@ -39,33 +39,21 @@ class Drill:
     held_out: bool = False
 
 
-@dataclass(frozen=True)
-class _Bounds:
-    low: Array
-    high: Array
-    speed: Array
-    accel: Array
-
-
-def _bounds(plant: Plant, share: float) -> _Bounds:
+def _bounds(plant: Plant, share: float) -> tuple[Array, Array, Array, Array]:
     """Limits of motion at `share` of the top speed; accelerations fall half as fast."""
     low, high = np.array([span_of(plant, joint) for joint in range(plant.arm.n)]).T
-    speed = share * plant.velocity_limits
-    return _Bounds(low, high, speed, 0.9 * float(np.sqrt(share)) * plant.acceleration_limits)
+    accel = 0.9 * float(np.sqrt(share)) * plant.acceleration_limits
+    return low, high, share * plant.velocity_limits, accel
 
 
 def waves(
     plant: Plant, rng: np.random.Generator, *, period: float, share: float, seconds: float = 20.0
 ) -> Reference:
     """Fourier series of all joints over whole periods, three of them in 20 s."""
-    b = _bounds(plant, share)
     periods = max(1, round((seconds - 2.0 * FADE) / period))
     return periodic(
         rng,
-        b.low,
-        b.high,
-        b.speed,
-        b.accel,
+        *_bounds(plant, share),
         period=period,
         periods=periods,
         harmonics=6 if share > 0.4 else 3,
@@ -78,14 +66,11 @@ def moves(
     plant: Plant, rng: np.random.Generator, *, share: float, seconds: float = 20.0
 ) -> Reference:
     """Moves between postures, with rests between them and a longer one at both ends."""
-    b = _bounds(plant, share)
-    points = 2
+    limits, points = _bounds(plant, share), 2
     state = rng.bit_generator.state
     while True:
         rng.bit_generator.state = state
-        motion = point_to_point(
-            rng, b.low, b.high, b.speed, b.accel, points=points, rate_hz=RATE_HZ
-        )
+        motion = point_to_point(rng, *limits, points=points, rate_hz=RATE_HZ)
         if motion.duration >= seconds - 2.0 * REST:
             return _rested(motion)
         points += 1
@@ -95,20 +80,14 @@ def zigzags(
     plant: Plant, rng: np.random.Generator, *, share: float, seconds: float = 20.0
 ) -> Reference:
     """All joints in trapezoids of their own, at rest at both ends."""
-    b = _bounds(plant, share)
-    length = seconds - 2.0 * REST
+    low, high, speed, accel = _bounds(plant, share)
+    length = max(seconds - 2.0 * REST - 3.0, 0.5)
+    limits = zip(low.tolist(), high.tolist(), speed.tolist(), accel.tolist(), strict=True)
     profiles = {
-        joint: zigzag(
-            rng,
-            (float(b.low[joint]), float(b.high[joint])),
-            float(b.speed[joint]),
-            float(b.accel[joint]),
-            max(length - 3.0, 0.5),
-            RATE_HZ,
-        )
-        for joint in range(plant.arm.n)
+        joint: zigzag(rng, (a, b), top, push, length, RATE_HZ)
+        for joint, (a, b, top, push) in enumerate(limits)
     }
-    return _rested(together(0.5 * (b.low + b.high), profiles, RATE_HZ))
+    return _rested(together(0.5 * (low + high), profiles, RATE_HZ))
 
 
 def _rested(motion: Reference) -> Reference:

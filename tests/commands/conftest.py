@@ -82,7 +82,6 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Rig:
     """Return a rig in an empty folder that is the working directory."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("COLUMNS", raising=False)
     (tmp_path / "robot.toml").write_text(ROBOT_TOML)
     for name in ("a.parquet", "b.parquet"):
         (tmp_path / name).write_bytes(b"PAR1" + b"\0" * 16 + b"PAR1")

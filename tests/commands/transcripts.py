@@ -5,12 +5,12 @@ behind `! `, and its exit code in brackets; hashes are left out. After an intend
 write them anew with the variable TRANSCRIPTS=write; the commit then shows what users see.
 """
 
-import os
 import re
 import shlex
 from pathlib import Path
 
 from tests.commands.conftest import Rig
+from tests.transcripts import check_text
 
 FOLDER = Path(__file__).parent / "transcripts"
 
@@ -18,14 +18,10 @@ FOLDER = Path(__file__).parent / "transcripts"
 def check_transcript(rig: Rig, name: str) -> None:
     """Run the command lines of a transcript, and compare all that they show with it."""
     path = FOLDER / f"{name}.txt"
-    told = path.read_text(encoding="utf-8")
-    lines = [line.removeprefix("$ ") for line in told.splitlines() if line.startswith("$ ")]
+    told = path.read_text(encoding="utf-8").splitlines()
+    lines = [line.removeprefix("$ ") for line in told if line.startswith("$ ")]
     assert lines
-    shown = "\n".join(f"$ {line}\n{_shown(rig, line)}" for line in lines)
-    if os.environ.get("TRANSCRIPTS") == "write":
-        path.write_text(shown, encoding="utf-8")
-    else:
-        assert shown == told
+    check_text(path, "\n".join(f"$ {line}\n{_shown(rig, line)}" for line in lines))
 
 
 def _shown(rig: Rig, line: str) -> str:

@@ -111,6 +111,15 @@ def all_documents() -> list[Source[Document]]:
     ]
 
 
+def before_and_after() -> list[Source[Document]]:
+    """Return both models with a prediction each; the one of before is given first, and poor."""
+    documents = all_documents()
+    before = made_with(prediction_file(shares=(0.02, 0.5)), documents[0])
+    after = made_with(prediction_file(shares=(0.01, 0.02)), documents[3])
+    results = [source("before.json", before), source("after.json", after)]
+    return [item for item in documents if item.path != "prediction.json"] + results
+
+
 def predicted_log(path: str, seed: int) -> LogPrediction:
     """Return torques of one log: the residual of each joint is noise and a line."""
     rng = np.random.default_rng(seed)

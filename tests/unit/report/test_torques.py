@@ -1,8 +1,9 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -20,6 +21,7 @@ from seqid_cli.report.figures.torque import Place, certain_lines, over_quantity,
 from seqid_cli.report.make import make_report
 from seqid_cli.report.plots import plot_torques
 from seqid_cli.report.torques import Series, TorqueTable
+from tests import Array
 from tests.unit.params.documents import JOINTS, inertia_file
 from tests.unit.report.pages import (
     LINE_HZ,
@@ -72,87 +74,79 @@ def test_unknown_motion_is_missing_not_zero(tmp_path: Path) -> None:
     assert over_quantity([first], PLACE, "position", "rad") is None
 
 
+Write = Callable[[Path], object]
+JOINT_COLUMNS = {f"{j}.{k}": [0.0] * 3 for j in JOINTS for k in ("torque", "predicted", "residual")}
+
+
+def changed(name: str, change: Callable[[Array], Array]) -> Write:
+    """Write torques with one column changed."""
+
+    def write(path: Path) -> None:
+        table = pq.read_table(write_torques(path))
+        place = table.column_names.index(name)
+        pq.write_table(
+            table.set_column(place, name, pa.array(change(table[name].to_numpy()))), path
+        )
+
+    return write
+
+
+def cut(path: Path) -> None:
+    pq.write_table(pq.read_table(write_torques(path)).slice(10), path)
+
+
+def columns(**given: object) -> Write:
+    """Write a table of these columns beside those of the joints."""
+    return lambda path: pq.write_table(pa.table({**given, **JOINT_COLUMNS}), path)
+
+
 @pytest.mark.parametrize(
-    ("other", "cut", "message"),
+    ("write", "message"),
     [
-        ({"joints": ["a", "b"]}, 0, r"is about joints a, b.*inertia\.json"),
-        ({"logs": (LOGS[0], "c.parquet")}, 0, r"holds the log c\.parquet, which prediction\.json"),
-        ({"logs": LOGS[:1]}, 0, r"lacks the log validation/b\.parquet.*prediction\.json"),
-        ({}, 10, rf"{SAMPLES - 10} samples of .*counts {SAMPLES}"),
+        (partial(write_torques, joints=["a", "b"]), r"is about joints a, b.*inertia\.json"),
+        (
+            partial(write_torques, logs=(LOGS[0], "c.parquet")),
+            r"holds the log c\.parquet, which prediction\.json",
+        ),
+        (
+            partial(write_torques, logs=LOGS[:1]),
+            r"lacks the log validation/b\.parquet.*prediction\.json",
+        ),
+        (cut, rf"{SAMPLES - 10} samples of .*counts {SAMPLES}"),
+        (changed("t", lambda x: x[::-1]), "goes back"),
+        (changed("t", lambda x: np.where(x == 0.0, np.nan, x)), "missing"),
+        (changed("elbow.torque", lambda x: np.where(x > 1.0, np.inf, x)), r"elbow\.torque is inf"),
+        *(
+            (partial(Path.write_bytes, data=content), "cannot be read as Parquet")
+            for content in (b"", b"PAR1", b"PAR1" + b"\0" * 64 + b"PAR1", b"{}")
+        ),
+        (columns(x=[1.0] * 3), r"columns t \(a number\) and log \(text\) are needed"),
+        (columns(t=["a"] * 3, log=["a"] * 3), "are needed, it has t, log, shoulder"),
+        (columns(t=[0.0] * 3, log=[{"a": 1}] * 3), "is no torque file"),
+        (columns(t=[0.0] * 3, log=[None] * 3), "is no torque file"),
+        (columns(t=[0.0] * 3, log=["a", None, "a"]), "must name 1 to 10000 logs without gaps"),
+        (columns(t=[0.0, 1.0, 2.0], log=["a", "b", "a"]), "must follow each other"),
     ],
 )
-def test_torques_of_another_robot_or_log_name_both(
-    tmp_path: Path, other: dict[str, Any], cut: int, message: str
+def test_what_does_not_fit_is_refused_with_its_file(
+    tmp_path: Path, write: Write, message: str
 ) -> None:
-    path = write_torques(tmp_path / "t.parquet", **other)
-    pq.write_table(pq.read_table(path).slice(cut), path)
+    path = tmp_path / "t.parquet"
+    write(path)
     with pytest.raises(InputError, match=message) as caught:
-        opened(path)
-    assert "t.parquet" in str(caught.value)
-
-
-def _column(table: pa.Table, name: str, values: object) -> pa.Table:
-    place = table.column_names.index(name)
-    return table.set_column(place, name, pa.array(values))
-
-
-@pytest.mark.parametrize(
-    ("name", "change", "message"),
-    [
-        ("t", lambda x: x[::-1], "goes back"),
-        ("t", lambda x: np.where(x == 0.0, np.nan, x), "missing"),
-        ("elbow.torque", lambda x: np.where(x > 1.0, np.inf, x), r"elbow\.torque is infinite"),
-    ],
-)
-def test_impossible_values_are_refused(
-    tmp_path: Path, name: str, change: object, message: str
-) -> None:
-    path = write_torques(tmp_path / "t.parquet")
-    table = pq.read_table(path)
-    assert callable(change)
-    pq.write_table(_column(table, name, change(table[name].to_numpy())), path)
-    with pytest.raises(InputError, match=message):
         opened(path).series("elbow")
+    assert caught.value.where == str(path)
+    assert caught.value.hint
 
 
 def test_missing_values_are_gaps(tmp_path: Path) -> None:
-    path = write_torques(tmp_path / "t.parquet")
-    table = pq.read_table(path)
-    values = table["elbow.residual"].to_numpy().copy()
-    values[1000:1200] = np.nan
-    pq.write_table(_column(table, "elbow.residual", values), path)
+    path = tmp_path / "t.parquet"
+    gap = (np.arange(2 * SAMPLES) >= 1000) & (np.arange(2 * SAMPLES) < 1200)
+    changed("elbow.residual", lambda x: np.where(gap, np.nan, x))(path)
     first = opened(path).series("elbow")[0]
     drawn = str(over_time({"": first}, PLACE, [], 200).drawing)
     assert drawn.count('data-name="residual"') == 2
     assert "nan" not in drawn
-
-
-@pytest.mark.parametrize("content", [b"", b"PAR1", b"PAR1" + b"\0" * 64 + b"PAR1", b"{}"])
-def test_what_is_no_parquet_is_refused(tmp_path: Path, content: bytes) -> None:
-    path = tmp_path / "t.parquet"
-    path.write_bytes(content)
-    with pytest.raises(InputError, match=r"t\.parquet"):
-        opened(path)
-
-
-@pytest.mark.parametrize(
-    "columns",
-    [
-        {"x": [1.0]},
-        {"t": ["a"], "log": ["a"]},
-        {"t": [0.0], "log": [{"a": 1}]},
-        {"t": [0.0], "log": [None]},
-        {"t": [0.0, 1.0, 2.0], "log": ["a", "b", "a"]},
-    ],
-)
-def test_other_tables_are_refused(tmp_path: Path, columns: dict[str, list[object]]) -> None:
-    path = tmp_path / "t.parquet"
-    kinds = ("torque", "predicted", "residual")
-    size = len(next(iter(columns.values())))
-    joints = {f"{joint}.{kind}": [0.0] * size for joint in ("shoulder", "elbow") for kind in kinds}
-    pq.write_table(pa.table({**columns, **joints}), path)
-    with pytest.raises(InputError, match=r"t\.parquet"):
-        opened(path)
 
 
 def test_the_table_beside_the_prediction_is_found_if_it_fits(tmp_path: Path) -> None:

@@ -1,0 +1,168 @@
+"""The verdict on a model by all documents, and all that it rests on, to the letter."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from seqid_cli.params.io import Document, Source
+from seqid_cli.params.results.diagnosis import DiagnosisFile
+from seqid_cli.params.results.prediction import PredictionFile
+from seqid_cli.params.schema import ParameterFile, Verdict
+from seqid_cli.report.collection import collect
+from seqid_cli.report.judgement import Judgement, judge
+from seqid_cli.report.sections.loop import closed_loop
+from tests.transcripts import check_text
+from tests.unit.params.documents import diagnosis_file, full_file, inertia_file, log
+from tests.unit.report.pages import (
+    before_and_after,
+    clean_diagnosis,
+    good_documents,
+    made_with,
+    prediction_file,
+    source,
+)
+
+Documents = list[Source[Document]]
+FRICTION = Verdict(joint="shoulder", good=False, reason="2 speeds")
+
+
+def of(
+    file: ParameterFile | None = None,
+    prediction: PredictionFile | None = None,
+    diagnosis: DiagnosisFile | None = None,
+) -> Documents:
+    """Documents of one model, the good ones where nothing else is given."""
+    parameters = source("inertia.json", file or inertia_file())
+    made = source("prediction.json", made_with(prediction or prediction_file(), parameters))
+    more = [] if diagnosis is None else [source("diagnosis.json", diagnosis)]
+    return [parameters, made, *more]
+
+
+def of_training_logs() -> Iterator[tuple[str, Documents]]:
+    """The model was identified from all of the logs, or from one of them, on which it is better."""
+    file, prediction = inertia_file(), prediction_file()
+    file.inputs += [log("training", "inertia")]
+    for item in prediction.logs:
+        item.sha256 = file.inputs[-1].sha256
+    yield "a prediction of the training logs", of(file, prediction)
+    mixed, flattered = prediction_file(), prediction_file(shares=(0.001, 0.001))
+    mixed.joints = mixed.logs[0].joints = flattered.joints
+    mixed.logs[0].sha256 = file.inputs[-1].sha256
+    yield "a training log among new ones", of(file, mixed)
+
+
+def of_refinement() -> Iterator[tuple[str, Documents]]:
+    """What refinement read is new to the model before it, and so is what it held out."""
+    refined, (parameters, before) = full_file(), good_documents()
+    read = log("refined from", "effects")
+    refined.inputs.append(read)
+    again = prediction_file()
+    again.logs[0].sha256 = read.sha256
+    after = source("refined.json", refined)
+    yield (
+        "a log that refinement read, before it",
+        [
+            parameters,
+            source(before.path, made_with(replace(again), parameters)),
+            after,
+        ],
+    )
+    yield "after it", [after, source("after.json", made_with(replace(again), after))]
+    held_out = replace(refined, closed_loop=replace(refined.closed_loop, held_out=[read]))
+    after = source("refined.json", held_out)
+    yield "held out", [after, source("after.json", made_with(replace(again), after))]
+    yield "models before, which is poor, and after", before_and_after()
+    loop = refined.closed_loop
+    doubtful = replace(loop, verdict="poor", rounds=[replace(loop.rounds[0], confirmed=False)])
+    stuck = Verdict(joint="elbow", good=False, reason="is stuck")
+    faulty = replace(loop, verdict="poor", verdicts=[stuck])
+    for name, outcome in (("not confirmed", doubtful), ("of faulty logs", faulty)):
+        model = source("refined.json", replace(refined, closed_loop=outcome))
+        tested = source("prediction.json", made_with(prediction_file(), model))
+        yield f"a refinement {name}", [model]
+        yield f"a refinement {name}, and a good prediction", [model, tested]
+
+
+def of_diagnoses() -> Iterator[tuple[str, Documents]]:
+    yield "a diagnosis", of(diagnosis=diagnosis_file())
+    yield (
+        "a diagnosis, and the refined model",
+        [
+            *of(diagnosis=diagnosis_file()),
+            source("refined.json", full_file()),
+        ],
+    )
+    poor = prediction_file(shares=(0.02, 0.5))
+    yield "a poor prediction, and a diagnosis", of(None, poor, diagnosis_file())
+    yield "nothing is missing", of(diagnosis=clean_diagnosis())
+    for rmse, white in ((0.2, True), (0.12, False)):
+        file = clean_diagnosis()
+        file.joints["elbow"].rmse, file.joints["elbow"].white = rmse, white
+        yield f"no effect, {rmse} N m left, white: {white}", of(diagnosis=file)
+    for most in (0.03, 0.11):  # the prediction's error is 0.1 N m
+        file, prediction = clean_diagnosis(), prediction_file()
+        elbow = file.joints["elbow"]
+        elbow.rmse, elbow.noise_floor, elbow.noise_floor_interval = most, 0.02, [0.01, most]
+        file.inputs = [replace(log(x.path, ""), sha256=x.sha256) for x in prediction.logs]
+        yield f"noise up to {most} N m on the same logs", of(None, prediction, file)
+        fewer = replace(file, inputs=file.inputs[1:])
+        yield f"noise up to {most} N m on other logs", of(None, prediction, fewer)
+
+
+def cases() -> Iterator[tuple[str, Documents]]:
+    yield "good", good_documents()
+    yield "parameters alone", good_documents()[:1]
+    elsewhere = source("prediction.json", prediction_file())
+    yield "parameters that lie elsewhere", [good_documents()[0], elsewhere]
+    changed = good_documents()
+    changed[1].content.robot.sha256 = "1" * 64
+    yield "a changed robot file", changed
+    yield from of_training_logs()
+    poor, dark, tested = inertia_file(), inertia_file(), inertia_file()
+    poor.stages.friction.verdicts[0] = FRICTION
+    yield "a poor stage", of(poor)[:1]
+    yield "a poor stage, and a good prediction", of(poor)
+    dark.stages.inertia.not_excited = ["Iyy_2"]
+    dark.stages.inertia.missing_pairs = [["shoulder", "elbow"]]
+    yield "a parameter that no log excites", of(dark)
+    tested.stages.friction.joints["elbow"].held_out_rmse = 0.1
+    yield "friction tested at speeds left out", of(tested)[:1]
+    yield from of_diagnoses()
+    yield from of_refinement()
+
+
+def described(judgement: Judgement) -> str:
+    points = [
+        f"- {point.weight}: {' | '.join(filter(None, (point.text, point.where, point.remedy)))}"
+        + (f"\n    {point.command}" if point.command else "")
+        for point in judgement.points
+    ]
+    support = [f"+ {line}" for line in judgement.support]
+    return "\n".join([f"{judgement.title}. {judgement.sentence}", *points, *support, ""])
+
+
+def test_every_case_is_judged_as_it_was() -> None:
+    """What speaks for the good model is not said again of the others."""
+    texts = {name: described(judge(collect(own))).splitlines() for name, own in cases()}
+    usual = {line for line in texts["good"] if line.startswith("+")}
+    for name in texts.keys() - {"good"}:
+        texts[name] = [line for line in texts[name] if line not in usual]
+    shown = "\n".join(f"# {name}\n" + "\n".join([*own, ""]) for name, own in texts.items())
+    check_text(Path(__file__).with_name("judgement.txt"), shown)
+
+
+def test_what_is_poor_of_a_refinement_leads_its_section() -> None:
+    leads = {
+        name: (group.title, group.lead)
+        for name, documents in of_refinement()
+        if name.startswith("a refinement") and len(documents) == 1
+        for group in closed_loop(collect(documents)).groups
+    }
+    assert leads == {
+        "a refinement not confirmed": (
+            "Added: stribeck at elbow",
+            "the held-out logs do not confirm stribeck at elbow",
+        ),
+        "a refinement of faulty logs": ("Added: stribeck at elbow", "elbow: is stuck"),
+    }

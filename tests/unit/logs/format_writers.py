@@ -1,9 +1,8 @@
 """The same samples in every format that is read, each written by the format's own writer."""
 
 import csv
-import json
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,33 +13,24 @@ import pyarrow.parquet as pq
 from foxglove_schemas_protobuf.JointState_pb2 import JointState
 from foxglove_schemas_protobuf.JointStates_pb2 import JointStates
 from mcap_protobuf.writer import Writer as ProtobufWriter
-from mcap_ros2.writer import Writer as Ros2Writer
 from numpy.typing import NDArray
 from rosbags.rosbag1 import Writer as Bag1Writer
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
 from tests import Array
 from tests.unit.logs.writers import (
-    HEADER,
-    LINE,
-    TIME,
-    Channel,
+    Message,
+    as_json,
+    encoded,
     header,
-    write_mcap,
-    write_parquet,
+    joint_messages,
+    write_messages,
     write_raw,
 )
 
 T0_NS = 1_700_000_000_000_000_000
-DYNAMIC = "control_msgs/msg/DynamicJointState"
-DYNAMIC_DEFINITION = (
-    "# Generic form of joint states\nstd_msgs/Header header\n\nstring[] joint_names\n"
-    "InterfaceValue[] interface_values\n"
-    f"{LINE}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\nfloat64[] values\n"
-    f"{HEADER}{TIME}"
-)
 
 
 @dataclass(frozen=True)
@@ -64,28 +54,33 @@ class Data:
 Write = Callable[[Path, Data], Path]
 
 
-def parquet(path: Path, data: Data) -> Path:
-    """Our own names."""
-    path = path.with_suffix(".parquet")
-    return write_parquet(path, data.t, data.joints, data.q, dq=data.dq, current=data.current)
+def columns(
+    data: Data, time: str, position: str, velocity: str, current: str, torque: str = ""
+) -> pa.Table:
+    """One column per joint, by patterns of {name}, {i} from 0 and {k} from 1."""
+    patterns = {position: data.q, velocity: data.dq, current: data.current, torque: data.torque}
+    found: dict[str, Array] = {time: data.t}
+    for i, joint in enumerate(data.joints):
+        for pattern, values in patterns.items():
+            found |= {pattern.format(name=joint, i=i, k=i + 1): values[:, i]} if pattern else {}
+    return pa.table(found)
 
 
-def named(position: str, velocity: str, current: str, torque: str = "") -> Write:
-    """Parquet with one column per joint, by patterns of {name} and {i}."""
+OWN = ("t", "{name}.position", "{name}.velocity", "{name}.current")
+
+
+def named(*patterns: str) -> Write:
+    """Parquet with the time and one column per joint; see `columns`."""
 
     def write(path: Path, data: Data) -> Path:
-        columns: dict[str, Array] = {"timestamp": data.t}
-        quantities = {position: data.q, velocity: data.dq, current: data.current}
-        if torque:
-            quantities |= {torque: data.torque}
-        for pattern, values in quantities.items():
-            for i, joint in enumerate(data.joints):
-                columns[pattern.format(name=joint, i=i, k=i + 1)] = values[:, i]
         path = path.with_suffix(".parquet")
-        pq.write_table(pa.table(columns), path)
+        pq.write_table(columns(data, *patterns), path)
         return path
 
     return write
+
+
+parquet = named(*OWN)
 
 
 def lerobot(path: Path, data: Data) -> Path:
@@ -97,36 +92,28 @@ def lerobot(path: Path, data: Data) -> Path:
 
 def lerobot_table(episodes: Sequence[Data]) -> pa.Table:
     """Columns of a LeRobot data file; the clock begins again with each episode."""
-    lists = pa.list_(pa.float32())
-    parts = []
+    kind, parts = pa.list_(pa.float32()), []
     for number, data in enumerate(episodes):
         count = len(data.t)
-        parts.append(
-            pa.table(
-                {
-                    "observation.state": pa.array(list(data.q.astype(np.float32)), lists),
-                    "observation.effort": pa.array(list(data.current.astype(np.float32)), lists),
-                    "action": pa.array(list(data.q.astype(np.float32)), lists),
-                    "timestamp": pa.array((data.t - data.t[0]).astype(np.float32)),
-                    "frame_index": pa.array(np.arange(count)),
-                    "episode_index": pa.array(np.full(count, number)),
-                    "index": pa.array(np.arange(count)),
-                    "task_index": pa.array(np.zeros(count, np.int64)),
-                }
-            )
-        )
+        lists = {"state": data.q, "effort": data.current}
+        found = {
+            f"observation.{name}": pa.array(list(values.astype(np.float32)), kind)
+            for name, values in lists.items()
+        }
+        found |= {
+            "action": found["observation.state"],
+            "timestamp": pa.array((data.t - data.t[0]).astype(np.float32)),
+            "episode_index": pa.array(np.full(count, number)),
+        }
+        indices = dict.fromkeys(("frame_index", "index", "task_index"), pa.array(range(count)))
+        parts.append(pa.table(found | indices))
     return pa.concat_tables(parts)
 
 
 def csv_own(path: Path, data: Data) -> Path:
     """Our own names as Arrow writes CSV."""
-    columns = {"t": data.t}
-    for i, joint in enumerate(data.joints):
-        columns[f"{joint}.position"] = data.q[:, i]
-        columns[f"{joint}.velocity"] = data.dq[:, i]
-        columns[f"{joint}.current"] = data.current[:, i]
     path = path.with_suffix(".csv")
-    pa_csv.write_csv(pa.table(columns), path)
+    pa_csv.write_csv(columns(data, *OWN), path)
     return path
 
 
@@ -163,40 +150,38 @@ def csv_franka(path: Path, data: Data, digits: int = 17) -> Path:
 
 def mcap_cdr(path: Path, data: Data) -> Path:
     """sensor_msgs/msg/JointState as ROS 2 records it."""
-    return write_mcap(
-        path.with_suffix(".mcap"),
-        data.t,
-        data.joints,
-        data.q,
-        encoding="cdr",
-        dq=data.dq,
-        effort=data.current,
-    )
+    messages = joint_states(data, dq=data.dq)
+    return write_messages(path.with_suffix(".mcap"), messages, encoding="cdr")
+
+
+def mcap_json(path: Path, data: Data) -> Path:
+    """Fields of JointState as JSON with a JSON schema."""
+    return write_messages(path.with_suffix(".mcap"), joint_states(data), encoding="json")
+
+
+def mcap_json_bare(path: Path, data: Data) -> Path:
+    """Fields of JointState as JSON, no schema at all."""
+    rows = [("joint_states", at, as_json(content)) for _, at, content in joint_states(data)]
+    return write_raw(path.with_suffix(".mcap"), {"joint_states": "json"}, rows)
+
+
+def joint_states(data: Data, dq: Array | None = None) -> list[Message]:
+    """Messages with the current as effort."""
+    return joint_messages(np.array(data.stamps_ns), data.joints, data.q, dq=dq, effort=data.current)
 
 
 def mcap_dynamic(path: Path, data: Data) -> Path:
     """control_msgs/msg/DynamicJointState, joints in another order, with other interfaces."""
-    path = path.with_suffix(".mcap")
-    order = list(range(len(data.joints)))[::-1]
-    with path.open("wb") as out:
-        writer = Ros2Writer(out)
-        schema = writer.register_msgdef(DYNAMIC, DYNAMIC_DEFINITION)
-        for i, stamp in enumerate(data.stamps_ns):
-            values = [
-                SimpleNamespace(
-                    interface_names=["position", "velocity", "effort", "estop"],
-                    values=[data.q[i, j], data.dq[i, j], data.current[i, j], 0.0],
-                )
-                for j in order
-            ]
-            message = SimpleNamespace(
-                header=header(stamp),
-                joint_names=[data.joints[j] for j in order],
-                interface_values=values,
-            )
-            writer.write_message("/dynamic_joint_states", schema, message, stamp, stamp)
-        writer.finish()  # type: ignore[no-untyped-call]
-    return path
+    kinds = ["position", "velocity", "effort", "estop"]
+    messages = []
+    for i, stamp in enumerate(data.stamps_ns):
+        rows = np.stack([data.q[i], data.dq[i], data.current[i], np.zeros_like(data.q[i])], axis=1)
+        values = [SimpleNamespace(interface_names=kinds, values=row.tolist()) for row in rows[::-1]]
+        message = SimpleNamespace(
+            header=header(stamp), joint_names=list(data.joints[::-1]), interface_values=values
+        )
+        messages.append(("/dynamic_joint_states", stamp, message))
+    return write_messages(path.with_suffix(".mcap"), messages, encoding="cdr")
 
 
 def mcap_foxglove_protobuf(
@@ -223,111 +208,74 @@ def mcap_foxglove_protobuf(
 
 def mcap_foxglove_json(path: Path, data: Data) -> Path:
     """foxglove.JointStates as JSON."""
-    return _json(path, _foxglove_rows(data), "foxglove.JointStates", "/joint_states")
-
-
-def mcap_json(path: Path, data: Data) -> Path:
-    """Fields of JointState as JSON with a JSON schema."""
-    return _json(path, _joint_state_rows(data), "JointState", "/joint_states")
-
-
-def mcap_json_bare(path: Path, data: Data) -> Path:
-    """Fields of JointState as JSON, no schema at all."""
-    return _json(path, _joint_state_rows(data), "", "joint_states")
-
-
-def _foxglove_rows(data: Data) -> Iterator[tuple[int, dict[str, object]]]:
+    rows = []
     for i, stamp in enumerate(data.stamps_ns):
         sec, nsec = divmod(stamp, 10**9)
         joints = [
             {"name": n, "position": data.q[i, j], "velocity": None, "effort": data.current[i, j]}
             for j, n in enumerate(data.joints)
         ]
-        yield stamp, {"timestamp": {"sec": sec, "nsec": nsec}, "joints": joints}
+        message = {"timestamp": {"sec": sec, "nsec": nsec}, "joints": joints}
+        rows.append(("/joint_states", stamp, as_json(message)))
+    channel = ("json", "foxglove.JointStates", "jsonschema", b'{"type": "object"}')
+    return write_raw(path.with_suffix(".mcap"), {"/joint_states": channel}, rows)
 
 
-def _joint_state_rows(data: Data) -> Iterator[tuple[int, dict[str, object]]]:
-    for i, stamp in enumerate(data.stamps_ns):
-        sec, nanosec = divmod(stamp, 10**9)
-        yield (
-            stamp,
-            {
-                "header": {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": ""},
-                "name": list(data.joints),
-                "position": data.q[i].tolist(),
-                "velocity": [],
-                "effort": data.current[i].tolist(),
-            },
-        )
-
-
-def _json(
-    path: Path, rows: Iterator[tuple[int, dict[str, object]]], schema: str, topic: str
+def write_bag(
+    path: Path,
+    messages: Sequence[Message],
+    *,
+    plugin: StoragePlugin = StoragePlugin.SQLITE3,
+    compression: CompressionMode | None = None,
 ) -> Path:
-    channel: Channel = ("json", schema, "jsonschema", b'{"type": "object"}') if schema else "json"
-    messages = ((topic, stamp, json.dumps(row).encode()) for stamp, row in rows)
-    return write_raw(path.with_suffix(".mcap"), {topic: channel}, messages)
+    """Write a ROS 1 bag, where the path ends with `.bag`, or the folder of a ROS 2 bag."""
+    topics, rows = encoded(messages, "cdr")
+    humble, noetic = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
+    first = path.suffix == ".bag"
+    writer = Bag1Writer(path) if first else Bag2Writer(path, version=9, storage_plugin=plugin)
+    if compression is not None:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    with writer:
+        links = {}
+        for topic, (_, kind, _, definition) in topics.items():
+            about = {"msgdef": definition.decode(), "rihs01": "RIHS01_0"}
+            more = {"typestore": noetic} if first else about
+            links[topic] = writer.add_connection(topic, kind, **more)
+        for topic, at, data in rows:
+            content = bytes(humble.cdr_to_ros1(data, topics[topic][1])) if first else data
+            writer.write(links[topic], at, content)
+    return path
 
 
 def rosbag2_sqlite(path: Path, data: Data) -> Path:
     """A ROS 2 bag folder with an SQLite file; returns the folder."""
-    return _rosbag2(path, data, StoragePlugin.SQLITE3)
+    return write_bag(path, reversed_states(data))
 
 
 def rosbag2_mcap(path: Path, data: Data) -> Path:
     """A ROS 2 bag folder with an MCAP file; returns the folder."""
-    return _rosbag2(path, data, StoragePlugin.MCAP)
-
-
-def _rosbag2(path: Path, data: Data, plugin: StoragePlugin) -> Path:
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    with Bag2Writer(path, version=9, storage_plugin=plugin) as writer:
-        kind = "sensor_msgs/msg/JointState"
-        connection = writer.add_connection("/joint_states", kind, typestore=store)
-        for stamp, message in ros_messages(data, store.types, {}):
-            writer.write(connection, stamp, store.serialize_cdr(message, kind))
-    return path
+    return write_bag(path, reversed_states(data), plugin=StoragePlugin.MCAP)
 
 
 def rosbag1(path: Path, data: Data) -> Path:
     """A ROS 1 bag."""
-    path = path.with_suffix(".bag")
-    store = get_typestore(Stores.ROS1_NOETIC)
-    with Bag1Writer(path) as writer:
-        kind = "sensor_msgs/msg/JointState"
-        connection = writer.add_connection("/joint_states", kind, typestore=store)
-        for stamp, message in ros_messages(data, store.types, {"seq": 3}):
-            writer.write(connection, stamp, store.serialize_ros1(message, kind))
-    return path
+    return write_bag(path.with_suffix(".bag"), reversed_states(data))
 
 
-def ros_messages(
-    data: Data, types: dict[str, type], more: dict[str, int]
-) -> Iterator[tuple[int, object]]:
+def reversed_states(data: Data) -> list[Message]:
     """Joint states with the joints in reverse order."""
-    names = list(data.joints)[::-1]
-    joint_state, head = types["sensor_msgs/msg/JointState"], types["std_msgs/msg/Header"]
-    time = types["builtin_interfaces/msg/Time"]
-    for i, stamp in enumerate(data.stamps_ns):
-        sec, nanosec = divmod(stamp, 10**9)
-        yield (
-            stamp,
-            joint_state(
-                header=head(stamp=time(sec=sec, nanosec=nanosec), frame_id="base", **more),
-                name=names,
-                position=np.array(data.q[i, ::-1]),
-                velocity=np.array(data.dq[i, ::-1]),
-                effort=np.array(data.current[i, ::-1]),
-            ),
-        )
+    rows = {name: getattr(data, name)[:, ::-1] for name in ("q", "dq", "current")}
+    turned = replace(data, joints=data.joints[::-1], **rows)
+    return joint_states(turned, dq=turned.dq)
 
 
+WORDS = ("position", "velocity", "effort")
 EXACT: dict[str, Write] = {
     "parquet": parquet,
-    "parquet q_0": named("q_{i}", "dq_{i}", "current_{i}", "tau_{i}"),
-    "parquet q_1": named("q_{k}", "qd_{k}", "current_{k}"),
-    "parquet joint/position": named("{name}/position", "{name}/velocity", "{name}/effort"),
-    "parquet position.joint": named("position.{name}", "velocity.{name}", "effort.{name}"),
+    "parquet q_0": named("timestamp", "q_{i}", "dq_{i}", "current_{i}", "tau_{i}"),
+    "parquet q_1": named("timestamp", "q_{k}", "qd_{k}", "current_{k}"),
+    "parquet joint/position": named("timestamp", *(f"{{name}}/{own}" for own in WORDS)),
+    "parquet position.joint": named("timestamp", *(f"{own}.{{name}}" for own in WORDS)),
     "csv": csv_own,
     "csv rtde": csv_rtde,
     "csv libfranka": csv_franka,

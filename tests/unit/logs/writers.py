@@ -4,7 +4,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as RawWriter
-from mcap_ros2.writer import Writer as Ros2Writer
+from mcap_ros2._dynamic import serialize_dynamic
 from numpy.typing import NDArray
 
 from tests import Array
@@ -20,6 +20,8 @@ from tests import Array
 Message = tuple[str, int, SimpleNamespace]  # topic, log time in ns, content
 JOINT_STATE = "sensor_msgs/msg/JointState"
 IMU = "sensor_msgs/msg/Imu"
+DYNAMIC = "control_msgs/msg/DynamicJointState"
+STRING = "std_msgs/msg/String"
 
 LINE = "=" * 80
 TIME = f"{LINE}\nMSG: builtin_interfaces/Time\nint32 sec\nuint32 nanosec\n"
@@ -38,7 +40,15 @@ DEFINITIONS = {
         "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n"
         f"{LINE}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n{HEADER}{TIME}"
     ),
+    DYNAMIC: (
+        "# Generic form of joint states\nstd_msgs/Header header\n\nstring[] joint_names\n"
+        "InterfaceValue[] interface_values\n"
+        f"{LINE}\nMSG: control_msgs/InterfaceValue\nstring[] interface_names\n"
+        f"float64[] values\n{HEADER}{TIME}"
+    ),
+    STRING: "string data\n",
 }
+_TOLD_BY = {"position": JOINT_STATE, "orientation": IMU, "joint_names": DYNAMIC, "data": STRING}
 COMPRESSIONS = {
     "none": CompressionType.NONE,
     "lz4": CompressionType.LZ4,
@@ -93,17 +103,35 @@ def write_mcap(
     q: Array,
     *,
     encoding: Literal["cdr", "json"],
+    compression: str = "zstd",
+    chunk_size: int = 1024 * 1024,
+    log_offset_ns: int = 0,
+    zero_stamps: bool = False,
+    **channels: Any,
+) -> Path:
+    """Write the topics of `arm_messages`."""
+    messages = arm_messages(t, joints, q, **channels)
+    messages = [(topic, stamp + log_offset_ns, content) for topic, stamp, content in messages]
+    if zero_stamps:
+        for _, _, content in messages:
+            content.header.stamp = SimpleNamespace(sec=0, nanosec=0)
+    return write_messages(
+        path, messages, encoding=encoding, compression=compression, chunk_size=chunk_size
+    )
+
+
+def arm_messages(
+    t: Array,
+    joints: Sequence[str],
+    q: Array,
+    *,
     dq: Array | None = None,
     effort: Array | None = None,
     accelerometers: dict[str, Array] | None = None,
     gyros: dict[str, Array] | None = None,
     t0_ns: int = 1_700_000_000_000_000_000,
-    compression: str = "zstd",
-    chunk_size: int = 1024 * 1024,
-    log_offset_ns: int = 0,
-    zero_stamps: bool = False,
-) -> Path:
-    """Write `/joint_states` and the IMU topics with the stamps t0_ns + t.
+) -> list[Message]:
+    """Messages on `/joint_states` and the IMU topics with the stamps t0_ns + t.
 
     An accelerometer array (N, K), K a multiple of 3, becomes `/<imu>/accel_1` ...; an IMU that is
     in `gyros` becomes `/<imu>/data` with its three accelerometers and its gyro.
@@ -118,14 +146,32 @@ def write_mcap(
     for imu, rates in (gyros or {}).items():
         triad = (accelerometers or {}).get(imu, np.zeros_like(rates))
         streams.append(imu_messages(stamps, f"/{imu}/data", triad, rates))
-    messages: list[Message] = [message for row in zip(*streams, strict=True) for message in row]
-    messages = [(topic, stamp + log_offset_ns, content) for topic, stamp, content in messages]
-    if zero_stamps:
-        for _, _, content in messages:
-            content.header.stamp = SimpleNamespace(sec=0, nanosec=0)
-    return write_messages(
-        path, messages, encoding=encoding, compression=compression, chunk_size=chunk_size
-    )
+    return [message for row in zip(*streams, strict=True) for message in row]
+
+
+def encoded(
+    messages: Sequence[Message],
+    encoding: Literal["cdr", "json"],
+    definitions: Mapping[str, str] = DEFINITIONS,
+) -> tuple[dict[str, tuple[str, str, str, bytes]], Iterator[tuple[str, int, bytes]]]:
+    """Encode messages for `write_raw`; the type of each topic is told from their fields."""
+    kinds, schemas, encode = {}, {}, {}
+    for topic, _, content in messages:
+        if topic not in kinds:
+            kinds[topic] = next(kind for name, kind in _TOLD_BY.items() if hasattr(content, name))
+    for kind in kinds.values():
+        if encoding == "json":
+            schemas[kind], encode[kind] = ("jsonschema", b'{"type":"object"}'), as_json
+        else:
+            schemas[kind] = "ros2msg", definitions[kind].encode()
+            encode[kind] = serialize_dynamic(kind, definitions[kind])[kind]
+    topics = {topic: (encoding, kind, *schemas[kind]) for topic, kind in kinds.items()}
+    return topics, ((topic, at, encode[kinds[topic]](content)) for topic, at, content in messages)
+
+
+def as_json(content: object) -> bytes:
+    """Write a message as JSON."""
+    return json.dumps(content, default=vars).encode()
 
 
 def write_messages(
@@ -135,11 +181,11 @@ def write_messages(
     encoding: Literal["cdr", "json"],
     compression: str = "zstd",
     chunk_size: int = 1024 * 1024,
+    definitions: Mapping[str, str] = DEFINITIONS,
 ) -> Path:
-    """Write messages in the given order; the type of each is told from its fields."""
-    write = _write_cdr if encoding == "cdr" else _write_json
-    write(path, messages, COMPRESSIONS[compression], chunk_size)
-    return path
+    """Write messages in the given order."""
+    made = encoded(messages, encoding, definitions)
+    return write_raw(path, *made, chunk_size=chunk_size, compression=COMPRESSIONS[compression])
 
 
 def joint_messages(
@@ -262,41 +308,6 @@ def _vector(values: Array) -> SimpleNamespace:
     return SimpleNamespace(x=float(values[0]), y=float(values[1]), z=float(values[2]))
 
 
-def _kind(content: SimpleNamespace) -> str:
-    return JOINT_STATE if hasattr(content, "position") else IMU
-
-
-def _write_cdr(
-    path: Path, messages: Sequence[Message], compression: CompressionType, chunk_size: int
-) -> None:
-    with path.open("wb") as out:
-        writer = Ros2Writer(out, chunk_size=chunk_size, compression=compression)
-        kinds = dict.fromkeys(_kind(content) for _, _, content in messages)
-        schemas = {kind: writer.register_msgdef(kind, DEFINITIONS[kind]) for kind in kinds}
-        for topic, log_ns, content in messages:
-            writer.write_message(topic, schemas[_kind(content)], content, log_ns, log_ns)
-        writer.finish()
-
-
-def _write_json(
-    path: Path, messages: Sequence[Message], compression: CompressionType, chunk_size: int
-) -> None:
-    topics = {
-        topic: ("json", _kind(content), "jsonschema", b'{"type":"object"}')
-        for topic, _, content in messages
-    }
-    rows = ((topic, stamp, _json(content)) for topic, stamp, content in messages)
-    write_raw(path, topics, rows, chunk_size=chunk_size, compression=compression)
-
-
-def _json(content: SimpleNamespace) -> bytes:
-    return "".join(_tokens(content)).encode()
-
-
-def _tokens(content: SimpleNamespace) -> Iterator[str]:
-    yield from json.JSONEncoder(default=vars).iterencode(content)
-
-
 Channel = str | tuple[str, str, str, bytes]
 
 
@@ -314,7 +325,7 @@ def write_raw(
     """
     with path.open("wb") as out:
         writer = RawWriter(out, chunk_size=chunk_size, compression=compression)
-        writer.start()
+        writer.start(profile="ros2")
         channels = {}
         for topic, told in topics.items():
             encoding, *schema = (told,) if isinstance(told, str) else told

@@ -170,22 +170,6 @@ def test_unknown_encoding_is_named(tmp_path: Path) -> None:
         read_recording(path, make_robot())
 
 
-def test_big_endian_cdr(tmp_path: Path) -> None:
-    motion = make_motion(grid(100))
-    messages = []
-    for stamp, q in zip(stamps(motion.t), motion.q, strict=True):
-        sec, nanosec = divmod(int(stamp), 10**9)
-        body = struct.pack(">iII", sec, nanosec, 1) + b"\0" + b"\0" * 3 + struct.pack(">I", 3)
-        for name in JOINTS:
-            text = name.encode() + b"\0"
-            body += struct.pack(">I", len(text)) + text + b"\0" * (-len(text) % 4)
-        body += struct.pack(">I", 3)
-        body += b"\0" * (-len(body) % 8) + struct.pack(">3d", *q) + struct.pack(">II", 0, 0)
-        messages.append(("/joint_states", int(stamp), b"\0\0\0\0" + body))
-    path = write_raw(tmp_path / "log.mcap", {"/joint_states": "cdr"}, messages)
-    np.testing.assert_array_equal(read_recording(path, make_robot()).q, motion.q)
-
-
 @pytest.mark.parametrize("compression", ["none", "lz4", "zstd"])
 @pytest.mark.parametrize("chunk_size", [8192, 1 << 22])
 def test_truncated_file_is_salvaged(tmp_path: Path, compression: str, chunk_size: int) -> None:

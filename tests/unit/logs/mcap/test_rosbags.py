@@ -4,16 +4,14 @@ import bz2
 import sqlite3
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
 
 import lz4.frame
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as Bag1Writer
-from rosbags.rosbag2 import CompressionFormat, CompressionMode
-from rosbags.rosbag2 import Writer as Bag2Writer
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.rosbag2 import CompressionMode
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap.chunks import allowed
@@ -22,23 +20,20 @@ from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.robot.toml.schema import Channels
-from tests import Array
 from tests.unit.logs.format_writers import (
-    DYNAMIC,
-    DYNAMIC_DEFINITION,
     T0_NS,
     Data,
-    ros_messages,
+    reversed_states,
     rosbag1,
     rosbag2_mcap,
     rosbag2_sqlite,
+    write_bag,
 )
 from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot
+from tests.unit.logs.writers import arm_messages, header
 
 MOTION = make_motion(grid())
 DATA = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)
-IMU = "sensor_msgs/msg/Imu"
-STATE = "sensor_msgs/msg/JointState"
 
 
 def storage(folder: Path) -> Path:
@@ -46,61 +41,13 @@ def storage(folder: Path) -> Path:
     return path
 
 
-def bag_with_imus(path: Path, version: int) -> Path:
-    """Joint states, an array of six accelerometers and an IMU with a gyro."""
-    store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_JAZZY)
-    types, more = store.types, {"seq": 0} if version == 1 else {}
-    vector, head = types["geometry_msgs/msg/Vector3"], types["std_msgs/msg/Header"]
-    time, quaternion = types["builtin_interfaces/msg/Time"], types["geometry_msgs/msg/Quaternion"]
-
-    def stamp(i: int) -> Any:
-        sec, nanosec = divmod(DATA.stamps_ns[i], 10**9)
-        return head(stamp=time(sec=sec, nanosec=nanosec), frame_id="", **more)
-
-    def imu(i: int, a: Array, w: Array) -> object:
-        nine = np.zeros(9)
-        return types[IMU](
-            header=stamp(i),
-            orientation=quaternion(x=0.0, y=0.0, z=0.0, w=1.0),
-            orientation_covariance=nine,
-            angular_velocity=vector(*map(float, w)),
-            angular_velocity_covariance=nine,
-            linear_acceleration=vector(*map(float, a)),
-            linear_acceleration_covariance=nine,
-        )
-
-    array, hand = MOTION.accelerometers["array"], MOTION.accelerometers["hand"]
-    writer = Bag1Writer(path) if version == 1 else Bag2Writer(path, version=9)
-    serialize = store.serialize_ros1 if version == 1 else store.serialize_cdr
-    with writer:
-        topics = {"/joint_states": STATE, "/hand/data": IMU}
-        topics |= {"/array/accel_1": IMU, "/array/accel_2": IMU, "/chatter": "std_msgs/msg/String"}
-        links = {t: writer.add_connection(t, kind, typestore=store) for t, kind in topics.items()}
-        for i, at in enumerate(DATA.stamps_ns):
-            state = types[STATE](
-                header=stamp(i),
-                name=list(JOINTS),
-                position=MOTION.q[i],
-                velocity=np.zeros(0),
-                effort=MOTION.tau[i],
-            )
-            rows = {
-                "/joint_states": state,
-                "/hand/data": imu(i, hand[i], MOTION.gyros["hand"][i]),
-                "/array/accel_1": imu(i, array[i, :3], np.zeros(3)),
-                "/array/accel_2": imu(i, array[i, 3:], np.zeros(3)),
-                "/chatter": types["std_msgs/msg/String"](data="hello"),
-            }
-            for topic, message in rows.items():
-                writer.write(links[topic], at, serialize(message, topics[topic]))
-    return path
-
-
 @pytest.mark.parametrize("version", [1, 2])
 def test_joints_and_imus(tmp_path: Path, version: int) -> None:
-    path = bag_with_imus(tmp_path / ("log.bag" if version == 1 else "log"), version)
+    channels = {"accelerometers": MOTION.accelerometers, "gyros": MOTION.gyros}
+    messages = arm_messages(MOTION.t, JOINTS, MOTION.q, effort=MOTION.tau, **channels)
+    messages.append(("/chatter", T0_NS, SimpleNamespace(data="hello")))
+    path = write_bag(tmp_path / ("log.bag" if version == 1 else "log"), messages)
     recording = read_recording(path, make_robot(imus=(ARRAY, GYRO)))
-    assert recording.tau is not None
     np.testing.assert_array_equal(recording.q, MOTION.q)
     np.testing.assert_array_equal(recording.tau, MOTION.tau)
     assert recording.dq is None
@@ -114,52 +61,40 @@ def test_joints_and_imus(tmp_path: Path, version: int) -> None:
 @pytest.mark.parametrize("defined", [True, False])
 def test_dynamic_joint_states(tmp_path: Path, defined: bool) -> None:
     """Without a definition in the bag (before 2023) the usual one is taken."""
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    text = DYNAMIC_DEFINITION.split("=" * 80)
-    store.register(get_types_from_msg(text[1].split("\n", 2)[2], "control_msgs/msg/InterfaceValue"))
-    body = text[0].replace("InterfaceValue[]", "control_msgs/InterfaceValue[]")
-    store.register(get_types_from_msg(body, DYNAMIC))
-    value = store.types["control_msgs/msg/InterfaceValue"]
-    head = store.types["std_msgs/msg/Header"]
-    time = store.types["builtin_interfaces/msg/Time"]
-    with Bag2Writer(tmp_path / "bag", version=9) as writer:
-        link = writer.add_connection("/dynamic_joint_states", DYNAMIC, typestore=store)
-        for i, at in enumerate(DATA.stamps_ns):
-            stamp = time(sec=at // 10**9, nanosec=at % 10**9)
-            values = [
-                value(["position", "current"], np.array([MOTION.q[i, j], MOTION.tau[i, j]]))
-                for j in range(3)
-            ]
-            message = store.types[DYNAMIC](head(stamp, ""), list(JOINTS), values)
-            writer.write(link, at, store.serialize_cdr(message, DYNAMIC))
+    messages = []
+    for i, at in enumerate(DATA.stamps_ns):
+        values = [
+            SimpleNamespace(interface_names=["position", "current"], values=pair)
+            for pair in np.stack([MOTION.q[i], MOTION.tau[i]], axis=1).tolist()
+        ]
+        content = SimpleNamespace(
+            header=header(at), joint_names=list(JOINTS), interface_values=values
+        )
+        messages.append(("/dynamic_joint_states", at, content))
+    write_bag(tmp_path / "bag", messages)
     path = storage(tmp_path)
     if not defined:
-        with sqlite3.connect(path) as base:
-            base.execute("UPDATE message_definitions SET encoded_message_definition = ''")
-        base.close()
+        executed(path, "UPDATE message_definitions SET encoded_message_definition = ''")
     robot = make_robot(constants=0.1, gear_ratio=10.0, channels=Channels(effort="current"))
     recording = read_recording(path, robot)
     np.testing.assert_array_equal(recording.q, MOTION.q)
-    assert recording.tau is not None
     np.testing.assert_allclose(recording.tau, MOTION.tau, rtol=1e-15)
     assert read_recording(path, make_robot()).tau is None
 
 
-@pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE])
-def test_compression(tmp_path: Path, mode: CompressionMode) -> None:
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    writer = Bag2Writer(tmp_path / "bag", version=9)
-    writer.set_compression(mode, CompressionFormat.ZSTD)
-    with writer:
-        link = writer.add_connection("/joint_states", STATE, typestore=store)
-        for at, message in ros_messages(DATA, store.types, {}):
-            writer.write(link, at, store.serialize_cdr(message, STATE))
-    if mode == CompressionMode.MESSAGE:
-        np.testing.assert_array_equal(read_recording(tmp_path / "bag", make_robot()).q, MOTION.q)
-    else:
-        with pytest.raises(InputError, match="ROS 2 bag without") as caught:
-            read_recording(tmp_path / "bag", make_robot())
-        assert "zstd -d" in caught.value.hint
+def executed(path: Path, text: str) -> None:
+    """Change a database."""
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute(text)
+
+
+def test_compression(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "one", reversed_states(DATA), compression=CompressionMode.MESSAGE)
+    np.testing.assert_array_equal(read_recording(bag, make_robot()).q, MOTION.q)
+    bag = write_bag(tmp_path / "all", reversed_states(DATA), compression=CompressionMode.FILE)
+    with pytest.raises(InputError, match="ROS 2 bag without") as caught:
+        read_recording(bag, make_robot())
+    assert "zstd -d" in caught.value.hint
 
 
 def outcome(path: Path) -> Recording | InputError:
@@ -197,9 +132,7 @@ def test_cut_sqlite_file(tmp_path: Path) -> None:
 
 def test_sqlite_file_that_is_no_bag(tmp_path: Path) -> None:
     path = tmp_path / "places.db3"
-    with sqlite3.connect(path) as base:
-        base.execute("CREATE TABLE places (x)")
-    base.close()
+    executed(path, "CREATE TABLE places (x)")
     with pytest.raises(InputError, match="missing tables"):
         read_recording(path, make_robot())
 
@@ -217,9 +150,7 @@ def test_sqlite_file_that_is_no_bag(tmp_path: Path) -> None:
 def test_a_database_that_computes_is_refused(text: str, tmp_path: Path) -> None:
     path = storage(rosbag2_sqlite(tmp_path / "bag", DATA))
     assert isinstance(outcome(path), Recording)
-    with sqlite3.connect(path) as database:
-        database.execute(text)
-    database.close()
+    executed(path, text)
     found = outcome(path)
     assert isinstance(found, InputError)
     assert "computes values" in found.message
@@ -268,13 +199,9 @@ def test_damaged_ros1_bag(tmp_path: Path, change: str) -> None:
 
 
 def test_bag_without_joint_states_lists_its_topics(tmp_path: Path) -> None:
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    with Bag2Writer(tmp_path / "bag", version=9) as writer:
-        link = writer.add_connection("/chatter", "std_msgs/msg/String", typestore=store)
-        text = store.types["std_msgs/msg/String"](data="x")
-        writer.write(link, 1, store.serialize_cdr(text, "std_msgs/msg/String"))
+    bag = write_bag(tmp_path / "bag", [("/chatter", 1, SimpleNamespace(data="x"))])
     with pytest.raises(InputError, match=r"/chatter \(std_msgs/msg/String, 1\)"):
-        read_recording(tmp_path / "bag", make_robot())
+        read_recording(bag, make_robot())
 
 
 @pytest.mark.parametrize("write", [rosbag1, rosbag2_sqlite])

@@ -91,16 +91,46 @@ def test_garbage_where_nothing_tells_the_chunks(
     assert "breaks off in a record" in assert_rows_of(path, q, int(0.3 * COUNT))
 
 
-@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
-def test_blocks_of_a_cut_file(tmp_path: Path, source: Path, q: np.ndarray, share: float) -> None:
-    data = source.read_bytes()
-    path = tmp_path / "log"
+@pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
+@pytest.mark.parametrize(
+    ("chunk_size", "share"), [(20_000, 0.3), (20_000, 0.6), (20_000, 0.9), (1 << 22, 0.6)]
+)
+def test_blocks_of_a_cut_file(
+    tmp_path: Path, source: Path, q: np.ndarray, compression: str, chunk_size: int, share: float
+) -> None:
+    path = rewrite(source, tmp_path / "log", compression=compression, chunk_size=chunk_size)
+    data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
     blocks = list(read_blocks(path, ROBOT, rows=100))
     rows = np.vstack([block.joints.channels["position"] for block in blocks])
     np.testing.assert_array_equal(rows, q[: len(rows)])
-    assert abs(len(rows) / COUNT - share) < 0.1
+    assert COUNT / 8 < len(rows) < COUNT
+    assert chunk_size > 20_000 or abs(len(rows) / COUNT - share) < 0.1
     assert [bool(block.partial) for block in blocks] == [False] * (len(blocks) - 1) + [True]
+    assert "breaks off" in blocks[-1].partial
+    assert "messages were read" in blocks[-1].partial
+
+
+def test_recording_that_was_not_closed(tmp_path: Path, source: Path, q: np.ndarray) -> None:
+    path = rewrite(source, tmp_path / "log", chunking=False, index=False, summary=False)
+    data = path.read_bytes()
+    path.write_bytes(data[: records(data, 0x0F)[-1]])
+    assert "not closed" in assert_rows_of(path, q, COUNT)
+
+
+def test_nothing_to_salvage_is_an_error(tmp_path: Path, source: Path) -> None:
+    (tmp_path / "log").write_bytes(source.read_bytes()[:60])
+    with pytest.raises(InputError, match="nothing can be salvaged"):
+        read_raw(tmp_path / "log", ROBOT)
+
+
+def test_checksum_of_unchunked_data(tmp_path: Path, source: Path, q: np.ndarray) -> None:
+    path = rewrite(source, tmp_path / "log", chunking=False)
+    assert assert_rows_of(path, q, COUNT) == ""
+    data = bytearray(path.read_bytes())
+    data[data.index(struct.pack("<d", q[100, 1]))] ^= 1
+    path.write_bytes(data)
+    assert "checksum" in read_raw(path, ROBOT).partial
 
 
 def test_blocks_of_a_file_without_joints(tmp_path: Path, source: Path) -> None:

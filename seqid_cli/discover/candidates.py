@@ -1,15 +1,18 @@
 """Candidates: an effect at a joint with its settings, and its columns on the rows."""
 
+from __future__ import annotations
+
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from seqid_cli.discover.absorbed import absorbed, has_trials, surface_columns
 from seqid_cli.discover.drive import drive_rows
 from seqid_cli.discover.select.rows import Channels
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
 from seqid_cli.discover.survey.rows import TOGETHER, Rows
-from seqid_cli.model.effects.effect import Effect
+from seqid_cli.model.effects.effect import Columns, Effect
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.robot.types import Robot
@@ -21,13 +24,15 @@ class Candidate:
     """An effect at a joint (None: the whole arm) with its settings.
 
     One `apart` has coefficients of its own above the cut-off: what is faster than the position loop
-    moves the arm, and the measured torque does not follow.
+    moves the arm, and the measured torque does not follow. One `absorbed` was there in the trials
+    of the file's friction, which has absorbed a part of it (see `absorbed`).
     """
 
     effect: Effect
     joint: int | None
     settings: dict[str, float]
     apart: bool = False
+    absorbed: bool = False
 
     @property
     def size(self) -> int:
@@ -40,9 +45,14 @@ class Candidate:
         return self.effect.name, self.joint
 
     @property
+    def plain(self) -> Candidate:
+        """The same beside friction that has absorbed nothing of it."""
+        return replace(self, absorbed=False)
+
+    @property
     def address(self) -> tuple[object, ...]:
         """What it is with its settings."""
-        return (*self.key, self.apart, *sorted(self.settings.items()))
+        return (*self.key, self.apart, self.absorbed, *sorted(self.settings.items()))
 
     @property
     def sided(self) -> bool:
@@ -59,6 +69,18 @@ class Candidate:
         specs = self.effect.settings
         return tuple(self.settings[s.name] for s in specs if not s.continuous and not s.then)
 
+    def in_friction(self, scene: Scene) -> dict[int, Array]:
+        """Coefficients (entries, k) of each joint's surface that stand for it in the file."""
+        return absorbed(scene, self.effect, self.joint, self.settings)
+
+    def columns(self, scene: Scene) -> Columns:
+        """Torque (N, k) per unit coefficient by joint, beside the file's friction, unfiltered."""
+        made = self.effect.columns(scene, self.joint, self.settings)
+        if not self.absorbed:
+            return made
+        taken = self.in_friction(scene)
+        return {j: X - surface_columns(scene, j) @ taken[j] for j, X in made.items()}
+
     def add_torque(
         self, total: Sequence[Array], scenes: Sequence[Scene], coefficients: Array
     ) -> None:
@@ -66,7 +88,7 @@ class Candidate:
         for torque, scene in zip(total, scenes, strict=True):
             at = (scene.full or scene) if self.effect.wide else scene
             every = round(at.motion.rate_hz / scene.motion.rate_hz)
-            for joint, X in self.effect.columns(at, self.joint, self.settings).items():
+            for joint, X in self.columns(at).items():
                 shown = at.motion.filtered(X @ coefficients, times=self.effect.passes)
                 torque[:, joint] += shown[::every]
 
@@ -75,10 +97,13 @@ MOST_COLUMNS = 2_000_000  # candidates times samples that are worked out togethe
 
 
 class Stage:
-    """Rows and data sets on which candidates are tried, with the columns made so far."""
+    """Rows and data sets on which candidates are tried, with the columns made so far.
 
-    def __init__(self, rows: Rows) -> None:
-        self.rows = rows
+    `friction` (M_j, k_j) are the columns of each joint's friction, its surface first.
+    """
+
+    def __init__(self, rows: Rows, friction: Sequence[Array]) -> None:
+        self.rows, self.friction = rows, friction
         self.high = high_band(rows)
         self.drive = drive_rows(rows)
         self._made: dict[tuple[object, ...], Channels] = {}
@@ -148,6 +173,10 @@ class Stage:
             edges = np.cumsum([width for _, width in owners[j]])
             for (i, _), X in zip(owners[j], np.split(whole, edges[:-1], axis=1), strict=True):
                 result[i][j] = np.ascontiguousarray(X)
+        for candidate, columns in zip(candidates, result, strict=True):
+            if candidate.absorbed:
+                for j, taken in candidate.in_friction(self.scenes[0]).items():
+                    columns[j] -= self.friction[j][:, : len(taken)] @ taken
         return list(result)
 
 
@@ -178,6 +207,8 @@ def candidates_of(
                     yield Candidate(effect, joint, settings)
                     if effect.wide:
                         yield Candidate(effect, joint, settings, apart=True)
+                    if effect.steady and has_trials(narrow[0], joint):
+                        yield Candidate(effect, joint, settings, absorbed=True)
 
 
 def _only(effect: Effect, robot: Robot, joints: Sequence[int | None]) -> Sequence[int | None]:

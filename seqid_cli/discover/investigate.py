@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.discover.base import base_of
-from seqid_cli.discover.candidates import Candidate, Stage
+from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.noise.encoder import encoder_residuals
 from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.options import DiscoverOptions
@@ -20,7 +19,7 @@ from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.results import Options, Selected
 from seqid_cli.discover.select.selection import select, select_among
 from seqid_cli.discover.survey.events import Interval, event_masks, find_events
-from seqid_cli.discover.survey.rows import Rows, rows_of
+from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Stages
@@ -77,7 +76,7 @@ def investigate(
     step("filtering the logs", 0, 10)  # tenths of the time that it mostly takes
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
     step("choosing effects", 4, 10)
-    found = select(_ground(rows, stages), selection)
+    found = select(Ground.of(rows, stages), selection)
     step("looking for events", 8, 10)
     guess = guessed(found.model)
     events = events_of(found.model, guess)
@@ -88,7 +87,7 @@ def investigate(
     step("choosing effects again", 8, 10)
     if not all(map(np.array_equal, sure.used, rows.used)):
         model = found.model
-        found = select_among(_ground(sure, stages), model.hold, model.candidates, found.options)
+        found = select_among(Ground.of(sure, stages), model.hold, model.candidates, found.options)
         found.run()
     told = found.told(least)
     step("estimating the noise", 9, 10)
@@ -112,17 +111,13 @@ def investigate_beside(
     all was looked for. Events are those of before.
     """
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
-    found = select_among(_ground(rows, stages), HELD, candidates, selection)
+    found = select_among(Ground.of(rows, stages), HELD, candidates, selection)
     told = found.largest()
     look = all(one.one.predicted.share <= Options.improvement for one in told.taken)
     if look:
         found.finish()
         told = found.told(0.0)
     return replace(before, logs=tuple(logs), found=told), look
-
-
-def _ground(rows: Rows, stages: Stages) -> Ground:
-    return Ground.of(Stage(rows), base_of(rows, stages))
 
 
 def floor_of(logs: Sequence[Recording], model: Model) -> NoiseFloor:

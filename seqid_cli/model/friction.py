@@ -22,7 +22,7 @@ about the slope, by what friction changes near the slowest speed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -51,7 +51,8 @@ class FrictionSurface:
     """Friction of one joint, ready to evaluate.
 
     `positive`, `negative` (size, l + 1) N m for either direction; `entry_covariance` of their
-    entries, row-major, stacked where `directional`; `temperature` degC at which it was identified.
+    entries, row-major, stacked where `directional`; `temperature` degC, `speeds` (K,) rad/s
+    and `postures` (n,) rad of the arm at which it was identified.
     """
 
     scaling: Scaling
@@ -62,6 +63,8 @@ class FrictionSurface:
     directional: bool
     temperature: float | None = None
     torque_constant_error: float = 0.0
+    speeds: Array = field(default_factory=lambda: np.zeros(0))
+    postures: tuple[list[float], ...] = ()
 
     @classmethod
     def from_stage(cls, joint: FrictionJoint) -> FrictionSurface:
@@ -82,6 +85,8 @@ class FrictionSurface:
             directional=joint.directional,
             temperature=joint.temperature,
             torque_constant_error=joint.torque_constant_error,
+            speeds=np.array([level.speed for level in joint.speeds]),
+            postures=tuple(trial.configuration for trial in joint.gravity),
         )
 
     @property

@@ -5,8 +5,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from seqid_cli.discover.base import base_of
-from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground
@@ -62,7 +60,7 @@ class Material:
         if known is None:
             options = self.options.motion
             rows = rows_of(scenes_of(self.training, self.robot, stages, options=options))
-            known = stages, Ground.of(Stage(rows), base_of(rows, stages))
+            known = stages, Ground.of(rows, stages)
         self._grounds[:] = [known, *others[:1]]
         return known[1]
 

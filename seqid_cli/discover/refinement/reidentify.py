@@ -120,7 +120,7 @@ def _turns(
         fit = cache(partial(_fitted, material, stages, candidates, FREE))
         before = effects
         if candidates:
-            effects, candidates = _effects_of(material, fit()), fit().candidates
+            effects, candidates = _effects_of(material, fit()), [x.plain for x in fit().candidates]
         settled = bool(before) and _step(before, effects) <= close
         last = not (left and candidates) or settled
         stages = _stages(material, Refitted(stages, tuple(effects), late), fit, last=last)
@@ -182,7 +182,7 @@ def _stages(material: Material, model: Refitted, fit: Callable[[], Model], *, la
     if all(earlier.get(stage) for stage in needed):
         return _sequential(material, model, last=last)
     joint = fit()
-    return moved(stages, joint, joint.linear.theta)
+    return moved(stages, joint, joint.moves)
 
 
 def _sequential(material: Material, model: Refitted, *, last: bool) -> Stages:

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from seqid_cli.discover.base import Base
+from seqid_cli.discover.base import Base, base_of
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.noise.spectra import DETAIL
 from seqid_cli.discover.select.linear import Linear
@@ -17,6 +17,8 @@ from seqid_cli.discover.select.noise import Noise, settled
 from seqid_cli.discover.select.rows import Part, Rows
 from seqid_cli.discover.select.terms import Term, effects
 from seqid_cli.discover.select.tuning import NEAR, Tuner
+from seqid_cli.discover.survey.rows import Rows as SurveyRows
+from seqid_cli.params.schema import Stages
 from seqid_cli.typing import Array
 
 FAR = 30.0  # standard errors of the file, in multiples, that a free base may move by
@@ -71,9 +73,11 @@ class Ground:
     size: Array  # (channels,) N m, what the file leaves
 
     @classmethod
-    def of(cls, stage: Stage, base: Base) -> Ground:
-        """Rows of a stage, and what they have to be explained by."""
-        own, high, drive = stage.rows, stage.high, stage.drive
+    def of(cls, own: SurveyRows, stages: Stages) -> Ground:
+        """Rows of all logs, and what they have to be explained by beside the file's stages."""
+        base = base_of(own, stages)
+        stage = Stage(own, base.friction)
+        high, drive = stage.high, stage.drive
         below = tuple(own.blocks_of(j) for j in range(own.n))
         y = (*base.y, *high.y, *drive.y)
         seen = tuple(b[: len(v)] for b, v in zip(below, drive.y, strict=False))
@@ -274,6 +278,17 @@ class Model:
         """What the base adds to the file's model (N, n) N m, at all samples of every scene."""
         rigid, *friction = [self.linear.theta[at] for at in self.linear.where[: 1 + self.ground.n]]
         return self.ground.base.deviation(rigid, friction)
+
+    @property
+    def moves(self) -> Array:
+        """Parameters (p,) by which the base leaves the file, what it has absorbed taken away."""
+        theta, scene = self.linear.theta.copy(), self.ground.stage.scenes[0]
+        for term in self.terms:
+            if isinstance(term.what, Candidate) and term.what.absorbed:
+                for j, taken in term.what.in_friction(scene).items():
+                    first = self.linear.where[1 + j].start
+                    theta[first : first + len(taken)] -= taken @ self.coefficients(term)
+        return theta
 
     @property
     def candidates(self) -> list[Candidate]:

@@ -17,7 +17,7 @@ selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -274,15 +274,20 @@ class Selection:
         return next((t for t in every if self.model.makes_up_for(term, t)), None)
 
     def _all_taken(self, least: float) -> tuple[Taken, ...]:
-        """Terms that are told, with their rivals; they give way to simpler ones."""
+        """Terms that are told, with their rivals; they give way to simpler ones.
+
+        So does a function that makes up for the law of an effect, which is hidden beside it.
+        """
         model = self.model
         told = self._told_now(least)
         better = dict[Term, Term]()
         for term, one in told.items():
-            better[term] = self._better(one, {other.key for other in better.values()})
+            better[term] = self._better(one, told, {other.key for other in better.values()})
         if all(best is term for term, best in better.items()):
             return tuple(told.values())
-        model.terms = [better.get(term, term) for term in model.terms]
+        anew = {best.key for term, best in better.items() if best is not term}
+        kept = [term for term in model.terms if term in told or term.key not in anew]
+        model.terms = [better.get(term, term) for term in kept]
         model.settle()
         return tuple(self._told_now(least).values())
 
@@ -290,10 +295,10 @@ class Selection:
         weighed = (Weighed(term, self.model) for term in self.model.terms)  # one at a time: memory
         return {own.term: self._taken(own) for own in weighed if self._is_told(own, least)}
 
-    def _better(self, taken: Taken, gone: set[Key]) -> Term:
+    def _better(self, taken: Taken, told: Collection[Term], gone: set[Key]) -> Term:
         """The simplest of a term and of its rivals that do as well."""
-        terms = self.model.terms
-        keys = gone | {one.key for one in terms if one is not taken.term and not is_wide(one)}
+        others = told if taken.term.smooth else self.model.terms
+        keys = gone | {one.key for one in others if one is not taken.term and not is_wide(one)}
         free = [r for r in taken.rivals if r.term.key not in keys and self._passes(r)]
         best = self._simplest(free)
         return best.term if best else taken.term

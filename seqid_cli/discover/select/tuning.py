@@ -175,7 +175,8 @@ def best_of(tried: Sequence[Tried], key: Callable[[Tried], Hashable]) -> list[Tr
 
 def shape_of(tried: Tried) -> Hashable:
     """An effect at a joint with those of its settings that are not searched."""
-    return *tried.term.key, tried.candidate.apart, tried.candidate.kind
+    one = tried.candidate
+    return *tried.term.key, one.apart, one.absorbed, one.kind
 
 
 def most_visible(tried: Sequence[Tried]) -> dict[tuple[str, int | None], float]:

@@ -130,6 +130,9 @@ class Effect(abc.ABC):
         is then visible against earlier parameters only.
     apart : bool
         Whether motor and link move apart, so that the parameters take the link's inertia alone.
+    steady : bool
+        Whether its torque at a constant speed follows from posture and speed, so that it is known
+        what friction trials had of it.
     drive : bool
         Whether its torque arises between the motor's current and a torque sensor behind the gear,
         which does not see it.
@@ -167,6 +170,7 @@ class Effect(abc.ABC):
     slow: bool = False
     change: bool = False
     apart: bool = False
+    steady: bool = False
     drive: bool = False
     wave: str = ""
     later: tuple[str, ...] = ()

@@ -26,6 +26,7 @@ class LoadLoss(FrictionLaw):
     """An effect of the torque that a gear passes on."""
 
     sided = True
+    steady = True
     settings = (Setting(ROTOR, "kg m^2", low=1e-12, high=1e6, logarithmic=True, asked=False),)
     needs = ("motion", "load")
 

@@ -33,6 +33,7 @@ class Stribeck(FrictionLaw):
     )
     over = "speed"
     sided = True
+    steady = True
     linear = (Coefficient("stribeck_torque", "N m", low=0.0),)
     alike = ("presliding_hysteresis", "quadratic_drag", "nonlinear_viscous")
     separate_by = (

@@ -31,6 +31,7 @@ class TorqueSaturation(TorqueMeasurement):
     name = "torque_saturation"
     family = "measurement"
     drive = True
+    steady = True
     settings = (Setting("around", "1/(N m)^2", low=0.0, continuous=False, agreement=CONSISTENT),)
     first_order = True
     over = "load"

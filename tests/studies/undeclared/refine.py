@@ -5,8 +5,7 @@ It is fitted to the same logs by the same recipe.
 
 from collections.abc import Mapping, Sequence
 
-from seqid_cli.discover.base import base_of
-from seqid_cli.discover.candidates import Stage, candidates_of
+from seqid_cli.discover.candidates import candidates_of
 from seqid_cli.discover.refinement.loop import with_effects
 from seqid_cli.discover.refinement.material import Material, Refitted
 from seqid_cli.discover.refinement.reidentify import refitted
@@ -49,7 +48,7 @@ def told_model(
         return None
     scenes = scenes_of(material.training, material.robot, stages, options=material.options.motion)
     rows = rows_of(scenes)
-    model = Model(Ground.of(Stage(rows), base_of(rows, stages)), HELD if late else FREE)
+    model = Model(Ground.of(rows, stages), HELD if late else FREE)
     for truth in truths:
         names = material.robot.joint_names
         tuner = Tuner(model.ground.stage, model.linear, model.ground.size)

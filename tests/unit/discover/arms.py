@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from seqid_cli.discover.base import base_of
-from seqid_cli.discover.candidates import Candidate, Stage
+from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.model import FREE, Ground, Hold, Model
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.registry import CATALOGUE
@@ -88,7 +87,7 @@ def model_of(scenes: Sequence[Scene], hold: Hold = FREE, stages: Stages | None =
 def ground_of(scenes: Sequence[Scene], stages: Stages | None = None) -> Ground:
     """Return the rows of scenes, and what they have to be explained by."""
     rows = rows_of(scenes)
-    return Ground.of(Stage(rows), base_of(rows, stages or Stages()))
+    return Ground.of(rows, stages or Stages())
 
 
 def candidate(name: str, joint: int | None, **settings: float) -> Candidate:

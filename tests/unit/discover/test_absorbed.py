@@ -1,0 +1,62 @@
+"""What friction trials absorb of an effect is what friction identified with it has more."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from seqid_cli.discover.absorbed import absorbed, has_trials, surface_columns
+from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.identify.friction_surface.stage import identify_friction
+from seqid_cli.identify.options import FrictionOptions, InertiaOptions
+from seqid_cli.identify.rigid.gravity import identify_gravity
+from seqid_cli.logs.read import read_recording
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.file import load_robot
+from tests import ROOT, Array
+from tests.unit.discover.arms import arm_scenes, candidate
+
+SAMPLES = ROOT / "sample_logs" / "one_joint"
+ORDERS = FrictionOptions(position_order=4, velocity_order=3)
+SLOWEST, FASTEST = 0.4, 3.0  # rad/s, between the trials' slowest and fastest
+EFFECTS = {  # settings; per unit coefficient some 0.01 N m
+    "stribeck": ({"stribeck_speed": 0.6, "exponent": 2.0}, 0.01),
+    "nonlinear_viscous": ({"exponent": 0.5}, 0.01),
+    "load_dependent_friction": ({}, 0.1),
+}
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_friction_identified_with_an_effect_has_more_by_what_is_absorbed(name: str) -> None:
+    robot = load_robot(SAMPLES / "robot.toml")
+    log, other = (
+        read_recording(SAMPLES / f"{x}/joint_1.parquet", robot) for x in ("friction", "gravity")
+    )
+    without = Stages(friction=identify_friction([log], robot, options=ORDERS))
+    without.gravity = identify_gravity([other, log], robot, without)
+    settings, size = EFFECTS[name]
+    effect = CATALOGUE[name]
+    (scene,) = scenes_of([log], robot, without, options=InertiaOptions())
+    full = scene.full or scene
+    more = size * effect.columns(full, 0, settings)[0]
+    with_it = identify_friction([replace(log, tau=log.tau + more)], robot, options=ORDERS)
+    taken = absorbed(scene, effect, 0, settings)[0][:, 0]
+    old, new = (np.ravel(x.joints["joint_1"].positive) for x in (without.friction, with_it))
+    F = surface_columns(scene, 0)[_between(scene)]
+    said, found = F @ (size * taken), F @ (new - old)
+    assert np.std(found) > 0.0
+    assert np.linalg.norm(said - found) < 0.05 * np.linalg.norm(found)
+
+
+def _between(scene: Scene) -> Array:
+    speed = np.abs(scene.motion.dq[:, 0])
+    return np.flatnonzero((speed > SLOWEST) & (speed < FASTEST))
+
+
+def test_files_without_trials_have_absorbed_nothing_that_is_known() -> None:
+    (scene,) = arm_scenes(logs=1, seconds=8.0)
+    assert not has_trials(scene, 0)
+    assert not has_trials(scene, None)
+    assert not candidate("stribeck", 0, stribeck_speed=0.1, exponent=2.0).absorbed

@@ -17,6 +17,7 @@ from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.notes import (
     Excess,
+    absorbed_notes,
     deflection_notes,
     excess_notes,
     excess_residuals,
@@ -27,7 +28,6 @@ from seqid_cli.discover.notes import (
     offset_notes,
     outside_notes,
     shown_offsets,
-    taken_in_notes,
     touched,
 )
 from seqid_cli.discover.options import DiscoverOptions
@@ -133,7 +133,7 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
             for log in [found.logs[event.scene]]
         ],
         hidden=[
-            HiddenEntry(effect=name, joint=_name(robot, joint), visible=share)
+            HiddenEntry(effect=name, joint=robot.name_of(joint), visible=share)
             for (name, joint), share in sorted(found.found.visible.items(), key=lambda x: x[1])
             if share < HIDDEN
         ],
@@ -141,7 +141,7 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
             *offset_notes(offsets, robot),
             *excess_notes(excess, robot),
             *file_notes(found, robot, ordinary, named_already),
-            *taken_in_notes(found, robot),
+            *absorbed_notes(found, robot),
             *outside_notes(found, robot, ordinary),
             *free_base_notes(found, robot),
             *found.floor.doubts(np.minimum(found.model.rms(), found.start), robot.joints),
@@ -197,10 +197,6 @@ def _apart(found: Investigation, energies: Sequence[float]) -> float:
     return float(max(shares))
 
 
-def _name(robot: Robot, joint: int | None) -> str | None:
-    return None if joint is None else robot.joint_names[joint]
-
-
 def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
     """Describe one effect that was taken."""
     what, model = taken.term.what, found.model
@@ -210,7 +206,7 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
     values = effect.reported(robot, what.joint, what.settings, *found_there)
     return FindingEntry(
         effect=effect.name,
-        joint=_name(robot, what.joint),
+        joint=robot.name_of(what.joint),
         confidence=name.confidence,
         name_confidence=name.by_itself,
         explains=_explains(found, taken),

@@ -110,14 +110,13 @@ def file_notes(
     return tuple(notes)
 
 
-def taken_in_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
+def absorbed_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
     """Effects that were there when the file was identified, as its friction shows."""
+    told = [one.term for one in found.found.effects if one.term.absorbed]
     return tuple(
-        f"joint {robot.joint_names[joint]}: {effect} was there when the file was identified, and "
-        f"its friction holds a part of it, for which {term} makes up here: refine identifies "
-        "friction anew"
-        for (term, joint), (effect, _) in found.found.made_up.items()
-        if joint is not None
+        f"{robot.name_of(term.joint) or 'all joints'}: {term.name} was there when the file was "
+        "identified, whose friction has absorbed a part of it: refine identifies friction anew"
+        for term in told
     )
 
 

@@ -37,7 +37,7 @@ def _each_once(some: Iterable[Ranked]) -> list[Ranked]:
 
 
 def _rival(robot: Robot, one: Ranked, why_not: str) -> RivalEntry:
-    joint = None if one.term.joint is None else robot.joint_names[one.term.joint]
+    joint = robot.name_of(one.term.joint)
     name = f"some function of {one.term.name}" if one.term.smooth else one.term.name
     return RivalEntry(effect=name, joint=joint, log_gain=one.predicted.total, why_not=why_not)
 

@@ -126,5 +126,5 @@ def _random_scene(stages: Stages, robot: Robot) -> Scene:
 def _name(item: Fitted, robot: Robot) -> str:
     if not isinstance(item, FittedEffect):
         return f"a smooth term of no known cause ({robot.joint_names[item.joint]})"
-    where = "all joints" if item.joint is None else robot.joint_names[item.joint]
+    where = robot.name_of(item.joint) or "all joints"
     return f"{item.effect.name} ({where})"

@@ -132,3 +132,7 @@ class Robot:
     def joint_names(self) -> tuple[str, ...]:
         """Joint names in chain order."""
         return tuple(joint.name for joint in self.joints)
+
+    def name_of(self, joint: int | None) -> str | None:
+        """A joint's name; None for the whole arm."""
+        return None if joint is None else self.joints[joint].name

@@ -282,8 +282,7 @@ def _has_company(loop: Loop, found: Investigation, taken: Taken) -> bool:
     """Whether a term that the model has not made up for the file at an effect's joints."""
     known = [*candidates_of_model(loop.model.effects), _what(taken)]
     others = [x for x in found.found.taken if x.term.smooth or not _among(_what(x), known)]
-    beside = any(x.term.channels & taken.term.channels for x in others)
-    return beside or taken.term.key in found.found.made_up.values()
+    return any(x.term.channels & taken.term.channels for x in others)
 
 
 def _outcome(loop: Loop, account: Account, taken: Taken) -> Outcome:
@@ -307,7 +306,7 @@ def _told(loop: Loop, taken: Taken, account: Account, outcome: Outcome) -> Refin
     names, candidate, change = loop.material.robot.joint_names, _what(taken), _predicted(taken)
     return RefinementRound(
         effect=candidate.effect.name,
-        joint=None if candidate.joint is None else names[candidate.joint],
+        joint=loop.material.robot.name_of(candidate.joint),
         accepted=outcome.accepted,
         training_gain=change.value,
         training_interval=change.limits,

@@ -27,7 +27,6 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from seqid_cli.discover.select.rows import (
-    Channels,
     Gained,
     Part,
     Predicted,
@@ -167,15 +166,6 @@ class Linear:
     def covariance(self) -> Array:
         """Covariance (p, p) of `theta`."""
         return self._solved(self._whole[0], np.eye(self.size))
-
-    def of_torque(self, part: Part, torque: Channels) -> Array:
-        """Coefficients (k,) that a part has of a torque (M_c,) at some channels alone."""
-        b = np.zeros(self.size)
-        for channel, values in torque.items():
-            index, _ = self._own[channel]
-            B, _ = self._weighted(channel)
-            b[index] += B.T @ (values * self._root[channel])
-        return self._solved(self._whole[0], b)[self._at(part)]
 
     def _at(self, part: Part) -> slice:
         return next(w for p, w in zip(self.parts, self.where, strict=True) if p is part)

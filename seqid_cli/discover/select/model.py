@@ -233,15 +233,9 @@ class Model:
 
     def squares(self, term: Term, channels: frozenset[int]) -> float:
         """Weighted square of a term's torque at some channels."""
-        return self._square(term, channels, self.linear.theta[self.where(term)])
-
-    def _square(self, term: Term, channels: frozenset[int], theta: Array) -> float:
-        weight, there = self.noise.weight, term.channels & channels
+        theta, weight = self.linear.theta[self.where(term)], self.noise.weight
+        there = term.channels & channels
         return sum(float(weight[c] @ term.part.torque(c, theta) ** 2) for c in there)
-
-    def _torque(self, term: Term, channel: int) -> Array:
-        """Torque (M_c,) N m of a term at a channel."""
-        return term.part.torque(channel, self.linear.theta[self.where(term)])
 
     def beyond_file(self, channels: frozenset[int]) -> float:
         """Share of the squared error that goes where it was not fitted, of what the file leaves.
@@ -251,19 +245,6 @@ class Model:
         scale, parts = self.noise.sigma, (self.linear.left_out, self.ground.rows.y)
         left, file = (sum(float(r[c] @ r[c]) / scale[c] ** 2 for c in channels) for r in parts)
         return float(1.0 - left / max(file, 1e-300))
-
-    def makes_up_for(self, term: Term, other: Term, *, most: float = 0.5) -> bool:
-        """Whether a term takes off what it would have, beside the base, of another one's torque.
-
-        So does one that takes back what the file has taken in of it, but for a share of `most` of
-        its square.
-        """
-        alone = self.beside(*(one for one in self.terms if one is not term))
-        there = term.channels & other.channels
-        share = alone.of_torque(term.part, {c: self._torque(other, c) for c in there})
-        own = self.linear.theta[self.where(term)]
-        left, whole = (self._square(term, there, a) for a in (own + share, share))
-        return left < most * whole
 
     def is_detail(self, term: Term) -> bool:
         """Whether a term is small beside the torque of the model, which ends at the cut-off."""
@@ -284,7 +265,7 @@ class Model:
         """Parameters (p,) by which the base leaves the file, what it has absorbed taken away."""
         theta, scene = self.linear.theta.copy(), self.ground.stage.scenes[0]
         for term in self.terms:
-            if isinstance(term.what, Candidate) and term.what.absorbed:
+            if isinstance(term.what, Candidate) and term.absorbed:
                 for j, taken in term.what.in_friction(scene).items():
                     first = self.linear.where[1 + j].start
                     theta[first : first + len(taken)] -= taken @ self.coefficients(term)

@@ -1,7 +1,7 @@
 """What the selection decides by, what it ranks, and what it ends with."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 from scipy.special import ndtri
@@ -123,15 +123,13 @@ class Selected:
     """The finished model, the terms that are told, and what the model hides.
 
     `visible` is the share of each other effect's torque that the model does not absorb; `tried`
-    ranks what was tried last, beside all that was taken. `made_up` are terms that are not told and
-    take back what the file has taken in of an effect, and that effect.
+    ranks what was tried last, beside all that was taken.
     """
 
     model: Model
     taken: tuple[Taken, ...]
     visible: Mapping[Key, float]
     tried: tuple[Ranked, ...] = ()
-    made_up: Mapping[Key, Key] = field(default_factory=dict)
 
     @property
     def effects(self) -> list[Taken]:

@@ -247,8 +247,7 @@ class Selection:
         taken = {term.key for term in self.model.terms}
         hidden = {key: share for key, share in self._search.visible.items() if key not in taken}
         left = tuple(one for one in tried if one.term.key not in taken)
-        made_up = {t.key: o.key for t in self.model.terms if (o := self._made_up_for(t))}
-        return Selected(self.model, told, hidden, left, made_up)
+        return Selected(self.model, told, hidden, left)
 
     def largest(self) -> Selected:
         """Of the effects that were taken the one of the largest gain, with its rivals."""
@@ -261,17 +260,7 @@ class Selection:
         """Whether a term is worth it beside all others, likely, and by itself."""
         worth = self._passes(own.one) and own.share > self.options.improvement
         there = worth and reality(own.share, own.evidence) >= least
-        return there and not self._of_a_law(own.one) and self._made_up_for(own.term) is None
-
-    def _made_up_for(self, term: Term) -> Term | None:
-        """The effect of which a term takes back what the file's friction has taken in.
-
-        That is what an effect shows over position and speed, where it was there all along.
-        """
-        whole = [t for t in self.model.terms if not (t.smooth or t.in_surface)]
-        lasting = [t for t in whole if isinstance(t.what, Candidate) and not t.what.effect.change]
-        every = lasting if term.in_surface else []
-        return next((t for t in every if self.model.makes_up_for(term, t)), None)
+        return there and not self._of_a_law(own.one)
 
     def _all_taken(self, least: float) -> tuple[Taken, ...]:
         """Terms that are told, with their rivals; they give way to simpler ones.

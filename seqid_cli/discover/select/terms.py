@@ -46,10 +46,9 @@ class Term:
         return self.part.size + self.what.effect.searched(self.what.settings)
 
     @property
-    def in_surface(self) -> bool:
-        """Whether a file's friction may hold it."""
-        what = self.what
-        return not isinstance(what, SmoothFunction) and what.effect.in_surface
+    def absorbed(self) -> bool:
+        """Whether the file's friction has absorbed a part of it."""
+        return isinstance(self.what, Candidate) and self.what.absorbed
 
     @property
     def key(self) -> tuple[str, int | None]:

@@ -182,6 +182,6 @@ def shape_of(tried: Tried) -> Hashable:
 def most_visible(tried: Sequence[Tried]) -> dict[tuple[str, int | None], float]:
     """The largest visible share of each effect."""
     visible: dict[tuple[str, int | None], float] = {}
-    for one in tried:
+    for one in (one for one in tried if not one.term.absorbed):
         visible[one.term.key] = max(visible.get(one.term.key, 0.0), one.gained.visible)
     return visible

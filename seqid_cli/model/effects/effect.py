@@ -187,11 +187,6 @@ class Effect(abc.ABC):
         """
         return True
 
-    @property
-    def in_surface(self) -> bool:
-        """Whether it is friction of a joint's own motion, which a file's friction may hold."""
-        return self.family == "friction" and "load" not in self.needs
-
     def axis(self, joint: int, settings: Settings) -> Axis | None:
         """Return the quantity that it is shown over at a joint; None for what it makes itself."""
         return Axis(cast(Measure, self.over), joint) if self.over in MEASURES else None

@@ -79,7 +79,7 @@ def fitted_effects(stages: Stages, robot: Robot, *, unexplained: bool = False) -
 def as_stage(fitted: FittedEffect, robot: Robot) -> EffectOfJoint:
     """Write an effect down; `fitted_effects` restores it exactly."""
     effect, settings = fitted.effect, fitted.settings
-    joint = None if fitted.joint is None else robot.joint_names[fitted.joint]
+    joint = robot.name_of(fitted.joint)
     physical = effect.reported(
         robot, fitted.joint, settings, fitted.coefficients, fitted.covariance
     )
@@ -208,5 +208,5 @@ def effect_notes(stages: Stages, robot: Robot, *, unexplained: bool = False) -> 
 def _name(fitted: Fitted, robot: Robot) -> str:
     if isinstance(fitted, SmoothTerm):
         return f"{UNEXPLAINED} ({robot.joint_names[fitted.joint]})"
-    where = "all joints" if fitted.joint is None else robot.joint_names[fitted.joint]
+    where = robot.name_of(fitted.joint) or "all joints"
     return f"{fitted.effect.name} ({where})"

@@ -242,37 +242,3 @@ def test_one_effect_goes_before_two_that_explain_as_much() -> None:
     found._tied = {of_two.key: [one]}
     found.merged()
     assert [term.name for term in model.terms] == ["drift"]
-
-
-LOSS = 0.05  # N m of friction per N m of load
-
-
-MEAN = (46.4, -21.4, 3.1)  # N m: 1, cosine and sine of its position, of the second gear's load
-
-
-def lost(scene: Scene, *, taken_in: float) -> Array:
-    """Losses of the second gear, less what a file has of them as friction over position."""
-    size, q = np.abs(scene.load[:, 1]), scene.motion.q[:, 1]
-    mean = np.stack([np.ones_like(q), np.cos(q), np.sin(q)], axis=1) @ np.array(MEAN)
-    return np.asarray(LOSS * (size - taken_in * mean) * scene.sign[:, 1])
-
-
-def test_what_the_file_has_taken_in_of_an_effect_is_no_effect_of_its_own() -> None:
-    names = ("load_dependent_friction", "position_dependent_friction")
-    load, friction = ((name, 1) for name in names)
-    found = selected(at_joint(1, lambda scene: lost(scene, taken_in=0.9)), names)
-    assert keys(found) == [load]
-    assert found.made_up == {friction: load}
-    assert found.model.coefficients(found.taken[0].term)[0] == pytest.approx(LOSS, rel=0.05)
-
-
-def test_friction_over_position_beside_a_loss_is_told_where_it_takes_nothing_back() -> None:
-    names = ("load_dependent_friction", "position_dependent_friction")
-
-    def extra(scene: Scene) -> Array:
-        rough = 3.0 * np.cos(2.0 * scene.motion.q[:, 1]) * scene.sign[:, 1]
-        return lost(scene, taken_in=0.0) + rough
-
-    found = selected(at_joint(1, extra), names)
-    assert sorted(keys(found), key=str) == [(name, 1) for name in names]
-    assert not found.made_up

@@ -7,6 +7,7 @@ write them anew with the variable TRANSCRIPTS=write; the commit then shows what 
 
 import re
 import shlex
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from tests.commands.conftest import Rig
@@ -15,17 +16,21 @@ from tests.transcripts import check_text
 FOLDER = Path(__file__).parent / "transcripts"
 
 
-def check_transcript(rig: Rig, name: str) -> None:
-    """Run the command lines of a transcript, and compare all that they show with it."""
+def check_transcript(rig: Rig, name: str, words: Mapping[str, str] = {}) -> None:
+    """Run the command lines of a transcript, and compare all that they show with it.
+
+    Some `words` in them stand for others, which change nothing that is shown.
+    """
     path = FOLDER / f"{name}.txt"
     told = path.read_text(encoding="utf-8").splitlines()
     lines = [line.removeprefix("$ ") for line in told if line.startswith("$ ")]
     assert lines
-    check_text(path, "\n".join(f"$ {line}\n{_shown(rig, line)}" for line in lines))
+    shown = [(line, _shown(rig, [words.get(x, x) for x in shlex.split(line)])) for line in lines]
+    check_text(path, "\n".join(f"$ {line}\n{text}" for line, text in shown))
 
 
-def _shown(rig: Rig, line: str) -> str:
-    done = rig.run(*shlex.split(line))
+def _shown(rig: Rig, arguments: Sequence[str]) -> str:
+    done = rig.run(*arguments)
     said = [f"! {text}".rstrip() for text in done.err.splitlines()]
     lines = [*done.out.splitlines(), *said, f"[{done.code}]", ""]
     return re.sub(r"\b[0-9a-f]{12}\b", "<hash>", "\n".join(lines))

@@ -1,7 +1,7 @@
 """The smoother against a dense nonlinear least-squares solution of the same problem by scipy.
 
 The problem is written down here once more, from what docs/fused_motion.md says: splines by scipy's
-B-splines, two links in a plane by hand, every reading at its own time, all unknowns in one vector.
+B-splines, every reading at its own time, all unknowns in one vector, their slopes by differences.
 The size of the jerk and the noise are given, and an encoder's weights are those at the solution.
 Knots lie further apart than the smoother's cells, so that it shares no Jacobians either.
 """
@@ -16,12 +16,14 @@ from scipy.interpolate import BSpline
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from seqid_cli.motion.imu.sensor import Mounting, link_state
 from seqid_cli.motion.smoother import solve as smoother_solve
 from seqid_cli.motion.smoother.chunk import CELL_S, Chunk, Jerk, Mounted, encoder_view
 from seqid_cli.motion.smoother.imus import mounted_imus, read
 from seqid_cli.motion.smoother.solve import Solution, encoder_motion, halved, renewed
 from seqid_cli.motion.smoother.system import linearised
 from seqid_cli.params.schema import ImuCalibration, ImuStage
+from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 from tests.plants.arms.rigs import two_joint
 from tests.plants.robots.lab import robot_of
@@ -53,51 +55,19 @@ def true_motion(t: Array) -> Array:
     return np.stack([a * np.sin(angle), a * w * np.cos(angle), -a * w**2 * np.sin(angle)])
 
 
-def link_felt(link: int, motion: Array, length: float) -> tuple[Array, Array, Array]:
-    """Acceleration minus gravity of a link's origin, dw and w, (N, 3), along the link's axes."""
-    q, dq, ddq = motion
-    turned = np.cumsum(q, axis=1)[:, link]
-    w, dw = np.zeros((2, len(q), 3))
-    w[:, 2], dw[:, 2] = np.cumsum(dq, axis=1)[:, link], np.cumsum(ddq, axis=1)[:, link]
-    a = np.tile(-GRAVITY, (len(q), 1))
-    if link == 1:
-        c, s = np.cos(q[:, 0]), np.sin(q[:, 0])
-        a[:, 0] += length * (-s * ddq[:, 0] - c * dq[:, 0] ** 2)
-        a[:, 1] += length * (c * ddq[:, 0] - s * dq[:, 0] ** 2)
-    c, s = np.cos(turned), np.sin(turned)
-    along = np.column_stack([c * a[:, 0] + s * a[:, 1], -s * a[:, 0] + c * a[:, 1], a[:, 2]])
-    return along, dw, w
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """An IMU as the robot file and a calibration have it."""
-
-    link: int
-    positions: Array
-    axes: Array
-    R: Array
-
-    def read(self, motion: Array, length: float, lever: Array, turn: Array) -> Array:
-        """Readings (N, K) without bias."""
-        a, dw, w = link_felt(self.link, motion, length)
-        R = self.R @ Rotation.from_rotvec(turn).as_matrix()
-        points = lever + self.positions @ R.T
-        force = a[:, None] + np.cross(dw[:, None], points)
-        force = force + np.cross(w[:, None], np.cross(w[:, None], points))
-        return np.asarray(np.einsum("nkc,kc->nk", force, self.axes @ R.T))
+def readings(robot: Robot, place: Mounting, motion: Array, turn: Array | None = None) -> Array:
+    """Readings (N, K) without bias of an IMU by q, dq, ddq (3, N, 2), turned a little (3,)."""
+    turned = place.R @ Rotation.from_rotvec(np.zeros(3) if turn is None else turn).as_matrix()
+    state = link_state(robot, place.link, motion.swapaxes(1, 2))
+    return np.asarray(state @ replace(place, R=turned).matrix.T)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A chunk of the smoother, and what the dense problem needs beside it."""
+    """A chunk of the smoother, and the step of its encoders."""
 
     chunk: Chunk
-    length: float
     step: float
-
-    def sensors(self, x: Mounted) -> Sensors:
-        return Sensors(x.place.link, x.place.positions, x.place.axes, x.place.R)
 
 
 @cache
@@ -106,13 +76,12 @@ def scene(encoder: str) -> Scene:
     rng = np.random.default_rng(5)
     plant = two_joint()
     plant = replace(plant, arm=replace(plant.arm, gravity=GRAVITY))
-    robot, length = robot_of("two", plant), float(plant.arm.dh[1, 1])
+    robot = robot_of("two", plant)
     t = DT * np.arange(SAMPLES)
     accelerometers, calibrations = {}, {}
     for imu in plant.imus:
-        own = Sensors(imu.after, imu.positions, imu.axes, imu.rotation)
-        motion = true_motion(t - LATE[imu.name])
-        clean = own.read(motion, length, imu.lever, np.zeros(3))
+        own = Mounting(imu.after, imu.positions, imu.axes, imu.rotation, imu.lever)
+        clean = readings(robot, own, true_motion(t - LATE[imu.name]))
         bias = 0.1 * rng.standard_normal(12)
         accelerometers[imu.name] = clean + bias + NOISE * rng.standard_normal(clean.shape)
         off = Rotation.from_rotvec(np.radians(0.1) * rng.standard_normal(3)).as_matrix()
@@ -131,7 +100,7 @@ def scene(encoder: str) -> Scene:
     known = mounted_imus(recording, robot, ImuStage(imus=calibrations))
     imus = tuple(read(x, recording, slice(None)) for x in known)
     views = tuple(encoder_view(recording.q[:, j], step) for j in range(2))
-    return Scene(Chunk(robot, views, DT, 1, imus), length, step)
+    return Scene(Chunk(robot, views, DT, 1, imus), step)
 
 
 @cache
@@ -224,8 +193,8 @@ class Dense:
         bias, lever, turn, late = np.split(own, [12, 15, 18])
         used = self.used[x.name]
         motion = self.splines(c, self.t[used] - x.delay - late[0])
-        sensors = self.scene.sensors(x)
-        told = sensors.read(motion, self.scene.length, x.place.lever + lever, turn) + x.bias + bias
+        place = replace(x.place, lever=x.place.lever + lever)
+        told = readings(self.scene.chunk.robot, place, motion, turn) + x.bias + bias
         prior = np.sqrt(np.diag(x.precision)[: len(own)]) * (own + x.away[: len(own)])
         return [(x.raw[used] - told) / x.noise, prior]
 
@@ -268,33 +237,18 @@ def covariance_at(dense: Dense, found: Solution) -> Array:
 
 
 @pytest.mark.parametrize("encoder", list(STEPS))
-def test_motion_and_constants_are_those_of_the_dense_solution(encoder: str) -> None:
-    own = scene(encoder)
-    found = smoothed(encoder)
-    dense = Dense(own, found)
-    x = solved_dense(dense)
-    error = np.sqrt(np.diag(covariance_at(dense, found)))
+def test_solution_and_stated_errors_are_those_of_the_dense_one(encoder: str) -> None:
+    own, found = scene(encoder), smoothed(encoder)
+    dense, count = Dense(own, found), found.c.size
+    covariance = covariance_at(dense, found)
+    error = np.sqrt(np.diag(covariance))
     pairs = zip(found.chunk.imus, own.chunk.imus, strict=True)
     smoother = np.concatenate([found.c.ravel(), *(constants_of(a, b) for a, b in pairs)])
-    off = np.abs(smoother - x) / error
-    assert off.max() < TOLERANCE
-
-
-@pytest.mark.parametrize("encoder", list(STEPS))
-def test_stated_errors_are_those_of_the_dense_solution(encoder: str) -> None:
-    own = scene(encoder)
-    found = smoothed(encoder)
-    covariance = covariance_at(Dense(own, found), found)
-    count = found.c.size
-    unit = np.eye(count)
-    mine = found.inverse(unit)
-    scale = np.sqrt(np.diag(covariance))
-    off = np.abs(mine - covariance[:count, :count]) / np.outer(scale, scale)[:count, :count]
-    constants = np.linalg.inv(found.schur)
-    theirs = covariance[count:, count:]
-    off_c = np.abs(constants - theirs) / np.outer(scale[count:], scale[count:])
-    assert off.max() < TOLERANCE
-    assert off_c.max() < TOLERANCE
+    assert (np.abs(smoother - solved_dense(dense)) / error).max() < TOLERANCE
+    stated = (found.inverse(np.eye(count)), np.linalg.inv(found.schur))
+    for mine, part in zip(stated, (slice(count), slice(count, None)), strict=True):
+        off = np.abs(mine - covariance[part, part]) / np.outer(error[part], error[part])
+        assert off.max() < TOLERANCE
 
 
 def test_nothing_to_solve_for_is_kept_from_lapack(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -96,40 +96,35 @@ def best(s: Case, source: str, stage: ImuStage | None = None) -> Motion:
     return best_motion(s.recording, s.robot, stage or s.stage, encoder(s), source=source)
 
 
-def test_one_imu_missing_is_said_and_the_other_used() -> None:
-    got = best(changed(scene("two"), {"imu_a": None}), "auto")
-    assert (got.source, got.imus) == ("fused", ("imu_b",))
-    assert got.warnings == ("imu_a is not recorded",)
-
-
-def test_an_imu_without_calibration_is_said() -> None:
+@pytest.mark.parametrize("lacks", ["recorded", "calibrated"])
+def test_one_imu_missing_is_said_and_the_other_used(lacks: str) -> None:
     s = scene("two")
-    stage = ImuStage(imus={"imu_b": s.stage.imus["imu_b"]})
-    got = best(s, "auto", stage)
-    assert got.imus == ("imu_b",)
-    assert got.warnings == ("imu_a is not calibrated",)
+    if lacks == "recorded":
+        got = best(changed(s, {"imu_a": None}), "auto")
+    else:
+        got = best(s, "auto", ImuStage(imus={"imu_b": s.stage.imus["imu_b"]}))
+    assert (got.source, got.imus) == ("fused", ("imu_b",))
+    assert got.warnings == (f"imu_a is not {lacks}",)
 
 
-@pytest.mark.parametrize("readings", [{"imu_a": None, "imu_b": None}, {}])
-def test_without_any_imu_the_encoders_stay(readings: dict[str, None]) -> None:
-    s = changed(scene("two"), readings)
-    stage = s.stage if readings else ImuStage(imus={})
+@pytest.mark.parametrize("lacks", ["readings", "calibrations", "stage", "imus"])
+def test_without_any_imu_the_encoders_stay_and_nobody_can_insist(lacks: str) -> None:
+    s = scene("two")
+    if lacks == "readings":
+        s = changed(s, dict.fromkeys(s.recording.accelerometers))
+    elif lacks == "imus":
+        s = replace(s, robot=replace(s.robot, imus=()))
+    stage = {"calibrations": ImuStage(imus={}), "stage": None}.get(lacks, s.stage)
     before = encoder(s)
     got = best_motion(s.recording, s.robot, stage, before, source="auto")
     assert got.source == "encoder"
     np.testing.assert_array_equal(got.ddq, before.ddq)
-    assert best_motion(s.recording, s.robot, None, before, source="auto").warnings == ()
-    with pytest.raises(InputError, match="for --motion fused in this log: imu_a") as caught:
-        best_motion(s.recording, s.robot, stage, before, source="fused")
-    assert "seqid imu-calib" in caught.value.hint
-
-
-@pytest.mark.parametrize("source", ["imu", "fused"])
-def test_a_robot_without_imus_cannot_insist_on_one(source: str) -> None:
-    s = scene("one")
-    robot = replace(s.robot, imus=())
-    with pytest.raises(InputError, match="the robot file names no IMU"):
-        best_motion(s.recording, robot, s.stage, encoder(s), source=source)
+    assert bool(got.warnings) == (lacks in ("readings", "calibrations"))
+    why = "the robot file names no IMU" if lacks == "imus" else "in this log: imu_a"
+    for source in ("fused", "imu"):
+        with pytest.raises(InputError, match=why) as caught:
+            best_motion(s.recording, s.robot, stage, before, source=source)
+        assert "seqid imu-calib" in caught.value.hint
 
 
 def test_a_link_that_does_not_follow_its_encoder_is_not_smoothed_over() -> None:

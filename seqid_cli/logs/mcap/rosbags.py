@@ -40,23 +40,13 @@ _REMEDY = {
 }
 
 
-@dataclass(frozen=True)
-class Topic:
-    """One topic of a bag; `definition` is its message definition, empty where the bag has none."""
-
-    number: int
-    name: str
-    kind: str
-    messages: int
-    definition: str = ""
-
-
 _Columns = tuple[int, str, str, int]
 _Message = tuple[int, int, bytes]
+_Topic = tuple[Channel, Schema, int]  # the last: its messages
 
 
-# An opened bag: its topics, and its messages as (topic's number, time [ns], CDR).
-_Bag = tuple[tuple[Topic, ...], Callable[[], Iterator[_Message]]]
+# An opened bag: its topics, and its messages as (channel's number, time [ns], CDR).
+_Bag = tuple[list[_Topic], Callable[[], Iterator[_Message]]]
 _Wanted = Callable[[str], bool]
 _Open = Callable[[Path, _Wanted], AbstractContextManager[_Bag]]
 
@@ -73,15 +63,11 @@ class BagScan(Scan):
         self.losses.update(_unmerged(self.path))
         with ExitStack() as stack:
             topics, messages = self._opened(_rosbag1 if first else _rosbag2, stack)
-            counts = {topic.number: topic.messages for topic in topics}
+            counts = {channel.id: count for channel, _, count in topics}
             total = sum(counts.values())
             self.summary.statistics = Statistics(0, len(topics), counts, 0, total, 0, 0, 0, 0)
-            for topic in topics:
-                number, name = topic.number, topic.name
-                self.schemas[number] = Schema(
-                    number, topic.definition.encode(), "ros2msg", topic.kind
-                )
-                self.channels[number] = Channel(number, name, "cdr", {}, number)
+            self.channels.update({channel.id: channel for channel, *_ in topics})
+            self.schemas.update({schema.id: schema for _, schema, _ in topics})
             for part in _together(self._sound(messages())):
                 for number in dict.fromkeys(message[0] for message in part):
                     own = [message for message in part if message[0] == number]
@@ -134,13 +120,9 @@ def _rosbag2(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
     reader = storage.Sqlite3Reader(path.absolute())
     reader.open()
     try:
-        topics = tuple(  # with definitions in the form of MCAP
-            Topic(c.id, c.topic, c.msgtype, c.msgcount, definition=str(c.msgdef.data))
-            if c.msgdef.format.name == "MSG"
-            else Topic(c.id, c.topic, c.msgtype, c.msgcount)
-            for c in reader.connections
-        )
-        _as_declared([(t.number, t.name, t.kind, t.messages) for t in topics], list[_Columns])
+        topics = [_topic(c, str(c.msgdef.data)) for c in reader.connections]
+        names = [(c.id, c.topic, c.msgtype, c.msgcount) for c in reader.connections]
+        _as_declared(names, list[_Columns])
         others = {c.ext.serialization_format for c in reader.connections} - {"cdr"}
         if others:
             raise ValueError(f"its serialization is {', '.join(sorted(others))}, not cdr")
@@ -157,7 +139,7 @@ def _rosbag1(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
         for place, one in reader.chunks.items():
             reader.chunks[place] = one._replace(decompressor=_bounded(one.decompressor))
         store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-        topics = tuple(Topic(c.id, c.topic, c.msgtype, c.msgcount) for c in reader.connections)
+        topics = [_topic(c, "") for c in reader.connections]
         kept = [c for c in reader.connections if c.msgtype in _KEPT[:2] and wanted(c.topic)]
 
         def messages() -> Iterator[_Message]:
@@ -166,6 +148,13 @@ def _rosbag1(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
                 yield connection.id, time_ns, bytes(store.ros1_to_cdr(data, kind))
 
         yield topics, messages
+
+
+def _topic(link: Any, definition: str) -> _Topic:
+    """Describe a topic as an MCAP file does, also its definition where it is in that form."""
+    text = definition if link.msgdef.format.name == "MSG" else ""
+    schema = Schema(link.id, text.encode(), "ros2msg", link.msgtype)
+    return Channel(link.id, link.topic, "cdr", {}, link.id), schema, link.msgcount
 
 
 def _check_tables(path: Path) -> None:

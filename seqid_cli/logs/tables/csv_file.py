@@ -2,8 +2,8 @@
 
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow as pa
@@ -21,7 +21,6 @@ _BLOCK = 8 << 20  # bytes; no line can be longer
 _TAIL = 64 << 10  # bytes that tell what numbers a column has
 _CUT = "the last line has no end and its last number too few digits: cut short, it is left out"
 _RAGGED_SHARE = 0.01  # of the lines, that may be left out
-_RAGGED_KEPT = 1000
 _MISSING = sorted({form for word in MISSING for form in (word, word.upper(), word.capitalize())})
 _FAULT = re.compile(
     r"In CSV column #(?P<column>\d+):(?: Row #(?P<row>\d+):)?.*?invalid value '(?P<value>.*)'",
@@ -31,15 +30,14 @@ _FAULT = re.compile(
 
 @dataclass
 class _Ragged:
-    """Collects lines that have another number of fields than the names."""
+    """Counts lines that have another number of fields than the names, and keeps the first."""
 
-    lines: list[tuple[int | None, int, int]] = field(default_factory=list)
+    first: pc.InvalidRow | None = None
     count: int = 0
 
     def __call__(self, row: pc.InvalidRow) -> str:
+        self.first = self.first or row
         self.count += 1
-        if self.count <= _RAGGED_KEPT:
-            self.lines.append((row.number, row.actual_columns, row.expected_columns))
         return "skip"
 
 
@@ -52,31 +50,25 @@ class CsvTable(TableFile):
 
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns as one table; lines with another number of fields are left out."""
-        places = {name: self.names.index(name) for name in columns}
-        parsed = self._parse(places, threads=True)
-        if isinstance(parsed, pa.Table) and not _texts(parsed):
-            yield parsed, ""
-            return
+        parsed = self._parse(columns)
         ragged = _Ragged()
-        parsed = self._parse(places, threads=False, ragged=ragged)
+        if not isinstance(parsed, pa.Table):
+            parsed = self._parse(columns, ragged)
         if isinstance(parsed, pa.Table) and _texts(parsed):
-            again = self._parse(places, threads=False, ragged=_Ragged(), numeric=True)
-            parsed = again if isinstance(again, BaseException) else parsed
+            parsed = self._parse(columns, ragged=_Ragged(), numeric=True)
         if not isinstance(parsed, pa.Table):
             raise self._fault(parsed)
         yield parsed, self._partial(ragged, parsed.num_rows)
 
     def _parse(
-        self,
-        places: Mapping[str, int],
-        *,
-        threads: bool,
-        ragged: _Ragged | None = None,
-        numeric: bool = False,
+        self, columns: Sequence[str], ragged: _Ragged | None = None, *, numeric: bool = False
     ) -> pa.Table | BaseException:
-        """Parse the file, time as numbers if `numeric`; returns what Arrow raised otherwise."""
+        """Parse the file, time as numbers if `numeric`; returns what Arrow raised otherwise.
+
+        `ragged`: takes lines with another number of fields, which are an error without it.
+        """
+        places = {name: self.names.index(name) for name in columns}
         count = len(self.names) + self.form.filler
-        numbered = [f"c{k}" for k in range(count)]
         chosen = list(dict.fromkeys(places.values()))
         # Arrow may find out the type of time itself: seconds, counts or a calendar time.
         times = () if numeric else {*time_names(self.names), *(stamp_parts(self.names) or ())}
@@ -88,10 +80,10 @@ class CsvTable(TableFile):
             table = pc.read_csv(
                 source,
                 pc.ReadOptions(
-                    use_threads=threads,
+                    use_threads=ragged is None,
                     block_size=_BLOCK,
                     skip_rows=self.form.skip,
-                    column_names=numbered,
+                    column_names=[f"c{k}" for k in range(count)],
                     # Arrow hands damaged lines over as text: any byte must be some character.
                     encoding=self.form.encoding if ragged is None else "latin-1",
                 ),
@@ -111,16 +103,17 @@ class CsvTable(TableFile):
         return pa.table(arrays)
 
     def _partial(self, ragged: _Ragged, rows: int) -> str:
-        if not ragged.count:
+        if ragged.first is None:
             return ""
-        number, actual, expected = ragged.lines[0]
+        number, lines = ragged.first.number, rows + ragged.count
         line = "a line" if number is None else f"line {number}"
-        what = f"{line} has {actual} fields, the header {expected}"
-        if ragged.count > max(1.0, _RAGGED_SHARE * (rows + ragged.count)):
-            message = f"{what}; so do {ragged.count} of {rows + ragged.count} lines"
+        what = f"{line} has {ragged.first.actual_columns} fields"
+        what += f", the header {ragged.first.expected_columns}"
+        if ragged.count > max(1.0, _RAGGED_SHARE * lines):
+            message = f"{what}; so do {ragged.count} of {lines} lines"
             hint = "Give every line as many fields as there are names."
             raise InputError(message, hint=hint, where=self.where)
-        return f"{what}; {ragged.count} of {rows + ragged.count} lines were left out"
+        return f"{what}; {ragged.count} of {lines} lines were left out"
 
     def _fault(self, error: BaseException) -> InputError:
         text = " ".join(str(error).split())

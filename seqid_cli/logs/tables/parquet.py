@@ -101,31 +101,17 @@ class ParquetTable(TableFile):
 
     def tables(self, columns: Sequence[str], rows: int | None) -> Iterator[tuple[pa.Table, str]]:
         """Read columns; nothing of a damaged file can be salvaged."""
-        found = [(name, self._element(name)) for name in columns]
-        stored = dict.fromkeys(each["list"] if each else name for name, each in found)
-        for table in read_tables(self.path, [*stored], rows=rows):
-            yield self._arranged(table, columns), ""
-
-    def _arranged(self, table: pa.Table, columns: Sequence[str]) -> pa.Table:
-        """Turn what was read, whole or in part, into the given columns."""
-        while any(pa.types.is_struct(kind) for kind in table.schema.types):
-            table = table.flatten()
-        elements = {name: found for name in columns if (found := self._element(name))}
+        matched = {name: _ELEMENT.fullmatch(name) for name in columns}
+        elements = {n: m for n, m in matched.items() if m is not None and m["list"] in self.lists}
         lists = dict.fromkeys(found["list"] for found in elements.values())
-        out: dict[str, pa.ChunkedArray] = {}
-        for name in [name for name in columns if name not in elements]:
-            if table.schema.names.count(name) == 1:
-                out[name] = table.column(name)
-        for name in lists:
-            values = self._matrix(table, name)
-            for element, found in elements.items():
-                if found["list"] == name:
-                    out[element] = pa.chunked_array([values[:, int(found["index"])]])
-        return pa.table(out)
-
-    def _element(self, name: str) -> re.Match[str] | None:
-        found = _ELEMENT.fullmatch(name)
-        return found if found and found["list"] in self.lists else None
+        plain = [name for name in columns if name not in elements]
+        for table in read_tables(self.path, [*lists, *plain], rows=rows):
+            flat = _flattened(table)
+            out = {name: flat.column(name) for name in plain if flat.schema.names.count(name) == 1}
+            values = {name: self._matrix(flat, name) for name in lists}
+            for name, found in elements.items():
+                out[name] = pa.chunked_array([values[found["list"]][:, int(found["index"])]])
+            yield pa.table(out), ""
 
     def _matrix(self, table: pa.Table, name: str) -> Array:
         """Return a list column as (M, length), rows without a list as NaN."""
@@ -216,12 +202,13 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
     """Read the names of columns: `parent.child`, `column[k]` of lists, which `joints` may name."""
     try:
         with opened_table(path) as file:
-            fields = _flat(file.schema_arrow)
-            lists = {name: n for name, kind in fields if (n := _length(file, name, kind))}
+            fields = _flattened(file.schema_arrow.empty_table()).schema
+            lengths = {each.name: _length(file, each.name, each.type) for each in fields}
+            lists = {name: length for name, length in lengths.items() if length}
             entries, notes = list_entries(path, file, lists, joints)
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
-    names = [name for name, _ in fields]
+    names = fields.names
     names += [f"{name}[{k}]" for name, length in lists.items() for k in range(length)]
     return ParquetTable(path, tuple(names), entries, notes, lists=lists)
 
@@ -237,15 +224,11 @@ def list_columns(path: Path) -> list[tuple[str, str, int]]:
         raise damaged(path, error) from error
 
 
-def _flat(schema: pa.Schema) -> list[tuple[str, pa.DataType]]:
-    fields: list[tuple[str, pa.DataType]] = []
-    for entry in schema:
-        if pa.types.is_struct(entry.type):
-            inner = pa.schema([entry.type.field(i) for i in range(entry.type.num_fields)])
-            fields += [(f"{entry.name}.{name}", kind) for name, kind in _flat(inner)]
-        else:
-            fields.append((entry.name, entry.type))
-    return fields
+def _flattened(table: pa.Table) -> pa.Table:
+    """Name the fields of a column `column.field`, at any depth."""
+    while any(pa.types.is_struct(kind) for kind in table.schema.types):
+        table = table.flatten()
+    return table
 
 
 def _length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:

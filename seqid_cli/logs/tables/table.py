@@ -35,14 +35,12 @@ from seqid_cli.logs.tables.naming_schemes import (
 from seqid_cli.robot.toml.schema import Channels, Columns
 from seqid_cli.robot.types import Imu, Robot
 
-# Forms of names: numbered accelerometers, the axes of a triad, the axes of a gyro.
+# Forms of names: of accelerometers (by number, or the axes of a triad) and of the gyro's axes.
 _FORMS = (
-    ("{imu}.a{k}", "{imu}.a{axis}", "{imu}.g{axis}"),
-    ("{imu}/a{k}", "{imu}/a{axis}", "{imu}/g{axis}"),
-    ("{imu}_a{k}", "{imu}_a{axis}", "{imu}_g{axis}"),
+    *((f"{{imu}}{mark}a{{of}}", f"{{imu}}{mark}g{{of}}") for mark in "./_"),
     *(
-        ("", f"{stem}linear_acceleration{end}", f"{stem}angular_velocity{end}")
-        for stem, end in (("{imu}.", ".{axis}"), ("{imu}/", "/{axis}"), ("/{imu}/data/", "/{axis}"))
+        (f"{stem}linear_acceleration{mark}{{of}}", f"{stem}angular_velocity{mark}{{of}}")
+        for stem, mark in (("{imu}.", "."), ("{imu}/", "/"), ("/{imu}/data/", "/"))
     ),
 )
 
@@ -51,41 +49,29 @@ def imu_columns(
     where: str, robot: Robot, imu: Imu, known: Collection[str], warnings: list[str]
 ) -> tuple[list[str], list[str]] | None:
     """Find the accelerometer and gyro columns of an IMU; None where the log has none of them."""
-    for numbered, axes, gyro in _FORMS:
-        found = _form(where, imu, known, numbered, axes, gyro)
-        if found is not None:
-            return found
+    count = len(imu.positions)
+    for form, gyro in _FORMS:
+        accelerometers = [form.format(imu=imu.name, of=k + 1) for k in range(count)]
+        if count == 3 and not set(known).intersection(accelerometers):
+            accelerometers = [form.format(imu=imu.name, of=axis) for axis in "xyz"]
+        rates = [gyro.format(imu=imu.name, of=axis) for axis in "xyz"] if imu.gyro else []
+        missing = [name for name in accelerometers + rates if name not in known]
+        if not missing:
+            return accelerometers, rates
+        if len(missing) < len(accelerometers) + len(rates):
+            raise InputError(
+                f"IMU {imu.name!r} is only partly in the log; missing: {', '.join(missing)}",
+                hint=f"The robot file gives it {count} accelerometers"
+                f"{' and a gyro' if imu.gyro else ''}: log them all, or correct the robot file.",
+                where=where,
+            )
     # UR's own accelerometer, for a triad of the robot file that rides on the last link.
     names = [f"actual_tool_accelerometer_{axis}" for axis in range(3)]
-    last = imu.after_joint == robot.n - 1 and len(imu.positions) == 3 and not imu.gyro
+    last = imu.after_joint == robot.n - 1 and count == 3 and not imu.gyro
     if not last or any(name not in known for name in names):
         return None
     warnings.append(f"IMU {imu.name!r} is read from {names[0]} ... {names[-1]}")
     return names, []
-
-
-def _form(
-    where: str, imu: Imu, known: Collection[str], numbered: str, axes: str, gyro: str
-) -> tuple[list[str], list[str]] | None:
-    count = len(imu.positions)
-    name = imu.name
-    by_number = [numbered.format(imu=name, k=k + 1) for k in range(count)] if numbered else []
-    use_triad = not by_number or (count == 3 and not set(known).intersection(by_number))
-    if use_triad and count != 3:
-        return None
-    triad, turns = ([form.format(imu=name, axis=axis) for axis in "xyz"] for form in (axes, gyro))
-    accelerometers, rates = triad if use_triad else by_number, turns if imu.gyro else []
-    missing = [name for name in accelerometers + rates if name not in known]
-    if len(missing) == len(accelerometers) + len(rates):
-        return None
-    if missing:
-        raise InputError(
-            f"IMU {imu.name!r} is only partly in the log; missing: {', '.join(missing)}",
-            hint=f"The robot file gives it {count} accelerometers"
-            f"{' and a gyro' if imu.gyro else ''}: log them all, or correct the robot file.",
-            where=where,
-        )
-    return accelerometers, rates
 
 
 def separate(

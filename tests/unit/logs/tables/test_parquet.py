@@ -159,6 +159,24 @@ def test_torque_wins_unless_current_is_declared(
     assert read(tmp_path, COLUMNS).tau is None
 
 
+FORMS = [("hand{}a{}", "hand{}g{}", mark) for mark in "./_"]
+FORMS += [("hand{0}linear_acceleration{0}{1}", "hand{0}angular_velocity{0}{1}", m) for m in "./"]
+FORMS += [("/hand/data{0}linear_acceleration{0}{1}", "/hand/data{0}angular_velocity{0}{1}", "/")]
+
+
+@pytest.mark.parametrize(("accelerometer", "gyro", "mark"), FORMS)
+def test_names_of_imus(tmp_path: Path, accelerometer: str, gyro: str, mark: str) -> None:
+    columns: dict[str, object] = dict(COLUMNS)
+    for k, axis in enumerate("xyz"):
+        columns[accelerometer.format(mark, axis)] = MOTION.accelerometers["hand"][:, k]
+        columns[gyro.format(mark, axis)] = MOTION.gyros["hand"][:, k]
+    pq.write_table(pa.table(columns), tmp_path / "log.parquet")
+    recording = read_recording(tmp_path / "log.parquet", make_robot(imus=(GYRO, ARRAY)))
+    assert list(recording.accelerometers) == ["hand"]
+    np.testing.assert_array_equal(recording.accelerometers["hand"], MOTION.accelerometers["hand"])
+    np.testing.assert_array_equal(recording.gyros["hand"], MOTION.gyros["hand"])
+
+
 @pytest.mark.parametrize("dropped", ["array.a3", "hand.az", "hand.gx"])
 def test_half_an_imu_names_the_columns(tmp_path: Path, dropped: str) -> None:
     robot = make_robot(imus=(ARRAY, GYRO))

@@ -1,6 +1,5 @@
 """Accelerations from IMUs and encoders on a simulated arm, where the truth is known."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -32,79 +31,72 @@ class Scene:
     motion: Motion
     true: Array
 
+    def best(
+        self, source: str, readings: dict[str, Array] | None = None, stage: ImuStage | None = None
+    ) -> Motion:
+        """Run with the IMUs' readings or calibrations replaced."""
+        given = readings or self.recording.accelerometers
+        recording = replace(self.recording, accelerometers=given)
+        return best_motion(recording, self.robot, stage or self.stage, self.motion, source=source)
+
     def error(self, motion: Motion) -> Array:
         """RMS error (n,) of the accelerations, rad/s^2."""
         off = (motion.ddq - self.true)[motion.usable]
         return np.asarray(np.sqrt(np.mean(off**2, axis=0)))
 
-    def best(self, changed: Mapping[str, Array] | None = None, *, source: str = "auto") -> Motion:
-        """Run with some IMUs' readings replaced."""
-        readings: Mapping[str, Array] = self.recording.accelerometers | dict(changed or {})
-        recording = replace(self.recording, accelerometers=dict(readings))
-        return best_motion(recording, self.robot, self.stage, self.motion, source=source)
-
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
     """The planar rig with its coarse encoders, three seconds at 250 Hz."""
-    plant = two_joint()
-    posture = np.array([0.0, 0.5])
-    trial = inertia_trials(plant, [posture], np.random.default_rng(0), seconds=3.0)[0]
+    plant, rng = two_joint(), np.random.default_rng
+    trial = inertia_trials(plant, [np.array([0.0, 0.5])], rng(0), seconds=3.0)[0]
     log = simulate(plant, trial.reference, 0, every=4)
-    stage = stage_of(plant, np.random.default_rng(0), off_deg=0.0)
     robot, recording = robot_of("two_joint", plant), recording_of(plant, "log", log)
     motion = estimate_motion(recording, robot, MotionOptions())
+    stage = stage_of(plant, rng(0), off_deg=0.0)
     return Scene(recording, robot, stage, motion, motion.lowpass(log.truth.ddq))
 
 
-def test_imus_beat_the_encoders(scene: Scene) -> None:
+@pytest.mark.parametrize("source", ["encoder", "imu", "fused", "auto"])
+def test_the_source_and_its_imus_are_named_and_their_error_is_said(
+    scene: Scene, source: str
+) -> None:
     """The arrays' biases, worth a radian per second squared, do not get through."""
-    encoder = scene.error(scene.best(source="encoder"))
-    imu = scene.error(scene.best(source="imu"))
-    assert (imu < 0.4 * encoder).all()
+    best = scene.best(source)
+    assert best.source == ("fused" if source == "auto" else source)
+    assert best.imus == (() if source == "encoder" else ("imu_a", "imu_b"))
+    assert best.warnings == ()
+    if source == "imu":  # noise, and what calibrations usually leave; these are perfect
+        assert (scene.error(best) < 0.4 * scene.error(scene.motion)).all()
+        assert (scene.error(best) < best.acceleration_error).all()
+        assert (best.acceleration_error < 4 * scene.error(best)).all()
+        np.testing.assert_array_equal(best.encoder_error, scene.motion.acceleration_error)
 
 
-def test_the_source_and_its_imus_are_named(scene: Scene) -> None:
-    for source in ("encoder", "imu", "fused"):
-        best = scene.best(source=source)
-        assert best.source == source
-        assert best.imus == (() if source == "encoder" else ("imu_a", "imu_b"))
-        assert best.warnings == ()
-    assert scene.best().source == "fused"
-
-
-def test_what_imus_leave_of_error_is_said(scene: Scene) -> None:
-    """Noise, and what calibrations usually leave; these are perfect."""
-    best = scene.best(source="imu")
-    assert (scene.error(best) < best.acceleration_error).all()
-    assert (best.acceleration_error < 4 * scene.error(best)).all()
-    assert best.encoder_error is not None
-    np.testing.assert_array_equal(best.encoder_error, scene.motion.acceleration_error)
-
-
-def test_flipped_or_dead_imus_alone_are_an_error_that_names_them(scene: Scene) -> None:
-    for factor in (-1.0, 0.0):
-        bad = {k: factor * v for k, v in scene.recording.accelerometers.items()}
-        with pytest.raises(InputError, match=r"imu_a is left out.*imu_b is left out") as caught:
-            scene.best(bad, source="imu")
-        assert "--motion encoder" in caught.value.hint
-        assert caught.value.where == "log"
+@pytest.mark.parametrize("factor", [-1.0, 0.0])
+def test_flipped_or_dead_imus_alone_are_an_error_that_names_them(
+    scene: Scene, factor: float
+) -> None:
+    bad = {k: factor * v for k, v in scene.recording.accelerometers.items()}
+    with pytest.raises(InputError, match=r"imu_a is left out.*imu_b is left out") as caught:
+        scene.best("imu", bad)
+    assert "--motion encoder" in caught.value.hint
+    assert caught.value.where == "log"
 
 
 def test_what_calibration_found_is_taken_off(scene: Scene) -> None:
     """Biases, gains and a clock 20 ms late; the last alone would make an IMU useless."""
-    rng = np.random.default_rng(3)
-    rate, readings, found = scene.recording.rate_hz, {}, {}
+    rng, late = np.random.default_rng(3), round(0.02 * scene.recording.rate_hz)
+    readings, found = {}, {}
     for name, values in scene.recording.accelerometers.items():
         bias, gain = rng.normal(0, 0.3, 12), rng.normal(1, 0.02, 12)
-        readings[name] = np.roll(values, round(0.02 * rate), axis=0) * gain + bias
+        readings[name] = np.roll(values, late, axis=0) * gain + bias
         found[name] = msgspec.structs.replace(
             scene.stage.imus[name],
             time_offset_s=0.02,
             accelerometer_bias=bias.tolist(),
             accelerometer_scale=gain.tolist(),
         )
-    known = replace(scene, stage=ImuStage(imus=found))
-    plain, mended = scene.best(source="imu"), known.best(readings, source="imu")
+    plain, mended = scene.best("imu"), scene.best("imu", readings, ImuStage(imus=found))
     np.testing.assert_allclose(scene.error(mended), scene.error(plain), rtol=0.02)
     assert mended.imus == plain.imus

@@ -36,7 +36,7 @@ def without_time(path: Path) -> dict[str, object]:
 
 def test_processes_change_no_bit(logs: Rig) -> None:
     """The other stages: see `test_repeat`; here with the torques of a prediction."""
-    folders, golden = [str(ONE_JOINT / name) for name in ("validation", "changed")], "golden.json"
+    folders, golden = [str(ONE_JOINT / "validation")], "golden.json"
     model, found = ["-r", "robot.toml", "-p", str(ONE_JOINT / golden)], []
     for jobs in ("1", "2"):
         output, torques = logs.folder / "out.json", logs.folder / "t.parquet"

@@ -2,6 +2,8 @@
 
 import copy
 import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +13,11 @@ from seqid_cli.compare.differences import compare
 from seqid_cli.compare.rule import Rule
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.params.io import Document, Source
-from seqid_cli.params.results.comparison import ComparisonFile, Difference
+from seqid_cli.params.results.comparison import ComparisonFile
 from seqid_cli.params.schema import EffectOfJoint, Parameter, ParameterFile, Verdict
+from tests.transcripts import check_text
 from tests.unit.params.documents import diagnosis_file, full_file, inertia_file
+from tests.unit.report.pages import prediction_file
 
 DEFAULT = Rule.of(None, None)
 
@@ -22,24 +26,8 @@ def compared(a: Document, b: Document, rule: Rule = DEFAULT) -> ComparisonFile:
     return compare(Source("a.json", "0", a), Source("b.json", "1", b), rule=rule)
 
 
-def changed(found: ComparisonFile) -> list[Difference]:
-    return [item for item in found.differences if item.different]
-
-
-def only(found: ComparisonFile) -> Difference:
-    (change,) = changed(found)
-    return change
-
-
 def parameters(file: ParameterFile) -> list[Parameter]:
     return file.stages.gravity.parameters
-
-
-def test_a_file_equals_itself() -> None:
-    found = compared(full_file(), full_file())
-    assert found.differences
-    assert not found.changed
-    assert all(item.relative == 0.0 for item in found.differences)
 
 
 @pytest.mark.parametrize(
@@ -66,139 +54,150 @@ def test_rule(
     parameters(b)[0].value += moved
     found = compared(a, b, Rule.of(sigma, rtol))
     assert bool(found.changed) == different
-    if different:
-        change = only(found)
-        assert (change.stage, change.name, change.joint) == ("gravity", "mx_1", "shoulder")
-        if error:
-            assert change.sigmas == pytest.approx(moved / (math.sqrt(2.0) * error))
-        assert change.relative == pytest.approx(moved / (1.25 + moved))
+    change = next(item for item in found.differences if item.stage == "gravity")
+    assert change.different == different
+    assert change.sigmas == (pytest.approx(moved / (math.sqrt(2.0) * error)) if error else None)
+    assert change.relative == pytest.approx(moved / (1.25 + moved))
 
 
-def test_a_missing_parameter_is_a_change() -> None:
-    a, b = inertia_file(), inertia_file()
-    parameters(b).clear()
-    assert only(compared(a, b)).remark == "only in the first"
-    assert only(compared(b, a)).remark == "only in the second"
+def moved_surface(a: ParameterFile, b: ParameterFile) -> None:
+    for file in (a, b):
+        file.stages.friction.joints["elbow"].covariance = (1e-6 * np.eye(2)).tolist()
+    joint = b.stages.friction.joints["elbow"]
+    joint.positive = joint.negative = [[1.1], [1.0 / 3.0 + 0.1]]
 
 
-def test_a_missing_stage_is_a_change() -> None:
-    a, b = inertia_file(), inertia_file()
-    b.stages.imu = None
-    change = only(compared(a, b))
-    assert (change.stage, change.name) == ("imu", "stage")
-
-
-def test_surfaces_of_different_coefficients_and_the_same_values_are_equal() -> None:
+def same_surface(a: ParameterFile, b: ParameterFile) -> None:
     """The same friction, over another range and of higher orders."""
-    a, b = inertia_file(), inertia_file()
     joint = b.stages.friction.joints["elbow"]
     # 1 + x/3 with x = q / 2 becomes 1 + (2/3) x' over twice the range.
     joint.position_range = [-4.0, 4.0]
     joint.position_order, joint.velocity_order = 2, 1
     joint.positive = joint.negative = [[1.0, 0.0], [2.0 / 3.0, 0.0], [0.0, 0.0]]
     joint.covariance = (1e-8 * np.eye(6)).tolist()
-    assert not compared(a, b).changed
 
 
-def test_a_surface_that_moved_is_told_where_it_moved_most() -> None:
-    a, b = inertia_file(), inertia_file()
-    assert a.stages.friction is not None
-    for file in (a, b):
-        file.stages.friction.joints["elbow"].covariance = (1e-6 * np.eye(2)).tolist()
-    joint = b.stages.friction.joints["elbow"]
-    joint.positive = joint.negative = [[1.1], [1.0 / 3.0 + 0.1]]
-    change = only(compared(a, b))
-    assert (change.stage, change.joint) == ("friction", "elbow")
-    assert change.remark.startswith("at 2,")
-    assert change.a is not None
-    assert change.b is not None
-    assert abs(change.b) - abs(change.a) == pytest.approx(0.2)
+def turned(euler: str, *degrees: float, free: bool = False) -> Callable[..., None]:
+    """Turn a mounting; where it is `free` about z no installation determines that angle."""
+
+    def turn(a: ParameterFile, b: ParameterFile) -> None:
+        one, other = (file.stages.imu.imus["imu_a"] for file in (a, b))
+        if free:  # about the axis of the only joint before the IMU
+            one.std_errors_deg, other.std_errors_deg = [0.01, 0.01, 140.0], [0.01, 0.01, 140.0]
+        own = Rotation.from_euler(euler, degrees, degrees=True).as_matrix()
+        other.rotation = (own @ np.array(one.rotation)).tolist()
+
+    return turn
 
 
-@pytest.mark.parametrize(("degrees", "different"), [(0.5, False), (3.0, True)])
-def test_mountings_are_compared_by_their_angle(degrees: float, different: bool) -> None:
-    a, b = inertia_file(), inertia_file()
-    imu = b.stages.imu.imus["imu_a"]
-    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    imu.rotation = (np.array(imu.rotation) @ [[1, 0, 0], [0, c, -s], [0, s, c]]).tolist()
-    found = compared(a, b)
-    assert bool(found.changed) == different
-    angle = next(item for item in found.differences if item.stage == "imu")
-    assert angle.b == pytest.approx(degrees)
-
-
-@pytest.mark.parametrize(("tilt", "different"), [(0.0, False), (3.0, True)])
-def test_an_angle_that_is_not_determined_plays_no_part(tilt: float, different: bool) -> None:
-    """About the axis of the only joint before an IMU: two installations choose any value."""
-    a, b = inertia_file(), inertia_file()
-    assert a.stages.imu is not None
-    assert b.stages.imu is not None
-    one, other = (file.stages.imu.imus["imu_a"] for file in (a, b) if file.stages.imu)
-    one.std_errors_deg, other.std_errors_deg = [0.01, 0.01, 140.0], [0.01, 0.01, 140.0]
-    turn = Rotation.from_euler("xz", (tilt, 143.0), degrees=True).as_matrix()
-    other.rotation = (turn @ np.array(one.rotation)).tolist()
-    found = compared(a, b)
-    assert bool(found.changed) == different
-    angle = next(item for item in found.differences if item.stage == "imu")
-    assert angle.b == pytest.approx(tilt, abs=1e-6)
-
-
-def test_effects_are_compared_by_name_joint_parameters_and_settings() -> None:
-    a, b = full_file(), full_file()
+def moved_effect(a: ParameterFile, b: ParameterFile) -> None:
     speed = Parameter(name="stribeck_torque", value=1.0, std_error=0.01, unit="N m", joint="elbow")
     a.stages.effects[0].parameters = [speed]
     b.stages.effects[0].parameters = [copy.copy(speed)]
-    assert not compared(a, b).changed
     b.stages.effects[0].parameters[0].value = 1.2
     b.stages.effects[0].settings["stribeck_speed"] = 0.2
-    names = {item.name for item in changed(compared(a, b))}
-    assert names == {"stribeck: stribeck_torque", "stribeck: stribeck_speed"}
+
+
+def poor(a: ParameterFile, b: ParameterFile) -> None:
+    """Of several verdicts on a joint all must be good."""
+    hole = Verdict(joint="elbow", good=False, reason="no values for a while")
+    few = Verdict(joint="elbow", good=False, reason="too few speeds")
+    for file in (a, b):
+        file.stages.gravity.verdicts = [*file.stages.gravity.verdicts, hole]
+    b.stages.friction.verdicts = [*b.stages.friction.verdicts, hole, few]
+
+
+def cleared(a: ParameterFile, b: ParameterFile) -> None:
+    parameters(b).clear()
+
+
+def without_imu(a: ParameterFile, b: ParameterFile) -> None:
+    b.stages.imu = None
+
+
+def without_range(a: ParameterFile, b: ParameterFile) -> None:
+    b.stages.friction.joints["elbow"].speed_range = [2.0, 3.0]
+
+
+def other_effect(a: ParameterFile, b: ParameterFile) -> None:
     b.stages.effects = [EffectOfJoint(effect="spring", joint="elbow")]
-    changes = {(item.name, item.remark) for item in changed(compared(a, b))}
-    assert changes == {("stribeck", "only in the first"), ("spring", "only in the second")}
 
 
-def test_a_verdict_that_turned_is_a_note() -> None:
-    a, b = inertia_file(), inertia_file()
-    b.stages.friction.verdicts[1] = Verdict(joint="elbow", good=False, reason="too few speeds")
-    found = compared(a, b)
-    assert not found.changed
-    assert found.notes == ["friction: the verdict on elbow is now poor: too few speeds"]
-
-
-def test_of_several_verdicts_on_a_joint_all_must_be_good() -> None:
-    a, b = inertia_file(), inertia_file()
-    for each in (a, b):
-        hole = Verdict(joint="elbow", good=False, reason="no values for a while")
-        each.stages.friction.verdicts = [*each.stages.friction.verdicts, hole]
-    assert compared(a, b).notes == []
-    a.stages.friction.verdicts.pop()
-    note = "friction: the verdict on elbow is now poor: no values for a while"
-    assert compared(a, b).notes == [note]
-
-
-def test_another_robot_file_is_a_note_and_another_robot_an_error() -> None:
-    a, b = inertia_file(), inertia_file()
+def other_file(a: ParameterFile, b: ParameterFile) -> None:
     b.robot.sha256 = "1" * 64
-    assert "robot files differ" in compared(a, b).notes[0]
+    b.stages.inertia.rotor_coupling = "gyroscopic"
+    del b.stages.friction.joints["elbow"]
+
+
+CASES: dict[str, Callable[[ParameterFile, ParameterFile], None]] = {
+    "equal": lambda a, b: None,
+    "without the parameters of gravity": cleared,
+    "without IMUs": without_imu,
+    "other coefficients of the same friction": same_surface,
+    "other friction": moved_surface,
+    "speeds of another range": without_range,
+    "turned by half a degree": turned("x", 0.5),
+    "turned by 3 degrees": turned("x", 3.0),
+    "turned about the free axis": turned("z", 143.0, free=True),
+    "tilted, and turned about the free axis": turned("xz", 3.0, 143.0, free=True),
+    "another parameter and setting of an effect": moved_effect,
+    "another effect": other_effect,
+    "another verdict": poor,
+    "another robot file, rotors, and a joint less": other_file,
+}
+
+
+def described(found: ComparisonFile) -> Iterator[str]:
+    """The numbers that moved, to five digits, and the notes; speeds of surfaces are left out."""
+    for x in found.differences:
+        numbers = [f"{n:.5g}" for n in (x.a, x.b, x.sigmas, x.relative) if n is not None]
+        what = " ".join(filter(None, (x.stage, x.name, x.joint)))
+        if x.different or x.relative:
+            kind = "changed" if x.different else "same"
+            yield f"{kind}: {what}: {', '.join(numbers)} {x.unit} {x.remark.partition(', speed')[0]}".rstrip()
+    yield from (f"note: {note}" for note in found.notes)
+
+
+def test_what_of_a_parameter_file_has_changed() -> None:
+    text = ""
+    for name, edit in CASES.items():
+        a, b = full_file(), full_file()
+        edit(a, b)
+        found, back = compared(a, b), compared(b, a)
+        assert (found.compared, found.changed) == (back.compared, back.changed)
+        text += "\n".join([f"# {name}: {found.changed} of {found.compared}", *described(found), ""])
+    check_text(Path(__file__).with_name("changes.txt"), text)
+
+
+def test_results_are_compared_by_verdict_findings_and_errors() -> None:
+    a, b = diagnosis_file(), diagnosis_file()
+    assert not compared(a, b).changed
+    b.verdict, b.findings, b.joints["elbow"].rmse = "nothing_missing", [], 0.4
+    b.joints["elbow"].noise_floor = None
+    del b.joints["shoulder"]
+    assert list(described(compared(a, b))) == [
+        "changed: diagnosis verdict:   effect_found, then nothing_missing",
+        "changed: diagnosis stribeck elbow:   only in the first",
+        "changed: diagnosis rmse elbow: 0.3, 0.4, 0.25 N m",
+        "changed: diagnosis noise_floor elbow:   only in the first",
+    ]
+    one, other = prediction_file(), prediction_file(shares=(0.02, 0.1))
+    assert not compared(one, one).changed
+    del other.joints["shoulder"]
+    assert list(described(compared(one, other))) == [
+        "changed: prediction joint shoulder:   only in the first",
+        "changed: prediction rmse elbow: 0.1, 0.2, 0.5 N m",
+        "changed: prediction max_abs elbow: 0.3, 0.6, 0.5 N m",
+    ]
+
+
+def test_other_kinds_and_other_robots_are_errors() -> None:
+    a, b = inertia_file(), inertia_file()
     b.robot.joints = ["shoulder", "wrist"]
     with pytest.raises(ConfigError, match="is about robot 'arm' \\(shoulder, wrist\\)"):
         compared(a, b)
-
-
-def test_files_of_two_kinds_are_an_error() -> None:
     with pytest.raises(UsageError, match="is a diagnosis file"):
-        compared(inertia_file(), diagnosis_file())
-
-
-def test_diagnoses_are_compared_by_verdict_findings_and_errors() -> None:
-    a, b = diagnosis_file(), diagnosis_file()
-    assert not compared(a, b).changed
-    b.verdict = "nothing_missing"
-    b.findings = []
-    b.joints["elbow"].rmse = 0.4
-    names = {item.name for item in changed(compared(a, b))}
-    assert names == {"verdict", "stribeck", "rmse"}
+        compared(a, diagnosis_file())
 
 
 def test_false_alarms_are_as_rare_as_the_rule_says() -> None:
@@ -215,9 +214,3 @@ def test_false_alarms_are_as_rare_as_the_rule_says() -> None:
             ]
         alarms += bool(compared(a, b).changed)
     assert alarms <= 5
-
-
-def test_surfaces_without_a_common_range_differ() -> None:
-    a, b = inertia_file(), inertia_file()
-    b.stages.friction.joints["elbow"].speed_range = [2.0, 3.0]
-    assert "range of both" in only(compared(a, b)).remark

@@ -123,6 +123,17 @@ def other_effect(a: ParameterFile, b: ParameterFile) -> None:
     b.stages.effects = [EffectOfJoint(effect="spring", joint="elbow")]
 
 
+def no_effects(a: ParameterFile, b: ParameterFile) -> None:
+    b.stages.effects = None
+
+
+def tiny(a: ParameterFile, b: ParameterFile) -> None:
+    """A parameter that is really zero is a thousandth of the largest of its unit at least."""
+    for file, value in ((a, 1e-8), (b, 2e-8)):
+        zero = Parameter(name="my_1", value=value, std_error=1e-10, unit="kg m", joint="shoulder")
+        parameters(file).append(zero)
+
+
 def other_file(a: ParameterFile, b: ParameterFile) -> None:
     b.robot.sha256 = "1" * 64
     b.stages.inertia.rotor_coupling = "gyroscopic"
@@ -142,6 +153,8 @@ CASES: dict[str, Callable[[ParameterFile, ParameterFile], None]] = {
     "tilted, and turned about the free axis": turned("xz", 3.0, 143.0, free=True),
     "another parameter and setting of an effect": moved_effect,
     "another effect": other_effect,
+    "without effects": no_effects,
+    "a parameter that is next to nothing": tiny,
     "another verdict": poor,
     "another robot file, rotors, and a joint less": other_file,
 }
@@ -154,7 +167,8 @@ def described(found: ComparisonFile) -> Iterator[str]:
         what = " ".join(filter(None, (x.stage, x.name, x.joint)))
         if x.different or x.relative:
             kind = "changed" if x.different else "same"
-            yield f"{kind}: {what}: {', '.join(numbers)} {x.unit} {x.remark.partition(', speed')[0]}".rstrip()
+            remark = x.remark.partition(", speed")[0]
+            yield f"{kind}: {what}: {', '.join(numbers)} {x.unit} {remark}".rstrip()
     yield from (f"note: {note}" for note in found.notes)
 
 

@@ -46,25 +46,12 @@ def friction_surfaces(stages: Stages, robot: Robot) -> list[FrictionSurface | No
 
 
 @dataclass(frozen=True)
-class Added:
-    """The torque that effects add to a model.
-
-    `torque` (N, n) N m filtered like `motion.tau`; `low`, `high` (N, n) N m what they add to the
-    interval of friction at rest.
-    """
-
-    torque: Array
-    low: Array
-    high: Array
-
-
-@dataclass(frozen=True)
 class Predicted:
-    """What the model says of the torque of a log, whatever was measured there.
+    """What a model, or a part of it, says of the torque of a log, whatever was measured there.
 
-    `value` (N, n) N m is the model's own: rigid body, friction surface and effects. Coulomb's law
-    at rest is an interval, and `low`, `high` (N, n) N m bound what the model allows: where a joint
-    slides, `value` alone.
+    `value` (N, n) N m is filtered like `motion.tau`. Coulomb's law at rest is an interval: `low`,
+    `high` (N, n) N m bound what the model allows, where a joint slides `value` alone; of effects
+    they are what these add to friction's interval.
     """
 
     value: Array
@@ -132,7 +119,9 @@ class TorqueModel:
         rigid = motion.filtered(self.rigid(motion.q, motion.dq, motion.ddq))
         return rigid, motion.filtered(sampled_friction(self.surfaces, motion), times=2)
 
-    def predict_set(self, motion: Motion, slides: Mask, added: Added | None = None) -> Predicted:
+    def predict_set(
+        self, motion: Motion, slides: Mask, added: Predicted | None = None
+    ) -> Predicted:
         """Torque that the model allows: one value where joints slide, an interval at rest.
 
         At rest friction takes whatever value balances, up to what it has at the slowest speed; the
@@ -141,7 +130,7 @@ class TorqueModel:
         """
         rigid, friction = self._terms(motion)
         if added is not None:
-            rigid = rigid + added.torque
+            rigid = rigid + added.value
         value = rigid + friction
         low, high = value.copy(), value.copy()
         for j, surface in enumerate(self.surfaces):

@@ -92,14 +92,12 @@ def _solved(
     logs: Iterable[tuple[Recording, Motion]], loaded: LoadedModel, friction_change: float
 ) -> tuple[PayloadRows, Solution]:
     """Rows of the logs and what they say beyond a model."""
-    rows = PayloadRows(loaded)
-    for log, motion in logs:
-        rows.add(log, motion)
+    rows = PayloadRows.of(loaded, logs)
     if not rows.samples.any():
         raise QualityError(
             "no joint slides in these logs", hint="Record moves of every joint with the load."
         )
-    known = np.eye(rows.size)[PER_LINK:] / friction_change
+    known = np.eye(rows.scaled.shape[1])[PER_LINK:] / friction_change
     return rows, solve(rows.joints, prior=Prior(known, np.zeros(len(known))))
 
 
@@ -107,10 +105,7 @@ def _covariance(rows: PayloadRows, solution: Solution, stages: Stages, robot: Ro
     """Own errors, those of the model's base parameters, those of the torque constants."""
     found = identified(stages, robot)
     weights = [sigma**-2.0 for sigma in solution.sigma]
-    products = sum(
-        (w * cross for w, cross in zip(weights, rows.cross, strict=True)),
-        np.zeros((rows.size, rows.loaded.basis.size)),
-    )
+    products = sum(w * cross for w, cross in zip(weights, rows.cross, strict=True))
     gain = -solution.bread @ products[:, list(found.rows)]
     computed = {
         j: solution.shares[j] - solution.bread @ sums * w
@@ -121,6 +116,6 @@ def _covariance(rows: PayloadRows, solution: Solution, stages: Stages, robot: Ro
     total: Array = (
         solution.covariance
         + gain @ found.held_covariance @ gain.T
-        + moves_covariance(moves, rows.size)
+        + moves_covariance(moves, rows.scaled.shape[1])
     )
     return total

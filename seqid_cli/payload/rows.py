@@ -13,9 +13,8 @@ the payload found so far.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,13 +50,6 @@ class LoadedModel:
         model = TorqueModel.from_stages(stages, robot)
         return cls(model, tuple(fitted_effects(stages, robot)), options, free_basis(robot))
 
-    @cached_property
-    def last_link(self) -> Array:
-        """E_n (p, 10): base parameters from the standard ones of the last link."""
-        n = self.model.robot.n
-        columns: Array = self.basis.expression[:, PER_LINK * (n - 1) : PER_LINK * n]
-        return columns
-
     def with_body(self, phi: Array) -> LoadedModel:
         """Add a body to the last link."""
         assert self.model.phi is not None
@@ -71,58 +63,59 @@ class LoadedModel:
         return predicted(self.model, self.effects, slowest, motion, recording, slice(None))
 
 
-@dataclass
+@dataclass(frozen=True)
 class PayloadRows:
-    """Rows of any number of logs, joint by joint.
+    """Rows of any number of logs with the model that they are beyond, joint by joint.
 
-    `joints` accumulate [H E_n, friction | left over torque]; `cross` (n) of (10 + k, p) are their
-    products with H, `scaled` (n) of (10 + k,) those with torque that a torque constant scales;
-    `before` (n,) and `samples` (n,) are squares and counts of sliding samples.
+    `joints` accumulate [H E_n, friction | left over torque]; `cross` (n, 10 + k, p) are their
+    products with H, `scaled` (n, 10 + k) those with torque that a torque constant scales;
+    `samples`, `before` and `measured` (n,) are counts of sliding samples, and their squares.
     """
 
-    loaded: LoadedModel
-    size: int = field(init=False)
-    joints: list[Accumulator] = field(init=False)
-    cross: list[Array] = field(init=False)
-    scaled: list[Array] = field(init=False)
-    before: Array = field(init=False)
-    measured: Array = field(init=False)
-    samples: Array = field(init=False)
+    joints: list[Accumulator]
+    cross: Array
+    scaled: Array
+    samples: Array
+    before: Array
+    measured: Array
 
-    def __post_init__(self) -> None:
-        n, p = self.loaded.model.robot.n, self.loaded.basis.size
-        self.size = PER_LINK + FRICTION_TERMS * n
-        self.joints = [Accumulator(self.size) for _ in range(n)]
-        self.cross = [np.zeros((self.size, p)) for _ in range(n)]
-        self.scaled = [np.zeros(self.size) for _ in range(n)]
-        self.before, self.measured, self.samples = np.zeros(n), np.zeros(n), np.zeros(n)
+    @classmethod
+    def of(cls, loaded: LoadedModel, logs: Iterable[tuple[Recording, Motion]]) -> PayloadRows:
+        """Gather logs with their motions."""
+        n, p = loaded.model.robot.n, loaded.basis.size
+        size = PER_LINK + FRICTION_TERMS * n
+        sums = (np.zeros((n, size, p)), np.zeros((n, size)), *np.zeros((3, n)))
+        found = cls([Accumulator(size) for _ in range(n)], *sums)
+        for recording, motion in logs:
+            found.add(loaded, recording, motion)
+        return found
 
-    def add(self, recording: Recording, motion: Motion) -> None:
+    def add(self, loaded: LoadedModel, recording: Recording, motion: Motion) -> None:
         """Add one log with its motion."""
-        options = self.loaded.options
-        log = self.loaded.predicted(recording, motion)
-        friction = motion.filtered(sampled_friction(self.loaded.model.surfaces, motion), times=2)
-        every = max(1, int(motion.rate_hz / (options.motion.samples_per_cutoff * motion.cutoff.hz)))
-        for part, H in self._regressors(motion, every):
+        log, options = loaded.predicted(recording, motion), loaded.options.motion
+        friction = motion.filtered(sampled_friction(loaded.model.surfaces, motion), times=2)
+        every = max(1, int(motion.rate_hz / (options.samples_per_cutoff * motion.cutoff.hz)))
+        for part, H in _regressors(loaded, motion, every):
             speed = np.abs(motion.dq[part]) / np.maximum(np.abs(motion.dq).max(axis=0), 1e-12)
-            for j in range(self.loaded.model.robot.n):
+            for j, joint in enumerate(self.joints):
                 slides, first = log.sliding[part][:, j], PER_LINK + FRICTION_TERMS * j
                 own, left, tau = (x[slides, j] for x in (H, log.residual[part], log.tau[part]))
                 held = friction[part][slides, j]
-                wide = np.zeros((len(own), self.size))
-                wide[:, :PER_LINK] = own @ self.loaded.last_link
+                wide = np.zeros((len(own), self.scaled.shape[1]))
+                wide[:, :PER_LINK] = own @ loaded.basis.last_link
                 wide[:, first], wide[:, first + 1] = held, held * speed[slides, j]
-                self.joints[j].add(wide, left)
+                joint.add(wide, left)
                 self.cross[j] += wide.T @ own
                 self.scaled[j] += wide.T @ (tau - held)
                 self.before[j] += float(left @ left)
                 self.measured[j] += float(tau @ tau)
                 self.samples[j] += len(left)
 
-    def _regressors(self, motion: Motion, every: int) -> Iterator[tuple[slice, Array]]:
-        """H of every k-th sample, in blocks of about a second."""
-        for rows in filtered_regressor(motion, self.loaded.model.robot, self.loaded.basis):
-            for block in blocks(rows.motion.samples, rows.motion.rate_hz):
-                thin = slice(block.start, block.stop, every)
-                first = rows.where.start
-                yield slice(first + block.start, first + block.stop, every), rows.H[thin]
+
+def _regressors(loaded: LoadedModel, motion: Motion, every: int) -> Iterator[tuple[slice, Array]]:
+    """H of every k-th sample, in blocks of about a second."""
+    for rows in filtered_regressor(motion, loaded.model.robot, loaded.basis):
+        for block in blocks(rows.motion.samples, rows.motion.rate_hz):
+            first = rows.where.start
+            where = slice(first + block.start, first + block.stop, every)
+            yield where, rows.H[block.start : block.stop : every]

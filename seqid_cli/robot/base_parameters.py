@@ -58,6 +58,12 @@ class Basis:
         """Number of base parameters."""
         return len(self.names)
 
+    @property
+    def last_link(self) -> Array:
+        """E_n (b, 10): base parameters from the standard ones of the last link."""
+        links = self.expression.shape[1] // (PER_LINK + 1) * PER_LINK
+        return self.expression[:, links - PER_LINK : links]
+
     def terms(self, k: int) -> dict[str, float]:
         """Return base parameter `k` as factors of standard ones, the one that names it first."""
         names = standard_names(self.expression.shape[1] // (PER_LINK + 1))

@@ -23,10 +23,10 @@ from seqid_cli.model.effects.smooth import (
     Measure,
     SmoothTerm,
     greville,
-    row_product,
     shape,
     splines,
 )
+from seqid_cli.model.friction_basis import tensor
 from seqid_cli.typing import Array
 
 SLOW = {"position", "velocity", "temperature", "time", "session_time"}
@@ -96,7 +96,7 @@ class SmoothFunction:
             return wide[j] @ self.mixing
         values = [[v for x in scenes if (v := axis.values(x)) is not None] for axis in self.axes]
         every = zip(values, self.axes, strict=True)
-        basis = reduce(row_product, [splines(rows.of(j, v), axis.knots) for v, axis in every])
+        basis = reduce(tensor, [splines(rows.of(j, v), axis.knots) for v, axis in every])
         if self.sided:
             sign = [s.motion.filtered(s.sign[:, [j]], times=2) for s in scenes]
             basis = basis * rows.of(j, sign)

@@ -338,7 +338,7 @@ def predicted(
     if sliding_only:
         known = [own if slides[:, j].any() else None for j, own in enumerate(model.surfaces)]
         model = replace(model, surfaces=known)
-        value = model.predict(motion) + (0.0 if added is None else added.torque)
+        value = model.predict(motion) + (0.0 if added is None else added.value)
         allowed = Predicted(value, value, value)
     else:
         allowed = model.predict_set(motion, slides, added)

@@ -20,7 +20,7 @@ from seqid_cli.model.effects.scene import (
     sign_widths,
     temperature_at,
 )
-from seqid_cli.model.torque import Added, TorqueModel
+from seqid_cli.model.torque import Predicted, TorqueModel
 from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
@@ -115,7 +115,7 @@ def filtered_effect_torque(scene: Scene, fitted: Sequence[Fitted]) -> Array:
 
 def added_torque(
     scene: Scene, recording: Recording, fitted: Sequence[Fitted], slowest: Array
-) -> Added:
+) -> Predicted:
     """What effects add to the prediction of a log.
 
     Parameters
@@ -136,7 +136,7 @@ def added_torque(
         if rubbing:
             high += np.maximum(effect_torque(_at_speed(place, slowest), rubbing), 0.0)
             low += np.minimum(effect_torque(_at_speed(place, -slowest), rubbing), 0.0)
-    return Added(torque, low, high)
+    return Predicted(torque, low, high)
 
 
 def _at_speed(scene: Scene, speed: Array) -> Scene:

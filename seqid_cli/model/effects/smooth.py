@@ -24,6 +24,7 @@ from scipy.interpolate import BSpline
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.units import UNEXPLAINED
+from seqid_cli.model.friction_basis import tensor
 from seqid_cli.params.schema import EffectOfJoint, EffectSession, Parameter
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -136,16 +137,10 @@ def shape(scene: Scene, joint: int, axes: Sequence[Axis], factor: Factor) -> Arr
     (N, product of the axes' sizes) array
         Unfiltered; the last axis runs fastest.
     """
-    basis = reduce(row_product, [axis.basis(scene) for axis in axes])
+    basis = reduce(tensor, [axis.basis(scene) for axis in axes])
     if factor == "direction":
         return basis * scene.sign[:, joint, None]
     return basis
-
-
-def row_product(A: Array, B: Array) -> Array:
-    """Products (N, a b) of the functions A (N, a) and B (N, b); those of B run fastest."""
-    product: Array = (A[:, :, None] * B[:, None, :]).reshape(len(A), -1)
-    return product
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from seqid_cli.model.effects.effect import Columns
 from seqid_cli.model.effects.scene import Scene
@@ -29,22 +30,19 @@ class Gram:
     squares: Array
 
 
-def gram_of(
-    belief: Belief, question: Question, scene: Scene, layout: Layout, *, logged: bool
-) -> Gram:
-    """Sum up the samples at which joints slide, weighted by the noise; no residual of a plan's."""
-    K, b = layout.size, layout.base
+def gram_of(belief: Belief, question: Question, scene: Scene, layout: Layout) -> Gram:
+    """Sum up the samples at which joints slide, weighted by the noise."""
+    K, b = len(layout.prior), layout.base
     gram, moment, squares = np.zeros((K, K)), np.zeros(K), np.zeros((K, K))
     tau = scene.motion.tau
-    left = tau - scene.modelled_filtered if logged and tau is not None else None
+    left = np.zeros(scene.sign.shape) if tau is None else tau - scene.modelled_filtered
     for j, (index, X) in enumerate(_rows(belief, question, scene, layout)):
         if question.joint in (None, j):
             squares[np.ix_(index, index)] += X.T @ X
         weight = np.sqrt(belief.density[j] * scene.slides[:, j] / scene.motion.rate_hz)
         X *= weight[:, None]
         gram[np.ix_(index, index)] += X.T @ X
-        if left is not None:
-            moment[index] += X.T @ (weight * left[:, j])
+        moment[index] += X.T @ (weight * left[:, j])
     return Gram(gram, moment, squares[b:, b:])
 
 
@@ -52,26 +50,13 @@ def gram_of(
 class Layout:
     """Where columns stand: rigid ones, friction of the joints that count, settings of effects.
 
-    `known` is what is known beforehand of the base columns, part by part.
+    `prior` (K, K) is what is known beforehand: of the base columns, part by part.
     """
 
     friction: list[slice]
     base: int
     slots: list[Slot]  # from the base on
-    known: list[tuple[slice, Array]]
-
-    @property
-    def size(self) -> int:
-        """Number of columns."""
-        return self.base + int(self.slots[-1].at.stop)
-
-    @property
-    def prior(self) -> Array:
-        """What is known beforehand of all columns (K, K)."""
-        found = np.zeros((self.size, self.size))
-        for at, known in self.known:
-            found[at, at] = known
-        return found
+    prior: Array
 
     @classmethod
     def of(cls, belief: Belief, question: Question, scene: Scene) -> Layout:
@@ -93,8 +78,8 @@ class Layout:
             for part, own in zip(_between(0, [len(own) for own in specs]), specs, strict=True)
         ]
         rigid = _known(belief.root @ belief.root.T, Goal.of(belief, 0).scale ** 2)
-        known = [(slice(0, b), rigid), *zip(at, friction, strict=True)]
-        return cls(at, at[-1].stop, slots, known)
+        parts = [rigid, *friction, np.zeros((slots[-1].at.stop,) * 2)]
+        return cls(at, at[-1].stop, slots, block_diag(*(x for x in parts if len(x))))
 
 
 def _between(first: int, widths: Sequence[int]) -> list[slice]:

@@ -198,8 +198,8 @@ def separation_of(
     True effects have a root mean square torque of `size` N m, or what the logs say of it.
     """
     layout = Layout.of(belief, question, scenes[0])
-    planned = [gram_of(belief, question, scene, layout, logged=False) for scene in scenes]
-    logged = [gram_of(belief, question, scene, layout, logged=True) for scene in have]
+    planned = [gram_of(belief, question, scene, layout) for scene in scenes]
+    logged = [gram_of(belief, question, scene, layout) for scene in have]
     squares = np.sum([one.squares for one in (*planned, *logged)], axis=0)
     squares /= sum(x.samples for x in (*scenes, *have))
     known = np.sum([layout.prior, *(one.gram for one in logged)], axis=0)

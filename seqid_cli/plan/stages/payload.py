@@ -27,17 +27,11 @@ from seqid_cli.robot.types import Array
 class LoadedBelief(Belief):
     """A belief whose unknowns are the body at the flange and how friction has changed."""
 
-    @property
-    def last_link(self) -> Array:
-        """E_n (b, 10): base parameters from the standard ones of the last link."""
-        n = self.robot.n
-        return np.asarray(self.basis.expression[:, PER_LINK * (n - 1) : PER_LINK * n])
-
     def wide(self, moves: Moves, H: Array) -> Array:
         """Columns (M, N, n, 10 + 2 n) of the unknowns."""
         M, N, n = moves.q.shape
         found = np.zeros((M, N, n, PER_LINK + FRICTION_TERMS * n))
-        found[..., :PER_LINK] = H @ self.last_link
+        found[..., :PER_LINK] = H @ self.basis.last_link
         for j, surface in enumerate(self.surfaces):
             if surface is None:
                 continue
@@ -70,7 +64,7 @@ def loaded(belief: Belief, mass: float, *, lever: float = 0.1) -> LoadedBelief:
     found = LoadedBelief(**{**vars(belief), "prior": prior})
     if belief.theta is None or mass == 0.0:
         return found
-    E = found.last_link
+    E = belief.basis.last_link
     theta = belief.theta + mass * E[:, 0]
     spread = mass * lever * E[:, 1:4]
     return replace(found, theta=theta, root=np.hstack([belief.root, spread]))

@@ -193,7 +193,7 @@ def test_friction_effects_widen_what_holds_at_rest(logs: list[Scene]) -> None:
     )
     np.testing.assert_allclose(added.low, -added.high, atol=1e-12)
     assert not added.high[:, 1].any()
-    np.testing.assert_allclose(added.torque[:, 1], 3.0)
+    np.testing.assert_allclose(added.value[:, 1], 3.0)
 
 
 def stages_of(scene: Scene) -> Stages:

@@ -10,6 +10,7 @@ import pytest
 from seqid_cli.discover.select.naming import TEMPER
 from seqid_cli.errors import UsageError
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.params.results.plan import PlannedMove
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of
 from seqid_cli.plan.discrimination.discriminate import asked, plan_discriminate, pool_of
@@ -34,20 +35,10 @@ PAIR = ("stribeck", "quadratic_drag")
 OPTIONS = PlanOptions(duration_s=24.0, move_s=6.0, between=PAIR, joint="elbow")
 
 
-@pytest.fixture(scope="module")
-def stages() -> Stages:
-    return known()
-
-
 @cache
 def known() -> Stages:
     plant = vertical_two_joint()
     return Stages(inertia=inertia_stage(robot_of("two", plant), plant.arm.phi))
-
-
-@pytest.fixture(scope="module")
-def belief() -> Belief:
-    return believed()
 
 
 @cache
@@ -63,11 +54,9 @@ def moves_for(options: PlanOptions) -> Planned:
 
 
 @pytest.mark.slow
-def test_the_gain_and_what_the_rival_leaves_are_those_of_least_squares(
-    belief: Belief, stages: Stages
-) -> None:
-    scenes = scenes_of(belief, stages, moves_for(OPTIONS).moves)
-    found = _separation(belief, OPTIONS, scenes)
+def test_the_gain_and_what_the_rival_leaves_are_those_of_least_squares() -> None:
+    scenes = scenes_for(moves_for(OPTIONS).moves)
+    found = separation_of(believed(), question_of(OPTIONS, scenes), scenes, 1.0)
     total = found.of.sum(axis=0) + found.prior
     # The same by a QR of the rows: with the rival's settings one by one, the least residual counts.
     root = np.linalg.cholesky(total + 1e-10 * np.diag(np.diag(total))).T
@@ -87,9 +76,12 @@ def test_the_gain_and_what_the_rival_leaves_are_those_of_least_squares(
     assert negative > 0
 
 
-def _separation(belief: Belief, options: PlanOptions, scenes: Sequence[Scene]) -> Separation:
-    effects, joint = asked(belief.robot, options)
-    return separation_of(belief, Question.of(effects, joint, scenes), scenes, 1.0)
+def scenes_for(moves: Sequence[PlannedMove]) -> list[Scene]:
+    return scenes_of(believed(), known(), moves)
+
+
+def question_of(options: PlanOptions, scenes: Sequence[Scene]) -> Question:
+    return Question.of(*asked(believed().robot, options), scenes)
 
 
 def test_parts_of_the_base_that_no_move_shows_take_nothing_of_an_effect() -> None:
@@ -114,44 +106,67 @@ def test_power_is_what_the_diagnosis_asks() -> None:
     assert float(weak.power) < 0.5 < 0.99 < float(weak.longer(20.0).power)
 
 
-@pytest.mark.slow
-def test_the_part_that_both_share_hides_nothing(belief: Belief, stages: Stages) -> None:
-    """Of asymmetric friction the viscous part differs from a bias, the dry one on no motion."""
-    pair = replace(OPTIONS, between=("asymmetric_friction", "torque_bias"))
-    file = make_plan("discriminate", belief.robot, belief.limits, stages, pair)
-    told = file.stages["discriminate"].separation
-    assert told.imitations[0] > 0.953
-    assert told.powers[0] < 0.95
-    assert told.power == told.powers[1] == 0.0
-    assert told.seconds_needed is None
-    assert not file.verdicts[0].good
-    assert "brakes on" in file.stages["discriminate"].notes[0]
+# Pair, special case, bounds of both powers, least imitation of the first, verdict, note. A dry
+# asymmetry differs from a bias on no motion; a power of 1.8 imitates quadratic drag, which is no
+# cubic; a lag is never early.
+TOLD = [
+    (("asymmetric_friction", "torque_bias"), "torque_bias", (0, 0), (0.95, 0), 0.953, "", "brakes"),
+    (
+        ("quadratic_drag", "nonlinear_viscous"),
+        None,
+        (0, 0.5),
+        (0.01, 1),
+        0.98,
+        "if it is quadratic_drag",
+        "ladder",
+    ),
+    (
+        ("torque_bias", "spring"),
+        "torque_bias",
+        (0, 0),
+        (1e-3, 1),
+        0.0,
+        "if it is torque_bias, the diagnosis drops spring with probability 0 %",
+        "brakes on",
+    ),
+    (("time_skew", "actuator_lag"), "actuator_lag", (0.499, 0), (0.501, 1e-3), 0.0, "", ""),
+]
 
 
 @pytest.mark.slow
-def test_of_two_laws_one_can_be_shown_and_the_other_cannot(belief: Belief, stages: Stages) -> None:
-    """A cubic is no quadratic drag; a power of 1.8 imitates it."""
-    pair = replace(OPTIONS, between=("quadratic_drag", "nonlinear_viscous"))
-    file = make_plan("discriminate", belief.robot, belief.limits, stages, pair)
-    told = file.stages["discriminate"].separation
-    assert told.special_case is None
-    assert told.powers[0] < 0.01
-    assert told.powers[1] > 0.5
-    assert told.imitations[0] > 0.98
-    assert not file.verdicts[0].good
-    assert "if it is quadratic_drag" in file.verdicts[0].reason
-    assert "ladder" in file.stages["discriminate"].notes[0]
+@pytest.mark.parametrize(("pair", "special", "low", "high", "imitated", "reason", "note"), TOLD)
+def test_what_no_motion_settles_is_said(
+    pair: tuple[str, str],
+    special: str | None,
+    low: tuple[float, float],
+    high: tuple[float, float],
+    imitated: float,
+    reason: str,
+    note: str,
+) -> None:
+    belief = believed()
+    asking = replace(OPTIONS, between=pair)
+    file = make_plan("discriminate", belief.robot, belief.limits, known(), asking)
+    stage, verdict = file.stages["discriminate"], file.verdicts[0]
+    told = stage.separation
+    assert told.special_case == special
+    for power, least, most in zip(told.powers, low, high, strict=True):
+        assert least <= power <= most
+    assert told.power == min(told.powers)
+    assert told.seconds_needed is None or told.power > 0.0
+    assert told.imitations[0] >= imitated
+    assert not verdict.good
+    assert reason in verdict.reason
+    assert note in stage.notes[0]
 
 
 @pytest.mark.slow
-def test_logs_that_there_are_count(belief: Belief, stages: Stages) -> None:
+def test_logs_that_there_are_count() -> None:
     """A log on which the rival imitates the effect takes away from what the moves show."""
-    moves = moves_for(OPTIONS).moves[:2]
-    scenes = scenes_of(belief, stages, moves)
-    effects, joint = asked(belief.robot, OPTIONS)
-    question = Question.of(effects, joint, scenes)
-    alone = separation_of(belief, question, scenes, 1.0)
-    joined = separation_of(belief, question, scenes[1:], 1.0, scenes[:1])
+    scenes = scenes_for(moves_for(OPTIONS).moves[:2])
+    question = question_of(OPTIONS, scenes)
+    alone = separation_of(believed(), question, scenes, 1.0)
+    joined = separation_of(believed(), question, scenes[1:], 1.0, scenes[:1])
     joined = replace(joined, true=alone.true)
     both, rest = alone.of.sum(axis=0), joined.of.sum(axis=0)
     for k in (0, 1):
@@ -160,15 +175,13 @@ def test_logs_that_there_are_count(belief: Belief, stages: Stages) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("viscous", [0.0, 1.0])
-def test_chances_are_of_what_the_logs_show(belief: Belief, stages: Stages, viscous: float) -> None:
+def test_chances_are_of_what_the_logs_show(viscous: float) -> None:
     """No motion shows that a dry asymmetry is no bias; of a viscous one it does."""
     pair = replace(OPTIONS, between=("asymmetric_friction", "torque_bias"))
-    moves = moves_for(pair).moves
-    planned = scenes_of(belief, stages, moves)
-    effects, joint = asked(belief.robot, pair)
-    question = Question.of(effects, joint, planned)
+    planned = scenes_for(moves_for(pair).moves)
+    question = question_of(pair, planned)
     logs = [_with(scene, viscous * np.abs(scene.motion.dq[:, 1]) + 0.2) for scene in planned[:2]]
-    found = separation_of(belief, question, planned, 1.0, logs)
+    found = separation_of(believed(), question, planned, 1.0, logs)
     power = float(found.surely(found.of.sum(axis=0), 0).power)
     everywhere = replace(found, true=(found.true[0][1:], found.true[1][1:]))
     by_itself = float(everywhere.surely(found.of.sum(axis=0), 0).power)
@@ -190,7 +203,7 @@ def _with(scene: Scene, more: Array) -> Scene:
 
 
 @pytest.mark.slow
-def test_more_moves_tell_more(belief: Belief, stages: Stages) -> None:
+def test_more_moves_tell_more() -> None:
     short = moves_for(replace(OPTIONS, duration_s=12.0)).stage.separation
     long = moves_for(OPTIONS).stage.separation
     assert long.distance > 1.1 * short.distance
@@ -199,14 +212,13 @@ def test_more_moves_tell_more(belief: Belief, stages: Stages) -> None:
 
 
 @pytest.mark.slow
-def test_chosen_moves_beat_random_ones(belief: Belief, stages: Stages) -> None:
+def test_chosen_moves_beat_random_ones() -> None:
     chosen = moves_for(OPTIONS)
-    pool = pool_of(belief, 1, OPTIONS)
+    pool = pool_of(believed(), 1, OPTIONS)
     many = len(chosen.moves)
-    scenes = scenes_of(belief, stages, [*chosen.moves, *pool])
-    effects, joint = asked(belief.robot, OPTIONS)
-    question = Question.of(effects, joint, scenes[many :: len(pool) // 12])  # as the plan asks
-    found = separation_of(belief, question, scenes, chosen.stage.separation.size)
+    scenes = scenes_for([*chosen.moves, *pool])
+    question = question_of(OPTIONS, scenes[many :: len(pool) // 12])  # as the plan asks
+    found = separation_of(believed(), question, scenes, chosen.stage.separation.size)
     rng = np.random.default_rng(0)
     sets = [many + rng.choice(len(pool), many, replace=False) for _ in range(300)]
     chance = [float(found.value(found.of[s].sum(axis=0))) for s in sets]
@@ -214,30 +226,9 @@ def test_chosen_moves_beat_random_ones(belief: Belief, stages: Stages) -> None:
 
 
 @pytest.mark.slow
-def test_a_special_case_is_named(belief: Belief, stages: Stages) -> None:
-    nested = replace(OPTIONS, between=("torque_bias", "spring"))
-    told = moves_for(nested).stage.separation
-    assert told.special_case == "torque_bias"
-    file = make_plan("discriminate", belief.robot, belief.limits, stages, nested)
-    assert not file.verdicts[0].good
-    assert "if it is torque_bias, the diagnosis drops spring with probability 0 %" in (
-        file.verdicts[0].reason
-    )
-    assert "brakes on" in file.stages["discriminate"].notes[0]
-    skew = replace(OPTIONS, between=("time_skew", "actuator_lag"))
-    told = moves_for(skew).stage.separation
-    assert told.special_case == "actuator_lag"
-    assert told.powers == pytest.approx([0.5, 0.0], abs=1e-3)  # a lag is never early
-
-
-@pytest.mark.slow
-def test_a_rival_has_the_settings_that_a_diagnosis_may_refine(
-    belief: Belief, stages: Stages
-) -> None:
+def test_a_rival_has_the_settings_that_a_diagnosis_may_refine() -> None:
     pair = replace(OPTIONS, between=("quadratic_drag", "nonlinear_viscous"), duration_s=12.0)
-    moves = moves_for(replace(OPTIONS, duration_s=12.0)).moves
-    both, joint = asked(belief.robot, pair)
-    question = Question.of(both, joint, scenes_of(belief, stages, moves))
+    question = question_of(pair, scenes_for(moves_for(replace(OPTIONS, duration_s=12.0)).moves))
     grid, exponents = (
         [one["exponent"] for one in some]
         for some in (
@@ -264,7 +255,7 @@ def test_a_rival_has_the_settings_that_a_diagnosis_may_refine(
     ],
 )
 def test_what_cannot_be_asked_is_told(
-    belief: Belief, between: tuple[str, ...], joint: str | None, text: str
+    between: tuple[str, ...], joint: str | None, text: str
 ) -> None:
     with pytest.raises(UsageError, match=text):
-        asked(belief.robot, replace(OPTIONS, between=between, joint=joint))
+        asked(believed().robot, replace(OPTIONS, between=between, joint=joint))

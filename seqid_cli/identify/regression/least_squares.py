@@ -246,9 +246,12 @@ def _jackknife(
     A, s = np.zeros((count, *bread.shape)), np.zeros((len(joints), count, len(theta)))
     designs = np.ones(len(joints))
     for k in used:
-        before = np.trace(bread @ A.sum(axis=0))
-        _add_blocks(A, s[k], joints[k].blocks, np.append(-theta, 1.0), sigma[k])
-        white = np.trace(bread @ A.sum(axis=0)) - before
+        R = np.stack(joints[k].blocks) / sigma[k]
+        inner, own = R[:, :, :-1].transpose(0, 2, 1), slice(len(R))
+        normals = inner @ R[:, :, :-1]
+        A[own] += normals
+        s[k, own] = (inner @ (R @ np.append(-theta, 1.0))[:, :, None])[:, :, 0]
+        white = np.trace(bread @ normals.sum(axis=0))
         designs[k] = np.sum((s[k] @ bread) * s[k]) / max(white, 1e-300)
     scores = s.sum(axis=0)
     moves, plain = _downdated(normal, A, bread, scores), scores @ bread
@@ -261,18 +264,6 @@ def spread_of(moves: Array) -> Array:
     """Covariance (p, p) by the jackknife's moves (G, p)."""
     count = len(moves)
     return np.asarray(moves.T @ moves * (max(count - 1, 1) / max(count, 1)))
-
-
-def _add_blocks(A: Array, s: Array, blocks: list[Array], extended: Array, sigma: float) -> None:
-    """Add to A (G, p, p) and s (G, p) the normal matrices and scores of one joint's blocks."""
-    factors = np.stack(blocks)
-    alive = np.flatnonzero(factors.any(axis=(0, 1)))
-    inner = alive[alive < len(extended) - 1]
-    R = factors[:, alive[:, None], alive] / sigma
-    left = R[:, :, : len(inner)].transpose(0, 2, 1)
-    count = np.arange(len(blocks))
-    A[np.ix_(count, inner, inner)] += left @ R[:, :, : len(inner)]
-    s[np.ix_(count, inner)] += (left @ (R @ extended[alive])[:, :, None])[:, :, 0]
 
 
 def _downdated(normal: Array, A: Array, bread: Array, s: Array) -> Array:

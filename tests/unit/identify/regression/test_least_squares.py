@@ -1,6 +1,4 @@
-"""Accumulated factors against numpy's least squares on the stacked regressor."""
-
-from dataclasses import dataclass
+"""Accumulated factors and their solution against numpy's least squares on the stacked regressor."""
 
 import numpy as np
 import pytest
@@ -10,55 +8,40 @@ from seqid_cli.identify.regression.least_squares import (
     Accumulator,
     Prior,
     solve,
+    triangular,
     whitened,
 )
 from tests import Array
 
-P = 7
 NOISES = (0.1, 2.0, 0.5)
-
-
-@dataclass(frozen=True)
-class Joint:
-    """Rows of one joint, in blocks."""
-
-    blocks: list[tuple[Array, Array]]
-
-    @property
-    def H(self) -> Array:  # noqa: N802
-        return np.vstack([H for H, _ in self.blocks])
-
-    @property
-    def y(self) -> Array:
-        return np.concatenate([y for _, y in self.blocks])
-
-    def accumulated(self, order: list[int] | None = None) -> Accumulator:
-        joint = Accumulator(self.H.shape[1])
-        for k in order or range(len(self.blocks)):
-            joint.add(*self.blocks[k])
-        return joint
-
-
 THETA = np.array([3.0, -1.0, 0.02, 5.0, 0.0, 0.4, -7.0])
 SCALES = np.array([1.0, 0.01, 30.0, 2.0, 1.0, 5.0, 0.1])
+P = len(THETA)
+WIDTH, ROWS, BLOCKS = 24, 400, 12  # of large systems
+
+Rows = tuple[Array, Array]  # H (N, p), y (N,)
 
 
-def make(rng: np.random.Generator, *, blocks: int = 12, rows: int = 40) -> list[Joint]:
+def accumulated(H: Array, y: Array, rows: int = 40) -> Accumulator:
+    joint = Accumulator(H.shape[1])
+    for start in range(0, len(y), rows):
+        joint.add(H[start : start + rows], y[start : start + rows])
+    return joint
+
+
+def of(H: Array, theta: Array, noise: float, rng: np.random.Generator) -> Rows:
+    return H, H @ theta + noise * rng.standard_normal(len(H))
+
+
+def make(rng: np.random.Generator, *, rows: int = 480) -> list[Rows]:
     """Three joints of different noise, columns of very different size."""
-    joints = []
-    for noise in NOISES:
-        parts = []
-        for _ in range(blocks):
-            H = rng.standard_normal((rows, P)) * SCALES
-            parts.append((H, H @ THETA + noise * rng.standard_normal(rows)))
-        joints.append(Joint(parts))
-    return joints
+    return [of(rng.standard_normal((rows, P)) * SCALES, THETA, noise, rng) for noise in NOISES]
 
 
-def stacked(joints: list[Joint], sigma: Array, prior: Prior | None = None) -> Array:
+def stacked(joints: list[Rows], sigma: Array, prior: Prior | None = None) -> Array:
     """The oracle: weighted rows on top of each other."""
-    rows = [joint.H / s for joint, s in zip(joints, sigma, strict=True)]
-    right = [joint.y / s for joint, s in zip(joints, sigma, strict=True)]
+    rows = [H / s for (H, _), s in zip(joints, sigma, strict=True)]
+    right = [y / s for (_, y), s in zip(joints, sigma, strict=True)]
     if prior is not None:
         rows, right = [*rows, prior.A], [*right, prior.b]
     return np.linalg.lstsq(np.vstack(rows), np.concatenate(right), rcond=None)[0]
@@ -66,11 +49,10 @@ def stacked(joints: list[Joint], sigma: Array, prior: Prior | None = None) -> Ar
 
 def test_the_solution_is_that_of_the_stacked_weighted_rows() -> None:
     joints = make(np.random.default_rng(0))
-    got = solve([j.accumulated() for j in joints], iterations=20)
+    got = solve([accumulated(*j) for j in joints], iterations=20)
     np.testing.assert_allclose(got.theta, stacked(joints, got.sigma), rtol=1e-9, atol=1e-12)
-    for joint, sigma in zip(joints, got.sigma, strict=True):
-        off = joint.y - joint.H @ got.theta
-        assert sigma == pytest.approx(np.sqrt(np.mean(off**2)), rel=1e-9)
+    for (H, y), sigma in zip(joints, got.sigma, strict=True):
+        assert sigma == pytest.approx(np.sqrt(np.mean((y - H @ got.theta) ** 2)), rel=1e-9)
     assert got.rank == P
     assert got.determined.all()
 
@@ -78,27 +60,27 @@ def test_the_solution_is_that_of_the_stacked_weighted_rows() -> None:
 @pytest.mark.parametrize("slow", [0.0, 0.5])
 def test_slow_noise_counts_as_so_much_more_white_noise(slow: float) -> None:
     rng, blocks, rows = np.random.default_rng(2), 200, 40
-    joint = Accumulator(1)
-    for own in slow * rng.standard_normal(blocks):
-        joint.add(np.ones((rows, 1)), 3.0 + own + rng.standard_normal(rows))
+    offsets = np.repeat(slow * rng.standard_normal(blocks), rows)
+    y = 3.0 + offsets + rng.standard_normal(len(offsets))
+    joint = accumulated(np.ones((len(y), 1)), y, rows=rows)
     expected = (1.0 + rows * slow**2) / (1.0 + slow**2)  # variance of a mean, over that of white
     assert solve([joint]).designs[0] == pytest.approx(expected, rel=0.3)
 
 
 def test_memory_does_not_grow_with_the_log() -> None:
+    """Blocks hold the same number of rows up to the last, or the jackknife would weigh its end."""
     rng = np.random.default_rng(7)
-    joint, H_all, y_all = Accumulator(3), [], []
-    for _ in range(3 * MOST_BLOCKS + 17):
-        H = rng.standard_normal((5, 3))
-        y = H @ [1.0, 2.0, 3.0] + 0.1 * rng.standard_normal(5)
-        joint.add(H, y)
-        H_all.append(H)
-        y_all.append(y)
+    H, y = of(rng.standard_normal((5 * (5 * MOST_BLOCKS + 3), 3)), np.arange(1.0, 4.0), 0.1, rng)
+    joint = Accumulator(3)
+    for start in range(0, len(y), 5):
+        joint.add(H[start : start + 5], y[start : start + 5])
         assert len(joint.blocks) == len(joint.rows) <= MOST_BLOCKS
     assert {block.shape for block in joint.blocks} == {(4, 4)}
-    expected = np.linalg.lstsq(np.vstack(H_all), np.concatenate(y_all), rcond=None)[0]
-    np.testing.assert_allclose(solve([joint]).theta, expected, rtol=1e-10)
-    assert joint.samples == 5 * (3 * MOST_BLOCKS + 17)
+    np.testing.assert_allclose(solve([joint]).theta, np.linalg.lstsq(H, y)[0], rtol=1e-10)
+    assert joint.samples == len(y)
+    assert len(joint.blocks) > MOST_BLOCKS // 2
+    assert len(set(joint.rows[:-1])) == 1
+    assert 0 < joint.rows[-1] <= joint.rows[0]
 
 
 def test_what_cannot_be_told_apart_is_not_determined() -> None:
@@ -107,10 +89,7 @@ def test_what_cannot_be_told_apart_is_not_determined() -> None:
     H = rng.standard_normal((600, P))
     H[:, 4] = 2.0 * H[:, 1]
     H[:, 2] = 0.0
-    joint = Accumulator(P)
-    for k in range(0, 600, 50):
-        joint.add(H[k : k + 50], H[k : k + 50] @ THETA + 0.01 * rng.standard_normal(50))
-    got = solve([joint])
+    got = solve([accumulated(*of(H, THETA, 0.01, rng))])
     expected = np.ones(P, dtype=bool)
     expected[[1, 2, 4]] = False
     np.testing.assert_array_equal(got.determined, expected)
@@ -130,10 +109,10 @@ def test_no_rows_determine_nothing() -> None:
 
 def test_a_prior_is_more_rows() -> None:
     rng = np.random.default_rng(11)
-    joints = make(rng, blocks=4, rows=10)
+    joints = make(rng, rows=40)
     A = rng.standard_normal((3, P)) / SCALES * 4
     prior = Prior(A, A @ THETA + rng.standard_normal(3))
-    got = solve([j.accumulated() for j in joints], prior=prior, iterations=20)
+    got = solve([accumulated(*j, rows=10) for j in joints], prior=prior, iterations=20)
     np.testing.assert_allclose(got.theta, stacked(joints, got.sigma, prior), rtol=1e-7, atol=1e-9)
 
 
@@ -141,10 +120,7 @@ def test_a_prior_determines_what_the_rows_do_not() -> None:
     rng = np.random.default_rng(12)
     H = rng.standard_normal((300, 3))
     H[:, 2] = H[:, 1]
-    noise = 1e-3 * rng.standard_normal(300)
-    joint = Accumulator(3)
-    for k in range(0, 300, 30):
-        joint.add(H[k : k + 30], H[k : k + 30] @ [1.0, 2.0, 3.0] + noise[k : k + 30])
+    joint = accumulated(*of(H, np.arange(1.0, 4.0), 1e-3, rng), rows=30)
     assert not solve([joint]).determined[1:].any()
     got = solve([joint], prior=Prior(np.array([[0.0, 0.0, 1e3]]), np.array([3e3])))
     assert got.determined.all()
@@ -154,40 +130,22 @@ def test_a_prior_determines_what_the_rows_do_not() -> None:
 def test_a_prior_alone_keeps_its_covariance() -> None:
     """What no row touches comes out as certain as it went in."""
     rng = np.random.default_rng(13)
-    B = rng.standard_normal((2, 2))
-    covariance = B @ B.T
-    rows = whitened(covariance)
-    A = np.hstack([np.zeros((2, 3)), rows])
-    value = np.array([4.0, -1.0])
-    joint = Accumulator(5)
-    for _ in range(30):
-        H = np.hstack([rng.standard_normal((20, 3)), np.zeros((20, 2))])
-        joint.add(H, H[:, :3] @ [1.0, 2.0, 3.0] + 0.1 * rng.standard_normal(20))
-    got = solve([joint], prior=Prior(A, rows @ value))
+    B, value = rng.standard_normal((2, 2)), np.array([4.0, -1.0])
+    rows = whitened(B @ B.T)
+    H = np.hstack([rng.standard_normal((600, 3)), np.zeros((600, 2))])
+    joint = accumulated(*of(H, np.arange(1.0, 6.0), 0.1, rng), rows=20)
+    got = solve([joint], prior=Prior(np.hstack([np.zeros((2, 3)), rows]), rows @ value))
     np.testing.assert_allclose(got.theta[3:], value, atol=1e-9)
-    np.testing.assert_allclose(got.covariance[3:, 3:], covariance, rtol=0.1)
+    np.testing.assert_allclose(got.covariance[3:, 3:], B @ B.T, rtol=0.1)
 
 
 def test_holding_a_parameter_takes_its_column_out() -> None:
     joints = make(np.random.default_rng(14))
-    held = [j.accumulated().with_fixed(3, 5.0) for j in joints]
-    moved = [
-        Joint([(np.delete(H, 3, axis=1), y - 5.0 * H[:, 3]) for H, y in j.blocks]) for j in joints
-    ]
-    got, expected = solve(held), solve([j.accumulated() for j in moved])
+    got = solve([accumulated(*j).with_fixed(3, 5.0) for j in joints])
+    moved = [(np.delete(H, 3, axis=1), y - 5.0 * H[:, 3]) for H, y in joints]
+    expected = solve([accumulated(*j) for j in moved])
     np.testing.assert_allclose(got.theta, expected.theta, rtol=1e-9)
     np.testing.assert_allclose(got.covariance, expected.covariance, rtol=1e-6, atol=1e-15)
-
-
-def test_blocks_of_a_long_log_hold_the_same_number_of_rows() -> None:
-    """Up to the last one, or the jackknife would weigh the end of a log like its beginning."""
-    rng = np.random.default_rng(24)
-    joint = Accumulator(2)
-    for _ in range(5 * MOST_BLOCKS + 3):
-        joint.add(rng.normal(size=(3, 2)), rng.normal(size=3))
-    assert len(joint.blocks) > MOST_BLOCKS // 2
-    assert len(set(joint.rows[:-1])) == 1
-    assert 0 < joint.rows[-1] <= joint.rows[0]
 
 
 def test_more_samples_of_the_same_do_not_outweigh_the_prior() -> None:
@@ -195,14 +153,99 @@ def test_more_samples_of_the_same_do_not_outweigh_the_prior() -> None:
     rng = np.random.default_rng(12)
     H, y = rng.normal(size=(400, 3)), rng.normal(size=400)
     prior = Prior(np.diag([30.0, 0.0, 0.0]), np.array([15.0, 0.0, 0.0]))
-    once, often = Accumulator(3), Accumulator(3)
-    for start in range(0, 400, 40):
-        rows = slice(start, start + 40)
-        once.add(H[rows], y[rows])
-        often.add(np.repeat(H[rows], 4, axis=0), np.repeat(y[rows], 4))
-    expected = solve([once], prior=prior, iterations=8)
+    often = accumulated(np.repeat(H, 4, axis=0), np.repeat(y, 4), rows=160)
+    expected = solve([accumulated(H, y)], prior=prior, iterations=8)
     found = solve([often], prior=prior, iterations=8, independent=0.25)
     np.testing.assert_allclose(found.theta, expected.theta, rtol=1e-9)
     np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-6)
     heavier = solve([often], prior=prior, iterations=8)
     assert abs(heavier.theta[0] - expected.theta[0]) > 1e-3
+
+
+def conditioned(rng: np.random.Generator, condition: float) -> Array:
+    """Rows whose columns depend on each other so far."""
+    spread = np.logspace(0, -np.log10(condition), WIDTH)
+    mixing = np.linalg.qr(rng.normal(size=(WIDTH, WIDTH)))[0]
+    return np.asarray(rng.normal(size=(ROWS * BLOCKS, WIDTH)) * spread @ mixing)
+
+
+def solved(R: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0])
+
+
+def off(R: Array, rows: Array) -> float:
+    """How far R is from the factor of rows, against the largest entry of each column."""
+    scale = np.linalg.norm(rows, axis=0)
+    scale[scale == 0.0] = 1.0
+    R, rows = R / scale, rows / scale
+    return float(np.abs(R.T @ R - rows.T @ rows).max())
+
+
+@pytest.mark.parametrize("power", range(0, 13, 2))
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_the_solution_is_as_good_as_lstsqs(power: int, noise: float) -> None:
+    rng = np.random.default_rng(power)
+    H = conditioned(rng, 10.0**power)
+    theta = rng.normal(size=WIDTH)
+    y = H @ theta + noise * rng.normal(size=len(H))
+    found = accumulated(H, y, ROWS).total
+    exact = np.linalg.lstsq(H, y, rcond=1e-15)[0]
+    rows = np.column_stack([H, y])
+    by_qr, back = (solved(triangular(each)) for each in (rows, rows[::-1]))
+    size = np.linalg.norm(theta)
+    if noise == 0.0:
+        limit = max(10.0 * np.linalg.norm(exact - theta), 10.0**power * 1e-15 * size)
+        assert np.linalg.norm(solved(found) - theta) <= limit
+    else:  # what is left of differences between good methods is small against the noise's effect
+        apart = max(np.linalg.norm(H @ (exact - each)) for each in (by_qr, back))
+        limit = max(3.0 * apart, 1e-9 * noise * np.sqrt(len(H)))
+        assert np.linalg.norm(H @ (solved(found) - by_qr)) <= limit
+    assert off(found, rows) < 1e-11
+
+
+@pytest.mark.parametrize("what", ["zero", "same", "sum", "late", "now and then", "nearly"])
+def test_columns_that_tell_nothing_new(what: str) -> None:
+    rng = np.random.default_rng(4)
+    H = rng.normal(size=(ROWS * BLOCKS, WIDTH))
+    if what == "zero":
+        H[:, [0, 7, WIDTH - 1]] = 0.0
+    elif what == "same":
+        H[:, 9] = H[:, 4]
+    elif what == "sum":
+        H[:, 5] = H[:, 1] - 2.0 * H[:, 3]
+    elif what == "nearly":
+        H[:, 5] = H[:, 1] + 1e-9 * H[:, 5]
+    elif what == "late":
+        H[: 5 * ROWS, [2, 11]] = 0.0
+    else:
+        H[np.arange(len(H)) // ROWS % 3 == 1, 6] = 0.0
+    y = H @ np.ones(WIDTH) + 1e-3 * rng.normal(size=len(H))
+    joint = accumulated(H, y, ROWS)
+    assert off(joint.total, np.column_stack([H, y])) < 1e-12
+    for k, block in enumerate(joint.blocks):
+        rows = slice(k * ROWS, (k + 1) * ROWS)
+        assert off(block, np.column_stack([H[rows], y[rows]])) < 1e-11
+        dead = ~H[rows].any(axis=0)
+        assert not block[:, :-1][:, dead].any()
+        assert not np.tril(block, -1).any()
+        assert (np.diag(block) >= 0.0).all()
+    expected = np.linalg.lstsq(H, y, rcond=1e-12)[0]
+    left = [np.linalg.norm(H @ x - y) for x in (solved(joint.total), expected)]
+    assert left[0] == pytest.approx(left[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("size", [1e3, 1e6, 1e10])
+def test_a_huge_row_hides_no_others(size: float) -> None:
+    rng = np.random.default_rng(5)
+    H = rng.normal(size=(ROWS * BLOCKS, WIDTH))
+    H[5 * ROWS + 17] *= size
+    y = H @ np.ones(WIDTH) + 1e-3 * rng.normal(size=len(H))
+    found, expected = solved(accumulated(H, y, ROWS).total), np.linalg.lstsq(H, y, rcond=None)[0]
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-15 * size + 1e-12)
+
+
+def test_what_is_not_a_number_does_not_go_unseen() -> None:
+    rng = np.random.default_rng(9)
+    H, y = rng.normal(size=(ROWS * 3, WIDTH)), rng.normal(size=ROWS * 3)
+    H[ROWS + 5, 3] = np.nan
+    assert np.isnan(accumulated(H, y, ROWS).blocks[1]).any()

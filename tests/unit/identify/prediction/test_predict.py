@@ -1,0 +1,213 @@
+"""Predictions: long logs as held ones, blind to the measured torque, at rest what effects allow."""
+
+import pickle
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from msgspec.structs import replace
+
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction, predict
+from seqid_cli.logs.read import read_recording
+from seqid_cli.model.effects.apply import scene_of_log
+from seqid_cli.model.effects.fitted import FittedEffect, as_stage, fitted_effects
+from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.torque import TorqueModel
+from seqid_cli.motion import blocks
+from seqid_cli.motion.blocks import open_surveyed
+from seqid_cli.motion.motion import estimate_motion
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import EffectOfJoint, EffectSession, FrictionStage, Stages
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from tests.plants.robots.made import friction_joint, made_recording
+from tests.plants.robots.seven_joint import known_model, write_arm, write_log
+from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_robot
+from tests.unit.model.effects.scenes import CUTOFF_HZ, RATE_HZ, settings_of, wander
+
+ROWS, MOVING = 30_000, 24_000
+SAID = ("predicted", "low", "high", "sliding", "used", "q", "dq", "ddq")
+OPTIONS = InertiaOptions(source="encoder")
+EFFECTS = [
+    EffectOfJoint(effect="torque_bias", joint="joint_2", coefficients=[0.4]),
+    EffectOfJoint(effect="load_dependent_friction", joint="joint_3", coefficients=[0.1]),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two logs of the same motion, a rest at its end, whose torques have nothing in common."""
+    folder = tmp_path_factory.mktemp("arm")
+    path = write_log(folder / "log.parquet", load_robot(write_arm(folder)), ROWS)
+    columns = {k: np.array(v) for k, v in pq.read_table(path).to_pydict().items()}
+    for name in columns:
+        if name.endswith(".position"):
+            columns[name][MOVING:] = columns[name][MOVING]
+    pq.write_table(pa.table(columns), path)
+    rng = np.random.default_rng(3)
+    for name in columns:
+        if name.endswith(".torque"):
+            columns[name] = 7.0 + 100.0 * rng.standard_normal(ROWS)
+    pq.write_table(pa.table(columns), folder / "other.parquet")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def robot(folder: Path) -> Robot:
+    return load_robot(folder / "robot.toml")
+
+
+@pytest.fixture(scope="module")
+def stages(robot: Robot) -> Stages:
+    return known_model(robot, 1.02)
+
+
+@pytest.fixture(autouse=True)
+def _many_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(LongPrediction, "rows", 7_000)
+    monkeypatch.setattr(blocks, "LEAST_BLOCK", 9_000)
+
+
+def long_of(path: Path, robot: Robot, stages: Stages, options: InertiaOptions) -> LongPrediction:
+    log = open_surveyed(path, robot)
+    assert log is not None
+    model, effects = TorqueModel.from_stages(stages, robot), fitted_effects(stages, robot)
+    return LongPrediction.of(log, model, stages, options, effects)
+
+
+def held_of(path: Path, robot: Robot, stages: Stages, options: InertiaOptions) -> LogPrediction:
+    (held,) = predict([read_recording(path, robot)], robot, stages, options=options)
+    return held
+
+
+def assert_same(parts: list[LogPrediction], held: LogPrediction) -> None:
+    assert len(parts) >= 3
+    assert [part.part for part in parts] == list(range(len(parts)))
+    assert [part.last for part in parts] == [False] * (len(parts) - 1) + [True]
+    for name in ("t", "tau", *SAID[:-1]):  # ddq is that of differences: rounding shows
+        found = np.concatenate([getattr(part, name) for part in parts])
+        expected = getattr(held, name)
+        limit = 1e-9 * np.abs(expected).max()
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=limit, err_msg=name)
+    for part in parts:
+        assert (part.path, part.sha256, part.samples) == (held.path, held.sha256, held.samples)
+        assert part.cutoff_hz == pytest.approx(held.cutoff_hz, rel=1e-9)
+        assert part.start == pytest.approx(held.start, abs=1e-9)
+    assert parts[-1].notes == held.notes
+    assert parts[-1].motion.source == held.motion.source == "encoder"
+    assert parts[-1].motion.acceleration_error == pytest.approx(held.motion.acceleration_error)
+
+
+@pytest.mark.parametrize("cutoff", [None, 20.0])
+def test_the_parts_are_the_held_log(
+    cutoff: float | None, folder: Path, robot: Robot, stages: Stages
+) -> None:
+    """Sent elsewhere, too, which takes no more than the model."""
+    options = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=cutoff))
+    path = folder / "log.parquet"
+    sent = pickle.dumps(long_of(path, robot, stages, options))
+    assert len(sent) < 100_000
+    assert_same(list(pickle.loads(sent)), held_of(path, robot, stages, options))
+
+
+@pytest.fixture(scope="module")
+def all_local(folder: Path, robot: Robot, stages: Stages) -> list[FittedEffect]:
+    """Every effect of the catalogue that can be told part by part, each of some N m."""
+    recording = read_recording(folder / "log.parquet", robot)
+    model = TorqueModel.from_stages(stages, robot)
+    motion = estimate_motion(recording, robot, MotionOptions())
+    scene = scene_of_log(recording, robot, model, motion)
+    found = []
+    for effect in CATALOGUE.values():
+        joint = None if effect.arm else 1
+        grid = settings_of(effect, [scene], joint)
+        for settings in grid[:1] if effect.name != "external_contact" else []:
+            columns = effect.columns(scene, joint, settings)
+            size = max(float(np.sqrt(np.mean(X**2))) for X in columns.values())
+            count = len(effect.coefficients(settings))
+            # What shifts torque in time takes its derivative, and that of rounding errors.
+            wanted = 0.1 if effect.timing else 2.0
+            values = np.full(count, wanted / max(size, 1e-9))
+            session = EffectSession(logs=[recording.sha256], starts=[0.0], origin=recording.start)
+            fitted = FittedEffect(effect, joint, settings, values, np.eye(count), session)
+            if fitted.local:
+                found.append(fitted)
+    return found
+
+
+@pytest.mark.slow
+def test_effects_are_told_part_by_part(
+    folder: Path, robot: Robot, stages: Stages, all_local: list[FittedEffect]
+) -> None:
+    path = folder / "log.parquet"
+    assert len(all_local) >= 18
+    whole = replace(stages, effects=[as_stage(x, robot) for x in all_local])
+    log = open_surveyed(path, robot)
+    parts = list(predict([log], robot, whole, options=OPTIONS))  # type: ignore[list-item]
+    held = held_of(path, robot, whole, OPTIONS)
+    assert_same(parts, held)
+    bare = held_of(path, robot, stages, OPTIONS)
+    assert np.sqrt(np.mean((held.predicted - bare.predicted) ** 2)) > 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["held", "passed over"])
+def test_another_torque_changes_nothing_of_the_prediction(
+    way: str, folder: Path, robot: Robot, stages: Stages
+) -> None:
+    told = replace(stages, effects=EFFECTS)
+
+    def predicted(name: str) -> Iterator[LogPrediction]:
+        given = folder / name, robot, told, OPTIONS
+        return iter([held_of(*given)] if way == "held" else long_of(*given))
+
+    states = set()
+    for one, other in zip(predicted("log.parquet"), predicted("other.parquet"), strict=True):
+        assert not np.isclose(one.tau, other.tau).all()
+        for name in SAID:
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+        states |= set(one.sliding[one.used].ravel().tolist())
+        at_rest = ~one.sliding & one.used[:, None]
+        assert np.all((one.high - one.low)[at_rest] > 0.0)
+        np.testing.assert_array_equal(one.high[one.sliding], one.predicted[one.sliding])
+    assert states == {True, False}
+
+
+def test_rest_holds_what_the_effects_allow() -> None:
+    """Above the friction surface, within it and the hump: no error once the hump is known."""
+    robot, top, hump, speed = two_joint_robot(), 4.0, 1.0, 0.3
+    joints = {
+        name: friction_joint(
+            [[coulomb + 0.5 * viscous * top, 0.5 * viscous * top]],
+            speed_range=[0.0, top],
+            sign_width=SIGN_WIDTH,
+        )
+        for name, coulomb, viscous in zip(robot.joint_names, COULOMB, VISCOUS, strict=True)
+    }
+    stribeck = EffectOfJoint(
+        effect="stribeck",
+        joint="joint_1",
+        settings={"stribeck_speed": speed, "exponent": 2.0},
+        coefficients=[hump],
+    )
+    q = wander(20.0, seed=2)
+    dq = np.gradient(q, 1.0 / RATE_HZ, axis=0)
+    s = np.tanh(dq / SIGN_WIDTH)
+    tau = s * np.array(COULOMB) + np.array(VISCOUS) * dq
+    tau += np.column_stack(
+        [hump * np.exp(-((dq[:, 0] / speed) ** 2)) * s[:, 0], np.full(len(q), 0.4)]
+    )
+    t = np.arange(len(q)) / RATE_HZ
+    tau[(t > 5.3) & (t < 6.7), 0] = COULOMB[0] + 0.95 * hump  # all that the joint can hold
+    options = InertiaOptions(motion=MotionOptions(cutoff_hz=CUTOFF_HZ))
+    still = (t > 5.6) & (t < 6.4)
+    for effects, beyond, within in ((None, 0.95 * hump, 0.15), ([stribeck], 0.0, 1e-6)):
+        stages = Stages(friction=FrictionStage(joints=joints), effects=effects)
+        recording = made_recording(q, tau, rate_hz=RATE_HZ)
+        (log,) = predict([recording], robot, stages, options=options)
+        assert not log.sliding[still, 0].any()
+        np.testing.assert_allclose(log.beyond[still, 0], beyond, atol=within)

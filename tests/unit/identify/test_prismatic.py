@@ -1,7 +1,5 @@
 """A vertical slide with a pendulum on it goes through friction, gravity and inertia."""
 
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +12,7 @@ from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
+from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Chain, Joint, Robot
 from tests import Array
 from tests.plants.motions.trajectories import Reference, hold, join, sweeps, together, zigzag
@@ -67,105 +65,49 @@ def load(reference: Reference) -> Array:
     return np.column_stack([force, torque]) + friction
 
 
-def record(name: str, reference: Reference, rng: np.random.Generator) -> Recording:
-    samples = len(reference.q)
-    return made_recording(
-        quantise(reference.q, STEPS),
-        load(reference) + NOISE * rng.standard_normal((samples, 2)),
-        rate_hz=RATE,
-        path=name,
-    )
+def record(reference: Reference, seed: int) -> Recording:
+    noise = NOISE * np.random.default_rng(seed).standard_normal(reference.q.shape)
+    return made_recording(quantise(reference.q, STEPS), load(reference) + noise, rate_hz=RATE)
 
 
-def both(rng: np.random.Generator, seconds: float) -> Reference:
-    moving = {
-        j: zigzag(
-            rng,
-            (float(LIMITS[j, 0]), float(LIMITS[j, 1])),
-            float(TOP[j]),
-            float(ACCELERATION[j]),
-            seconds,
-            RATE,
-        )
-        for j in (0, 1)
-    }
+def single() -> list[Recording]:
+    """Moves of one joint at a time, the slide with the pendulum in two postures."""
+    logs = []
+    for j, angle in ((0, -1.2), (0, 0.9), (1, 0.3)):
+        pace = (np.geomspace(0.1, 1.0, 6) * TOP[j]).tolist()
+        low, high = LIMITS[j].tolist()
+        home = np.array([0.4, angle])
+        motion = sweeps(home, j, (low, high), pace, float(ACCELERATION[j]), rate_hz=RATE)
+        logs.append(record(motion, len(logs)))
+    return logs
+
+
+def both(seed: int, seconds: float) -> Recording:
+    rng, moving = np.random.default_rng(seed), {}
+    for j in (0, 1):
+        low, high = LIMITS[j].tolist()
+        limits = float(TOP[j]), float(ACCELERATION[j])
+        moving[j] = zigzag(rng, (low, high), *limits, seconds, RATE)
     motion = together(LIMITS.mean(axis=1), moving, RATE)
-    return join([hold(motion.q[0], 0.5, RATE), motion])
-
-
-@dataclass(frozen=True)
-class Identified:
-    """The three stages, each when first asked for."""
-
-    robot: Robot
-
-    @cached_property
-    def single(self) -> list[Recording]:
-        rng = np.random.default_rng(0)
-        logs = []
-        for j in (0, 1):
-            pace = [float(v) for v in np.geomspace(0.1, 1.0, 6) * TOP[j]]
-            for number, angle in enumerate((-1.2, 0.9) if j == 0 else (0.3,)):
-                home = np.array([0.4, angle])
-                span = (float(LIMITS[j, 0]), float(LIMITS[j, 1]))
-                motion = sweeps(home, j, span, pace, float(ACCELERATION[j]), rate_hz=RATE)
-                logs.append(record(f"joint_{j}_{number}", motion, rng))
-        return logs
-
-    @cached_property
-    def friction(self) -> FrictionStage:
-        return identify_friction(self.single, self.robot, options=FrictionOptions())
-
-    @cached_property
-    def gravity(self) -> RigidStage:
-        stages = Stages(friction=self.friction)
-        return identify_gravity(self.single, self.robot, stages)
-
-    @cached_property
-    def inertia(self) -> RigidStage:
-        log = record("both", both(np.random.default_rng(1), 20.0), np.random.default_rng(2))
-        stages = Stages(friction=self.friction, gravity=self.gravity)
-        return identify_inertia([log], self.robot, stages, options=InertiaOptions())
-
-
-TRUE = {
-    "m_1": SLIDE,
-    "m_2": ARM,
-    "mx_2": MX,
-    "my_2": 0.0,
-    "mz_2": MZ,
-    "Iyy_2": INERTIA,
-}
-
-
-def true_value(terms: dict[str, float]) -> float:
-    return sum(factor * TRUE[name] for name, factor in terms.items())
+    return record(join([hold(motion.q[0], 0.5, RATE), motion]), seed + 1)
 
 
 @pytest.fixture(scope="module")
-def identified() -> Identified:
-    return Identified(slider())
+def stages() -> Stages:
+    found, robot, logs = Stages(), slider(), single()
+    found.friction = identify_friction(logs, robot, options=FrictionOptions())
+    found.gravity = identify_gravity(logs, robot, found)
+    found.inertia = identify_inertia([both(1, 20.0)], robot, found, options=InertiaOptions())
+    return found
 
 
-def test_the_plant_is_the_packages_inverse_dynamics() -> None:
-    """The equations above, from another source: Newton-Euler of the chain."""
-    from seqid_cli.robot.regressor import inverse_dynamics
-
-    motion = both(np.random.default_rng(3), 2.0)
-    phi = np.zeros((2, 10))
-    phi[0, 0] = SLIDE
-    phi[1, [0, 1, 3, 6]] = ARM, MX, MZ, INERTIA
-    robot = slider()
-    tau = inverse_dynamics(robot.chain, robot.gravity, phi, motion.q, motion.dq, motion.ddq)
-    friction = DRY * np.sign(motion.dq) + VISCOUS * motion.dq
-    np.testing.assert_allclose(tau + friction, load(motion), atol=1e-9)
+TRUE = {"m_1": SLIDE, "m_2": ARM, "mx_2": MX, "my_2": 0.0, "mz_2": MZ, "Iyy_2": INERTIA}
 
 
-def test_friction_of_slide_and_pendulum(identified: Identified) -> None:
-    assert identified.friction.joints["lift"].unit == "N"
-    assert identified.friction.joints["swing"].unit == "N m"
-    for j, name in enumerate(("lift", "swing")):
-        joint = identified.friction.joints[name]
+def test_friction_of_slide_and_pendulum(stages: Stages) -> None:
+    joints = stages.friction.joints
+    assert [joint.unit for joint in joints.values()] == ["N", "N m"]
+    for j, joint in enumerate(joints.values()):
         assert not joint.directional
         surface = FrictionSurface.from_stage(joint)
         speed = np.linspace(*surface.scaling.speed, 30)
@@ -175,36 +117,26 @@ def test_friction_of_slide_and_pendulum(identified: Identified) -> None:
             np.testing.assert_allclose(sign * surface.torque(middle, sign * speed), true, rtol=0.02)
 
 
-def test_the_weight_on_the_slide_is_its_p_xi(identified: Identified) -> None:
-    for group in identified.friction.joints["lift"].gravity:
+def test_the_weight_on_the_slide_is_its_p_xi(stages: Stages) -> None:
+    for group in stages.friction.joints["lift"].gravity:
         (mass,), (error,) = group.p_xi, group.std_error
         assert abs(mass - SLIDE - ARM) < max(4 * error, 0.01)
 
 
-def test_gravity_parameters(identified: Identified) -> None:
-    stage = identified.gravity
-    assert stage.not_excited == []
-    assert {p.unit for p in stage.parameters} == {"kg", "kg m"}
-    for p in stage.parameters:
-        true = true_value(p.terms)
+def test_gravity_and_inertia_are_the_true_ones(stages: Stages) -> None:
+    """Equations of the plant and of the package are not of one source: Lagrange, Newton-Euler."""
+    gravity, inertia = stages.gravity, stages.inertia
+    assert gravity.not_excited == []
+    assert {p.unit for p in gravity.parameters} == {"kg", "kg m"}
+    assert inertia.rank == inertia.structural_rank == 4
+    assert [p.name for p in inertia.parameters] == ["Iyy_2"]
+    for p in (*gravity.parameters, *inertia.parameters):
+        true = sum(factor * TRUE[name] for name, factor in p.terms.items())
         assert abs(p.value - true) < 4 * p.std_error, p.name
         assert p.value == pytest.approx(true, rel=0.01), p.name
 
 
-def test_inertia_parameters(identified: Identified) -> None:
-    stage = identified.inertia
-    assert stage.rank == stage.structural_rank == 4
-    (p,) = stage.parameters
-    assert p.name == "Iyy_2"
-    assert p.value == pytest.approx(INERTIA, rel=0.01)
-    assert abs(p.value - INERTIA) < 4 * p.std_error
-
-
-def test_prediction_of_a_new_motion(identified: Identified) -> None:
-    stages = Stages(
-        friction=identified.friction, gravity=identified.gravity, inertia=identified.inertia
-    )
-    log = record("new", both(np.random.default_rng(5), 10.0), np.random.default_rng(6))
-    (found,) = predict([log], identified.robot, stages, options=InertiaOptions())
+def test_prediction_of_a_new_motion(stages: Stages) -> None:
+    (found,) = predict([both(5, 10.0)], slider(), stages, options=InertiaOptions())
     size = found.tau[found.used].std(axis=0)
     assert (rmse([found]) < 0.05 * size).all()

@@ -99,6 +99,7 @@ def assert_same(parts: list[LogPrediction], held: LogPrediction) -> None:
         assert part.start == pytest.approx(held.start, abs=1e-9)
     assert parts[-1].notes == held.notes
     assert parts[-1].motion.source == held.motion.source == "encoder"
+    assert held.motion.acceleration_error
     assert parts[-1].motion.acceleration_error == pytest.approx(held.motion.acceleration_error)
 
 

@@ -142,6 +142,13 @@ def gathering(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.values_of", lambda *_: 0)
 
 
+def stand_in(monkeypatch: pytest.MonkeyPatch, name: str, **functions: object) -> None:
+    """Put a module with these functions alone in the place of one of the package."""
+    module = ModuleType(f"seqid_cli.{name}")
+    vars(module).update(functions)
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+
+
 @pytest.fixture
 def identified(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, object], list[object]]:
     """Replace one identification function by one that reads all logs and returns a result.
@@ -158,9 +165,7 @@ def identified(monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str, object], 
                 raise result
             return result
 
-        module = ModuleType(f"seqid_cli.identify.{module_name}")
-        setattr(module, function, fake)
-        monkeypatch.setitem(sys.modules, module.__name__, module)
+        stand_in(monkeypatch, f"identify.{module_name}", **{function: fake})
         return calls
 
     return replaced

@@ -1,10 +1,8 @@
 """`seqid diagnose` around a fake diagnosis: what it passes on, writes, prints and returns."""
 
 import json
-import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from types import ModuleType
 
 import jsonschema
 import pytest
@@ -15,81 +13,44 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.findings import found
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.evidence_schema import RivalEntry
 from seqid_cli.params.results.diagnosis import (
     DIAGNOSIS_SCHEMA,
     DiagnosisFile,
-    EventEntry,
     FindingEntry,
-    HiddenEntry,
     UnexplainedPart,
 )
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-from tests.commands.conftest import Reader, Rig
+from tests.commands.conftest import Reader, Rig, stand_in
 from tests.commands.transcripts import check_transcript
-from tests.unit.params.documents import diagnosis_file, diagnosis_of, gravity_file, inertia_file
+from tests.unit.params.documents import diagnosis_file, gravity_file, inertia_file
 from tests.unit.params.generate import json_schema
 
 BASE = ["diagnose", "a.parquet", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
 
 FILE = diagnosis_file()
-STRIBECK = structs.replace(
-    FILE.findings[0],
-    name_confidence=0.9,
-    note="a remark on it",
-    rivals=[
-        FILE.findings[0].rivals[0],
-        RivalEntry(
-            effect="quadratic_drag", joint="elbow", log_gain=120.0, why_not="explains 60.0 % less"
-        ),
-    ],
-)
+(STRIBECK,), (CURVE,) = FILE.findings, FILE.unexplained
 PAYLOAD = FindingEntry(
     effect="payload",
     joint=None,
     confidence=0.6,
-    name_confidence=0.6,
     explains=0.1,
     confusable_with=[],
     separate_by="",
     gain=0.05,
 )
-SPRING = RivalEntry(
-    effect="spring", joint="shoulder", log_gain=20.0, why_not="explains 75.0 % less"
+OTHER = structs.replace(CURVE, depends_on=["position", "other_joint:elbow"], rivals=STRIBECK.rivals)
+FOUND = structs.replace(
+    FILE,
+    findings=[structs.replace(STRIBECK, name_confidence=0.9), PAYLOAD],
+    unexplained=[OTHER],
+    events=[structs.replace(FILE.events[0], start=float(k), end=k + 0.5) for k in range(12)],
+    hidden=[*FILE.hidden, structs.replace(FILE.hidden[0], effect="spring", joint="elbow")],
 )
-CURVE = structs.replace(
-    FILE.unexplained[0],
-    depends_on=["position", "other_joint:elbow"],
-    log_gain=80.0,
-    rivals=[SPRING],
-)
-DRIFT = structs.replace(FILE.joints["elbow"].tried[0], effect="drift", joint="shoulder")
-JOINTS = {
-    "shoulder": structs.replace(FILE.joints["elbow"], tried=[DRIFT]),
-    "elbow": FILE.joints["shoulder"],
-}
-FOUND = diagnosis_of(
-    "effect_found",
-    [STRIBECK, PAYLOAD],
-    [CURVE],
-    JOINTS,
-    events=[
-        EventEntry(log="a.parquet", start=float(k), end=k + 0.5, joints=["elbow"])
-        for k in range(12)
-    ],
-    hidden=[
-        HiddenEntry(effect="base_tilt", joint=None, visible=0.02),
-        HiddenEntry(effect="spring", joint="elbow", visible=0.001),
-    ],
-    notes=["a remark"],
-)
-NOTHING = diagnosis_of("nothing_missing", joints=JOINTS)
-OPEN = diagnosis_of(
-    "unexplained",
-    unexplained=[CURVE, UnexplainedPart(joint="elbow", depends_on=[], share=0.3)],
-    joints=JOINTS,
-)
+REST = structs.replace(FOUND, findings=[], unexplained=[], events=[], hidden=[])
+NOTHING = structs.replace(REST, verdict="nothing_missing")
+PART = UnexplainedPart(joint="elbow", depends_on=[], share=0.3)
+OPEN = structs.replace(REST, verdict="unexplained", unexplained=[OTHER, PART])
 
 
 @dataclass
@@ -114,9 +75,7 @@ class Library:
 @pytest.fixture
 def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch) -> Library:
     fake = Library()
-    module = ModuleType("seqid_cli.discover.diagnosis")
-    module.diagnose = fake.diagnose  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, module.__name__, module)
+    stand_in(monkeypatch, "discover.diagnosis", diagnose=fake.diagnose)
     rig.params("p.json", inertia_file())
     return fake
 
@@ -148,7 +107,7 @@ def test_the_document(rig: Rig, library: Library) -> None:
         {"name": "stribeck_torque", "value": 1.5, "std_error": 0.05, "unit": "N m"}
     ]
     assert (other["effect"], other["joint"]) == ("payload", None)
-    assert document["joints"]["elbow"]["rmse"] is None
+    assert document["joints"]["shoulder"]["rmse"] is None
     assert document["stages"] == ["friction", "gravity", "imu", "inertia"]
     assert [log["path"] for log in document["inputs"]] == ["a.parquet", "b.parquet"]
     assert document["parameters"][0]["path"] == "p.json"

@@ -2,11 +2,10 @@
 
 import hashlib
 import json
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 
 import jsonschema
 import pytest
@@ -25,57 +24,22 @@ from seqid_cli.params.schema import (
     ClosedLoop,
     EffectOfJoint,
     InputLog,
-    JointRmse,
     Parameter,
     ParameterFile,
-    RefinementRound,
-    Stages,
 )
 from seqid_cli.robot.types import Robot
-from tests.commands.conftest import Reader, Rig
+from tests.commands.conftest import Reader, Rig, stand_in
 from tests.commands.transcripts import check_transcript
-from tests.unit.params.documents import friction_file, inertia_file
+from tests.unit.params.documents import closed_loop, friction_file, full_file, inertia_file
 from tests.unit.params.generate import json_schema
 
 BASE = ["refine", "a.parquet", "--holdout", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
 
 
-def error(rmse: float) -> JointRmse:
-    return JointRmse(rmse=rmse, rmse_inside=0.9 * rmse, rmse_outside=2.0 * rmse, share_outside=0.1)
-
-
-ADDED = RefinementRound(
-    effect="stribeck",
-    joint="elbow",
-    training_gain=0.62,
-    training_interval=[0.55, 0.64],
-    held_out_gain=0.6,
-    interval=[0.5, 0.63],
-    confirmed=True,
-)
-REFUSED = RefinementRound(
-    effect="payload",
-    accepted=False,
-    training_gain=0.01,
-    training_interval=[-0.01, 0.03],
-    reason="the interval holds zero",
-)
-LOOP = ClosedLoop(
-    rounds=[ADDED],
-    refused=[REFUSED],
-    before={"shoulder": error(0.2), "elbow": error(0.4)},
-    after={"shoulder": error(0.2), "elbow": error(0.2)},
-    noise_floor={"shoulder": 0.15, "elbow": 0.18},
-    noise_floor_interval={"shoulder": [0.14, 0.16], "elbow": [0.17, 0.19]},
-    gain_interval={"shoulder": [-0.01, 0.01], "elbow": [0.7, 0.8]},
-    evaluated_on=["b.parquet"],
-    notes=["a remark"],
-)
-EFFECT = EffectOfJoint(
-    effect="stribeck",
-    joint="elbow",
+LOOP = structs.replace(closed_loop(), evaluated_on=["b.parquet"], held_out=[])
+EFFECT = structs.replace(
+    full_file().stages.effects[0],
     parameters=[Parameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")],
-    settings={"stribeck_speed": 0.05, "exponent": 2.0},
 )
 
 
@@ -114,7 +78,7 @@ class Library:
             log is other for logs in earlier.values() for log in logs for other in training
         )
         self.options = options
-        return SimpleNamespace(stages=replace_effects(file.stages, self.effects))
+        return SimpleNamespace(stages=structs.replace(file.stages, effects=self.effects))
 
     def confirm(
         self, found: object, held_out: Sequence[Recording], whole: WholeLogs | None
@@ -124,25 +88,11 @@ class Library:
         return self.loop
 
 
-def replace_effects(stages: Stages, effects: list[EffectOfJoint] | None) -> Stages:
-    return Stages(
-        friction=stages.friction,
-        gravity=stages.gravity,
-        imu=stages.imu,
-        inertia=stages.inertia,
-        effects=effects,
-    )
-
-
 @pytest.fixture
 def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.MonkeyPatch) -> Library:
     fake = Library()
-    module = ModuleType("seqid_cli.discover.refinement.rounds")
-    module.refine = fake.refine  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    other = ModuleType("seqid_cli.discover.refinement.confirm")
-    other.confirm = fake.confirm  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, other.__name__, other)
+    stand_in(monkeypatch, "discover.refinement.rounds", refine=fake.refine)
+    stand_in(monkeypatch, "discover.refinement.confirm", confirm=fake.confirm)
     # Recordings carry the digest of the file, as those of the real reader do.
     read = reader.read_screened
 
@@ -181,7 +131,7 @@ def test_the_document(rig: Rig, library: Library) -> None:
     (told,) = loop["rounds"]
     assert (told["effect"], told["confirmed"], told["interval"]) == ("stribeck", True, [0.5, 0.63])
     assert (loop["verdict"], loop["refused"][0]["confirmed"]) == ("good", None)
-    assert loop["after"]["elbow"]["rmse_inside"] == pytest.approx(0.18)
+    assert loop["after"]["elbow"]["rmse_outside"] == pytest.approx(0.2)
     assert loop["evaluated_on"] == ["b.parquet"]
     assert [(log["path"], log["sha256"]) for log in loop["held_out"]] == [
         ("b.parquet", sha256(content(1)))
@@ -205,7 +155,9 @@ def test_a_refined_file_is_taken_wherever_an_inertia_file_is(rig: Rig, library: 
     assert library.earlier == {"effects": ["a.parquet"]}
 
 
-DOUBTFUL = structs.replace(ADDED, held_out_gain=0.02, interval=[-0.3, 0.34], confirmed=False)
+DOUBTFUL = structs.replace(
+    LOOP.rounds[0], held_out_gain=0.02, interval=[-0.3, 0.34], confirmed=False
+)
 SCREENS = {  # what a refinement found
     "refine": LOOP,
     "refine_refused": structs.replace(LOOP, rounds=[], after=LOOP.before),

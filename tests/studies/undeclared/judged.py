@@ -4,13 +4,16 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
+from msgspec.structs import replace
+
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from tests.studies.undeclared.cases import Condition, Truth, built, in_the_model
 from tests.studies.undeclared.run import Record
 from tests.studies.undeclared.score import Score, right, score, visible
-from tests.unit.params.documents import diagnosis_of
+from tests.unit.params.documents import diagnosis_file
 
-FAILED = diagnosis_of("effect_found")  # neither quiet nor right
+# Neither quiet nor right.
+FAILED = replace(diagnosis_file(), findings=[], unexplained=[], joints={}, events=[], hidden=[])
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,10 @@
 """Parameter files of a two-joint robot, for tests."""
 
-from collections.abc import Mapping, Sequence
-
 from seqid_cli.params.document import now, tool, with_stage
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.params.results.diagnosis import (
     DIAGNOSIS_SCHEMA,
     DiagnosisFile,
-    DiagnosisVerdict,
     EffectParameter,
     EventEntry,
     FindingEntry,
@@ -132,7 +129,11 @@ def closed_loop() -> ClosedLoop:
             RefinementRound(
                 effect="stribeck",
                 joint="elbow",
-                interval=[0.3, 0.5],
+                confirmed=True,
+                training_gain=0.62,
+                training_interval=[0.55, 0.64],
+                held_out_gain=0.6,
+                interval=[0.5, 0.63],
                 evidence=evidence("elbow", "speed", "rad/s", sided=True),
                 rivals=[
                     RivalEntry(
@@ -142,13 +143,14 @@ def closed_loop() -> ClosedLoop:
             )
         ],
         refused=[refused],
-        before={"elbow": JointRmse(rmse=0.2)},
-        after={"elbow": JointRmse(rmse=0.1)},
+        before={"elbow": JointRmse(rmse=0.2, rmse_outside=0.4, share_outside=0.1)},
+        after={"elbow": JointRmse(rmse=0.1, rmse_outside=0.2, share_outside=0.1)},
         noise_floor={"elbow": 0.09},
         noise_floor_interval={"elbow": [0.08, 0.11]},
         gain_interval={"elbow": [0.7, 0.8]},
         evaluated_on=["v"],
         held_out=[log("v", "")],
+        notes=["a remark"],
     )
 
 
@@ -233,33 +235,4 @@ def diagnosis_file() -> DiagnosisFile:
         events=[EventEntry(log="v", start=1.5, end=2.0, joints=["elbow"])],
         hidden=[HiddenEntry(effect="payload", joint=None, visible=0.02)],
         notes=["another remark"],
-    )
-
-
-def diagnosis_of(
-    verdict: DiagnosisVerdict,
-    findings: Sequence[FindingEntry] = (),
-    unexplained: Sequence[UnexplainedPart] = (),
-    joints: Mapping[str, ResidualEntry] | None = None,
-    *,
-    events: Sequence[EventEntry] = (),
-    hidden: Sequence[HiddenEntry] = (),
-    notes: Sequence[str] = (),
-) -> DiagnosisFile:
-    """Return a diagnosis that says no more than this."""
-    return DiagnosisFile(
-        schema=DIAGNOSIS_SCHEMA,
-        created="2026-01-01T00:00:00Z",
-        tool=tool(),
-        robot=robot(),
-        inputs=[],
-        parameters=[],
-        stages=[],
-        verdict=verdict,
-        findings=list(findings),
-        unexplained=list(unexplained),
-        joints=dict(joints or {}),
-        events=list(events),
-        hidden=list(hidden),
-        notes=list(notes),
     )

@@ -10,10 +10,11 @@ from seqid_cli.logs.mcap.records import Scan, read_summary
 from seqid_cli.logs.mcap.topics import (
     JOINT_STATES,
     Collector,
-    Streams,
     any_finite,
     data_topic,
     find_joint_topic,
+    imu_stream,
+    joint_stream,
     triad_topics,
 )
 from seqid_cli.logs.messages.batch import Kind, NameMap
@@ -48,18 +49,31 @@ def read_blocks(
     left out of it. The last block says in `partial` what a damaged file lost. Raises InputError,
     after the last block: no joint states, none of the robot's joints in them, nothing readable.
     """
-    log, streams = _Log.of(path, robot, scan), Streams(robot, time_source)
+    names = NameMap(robot.joint_names, robot.channels.effort or "torque")
+    kinds: dict[str, Kind] = {JOINT_STATES: "joint_state"}
+    for imu in robot.imus:  # all topics on which they may be logged
+        kinds |= dict.fromkeys((data_topic(imu), *triad_topics(imu)), "imu")
+    log = _Log(path, names, kinds, scan, time_source)
     positions = False
     for last in log.blocks(rows):
         samples = {topic: collector.drain() for topic, collector in log.collectors.items()}
-        if last and not log.has(log.joint_topic):
-            raise _no_joint_states(log.scan, log.collectors[log.joint_topic])
-        imus = {imu.name: log.imu_topics(imu, whole=last) for imu in robot.imus}
-        partial = log.partial() if last else ""
-        raw = streams.raw_log(log.joint_topic, samples, imus, partial)
-        positions = positions or any_finite(raw.joints.channels["position"])
+        joint_topic = log.joint_topic
+        if last and not log.collectors[joint_topic].readable:
+            raise _no_joint_states(log.scan, log.collectors[joint_topic])
+        joints = joint_stream(joint_topic, samples[joint_topic], robot)
+        topics = {imu.name: log.imu_topics(imu, whole=last) for imu in robot.imus}
+        imus = {
+            imu.name: tuple(imu_stream(topic, samples[topic], imu) for topic in topics[imu.name])
+            for imu in robot.imus
+            if topics[imu.name]
+        }
+        used = [joint_topic, *(topic for own in topics.values() for topic in own)]
+        warnings = tuple(text for topic in used for text in samples[topic].warnings)
+        delay_s = samples[joint_topic].delay_s
+        raw = RawLog(joints, imus, log.partial() if last else "", warnings, delay_s)
+        positions = positions or any_finite(joints.channels["position"])
         if last and not positions:
-            names, seen = log.names, ", ".join(list(log.names.seen)[:_SHOWN])
+            seen = ", ".join(list(names.seen)[:_SHOWN])
             message = "the joint states hold no position of any joint of the robot "
             message += f"({', '.join(names.joints[:_SHOWN])}); names in the log: "
             hint = "Give the joints of the robot file the names that the log uses."
@@ -79,8 +93,7 @@ def list_topics(
 ) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
     """List the topics of a file, damaged or not, and the names in its joint states."""
     names = NameMap(())
-    collectors = {JOINT_STATES: Collector(JOINT_STATES, "joint_state", names)}
-    log = _Log(path, names, collectors, scan)
+    log = _Log(path, names, {JOINT_STATES: "joint_state"}, scan)
     for _ in log.batches():
         log.collectors[JOINT_STATES].drain()
     log.collectors[JOINT_STATES].drain()
@@ -91,23 +104,19 @@ class _Log:
     """A pass over a file that gathers the messages of some topics."""
 
     def __init__(
-        self, path: Path, names: NameMap, collectors: dict[str, Collector], scan: type[Scan]
+        self,
+        path: Path,
+        names: NameMap,
+        kinds: dict[str, Kind],
+        scan: type[Scan],
+        time_source: TimeSource = "header",
     ) -> None:
         self.names = names
-        self.collectors = collectors
         self.joint_topic = JOINT_STATES
-        self._chosen = frozenset(collectors)
+        self.collectors = {t: Collector(t, kind, names, time_source) for t, kind in kinds.items()}
+        self._time_source: TimeSource = time_source
+        self._chosen = frozenset(kinds)
         self.scan = scan(path, self._wanted)
-
-    @classmethod
-    def of(cls, path: Path, robot: Robot, scan: type[Scan]) -> "_Log":
-        """Gather what a robot needs."""
-        names = NameMap(robot.joint_names, robot.channels.effort or "torque")
-        kinds: dict[str, Kind] = {JOINT_STATES: "joint_state"}
-        for imu in robot.imus:  # all topics on which they may be logged
-            kinds |= dict.fromkeys((data_topic(imu), *triad_topics(imu)), "imu")
-        collectors = {t: Collector(t, kind, names) for t, kind in kinds.items()}
-        return cls(path, names, collectors, scan)
 
     def _wanted(self, topic: str) -> bool:
         return _normal(topic) in self._chosen
@@ -115,13 +124,13 @@ class _Log:
     def batches(self) -> Iterator[None]:
         """Pass over the file; a second time where the joint states are of the other kind."""
         yield from self._pass()
-        if self.has(JOINT_STATES) or JOINT_STATES not in self.collectors:
+        if self.collectors[JOINT_STATES].readable:
             return
         found = find_joint_topic((_normal(t.topic), t.schema) for t in _topics(self.scan))
         if found is not None:
             other, kind = found
             self.joint_topic, self._chosen = other, frozenset((other,))
-            self.collectors[other] = Collector(other, kind, self.names)
+            self.collectors[other] = Collector(other, kind, self.names, self._time_source)
             first, self.scan = self.scan, type(self.scan)(self.scan.path, self._wanted)
             yield from self._pass()
             self.scan.losses |= first.losses
@@ -139,10 +148,6 @@ class _Log:
             del batch  # the next chunk takes its memory, which the processor's cache still holds
             yield
 
-    def has(self, topic: str) -> bool:
-        """Tell whether readable messages of a topic have come so far."""
-        return self.collectors[topic].received > self.collectors[topic].damaged
-
     def partial(self) -> str:
         """Say in one line what the file lost; empty for a whole one."""
         unread = [
@@ -155,10 +160,10 @@ class _Log:
     def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
         """Name the topics of an IMU; refuses a whole file that lacks only some of them."""
         data = data_topic(imu)
-        use_data = len(imu.positions) == 3 and self.has(data)
+        use_data = len(imu.positions) == 3 and self.collectors[data].readable
         needed = [] if use_data else triad_topics(imu)
         needed += [data] if use_data or imu.gyro else []
-        missing = [topic for topic in needed if not self.has(topic)]
+        missing = [topic for topic in needed if not self.collectors[topic].readable]
         if len(missing) == len(needed):
             return []
         if missing and whole:

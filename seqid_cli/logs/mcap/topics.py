@@ -1,6 +1,6 @@
 """Topics of a robot: which ones it needs, and their samples as streams of channels."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -10,34 +10,33 @@ from seqid_cli.logs.drives import in_si
 from seqid_cli.logs.mcap.records import Batch
 from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decode, Kind, NameMap, Payloads
 from seqid_cli.logs.messages.parsers import decoder
-from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Mask, RawLog, Stamps, Stream, TimeSource
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Stamps, Stream, TimeSource
 from seqid_cli.robot.types import Imu, Robot
 
 _LATEST = 1 << 62  # log times from here on are damaged
+_Part = tuple[Stamps, Stamps, Array]  # times of logging, stamps of headers, values
 
 
 class Samples(NamedTuple):
-    """M messages of one topic: times of logging and of their headers [ns], values as `Decoded`."""
+    """M samples of one topic: stamps [ns], values as `Decoded`, what is to be said of the stamps.
 
-    log_ns: Stamps
+    `delay_s`: median delay from header stamp to log time; None without header stamps.
+    """
+
     stamp_ns: Stamps
     values: Array
-
-    def log_minus_header_s(self) -> float | None:
-        """Return the median delay from header stamp to log time, None without header stamps."""
-        stamped = self.stamp_ns != 0
-        if not stamped.any():
-            return None
-        return float(np.median((self.log_ns - self.stamp_ns)[stamped])) * 1e-9
+    warnings: list[str]
+    delay_s: float | None
 
 
 @dataclass
 class Collector:
-    """Gathers and decodes the messages of one topic."""
+    """Gathers and decodes the messages of one topic; which stamps it has its first ones decide."""
 
     topic: str
     kind: Kind
     names: NameMap
+    time_source: TimeSource = "header"
     few: int = 256  # messages; less of them wait for more ...
     most: int = 4096  # ... up to so many
     received: int = 0
@@ -48,7 +47,13 @@ class Collector:
     _channel: int = -1
     _log_ns: list[int] = field(default_factory=list)
     _data: list[bytes] = field(default_factory=list)
-    _done: list[Samples] = field(default_factory=list)
+    _done: list[_Part] = field(default_factory=list)
+    _logged: bool | None = None  # whether the times of logging stand in for the headers' stamps
+
+    @property
+    def readable(self) -> bool:
+        """Whether messages have come so far that can be decoded."""
+        return self.received > self.damaged
 
     def add(self, batch: Batch) -> None:
         """Take messages of one channel."""
@@ -71,11 +76,31 @@ class Collector:
     def drain(self) -> Samples:
         """Return what has been decoded since the last call, and forget it."""
         self._flush()
-        done, self._done, self.waiting = self._done, [], 0
-        none, width = np.zeros(0, np.int64), self.names.width(self.kind)
-        if len(done) > 1:
-            return Samples(*map(np.concatenate, zip(*done, strict=True)))
-        return done[0] if done else Samples(none, none, np.zeros((0, width)))
+        parts, self._done, self.waiting = self._done, [], 0
+        if not parts:
+            none = np.zeros((0, self.names.width(self.kind)))
+            return Samples(np.zeros(0, np.int64), none, [], None)
+        log_ns, stamp_ns, values = (
+            parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
+        )
+        stamped = stamp_ns != 0
+        missing = len(stamped) - int(np.count_nonzero(stamped))
+        delay_s, warnings = None, []
+        if self.kind != "imu" and missing < len(stamped):
+            delay_s = float(np.median((log_ns - stamp_ns)[stamped])) * 1e-9
+        if self._logged is None and self.time_source == "header":
+            self._logged = missing == len(stamped)
+            if self._logged:
+                warnings.append(
+                    f"the header stamps of {self.topic} are all zero: the times of logging are "
+                    "used instead; make the driver fill in header.stamp"
+                )
+        if self.time_source == "log" or self._logged:
+            return Samples(log_ns, values, warnings, delay_s)
+        if missing:
+            text = f"{missing} messages of {self.topic} have no header stamp and were left out"
+            return Samples(stamp_ns[stamped], values[stamped], [text], delay_s)
+        return Samples(stamp_ns, values, warnings, delay_s)
 
     def _flush(self) -> None:
         if self._data:
@@ -90,12 +115,12 @@ class Collector:
             return
         decoded = decode(payloads)
         good = decoded.good & (log_ns >= 0) & (log_ns < _LATEST)
-        own = Samples(log_ns, decoded.stamp_ns, decoded.values)
+        own = log_ns, decoded.stamp_ns, decoded.values
         if not good.all():
             self.damaged += int(np.count_nonzero(~good))
-            own = Samples(log_ns[good], decoded.stamp_ns[good], decoded.values[good])
+            own = log_ns[good], decoded.stamp_ns[good], decoded.values[good]
         self._done.append(own)
-        self.waiting += len(own.log_ns)
+        self.waiting += len(own[0])
 
 
 JOINT_STATES = "/joint_states"
@@ -127,97 +152,38 @@ def triad_topics(imu: Imu) -> list[str]:
     return [f"/{imu.name}/accel_{k + 1}" for k in range(-(-len(imu.positions) // 3))]
 
 
-@dataclass
-class Streams:
-    """Turns samples of topics into streams; which stamps a topic has its first ones decide."""
+def joint_stream(topic: str, samples: Samples, robot: Robot) -> Stream:
+    """Make a stream of joint states, without the messages of a gripper alone."""
+    stamps, values = samples.stamp_ns, samples.values
+    about = np.isfinite(values[:, 0])
+    if not about.all():
+        about[~about] = np.isfinite(values[~about]).any(axis=1)
+    if not about.all():
+        stamps, values = stamps[about], values[about]
+    parts = np.split(values, len(JOINT_QUANTITIES), axis=1)
+    channels = dict(zip(JOINT_QUANTITIES, parts, strict=True))
+    effort = channels.pop("effort")
+    channels["current" if robot.channels.effort == "current" else "torque"] = effort
+    recorded = {
+        name: own for name, own in channels.items() if name == "position" or any_finite(own)
+    }
+    return Stream(topic, stamps, in_si(recorded, stamps, robot))
 
-    robot: Robot
-    time_source: TimeSource
-    warnings: list[str] = field(default_factory=list)
-    _logged: dict[str, bool] = field(default_factory=dict)  # topics without header stamps
 
-    def raw_log(
-        self,
-        joint_topic: str,
-        samples: Mapping[str, Samples],
-        imus: Mapping[str, list[str]],
-        partial: str = "",
-    ) -> RawLog:
-        """Make a log of samples by topic; `imus` are the topics of the IMUs that are there."""
-        joints = samples[joint_topic]
-        stream = self._joints(joint_topic, joints)
-        found = {
-            imu.name: tuple(self._imu(imu, topic, samples[topic]) for topic in imus[imu.name])
-            for imu in self.robot.imus
-            if imus.get(imu.name)
-        }
-        warnings, self.warnings = tuple(self.warnings), []
-        delay = joints.log_minus_header_s()
-        return RawLog(stream, found, partial, warnings, log_minus_header_s=delay)
-
-    def _joints(self, topic: str, samples: Samples) -> Stream:
-        parts = np.split(samples.values, len(JOINT_QUANTITIES), axis=1)
-        channels = dict(zip(JOINT_QUANTITIES, parts, strict=True))
-        effort = channels.pop("effort")
-        channels["current" if self.robot.channels.effort == "current" else "torque"] = effort
-        recorded = {
-            name: values
-            for name, values in channels.items()
-            if name == "position" or any_finite(values)
-        }
-        stamps, keep = self._clock(topic, samples)
-        stream = _taken(Stream(topic, stamps, in_si(recorded, stamps, self.robot)), keep)
-        return _taken(stream, _about_robot(samples.values, keep))
-
-    def _imu(self, imu: Imu, topic: str, samples: Samples) -> Stream:
-        count, triads = len(imu.positions), triad_topics(imu)
-        stamps, keep = self._clock(topic, samples)
-        channels = {}
-        if topic in triads:
-            first = 3 * triads.index(topic)
-            channels[ACCELEROMETERS] = samples.values[:, : min(3, count - first)]
-        elif count == 3:
-            channels[ACCELEROMETERS] = samples.values[:, :3]
-        if topic == data_topic(imu) and imu.gyro:
-            channels[GYRO] = samples.values[:, 3:]
-        return _taken(Stream(topic, stamps, channels), keep)
-
-    def _clock(self, topic: str, samples: Samples) -> tuple[Stamps, Mask | None]:
-        """Choose the stamps of a topic, and the samples that have one (None: all)."""
-        count = len(samples.log_ns)
-        if self.time_source == "log" or not count:
-            return samples.log_ns, None
-        missing = count - int(np.count_nonzero(samples.stamp_ns))
-        if topic not in self._logged:
-            self._logged[topic] = missing == count
-            if missing == count:
-                self.warnings.append(
-                    f"the header stamps of {topic} are all zero: the times of logging are used "
-                    "instead; make the driver fill in header.stamp"
-                )
-        if self._logged[topic]:
-            return samples.log_ns, None
-        if missing:
-            self.warnings.append(
-                f"{missing} messages of {topic} have no header stamp and were left out"
-            )
-        return samples.stamp_ns, samples.stamp_ns != 0 if missing else None
+def imu_stream(topic: str, samples: Samples, imu: Imu) -> Stream:
+    """Make a stream of what one topic tells of an IMU."""
+    count, triads = len(imu.positions), triad_topics(imu)
+    channels = {}
+    if topic in triads:
+        first = 3 * triads.index(topic)
+        channels[ACCELEROMETERS] = samples.values[:, : min(3, count - first)]
+    elif count == 3:
+        channels[ACCELEROMETERS] = samples.values[:, :3]
+    if topic == data_topic(imu) and imu.gyro:
+        channels[GYRO] = samples.values[:, 3:]
+    return Stream(topic, samples.stamp_ns, channels)
 
 
 def any_finite(values: Array) -> bool:
     """Tell whether any value is a number; the first row mostly knows."""
     return bool(np.isfinite(values[:1]).any() or np.isfinite(values).any())
-
-
-def _about_robot(values: Array, keep: Mask | None) -> Mask | None:
-    """Which kept messages (M, 3 n) tell of the robot's joints, and not of a gripper; None: all."""
-    values = values if keep is None else values[keep]
-    about: Mask = np.isfinite(values[:, 0])
-    if about.all():
-        return None
-    about[~about] = np.isfinite(values[~about]).any(axis=1)
-    return None if about.all() else about
-
-
-def _taken(stream: Stream, keep: Mask | None) -> Stream:
-    return stream if keep is None else stream.take(keep)

@@ -31,7 +31,7 @@ from seqid_cli.discover.select.results import Key, Options, Ranked, Selected, Ta
 from seqid_cli.discover.select.rows import scatter
 from seqid_cli.discover.select.search import Search, is_wide
 from seqid_cli.discover.select.terms import Term
-from seqid_cli.discover.select.tuning import Tried
+from seqid_cli.discover.select.tuning import Tried, Tuner
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
 
@@ -263,15 +263,13 @@ class Selection:
         return there and not self._of_a_law(own.one)
 
     def _all_taken(self, least: float) -> tuple[Taken, ...]:
-        """Terms that are told, with their rivals; they give way to simpler ones.
-
-        So does a function that makes up for the law of an effect, which is hidden beside it.
-        """
+        """Terms that are told, with their rivals; they give way to simpler ones."""
         model = self.model
         told = self._told_now(least)
         better = dict[Term, Term]()
         for term, one in told.items():
-            better[term] = self._better(one, told, {other.key for other in better.values()})
+            law = self._law_of(term, told) if term.smooth else None
+            better[term] = law or self._better(one, {other.key for other in better.values()})
         if all(best is term for term, best in better.items()):
             return tuple(told.values())
         anew = {best.key for term, best in better.items() if best is not term}
@@ -284,10 +282,28 @@ class Selection:
         weighed = (Weighed(term, self.model) for term in self.model.terms)  # one at a time: memory
         return {own.term: self._taken(own) for own in weighed if self._is_told(own, least)}
 
-    def _better(self, taken: Taken, told: Collection[Term], gone: set[Key]) -> Term:
+    def _law_of(self, smooth: Term, told: Collection[Term]) -> Term | None:
+        """An effect that a function hides, though it alone explains as much as both: its law errs.
+
+        No law is exactly an effect's, and beside a function that has the rest of it, an effect of
+        the same quantity adds nothing.
+        """
+        model, found = self.model, list[Tried]()
+        for term in model.terms:
+            what, beside = term.what, term.channels & smooth.channels
+            if isinstance(what, Candidate) and beside and term not in told:
+                neither = model.beside(smooth, term)
+                least = (1.0 - self.options.tie) * (model.linear.evidence - neither.evidence)
+                tuner = Tuner(model.ground.stage, neither, model.ground.size)
+                alone = [tuner.tuned(one) for one in tuner.tried([what])]
+                found += [one for one in alone if one.evidence >= least]
+        best = max(found, key=lambda one: one.evidence, default=None)
+        return best.term if best else None
+
+    def _better(self, taken: Taken, gone: set[Key]) -> Term:
         """The simplest of a term and of its rivals that do as well."""
-        others = told if taken.term.smooth else self.model.terms
-        keys = gone | {one.key for one in others if one is not taken.term and not is_wide(one)}
+        terms = self.model.terms
+        keys = gone | {one.key for one in terms if one is not taken.term and not is_wide(one)}
         free = [r for r in taken.rivals if r.term.key not in keys and self._passes(r)]
         best = self._simplest(free)
         return best.term if best else taken.term

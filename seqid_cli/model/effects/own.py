@@ -21,6 +21,7 @@ from seqid_cli.typing import Array
 
 GROUP = "seqid.effects"  # of entry points
 GRID = 5  # values of a setting that are tried first
+STEADY = {"q", "dq", "theta", "load", "tau"}  # what steady motion tells
 
 _MEASURE: Mapping[str, Over] = {
     "q": "position",
@@ -103,6 +104,7 @@ class FormulaEffect(Effect):
         self.sided = _turns(formula.tree)
         self.family = "friction" if self.sided else "transmission"
         self.over = _shown_over(formula.symbols)
+        self.steady = self.sided and names <= STEADY
         self.settings = tuple(
             Setting(name, "", low=low, high=high, logarithmic=low > 0.0)
             for name, (low, high) in asked.settings.items()

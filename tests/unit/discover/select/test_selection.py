@@ -1,6 +1,6 @@
 """What the selection takes, what it leaves, and which name it gives."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
@@ -31,6 +31,7 @@ HUMP, SPEED = 1.2, 0.3  # N m, rad/s
 RIPPLE = 0.5  # N m
 WAVE, LOOP = 2.0, 80.0  # N m; rad/s, of the position loop
 LATE_S = 0.02
+LOSS = 0.05  # N m of friction per N m of load
 
 
 def stribeck(scene: Scene) -> Array:
@@ -242,3 +243,30 @@ def test_one_effect_goes_before_two_that_explain_as_much() -> None:
     found._tied = {of_two.key: [one]}
     found.merged()
     assert [term.name for term in model.terms] == ["drift"]
+
+
+def bent(scene: Scene) -> Array:
+    """Losses of the second gear that grow less and less with the load."""
+    load = np.abs(scene.load[:, 1])
+    return np.asarray(LOSS * load * (1.0 - 0.004 * load) * scene.sign[:, 1])
+
+
+def stepped(scene: Scene) -> Array:
+    """Losses that begin at some load."""
+    return np.where(np.abs(scene.load[:, 1]) > 60.0, 6.0, 0.0) * scene.sign[:, 1]
+
+
+@pytest.mark.parametrize(
+    ("law", "told"), [(bent, "load_dependent_friction"), (stepped, "load x direction")]
+)
+def test_a_function_does_not_hide_the_effect_whose_law_it_mends(
+    law: Callable[[Scene], Array], told: str
+) -> None:
+    ground = ground_of(arm_scenes(at_joint(1, law)))
+    loss = Candidate(CATALOGUE["load_dependent_friction"], 1, {})
+    (effect,) = terms.effects(ground.stage, [loss], ground.size)
+    smooth = terms.smooth_terms(ground.stage, 1, ground.size)
+    model = Model(ground, HELD)
+    model.terms = [effect, next(t for t in smooth if t.name == "load x direction")]
+    model.settle()
+    assert keys(Selection(model, Options(), []).told(0.0)) == [(told, 1)]

@@ -133,3 +133,17 @@ def test_it_asks_for_the_temperature_that_it_names() -> None:
     warm = replace(place, temperature=np.full_like(place.motion.q, 30.0))
     assert effect.available([warm], 1)
     assert effect.columns(warm, 1, {})[1][:, 0] == pytest.approx(5.0 * warm.motion.dq[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("text", "known"),
+    [
+        ("c*dq**2*sign(dq)", True),
+        ("c*abs(load)*sign(dq)", True),
+        ("c*load", False),
+        ("c*ddq*sign(dq)", False),
+        ("c*temperature*sign(dq)", False),
+    ],
+)
+def test_friction_trials_had_what_steady_motion_tells(text: str, known: bool) -> None:
+    assert effect_of(asked(text)).steady == known

@@ -24,17 +24,18 @@ PLACES = 33  # over the positions of a trial
 def has_trials(scene: Scene, joint: Joint) -> bool:
     """Whether the file tells at which speeds and in which postures friction was identified."""
     surfaces = scene.model.surfaces if joint is None else [scene.model.surfaces[joint]]
-    return all(s is not None and len(s.speeds) and s.postures for s in surfaces)
+    return all(s is not None and len(s.speeds) > 0 and s.postures for s in surfaces)
 
 
 def absorbed(scene: Scene, effect: Effect, joint: Joint, settings: Settings) -> dict[int, Array]:
     """Coefficients (entries, k) of each joint's surface per unit coefficient of an effect."""
     found = dict[int, Array]()
-    for j in range(scene.robot.n) if joint is None else [joint]:
+    touched = effect.columns(_trials(scene, joint or 0), joint, settings)
+    for j in (j for j in touched if has_trials(scene, j)):
         trials = _trials(scene, j)
         ahead, back = np.split(effect.columns(trials, joint, settings)[j], 2)
         F = surface_columns(trials, j)[: len(ahead)]
-        found[j] = np.asarray(np.linalg.lstsq(F, 0.5 * (ahead - back), rcond=None)[0])
+        found[j] = np.asarray(np.linalg.lstsq(F, 0.5 * (ahead - back[::-1]), rcond=None)[0])
     return found
 
 
@@ -47,16 +48,16 @@ def surface_columns(scene: Scene, joint: int) -> Array:
 
 
 def _trials(scene: Scene, joint: int) -> Scene:
-    """One joint at the speeds and places of its trials, all ahead first, then all of it back."""
+    """One joint at the speeds and places of its trials, all ahead first, then the same way back."""
     surface = scene.model.surfaces[joint]
     assert surface is not None
     places = surface.scaling.over_position.at(np.linspace(0.0, 1.0, PLACES))
-    every = list(product(surface.postures, places, surface.speeds))
+    every = list(product(surface.postures, surface.speeds, places))
     q = np.array([posture for posture, _, _ in every])
-    q[:, joint] = [place for _, place, _ in every]
+    q[:, joint] = [place for _, _, place in every]
     dq = np.zeros_like(q)
-    dq[:, joint] = [speed for _, _, speed in every]
-    q, dq = np.vstack([q, q]), np.vstack([dq, -dq])
+    dq[:, joint] = [speed for _, speed, _ in every]
+    q, dq = np.vstack([q, q[::-1]]), np.vstack([dq, -dq[::-1]])
     unfiltered = np.zeros(len(q), dtype=bool)  # steady motion passes a low-pass as it is
     motion = replace(
         scene.motion,

@@ -78,8 +78,9 @@ class Candidate:
         made = self.effect.columns(scene, self.joint, self.settings)
         if not self.absorbed:
             return made
-        taken = self.in_friction(scene)
-        return {j: X - surface_columns(scene, j) @ taken[j] for j, X in made.items()}
+        for j, P in self.in_friction(scene).items():
+            made = {**made, j: made[j] - surface_columns(scene, j) @ P}
+        return made
 
     def add_torque(
         self, total: Sequence[Array], scenes: Sequence[Scene], coefficients: Array

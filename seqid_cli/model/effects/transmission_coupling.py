@@ -41,6 +41,7 @@ class TransmissionCoupling(Effect):
     name = "transmission_coupling"
     family = "transmission"
     drive = True
+    steady = True
     settings = (
         Setting("neighbour", "1", low=-1.0, high=1.0, continuous=False),
         Setting("ratio", "1", low=-LARGEST_RATIO, high=LARGEST_RATIO, usual=(-1.0, 1.0)),

@@ -11,12 +11,12 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Robot
 from tests import Array
-from tests.plants.arms.rigs import mounting, one_joint, six_joint, two_joint
+from tests.plants.arms.rigs import array_on, one_joint, six_joint, two_joint
 from tests.plants.mechanics.rigid import LinkMotion, link_motion
 from tests.plants.motions.experiments import inertia_trials, validation_trials
 from tests.plants.motions.trajectories import Reference
 from tests.plants.robots.lab import recording_of, robot_of
-from tests.plants.sensors import AccelerometerArray, quantise, tetrahedral_array
+from tests.plants.sensors import AccelerometerArray, quantise
 from tests.plants.simulate import Log, Plant, simulate
 
 GYRO_NOISE, GYRO_BIAS = 0.005, 0.02  # rad/s
@@ -68,16 +68,14 @@ def _arrays(plant: Plant, layout: str) -> tuple[AccelerometerArray, ...]:
     """The plant's own arrays, or one at the end or one on each link."""
     if layout == "two" or plant.arm.n < 6:
         return plant.imus
-    positions, axes = tetrahedral_array(0.06)
     links = range(plant.arm.n) if layout == "each" else [plant.arm.n - 1]
     return tuple(
-        AccelerometerArray(
+        array_on(
             f"imu_{link + 1}",
             link,
-            positions,
-            axes,
-            mounting(0.3 - 0.2 * link, 0.5 * link, 0.4),
-            np.array([0.05, 0.02, -0.03 + 0.01 * link]),
+            (0.3 - 0.2 * link, 0.5 * link, 0.4),
+            (0.05, 0.02, -0.03 + 0.01 * link),
+            size=0.06,
             bias=0.02,
         )
         for link in links

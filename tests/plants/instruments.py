@@ -27,6 +27,7 @@ from tests.plants.simulate import Log, Plant, simulate
 
 EVERY = 4  # control periods of 1 ms per row
 SPAN = 0.4  # share of the joints' ranges that a swing takes
+ROBOTS = {"one": one_joint, "two": two_joint, "six": six_joint}
 TURNS: Mapping[str, int] = {"one": 4, "two": 3, "six": 1}
 FAULTS = Faults(bias=0.15, drift=0.002, turn_on=0.01, scale=0.01, tilt=np.deg2rad(0.5), spikes=2e-4)
 GYRO_FAULTS = Faults(
@@ -97,7 +98,7 @@ class Score:
 @cache
 def scene_of(case: Case) -> Scene:
     """Simulate the arm's motion of a case."""
-    plant = _plant(case.robot)
+    plant = ROBOTS[case.robot]()
     if case.hidden is not None:
         plant = DRIVES[case.hidden](plant, case.joint, 1.0)
     plant = replace(plant, imus=tuple(_instrument(imu, case) for imu in plant.imus))
@@ -117,12 +118,6 @@ def scene_of(case: Case) -> Scene:
     ]
     robot = robot_of(case.robot, replace(plant, encoder_step=np.full(plant.arm.n, case.step)))
     return Scene(case, plant, robot, logs)
-
-
-def _plant(name: str) -> Plant:
-    if name == "one":
-        return one_joint()
-    return two_joint() if name == "two" else six_joint()
 
 
 def _instrument(imu: AccelerometerArray, case: Case) -> AccelerometerArray:

@@ -29,6 +29,21 @@ def mounting(x: float, z: float, x2: float) -> Array:
     return np.asarray(rot_x(x) @ rot_z(np.array(z)) @ rot_x(x2))
 
 
+def array_on(
+    name: str,
+    after: int,
+    turn: tuple[float, float, float],
+    lever: tuple[float, float, float],
+    *,
+    size: float = 0.05,
+    bias: float = 0.0,
+) -> AccelerometerArray:
+    """Twelve accelerometers over `size` m on the link after a joint, mounted as `mounting` says."""
+    positions, axes = tetrahedral_array(size)
+    place = mounting(*turn), np.array(lever)
+    return AccelerometerArray(name, after, positions, axes, *place, bias=bias)
+
+
 def _light_link(izz: float, mx: float, mass: float) -> Array:
     """Return standard parameters (10,) of a flat bar along x with `izz` about the joint's axis."""
     thin = 0.02 * izz
@@ -51,16 +66,7 @@ def one_joint(*, quadrature_factor: int = 1) -> Plant:
         gear=np.array([GEAR]),
         rotor_inertia=np.array([ROTOR]),
     )
-    positions, axes = tetrahedral_array(0.05)
-    imu = AccelerometerArray(
-        name="imu_a",
-        after=0,
-        positions=positions,
-        axes=axes,
-        rotation=mounting(0.4, -0.9, 0.3),
-        lever=np.array([0.06, 0.012, 0.008]),
-        bias=0.02,
-    )
+    imu = array_on("imu_a", 0, (0.4, -0.9, 0.3), (0.06, 0.012, 0.008), bias=0.02)
     friction = SurfaceFriction(
         coulomb=np.array([0.027]),
         viscous=np.array([6e-4]),
@@ -101,26 +107,9 @@ def two_joint() -> Plant:
         gear=np.full(2, GEAR),
         rotor_inertia=np.full(2, ROTOR),
     )
-    positions, axes = tetrahedral_array(0.05)
     imus = (
-        AccelerometerArray(
-            "imu_a",
-            0,
-            positions,
-            axes,
-            mounting(0.2, 0.7, -0.5),
-            np.array([0.25, 0.01, 0.02]),
-            bias=0.02,
-        ),
-        AccelerometerArray(
-            "imu_b",
-            1,
-            positions,
-            axes,
-            mounting(-0.6, 0.4, 1.0),
-            np.array([0.08, -0.01, 0.01]),
-            bias=0.02,
-        ),
+        array_on("imu_a", 0, (0.2, 0.7, -0.5), (0.25, 0.01, 0.02), bias=0.02),
+        array_on("imu_b", 1, (-0.6, 0.4, 1.0), (0.08, -0.01, 0.01), bias=0.02),
     )
     friction = SurfaceFriction(
         coulomb=np.array([0.040, 0.027]),
@@ -229,14 +218,9 @@ def plain(friction: SurfaceFriction) -> SurfaceFriction:
 def six_joint(*, simple_friction: bool = False) -> Plant:
     """Build an arm with a UR5e's geometry and masses, strain-wave-like drives, two arrays."""
     arm = _ur5e_arm()
-    positions, axes = tetrahedral_array(0.06)
     imus = (
-        AccelerometerArray(
-            "imu_a", 2, positions, axes, mounting(0.5, -0.4, 0.9), np.array([-0.30, 0.03, 0.06])
-        ),
-        AccelerometerArray(
-            "imu_b", 5, positions, axes, mounting(-0.3, 1.1, 0.2), np.array([0.02, 0.01, 0.04])
-        ),
+        array_on("imu_a", 2, (0.5, -0.4, 0.9), (-0.30, 0.03, 0.06), size=0.06),
+        array_on("imu_b", 5, (-0.3, 1.1, 0.2), (0.02, 0.01, 0.04), size=0.06),
     )
     friction = plain(_ur5e_friction()) if simple_friction else _ur5e_friction()
     drive = np.array([0.122, 0.120, 0.118, 0.104, 0.101, 0.103])

@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from tests.plants.arms.rigs import GRAVITY, mounting, off_nominal, plain, standard_parameters
+from tests.plants.arms.rigs import GRAVITY, array_on, off_nominal, plain, standard_parameters
 from tests.plants.controller import gains_for
 from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.mechanics.rigid import Arm
-from tests.plants.sensors import AccelerometerArray, tetrahedral_array
 from tests.plants.simulate import Plant
 
 LENGTH = 0.4  # m, of each link
@@ -50,14 +49,9 @@ def vertical_two_joint(*, simple_friction: bool = False) -> Plant:
     arm = _arm()
     friction = plain(_friction()) if simple_friction else _friction()
     drive = np.array([0.11, 0.09])
-    positions, axes = tetrahedral_array(0.05)
     imus = (
-        AccelerometerArray(
-            "imu_a", 0, positions, axes, mounting(0.3, 0.5, -0.2), np.array([0.3, 0.02, 0.03])
-        ),
-        AccelerometerArray(
-            "imu_b", 1, positions, axes, mounting(-0.4, 0.8, 0.1), np.array([0.25, -0.02, 0.02])
-        ),
+        array_on("imu_a", 0, (0.3, 0.5, -0.2), (0.3, 0.02, 0.03)),
+        array_on("imu_b", 1, (-0.4, 0.8, 0.1), (0.25, -0.02, 0.02)),
     )
     return Plant(
         arm=arm,

@@ -22,14 +22,6 @@ FINE_HZ, STEP = 2400.0, 10
 
 
 @dataclass(frozen=True)
-class Trial:
-    """A scene and the torque (N, n) N m that an effect adds to it, low-passed as measured."""
-
-    scene: Scene
-    torque: Array
-
-
-@dataclass(frozen=True)
 class Fit:
     """What came out: settings, coefficients, and the share of the torque that is left over."""
 
@@ -54,8 +46,8 @@ def trial(
     log: int = 0,
     start: float = 0.0,
     noise: float = 0.0,
-) -> Trial:
-    """Apply a law to the true, finely sampled motion; a scene sees it filtered and decimated.
+) -> Scene:
+    """Add a law to the model's torque, of the true motion; a scene sees it filtered and decimated.
 
     The scene's direction and rest are those of the filtered motion.
     """
@@ -67,14 +59,14 @@ def trial(
     assert motion.rate_hz == FINE_HZ / STEP
     assert motion.tau is not None
     plain = scene_of(motion.q, log=log, start=start, shared_clock=True)
-    return Trial(replace(plain, motion=motion), motion.tau)
+    scene = replace(plain, motion=motion)
+    return replace(scene, motion=replace(motion, tau=scene.modelled_filtered + motion.tau))
 
 
-def fit(effect: Effect, trials: Sequence[Trial], joint: int, *, offset: bool = True) -> Fit:
+def fit(effect: Effect, scenes: Sequence[Scene], joint: int, *, offset: bool = True) -> Fit:
     """Search the grid, then between its points; direction, velocity and offset are free."""
-    scenes = [each.scene for each in trials]
     rows = [scene.motion.usable for scene in scenes]
-    y = np.concatenate([each.torque[k, joint] for each, k in zip(trials, rows, strict=True)])
+    y = np.concatenate([left_over(s)[k, joint] for s, k in zip(scenes, rows, strict=True)])
     free = np.concatenate([base(s, joint, offset)[k] for s, k in zip(scenes, rows, strict=True)])
     left = y - free @ np.linalg.lstsq(free, y)[0]
 
@@ -127,14 +119,8 @@ def _refined(
 def scenes_with(
     law: Law, *, logs: int = 2, noise: float = 0.05, top_hz: float = 0.8
 ) -> list[Scene]:
-    """Return logs of the two-joint arm, a law's torque (t, q, dq) of the true motion added."""
-    scenes = []
-    for number in range(logs):
-        each = trial(law, seed=number, noise=noise, top_hz=top_hz, log=number)
-        scene, motion = each.scene, each.scene.motion
-        known = motion.filtered(scene.rigid) + motion.filtered(scene.friction, times=2)
-        scenes.append(replace(scene, motion=replace(motion, tau=known + each.torque)))
-    return scenes
+    """Return logs of the two-joint arm with a law's torque."""
+    return [trial(law, seed=k, noise=noise, top_hz=top_hz, log=k) for k in range(logs)]
 
 
 Distortion = Callable[[Array, Array], Array]  # t (M,), torque (M, n) at the fine rate -> torque
@@ -186,9 +172,7 @@ def noise_like(scene: Scene, seed: int, size: float) -> Array:
 
 def left_over(scene: Scene) -> Array:
     """Measured minus modelled torque (N, n), low-passed alike."""
-    motion = scene.motion
-    friction = motion.filtered(scene.friction, times=2)
-    return motion.tau - motion.filtered(scene.rigid) - friction
+    return scene.motion.tau - scene.modelled_filtered
 
 
 def fitted(

@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 
 from seqid_cli.model.effects.friction_change import FrictionChange
+from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.thermal_friction import ThermalFriction
 from seqid_cli.model.torque import TorqueModel
 from tests import Array
 from tests.plants.robots.two_joint import COULOMB, VISCOUS, torque_model
-from tests.unit.model.effects.fitting import Trial, direction, fit, trial
+from tests.unit.model.effects.fitting import direction, fit, left_over, trial
 from tests.unit.model.effects.scenes import scene_of, wander
 
 AMBIENT, CAPACITY, LOSS, POWER = 22.0, 600.0, 2.0, 40.0  # degC, J/K, W/K, W
@@ -43,7 +44,7 @@ def law(t: Array, q: Array, dq: Array) -> Array:
 
 
 @pytest.fixture(scope="module")
-def trials() -> list[Trial]:
+def trials() -> list[Scene]:
     """Logs minutes apart, the robot working on in between."""
     starts = [k * APART for k in range(LOGS)]
     return [
@@ -52,15 +53,13 @@ def trials() -> list[Trial]:
     ]
 
 
-def logged(each: Trial) -> Trial:
+def logged(scene: Scene) -> Scene:
     """Return the same log with a temperature channel of whole degrees."""
-    degrees = np.round(temperature(each.scene.time))
-    return replace(
-        each, scene=replace(each.scene, temperature=np.stack([degrees, degrees], axis=1))
-    )
+    degrees = np.round(temperature(scene.time))
+    return replace(scene, temperature=np.stack([degrees, degrees], axis=1))
 
 
-def test_slopes_come_back_from_logged_temperature(trials: list[Trial]) -> None:
+def test_slopes_come_back_from_logged_temperature(trials: list[Scene]) -> None:
     found = fit(ThermalFriction(), [logged(each) for each in trials], joint=0)
     assert found.settings["logged"] == 1.0
     assert AMBIENT < found.settings["reference_temperature"] < AMBIENT + POWER / LOSS
@@ -68,9 +67,9 @@ def test_slopes_come_back_from_logged_temperature(trials: list[Trial]) -> None:
     assert found.left < 0.05
 
 
-def test_a_change_is_counted_from_the_temperature_of_the_file(trials: list[Trial]) -> None:
+def test_a_change_is_counted_from_the_temperature_of_the_file(trials: list[Scene]) -> None:
     """Friction was identified at 12 degC: even logs of one temperature are warmer than that."""
-    scene = logged(trials[-1]).scene
+    scene = logged(trials[-1])
     warm = replace(scene, temperature=np.full((scene.samples, 2), 52.0))
     surfaces = tuple(replace(surface, temperature=12.0) for surface in scene.model.surfaces)
     known = replace(warm, model=replace(scene.model, surfaces=surfaces))
@@ -84,7 +83,7 @@ def test_a_change_is_counted_from_the_temperature_of_the_file(trials: list[Trial
     assert effect.searched({**point, "logged": 0.0}) == 1
 
 
-def test_the_time_constant_comes_back_from_the_clock(trials: list[Trial]) -> None:
+def test_the_time_constant_comes_back_from_the_clock(trials: list[Scene]) -> None:
     """Cold friction less warm friction, and how fast it goes."""
     found = fit(ThermalFriction(), trials, joint=1)
     rise = POWER / LOSS
@@ -94,11 +93,11 @@ def test_the_time_constant_comes_back_from_the_clock(trials: list[Trial]) -> Non
     assert found.left < 0.05
 
 
-def test_damaged_temperature_is_not_used(trials: list[Trial]) -> None:
+def test_damaged_temperature_is_not_used(trials: list[Scene]) -> None:
     """Not numbers, or not degrees Celsius."""
     effect = ThermalFriction()
     for bad in (np.nan, np.inf, 4000.0):
-        scenes = [logged(each).scene for each in trials]
+        scenes = [logged(each) for each in trials]
         scenes[0].temperature[7, 0] = bad
         grid = list(effect.grid(scenes, 0, []))
         assert {point["logged"] for point in grid} == {0.0}
@@ -132,9 +131,9 @@ def worn(t: Array, q: Array, dq: Array) -> Array:
 def test_the_change_comes_back(joint: int) -> None:
     """Measured less the file's friction; nothing else is free."""
     effect = FrictionChange()
-    today = trial(worn, noise=0.2)
-    scene, rows = today.scene, today.scene.motion.usable
-    change = today.torque - scene.motion.filtered(scene.friction, 2)
+    scene = trial(worn, noise=0.2)
+    rows = scene.motion.usable
+    change = left_over(scene) - scene.motion.filtered(scene.friction, 2)
     X = scene.motion.filtered(effect.columns(scene, joint, {})[joint], effect.passes)
     c = np.linalg.lstsq(X[rows], change[rows, joint])[0]
     assert effect.change

@@ -152,7 +152,7 @@ def test_drag_is_not_called_nonlinear_viscous() -> None:
     trials = [trial(powered(0.3, 2.0), seed=k, noise=0.05) for k in range(2)]
     found = fit(effect, trials, joint=0)
     assert found.settings["exponent"] == pytest.approx(2.0, abs=0.1)
-    assert not effect.plausible([t.scene for t in trials], 0, found.settings, found.c)
+    assert not effect.plausible(trials, 0, found.settings, found.c)
 
 
 HUMP, WIDE = {"stribeck_speed": 0.1, "exponent": 2.0}, {"stribeck_speed": 50.0, "exponent": 2.0}
@@ -185,7 +185,7 @@ def test_efficiencies_come_back(joint: int) -> None:
     effect = GearEfficiency()
     trials = [trial(lossy, seed=k, noise=0.2) for k in range(2)]
     found = fit(effect, trials, joint)
-    robot = trials[0].scene.robot
+    robot = trials[0].robot
     values = {v.name: v for v in effect.values(robot, joint, {}, found.c, 1e-6 * np.eye(2))}
     assert found.c == pytest.approx([1 / DRIVING - 1, 1 - BACKDRIVING], rel=0.05)
     assert values["driving_efficiency"].value == pytest.approx(DRIVING, rel=0.01)
@@ -211,7 +211,7 @@ def test_a_rotor_that_nobody_knows_does_not_load_the_gear() -> None:
     lumped[0, STANDARD.index("Izz")] += reflected
     model = replace(model, robot=robot, phi=lumped, rotor=np.array([0.0, model.rotor[1]]))
     trials = [
-        replace(one, scene=replace(one.scene, robot=robot, model=model))
+        replace(one, robot=robot, model=model)
         for one in (trial(loaded, seed=k, noise=0.2, top_hz=1.5) for k in range(2))
     ]
     found = fit(LoadDependentFriction(), trials, 0)

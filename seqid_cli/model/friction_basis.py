@@ -163,12 +163,8 @@ class Scaling:
     def basis(self, q: Array, v: Array, position_order: int, velocity_order: int) -> Array:
         """Return the products (N, size * (l + 1)) of both bases, r fastest, continued beyond both.
 
-        Parameters
-        ----------
-        q, v : (N,) arrays
-            Positions [rad] and velocities [rad/s] of the joint; of v only the size counts.
-        position_order, velocity_order : int
-            Orders m and l.
+        `q`, `v` (N,) are positions [rad] and velocities [rad/s] of the joint; of v only the size
+        counts. `position_order` and `velocity_order` are m and l.
         """
         over_position = self.over_position
         X = over_position.values(q, position_order)

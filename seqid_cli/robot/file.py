@@ -16,17 +16,10 @@ if TYPE_CHECKING:
 
 
 def load_robot(path: Path) -> "Robot":
-    """Read a robot file, and the URDF that it names, and check both.
+    """Read the robot file `path`, and the URDF that it names, and check both.
 
-    Parameters
-    ----------
-    path : Path
-        The `robot.toml`; a relative `urdf` in it lies beside it.
-
-    Returns
-    -------
-    Robot
-        `sha256` is over the bytes of the robot file followed by those of the URDF.
+    A relative `urdf` in it lies beside it. The robot's `sha256` is over the bytes of the robot file
+    followed by those of the URDF.
 
     Raises
     ------

@@ -34,14 +34,8 @@ def session_of(
 ) -> EffectSession:
     """Describe the logs that effects are identified from.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        In the order in which the scenes count them.
-    starts : sequence of float
-        Start of each scene, s.
-    shared : bool
-        Whether the logs share a clock.
+    `recordings` are in the order in which the scenes count them, `starts` those of the scenes, s;
+    `shared` says whether the logs share a clock.
     """
     logs = [recording.sha256 for recording in recordings]
     if not shared or not recordings:
@@ -53,13 +47,7 @@ def session_of(
 def scene_of_log(recording: Recording, robot: Robot, model: TorqueModel, motion: Motion) -> Scene:
     """Return the scene of one log by itself: number 0, on a clock of its own.
 
-    Parameters
-    ----------
-    recording : Recording
-    robot : Robot
-    model : TorqueModel
-    motion : Motion
-        Of the recording, possibly decimated.
+    `motion` is that of the recording, possibly decimated.
     """
     return Scene(
         robot=robot,
@@ -118,14 +106,8 @@ def added_torque(
 ) -> Predicted:
     """What effects add to the prediction of a log.
 
-    Parameters
-    ----------
-    scene : Scene
-        From `scene_of_log`.
-    recording : Recording
-    fitted : sequence of FittedEffect or SmoothTerm
-    slowest : (n,) array
-        Speed at which a joint surely slides: friction there bounds what it holds at rest.
+    `scene` is from `scene_of_log`; `slowest` (n,) are the speeds at which a joint surely slides:
+    friction there bounds what it holds at rest.
     """
     torque, low, high = (np.zeros_like(scene.motion.q) for _ in range(3))
     for place, items in _by_session(scene, recording, fitted):
@@ -167,25 +149,13 @@ def without_effects(
     motion: MotionOptions,
     source: str = "auto",
 ) -> Recording:
-    """Return a recording as it would be without some effects, at its own rate.
+    """Return a recording with torque as it would be without the `fitted` effects, at its own rate.
 
     Effects of the measurement are undone in the channel that they distort: torque is scaled,
     shifted in time or sent through the drive's lag, an encoder's error is taken off the position.
-    The torque of all other effects, as the model says it, is subtracted.
-
-    Parameters
-    ----------
-    recording : Recording
-        With torque.
-    robot : Robot
-    stages : Stages
-        The model; its own `effects` play no part.
-    fitted : sequence of FittedEffect or SmoothTerm
-        What to take out.
-    motion : MotionOptions
-        The cut-off, where the user sets it.
-    source : {"auto", "encoder", "imu"}
-        Where accelerations come from.
+    The torque of all other effects, as the model says it, is subtracted. `stages` are the model;
+    its own `effects` play no part. `motion` has the cut-off, where the user sets it, and `source`
+    {"auto", "encoder", "imu"} says where accelerations come from.
 
     Raises
     ------

@@ -53,12 +53,7 @@ Fitted = FittedEffect | SmoothTerm
 def fitted_effects(stages: Stages, robot: Robot, *, unexplained: bool = False) -> list[Fitted]:
     """Restore the effects of a parameter file.
 
-    Parameters
-    ----------
-    stages : Stages
-    robot : Robot
-    unexplained : bool
-        Whether smooth terms of no known cause are wanted as well; they are left out otherwise.
+    Smooth terms of no known cause are left out unless `unexplained` are wanted as well.
 
     Raises
     ------

@@ -64,22 +64,11 @@ class PreslidingHysteresis(FrictionLaw):
 
 
 def deflection(q: Array, distance: float) -> Array:
-    """Deflection of Dahl's bristles as a share of their largest.
+    """Deflection (N,) of Dahl's bristles as a share of their largest: within +-1, from 0 on.
 
     Each sample maps the deflection before it affinely, x <- keep x + gain. Maps are composed by
-    doubling, in log2(N) sweeps over all samples, so there is no loop over time.
-
-    Parameters
-    ----------
-    q : (N,) array
-        Positions [rad]; taken as monotonic between samples.
-    distance : float
-        z_max [rad].
-
-    Returns
-    -------
-    (N,) array
-        Between -1 and 1, starting at 0.
+    doubling, in log2(N) sweeps over all samples, so there is no loop over time. Positions q (N,)
+    [rad] are taken as monotonic between samples; `distance` is z_max [rad].
     """
     way = np.diff(q, prepend=q[:1]) / distance
     keep = np.exp(-np.abs(way))

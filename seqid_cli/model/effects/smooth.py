@@ -121,21 +121,9 @@ def greville(knots: Sequence[float]) -> Array:
 
 
 def shape(scene: Scene, joint: int, axes: Sequence[Axis], factor: Factor) -> Array:
-    """Compute the products of the axes' functions times the factor.
+    """Products (N, K) of the axes' functions times the factor, `one` or the joint's `direction`.
 
-    Parameters
-    ----------
-    scene : Scene
-    joint : int
-        Whose direction is the factor.
-    axes : sequence of Axis
-    factor : str
-        `one` or `direction`.
-
-    Returns
-    -------
-    (N, product of the axes' sizes) array
-        Unfiltered; the last axis runs fastest.
+    Unfiltered; K is the product of the axes' sizes, of which the last one runs fastest.
     """
     basis = reduce(tensor, [axis.basis(scene) for axis in axes])
     if factor == "direction":

@@ -45,18 +45,10 @@ NOISE_HZ = 25.0  # the bandwidth of that noise
 class Belief:
     """A robot before the experiment.
 
-    Attributes
-    ----------
-    theta : (b,) array or None
-        Base parameters; None where neither a stage nor a URDF gives any.
-    root : (b, k) array
-        Their covariance as ``root @ root.T``.
-    density : (n,) array
-        Information per second and (N m)^2.
-    prior : (b, b) array
-        Information on the base parameters that earlier stages hold.
-    slow : (n,) array
-        Speed below which a joint's samples do not count.
+    `theta` (b,) are its base parameters, None where neither a stage nor a URDF gives any, with the
+    covariance ``root @ root.T``, `root` (b, k). `density` (n,) is the information per second and
+    (N m)^2, `prior` (b, b) that on the base parameters which earlier stages hold, `slow` (n,) the
+    speed below which a joint's samples do not count.
     """
 
     robot: Robot

@@ -20,18 +20,11 @@ XATOL = 5e-4  # of the half width of a line, to which its order is refined
 
 @dataclass(frozen=True)
 class Profile:
-    """A residual r with its multiplier m, summed up over position.
+    """A residual r with its multiplier m, summed up over position in B bins.
 
-    Attributes
-    ----------
-    x : (B,) array
-        Mean position of each bin, turns.
-    rm, mm : (B,) arrays
-        Sums of r m and of m m in each bin.
-    span : float
-        Range of position, turns.
-    highest : float
-        Cycles per turn up to which the bins resolve lines.
+    `x` (B,) is the mean position of each bin [turns], `rm` and `mm` (B,) the sums of r m and of m m
+    in it, `span` the range of position [turns], `highest` the cycles per turn up to which the bins
+    resolve lines.
     """
 
     x: Array

@@ -26,34 +26,20 @@ DEFAULT_SIGN_SHARE = 0.004  # of a joint's top speed
 class Scene:
     """Everything that an effect's columns may be built from.
 
-    Attributes
-    ----------
-    robot : Robot
-    motion : Motion
-        At the log's own rate or at least 24 samples per period of the cut-off; q, dq, ddq (N, n)
-        have been filtered once.
-    model : TorqueModel
-        The model so far, whose torques stand for what nobody measures (the load of a gear).
-    sign_width : (n,) array
-        Speed [rad/s; m/s where prismatic] over which the sign of each joint's velocity changes.
-    log : int
-        Number of the log, in the order in which they were given.
-    start : float
-        Time of the first sample [s], on a clock that all logs share if `shared_clock`; else 0.
-    shared_clock : bool
-        Whether `start` tells how long after each other the logs were recorded.
-    period : float
-        Sample period of the log itself [s].
-    temperature : (N, n) array or None
-        degC, as logged.
-    sensor : (N, n) array or None
-        Load as a torque sensor behind the gear measures it [N m], filtered like the motion.
-    encoder : (N, n) array or None
-        Positions as the encoder reports them, not filtered.
-    measured : (N, n) array or None
-        Measured torque [N m; N where prismatic], not filtered.
-    full : Scene or None
-        The same log at its own rate, where this one has been decimated.
+    `motion` is at the log's own rate or at least 24 samples per period of the cut-off; its q, dq,
+    ddq (N, n) have been filtered once. The torques of `model`, the one so far, stand for what
+    nobody measures (the load of a gear). `sign_width` (n,) is the speed [rad/s; m/s where
+    prismatic] over which the sign of each joint's velocity changes.
+
+    `log` is the number of the log, in the order in which they were given, `start` the time of the
+    first sample [s]: on a clock that all logs share if `shared_clock`, which then tells how long
+    after each other they were recorded; else 0. `period` is the sample period of the log itself
+    [s].
+
+    Absent where the log does not have them, (N, n): `temperature` degC as logged; `sensor` [N m],
+    the load as a torque sensor behind the gear measures it, filtered like the motion; `encoder`,
+    positions as it reports them, and `measured` torque [N m; N where prismatic], neither filtered.
+    `full` is the same log at its own rate, where this one has been decimated.
     """
 
     robot: Robot

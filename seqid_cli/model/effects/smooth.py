@@ -52,15 +52,9 @@ MOST_AXES, MOST_KNOTS = 2, 64
 class Axis:
     """One quantity of one joint and the functions over it.
 
-    Attributes
-    ----------
-    measure : str
-        What is taken; `speed` and `load_size` are magnitudes, `time` counts from the log's start
-        and `session_time` on the clock of all logs.
-    joint : int
-        Whose it is (of no matter for times).
-    knots : tuple of float
-        Ends of the spline's pieces, ascending, in the measure's unit.
+    `measure` says what is taken: `speed` and `load_size` are magnitudes, `time` counts from the
+    log's start and `session_time` on the clock of all logs. `joint` is whose it is (of no matter
+    for times), `knots` are the ends of the spline's pieces, ascending, in the measure's unit.
     """
 
     measure: Measure
@@ -135,19 +129,9 @@ def shape(scene: Scene, joint: int, axes: Sequence[Axis], factor: Factor) -> Arr
 class SmoothTerm:
     """A smooth torque at one joint.
 
-    Attributes
-    ----------
-    joint : int
-        Index of the joint.
-    quantities : tuple of str
-        What it depends on, as the contract spells it, the strongest first.
-    axes : tuple of Axis
-    factor : str
-        `one`, `direction` or `load`.
-    coefficients : (K,) array
-        N m (1 with the factor `load`), one per product of the axes' functions.
-    session : EffectSession, optional
-        Which logs its times are of.
+    `quantities` are what it depends on, as the contract spells it, the strongest first.
+    `coefficients` (K,) N m, one per product of the axes' functions, times a factor: `one` or the
+    `direction`. `session` says which logs its times are of.
     """
 
     name: ClassVar[str] = UNEXPLAINED

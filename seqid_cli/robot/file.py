@@ -21,10 +21,7 @@ def load_robot(path: Path) -> "Robot":
     A relative `urdf` in it lies beside it. The robot's `sha256` is over the bytes of the robot file
     followed by those of the URDF.
 
-    Raises
-    ------
-    ConfigError
-        Naming the file, the key's full path, the value and the remedy.
+    Raises ConfigError naming the file, the key's full path, the value and the remedy.
     """
     read = read_robot_file(path)
     content, urdf = read.content, None

@@ -68,10 +68,7 @@ def parse_formula(text: str, joints: int, settings: Collection[str] = ()) -> For
     `joints`: number of joints of the robot. `settings`: names of its own that stand for numbers to
     be searched.
 
-    Raises
-    ------
-    FormulaError
-        It says anything but a sum of terms that are linear in one coefficient each.
+    Raises FormulaError: it is no sum of terms that are linear in one coefficient each.
     """
     if len(text) > LONGEST:
         raise FormulaError(f"is {len(text)} characters long, more than {LONGEST}")

@@ -49,11 +49,8 @@ class Controller:
     def torque(self, encoder: Array, wanted: Array, ahead: Array) -> Array:
         """Return the command (n,) N m.
 
-        Parameters
-        ----------
-        encoder : (n,) rad, quantised position
-        wanted : (n,) rad, reference position
-        ahead : (n,) N m, feedforward
+        `encoder` (n,) rad is the quantised position, `wanted` (n,) rad that of the reference,
+        `ahead` (n,) N m the feedforward.
         """
         gains = self._gains
         surprise = encoder - wanted - self._error

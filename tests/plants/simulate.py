@@ -104,14 +104,8 @@ def simulate(
 ) -> Log:
     """Run `reference` on `plant` and record every `every`-th control period.
 
-    Parameters
-    ----------
-    plant : Plant
-    reference : Reference, (N, n) at the control rate; the run starts at rest on its first row
-    seed : int, of all noise
-    every : int, control periods per recorded row
-    imus : bool, whether the accelerometer arrays are recorded
-    start : float, s since power-on
+    The run starts at rest on the first row of the reference, `start` s since power-on; `seed` is of
+    all noise, `imus` says whether the accelerometer arrays are recorded.
     """
     rng = np.random.default_rng(seed)
     rate, samples = reference.rate_hz, len(reference.q)

@@ -157,10 +157,7 @@ def without_effects(
     its own `effects` play no part. `motion` has the cut-off, where the user sets it, and `source`
     {"auto", "encoder", "imu"} says where accelerations come from.
 
-    Raises
-    ------
-    InputError
-        If the log carries neither torque nor current.
+    Raises InputError if the log carries neither torque nor current.
     """
     torque_of(recording)
     rest: list[Fitted] = []

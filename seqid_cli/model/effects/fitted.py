@@ -55,11 +55,8 @@ def fitted_effects(stages: Stages, robot: Robot, *, unexplained: bool = False) -
 
     Smooth terms of no known cause are left out unless `unexplained` are wanted as well.
 
-    Raises
-    ------
-    ConfigError
-        If an effect is not known, or its joint, settings or coefficients are not what it takes;
-        the message names the key.
+    Raises ConfigError if an effect is not known, or its joint, settings or coefficients are not
+    what it takes; the message names the key.
     """
     found: list[Fitted] = []
     catalogue = catalogue_of(robot) if stages.effects else {}

@@ -57,10 +57,8 @@ _OPERATORS: Mapping[type[ast.operator], Callable[[Array, Array], Array]] = {
 def own_effect(asked: OwnEffect, robot: Robot) -> Effect:
     """Make an effect of what a robot file asks for.
 
-    Raises
-    ------
-    ConfigError
-        If no installed package offers an effect that has no formula, or it cannot be loaded.
+    Raises ConfigError if no installed package offers an effect that has no formula, or it cannot be
+    loaded.
     """
     if asked.formula is not None:
         return FormulaEffect(asked, asked.formula)
@@ -138,10 +136,7 @@ class FormulaEffect(Effect):
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Evaluate every term.
 
-        Raises
-        ------
-        ConfigError
-            If a term is no finite number somewhere.
+        Raises ConfigError if a term is no finite number somewhere.
         """
         assert joint is not None
         names = self.formula.coefficients

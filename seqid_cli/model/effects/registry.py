@@ -73,10 +73,8 @@ CATALOGUE: Mapping[str, Effect] = {effect.name: effect for effect in _ALL}
 def catalogue_of(robot: Robot) -> Mapping[str, Effect]:
     """The catalogue with what the robot file adds.
 
-    Raises
-    ------
-    ConfigError
-        If an effect of the robot file has a name of the catalogue, or cannot be loaded.
+    Raises ConfigError if an effect of the robot file has a name of the catalogue, or cannot be
+    loaded.
     """
     for asked in robot.effects:
         if asked.name in CATALOGUE:

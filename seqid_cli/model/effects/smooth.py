@@ -182,10 +182,7 @@ class SmoothTerm:
     def from_stage(cls, entry: EffectOfJoint, robot: Robot) -> SmoothTerm:
         """Restore a term from a parameter file.
 
-        Raises
-        ------
-        ConfigError
-            If a key is missing or contradicts another; the message names it.
+        Raises ConfigError if a key is missing or contradicts another; the message names it.
         """
         joint = _joint(robot, "joint", entry.joint)
         settings = entry.settings

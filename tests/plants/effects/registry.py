@@ -85,14 +85,10 @@ OUTSIDE = tuple(name for name, entry in REGISTRY.items() if entry.kind is None)
 
 
 def inject(name: str, plant: Plant, joint: int, size: float = 1.0) -> Injection:
-    """Put one effect into a plant.
+    """Put one effect of `REGISTRY` into a plant, which may have undeclared effects already.
 
-    Parameters
-    ----------
-    name : str, key of `REGISTRY`
-    plant : Plant; it may have undeclared effects already
-    joint : int, 0-based; without meaning where the effect is the whole arm's
-    size : float, 1.0 is clear and 0.4 small; what that is says the maker's docstring
+    `joint` counts from 0 and has no meaning where the effect is the whole arm's. A `size` of 1.0 is
+    clear and 0.4 small; what that is says the maker's docstring.
     """
     entry = REGISTRY[name]
     if not entry.first <= joint < plant.arm.n:

@@ -80,18 +80,10 @@ def stick_slip(
 ) -> tuple[Array, Array, Array]:
     """Acceleration and dry friction of one step, with joints at rest held where friction can.
 
-    Parameters
-    ----------
-    mass : (n, n) kg m^2
-    force : (n,) N m, everything but dry friction
-    velocity : (n,) rad/s before the step
-    dt : float, s
-    dry : Friction, its levels
-    sign : (n,) first guess of the direction of slip after the step, 0 where stuck
-
-    Returns
-    -------
-    ddq (n,) rad/s^2, dry friction torque (n,) N m, sign (n,)
+    `mass` (n, n) kg m^2, `force` (n,) N m of everything but dry friction, `velocity` (n,) rad/s
+    before the step of `dt` s, levels of `dry` friction, and a first guess of the direction of slip
+    after the step, `sign` (n,), 0 where stuck. Returns ddq (n,) rad/s^2, the torque of dry friction
+    (n,) N m and the sign (n,).
     """
     stop = -velocity / dt
     if sign.all():  # most steps: everything slips on

@@ -23,6 +23,7 @@ from tests.plants.robots.stages import friction_stage, inertia_stage
 Pool = tuple[Array, Array]  # moves that were drawn, their information
 SECONDS = 6.0
 COUNT = 8
+TIGHT = 0.35  # of the torque limits, which some postures break
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +54,14 @@ def test_information_is_that_of_the_regressor(belief: Belief, goal: Goal, pool: 
         expected += density * (moves.t[1] - moves.t[0]) * (rows.T * slide[:, j]) @ rows
     found = pool[1][4] * np.outer(goal.scale, goal.scale)
     assert np.allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+def test_no_move_of_a_pool_needs_too_much_torque(belief: Belief, goal: Goal) -> None:
+    tight = replace(belief, limits=replace(belief.limits, torque=TIGHT * belief.limits.torque))
+    shapes, groups = Shapes.over(SECONDS, COARSE_HZ), groups_of(belief.limits, together=True)
+    drawn, _ = draw_pool(tight, goal, shapes, groups, 40, np.random.default_rng(0))
+    assert 0 < len(drawn) < 40
+    assert assess(tight, goal, shapes.moves(drawn, tight.limits))[1].max() <= 1.0
 
 
 def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(goal: Goal, pool: Pool) -> None:

@@ -16,6 +16,22 @@ from seqid_cli.params.document import now, tool
 from seqid_cli.params.encode import encode
 from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results.diagnosis import DiagnosisFile
+from seqid_cli.params.results.payload import (
+    PAYLOAD_SCHEMA,
+    CarriedBodyEntry,
+    JointWithPayload,
+    Measured,
+    PayloadFile,
+)
+from seqid_cli.params.results.plan import (
+    PLAN_SCHEMA,
+    FourierMotion,
+    JointLimits,
+    PlanFile,
+    PlannedMove,
+    PlannedStage,
+    PredictedParameter,
+)
 from seqid_cli.params.results.prediction import (
     PREDICTION_SCHEMA,
     FileId,
@@ -118,6 +134,70 @@ def before_and_after() -> list[Source[Document]]:
     after = made_with(prediction_file(shares=(0.01, 0.02)), documents[3])
     results = [source("before.json", before), source("after.json", after)]
     return [item for item in documents if item.path != "prediction.json"] + results
+
+
+def payload_file(used: FileId) -> PayloadFile:
+    """Return a payload of a model."""
+    joint = JointWithPayload(
+        before=2.5, after=0.125, relative=0.0625, samples=100, friction_change=0.04
+    )
+    return PayloadFile(
+        schema=PAYLOAD_SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot(),
+        inputs=[log("loaded.parquet", "")],
+        models=[used],
+        payload=CarriedBodyEntry(
+            frame="of joint elbow",
+            mass=Measured(value=2.345, std_error=0.012, unit="kg"),
+            center_of_mass=[
+                Measured(value=0.01, std_error=0.001, unit="m"),
+                Measured(value=0.02, std_error=0.001, unit="m"),
+                Measured(value=None, std_error=None, unit="m"),
+            ],
+        ),
+        parameters=[],
+        covariance=[],
+        settings={"urscript": "set_payload(2.345, [0.01, 0.02, 0.0])"},
+        joints=dict.fromkeys(JOINTS, joint),
+        verdicts=[Verdict(good=True, reason="mass 2.345 kg, standard error 0.012 kg")],
+        notes=["friction differs from the model's"],
+    )
+
+
+def plan_file() -> PlanFile:
+    """Return a plan of one move."""
+    move = PlannedMove(
+        name="pair_1",
+        stage="inertia",
+        joints=list(JOINTS),
+        duration_s=8.0,
+        start=dict.fromkeys(JOINTS, 0.0),
+        fourier={JOINTS[0]: FourierMotion(centre=0.0, sine=[0.5] * 5, cosine=[0.0] * 5)},
+        torque_share=0.625,
+        torque={name: [10.0, 20.0] for name in JOINTS},
+    )
+    limit = JointLimits(position=[-1.0, 1.0], speed=1.0, acceleration=2.0, torque=40.0, moves=True)
+    error = PredictedParameter(
+        name="Izz_2", joint="elbow", unit="kg m^2", std_error=0.0375, value=None
+    )
+    return PlanFile(
+        schema=PLAN_SCHEMA,
+        created=now(),
+        tool=tool(),
+        robot=robot(),
+        what="inertia",
+        seed=1,
+        parameters=[],
+        limits=dict.fromkeys(JOINTS, limit),
+        noise_density=dict.fromkeys(JOINTS, 0.01),
+        noise_origin="",
+        moves=[move],
+        stages={"inertia": PlannedStage(parameters=[error], rank=9, structural_rank=10)},
+        duration_s=8.0,
+        total_s=12.0,
+    )
 
 
 def predicted_log(path: str, seed: int) -> LogPrediction:

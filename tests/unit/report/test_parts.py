@@ -1,7 +1,6 @@
 """Parts of the page: words, numbers, IMUs, payloads and plans, and the page of a fleet."""
 
 import itertools
-import re
 from pathlib import Path
 
 import numpy as np
@@ -11,32 +10,12 @@ from hypothesis import strategies as st
 
 from seqid_cli.compare import compare
 from seqid_cli.errors import ConfigError, UsageError
-from seqid_cli.params.document import now, tool
 from seqid_cli.params.io import write_json_atomic
-from seqid_cli.params.results.payload import (
-    PAYLOAD_SCHEMA,
-    CarriedBodyEntry,
-    JointWithPayload,
-    Measured,
-    PayloadFile,
-)
-from seqid_cli.params.results.plan import (
-    PLAN_SCHEMA,
-    FourierMotion,
-    JointLimits,
-    PlanFile,
-    PlannedMove,
-    PlannedStage,
-    PredictedParameter,
-)
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.schema import MotionUse, ParameterFile, Verdict
 from seqid_cli.report.collection import collect
 from seqid_cli.report.figures.torque import extremes, pieces
-from seqid_cli.report.fleet import fleet_page
 from seqid_cli.report.make import make_report
 from seqid_cli.report.words import (
-    DASH,
     command,
     expression,
     interval,
@@ -47,8 +26,8 @@ from seqid_cli.report.words import (
     unit_text,
     with_error,
 )
-from tests.unit.params.documents import JOINTS, full_file, inertia_file, log, robot
-from tests.unit.report.pages import good_documents, made_with, prediction_file, source
+from tests.unit.params.documents import inertia_file
+from tests.unit.report.pages import good_documents, payload_file, plan_file, source
 
 finite = st.floats(-1e6, 1e6)
 
@@ -114,139 +93,6 @@ def test_units_lists_and_commands_in_words() -> None:
     )
     pairs = itertools.product(("rad/s^2", "N m"), repeat=1)
     assert [unit_text(unit) for (unit,) in pairs] == ["rad/s\u00b2", "N\u202fm"]
-
-
-def test_the_worst_robot_leads_and_gives_the_verdict() -> None:
-    parameters, _ = good_documents()
-    poor = made_with(prediction_file(shares=(0.02, 0.5)), parameters)
-    robots = {
-        "cell <1>": good_documents(),
-        "cell 2": [parameters, source("prediction.json", poor)],
-        "cell 3": [parameters],
-    }
-    page = fleet_page(robots)
-    judgement = page.judgement
-    assert judgement.level == "poor"
-    assert judgement.sentence == ("3 robots. Poor: cell 2; not judged yet: cell 3; good: cell <1>.")
-    assert [point.text for point in judgement.points] == ["elbow: misses 50%"]
-    assert [group.title for group in page.sections[1].groups] == ["cell 2", "cell 3", "cell <1>"]
-    links = re.findall(r'<a href="#(robot-[0-9])">([^<]*)</a>', page.html)
-    assert links == [("robot-1", "cell 2"), ("robot-2", "cell 3"), ("robot-3", "cell &lt;1&gt;")]
-    for place, name in links:
-        assert re.search(rf'id="{place}-title">{re.escape(name)}</h3>', page.html)
-    table = page.html.split("Models and their errors</span>")[1].split("</table>")[0]
-    cells = re.findall(r'<td class="n">([^<]*)</td>', table)
-    assert cells == ["50.0 %", "1", DASH, "1", "5.0 %", "0"]
-
-
-def used(log: str, *warnings: str) -> MotionUse:
-    return MotionUse(
-        log=log,
-        source="fused" if not warnings else "encoder",
-        imus=[] if warnings else ["imu_a"],
-        cutoff_hz=20.0,
-        acceleration_error={"shoulder": 0.0123},
-        encoder_error={"shoulder": 0.987},
-        warnings=list(warnings),
-    )
-
-
-def page(*uses: MotionUse) -> str:
-    file: ParameterFile = full_file()
-    file.stages.inertia.motion_use = list(uses)
-    return make_report([source("inertia.json", file)]).html
-
-
-def test_motion_of_every_log_with_its_errors() -> None:
-    text = page(used("inertia/a.parquet"), used("inertia/b.parquet", "imu_a is not recorded"))
-    assert "Where the motion of the inertia logs came from" in text
-    for expected in ("inertia/a.parquet", "fused", "0.012", "0.99", "rad/s\u00b2"):
-        assert expected in text
-    assert "imu_a is not recorded (inertia/b.parquet)" in text
-
-
-def test_the_same_remark_on_many_logs_is_one() -> None:
-    text = page(*(used(f"{name}.parquet", "imu_a is left out") for name in "ab"))
-    assert text.count("imu_a is left out") == 1
-    assert "imu_a is left out (a.parquet, b.parquet)" in text
-
-
-def test_nothing_of_it_without_motion() -> None:
-    assert "Where the motion of the inertia logs" not in page()
-
-
-def payload_file(used: FileId) -> PayloadFile:
-    joint = JointWithPayload(
-        before=2.5, after=0.125, relative=0.0625, samples=100, friction_change=0.04
-    )
-    return PayloadFile(
-        schema=PAYLOAD_SCHEMA,
-        created=now(),
-        tool=tool(),
-        robot=robot(),
-        inputs=[log("loaded.parquet", "")],
-        models=[used],
-        payload=CarriedBodyEntry(
-            frame="of joint elbow",
-            mass=Measured(value=2.345, std_error=0.012, unit="kg"),
-            center_of_mass=[
-                Measured(value=0.01, std_error=0.001, unit="m"),
-                Measured(value=0.02, std_error=0.001, unit="m"),
-                Measured(value=None, std_error=None, unit="m"),
-            ],
-        ),
-        parameters=[],
-        covariance=[],
-        settings={"urscript": "set_payload(2.345, [0.01, 0.02, 0.0])"},
-        joints=dict.fromkeys(JOINTS, joint),
-        verdicts=[Verdict(good=True, reason="mass 2.345 kg, standard error 0.012 kg")],
-        notes=["friction differs from the model's"],
-    )
-
-
-def plan_file() -> PlanFile:
-    move = PlannedMove(
-        name="pair_1",
-        stage="inertia",
-        joints=list(JOINTS),
-        duration_s=8.0,
-        start=dict.fromkeys(JOINTS, 0.0),
-        fourier={JOINTS[0]: FourierMotion(centre=0.0, sine=[0.5] * 5, cosine=[0.0] * 5)},
-        torque_share=0.625,
-        torque={name: [10.0, 20.0] for name in JOINTS},
-    )
-    limit = JointLimits(position=[-1.0, 1.0], speed=1.0, acceleration=2.0, torque=40.0, moves=True)
-    error = PredictedParameter(
-        name="Izz_2", joint="elbow", unit="kg m^2", std_error=0.0375, value=None
-    )
-    return PlanFile(
-        schema=PLAN_SCHEMA,
-        created=now(),
-        tool=tool(),
-        robot=robot(),
-        what="inertia",
-        seed=1,
-        parameters=[],
-        limits=dict.fromkeys(JOINTS, limit),
-        noise_density=dict.fromkeys(JOINTS, 0.01),
-        noise_origin="",
-        moves=[move],
-        stages={"inertia": PlannedStage(parameters=[error], rank=9, structural_rank=10)},
-        duration_s=8.0,
-        total_s=12.0,
-    )
-
-
-def test_a_payload_has_a_section_with_its_settings() -> None:
-    parameters, prediction = good_documents()
-    used = FileId(path=parameters.path, sha256=parameters.sha256)
-    extra = [source("payload.json", payload_file(used)), source("plan.json", plan_file())]
-    made = make_report([parameters, prediction, *extra])
-    assert [section.id for section in made.sections][-2:] == ["payload", "plan"]
-    for text in ("2.345", "not determined", "set_payload(2.345", "of joint elbow"):
-        assert text in made.html
-    for text in ("pair_1", "0.0375", "9 of 10", "62.5", "torque over its limit"):
-        assert text in made.html
 
 
 def test_without_them_there_is_no_such_section() -> None:

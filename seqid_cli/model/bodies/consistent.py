@@ -24,7 +24,7 @@ are conic problems: log det by a semidefinite block of twice the size and four e
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import clarabel
 import numpy as np
@@ -79,16 +79,13 @@ def consistent_links(J: Array, rotors: Array, demand: Demand) -> Consistent:
     finds nothing, which numbers of wildly different sizes can bring about.
     """
     problem = _Problem.of(J, rotors, demand)
-    found = problem.exact()
-    if found is not None:
-        return replace(found, exact=True)
-    nearest = problem.nearest()
-    if nearest is None:
+    found = problem.exact() or problem.nearest()
+    if found is None:
         raise QualityError(
             "no physically consistent link parameters were found for these base parameters",
             hint="Check the robot file against the arm; compare the file with seqid predict.",
         )
-    return nearest
+    return found
 
 
 def nearest_body(phi: Array, whitening: Array, *, margin: float = 1e-7) -> tuple[Array, float]:
@@ -256,12 +253,12 @@ class _Problem:
         possible = bodies and (polished[_PER_LINK * self.n :] > -1e-9).all()
         if left > max_residual * scale or moved > 1e-4 * scale or not possible:
             return None
-        return self._found(polished)
+        return self._found(polished, exact=True)
 
-    def _found(self, v: Array) -> Consistent:
+    def _found(self, v: Array, *, exact: bool = False) -> Consistent:
         phi = (self.T @ v[: _ENTRIES * self.n]).reshape(self.n, 10)
         rotors = np.maximum(v[_PER_LINK * self.n : self.variables], 0.0) * self.rotors
-        return Consistent(phi, rotors, exact=False)
+        return Consistent(phi, rotors, exact)
 
 
 def _solved(cost: Array, cones: Sequence[_Cone]) -> Array | None:

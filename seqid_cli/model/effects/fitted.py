@@ -9,7 +9,7 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
 from seqid_cli.model.effects.scene import Joint, Scene
-from seqid_cli.model.effects.smooth import SmoothTerm
+from seqid_cli.model.effects.smooth import SmoothTerm, damaged
 from seqid_cli.model.effects.units import UNEXPLAINED
 from seqid_cli.params.schema import EffectOfJoint, EffectSession, Parameter, Stages
 from seqid_cli.robot.types import Robot
@@ -61,10 +61,11 @@ def fitted_effects(stages: Stages, robot: Robot, *, unexplained: bool = False) -
     found: list[Fitted] = []
     catalogue = catalogue_of(robot) if stages.effects else {}
     for index, entry in enumerate(stages.effects or []):
+        key = f"$.stages.effects[{index}]"
         if entry.effect != UNEXPLAINED:
-            found.append(_restored(f"$.stages.effects[{index}]", entry, robot, catalogue))
+            found.append(_restored(key, entry, robot, catalogue))
         elif unexplained:
-            found.append(SmoothTerm.from_stage(entry, robot))
+            found.append(SmoothTerm.from_stage(entry, robot, key))
     return found
 
 
@@ -110,7 +111,7 @@ def _restored(
     count = len(coefficients)
     covariance = np.array(entry.covariance) if entry.covariance else np.zeros((count, count))
     if covariance.shape != (count, count):
-        raise _damaged(f"{key}.covariance", f"must have {count} rows of {count} numbers")
+        raise damaged(f"{key}.covariance", f"must have {count} rows of {count} numbers")
     more = len(effect.coefficients(settings)) - count
     coefficients, covariance = np.pad(coefficients, (0, more)), np.pad(covariance, (0, more))
     joint = _joint(key, effect, entry, robot)
@@ -120,13 +121,13 @@ def _restored(
 def _joint(key: str, effect: Effect, entry: EffectOfJoint, robot: Robot) -> int | None:
     if entry.joint is None:
         if not (effect.arm or effect.shared):
-            raise _damaged(f"{key}.joint", f"{effect.name} is an effect of one joint: name it")
+            raise damaged(f"{key}.joint", f"{effect.name} is an effect of one joint: name it")
         return None
     if effect.arm:
-        raise _damaged(f"{key}.joint", f"{effect.name} is of the whole arm: must be null")
+        raise damaged(f"{key}.joint", f"{effect.name} is of the whole arm: must be null")
     if entry.joint not in robot.joint_names:
         known = ", ".join(robot.joint_names)
-        raise _damaged(f"{key}.joint", f"{entry.joint!r} is none of the robot's joints: {known}")
+        raise damaged(f"{key}.joint", f"{entry.joint!r} is none of the robot's joints: {known}")
     return robot.joint_names.index(entry.joint)
 
 
@@ -135,7 +136,7 @@ def _settings(key: str, effect: Effect, entry: EffectOfJoint) -> dict[str, float
     for name in entry.settings:
         if name not in known:
             takes = ", ".join(known) or "none"
-            raise _damaged(f"{key}.settings.{name}", f"{effect.name} takes {takes}")
+            raise damaged(f"{key}.settings.{name}", f"{effect.name} takes {takes}")
     found = {}
     for setting in effect.settings:
         value = entry.settings.get(setting.name)
@@ -143,12 +144,12 @@ def _settings(key: str, effect: Effect, entry: EffectOfJoint) -> dict[str, float
         if value is None and not setting.asked:
             continue
         if value is None:
-            raise _damaged(where, f"is missing, and {effect.name} needs it")
+            raise damaged(where, f"is missing, and {effect.name} needs it")
         if isinstance(value, str | bool) or not np.isfinite(value):
-            raise _damaged(where, f"must be a number, is {value!r}")
+            raise damaged(where, f"must be a number, is {value!r}")
         if not setting.low <= value <= setting.high:
             limits = f"{setting.low:g} to {setting.high:g}"
-            raise _damaged(where, f"must lie within {limits}, is {value!r}")
+            raise damaged(where, f"must lie within {limits}, is {value!r}")
         found[setting.name] = float(value)
     return found
 
@@ -167,18 +168,13 @@ def _coefficients(
     if entry.coefficients:
         if len(entry.coefficients) != len(names):
             count = f"{len(names)} numbers, has {len(entry.coefficients)}"
-            raise _damaged(f"{key}.coefficients", f"{effect.name} takes {count}")
+            raise damaged(f"{key}.coefficients", f"{effect.name} takes {count}")
         return np.array(entry.coefficients, dtype=float)
     values = {parameter.name: parameter.value for parameter in entry.parameters}
     missing = [name for name in names if name not in values]
     if missing:
-        raise _damaged(f"{key}.coefficients", f"{effect.name} lacks {', '.join(missing)}")
+        raise damaged(f"{key}.coefficients", f"{effect.name} lacks {', '.join(missing)}")
     return np.array([values[name] for name in names], dtype=float)
-
-
-def _damaged(key: str, what: str) -> ConfigError:
-    hint = "The file was edited or damaged: run seqid refine again, which wrote it."
-    return ConfigError(f"{key}: {what}", hint=hint)
 
 
 def effect_notes(stages: Stages, robot: Robot, *, unexplained: bool = False) -> list[str]:

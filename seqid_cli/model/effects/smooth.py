@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
+from itertools import pairwise, takewhile
 from math import isfinite, prod
 from typing import ClassVar, Literal, cast, get_args
 
@@ -179,70 +180,49 @@ class SmoothTerm:
         )
 
     @classmethod
-    def from_stage(cls, entry: EffectOfJoint, robot: Robot) -> SmoothTerm:
-        """Restore a term from a parameter file.
+    def from_stage(
+        cls, entry: EffectOfJoint, robot: Robot, key: str = "$.stages.effects"
+    ) -> SmoothTerm:
+        """Restore a term from a parameter file, in which its entry stands under `key`.
 
         Raises ConfigError if a key is missing or contradicts another; the message names it.
         """
-        joint = _joint(robot, "joint", entry.joint)
-        settings = entry.settings
-        axes = tuple(
-            _axis(entry, robot, number)
-            for number in range(1, MOST_AXES + 1)
-            if f"axis_{number}" in settings
-        )
-        factor = _choice(entry, "factor", FACTORS)
+        settings, names = entry.settings, robot.joint_names
+
+        def one_of(name: str, value: object, known: Sequence[str]) -> str:
+            if value not in known:
+                what = f"must be one of {', '.join(known)}, is {value!r}"
+                raise damaged(f"{key}.{name}", what)
+            return str(value)
+
+        def axis(name: str) -> Axis:
+            measure = one_of(f"settings.{name}", settings[name], MEASURES)
+            owner = one_of(f"settings.{name}_joint", settings.get(f"{name}_joint"), names)
+            every = (f"{name}_knot_{k}" for k in range(MOST_KNOTS + 1))
+            found = [settings[knot] for knot in takewhile(settings.__contains__, every)]
+            numbers = [float(x) for x in found if not isinstance(x, str) and isfinite(x)]
+            ascending = all(low < high for low, high in pairwise(numbers))
+            if not (2 <= len(numbers) == len(found) <= MOST_KNOTS and ascending):
+                what = f"must be 2 to {MOST_KNOTS} finite numbers in ascending order, is {found}"
+                raise damaged(f"{key}.settings.{name}_knot", what)
+            return Axis(cast(Measure, measure), names.index(owner), tuple(numbers))
+
+        joint = names.index(one_of("joint", entry.joint, names))
+        factor = one_of("settings.factor", settings.get("factor"), FACTORS)
+        known = (f"axis_{number}" for number in range(1, MOST_AXES + 1))
+        axes = tuple(axis(name) for name in known if name in settings)
         size = prod(axis.size for axis in axes)
-        if not axes or size != len(entry.parameters):
-            raise _damaged(
-                entry.joint, "parameters", f"{len(entry.parameters)} coefficients, expected {size}"
-            )
         values = np.array([parameter.value for parameter in entry.parameters])
+        if not axes or size != len(values):
+            what = f"has {len(values)} coefficients, expected {size}"
+            raise damaged(f"{key}.parameters", what)
         if not np.all(np.isfinite(values)):
-            raise _damaged(entry.joint, "parameters", "a coefficient that is not finite")
+            raise damaged(f"{key}.parameters", "has a coefficient that is not finite")
         quantities = tuple(str(settings.get("depends_on", "")).split())
         return cls(joint, quantities, axes, cast(Factor, factor), values, entry.session)
 
 
-def _axis(entry: EffectOfJoint, robot: Robot, number: int) -> Axis:
-    key = f"axis_{number}"
-    measure = cast(Measure, _choice(entry, key, MEASURES))
-    owner = entry.settings.get(f"{key}_joint")
-    joint = _joint(robot, f"{key}_joint", owner if isinstance(owner, str) else None)
-    return Axis(measure, joint, _knots(entry, key))
-
-
-def _knots(entry: EffectOfJoint, key: str) -> tuple[float, ...]:
-    found: list[float] = []
-    while (name := f"{key}_knot_{len(found)}") in entry.settings:
-        value = entry.settings[name]
-        if isinstance(value, str) or not isfinite(value) or len(found) == MOST_KNOTS:
-            raise _damaged(
-                entry.joint, name, f"{value!r}, expected at most {MOST_KNOTS} finite numbers"
-            )
-        if found and not value > found[-1]:
-            raise _damaged(entry.joint, name, f"{value!r}, not above the knot before it")
-        found.append(float(value))
-    if len(found) < 2:
-        raise _damaged(entry.joint, f"{key}_knot_0", f"{len(found)} knots, expected 2 or more")
-    return tuple(found)
-
-
-def _choice(entry: EffectOfJoint, key: str, allowed: tuple[str, ...]) -> str:
-    value = entry.settings.get(key)
-    if value not in allowed:
-        raise _damaged(entry.joint, key, f"{value!r}, expected one of {', '.join(allowed)}")
-    return str(value)
-
-
-def _joint(robot: Robot, key: str, name: str | None) -> int:
-    if name not in robot.joint_names:
-        raise _damaged(name, key, f"{name!r}, expected one of {', '.join(robot.joint_names)}")
-    return robot.joint_names.index(name)
-
-
-def _damaged(joint: str | None, key: str, problem: str) -> ConfigError:
-    return ConfigError(
-        f"stages.effects: the unexplained term of joint {joint} has under {key}: {problem}",
-        hint="write the parameter file anew with seqid refine",
-    )
+def damaged(key: str, what: str) -> ConfigError:
+    """What a parameter file says under `key` is nothing that this program wrote."""
+    hint = "The file was edited or damaged: run seqid refine again, which wrote it."
+    return ConfigError(f"{key}: {what}", hint=hint)

@@ -6,6 +6,7 @@ import json
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -53,28 +54,25 @@ class Rig:
         return sample_robot(self.name)
 
     @cached_property
-    def truth(self) -> dict[str, dict[str, dict[str, list[list[float]]]]]:
+    def truth(self) -> dict[str, Any]:
         return json.loads((self.folder / "truth.json").read_text())
 
     @cached_property
     def standard(self) -> dict[str, float]:
         """True standard parameters and rotor inertias by name."""
-        document = json.loads((self.folder / "truth.json").read_text())
-        return dict(document["parameters"] | document["rotor_inertia"])
+        return dict(self.truth["parameters"] | self.truth["rotor_inertia"])
 
     def logs(self, stage: str) -> list[Recording]:
-        return self._recordings.setdefault(stage, self._read(stage))
+        """The recordings of one stage, read once; none where it has no folder."""
+        if stage not in self._recordings:
+            folder = self.folder / stage
+            paths = sorted(folder.iterdir()) if folder.exists() else []
+            self._recordings[stage] = [read_recording(path, self.robot) for path in paths]
+        return self._recordings[stage]
 
     @cached_property
     def _recordings(self) -> dict[str, list[Recording]]:
         return {}
-
-    def _read(self, stage: str) -> list[Recording]:
-        if stage in self._recordings or not (self.folder / stage).exists():
-            return self._recordings.get(stage, [])
-        return [
-            read_recording(path, self.robot) for path in sorted((self.folder / stage).iterdir())
-        ]
 
     @cached_property
     def friction(self) -> FrictionStage:

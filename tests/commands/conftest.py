@@ -2,7 +2,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
@@ -47,7 +47,6 @@ class Rig:
 
     folder: Path
     run: Callable[..., Done]
-    logs: list[str] = field(default_factory=lambda: ["a.parquet", "b.parquet"])
 
     def params(self, name: str, file: ParameterFile) -> str:
         """Write a parameter file that this rig's robot file fits to."""

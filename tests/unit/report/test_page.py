@@ -69,22 +69,6 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
     return make_report(all_documents(), torques=[torques]).html
 
 
-def test_every_section_is_there_with_its_data(tmp_path: Path) -> None:
-    torques = write_torques(tmp_path / "t.parquet")
-    report = make_report(all_documents(), torques=[torques])
-    assert [section.id for section in report.sections] == [
-        "verdict",
-        "pipeline",
-        "torque",
-        "friction",
-        "parameters",
-        "imu",
-        "diagnosis",
-        "loop",
-    ]
-    assert all(section.complete for section in report.sections)
-
-
 def test_the_page_asks_for_nothing(page: str) -> None:
     found = outline(page)
     for tag, attributes in found.tags:

@@ -1,6 +1,5 @@
-"""Parts of the page: words, numbers, IMUs, payloads and plans, and the page of a fleet."""
+"""Parts of the page: what is kept of lines, words, numbers; payloads and plans."""
 
-import itertools
 from pathlib import Path
 
 import numpy as np
@@ -91,8 +90,7 @@ def test_units_lists_and_commands_in_words() -> None:
     assert command("seqid", "predict", "LOG...", "-p", "a b.json") == (
         "seqid predict LOG... -p 'a b.json'"
     )
-    pairs = itertools.product(("rad/s^2", "N m"), repeat=1)
-    assert [unit_text(unit) for (unit,) in pairs] == ["rad/s\u00b2", "N\u202fm"]
+    assert [unit_text(unit) for unit in ("rad/s^2", "N m")] == ["rad/s\u00b2", "N\u202fm"]
 
 
 def test_without_them_there_is_no_such_section() -> None:

@@ -134,8 +134,8 @@ def belief_of(
     basis = free_basis(robot)
     surfaces = friction_surfaces(stages, robot)
     theta, root = _parameters(robot, basis, stages)
-    prior = gravity_prior(stages.gravity, basis)
-    known = np.zeros((basis.size, basis.size)) if prior is None else prior.A.T @ prior.A
+    prior = gravity_prior(stages.gravity, basis, robot.joint_names)
+    known = prior.A.T @ prior.A
     slow = np.maximum(slowest_speeds(surfaces), rest_share * limits.speed)
     blank = Belief(robot, basis, limits, surfaces, theta, root, np.ones(robot.n), known, slow, "")
     density, origin = _density(blank, stages)

@@ -136,10 +136,16 @@ def _without(factors: Array, column: int, value: float) -> Array:
 
 @dataclass(frozen=True)
 class Prior:
-    """What earlier stages know: rows A theta = b with unit variance, (k, p) and (k,)."""
+    """What earlier stages know: rows A theta = b with unit variance, (k, p) and (k,).
+
+    `friction` (k, K_j) and `constants` (k,) are what b moves by, joint by joint, with the
+    coefficients of friction and with the error of a torque constant.
+    """
 
     A: Array
     b: Array
+    friction: dict[int, Array] = field(default_factory=dict)
+    constants: dict[int, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

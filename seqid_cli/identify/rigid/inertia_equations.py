@@ -24,12 +24,10 @@ from seqid_cli.identify.regression.equations import (
 from seqid_cli.identify.regression.least_squares import (
     MOST_BLOCKS,
     Accumulator,
-    Prior,
     Solution,
     solve,
-    whitened,
 )
-from seqid_cli.identify.rigid.posterior import Posterior, by_joint, constant_moves, gravity_prior
+from seqid_cli.identify.rigid.posterior import Posterior, constant_moves, gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import friction_surfaces, known_rotors, sampled_friction, sliding
@@ -186,19 +184,11 @@ class InertiaEquations:
         a thousandth of a standard error.
         """
         joints = rows.joints
-        if coupling is not None:
+        prior = gravity_prior(self.stages.gravity, self.basis, self.robot.joint_names)
+        if coupling is None:  # of which the prior knows nothing
+            prior = replace(prior, A=np.pad(prior.A, ((0, 0), (0, 1))))
+        else:
             joints = [joint.with_fixed(joint.size - 1, coupling) for joint in joints]
-        prior, through, inherited = gravity_prior(self.stages.gravity, self.basis), {}, {}
-        if prior is not None and self.stages.gravity is not None:
-            before, names = self.stages.gravity, self.robot.joint_names
-            root = whitened(np.array(before.covariance))
-            through, inherited = (
-                {j: root @ values for j, values in by_joint(known, names).items()}
-                for known in (before.friction_sensitivity, before.torque_constant_moves)
-            )
-        if coupling is None and prior is not None:
-            # The same prior with a column of zeros behind: it knows nothing of the coupling.
-            prior = Prior(np.hstack([prior.A, np.zeros((len(prior.A), 1))]), prior.b)
         share = float(rows.counts[0] / max(rows.counts[1], 1.0))
         solution = solve(joints, prior=prior, iterations=rounds, independent=share)
         size = len(solution.theta)
@@ -206,11 +196,11 @@ class InertiaEquations:
             j: -share * solution.bread @ sums[:size] / solution.sigma[j] ** 2
             for j, sums in rows.cross.items()
         }
-        gain = solution.bread @ prior.A.T if prior is not None else np.zeros((size, 0))
+        gain = solution.bread @ prior.A.T
         known = {j: S[:, -1] for j, S in crossed.items() if self._rotor_torque[j]}
         direct = {j: S[:, :-1] if j in known else S for j, S in crossed.items()}
-        posterior = Posterior.of(solution, self.surfaces, direct, gain, through)
-        by_gravity = {j: gain @ move for j, move in inherited.items()}
+        posterior = Posterior.of(solution, self.surfaces, direct, gain, prior.friction)
+        by_gravity = {j: gain @ move for j, move in prior.constants.items()}
         errors = self.robot.torque_constant_errors
         moves = constant_moves(solution, errors, known, by_gravity)
         return solution, replace(posterior, constants=moves)

@@ -51,11 +51,6 @@ def friction_covariance(
     return total
 
 
-def by_joint(known: Mapping[str, Sequence[object]], names: Sequence[str]) -> dict[int, Array]:
-    """Entries of a stage's `friction_sensitivity` or `torque_constant_moves` by joint."""
-    return {j: np.array(known[name]) for j, name in enumerate(names) if known.get(name)}
-
-
 def constant_moves(
     solution: Solution,
     errors: Array,
@@ -127,10 +122,13 @@ class Posterior:
         return replace(self, covariance=self.covariance + directions @ directions.T)
 
 
-def gravity_prior(gravity: RigidStage | None, basis: Basis) -> Prior | None:
-    """The gravity stage as rows of unit variance on the base parameters that it determined."""
+def gravity_prior(gravity: RigidStage | None, basis: Basis, joints: Sequence[str]) -> Prior:
+    """The gravity stage as rows of unit variance on the base parameters that it determined.
+
+    `joints`: names of the robot's. Returns: without rows where nothing is known of gravity.
+    """
     if gravity is None or not gravity.parameters:
-        return None
+        return Prior(np.zeros((0, basis.size)), np.zeros(0))
     size = int(basis.gravity.sum())
     rows = whitened(np.array(gravity.covariance))
     wide = np.zeros((len(rows), basis.size))
@@ -139,4 +137,9 @@ def gravity_prior(gravity: RigidStage | None, basis: Basis) -> Prior | None:
     # Base gravity parameters of the stage, undetermined ones at their smallest values.
     names = standard_names(basis.expression.shape[1] // 11)
     phi = np.array([gravity.representative.get(name, 0.0) for name in names])
-    return Prior(wide, rows @ np.asarray((basis.expression @ phi)[:size])[own])
+    friction, constants = (
+        {j: rows @ np.array(known[name]) for j, name in enumerate(joints) if known.get(name)}
+        for known in (gravity.friction_sensitivity, gravity.torque_constant_moves)
+    )
+    value = np.asarray((basis.expression @ phi)[:size])[own]
+    return Prior(wide, rows @ value, friction, constants)

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.identify.regression.least_squares import whitened
-from seqid_cli.identify.rigid.posterior import by_joint, gravity_prior
+from seqid_cli.identify.rigid.posterior import gravity_prior
 from seqid_cli.params.results.plan import PlannedStage, PredictedParameter
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
@@ -98,17 +97,14 @@ def spread_of(belief: Belief, goal: Goal, stages: Stages, some: Moves, total: Ar
     whole = C.copy()
     H = belief.regressor(some)
     weights = belief.weights(some)
-    prior = gravity_prior(stages.gravity, belief.basis)
-    known = stages.gravity.friction_sensitivity if stages.gravity else {}
-    sensitivity = by_joint(known, belief.robot.joint_names)
+    prior = gravity_prior(stages.gravity, belief.basis, belief.robot.joint_names)
     for j, surface in enumerate(belief.surfaces):
         if surface is None:
             continue
         F = surface.columns(some.q[..., j].ravel(), some.dq[..., j].ravel())
         rows = weights[..., j, None] * H[:, :, j]
         moved = -C @ (rows.reshape(-1, len(C)).T @ F)
-        if prior is not None and stages.gravity is not None and j in sensitivity:
-            gain = C @ prior.A.T
-            moved += gain @ whitened(np.array(stages.gravity.covariance)) @ sensitivity[j]
+        if j in prior.friction:
+            moved += C @ prior.A.T @ prior.friction[j]
         whole += moved @ surface.covariance @ moved.T
     return whole

@@ -95,7 +95,7 @@ def test_the_covariance_is_that_of_the_parameters_that_were_determined() -> None
     assert np.shape(stage.covariance) == (len(stage.parameters),) * 2
     errors = np.sqrt(np.diag(stage.covariance))
     assert errors.tolist() == pytest.approx([p.std_error for p in stage.parameters])
-    prior = gravity_prior(stage, basis)
+    prior = gravity_prior(stage, basis, robot.joint_names)
     own = [basis.names.index(p.name) for p in stage.parameters]
     assert not np.delete(prior.A, own, axis=1).any()
     expected = np.linalg.inv(np.array(stage.covariance))

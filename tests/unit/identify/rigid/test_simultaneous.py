@@ -46,15 +46,18 @@ def record(seed: int, seconds: float = 60.0, half: float = 2.0) -> Recording:
     )
 
 
-@pytest.fixture(scope="module")
-def stages() -> Stages:
-    logs = [record(1), record(2)]
-    friction, inertia = identify_simultaneous(logs, robot(), options=MotionOptions(8.0))
+def identified(*logs: Recording, arm: Robot | None = None, offset: bool = True) -> Stages:
+    options = MotionOptions(8.0)
+    friction, inertia = identify_simultaneous(logs, arm or robot(), options=options, offset=offset)
     return Stages(friction=friction, inertia=inertia)
 
 
+@pytest.fixture(scope="module")
+def stages() -> Stages:
+    return identified(record(1), record(2))
+
+
 def test_the_rigid_body_is_recovered(stages: Stages) -> None:
-    assert stages.inertia is not None
     standard = {
         f"{kind}_{i + 1}": float(PHI[i, k]) for i in range(6) for k, kind in enumerate(PHI_NAMES)
     }
@@ -83,9 +86,9 @@ def test_a_new_motion_is_predicted_to_the_noise(stages: Stages) -> None:
 @pytest.mark.parametrize("offset", [True, False])
 def test_offsets_do_not_go_into_the_base_parameters(*, offset: bool) -> None:
     """On short moves of one posture gravity takes what offsets would, and is sure of it."""
-    plain, options = record(1, 30.0, 0.5), MotionOptions(8.0)
+    plain = record(1, 30.0, 0.5)
     found = [
-        identify_simultaneous([log], robot(), options=options, offset=offset)[1].parameters
+        identified(log, offset=offset).inertia.parameters
         for log in (plain, replace(plain, tau=plain.tau + 0.5))
     ]
     moves = np.array([b.value - a.value for a, b in zip(*found, strict=True)])
@@ -95,8 +98,7 @@ def test_offsets_do_not_go_into_the_base_parameters(*, offset: bool) -> None:
 
 
 def test_offsets_that_moves_do_not_tell_from_gravity_are_named() -> None:
-    log = record(1, 30.0, 0.005)
-    _, inertia = identify_simultaneous([log], robot(), options=MotionOptions(8.0))
+    inertia = identified(record(1, 30.0, 0.005)).inertia
     assert any("--no-offset" in note for note in inertia.notes), inertia.notes
     assert not all(verdict.good for verdict in inertia.verdicts)
 
@@ -105,23 +107,20 @@ def test_joints_that_rest_are_named() -> None:
     log = record(4, 20.0)
     q = log.q.copy()
     q[:, 5] = 0.3
-    friction, inertia = identify_simultaneous(
-        [replace(log, q=q)], robot(), options=MotionOptions(8.0)
-    )
-    verdicts = {v.joint: v for v in inertia.verdicts}
+    found = identified(replace(log, q=q))
+    verdicts = {v.joint: v for v in found.inertia.verdicts}
     assert not verdicts["joint_6"].good
     assert "does not move" in verdicts["joint_6"].reason
-    assert "joint_6" not in friction.joints
+    assert "joint_6" not in found.friction.joints
 
 
 def test_a_log_that_hardly_moves_a_joint_does_not_say_how_fast_it_slides() -> None:
     crawling = record(5, 20.0)
     crawling.q[:, 5] *= 1e-3
     logs = [crawling, record(6, 20.0)]
-    friction, _ = identify_simultaneous(logs, robot(), options=MotionOptions(8.0))
-    other, _ = identify_simultaneous(logs[::-1], robot(), options=MotionOptions(8.0))
-    for name, joint in friction.joints.items():
-        assert joint.sign_width == pytest.approx(other.joints[name].sign_width)
+    found, other = (identified(*given).friction.joints for given in (logs, logs[::-1]))
+    for name, joint in found.items():
+        assert joint.sign_width == pytest.approx(other[name].sign_width)
         assert joint.sign_width > 1e-3 * joint.speed_range[1]
 
 
@@ -133,12 +132,12 @@ def test_a_joint_that_slides_has_units_of_its_own() -> None:
     phi[:, [0, 1, 4, 6, 9]] = 2.0, 0.3, 0.1, 0.2, 0.2
     tau = inverse_dynamics(arm.chain, arm.gravity, phi, motion.q, motion.dq, motion.ddq)
     log = made_recording(motion.q, tau + 3.0 * np.tanh(motion.dq / 0.01), rate_hz=RATE)
-    friction, inertia = identify_simultaneous([log], arm, options=MotionOptions(8.0))
-    turns, slides = friction.joints.values()
+    found = identified(log, arm=arm)
+    turns, slides = found.friction.joints.values()
     assert (turns.unit, slides.unit) == ("N m", "N")
     assert [p.unit for p in turns.parameters] == ["N m", "N m s/rad", "N m"]
     assert [p.unit for p in slides.parameters] == ["N", "N s/m", "N"]
-    told = {verdict.joint: verdict.reason for verdict in inertia.verdicts}
+    told = {verdict.joint: verdict.reason for verdict in found.inertia.verdicts}
     assert told["joint_1"].endswith(" N m)")
     assert told["joint_2"].endswith(" N)")
 
@@ -146,9 +145,6 @@ def test_a_joint_that_slides_has_units_of_its_own() -> None:
 def test_friction_that_drives_is_not_good() -> None:
     log = record(7, 20.0)
     driven = log.tau - 2 * COULOMB * np.sign(np.gradient(log.q, axis=0)) * (np.arange(6) == 3)
-    _, inertia = identify_simultaneous(
-        [replace(log, tau=driven)], robot(), options=MotionOptions(8.0)
-    )
-    verdicts = {v.joint: v for v in inertia.verdicts if v.joint}
-    assert [name for name, v in verdicts.items() if "cannot be" in v.reason] == ["joint_4"]
-    assert not verdicts["joint_4"].good
+    verdicts = identified(replace(log, tau=driven)).inertia.verdicts
+    driving = [v for v in verdicts if v.joint and "cannot be" in v.reason]
+    assert [(v.joint, v.good) for v in driving] == [("joint_4", False)]

@@ -35,39 +35,35 @@ STEP = 1e-3  # by which a joint's torque is scaled
 SEEDS = 60
 
 
-def stated(robot: Robot, error: float = ERROR, joint: int = 0) -> Robot:
-    """The robot with the error of one joint's torque constant stated."""
-    joints = list(robot.joints)
-    joints[joint] = replace(joints[joint], torque_constant_error=error)
-    return replace(robot, joints=tuple(joints))
+def stated(robot: Robot) -> Robot:
+    """The robot with the error of the first joint's torque constant stated."""
+    first, *others = robot.joints
+    return replace(robot, joints=(replace(first, torque_constant_error=ERROR), *others))
 
 
-def scaled(logs: list[Recording], step: float, joint: int = 0) -> list[Recording]:
-    """Logs whose torque of one joint is another."""
-    result = []
-    for log in logs:
-        assert log.tau is not None
-        tau = log.tau.copy()
-        tau[:, joint] *= 1.0 + step
-        result.append(replace(log, tau=tau))
-    return result
+def scaled(logs: list[Recording], step: float) -> list[Recording]:
+    """Logs whose torque of the first joint is another."""
+    factor = 1.0 + step * (np.arange(logs[0].tau.shape[1]) == 0)
+    return [replace(log, tau=log.tau * factor) for log in logs]
 
 
 def identified_from(rig: Rig, robot: Robot, step: float) -> Stages:
     """All stages by the encoders, from logs whose torque of the first joint is scaled."""
-    drills = scaled(rig.logs("friction"), step)
-    stages = Stages(friction=identify_friction(drills, robot, options=FrictionOptions()))
-    slow = scaled(rig.logs("gravity"), step) + drills
-    stages.gravity = identify_gravity(slow, robot, stages)
-    options = InertiaOptions(source="encoder")
-    stages.inertia = identify_inertia(
-        scaled(rig.logs("inertia"), step), robot, stages, options=options
+    drills, slow, pairs = (
+        scaled(rig.logs(name), step) for name in ("friction", "gravity", "inertia")
     )
+    stages = Stages(friction=identify_friction(drills, robot, options=FrictionOptions()))
+    stages.gravity = identify_gravity(slow + drills, robot, stages)
+    options = InertiaOptions(source="encoder")
+    stages.inertia = identify_inertia(pairs, robot, stages, options=options)
     return stages
 
 
+Known = tuple[Robot, Stages, Stages, Stages]
+
+
 @pytest.fixture(scope="module")
-def pair(one_joint: Rig) -> tuple[Robot, Stages, Stages, Stages]:
+def known(one_joint: Rig) -> Known:
     """The robot; stages without a stated error, with one, and with one of scaled torque."""
     robot = stated(one_joint.robot)
     plain = identified_from(one_joint, one_joint.robot, 0.0)
@@ -83,40 +79,22 @@ def seen_and_told(before: RigidStage, after: RigidStage) -> tuple[Array, Array]:
 
 
 @pytest.mark.slow
-def test_scaled_torque_moves_friction_and_gravity_as_told(
-    pair: tuple[Robot, Stages, Stages, Stages],
-) -> None:
-    _, _, before, after = pair
-    assert before.friction
-    assert after.friction
-    surfaces = [stage.joints["joint_1"].positive for stage in (before.friction, after.friction)]
+def test_scaled_torque_moves_every_stage_as_told(known: Known) -> None:
+    robot, _, before, after = known
+    surfaces = [stages.friction.joints["joint_1"].positive for stages in (before, after)]
     np.testing.assert_allclose(surfaces[1], (1.0 + STEP) * np.array(surfaces[0]), rtol=1e-9)
-    assert before.gravity
-    assert after.gravity
     seen, told = seen_and_told(before.gravity, after.gravity)
     np.testing.assert_allclose(seen, told, rtol=1e-6)
-
-
-@pytest.mark.slow
-def test_scaled_torque_moves_inertia_as_told_beside_a_known_rotor(
-    pair: tuple[Robot, Stages, Stages, Stages],
-) -> None:
-    robot, _, before, after = pair
-    assert robot.joints[0].rotor_inertia
-    assert before.inertia
-    assert after.inertia
-    seen, told = seen_and_told(before.inertia, after.inertia)
     # The rotor's torque enters by thinned samples, and the weights of the rows move a little.
+    seen, told = seen_and_told(before.inertia, after.inertia)
     np.testing.assert_allclose(seen, told, rtol=1e-3)
-    value = before.inertia.parameters[0].value
-    assert told[0] > 1.02 * STEP * value  # the rotor does not scale
+    assert robot.joints[0].rotor_inertia
+    assert told[0] > 1.02 * STEP * before.inertia.parameters[0].value  # the rotor does not scale
 
 
 @pytest.mark.slow
-def test_what_is_held_against_the_same_torque_does_not_change(
-    pair: tuple[Robot, Stages, Stages, Stages],
-) -> None:
-    _, plain, with_error, _ = pair
+def test_what_is_held_against_the_same_torque_does_not_change(known: Known) -> None:
+    _, plain, with_error, _ = known
     for name in ("gravity", "inertia"):
         one, other = getattr(plain, name), getattr(with_error, name)
         assert one.torque_constant_moves == {}
@@ -131,20 +109,13 @@ def test_what_is_held_against_the_same_torque_does_not_change(
 
 
 @pytest.mark.slow
-def test_export_counts_one_error_for_gravity_and_inertia(
-    pair: tuple[Robot, Stages, Stages, Stages],
-) -> None:
-    robot, _, stages, _ = pair
+def test_export_counts_one_error_for_gravity_and_inertia(known: Known) -> None:
+    robot, _, stages, _ = known
     demand = identified(stages, robot)
     np.testing.assert_allclose(np.sqrt(np.diag(demand.covariance)), demand.errors, rtol=1e-9)
-    assert stages.inertia
-    assert stages.gravity
-    moves = [
-        x
-        for stage in (stages.inertia, stages.gravity)
-        for x in stage.torque_constant_moves["joint_1"]
-    ]
-    names = [p.name for stage in (stages.inertia, stages.gravity) for p in stage.parameters]
+    both = stages.inertia, stages.gravity
+    moves = [x for stage in both for x in stage.torque_constant_moves["joint_1"]]
+    names = [p.name for stage in both for p in stage.parameters]
     assert len(set(names)) == len(names)
     assert demand.covariance[0, 1] == pytest.approx(moves[0] * moves[1], rel=1e-9)
 

@@ -16,12 +16,7 @@ from seqid_cli.identify.friction_surface.trials import Trial, by_joint, collect_
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
 from seqid_cli.identify.rigid.parameters import rigid_stage
-from seqid_cli.identify.rigid.posterior import (
-    Posterior,
-    Sensitivity,
-    constant_moves,
-    friction_covariance,
-)
+from seqid_cli.identify.rigid.posterior import Posterior, Sensitivity
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
@@ -157,14 +152,10 @@ def _stage(
 
     Gravity shows where a parameter is more than `clear_sigma` standard errors from zero.
     """
-    sensitivity, unseen = rows.sensitivity(solution), np.zeros_like(solution.bread)
-    for j, crossed in rows.unseen:
-        move = solution.bread @ crossed / solution.sigma[j] ** 2
-        unseen += np.outer(move, move)
-    covariance = solution.covariance + unseen
-    covariance += friction_covariance(sensitivity, rows.surfaces, rows.size)
-    moves = constant_moves(solution, robot.torque_constant_errors, {})
-    posterior = Posterior(covariance, sensitivity, moves)
+    about = rows.surfaces, robot.torque_constant_errors, rows.sensitivity(solution)
+    unseen = [solution.bread @ crossed / solution.sigma[j] ** 2 for j, crossed in rows.unseen]
+    posterior = Posterior.of(solution, *about, known={})
+    posterior = posterior.with_error(np.reshape(unseen, (-1, rows.size)).T)
     own = np.arange(rows.size)
     stage = rigid_stage(robot, basis, solution, posterior, own, np.zeros(robot.n))
     remedy = "Move the joints that carry them with the others locked in other configurations"

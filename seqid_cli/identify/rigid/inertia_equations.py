@@ -27,7 +27,7 @@ from seqid_cli.identify.regression.least_squares import (
     Solution,
     solve,
 )
-from seqid_cli.identify.rigid.posterior import Posterior, constant_moves, gravity_prior
+from seqid_cli.identify.rigid.posterior import Posterior, gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import friction_surfaces, known_rotors, sampled_friction, sliding
@@ -196,14 +196,10 @@ class InertiaEquations:
             j: -share * solution.bread @ sums[:size] / solution.sigma[j] ** 2
             for j, sums in rows.cross.items()
         }
-        gain = solution.bread @ prior.A.T
         known = {j: S[:, -1] for j, S in crossed.items() if self._rotor_torque[j]}
         direct = {j: S[:, :-1] if j in known else S for j, S in crossed.items()}
-        posterior = Posterior.of(solution, self.surfaces, direct, gain, prior.friction)
-        by_gravity = {j: gain @ move for j, move in prior.constants.items()}
-        errors = self.robot.torque_constant_errors
-        moves = constant_moves(solution, errors, known, by_gravity)
-        return solution, replace(posterior, constants=moves)
+        about = self.surfaces, self.robot.torque_constant_errors
+        return solution, Posterior.of(solution, *about, direct, known, prior)
 
 
 def slowest_speeds(surfaces: list[FrictionSurface | None]) -> Array:

@@ -99,23 +99,27 @@ class Posterior:
         cls,
         solution: Solution,
         surfaces: Sequence[FrictionSurface | None],
+        errors: Array,
         direct: Sensitivity,
-        gain: Array,
-        through: Sensitivity,
+        known: Mapping[int, Array],
+        prior: Prior | None = None,
     ) -> "Posterior":
         """Join a solution's own errors with those that it inherits.
 
-        `solution`: its covariance counts the prior's rows as independent of friction. `direct`: of
-        the solution to friction, the prior held. `gain` (p, k): of the solution on the prior's
-        right side. `through`: of the prior's right side (k, K_j) to friction.
+        `solution`: its covariance counts the prior's rows as independent of friction. `errors`,
+        `known`: see `constant_moves`. `direct`: of the solution to friction, the prior held.
         """
-        inherited = friction_covariance(through, surfaces, gain.shape[1])
-        total = dict(direct)
-        for j, inner in through.items():
-            total[j] = total.get(j, 0.0) + gain @ inner
-        covariance = solution.covariance - gain @ inherited @ gain.T
-        covariance += friction_covariance(total, surfaces, len(covariance))
-        return cls((covariance + covariance.T) / 2, total)
+        total, covariance, through = dict(direct), solution.covariance, {}
+        if prior is not None:
+            gain = solution.bread @ prior.A.T
+            inherited = friction_covariance(prior.friction, surfaces, gain.shape[1])
+            covariance = covariance - gain @ inherited @ gain.T
+            for j, inner in prior.friction.items():
+                total[j] = total.get(j, 0.0) + gain @ inner
+            through = {j: gain @ move for j, move in prior.constants.items()}
+        covariance = covariance + friction_covariance(total, surfaces, len(covariance))
+        constants = constant_moves(solution, errors, known, through)
+        return cls((covariance + covariance.T) / 2, total, constants)
 
     def with_error(self, directions: Array) -> "Posterior":
         """Add an error along directions (p, d), one standard deviation each."""

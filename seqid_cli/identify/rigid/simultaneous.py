@@ -28,7 +28,7 @@ from seqid_cli.identify.regression.equations import (
 )
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.rigid.parameters import joint_verdicts, rigid_stage
-from seqid_cli.identify.rigid.posterior import Posterior, constant_moves
+from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.units import UNTOLD
 from seqid_cli.model.friction import SLIDES
@@ -144,8 +144,7 @@ class SimultaneousEquations:
             j: -solution.bread @ sums / solution.sigma[j] ** 2
             for j, sums in enumerate(self._rotor_sums)
         }
-        moves = constant_moves(solution, robot.torque_constant_errors, known)
-        posterior = Posterior(solution.covariance, {}, moves)
+        posterior = Posterior.of(solution, (), robot.torque_constant_errors, {}, known)
         moved = [j for j in range(robot.n) if self.joints[j].samples]
         named = " and ".join(", ".join(name for name, _ in self.terms).rsplit(", ", 1))
         note = f"friction ({named}) from one least squares with the rigid body (Eq. 5-6)"

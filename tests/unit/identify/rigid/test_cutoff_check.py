@@ -25,7 +25,7 @@ def result(H: Array, y: Array) -> Result:
     for h, own in zip(np.split(H, BLOCKS), np.split(y, BLOCKS), strict=True):
         joint.add(h, own)
     solution = solve([joint])
-    return solution, Posterior.of(solution, [None], {}, np.zeros((len(THETA), 0)), {})
+    return solution, Posterior.of(solution, [None], np.zeros(1), {}, {})
 
 
 def pair(seed: int, *, shrunk: float) -> tuple[Result, Result]:

@@ -21,6 +21,7 @@ from tests.unit.logs.writers import (
     Message,
     header,
     imu_messages,
+    joint_messages,
     payloads,
     rewrite,
     write_messages,
@@ -198,24 +199,17 @@ def test_protobuf(tmp_path: Path, optional: bool) -> None:
     np.testing.assert_array_equal(values_of(raw.joints), wanted)
 
 
-def positions(q: np.ndarray, frame: str = "base_link") -> list[Message]:
+def positions(q: np.ndarray) -> list[Message]:
     """A message of positions alone for each row (N, 3)."""
-    return [
-        (
-            "/joint_states",
-            i,
-            SimpleNamespace(
-                header=header(i, frame), name=[*JOINTS], position=row, velocity=[], effort=[]
-            ),
-        )
-        for i, row in enumerate(q.tolist(), start=1)
-    ]
+    return joint_messages(np.arange(1, len(q) + 1), JOINTS, q)
 
 
 def test_padding_is_not_structure(tmp_path: Path) -> None:
     """Some middleware leaves what was in memory between the fields."""
     rng = np.random.default_rng(5)
-    messages = positions(rng.normal(size=(400, 3)), frame="abcd")
+    messages = positions(rng.normal(size=(400, 3)))
+    for _, _, content in messages:
+        content.header.frame_id = "abcd"
     source = write_messages(tmp_path / "source.mcap", messages, encoding="cdr")
     padded = []
     for log_ns, content in enumerate(payloads(source), start=1):

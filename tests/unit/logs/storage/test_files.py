@@ -24,32 +24,24 @@ def names(paths: list[Path], folder: Path) -> list[str]:
     return [str(path.relative_to(folder)) for path in paths]
 
 
-def test_folder_gives_logs_in_natural_order(folder: Path) -> None:
-    assert names(expand([str(folder)]), folder) == [
-        "run2.parquet",
-        "run10.parquet",
-        "sub/run1.MCAP",
-    ]
-
-
-def test_duplicates_are_removed_and_the_order_is_that_of_names(folder: Path) -> None:
-    found = expand(
-        [str(folder / "run10.parquet"), str(folder), str(folder / "sub/../run2.parquet")]
-    )
-    assert names(found, folder) == ["run2.parquet", "run10.parquet", "sub/run1.MCAP"]
+ALL = ["run2.parquet", "run10.parquet", "sub/run1.MCAP"]
 
 
 @pytest.mark.parametrize(
-    ("pattern", "expected"),
+    ("arguments", "expected"),
     [
-        ("*.parquet", ["run2.parquet", "run10.parquet"]),
-        ("**/*.MCAP", ["sub/run1.MCAP"]),
-        ("s*", ["sub/run1.MCAP"]),
-        ("run?.parquet", ["run2.parquet"]),
+        ([""], ALL),
+        (["run10.parquet", "", "sub/../run2.parquet"], ALL),
+        (["*.parquet"], ALL[:2]),
+        (["**/*.MCAP"], ALL[2:]),
+        (["s*"], ALL[2:]),
+        (["run?.parquet"], ALL[:1]),
     ],
 )
-def test_globs(folder: Path, pattern: str, expected: list[str]) -> None:
-    assert names(expand([str(folder / pattern)]), folder) == expected
+def test_logs_come_once_in_natural_order(
+    folder: Path, arguments: list[str], expected: list[str]
+) -> None:
+    assert names(expand([str(folder / each) for each in arguments]), folder) == expected
 
 
 def test_name_with_brackets_is_a_file(tmp_path: Path) -> None:

@@ -186,13 +186,10 @@ def _losses(scan: Scan) -> list[str]:
     """Say what the file lost; nothing for a whole one."""
     losses = [f"{what} ({n} times)" if n > 1 else what for what, n in scan.losses.items()]
     more = [f"and {len(losses) - 3} more faults"] if len(losses) > 3 else []
-    missing, expected = scan.missing(), scan.expected()
-    counted = []
-    if missing:
-        of = f" of {expected}" if expected else ""
-        counted = [f"{missing}{of} messages are lost"]
-    elif losses:
-        counted = [f"{scan.met()} messages were read"]
+    met, expected, lost = scan.tally()
+    counted = [f"{met} messages were read"] if losses else []
+    if lost:
+        counted = [f"{lost}{f' of {expected}' if expected else ''} messages are lost"]
     return [*losses[:3], *more, *counted]
 
 

@@ -133,25 +133,17 @@ class Scan:
         told = self.summary.statistics
         return (told.channel_message_counts or None) if told else None
 
-    def expected(self) -> int | None:
-        """Count the messages of wanted topics by the file's own statistics."""
+    def tally(self) -> tuple[int, int | None, int]:
+        """Count the messages of wanted topics: read, promised by the file's statistics, lost."""
+        known = self.channels
+        met = sum(self.counts[i] for i, each in known.items() if self.wanted(each.topic))
         promised = self._promised()
         if promised is None:
-            return None
-        return sum(
-            count
-            for number, count in promised.items()
-            if number not in self.channels or self.wanted(self.channels[number].topic)
+            return met, None, self.dropped
+        expected = sum(
+            count for i, count in promised.items() if i not in known or self.wanted(known[i].topic)
         )
-
-    def missing(self) -> int:
-        """Count the messages of wanted topics that the file promises and that were not met."""
-        expected = self.expected()
-        return self.dropped if expected is None else max(0, expected - self.met())
-
-    def met(self) -> int:
-        """Count the messages of wanted topics that were read."""
-        return sum(self.counts[i] for i, each in self.channels.items() if self.wanted(each.topic))
+        return met, expected, max(0, expected - met)
 
     def total(self, channel: int) -> int:
         """Count the messages of a channel: those met, or of a topic not wanted those promised."""

@@ -63,21 +63,19 @@ class _Cursor:
             return {name: dict(zip("xyz", own, strict=True)) for name, own in vectors.items()}
         names = self.texts()
         if kind == "joint_state":
-            arrays = {name: self.doubles(self.count(8)) for name in JOINT_QUANTITIES}
+            arrays = {name: self.doubles(self.count()) for name in JOINT_QUANTITIES}
             return {"name": names, **arrays}
         interfaces = [
-            {"interface_names": self.texts(), "values": self.doubles(self.count(8))}
-            for _ in range(self.count(8))
+            {"interface_names": self.texts(), "values": self.doubles(self.count())}
+            for _ in range(self.count())
         ]
         return {"joint_names": names, "interface_values": interfaces}
 
-    def count(self, least: int = 0) -> int:
-        """Read a length (uint32) of items of at least that many bytes; it is structure."""
+    def count(self) -> int:
+        """Read a length (uint32); it is structure."""
         self._align(4)
         start = self._advance(4, structure=4)
         (value,) = struct.unpack_from(f"{self.order}I", self.data, start)
-        if value * least > len(self.data):
-            raise ValueError("more items than bytes")
         return int(value)
 
     def text(self, *, structural: bool = True) -> str:
@@ -88,7 +86,7 @@ class _Cursor:
 
     def texts(self) -> list[str]:
         """Read a list of strings."""
-        return [self.text() for _ in range(self.count(4))]
+        return [self.text() for _ in range(self.count())]
 
     def doubles(self, count: int) -> range:
         """Step over float64 values; returns where they begin."""

@@ -1,7 +1,7 @@
 """The same samples in every format that is read, each written by the format's own writer."""
 
 import csv
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,6 +21,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from tests import Array
 from tests.unit.logs.writers import (
+    DEFINITIONS,
     Message,
     as_json,
     encoded,
@@ -227,9 +228,10 @@ def write_bag(
     *,
     plugin: StoragePlugin = StoragePlugin.SQLITE3,
     compression: CompressionMode | None = None,
+    definitions: Mapping[str, str] = DEFINITIONS,
 ) -> Path:
     """Write a ROS 1 bag, where the path ends with `.bag`, or the folder of a ROS 2 bag."""
-    topics, rows = encoded(messages, "cdr")
+    topics, rows = encoded(messages, "cdr", definitions)
     humble, noetic = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
     first = path.suffix == ".bag"
     writer = Bag1Writer(path) if first else Bag2Writer(path, version=9, storage_plugin=plugin)

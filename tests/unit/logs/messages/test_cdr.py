@@ -59,6 +59,15 @@ def test_messages_of_both_byte_orders(tmp_path: Path) -> None:
     assert recording.partial == ""
 
 
+def test_a_message_of_another_representation_is_refused(tmp_path: Path) -> None:
+    source = write_messages(tmp_path / "source.mcap", MESSAGES, encoding="cdr")
+    rows = [("/joint_states", k, data) for k, data in enumerate(payloads(source))]
+    rows[50] = ("/joint_states", 50, b"\0\3" + rows[50][2][2:])
+    path = write_raw(tmp_path / "log.mcap", {"/joint_states": "cdr"}, rows)
+    partial = read_recording(path, make_robot()).partial
+    assert partial == "1 of 100 messages of /joint_states could not be decoded"
+
+
 @pytest.mark.parametrize("effort", ["torque", "current"])
 def test_dynamic_joint_states_match_the_slow_way(tmp_path: Path, effort: str) -> None:
     rng, messages = random.Random(4), []

@@ -159,16 +159,18 @@ def test_torque_wins_unless_current_is_declared(
     assert read(tmp_path, COLUMNS).tau is None
 
 
-FORMS = [("hand{}a{}", "hand{}g{}", mark) for mark in "./_"]
-FORMS += [("hand{0}linear_acceleration{0}{1}", "hand{0}angular_velocity{0}{1}", m) for m in "./"]
-FORMS += [("/hand/data{0}linear_acceleration{0}{1}", "/hand/data{0}angular_velocity{0}{1}", "/")]
+FORMS = [("hand{}a{}", "hand{}g{}", mark, ends) for mark in "./_" for ends in ("xyz", "123")]
+FORMS += [
+    (f"{stem}{{0}}linear_acceleration{{0}}{{1}}", f"{stem}{{0}}angular_velocity{{0}}{{1}}", *more)
+    for stem, *more in (("hand", ".", "xyz"), ("hand", "/", "xyz"), ("/hand/data", "/", "xyz"))
+]
 
 
-@pytest.mark.parametrize(("accelerometer", "gyro", "mark"), FORMS)
-def test_names_of_imus(tmp_path: Path, accelerometer: str, gyro: str, mark: str) -> None:
+@pytest.mark.parametrize(("accelerometer", "gyro", "mark", "ends"), FORMS)
+def test_names_of_imus(tmp_path: Path, accelerometer: str, gyro: str, mark: str, ends: str) -> None:
     columns: dict[str, object] = dict(COLUMNS)
     for k, axis in enumerate("xyz"):
-        columns[accelerometer.format(mark, axis)] = MOTION.accelerometers["hand"][:, k]
+        columns[accelerometer.format(mark, ends[k])] = MOTION.accelerometers["hand"][:, k]
         columns[gyro.format(mark, axis)] = MOTION.gyros["hand"][:, k]
     pq.write_table(pa.table(columns), tmp_path / "log.parquet")
     recording = read_recording(tmp_path / "log.parquet", make_robot(imus=(GYRO, ARRAY)))

@@ -68,6 +68,8 @@ def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(goal: Goal, poo
     nothing = np.zeros_like(goal.W)
     chosen = choose(goal, pool[1], COUNT, nothing)
     assert len(set(chosen)) == COUNT
+    alike = pool[1][:1] * np.array([1.0, 0.1, 0.01])[:, None, None]
+    assert sorted(choose(goal, alike, 5, nothing)) == [0, 1, 2]  # each once
     rng = np.random.default_rng(1)
     sets = [rng.choice(len(pool[0]), COUNT, replace=False) for _ in range(1000)]
     chance = [float(goal.errors(pool[1][s].sum(axis=0))) for s in sets]

@@ -16,6 +16,7 @@ from seqid_cli.plan.options import PlanOptions
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from seqid_cli.robot.urdf.geometry import geometry_of
+from tests.plants.robots.stages import save_robot
 
 LENGTH = 0.5
 BAR = (
@@ -40,14 +41,7 @@ def arm(tmp_path_factory: pytest.TempPathFactory) -> Robot:
             f'<parent link="{parent}"/><child link="link_{k}"/><origin xyz="{x} 0 0"/>'
             '<axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="2" effort="200"/></joint>'
         )
-    (folder / "arm.urdf").write_text(f'<robot name="arm">{"".join(parts)}</robot>')
-    path = folder / "robot.toml"
-    joints = "".join(f'[[joint]]\nname = "j{k}"\n' for k in range(3))
-    head = (
-        'schema = "seqid/robot@1"\nname = "arm"\nurdf = "arm.urdf"\ngravity = [0.0, 0.0, -9.81]\n'
-    )
-    path.write_text(head + joints)
-    return load_robot(path)
+    return save_robot(folder, f'<robot name="arm">{"".join(parts)}</robot>', ("j0", "j1", "j2"))
 
 
 def tips(q: np.ndarray) -> np.ndarray:

@@ -8,9 +8,8 @@ import pytest
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.base_parameters import base_parameters
-from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics, torque_regressor
-from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.types import Array
 from tests.plants.robots.small import (
     GRAVITY,
     NAMES_6R,
@@ -22,14 +21,7 @@ from tests.plants.robots.small import (
     urdf_6r,
     urdf_gantry,
 )
-
-
-def _load(folder: Path, text: str, names: tuple[str, ...]) -> Robot:
-    (folder / "robot.urdf").write_text(text)
-    joints = "".join(f'[[joint]]\nname = "{name}"\n' for name in names)
-    head = 'schema = "seqid/robot@1"\nname = "r"\nurdf = "robot.urdf"\ngravity = [0, 0, -9.81]\n'
-    (folder / "robot.toml").write_text(head + joints)
-    return load_robot(folder / "robot.toml")
+from tests.plants.robots.stages import save_robot
 
 
 def _configuration(model: pin.Model, q: Array) -> Array:
@@ -47,7 +39,7 @@ def _configuration(model: pin.Model, q: Array) -> Array:
 def test_regressor_and_nominal_torque_are_pinocchios(
     tmp_path: Path, text: str, names: tuple[str, ...]
 ) -> None:
-    robot = _load(tmp_path, text, names)
+    robot = save_robot(tmp_path, text, names)
     model = pin.buildModelFromXML(text)
     q, dq, ddq = states(np.random.default_rng(0), 8, robot.n)
     wide = np.array([_configuration(model, row) for row in q])
@@ -64,8 +56,8 @@ def test_regressor_and_nominal_torque_are_pinocchios(
 
 def test_joints_that_are_not_named_are_locked_at_zero_and_merged(tmp_path: Path) -> None:
     names = ("shoulder_lift", "elbow")
-    robot = _load(tmp_path, urdf_6r(), names)
-    whole = _load(tmp_path, urdf_6r(), NAMES_6R)
+    robot = save_robot(tmp_path, urdf_6r(), names)
+    whole = save_robot(tmp_path, urdf_6r(), NAMES_6R)
     some, every = np.zeros((3, 2)), np.zeros((3, 6))
     every[:, 1:3] = some[:] = np.random.default_rng(3).normal(size=(3, 2))
     assert robot.nominal is not None
@@ -76,51 +68,51 @@ def test_joints_that_are_not_named_are_locked_at_zero_and_merged(tmp_path: Path)
     np.testing.assert_allclose(tau, tau_all[:, 1:3], atol=1e-10)
 
 
-def test_mimic_joints_are_locked_and_may_not_be_driven(tmp_path: Path) -> None:
-    text = urdf(
-        *(link(name, mass=1.0, x=0.1) for name in ("base", "l1", "finger_l", "finger_r")),
-        joint("turn", "base", "l1", axis="0 1 0"),
-        joint("left", "l1", "finger_l", kind="prismatic"),
-        joint("right", "l1", "finger_r", kind="prismatic", extra='<mimic joint="left"/>'),
-    )
-    robot = _load(tmp_path, text, ("turn",))
-    assert robot.nominal[0, 0] == pytest.approx(3.0)
-    with pytest.raises(ConfigError, match=r"joint\[1\].name 'right' follows joint 'left'"):
-        _load(tmp_path, text, ("turn", "right"))
-    with pytest.raises(ConfigError, match="not in chain order: left, turn"):
-        _load(tmp_path, text, ("left", "turn"))
+MIMIC = urdf(
+    *(link(name, mass=1.0, x=0.1) for name in ("base", "l1", "finger_l", "finger_r")),
+    joint("turn", "base", "l1", axis="0 1 0"),
+    joint("left", "l1", "finger_l", kind="prismatic"),
+    joint("right", "l1", "finger_r", kind="prismatic", extra='<mimic joint="left"/>'),
+)
+BRANCHES = urdf(
+    *(link(name, mass=1.0) for name in ("base", "left_arm", "right_arm")),
+    joint("left", "base", "left_arm"),
+    joint("right", "base", "right_arm"),
+)
 
 
-def test_wrong_order_says_the_right_one(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="not in chain order: elbow, shoulder_lift") as caught:
-        _load(tmp_path, urdf_6r(), ("elbow", "shoulder_lift"))
-    assert "shoulder_lift, elbow" in caught.value.hint
+def test_mimic_joints_and_other_branches_are_locked(tmp_path: Path) -> None:
+    assert save_robot(tmp_path, MIMIC, ("turn",)).nominal[0, 0] == pytest.approx(3.0)
+    assert save_robot(tmp_path, BRANCHES, ("right",)).n == 1
 
 
-def test_branches_are_refused(tmp_path: Path) -> None:
-    text = urdf(
-        *(link(name, mass=1.0) for name in ("base", "left_arm", "right_arm")),
-        joint("left", "base", "left_arm"),
-        joint("right", "base", "right_arm"),
-    )
-    with pytest.raises(ConfigError, match="'left' and 'right' are on different branches"):
-        _load(tmp_path, text, ("left", "right"))
-    assert _load(tmp_path, text, ("right",)).n == 1
+ORDER = "not in chain order: "
 
 
-def test_unknown_joint_offers_the_nearest_and_lists_all(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"joint\[0\].name 'elbo' is no joint") as caught:
-        _load(tmp_path, urdf_6r(), ("elbo",))
-    assert "Did you mean 'elbow'?" in caught.value.hint
-    assert all(name in caught.value.hint for name in NAMES_6R)
-    with pytest.raises(ConfigError, match="'tool_mount' is a fixed joint"):
-        _load(tmp_path, urdf_6r(), ("tool_mount",))
+@pytest.mark.parametrize(
+    ("text", "names", "message", "hint"),
+    [
+        (MIMIC, ("turn", "right"), r"joint\[1\].name 'right' follows joint 'left'", "locked"),
+        (MIMIC, ("left", "turn"), f"{ORDER}left, turn", "turn, left"),
+        (urdf_6r(), ("elbow", "wrist_1", "shoulder_lift"), ORDER, "shoulder_lift, elbow, wrist_1"),
+        (BRANCHES, ("left", "right"), "'left' and 'right' are on different branches", "one serial"),
+        (urdf_6r(), ("elbo",), r"joint\[0\].name 'elbo' is no joint", "Did you mean 'elbow'?"),
+        (urdf_6r(), ("elbo",), "is no joint", ", ".join(NAMES_6R)),
+        (urdf_6r(), ("tool_mount",), "'tool_mount' is a fixed joint", "can be driven"),
+    ],
+)
+def test_joints_that_are_no_chain_are_named(
+    tmp_path: Path, text: str, names: tuple[str, ...], message: str, hint: str
+) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
+        save_robot(tmp_path, text, names)
+    assert hint in caught.value.hint
 
 
 def test_rounded_angles_are_tidied(tmp_path: Path) -> None:
     rough = urdf_6r().replace(repr(float(np.pi / 2)), "1.5708")
     assert "1.5708" in rough
-    assert base_parameters(_load(tmp_path, rough, NAMES_6R), rotor=[]).size == 36
+    assert base_parameters(save_robot(tmp_path, rough, NAMES_6R), rotor=[]).size == 36
 
 
 @pytest.mark.parametrize(
@@ -145,7 +137,7 @@ def test_rounded_angles_are_tidied(tmp_path: Path) -> None:
 )
 def test_damaged_urdf_is_a_message(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
-        _load(tmp_path, text, ("turn",))
+        save_robot(tmp_path, text, ("turn",))
 
 
 @pytest.mark.parametrize(
@@ -163,8 +155,8 @@ def test_numbers_that_the_parser_takes(
     text = urdf(link("base"), link("arm", mass=3.7), axis).replace(right, wrong)
     assert wrong in text
     with pytest.raises(ConfigError, match=said) as caught:
-        _load(tmp_path, text, ("axis",))
-    assert caught.value.where == str(tmp_path / "robot.urdf")
+        save_robot(tmp_path, text, ("axis",))
+    assert caught.value.where == str(tmp_path / "arm.urdf")
     assert not capfd.readouterr().err
 
 
@@ -174,5 +166,5 @@ def test_what_the_parser_prints_is_not_heard(
     twice = (link("base"), link("arm\u202e"), link("arm\u202e"))
     text = urdf(*twice, joint("axis", "base", "arm\u202e"))
     with pytest.raises(ConfigError, match="not a usable URDF"):
-        _load(tmp_path, text, ("axis",))
+        save_robot(tmp_path, text, ("axis",))
     assert not capfd.readouterr().err

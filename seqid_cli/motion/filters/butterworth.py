@@ -70,35 +70,29 @@ class Lowpass:
         """
         rows = np.array(values.reshape(len(values), -1).T, dtype=np.float64, order="C")
         kept = rows if every == 1 else np.array(rows[:, ::every])
-        self._fill(kept, rows, valid, np.arange(len(rows)), times=times, every=every)
+        self.filter_rows(rows, valid, into=kept, times=times, every=every)
         return np.ascontiguousarray(kept.T).reshape(-1, *values.shape[1:])
 
     def filter_rows(
-        self, rows: Array, valid: Mask | None = None, *, only: Index | None = None
-    ) -> None:
-        """Filter signals in place, samples last, each run of valid samples by itself.
-
-        `rows` (c, N). `valid` (N,): false where samples must not leak into others; these stay as
-        they are. `only`: numbers of the signals to filter; all by default.
-        """
-        chosen = np.arange(len(rows)) if only is None else only
-        self._fill(rows, rows, valid, chosen)
-
-    def _fill(
         self,
-        kept: Array,
         rows: Array,
-        valid: Mask | None,
-        chosen: Index,
+        valid: Mask | None = None,
         *,
+        only: Index | None = None,
+        into: Array | None = None,
         times: int = 1,
         every: int = 1,
         tile: int = 131072,
     ) -> None:
-        """Write the chosen signals (c, N), filtered, into (c, N / every), `tile` values at once."""
-        if not self.active:
-            return
-        for start, stop in runs(valid, rows.shape[1]):
+        """Filter signals, samples last, each run of valid samples by itself.
+
+        `rows` (c, N). `only`: numbers of the signals to filter; all by default. `into` (c, N /
+        every): where they go, by default in place. What is not filtered stays as it is. `tile`:
+        values that are worked on at once. Others: as of a call.
+        """
+        kept = rows if into is None else into
+        chosen = np.arange(len(rows)) if only is None else only
+        for start, stop in runs(valid, rows.shape[1]) if self.active else ():
             first = -(-start // every)
             if stop - start <= SHORTEST or first * every >= stop:
                 continue

@@ -18,7 +18,7 @@ from seqid_cli.discover.select.model import HELD, Ground, Model
 from seqid_cli.discover.select.naming import TOLD
 from seqid_cli.discover.select.results import Options, Selected
 from seqid_cli.discover.select.selection import select, select_among
-from seqid_cli.discover.survey.events import Interval, event_masks, find_events
+from seqid_cli.discover.survey.events import GATE, Interval, event_masks, find_events
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
@@ -165,8 +165,13 @@ def _may_be_any(event: Interval, scene: Scene, guess: Mask, *, most: float = 0.5
 
 
 def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
-    """Whether an event's residual (N, n) N m is small beside the torque's swing around it."""
+    """Whether an event's residual (N, n) N m is small beside the torque's swing around it.
+
+    The more clearly it stands out against moments of like motion, at which a law errs alike, the
+    smaller it may be.
+    """
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     joints = list(event.joints)
     left = np.sqrt(np.mean(residual[inside][:, joints] ** 2, axis=0))
-    return bool(np.all(left < Options.law * np.ptp(scene.modelled[around][:, joints], axis=0)))
+    swing = np.ptp(scene.modelled[around][:, joints], axis=0)
+    return bool(np.all(left * event.score / GATE < Options.law * swing))

@@ -1,6 +1,7 @@
 """Events: pushes are found where they were; what recurs, or may be the error of a law, is none."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +10,7 @@ from seqid_cli.discover import investigate
 from seqid_cli.discover.investigate import of_law
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.naming import TOLD
-from seqid_cli.discover.survey.events import (
-    Interval,
-    find_events,
-)
+from seqid_cli.discover.survey.events import GATE, Interval, find_events
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.model.effects.scene import Scene
 from tests import Array
@@ -164,9 +162,9 @@ def model() -> Model:
 def test_a_little_beside_all_of_the_models_torque_is_the_error_of_a_law(model: Model) -> None:
     scene = model.ground.stage.scenes[0]
     swing = np.ptp(scene.modelled[(scene.motion.t > 4.5) & (scene.motion.t < 5.8), 1])
-    for share, expected in ((0.01, True), (0.04, False)):
+    for score, share, expected in ((GATE, 0.02, True), (GATE, 0.04, False), (50.0, 0.01, False)):
         residual = np.full_like(scene.motion.q, share * swing)
-        assert of_law(PUSH, scene, residual) == expected
+        assert of_law(replace(PUSH, score=score), scene, residual) == expected
 
 
 def test_a_push_where_an_effect_may_have_any_torque_is_no_event(

@@ -152,6 +152,7 @@ FAULTS = (
               ("elbow.velocity", "wrist_1.velocity"))),
     Fault("effort is current", "effort_is_current", "shoulder_lift",
           p.renamed(".current", ".torque")),
+    Fault("torque called current", "effort_is_torque", "elbow", p.times(8.0, "*.current")),
     Fault("joint renamed", "channel_missing", "elbow", p.renamed("elbow.", "elbow_joint.")),
     Fault("IMU renamed", "channel_missing", "imu_b", p.renamed("imu_b.", "imuB.")),
     Fault("IMU stuck", "imu_stuck", "imu_a", p.constant("imu_a.a4", 0.3), channel="imu_a.a4"),

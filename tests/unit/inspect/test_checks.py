@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,12 +10,16 @@ import pytest
 
 from seqid_cli.inspect.channels.torques import _spikes, _starts_or_stops
 from seqid_cli.inspect.channels.values import _refined, lattice
-from seqid_cli.inspect.dynamics.friction import Friction, _exchanged
+from seqid_cli.inspect.dynamics.causes import Cause
+from seqid_cli.inspect.dynamics.equations import _structural_error
+from seqid_cli.inspect.dynamics.friction import Friction, Sample, _exchanged
 from seqid_cli.inspect.findings import ERRORS, WARNINGS
 from seqid_cli.inspect.inspection import inspect_log
+from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
 from tests import ROOT
+from tests.plants.robots.small import planar_2r
 from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
 
 
@@ -27,6 +32,34 @@ def test_torques_are_exchanged_only_where_friction_of_their_own_is_known_to_lack
     # Joint 0 moves and drags joint 1, which stands within its stiction, by 0.2 N m.
     fits = {0: Friction({0: own}, 3.0, 0.05), 1: Friction({0: (0.2, 0.01)}, 0.4, 0.1)}
     assert _exchanged(fits, (0,)) == pairs
+
+
+@pytest.fixture(scope="module")
+def noise() -> Sample:
+    """Two joints that shake, their torques nothing but noise."""
+    q, dq, ddq, tau, direction = np.random.default_rng(2).normal(size=(5, 400, 2))
+    basis = base_parameters(planar_2r(), rotor=[])
+    return Sample(planar_2r(), q, dq, ddq, tau, direction, 1.0, (0, 1), basis)
+
+
+def test_a_cause_changes_all_that_it_says(noise: Sample) -> None:
+    factor, turn = np.array([-1.0, 1.0]), np.array([0.0, 0.5])
+    found = Cause("", (0, 1), "", motion=factor, shift=turn).on(noise)
+    swapped = Cause("", (0, 1), "", exchanged=(True, False), torque=2.0).on(noise)
+    np.testing.assert_array_equal(found.q, noise.q * factor + turn)
+    np.testing.assert_array_equal(swapped.tau, 2.0 * noise.tau)
+    for name in ("dq", "ddq", "direction"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(noise, name) * factor)
+        np.testing.assert_array_equal(getattr(swapped, name), getattr(noise, name)[:, ::-1])
+
+
+@pytest.mark.parametrize(("own", "explained"), [([0, 1], True), ([1, 0], False)])
+def test_a_joint_has_no_friction_of_another(
+    noise: Sample, own: list[int], *, explained: bool
+) -> None:
+    friction = noise.dq + 0.5 * noise.direction + 1.0
+    error = _structural_error(replace(noise, tau=friction[:, own])).error
+    assert error < 1e-6 if explained else error > 0.5
 
 
 @pytest.mark.parametrize(("length", "found"), [(1, 1), (2, 2), (3, 0)])

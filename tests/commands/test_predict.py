@@ -263,7 +263,7 @@ def test_smooth_terms_are_left_out_unless_asked_for(
     assert any("left out (--with-unexplained" in note for note in document["notes"])
     capsys.readouterr()
     assert run(parameters, "--with-unexplained") == 2
-    assert "unexplained" in capsys.readouterr().err
+    assert "$.stages.effects[1].settings" in capsys.readouterr().err
 
 
 def test_an_effect_of_a_newer_version_is_refused(

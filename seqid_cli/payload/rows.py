@@ -114,8 +114,7 @@ class PayloadRows:
 
 def _regressors(loaded: LoadedModel, motion: Motion, every: int) -> Iterator[tuple[slice, Array]]:
     """H of every k-th sample, in blocks of about a second."""
-    for rows in filtered_regressor(motion, loaded.model.robot, loaded.basis):
-        for block in blocks(rows.motion.samples, rows.motion.rate_hz):
-            first = rows.where.start
-            where = slice(first + block.start, first + block.stop, every)
-            yield where, rows.H[block.start : block.stop : every]
+    for chunk, H in filtered_regressor(motion, loaded.model.robot, loaded.basis):
+        for block in blocks(len(H), motion.rate_hz):
+            where = slice(chunk.start + block.start, chunk.start + block.stop, every)
+            yield where, H[block.start : block.stop : every]

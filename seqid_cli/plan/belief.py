@@ -147,11 +147,11 @@ def information_of(belief: Belief, recordings: Iterable[Recording]) -> Array:
     total = np.zeros((belief.basis.size, belief.basis.size))
     for recording in recordings:
         motion = torque_motion(recording, belief.robot, MotionOptions())
-        for rows in filtered_regressor(motion, belief.robot, belief.basis):
-            speed = rows.motion.dq**2
+        for where, H in filtered_regressor(motion, belief.robot, belief.basis):
+            speed = motion.dq[where] ** 2
             slide = speed / (speed + belief.slow**2)
             weight = np.sqrt(belief.density * slide / motion.rate_hz)
-            flat = (weight[..., None] * rows.H).reshape(-1, belief.basis.size)
+            flat = (weight[..., None] * H).reshape(-1, belief.basis.size)
             total += flat.T @ flat
     return total
 

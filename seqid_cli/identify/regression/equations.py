@@ -9,7 +9,6 @@ remembers, and reduced to the same factors (`rigid.inertia_equations`).
 
 import contextlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -96,8 +95,9 @@ def torque_motion(
     return decimated(motion, options.samples_per_cutoff)
 
 
-def cutoff_note(cutoffs: Sequence[float], options: MotionOptions) -> str:
+def cutoff_note(uses: Sequence[MotionUse], options: MotionOptions) -> str:
     """Say which low-pass was used and where it came from."""
+    cutoffs = [use.cutoff_hz for use in uses]
     low, high = min(cutoffs), max(cutoffs)
     span = f"{low:.3g} Hz" if high - low < 0.005 * high else f"{low:.3g} to {high:.3g} Hz"
     if options.cutoff_hz is not None:
@@ -106,15 +106,6 @@ def cutoff_note(cutoffs: Sequence[float], options: MotionOptions) -> str:
         f"low-pass {span}, chosen per log from the encoder's step, the rate and the motion's "
         "bandwidth (--cutoff overrides)"
     )
-
-
-@dataclass(frozen=True)
-class Rows:
-    """Consecutive samples of all joints: H (N, n, b) filtered like `motion.tau`."""
-
-    motion: Motion
-    H: Array
-    where: slice
 
 
 class FilteredColumns:
@@ -159,15 +150,16 @@ class FilteredColumns:
         return H
 
 
-def filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Iterator[Rows]:
+def filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Iterator[tuple[slice, Array]]:
     """Base regressor of a log in chunks, each filtered with enough overlap to have no seams.
 
-    Yields: chunks in time order; H is valid until the next.
+    Yields: samples of the chunk, in time order, and their H (N, n, b), filtered like `motion.tau`
+    and valid until the next.
     """
     columns = FilteredColumns(robot, basis, min(CHUNK, motion.samples), motion.lowpass.memory)
     for start in range(0, motion.samples, CHUNK):
         where = slice(start, min(start + CHUNK, motion.samples))
-        yield Rows(motion.part(where), columns.of(motion, where.start, where.stop), where)
+        yield where, columns.of(motion, where.start, where.stop)
 
 
 def blocks(samples: int, rate_hz: float, *, block_s: float = 1.0) -> Iterator[slice]:

@@ -94,7 +94,7 @@ def _rows_of(
         near.append(None)
         if isinstance(log, Recording):
             with contextlib.suppress(InputError):  # the log is too short or too slow for it
-                near[-1] = equations.at_cutoff(own.cutoffs[0] * factor).rows_of(log)
+                near[-1] = equations.at_cutoff(own.uses[0].cutoff_hz * factor).rows_of(log)
     return own, *near, others.rows_of(log) if others else None
 
 
@@ -138,7 +138,8 @@ def _described(
     own = np.array([k for k in range(basis.size) if basis.names[k] not in known], dtype=int)
     stage = rigid_stage(robot, basis, solution, posterior, own, equations.rotors)
     pairs = missing_pairs(robot, basis, solution.left_open) if stage.not_excited else []
-    moved, cutoff = [j for j in range(robot.n) if rows.joints[j].samples], np.median(rows.cutoffs)
+    moved = [j for j in range(robot.n) if rows.joints[j].samples]
+    cutoff = np.median([use.cutoff_hz for use in rows.uses])
     notes = list(stage.notes)
     if pairs:
         text = ", ".join(" + ".join(pair) for pair in pairs)
@@ -159,7 +160,7 @@ def _described(
         missing_pairs=pairs,
         cutoff_hz=float(cutoff),
         verdicts=_verdicts(equations, rows, solution),
-        notes=[cutoff_note(rows.cutoffs, equations.options.motion), *notes, *coupling.notes],
+        notes=[cutoff_note(rows.uses, equations.options.motion), *notes, *coupling.notes],
     )
 
 

@@ -49,19 +49,16 @@ class InertiaRows:
     joints: list[Accumulator]
     torque_squares: Array
     cross: dict[int, Array]
-    cutoffs: list[float]
     uses: list[MotionUse]
     counts: Array  # (2,): samples that count as independent, and all
 
     def __add__(self, other: "InertiaRows") -> "InertiaRows":
-        cross = dict(self.cross)
-        for j, crossed in other.cross.items():
-            cross[j] = cross[j] + crossed if j in cross else crossed
+        none, known = np.zeros(()), self.cross | other.cross
+        cross = {j: self.cross.get(j, none) + other.cross.get(j, none) for j in known}
         return InertiaRows(
             [a + b for a, b in zip(self.joints, other.joints, strict=True)],
             self.torque_squares + other.torque_squares,
             cross,
-            self.cutoffs + other.cutoffs,
             self.uses + other.uses,
             self.counts + other.counts,
         )
@@ -104,7 +101,7 @@ class InertiaEquations:
         while samples > MOST_BLOCKS * block and block < CHUNK / 2:
             block *= 2.0
         joints = [Accumulator(self.basis.size + 1) for _ in range(self.robot.n)]
-        rows = InertiaRows(joints, np.zeros(self.robot.n), {}, [], [], np.zeros(2))
+        rows = InertiaRows(joints, np.zeros(self.robot.n), {}, [], np.zeros(2))
         moving, usable = np.zeros(self.robot.n, dtype=bool), False
         # Right sides need little memory: they are made of longer parts than the regressor.
         held = samples if isinstance(log, Recording) else 2 * size
@@ -124,7 +121,6 @@ class InertiaEquations:
             usable |= bool(motion.usable.any())
         if not usable:
             raise too_short(log.path, lowpass.cutoff_hz)
-        rows.cutoffs.append(motion.cutoff.hz)
         rows.uses.append(motion_use(log.path, self.robot, replace(motion, moving=moving[None])))
         return rows
 

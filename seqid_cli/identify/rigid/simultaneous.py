@@ -105,14 +105,12 @@ class SimultaneousEquations:
         self.fastest = np.zeros(robot.n)
         self.position = np.array([[np.inf, -np.inf]] * robot.n)
         self.torque_squares = np.zeros(robot.n)
-        self.cutoffs: list[float] = []
         self.uses: list[schema.MotionUse] = []
 
     def add(self, path: Path, motion: Motion) -> None:
         """Add the rows of one log."""
         assert motion.tau is not None
         self.uses.append(motion_use(path, self.robot, motion))
-        self.cutoffs.append(motion.cutoff.hz)
         self.fastest = np.maximum(self.fastest, _speed(motion).max(axis=0))
         low, high = motion.q.min(axis=0), motion.q.max(axis=0)
         self.position[:, 0] = np.minimum(self.position[:, 0], low)
@@ -125,13 +123,12 @@ class SimultaneousEquations:
         sign = np.tanh(motion.dq / np.where(self.width > 0, self.width, 1.0))
         columns = np.stack([sign, sign * np.abs(motion.dq), np.ones_like(sign)], axis=2)
         friction = motion.filtered(columns[:, :, : len(self.terms)], times=2)
-        for rows in filtered_regressor(motion, self.robot, self.basis):
-            part = rows.where
-            for block in blocks(rows.motion.samples, rows.motion.rate_hz):
+        for part, H in filtered_regressor(motion, self.robot, self.basis):
+            for block in blocks(len(H), motion.rate_hz):
                 for j, joint in enumerate(self.joints):
                     kept = usable[part][block, j]
                     wide = np.zeros((int(kept.sum()), joint.size))
-                    wide[:, : self.basis.size] = rows.H[block, j][kept]
+                    wide[:, : self.basis.size] = H[block, j][kept]
                     wide[:, self.own[j]] = friction[part][block, j][kept]
                     joint.add(wide, y[part][block, j][kept])
                     self._rotor_sums[j] += wide.T @ rotors[part][block, j][kept]
@@ -148,12 +145,12 @@ class SimultaneousEquations:
         moved = [j for j in range(robot.n) if self.joints[j].samples]
         named = " and ".join(", ".join(name for name, _ in self.terms).rsplit(", ", 1))
         note = f"friction ({named}) from one least squares with the rigid body (Eq. 5-6)"
-        cutoff = float(np.median(self.cutoffs)) if self.cutoffs else None
+        cutoff = float(np.median([use.cutoff_hz for use in self.uses]))
         friction = schema.FrictionStage(
             joints={robot.joint_names[j]: self._joint(j, solution, posterior) for j in moved},
             method="simultaneous",
             cutoff_hz=cutoff,
-            notes=[note, cutoff_note(self.cutoffs, options), *constants_note(robot)],
+            notes=[note, cutoff_note(self.uses, options), *constants_note(robot)],
         )
         own, rotors = np.arange(self.basis.size), known_rotors(robot)
         stage = rigid_stage(robot, self.basis, solution, posterior, own, rotors)

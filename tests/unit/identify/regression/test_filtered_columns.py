@@ -1,6 +1,5 @@
 """The regressor filtered part by part against that of the whole motion, filtered at once."""
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +8,8 @@ import pytest
 from seqid_cli.identify.regression.equations import FilteredColumns
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion
-from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis
+from seqid_cli.robot.base_parameters import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
-from seqid_cli.robot.types import Robot
-from tests import Array
 from tests.plants.robots.made import made_motion
 from tests.plants.robots.seven_joint import RATE_HZ, motion, write_arm
 
@@ -20,17 +17,6 @@ LOWPASS = Lowpass(25.0, RATE_HZ)
 MARGIN = LOWPASS.memory
 PART = 1024
 SAMPLES = 9_500
-
-
-@dataclass
-class Columns:
-    """A coupling column that shows which samples it was asked for."""
-
-    robot: Robot
-    basis: Basis
-
-    def coupling_column(self, motion: Motion) -> Array:
-        return motion.q**2
 
 
 def moved(samples: int, gap: slice) -> Motion:
@@ -44,15 +30,15 @@ def moved(samples: int, gap: slice) -> Motion:
 @pytest.mark.parametrize("gap", [slice(0, 0), slice(5_000, 5_030), slice(4_096, 4_097)])
 def test_parts_are_as_of_the_whole(tmp_path: Path, gap: slice) -> None:
     robot = load_robot(write_arm(tmp_path))
-    equations = Columns(robot, free_basis(robot))
-    whole = moved(SAMPLES, gap)
-    H = base_regressor(robot, equations.basis, whole.q, whole.dq, whole.ddq)
+    basis, whole = free_basis(robot), moved(SAMPLES, gap)
+    H = base_regressor(robot, basis, whole.q, whole.dq, whole.ddq)
     expected = LOWPASS(H, whole.valid)
-    columns = FilteredColumns(robot, equations.basis, PART, MARGIN, equations.coupling_column)
+    # The column beside shows which samples it was asked for.
+    columns = FilteredColumns(robot, basis, PART, MARGIN, lambda motion: motion.q**2)
     for start in range(0, SAMPLES, PART):
         stop = min(start + PART, SAMPLES)
         found = columns.of(whole, start, stop)
-        assert found.shape == (stop - start, 7, equations.basis.size + 1)
+        assert found.shape == (stop - start, 7, basis.size + 1)
         inside = whole.valid[start:stop]
         off = np.abs(found[:, :, :-1] - expected[start:stop])[inside]
         assert off.max() < 1e-12 * np.abs(H).max()

@@ -5,9 +5,9 @@ import pytest
 
 from seqid_cli.identify.friction_surface.corrections import HeldJoints
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
-from seqid_cli.identify.regression.least_squares import Accumulator, solve
+from seqid_cli.identify.regression.least_squares import Accumulator, Prior, solve
 from seqid_cli.identify.rigid.gravity import GravityRows, _stage
-from seqid_cli.identify.rigid.posterior import friction_covariance, gravity_prior
+from seqid_cli.identify.rigid.posterior import Posterior, friction_covariance, gravity_prior
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor
@@ -109,3 +109,22 @@ def test_trials_of_joints_without_friction_are_left_out() -> None:
     rows.add_joint(trials(np.random.default_rng(0)), joints)
     assert rows.used == joints[0].samples == 0
     assert rows.skipped == ["joint_1"] * 8
+
+
+def test_friction_that_comes_by_the_prior_alone_counts_once() -> None:
+    rng = np.random.default_rng(5)
+    joint = Accumulator(3)
+    for H in rng.standard_normal((20, 30, 3)):
+        joint.add(H, H @ np.arange(1.0, 4.0) + 0.1 * rng.standard_normal(30))
+    surface = surface_of(POSITIVE, NEGATIVE, 0.1 * np.eye(12))
+    A, push = rng.standard_normal((2, 3)), np.ones(2)
+    friction = rng.standard_normal((2, len(surface.covariance)))
+    prior = Prior(A, A @ np.arange(1.0, 4.0), {0: friction}, {0: push})
+    solution = solve([joint], prior=prior)
+    known = np.array([0.1, 0.2, 0.3])
+    found = Posterior.of(solution, [surface], np.array([0.02]), {}, {0: known}, prior)
+    np.testing.assert_allclose(found.covariance, solution.covariance, rtol=1e-6)
+    gain = solution.bread @ A.T
+    np.testing.assert_allclose(found.friction[0], gain @ friction)
+    moved = 0.02 * (solution.shares[0] - known) + gain @ push
+    np.testing.assert_allclose(found.constants[0], moved)

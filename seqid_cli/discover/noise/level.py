@@ -1,182 +1,122 @@
-"""Torque noise of one joint as white and 1/f^a noise, and what of it a low-pass leaves.
+"""Torque noise of one joint as white and 1/f^a noise, from spectra that hold other things too.
 
-A spectrum is fitted by Whittle's likelihood: P. Whittle, "Estimation and information in stationary
-time series", Arkiv foer Matematik 2(5), 1953. What it leaves open is drawn: the densities w and c
-of every exponent from the normal distribution of their estimates, none below zero, exponents by
-their likelihood.
+    S(f) = s (1 + r (f / f0)^-a)
+
+Motion, its steps and a controller that hunts only add to noise, in bands that are not known. So a
+band of a spectrum that lies z standard errors from S costs z^2 / 2 in log-likelihood (P. Whittle,
+"Estimation and information in stationary time series", Arkiv foer Matematik 2(5), 1953); but one
+above it never more than an excess there does, a parameter of its own. For each r and a the most
+likely s is then the mean of the lowest bands. What r and a may be is weighed by likelihood.
 """
-
-from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
+from scipy.special import digamma, ndtr, polygamma, softmax
 
-from seqid_cli.discover.noise.spectra import power_gain
+from seqid_cli.discover.noise.spectra import Spectrum, power_gain
 from seqid_cli.motion.motion import Motion
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 Slid = Sequence[tuple[Motion, float]]  # motion of a log, and for how many seconds the joint slides
 
 GRID = 400  # frequencies, over which a band is integrated
-ROUNDS = 30
-DRAWS = 2000
 LEVEL = 0.95  # of the interval
-
-
-@dataclass(frozen=True)
-class Spectrum:
-    """Two-sided densities (F,) N^2 m^2 / Hz of one joint's torque at frequencies (F,) Hz.
-
-    `averaged` (F,) independent periodograms are behind each; `least` is the density that rounding
-    the torque makes.
-    """
-
-    frequency: Array
-    density: Array
-    averaged: Array
-    least: float = 0.0
-
-    def beside(self, other: Spectrum) -> Spectrum:
-        """Both logs' spectra of the same noise."""
-        return Spectrum(
-            np.concatenate([self.frequency, other.frequency]),
-            np.concatenate([self.density, other.density]),
-            np.concatenate([self.averaged, other.averaged]),
-            max(self.least, other.least),
-        )
-
-    def within(self, low: float, high: float) -> Spectrum:
-        """What lies between two frequencies, Hz."""
-        kept = (self.frequency >= low) & (self.frequency <= high)
-        parts = (self.frequency[kept], self.density[kept], self.averaged[kept])
-        return Spectrum(*parts, self.least)
-
-    @property
-    def mean(self) -> tuple[float, float]:
-        """Mean density, and its relative variance."""
-        total = float(self.averaged.sum())
-        return float(self.averaged @ self.density) / total, 1.0 / total
-
-
-@dataclass(frozen=True)
-class Shape:
-    """Density w + c f^-a.
-
-    `middle` (2,) are w and c as they are most likely without regard to their sign, `covariance`
-    (2, 2) of these.
-    """
-
-    white: float  # N^2 m^2 / Hz
-    flicker: float
-    middle: Array
-    covariance: Array
-    exponent: float = 1.0
-
-    def over(self, slid: Slid) -> tuple[Array, float]:
-        """Mean squares (2,) per w and c, low-passed twice; relative variance in so short a time."""
-        total = sum(seconds for _, seconds in slid)
-        passed, scatter = np.zeros(2), 0.0
-        for motion, seconds in slid:
-            frequency, gain = _band(motion)
-            colour = frequency**-self.exponent
-            shapes = np.stack([gain, gain * colour])
-            passed += seconds / total * np.trapezoid(shapes, frequency, axis=1)
-            both = np.array([self.white, self.flicker]) @ shapes
-            scatter += seconds / total**2 * float(np.trapezoid(both**2, frequency))
-        mean = float(passed @ [self.white, self.flicker])
-        return passed, scatter / mean**2 if mean > 0.0 else 0.0
-
-    def drawn(self, count: int, rng: np.random.Generator) -> Array:
-        """Values (K, 2) of w and c that may be, none below zero; K is `count` or somewhat less."""
-        values = rng.multivariate_normal(self.middle, self.covariance, 8 * count, method="eigh")
-        inside = values[np.all(values >= 0.0, axis=1)]
-        return inside[:count] if len(inside) else np.array([[self.white, self.flicker]])
+TAIL = 0.5 * (1.0 - LEVEL)
+STEPS = 2000  # of a distribution
+REACH = 5.0  # standard deviations, up to which it is followed
+UNLIKELY = 1e-6
+RATIOS = np.geomspace(1e-2, 1e2, 25)
+EXPONENTS = (1.0, 0.5, 0.75, 1.25, 1.5)
+# Shapes that noise may have, each with how many parameters it has more than white noise: white,
+# 1/f, and other exponents.
+EXPONENT = np.concatenate([[0.0], np.repeat(EXPONENTS, len(RATIOS))])
+RATIO = np.concatenate([[0.0], np.tile(RATIOS, len(EXPONENTS))])
+MORE = np.concatenate([[0.0], np.repeat([1.0, 2.0, 2.0, 2.0, 2.0], len(RATIOS))])
+WHITE = RATIO == 0.0
+TINY = 1e-300
 
 
 @dataclass(frozen=True)
 class Level:
-    """Shapes that the noise may have, the most likely first, and how likely each is (K,)."""
+    """What noise may be: for each shape (K,) the logarithm of s, its variance, and a weight.
 
-    shapes: tuple[Shape, ...]
-    weights: Array
+    `reference_hz` is f0.
+    """
 
-    @classmethod
-    def known(cls, white: float) -> Level:
-        """White noise of a known density, N^2 m^2 / Hz."""
-        shape = Shape(white, 0.0, np.array([white, 0.0]), np.zeros((2, 2)))
-        return cls((shape,), np.ones(1))
+    log_scale: Array
+    variance: Array
+    weight: Array
+    reference_hz: float
 
-    def rms(self, slid: Slid, rng: np.random.Generator) -> tuple[float, float, float]:
-        """RMS of the low-passed noise of some logs, and the ends of its 95 % interval, N m."""
-        if not slid:
-            return 0.0, 0.0, 0.0
-        best, _ = self.shapes[0].over(slid)
-        squares = []
-        for shape, weight in zip(self.shapes, self.weights, strict=True):
-            passed, scatter = shape.over(slid)
-            mean = shape.drawn(max(1, round(DRAWS * weight)), rng) @ passed
-            squares.append(mean * np.exp(np.sqrt(scatter) * rng.standard_normal(len(mean))))
-        tail = 0.5 * (1.0 - LEVEL)
-        low, high = np.sqrt(np.quantile(np.concatenate(squares), [tail, 1.0 - tail]))
-        middle = float(np.sqrt(best @ [self.shapes[0].white, self.shapes[0].flicker]))
-        return middle, min(float(low), middle), max(float(high), middle)
+    def rms(self, slid: Slid) -> Array:
+        """RMS of the low-passed noise of some logs, and the ends of its 95 % interval (3,), N m.
+
+        That noise scatters about its mean in so short a time is in the interval.
+        """
+        total = sum(seconds for _, seconds in slid)
+        passed, scatter = np.zeros(len(RATIO)), np.zeros(len(RATIO))
+        for motion, seconds in slid:
+            frequency, gain = _band(motion)
+            density = gain * _shapes(frequency / self.reference_hz)
+            passed += seconds / total * np.trapezoid(density, frequency)
+            scatter += seconds / total**2 * np.trapezoid(density**2, frequency)
+        middle = self.log_scale + np.log(passed)
+        spread = np.sqrt(self.variance + scatter / passed**2)
+        likely, white = self.weight > UNLIKELY, self.weight[WHITE].sum() > 0.5
+        most_likely = likely & (WHITE if white else ~WHITE)
+        found = self._quantiles(middle, spread, most_likely, [0.5])
+        low, high = self._quantiles(middle, spread, likely, [TAIL, 1.0 - TAIL])
+        return np.exp(0.5 * np.array([found[0], min(low, found[0]), max(high, found[0])]))
+
+    def _quantiles(self, middle: Array, spread: Array, some: Mask, shares: list[float]) -> Array:
+        """Quantiles of the logarithm of a mean square over some of the shapes."""
+        middle, spread = middle[some, None], spread[some, None]
+        ends = (middle - REACH * spread).min(), (middle + REACH * spread).max()
+        at = np.linspace(*ends, STEPS)
+        below = self.weight[some] @ ndtr((at - middle) / spread)
+        return np.interp(shares, below / below[-1], at)
 
 
-def level_of(
-    spectrum: Spectrum, exponents: Sequence[float], *, clearly: float = 3.0, cost: float = 1.0
-) -> Level:
-    """White noise w and 1/f^a noise c f^-a by Whittle's likelihood.
+def level_of(spectra: Sequence[Spectrum], reference_hz: float, *, cost: float = 1.0) -> Level:
+    """White and 1/f^a noise, of which spectra show at least as much as there is.
 
     Parameters
     ----------
-    spectrum : Spectrum
-    exponents : sequence of float
-        Values of a that may be.
-    clearly : float
-        Log-likelihood by which 1/f noise, or another exponent than the first, must be better to
-        come first.
+    spectra : sequence of Spectrum
+        Of the same joint's noise; one at least.
+    reference_hz : float
+        Frequency f0 at which r is the ratio of 1/f^a noise to white noise.
     cost : float
-        Log-likelihood that a parameter more must gain (Akaike's criterion).
+        Log-likelihood that a parameter more must gain (Akaike's criterion): the excess of a band,
+        noise that is not white, an exponent other than 1.
     """
-    if not spectrum.density.any():
-        return Level.known(spectrum.least)
-    found = [_fitted(spectrum, a) for a in (None, *exponents)]
-    lost = np.array([one for one, _ in found]) + cost * (np.arange(len(found)) > 0)
-    best = 0
-    for k in range(1, len(found)):
-        best = k if found[best][0] - found[k][0] > clearly else best
-    order = [best, *(k for k in range(len(found)) if k != best)]
-    weights = np.exp(lost.min() - lost[order])
-    return Level(tuple(found[k][1] for k in order), weights / weights.sum())
+    bands = [spectrum.bands for spectrum in spectra]
+    frequency = np.concatenate([one.frequency for one in bands])
+    density = np.concatenate([one.density for one in bands])
+    averaged = np.concatenate([one.averaged for one in bands])
+    # A mean of so many periodograms has a gamma distribution; its logarithm is off and scatters.
+    known = np.log(np.maximum(density, TINY)) - digamma(averaged) + np.log(averaged)
+    above = known - np.log(_shapes(frequency / reference_hz))
+    order = np.argsort(above, axis=1)
+    above = np.take_along_axis(above, order, axis=1)
+    precision = 1.0 / polygamma(1, averaged)[order]
+    # Of the lowest 1, 2, ... bands: their mean, and what they and an excess of all others cost.
+    total = np.cumsum(precision, axis=1)
+    mean = np.cumsum(precision * above, axis=1) / total
+    lost = 0.5 * (np.cumsum(precision * above**2, axis=1) - total * mean**2)
+    lost += cost * np.arange(len(frequency))[::-1]
+    best = np.arange(len(above)), np.argmin(lost, axis=1)
+    prior = -cost * MORE - np.log([np.count_nonzero(more == MORE) for more in MORE])
+    weight = softmax(prior - lost[best] - 0.5 * np.log(total[best]))
+    return Level(mean[best], 1.0 / total[best], weight, reference_hz)
 
 
-def _fitted(spectrum: Spectrum, exponent: float | None) -> tuple[float, Shape]:
-    """Negative log-likelihood of white and 1/f^a noise, or of white noise alone; and the noise."""
-    f, density, averaged = spectrum.frequency, spectrum.density, spectrum.averaged
-    coloured = np.zeros_like(f) if exponent is None else f**-exponent
-    columns = np.stack([np.ones_like(f), coloured], axis=1)
-    c, fitted = _whittle(columns, density, averaged)
-    scale = (np.sqrt(averaged) / fitted)[:, None]
-    gram = (scale * columns).T @ (scale * columns)
-    covariance = np.asarray(np.linalg.pinv(gram, hermitian=True), dtype=np.float64)
-    middle = covariance @ ((scale * columns).T @ (scale[:, 0] * density))
-    lost = float(averaged @ (np.log(fitted) + density / fitted))
-    white = max(float(c[0]), spectrum.least)
-    return lost, Shape(white, float(c[1]), middle, covariance, exponent or 0.0)
-
-
-def _whittle(columns: Array, density: Array, averaged: Array) -> tuple[Array, Array]:
-    """Coefficients (2,) >= 0 and the density (F,) that they give, by reweighted least squares."""
-    tiny = 1e-9 * float(density.mean())
-    shape = np.full_like(density, density.mean())
-    for _ in range(ROUNDS):
-        scale = np.sqrt(averaged) / shape
-        c, _rest = nnls(columns * scale[:, None], density * scale)
-        shape = np.maximum(columns @ c, tiny)
-    return c, shape
+def _shapes(relative: Array) -> Array:
+    """S over s (K, F) at frequencies (F,) relative to f0."""
+    shapes: Array = 1.0 + RATIO[:, None] * relative ** -EXPONENT[:, None]
+    return shapes
 
 
 def _band(motion: Motion) -> tuple[Array, Array]:

@@ -1,6 +1,9 @@
 """Spectra of what is random in a log's torque, and how the low-pass passes them."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import detrend
@@ -9,8 +12,12 @@ from seqid_cli.motion.filters.butterworth import ORDER, Lowpass
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.typing import Array, Mask
 
-LEAST_SHARE = 0.1  # of the residual's power that stays noise, whatever else explains
 DETAIL = 0.002  # of a joint's torque, that no model gets right
+# Bins of a tapered spectrum that count as one, times the variance of a median over that of a mean.
+HANN_MEDIAN = 1.5 * 2.08
+NYQUIST_SHARE = 0.9
+SLOWEST = 2  # waves in a stretch, from which on its spectrum is free of its trend
+PER_OCTAVE = 4  # bands
 
 
 def power_gain(lowpass: Lowpass, frequency: Array, times: int) -> Array:
@@ -24,32 +31,66 @@ def power_gain(lowpass: Lowpass, frequency: Array, times: int) -> Array:
     return gain
 
 
-def median_spectrum(values: Array, starts: Sequence[int], length: int, rate_hz: float) -> Array:
-    """Two-sided density (length // 2 + 1,) of values (N,): the median over stretches.
-
-    Parameters
-    ----------
-    values : (N,) array
-    starts : sequence of int
-        First samples of the stretches of `length` samples, each tapered, its trend removed.
-    length : int
-    rate_hz : float
-    """
-    window = np.hanning(length)
-    pieces = detrend(np.stack([values[s : s + length] for s in starts]), axis=1)
-    power = np.abs(np.fft.rfft(window * pieces, axis=1)) ** 2 / (rate_hz * np.sum(window**2))
-    if len(starts) < 3:
-        return np.asarray(power.mean(axis=0))
-    # The median of an exponential distribution is log 2 of its mean.
-    return np.asarray(np.median(power, axis=0) / np.log(2.0))
-
-
 def stretches(mask: Mask, length: int) -> list[int]:
     """First samples of as many stretches of `length` samples as lie within True."""
     return [s for a, b in runs(mask, len(mask)) for s in range(a, b - length + 1, length)]
 
 
-def nearest(mask: Mask, samples: int) -> Mask:
-    """A mask (M, ...) of a data set at the log's own `samples`."""
-    spread: Mask = mask[np.linspace(0, len(mask) - 1, samples).round().astype(int)]
-    return spread
+@dataclass(frozen=True)
+class Spectrum:
+    """Two-sided densities (F,) N^2 m^2 / Hz of one joint's torque at frequencies (F,) Hz.
+
+    `averaged` (F,) independent periodograms are behind each.
+    """
+
+    frequency: Array
+    density: Array
+    averaged: Array
+
+    @classmethod
+    def of(
+        cls, values: Array, starts: Sequence[int], length: int, rate_hz: float, *, robust: bool
+    ) -> Spectrum:
+        """Spectrum of values (N,) over stretches, below the Nyquist frequency; none of no stretch.
+
+        Parameters
+        ----------
+        values : (N,) array
+        starts : sequence of int
+            First samples of the stretches of `length` samples; the trend of each is removed.
+        length : int
+        rate_hz : float
+        robust : bool
+            Taper the stretches, as motion leaks, and take the median over them instead of the mean.
+        """
+        frequency = np.fft.rfftfreq(length, 1.0 / rate_hz).astype(np.float64)
+        kept = (np.arange(len(frequency)) >= SLOWEST) & (frequency < 0.5 * NYQUIST_SHARE * rate_hz)
+        if not starts or not kept.any():
+            return cls(np.zeros(0), np.zeros(0), np.zeros(0))
+        window = np.hanning(length) if robust else np.ones(length)
+        pieces = window * detrend(np.stack([values[s : s + length] for s in starts]), axis=1)
+        power = np.abs(np.fft.rfft(pieces, axis=1)[:, kept]) ** 2 / (rate_hz * np.sum(window**2))
+        # The median of an exponential distribution is log 2 of its mean.
+        middle = robust and len(starts) > SLOWEST
+        density = np.median(power, axis=0) / np.log(2.0) if middle else power.mean(axis=0)
+        count = len(starts) / HANN_MEDIAN if robust else len(starts)
+        return cls(frequency[kept], density, np.full(len(density), count))
+
+    def within(self, low: float, high: float) -> Spectrum:
+        """What lies between two frequencies, Hz."""
+        kept = (self.frequency > low) & (self.frequency < high)
+        return Spectrum(self.frequency[kept], self.density[kept], self.averaged[kept])
+
+    def at_least(self, density: float) -> Spectrum:
+        """The same where less than a density cannot be."""
+        return replace(self, density=np.maximum(self.density, density))
+
+    @property
+    def bands(self) -> Spectrum:
+        """The same in bands of a fraction of an octave."""
+        band = np.floor(PER_OCTAVE * np.log2(self.frequency))
+        starts = np.flatnonzero(np.diff(band, prepend=-np.inf))
+        count = np.diff(starts, append=len(band))
+        parts = (self.frequency, self.density, self.averaged)
+        frequency, density, averaged = (np.add.reduceat(x, starts) for x in parts)
+        return Spectrum(frequency / count, density / count, averaged)

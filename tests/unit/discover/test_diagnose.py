@@ -275,7 +275,7 @@ def test_a_floor_above_what_is_left_stands_and_is_called_doubtful() -> None:
     times = np.array([0.5, 3.0])
     parts = (found.floor.rms, found.floor.low, found.floor.high)
     low = found.model.rms() / found.floor.low
-    floor = NoiseFloor(*(times * part * low for part in parts), found.floor.ways)
+    floor = NoiseFloor(*(times * part * low for part in parts))
     said = described(replace(found, floor=floor), logs.robot)
     (note,) = [note for note in said.notes if "doubtful" in note]
     assert note.startswith("joint elbow: ")

@@ -9,6 +9,8 @@ from scipy.signal import lfilter
 from seqid_cli.discover.base import residual_of
 from seqid_cli.discover.noise.encoder import encoder_residuals
 from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor, rms
+from seqid_cli.discover.noise.level import level_of
+from seqid_cli.discover.noise.spectra import Spectrum, power_gain
 from seqid_cli.discover.noise.whiteness import white
 from seqid_cli.discover.scenes import scenes_of, with_own_cutoffs
 from seqid_cli.discover.survey.rows import Rows
@@ -41,6 +43,7 @@ from tests.unit.discover.drawn_logs import (
 )
 
 STD = np.array([1.0, 0.3])  # N m, of the raw torque
+FREQUENCY = np.arange(0.4, 80.0, 0.2)
 LOOSE = 3.0  # what the residual is larger by than noise
 
 
@@ -79,22 +82,17 @@ def _hunted(q: Array) -> Array:
 @pytest.mark.parametrize(("coloured", "step"), [(0.0, 0.0), (0.1, 0.0), (0.0, 0.5)])
 def test_rests_give_the_noise_on_average(coloured: float, step: float) -> None:
     drawn = [ratio([resting(80.0, 6.0, s)], coloured=coloured, step=step, seed=s) for s in range(4)]
-    assert all(floor.ways == ("rests", "rests") for _, floor in drawn)
     assert abs(np.mean([found for found, _ in drawn]) - 1.0) < 0.15
 
 
-def test_white_noise_shows_above_the_cutoff_of_any_motion() -> None:
-    found, floor = ratio([wander(60.0, 4)], coloured=0.0, step=0.0, seed=4)
-    assert floor.ways == ("spectrum", "spectrum")
-    np.testing.assert_allclose(found, 1.0, atol=0.15)
-
-
-def test_flicker_that_shows_above_the_cutoff_goes_on_below_it() -> None:
-    found, floor = ratio([wander(60.0, 4)], coloured=0.5, step=0.0, seed=4)
-    assert floor.ways == ("spectrum", "spectrum")
-    np.testing.assert_allclose(found, 1.0, atol=0.35)
+@pytest.mark.parametrize(("coloured", "off"), [(0.0, 0.15), (0.5, 0.35)])
+def test_noise_shows_above_the_cutoff_of_any_motion(coloured: float, off: float) -> None:
+    found, floor = ratio([wander(60.0, 4)], coloured=coloured, step=0.0, seed=4)
+    np.testing.assert_allclose(found, 1.0, atol=off)
     np.testing.assert_array_less(floor.low / floor.rms * found, 1.0)
     np.testing.assert_array_less(1.0, floor.high / floor.rms * found)
+    # What colour it has in the band, motion does not tell: it may be all that is left.
+    assert np.all(floor.high / floor.rms * found > 0.7 * LOOSE / np.sqrt(2.0))
 
 
 def test_the_residual_does_not_bound_the_floor() -> None:
@@ -115,22 +113,75 @@ def test_the_residual_does_not_bound_the_floor() -> None:
 
 
 def test_less_than_the_interval_makes_the_floor_doubtful() -> None:
-    floor = NoiseFloor(np.full(3, 2.0), np.full(3, 1.5), np.full(3, 3.0), ("rests",) * 3)
+    floor = NoiseFloor(np.full(3, 2.0), np.full(3, 1.5), np.full(3, 3.0))
     arm = (Joint("lift", prismatic=True), Joint("knee"), Joint("foot"))
     (note,) = floor.doubts(np.array([1.4, 1.6, np.nan]), arm)
     assert note.startswith("joint lift: 1.4 N is left")
     assert "1.5 to 3 N:" in note
 
 
-def test_a_controller_that_hunts_at_rest_is_no_noise() -> None:
+@pytest.mark.parametrize(("hunting", "off"), [(0.0, 0.3), (30.0, 0.4)])
+def test_a_controller_that_hunts_at_rest_is_no_noise(hunting: float, off: float) -> None:
     """Held at a count's edge a joint's torque goes to and fro; in motion it does not."""
     q = resting(80.0, 6.0, 6)
-    quiet, floor = ratio([q], coloured=0.0, step=0.0, seed=6)
-    assert floor.ways == ("rests", "rests")
-    hunted, told = ratio([q], coloured=0.0, step=0.0, seed=6, hunting=30.0)
-    assert told.ways[0] == "spectrum"
-    np.testing.assert_allclose(hunted, 1.0, atol=0.4)
-    np.testing.assert_allclose(quiet, 1.0, atol=0.3)
+    found, floor = ratio([q], coloured=0.0, step=0.0, seed=6, hunting=hunting)
+    np.testing.assert_allclose(found, 1.0, atol=off)
+    np.testing.assert_array_less(floor.low / floor.rms * found, 1.0)
+
+
+def test_rests_with_more_than_all_that_is_left_are_passed_over() -> None:
+    q = resting(80.0, 6.0, 6)
+    still = np.all(np.gradient(q, axis=0) == 0.0, axis=1)
+    tau = np.random.default_rng(0).standard_normal(q.shape) * np.where(still, 30.0, 1.0)[:, None]
+    log = recording(q, tau)
+    found, rows = scenes([log])
+    left = np.where(found[0].slides, low_passed(tau * ~still[:, None], found[0]), 0.0)
+    floor = noise_floor([log], found, [left], silent(found), rows=rows)
+    truth = np.array([rms(left[found[0].slides[:, j], j]) for j in range(2)])
+    np.testing.assert_allclose(floor.rms, truth, rtol=0.3)
+    assert np.all(floor.high >= truth)
+
+
+def spectrum(rng: np.random.Generator, law: Array, *, averaged: float = 20.0) -> Spectrum:
+    """A spectrum with the scatter of so many periodograms about a law (F,) of FREQUENCY."""
+    scatter = rng.gamma(averaged, 1.0 / averaged, len(law))
+    return Spectrum(FREQUENCY, law * scatter, np.full(len(law), averaged))
+
+
+@pytest.mark.parametrize("flicker", [0.0, 8.0])
+def test_what_spectra_hold_beside_noise_is_no_noise(flicker: float) -> None:
+    """Of three spectra one is all excess, and one has a hump."""
+    rng = np.random.default_rng(2)
+    law = 1.0 + flicker / FREQUENCY
+    hump = 1.0 + 30.0 * np.exp(-(((FREQUENCY - 6.0) / 2.0) ** 2))
+    spectra = [spectrum(rng, law * more) for more in (1.0, hump, 20.0)]
+    (scene,), _ = scenes([recording(wander(60.0, 1), np.zeros((30000, 2)))])
+    slid = [(scene.motion, 60.0)]
+    alone = level_of(spectra[:1], CUTOFF_HZ).rms(slid)
+    middle, low, high = level_of(spectra, CUTOFF_HZ).rms(slid)
+    f = np.linspace(0.01, 3.0 * CUTOFF_HZ, 3000)
+    white = np.sqrt(np.trapezoid(2.0 * power_gain(scene.motion.lowpass, f, 2), f))
+    assert low < middle < high
+    assert middle == pytest.approx(alone[0], rel=0.1)
+    if flicker:
+        assert middle > 1.2 * white
+    else:
+        assert middle == pytest.approx(white, rel=0.1)
+
+
+def test_the_encoders_part_adds_to_torque_noise() -> None:
+    rng = np.random.default_rng(1)
+    q = resting(40.0, 6.0, 3)
+    tau = STD * rng.standard_normal(q.shape)
+    log = recording(q, tau)
+    found, rows = scenes([log])
+    left = low_passed(tau, found[0])
+    echo = 1.5 * rng.permutation(left)
+    alone = noise_floor([log], found, [left], silent(found), rows=rows)
+    both = noise_floor([log], found, [left], [echo], rows=rows)
+    heard = np.array([rms(rows.torque(j, [echo[:, j]])) for j in range(2)])
+    np.testing.assert_allclose(both.rms, np.hypot(alone.rms, heard), rtol=0.1)
+    assert np.all(both.low < both.rms)
 
 
 Case = tuple[Scene, Rows, int]  # scene, rows, samples of the log

@@ -100,7 +100,7 @@ def test_what_came_late_leaves_the_file_as_it_is(
     assert loop.verdict == "good"
     assert not any("doubtful" in note for note in loop.notes)
     left = np.array([loop.after["joint_1"].rmse])
-    above = NoiseFloor(2.0 * left, 1.1 * left, 3.0 * left, ("spectrum",))
+    above = NoiseFloor(2.0 * left, 1.1 * left, 3.0 * left)
     monkeypatch.setattr("seqid_cli.discover.refinement.confirm.noise_floor", lambda *_, **__: above)
     doubtful = confirm(found, held_out)
     assert doubtful.noise_floor["joint_1"] == 2.0 * left[0] > doubtful.after["joint_1"].rmse

@@ -9,7 +9,6 @@ pushes may be.
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +24,6 @@ from seqid_cli.logs.pieces import Range, by_log, cut, read_pieces, whole_of
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.remote import StoredLog, local_copy
-from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
@@ -104,18 +102,29 @@ def take_excerpts(
     """
     channels = sum(len(imu.positions) + 3 * imu.gyro for imu in robot.imus)
     most = most_values / (robot.n + ARM + CHANNEL * channels)
+    survey = partial(residual_survey, robot=robot, stages=stages, options=options)
+    logs: Sequence[Path | Recording]
+    clock: TimeSource
     if isinstance(recordings, LogSet) and sum(map(_likely, recordings.logs)) > most:
-        opens, part = partial(open_if_long, least=PASSED_OVER), _Surveyor(robot, stages, options)
-        surveys = tuple(recordings.mapped(part, opens))
+        logs, clock = recordings.logs, recordings.time_source
+        surveys = tuple(recordings.mapped(survey, partial(open_if_long, least=PASSED_OVER)))
         if sum(_size(one.samples, one.rate_hz) for one in surveys) <= most:
             return Excerpts(tuple(recordings.again(imus=stages.imu is not None)))
-        given, clock = recordings.logs, recordings.time_source
-        return _excerpts(surveys, given, robot, most, clock, places=places)
-    held = list(recordings)
-    if sum(_size(len(log.t), log.rate_hz) for log in held) <= most:
-        return Excerpts(tuple(held))
-    surveys = tuple(residual_survey(log, robot, stages, options=options) for log in held)
-    return _excerpts(surveys, held, robot, most, "header", places=places)
+    else:
+        held, clock = list(recordings), "header"
+        if sum(_size(len(log.t), log.rate_hz) for log in held) <= most:
+            return Excerpts(tuple(held))
+        logs, surveys = held, tuple(map(survey, held))
+    samples = sum(one.samples for one in surveys)
+    share = most / sum(_size(one.samples, one.rate_hz) for one in surveys)
+    ranges = excerpts_of(surveys, share * samples)
+    extra = about_places(surveys, ranges) if places else [[] for _ in surveys]
+    found = list[Recording]()
+    for log, one, own, more in zip(logs, surveys, ranges, extra, strict=True):
+        if own or more:
+            found += _read(log, one, sorted([*own, *more]), robot, clock)
+    seconds = sum(high - low for own in ranges for low, high in own)
+    return Excerpts(tuple(found), sum(map(len, extra)), seconds, surveys)
 
 
 def by_digest(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
@@ -148,42 +157,6 @@ def _likely(log: Path | Recording) -> int:
     return MOST_VALUES if isinstance(log, StoredLog) else likely_rows(log)
 
 
-@dataclass(frozen=True)
-class _Surveyor:
-    """The survey of one log."""
-
-    robot: Robot
-    stages: Stages
-    options: InertiaOptions
-
-    def __call__(self, log: Recording | SurveyedLog, number: int) -> ResidualSurvey:
-        """Pass over it."""
-        del number
-        return residual_survey(log, self.robot, self.stages, options=self.options)
-
-
-def _excerpts(
-    surveys: tuple[ResidualSurvey, ...],
-    logs: Sequence[Path | Recording],
-    robot: Robot,
-    most: float,
-    time_source: TimeSource,
-    *,
-    places: bool,
-) -> Excerpts:
-    """Choose excerpts and read them, log by log."""
-    samples = sum(survey.samples for survey in surveys)
-    share = most / sum(_size(survey.samples, survey.rate_hz) for survey in surveys)
-    ranges = excerpts_of(surveys, share * samples)
-    extra = about_places(surveys, ranges) if places else [[] for _ in surveys]
-    found: list[Recording] = []
-    for log, survey, own, more in zip(logs, surveys, ranges, extra, strict=True):
-        if own or more:
-            found += _read(log, survey, sorted([*own, *more]), robot, time_source)
-    seconds = sum(high - low for own in ranges for low, high in own)
-    return Excerpts(tuple(found), sum(map(len, extra)), seconds, surveys)
-
-
 def _read(
     log: Path | Recording,
     survey: ResidualSurvey,
@@ -194,14 +167,13 @@ def _read(
     if isinstance(log, Recording):
         return cut(log, ranges)
     with local_copy(log) as file:
-        place, kind = Path(file), survey.kind
         found = read_pieces(
-            place,
+            Path(file),
             robot,
             survey.whole,
             ranges,
             time_source=time_source,
-            kind=kind,
+            kind=survey.kind,
             sound=partial(sound, robot=robot),
         )
     return [replace(piece, path=log) for piece in found]
@@ -248,22 +220,13 @@ def _residual_note(surveys: Sequence[ResidualSurvey], robot: Robot) -> str:
 
 
 def _time_notes(surveys: Sequence[ResidualSurvey], robot: Robot) -> Iterator[str]:
-    for survey in surveys:
-        for j, name in enumerate(robot.joint_names):
-            yield from _over_time(survey, j, name)
-
-
-def _over_time(survey: ResidualSurvey, j: int, name: str) -> Iterator[str]:
     """The residual in parts of the time, where it has changed from the first to the last."""
-    edges = np.linspace(0, len(survey.squares), TENTHS + 1).astype(int)
-    parts = [
-        _rms(survey.squares[a:b, j].sum(), survey.counts[a:b, j].sum()) for a, b in pairwise(edges)
-    ]
-    early, late = np.mean(parts[:ENDS]), np.mean(parts[-ENDS:])
-    if len(survey.squares) >= TENTHS and max(early, late) > CHANGES * min(early, late) > 0.0:
-        numbers = " ".join(f"{part:.3g}" for part in parts)
-        yield f"{survey.path}: RMS residual of {name} in tenths of the time: {numbers}"
-
-
-def _rms(squares: float, counts: float) -> float:
-    return float(np.sqrt(squares / max(counts, 1.0)))
+    for survey in (one for one in surveys if len(one.squares) >= TENTHS):
+        starts = np.linspace(0, len(survey.squares), TENTHS + 1).astype(int)[:-1]
+        squares, counts = (np.add.reduceat(x, starts) for x in (survey.squares, survey.counts))
+        parts = np.sqrt(squares / np.maximum(counts, 1.0))
+        early, late = parts[:ENDS].mean(axis=0), parts[-ENDS:].mean(axis=0)
+        low, high = np.minimum(early, late), np.maximum(early, late)
+        for j in np.flatnonzero((low > 0.0) & (high > CHANGES * low)).tolist():
+            numbers, name = " ".join(f"{x:.3g}" for x in parts[:, j]), robot.joint_names[j]
+            yield f"{survey.path}: RMS residual of {name} in tenths of the time: {numbers}"

@@ -37,55 +37,46 @@ class Windows:
 
 @dataclass(frozen=True)
 class Track:
-    """Samples of one log: `t` (M,) s, motion and load of the gears (M, n), residual (M, n).
+    """Samples of one log: `t` (M,) s, and what each joint does.
 
-    The residual is NaN where a joint does not count.
+    `values` (5, M, n) are position, velocity and acceleration, load of the gear, and residual, NaN
+    where a joint does not count.
     """
 
     t: Array
-    q: Array
-    dq: Array
-    ddq: Array
-    load: Array
-    residual: Array
+    values: Array
     cutoff_hz: float
 
-
-def residual_series(rows: Rows, left_out: Sequence[Array]) -> list[Array]:
-    """Scaled residual (M, n) at each data set's kept samples, NaN where a joint does not count."""
-    result = []
-    first = [0] * rows.n
-    for used in rows.used:
-        series = np.full(used.shape, np.nan)
-        for j in range(rows.n):
-            count = int(used[:, j].sum())
-            series[used[:, j], j] = left_out[j][first[j] : first[j] + count]
-            first[j] += count
-        result.append(series)
-    return result
+    def __getitem__(self, some: slice) -> "Track":
+        """Some of the samples."""
+        return Track(self.t[some], self.values[:, some], self.cutoff_hz)
 
 
-def tracks_of(rows: Rows, series: Sequence[Array]) -> list[Track]:
-    """The kept samples of every data set with their scaled residual (M, n)."""
-    return [
-        Track(
-            motion.t[picked] - motion.t[0],
-            motion.q[picked],
-            motion.dq[picked],
-            motion.ddq[picked],
-            scene.load[picked],
-            values,
-            motion.lowpass.cutoff_hz,
-        )
-        for scene, motion, picked, values in zip(
-            rows.scenes, (s.motion for s in rows.scenes), rows.picked, series, strict=True
-        )
-    ]
+def joined(tracks: Sequence[Track]) -> Track:
+    """Tracks of one log, one after the other."""
+    values = np.concatenate([track.values for track in tracks], axis=1)
+    return Track(np.concatenate([track.t for track in tracks]), values, tracks[0].cutoff_hz)
+
+
+def tracks_of(rows: Rows, left_out: Sequence[Array]) -> list[Track]:
+    """The kept samples of every data set with each joint's scaled residual (M_j,) in its rows."""
+    ends = np.cumsum([used.sum(axis=0) for used in rows.used], axis=0)
+    own = [np.split(left_out[j], ends[:-1, j]) for j in range(rows.n)]
+    tracks = []
+    for number, (scene, at, used) in enumerate(
+        zip(rows.scenes, rows.picked, rows.used, strict=True)
+    ):
+        motion, residual = scene.motion, np.full(used.shape, np.nan)
+        residual.T[used.T] = np.concatenate([parts[number] for parts in own])
+        values = [motion.q[at], motion.dq[at], motion.ddq[at], scene.load[at], residual]
+        t, cutoff_hz = motion.t[at] - motion.t[0], motion.lowpass.cutoff_hz
+        tracks.append(Track(t, np.stack(values), cutoff_hz))
+    return tracks
 
 
 def windows_of(tracks: Sequence[Track], length_s: float) -> Windows:
     """Cut logs into overlapping windows of one length."""
-    top = np.max([np.max(np.abs(track.dq), axis=0) for track in tracks], axis=0)
+    top = np.max([np.max(np.abs(track.values[1]), axis=0) for track in tracks], axis=0)
     top = np.maximum(top, 1e-12)
     parts = [_windows_of_track(number, x, top, length_s) for number, x in enumerate(tracks)]
     scene, centre, means, state, speed, reverses = (
@@ -107,18 +98,18 @@ def windows_of(tracks: Sequence[Track], length_s: float) -> Windows:
 
 def _windows_of_track(number: int, track: Track, top: Array, length_s: float) -> tuple[Any, ...]:
     """Data set, centre, mean, state, speed and reversals of one log's windows."""
-    t, v = track.t, track.dq
+    t, (q, v, a, load, residual) = track.t, track.values
     step = float(np.min(np.diff(t), initial=np.inf))
     begin = np.arange(t[0], t[-1] - length_s + 1e-9, length_s / OVERLAP)
     low, high = np.searchsorted(t, begin), np.searchsorted(t, begin + length_s)
     reach = 0.5 / track.cutoff_hz
     wide = np.searchsorted(t, begin - reach), np.searchsorted(t, begin + length_s + reach)
-    own = [track.q, np.arcsinh(v / (STEEP * top)), track.ddq]
-    turns = np.hstack([_changes(v), _changes(track.load)])
+    own = [q, np.arcsinh(v / (STEEP * top)), a]
+    turns = np.hstack([_changes(v), _changes(load)])
     return (
         np.full(len(begin), number),
         begin + 0.5 * length_s,
-        _means(track.residual, low, high, USED * length_s / step),
+        _means(residual, low, high, USED * length_s / step),
         _means(np.hstack(own), low, high, 1.0),
         _means(np.abs(v), low, high, 1.0),
         _means(turns, *wide, 1.0) > 0,

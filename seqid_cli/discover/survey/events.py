@@ -21,7 +21,6 @@ from scipy.spatial import cKDTree
 from seqid_cli.discover.survey.event_windows import (
     OVERLAP,
     Windows,
-    residual_series,
     tracks_of,
     windows_of,
 )
@@ -96,7 +95,7 @@ def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
     left_out : sequence of (M_j,) arrays
         Scaled residual of each joint's rows.
     """
-    tracks, found = tracks_of(rows, residual_series(rows, left_out)), list[Interval]()
+    tracks, found = tracks_of(rows, left_out), list[Interval]()
     every = [windows_of(tracks, length) for length in LENGTHS_S]
     scored = [(windows, scores(windows)) for windows in every]
     for number in range(len(rows.scenes)):

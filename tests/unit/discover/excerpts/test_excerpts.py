@@ -182,7 +182,9 @@ def _peak(times: int, folder: Path) -> int:
     assert surveyed is not None
     gc.collect()
     tracemalloc.start()
-    residual_survey.residual_survey(surveyed, case.robot, case.stages, options=InertiaOptions())
+    residual_survey.residual_survey(
+        surveyed, robot=case.robot, stages=case.stages, options=InertiaOptions()
+    )
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     return peak

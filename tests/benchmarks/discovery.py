@@ -7,7 +7,9 @@ on moves of all joints. The held-out logs are two more of 20 s.
 import json
 import os
 import sys
+from argparse import Namespace
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,7 +19,6 @@ from tests import ROOT
 from tests.benchmarks.measure import child_cpu_s
 from tests.plants.effects.registry import inject
 from tests.plants.motions.experiments import Trial
-from tests.plants.motions.trajectories import Reference
 from tests.plants.motions.trials import PERIODS, moves, waves, zigzags
 from tests.plants.samples import RECIPES, save
 from tests.plants.simulate import simulate
@@ -44,10 +45,10 @@ SUBJECTS = (
 )
 
 
-def study(*, quick: bool = False) -> str:
+def study(chosen: Namespace) -> str:
     """Return the table."""
     rows = []
-    for subject in SUBJECTS[: 1 if quick else None]:
+    for subject in SUBJECTS[: 1 if chosen.quick else None]:
         with TemporaryDirectory() as name:
             rows.append(_row(subject, Path(name)))
     head = ["robot", "samples", "found", "diagnose, CPU s", "refine, CPU s", "refine over diagnose"]
@@ -75,16 +76,11 @@ def recorded(subject: Subject, folder: Path) -> tuple[list[str], int]:
     """Record the logs, those that are held out last; also the samples of the others."""
     recipe, rng = RECIPES[subject.rig](), np.random.default_rng(99)
     plant = inject(subject.effect, recipe.plant, subject.joint).plant
+    one, two = (partial(waves, period=period) for period in PERIODS[:2])
     samples = 0
     for number in range(subject.logs + HELD_OUT):
-        share = SPEEDS[number % len(SPEEDS)]
-        kind = number % 4
-        motion: Reference
-        if kind % 2 == 0:
-            period = PERIODS[number // 2 % 2]
-            motion = waves(plant, rng, period=period, share=share, seconds=SECONDS)
-        else:
-            motion = (moves if kind == 1 else zigzags)(plant, rng, share=share, seconds=SECONDS)
+        make, share = (one, moves, two, zigzags)[number % 4], SPEEDS[number % len(SPEEDS)]
+        motion = make(plant, rng, share=share, seconds=SECONDS)
         start = PAUSE_S + number * (SECONDS + PAUSE_S)
         log = simulate(plant, motion, 5000 + number, every=EVERY, imus=True, start=start)
         save(folder, recipe, Trial("logs", f"log_{number}", motion, imus=True), log)

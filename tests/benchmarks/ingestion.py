@@ -5,118 +5,73 @@ them meet the same machine. CPU time is user and system time without imports, th
 rounds; peak memory is that of the whole process.
 """
 
-from dataclasses import dataclass
+from argparse import Namespace
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
-from statistics import median
 from tempfile import TemporaryDirectory
 
 from tests.benchmarks.make_logs import write_cdr, write_columns, write_json, write_protobuf
-from tests.benchmarks.measure import module, told_by
+from tests.benchmarks.measure import Told, in_turns, middle, module, told_by
 from tests.studies.tables import table
 
 ROUNDS = 3
+Subject = tuple[str, str, Path, int, int]  # row's name, case, file, count, row to compare with
 
 
-@dataclass(frozen=True)
-class Measured:
-    """Medians of one case."""
-
-    us: float  # CPU per message or row
-    peak: float  # MiB
-
-
-@dataclass(frozen=True)
-class Subject:
-    """A case on a file of so many messages or rows."""
-
-    case: str
-    path: Path
-    count: int
-
-
-def measure(subjects: list[Subject], rounds: int) -> list[Measured]:
-    """Measure the subjects in turn."""
-    runs: list[list[dict[str, float]]] = [[] for _ in subjects]
-    for _ in range(rounds):
-        for results, subject in zip(runs, subjects, strict=True):
-            result = told_by(module("ingestion_cases", subject.case, subject.path))
-            if subject.case != "decompress" and result["count"] != subject.count:
-                raise RuntimeError(f"{subject.case} read {result['count']} of {subject.count}")
-            results.append(result)
-    return [
-        Measured(
-            1e6 * median(run["cpu_s"] for run in results) / subject.count,
-            median(run["peak"] for run in results),
-        )
-        for results, subject in zip(runs, subjects, strict=True)
-    ]
-
-
-def study(*, quick: bool = False) -> str:
+def study(chosen: Namespace) -> str:
     """Return the tables."""
-    size, rounds = (20_000, 1) if quick else (1_000_000, ROUNDS)
+    size, rounds = (20_000, 1) if chosen.quick else (1_000_000, ROUNDS)
     with TemporaryDirectory() as name:
         folder = Path(name)
-        return "\n\n".join(
-            [
-                _cdr(folder, size, rounds),
-                _others(folder, size // 4, rounds),
-                _parquet(folder, size // 2, rounds),
-            ]
-        )
+        few, some, half = size // 10, size // 4, size // 2
+        long, short = write_cdr(folder / "long.mcap", size), write_cdr(folder / "short.mcap", few)
+        text = write_json(folder / "json.mcap", some)
+        protobuf = write_protobuf(folder / "protobuf.mcap", some)
+        columns = write_columns(folder / "table.parquet", half)
+        fewer = write_columns(folder / "short.parquet", half // 2)
+        cdr: list[Subject] = [
+            ("read and unpack only", "decompress", long, size, 1),
+            ("seqid, by blocks", "seqid_blocks", long, size, 1),
+            ("seqid, whole log", "seqid", long, size, 1),
+            ("rosbags AnyReader", "rosbags", short, few, 1),
+            ("mcap + mcap-ros2-support", "mcap_ros2", short, few, 1),
+            ("seqid, by blocks", "seqid_blocks", short, few, 1),
+            ("seqid, whole log", "seqid", short, few, 1),
+        ]
+        others: list[Subject] = [
+            ("JSON: seqid, by blocks", "seqid_blocks", text, some, 0),
+            ("JSON: mcap + json.loads", "json_loads", text, some, 0),
+            ("protobuf: seqid, by blocks", "seqid_blocks", protobuf, some, 2),
+            ("protobuf: mcap + mcap-protobuf-support", "mcap_protobuf", protobuf, some, 2),
+        ]
+        tables: list[Subject] = [
+            ("seqid, by blocks", "parquet_blocks", columns, half, 0),
+            ("pyarrow iter_batches", "iter_batches", columns, half, 0),
+            ("seqid, by blocks", "parquet_blocks", fewer, half // 2, 0),
+        ]
+        title = "JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB"
+        parts = [_compared(title, "message", cdr, rounds)]
+        title = "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)"
+        parts.append(_compared(title, "message", others, rounds))
+        title = "Parquet, 14 of 29 columns, zstd, row groups of 131,072"
+        return "\n\n".join([*parts, _compared(title, "row", tables, rounds)])
 
 
-HEADER = ["reader", "messages", "CPU us/message", "times blocks", "peak MiB"]
-Comparison = list[tuple[str, Subject, int]]  # its row's name, and the row that it is compared with
+def _told(case: str, path: Path, count: int) -> Told:
+    result = told_by(module("ingestion_cases", case, path))
+    if case != "decompress" and result["found"] != count:
+        raise RuntimeError(f"{case} read {result['found']} of {count}")
+    return {"us": 1e6 * result["cpu_s"] / count, "peak": result["peak"]}
 
 
-def _compared(title: str, header: list[str], subjects: Comparison, rounds: int) -> str:
-    found = measure([subject for _, subject, _ in subjects], rounds)
+def _compared(title: str, unit: str, subjects: Sequence[Subject], rounds: int) -> str:
+    jobs = [partial(_told, case, path, count) for _, case, path, count, _ in subjects]
+    found = in_turns(jobs, rounds)
     rows = []
-    for (name, subject, other), own in zip(subjects, found, strict=True):
-        ratio = own.us / found[other].us
-        cells = [f"{subject.count:,}", f"{own.us:.2f}", f"{ratio:.2f}", f"{own.peak:.0f}"]
-        rows.append([name, *cells])
+    for (name, _, _, count, other), own in zip(subjects, found, strict=True):
+        us, than = middle(own, "us"), middle(found[other], "us")
+        peak = f"{middle(own, 'peak'):.0f}"
+        rows.append([name, f"{count:,}", f"{us:.2f}", f"{us / than:.2f}", peak])
+    header = ["reader", f"{unit}s", f"CPU us/{unit}", "times blocks", "peak MiB"]
     return f"{title}:\n\n{table(header, rows)}"
-
-
-def _cdr(folder: Path, size: int, rounds: int) -> str:
-    few = size // 10
-    long, short = write_cdr(folder / "long.mcap", size), write_cdr(folder / "short.mcap", few)
-    subjects = [
-        ("read and unpack only", Subject("decompress", long, size), 1),
-        ("seqid, by blocks", Subject("seqid_blocks", long, size), 1),
-        ("seqid, whole log", Subject("seqid", long, size), 1),
-        ("rosbags AnyReader", Subject("rosbags", short, few), 1),
-        ("mcap + mcap-ros2-support", Subject("mcap_ros2", short, few), 1),
-        ("seqid, by blocks", Subject("seqid_blocks", short, few), 1),
-        ("seqid, whole log", Subject("seqid", short, few), 1),
-    ]
-    title = "JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB"
-    return _compared(title, HEADER, subjects, rounds)
-
-
-def _others(folder: Path, size: int, rounds: int) -> str:
-    text = write_json(folder / "json.mcap", size)
-    protobuf = write_protobuf(folder / "protobuf.mcap", size)
-    subjects = [
-        ("JSON: seqid, by blocks", Subject("seqid_blocks", text, size), 0),
-        ("JSON: mcap + json.loads", Subject("json_loads", text, size), 0),
-        ("protobuf: seqid, by blocks", Subject("seqid_blocks", protobuf, size), 2),
-        ("protobuf: mcap + mcap-protobuf-support", Subject("mcap_protobuf", protobuf, size), 2),
-    ]
-    title = "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)"
-    return _compared(title, HEADER, subjects, rounds)
-
-
-def _parquet(folder: Path, size: int, rounds: int) -> str:
-    path = write_columns(folder / "table.parquet", size)
-    short = write_columns(folder / "short.parquet", size // 2)
-    subjects = [
-        ("seqid, by blocks", Subject("parquet_blocks", path, size), 0),
-        ("pyarrow iter_batches", Subject("iter_batches", path, size), 0),
-        ("seqid, by blocks", Subject("parquet_blocks", short, size // 2), 0),
-    ]
-    title = "Parquet, 14 of 29 columns, zstd, row groups of 131,072"
-    header = ["reader", "rows", "CPU us/row", "times blocks", "peak MiB"]
-    return _compared(title, header, subjects, rounds)

@@ -6,201 +6,160 @@ Every case turns the same numbers of a file into arrays. Imports are not counted
 import json
 import struct
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from tests.benchmarks.figaroh_case import usage
 from tests.benchmarks.make_logs import JOINTS
+from tests.benchmarks.measure import tell
 from tests.unit.logs.samples import GYRO, make_robot
 
-Case = Callable[[], Callable[[Path], int]]  # imports, and returns what is measured
+Message = tuple[str, int, list[float]]  # topic, time, numbers
 _IMU = "/hand/data"
 TABLE_COLUMNS = tuple(f"{name}.{kind}" for kind in ("position", "current") for name in JOINTS)
 
 
-def decompress() -> Callable[[Path], int]:
+def decompress(path: Path) -> int:
     """Read the file and unpack its chunks, nothing else."""
-    import zstandard
-
-    def run(path: Path) -> int:
-        unpacker, size = zstandard.ZstdDecompressor(), 0
-        with path.open("rb") as file:
-            file.seek(8)
-            while len(head := file.read(9)) == 9:
-                opcode, length = struct.unpack("<BQ", head)
-                content = memoryview(file.read(length))
-                if opcode == 0x06:
-                    (name,) = struct.unpack_from("<I", content, 28)
-                    size += len(unpacker.decompress(content[40 + name :]))
-                if opcode == 0x0F:
-                    break
-        return size
-
-    return run
+    unpacker, size = import_module("zstandard").ZstdDecompressor(), 0
+    with path.open("rb") as file:
+        file.seek(8)
+        while len(head := file.read(9)) == 9:
+            opcode, length = struct.unpack("<BQ", head)
+            content = memoryview(file.read(length))
+            if opcode == 0x06:
+                (name,) = struct.unpack_from("<I", content, 28)
+                size += len(unpacker.decompress(content[40 + name :]))
+            if opcode == 0x0F:
+                break
+    return size
 
 
-def seqid() -> Callable[[Path], int]:
-    """Read everything into arrays."""
-    from seqid_cli.logs.mcap import reader
-
-    def run(path: Path) -> int:
-        (raw,) = reader.read_blocks(path, make_robot(JOINTS, imus=(GYRO,)), rows=None)
-        return len(raw.joints) + sum(len(s) for streams in raw.imus.values() for s in streams)
-
-    return run
-
-
-def seqid_blocks() -> Callable[[Path], int]:
+def seqid_blocks(path: Path, **options: Any) -> int:
     """Read everything into arrays, a block at a time."""
-    from seqid_cli.logs.mcap import reader
-
-    def run(path: Path) -> int:
-        count = 0
-        for raw in reader.read_blocks(path, make_robot(JOINTS, imus=(GYRO,))):
-            count += len(raw.joints)
-            count += sum(len(s) for streams in raw.imus.values() for s in streams)
-        return count
-
-    return run
-
-
-def mcap_ros2() -> Callable[[Path], int]:
-    """mcap with mcap-ros2-support."""
-    from mcap.reader import make_reader
-    from mcap_ros2.decoder import DecoderFactory
-
-    def messages(path: Path) -> Iterator[tuple[str, object]]:
-        with path.open("rb") as file:
-            reader = make_reader(file, decoder_factories=[DecoderFactory()])
-            for _, channel, _, decoded in reader.iter_decoded_messages():
-                yield channel.topic, decoded
-
-    return lambda path: _ros_arrays(messages(path))
-
-
-def rosbags() -> Callable[[Path], int]:
-    """rosbags' AnyReader."""
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-
-    def messages(path: Path) -> Iterator[tuple[str, object]]:
-        with AnyReader([path], default_typestore=store) as reader:
-            for connection, _, data in reader.messages():
-                yield connection.topic, reader.deserialize(data, connection.msgtype)
-
-    return lambda path: _ros_arrays(messages(path))
-
-
-def _ros_arrays(messages: Iterator[tuple[str, object]]) -> int:
-    stamps: list[int] = []
-    joints: list[list[float]] = []
-    imus: list[tuple[float, ...]] = []
-    for topic, message in messages:
-        stamp = message.header.stamp  # type: ignore[attr-defined]
-        stamps.append(stamp.sec * 10**9 + stamp.nanosec)
-        if topic == _IMU:
-            a = message.linear_acceleration  # type: ignore[attr-defined]
-            w = message.angular_velocity  # type: ignore[attr-defined]
-            imus.append((a.x, a.y, a.z, w.x, w.y, w.z))
-        else:
-            m = message
-            joints.append([*m.position, *m.velocity, *m.effort])  # type: ignore[attr-defined]
-    arrays = np.array(stamps), np.array(joints), np.array(imus)
-    return len(arrays[0])
-
-
-def json_loads() -> Callable[[Path], int]:
-    """mcap with json.loads."""
-    from mcap.reader import make_reader
-
-    def run(path: Path) -> int:
-        stamps: list[int] = []
-        rows: list[list[float]] = []
-        with path.open("rb") as file:
-            for _, _, message in make_reader(file).iter_messages():
-                content = json.loads(message.data)
-                stamp = content["header"]["stamp"]
-                stamps.append(stamp["sec"] * 10**9 + stamp["nanosec"])
-                rows.append([*content["position"], *content["velocity"], *content["effort"]])
-        return len(np.array(rows)) + 0 * len(np.array(stamps))
-
-    return run
-
-
-def mcap_protobuf() -> Callable[[Path], int]:
-    """mcap with mcap-protobuf-support."""
-    from mcap.reader import make_reader
-    from mcap_protobuf.decoder import DecoderFactory
-
-    def run(path: Path) -> int:
-        stamps: list[int] = []
-        rows: list[list[float]] = []
-        with path.open("rb") as file:
-            reader = make_reader(file, decoder_factories=[DecoderFactory()])
-            for _, _, _, message in reader.iter_decoded_messages():
-                stamps.append(message.timestamp.seconds * 10**9 + message.timestamp.nanos)
-                row: list[float] = []
-                for joint in message.joints:
-                    row += (joint.position, joint.velocity, joint.effort)
-                rows.append(row)
-        return len(np.array(rows)) + 0 * len(np.array(stamps))
-
-    return run
-
-
-def iter_batches() -> Callable[[Path], int]:
-    """pyarrow's own batches, 14 of 29 columns."""
-    import pyarrow.parquet as pq
-
-    def run(path: Path) -> int:
-        with pq.ParquetFile(path) as file:
-            return _arrays(file.iter_batches(65_536, columns=list(TABLE_COLUMNS)))
-
-    return run
-
-
-def parquet_blocks() -> Callable[[Path], int]:
-    """Blocks of 14 of 29 columns."""
-    from seqid_cli.logs.tables.parquet import read_tables
-
-    return lambda path: _arrays(read_tables(path, TABLE_COLUMNS))
-
-
-def _arrays(tables: Iterator[Sequence[object]]) -> int:
+    reader = import_module("seqid_cli.logs.mcap.reader")
     count = 0
-    for table in tables:
-        columns = [column.to_numpy() for column in table.columns]  # type: ignore[attr-defined]
-        count += len(np.column_stack(columns))
+    for raw in reader.read_blocks(path, make_robot(JOINTS, imus=(GYRO,)), **options):
+        count += len(raw.joints)
+        count += sum(len(s) for streams in raw.imus.values() for s in streams)
     return count
 
 
-CASES: dict[str, Case] = {
-    case.__name__: case
-    for case in (
-        decompress,
-        seqid,
-        seqid_blocks,
-        mcap_ros2,
-        rosbags,
-        json_loads,
-        mcap_protobuf,
-        iter_batches,
-        parquet_blocks,
-    )
+def seqid(path: Path) -> int:
+    """Read everything into arrays."""
+    return seqid_blocks(path, rows=None)
+
+
+def mcap_ros2(path: Path) -> int:
+    """mcap with mcap-ros2-support."""
+    decoded = _decoded(path, "mcap_ros2.decoder")
+    return _gathered(_ros(topic, message) for topic, message in decoded)
+
+
+def rosbags(path: Path) -> int:
+    """rosbags' AnyReader."""
+    types = import_module("rosbags.typesys")
+    store = types.get_typestore(types.Stores.ROS2_HUMBLE)
+    with import_module("rosbags.highlevel").AnyReader([path], default_typestore=store) as reader:
+        return _gathered(
+            _ros(connection.topic, reader.deserialize(data, connection.msgtype))
+            for connection, _, data in reader.messages()
+        )
+
+
+def json_loads(path: Path) -> int:
+    """mcap with json.loads."""
+
+    def messages() -> Iterator[Message]:
+        with path.open("rb") as file:
+            for _, _, message in import_module("mcap.reader").make_reader(file).iter_messages():
+                content = json.loads(message.data)
+                stamp = content["header"]["stamp"]
+                row = [*content["position"], *content["velocity"], *content["effort"]]
+                yield "", stamp["sec"] * 10**9 + stamp["nanosec"], row
+
+    return _gathered(messages())
+
+
+def mcap_protobuf(path: Path) -> int:
+    """mcap with mcap-protobuf-support."""
+
+    def messages() -> Iterator[Message]:
+        for topic, message in _decoded(path, "mcap_protobuf.decoder"):
+            row: list[float] = []
+            for joint in message.joints:
+                row += (joint.position, joint.velocity, joint.effort)
+            yield topic, message.timestamp.seconds * 10**9 + message.timestamp.nanos, row
+
+    return _gathered(messages())
+
+
+def iter_batches(path: Path) -> int:
+    """pyarrow's own batches, 14 of 29 columns."""
+    with import_module("pyarrow.parquet").ParquetFile(path) as file:
+        return _columns(file.iter_batches(65_536, columns=list(TABLE_COLUMNS)))
+
+
+def parquet_blocks(path: Path) -> int:
+    """Blocks of 14 of 29 columns."""
+    return _columns(import_module("seqid_cli.logs.tables.parquet").read_tables(path, TABLE_COLUMNS))
+
+
+def _decoded(path: Path, decoder: str) -> Iterator[tuple[str, Any]]:
+    factory = import_module(decoder).DecoderFactory()
+    with path.open("rb") as file:
+        reader = import_module("mcap.reader").make_reader(file, decoder_factories=[factory])
+        for _, channel, _, message in reader.iter_decoded_messages():
+            yield channel.topic, message
+
+
+def _ros(topic: str, message: Any) -> Message:
+    stamp = message.header.stamp
+    if topic == _IMU:
+        a, w = message.linear_acceleration, message.angular_velocity
+        row = [a.x, a.y, a.z, w.x, w.y, w.z]
+    else:
+        row = [*message.position, *message.velocity, *message.effort]
+    return topic, stamp.sec * 10**9 + stamp.nanosec, row
+
+
+def _gathered(messages: Iterable[Message]) -> int:
+    """Messages as arrays, topic by topic."""
+    stamps: list[int] = []
+    rows: dict[str, list[list[float]]] = {}
+    for topic, stamp, row in messages:
+        stamps.append(stamp)
+        rows.setdefault(topic, []).append(row)
+    arrays = [np.array(stamps), *map(np.array, rows.values())]
+    return len(arrays[0])
+
+
+def _columns(tables: Iterable[Any]) -> int:
+    return sum(len(np.column_stack([c.to_numpy() for c in table.columns])) for table in tables)
+
+
+CASES: dict[Callable[[Path], int], list[str]] = {  # and what they import
+    decompress: ["zstandard"],
+    seqid: ["seqid_cli.logs.mcap.reader"],
+    seqid_blocks: ["seqid_cli.logs.mcap.reader"],
+    mcap_ros2: ["mcap.reader", "mcap_ros2.decoder"],
+    rosbags: ["rosbags.highlevel", "rosbags.typesys"],
+    json_loads: ["mcap.reader"],
+    mcap_protobuf: ["mcap.reader", "mcap_protobuf.decoder"],
+    iter_batches: ["pyarrow.parquet"],
+    parquet_blocks: ["seqid_cli.logs.tables.parquet"],
 }
 
 
 def main(name: str, path: Path) -> None:
     """Measure one case once; print CPU seconds, peak MiB and what the case counted."""
-    run = CASES[name]()
-    start = usage()[0]
-    count = run(path)
-    after, peak = usage()
-    sys.stdout.write(json.dumps({"cpu_s": after - start, "peak": peak, "count": count}) + "\n")
+    (case,) = (case for case in CASES if case.__name__ == name)
+    for needed in CASES[case]:
+        import_module(needed)
+    tell(lambda: case(path))
 
 
 if __name__ == "__main__":

@@ -1,10 +1,13 @@
 """What the numerical kernels cost against the library calls that one would use instead.
 
-The two of a comparison take turns in one process; CPU time is the median of the turns.
+The two of a comparison take turns in one process; CPU time is the median of the turns. Of the
+motion smoother the least of several runs counts: a busy machine only ever adds to it.
 """
 
 import time
+from argparse import Namespace
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
@@ -13,34 +16,35 @@ import numpy as np
 import pinocchio as pin
 
 from seqid_cli.identify.regression.least_squares import Accumulator, triangular
+from seqid_cli.motion.smoother.smooth import smoothed_motion
 from seqid_cli.robot.base_parameters import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import torque_regressor
 from tests import Array
+from tests.benchmarks.measure import in_turns
+from tests.plants.fused import Rig, case
 from tests.plants.robots.seven_joint import write_arm
 from tests.studies.tables import table
 
 Job = Callable[[], object]
 
-HEAD = ["", "CPU", "unit", "faster", "largest difference"]
 
-
-def study(*, quick: bool = False) -> str:
+def study(chosen: Namespace) -> str:
     """Return the tables."""
-    rounds = 1 if quick else 9
-    parts = [_regressor(rounds), _least_squares(rounds, quick=quick)]
-    return table(HEAD, [row for part in parts for row in part])
+    rounds = 1 if chosen.quick else 9
+    rows = [*_regressor(rounds), *_least_squares(rounds, quick=chosen.quick)]
+    return table(["", "CPU", "unit", "faster", "largest difference"], rows)
 
 
 def _cpu(jobs: list[Job], rounds: int) -> list[float]:
     """CPU seconds of jobs that take turns."""
-    spent: list[list[float]] = [[] for _ in jobs]
-    for _ in range(rounds):
-        for job, times in zip(jobs, spent, strict=True):
-            before = time.process_time()
-            job()
-            times.append(time.process_time() - before)
-    return [median(times) for times in spent]
+
+    def spent(job: Job) -> float:
+        before = time.process_time()
+        job()
+        return time.process_time() - before
+
+    return [median(own) for own in in_turns([partial(spent, job) for job in jobs], rounds)]
 
 
 def _regressor(rounds: int) -> list[list[str]]:
@@ -89,14 +93,12 @@ def _least_squares(rounds: int, *, quick: bool) -> list[list[str]]:
     y = np.einsum("jnp,p->jn", rows, theta) + 0.1 * rng.normal(size=(7, samples))
     stacked = np.ascontiguousarray(rows).reshape(-1, width)
 
-    def theirs_job() -> Array:
-        return np.asarray(np.linalg.lstsq(stacked, y.ravel(), rcond=None)[0])
-
     def ours_job() -> Array:
         joints = [_accumulated(rows[j], y[j]) for j in range(len(loaded))]
         return triangular(np.vstack([joint.total for joint in joints]))
 
-    theirs, ours = _cpu([theirs_job, ours_job], max(1, rounds // 3))
+    jobs = [lambda: np.linalg.lstsq(stacked, y.ravel(), rcond=None), ours_job]
+    theirs, ours = _cpu(jobs, max(1, rounds // 3))
     per, name = 1e6 / samples, "least squares: R factors"
     found = [
         ["least squares: lstsq", f"{theirs * per:.1f}", "us/sample", "1.0", ""],
@@ -128,3 +130,27 @@ def _accumulated(H: Array, y: Array) -> Accumulator:
 def _result(name: str, cpu: float, unit: str, faster: float, error: float | None) -> list[str]:
     shown = "" if error is None else f"{error:.1e}"
     return [name, f"{cpu:.2f}", unit, f"{faster:.1f}", shown]
+
+
+SECONDS = 40.0
+REPEATS = 3
+
+
+def smoother(chosen: Namespace) -> str:
+    """Table over the rigs: the least of several runs; a busy machine only ever adds to it."""
+    seconds = 4.0 if chosen.quick else SECONDS
+    rigs = {
+        "one joint, one array": Rig(1, 2400, seconds=seconds),
+        "six joints, two arrays": Rig(6, 2**17, seconds=seconds),
+        "six joints, two gyro IMUs": Rig(6, 2**17, gyro=True, seconds=seconds),
+    }
+    rows = []
+    for label, rig in rigs.items():
+        c, times = case(rig), []
+        for _ in range(1 if chosen.quick else REPEATS):
+            start = time.process_time()
+            smoothed_motion(c.recording, c.robot, c.stage)
+            times.append(time.process_time() - start)
+        span, cpu = float(np.ptp(c.recording.t)), min(times)
+        rows.append([label, f"{span:.0f}", f"{cpu:.2f}", f"{span / cpu:.0f}"])
+    return table(["rig, 1 kHz", "log, s", "CPU, s", "times faster than real time"], rows)

@@ -4,6 +4,7 @@ The first message of every topic is written by the library of its encoding; the 
 of it with other stamps and numbers, because writing a million of them one by one takes minutes.
 """
 
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -73,11 +74,14 @@ def write_cdr(path: Path, messages: int, compression: str = "zstd") -> Path:
         for first in range(0, messages // 2, PART):
             count = min(PART, messages // 2 - first)
             stamps = T0 + PERIOD_NS * np.arange(first, first + count)
-            rows = _patched(joint_form, stamps)
-            _put_doubles(rows, [len(joint_form) - 8 * N * 3 - 16], joint_values(count, rng))
-            others = _patched(imu_form, stamps)
+            rows, others = _patched(joint_form, stamps), _patched(imu_form, stamps)
+            size = 8 * N
+            for k, part in enumerate(np.split(joint_values(count, rng), 3, axis=1)):
+                # Before each array comes its count, and padding.
+                _put_doubles(rows, len(joint_form) - 3 * size - 16 + k * (size + 8), part)
             turn = rng.normal(size=(count, 6))
-            _put_doubles(others, [len(imu_form) - 8 * 24, len(imu_form) - 8 * 12], turn)
+            for at, part in zip((24, 12), np.split(turn, 2, axis=1), strict=True):
+                _put_doubles(others, len(imu_form) - 8 * at, part)
             arrival = stamps[:, None] + rng.integers(0, PERIOD_NS // 2, (count, 2))
             for i in range(count):
                 writer.add_message(joints, int(arrival[i, 0]), rows[i].tobytes(), int(stamps[i]))
@@ -93,15 +97,9 @@ def _patched(form: bytes, stamps: NDArray[np.int64]) -> NDArray[np.uint8]:
     return rows
 
 
-def _put_doubles(rows: NDArray[np.uint8], places: list[int], values: Array) -> None:
-    """Overwrite runs of doubles; of joint states each array has its count (and padding) before."""
-    parts = np.split(values, 3 if len(places) == 1 else 2, axis=1)
-    if len(places) == 1:
-        size = 8 * N
-        places = [places[0], places[0] + size + 8, places[0] + 2 * (size + 8)]
-    for at, part in zip(places, parts, strict=True):
-        content = np.ascontiguousarray(part).view(np.uint8)
-        rows[:, at : at + content.shape[1]] = content
+def _put_doubles(rows: NDArray[np.uint8], at: int, values: Array) -> None:
+    content = np.ascontiguousarray(values).view(np.uint8)
+    rows[:, at : at + content.shape[1]] = content
 
 
 def write_json(path: Path, messages: int) -> Path:
@@ -124,31 +122,11 @@ def made(messages: int, seed: int) -> Data:
 
 def write_columns(path: Path, rows: int) -> Path:
     """A table of 29 columns, 2 int64 and 27 float64, in row groups of 131,072."""
-    rng = np.random.default_rng(4)
-    with _table_writer(path) as writer:
-        for first in range(0, rows, 131_072):
-            count = min(131_072, rows - first)
-            columns: dict[str, NDArray[np.generic]] = {
-                "t": (first + np.arange(count)) * PERIOD_NS * 1e-9,
-                "sequence": np.arange(first, first + count),
-                "status": np.zeros(count, np.int64),
-            }
-            for kind, values in zip(
-                ("position", "velocity", "current"),
-                np.split(joint_values(count, rng), 3, axis=1),
-                strict=True,
-            ):
-                columns |= {f"{name}.{kind}": values[:, i] for i, name in enumerate(JOINTS)}
-            noise = rng.normal(size=(count, 5))
-            columns |= {f"other_{i}": noise[:, i] for i in range(5)}
-            writer.write_table(pa.table(columns))
+    rng, number = np.random.default_rng(4), np.arange(rows)
+    columns = {"t": number * PERIOD_NS * 1e-9, "sequence": number, "status": 0 * number}
+    values = joint_values(rows, rng)
+    kinds = product(("position", "velocity", "current"), JOINTS)
+    columns |= {f"{name}.{kind}": values[:, i] for i, (kind, name) in enumerate(kinds)}
+    columns |= {f"other_{i}": rng.normal(size=rows) for i in range(5)}
+    pq.write_table(pa.table(columns), path, compression="zstd", row_group_size=131_072)
     return path
-
-
-def _table_writer(path: Path) -> pq.ParquetWriter:
-    kinds: dict[str, pa.DataType] = {"t": pa.float64()}
-    kinds |= dict.fromkeys(("sequence", "status"), pa.int64())
-    for kind in ("position", "velocity", "current"):
-        kinds |= {f"{name}.{kind}": pa.float64() for name in JOINTS}
-    kinds |= {f"other_{i}": pa.float64() for i in range(5)}
-    return pq.ParquetWriter(path, pa.schema(list(kinds.items())), compression="zstd")

@@ -5,7 +5,14 @@ import os
 import resource
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from statistics import median
+from typing import TypeVar
+
+from tests.benchmarks.figaroh_case import usage
+
+T = TypeVar("T")
+Told = dict[str, float]
 
 
 def child_cpu_s(command: Sequence[str], environment: Mapping[str, str] = os.environ) -> float:
@@ -16,7 +23,7 @@ def child_cpu_s(command: Sequence[str], environment: Mapping[str, str] = os.envi
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def told_by(command: Sequence[str]) -> dict[str, float]:
+def told_by(command: Sequence[str]) -> Told:
     """What a command prints as JSON in its last line."""
     done = subprocess.run(command, capture_output=True, check=True, text=True)
     return json.loads(done.stdout.splitlines()[-1])
@@ -25,3 +32,23 @@ def told_by(command: Sequence[str]) -> dict[str, float]:
 def module(name: str, *arguments: object) -> list[str]:
     """The command line of a module beside this one."""
     return [sys.executable, "-m", f"tests.benchmarks.{name}", *map(str, arguments)]
+
+
+def tell(run: Callable[[], object]) -> None:
+    """Print what a run took, imports left out, and what it returned, for `told_by`."""
+    start = usage()[0]
+    found = run()
+    after, peak = usage()
+    result = {"cpu_s": after - start, "peak": peak, "found": found}
+    sys.stdout.write(json.dumps(result) + "\n")
+
+
+def in_turns(jobs: Sequence[Callable[[], T]], rounds: int) -> list[list[T]]:
+    """What jobs return that take turns, so that all of them meet the same machine."""
+    turns = [[job() for job in jobs] for _ in range(rounds)]
+    return [list(own) for own in zip(*turns, strict=True)]
+
+
+def middle(runs: Sequence[Told], key: str) -> float:
+    """Median over the runs of one job."""
+    return median(run[key] for run in runs)

@@ -1,17 +1,38 @@
-"""What identifying inertia costs: against a straightforward script, and memory against length."""
+"""What identifying inertia costs: against a script and FIGAROH, and memory against length.
 
+FIGAROH runs in an environment of its own, whose interpreter the variable SEQID_FIGAROH names:
+
+    python -m venv figaroh && figaroh/bin/pip install figaroh==1.0.2
+    SEQID_FIGAROH=figaroh/bin/python make bench
+"""
+
+import os
+import subprocess
+from argparse import Namespace
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from statistics import median
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
 from seqid_cli.robot.file import load_robot
-from tests.benchmarks import whole_run_figaroh
-from tests.benchmarks.measure import module, told_by
-from tests.plants.robots.seven_joint import write_arm, write_log
+from seqid_cli.robot.regressor import inverse_dynamics
+from tests.benchmarks import figaroh_case
+from tests.benchmarks.measure import Told, in_turns, middle, module, told_by
+from tests.plants.robots.seven_joint import RATE_HZ, motion, write_arm, write_log
 from tests.studies.tables import table
+
+INTERPRETER = "SEQID_FIGAROH"
+SAMPLES = 100_000
+NOISE = 0.05  # N m
+LEFT_OUT = (
+    "FIGAROH was not measured: `SEQID_FIGAROH` names no interpreter that has it "
+    "(tests/benchmarks/whole_run.py says how to make one)."
+)
+
 
 COMPARED, LONGER, LONGEST = 200_000, 1_000_000, 2_000_000
 ROUNDS = 2
@@ -20,36 +41,23 @@ CASES = {
     "full_rate": "seqid, every sample",
     "decimated": "seqid, as the command runs it",
 }
+Runs = list[dict[str, Any]]  # cpu_s, peak MiB, found: values and standard errors, samples
 
 
-@dataclass(frozen=True)
-class Run:
-    """One run of a case on a log of so many samples."""
-
-    samples: int
-    cpu_s: float
-    peak: float  # MiB
-    values: dict[str, tuple[float, float]]
-
-    @property
-    def us(self) -> float:
-        """CPU time per sample."""
-        return 1e6 * self.cpu_s / self.samples
-
-
-def study(*, quick: bool = False) -> str:
+def study(chosen: Namespace) -> str:
     """Return the tables."""
-    sizes = (20_000, 30_000, 40_000) if quick else (COMPARED, LONGER, LONGEST)
-    rounds = 1 if quick else ROUNDS
+    sizes = (20_000, 30_000, 40_000) if chosen.quick else (COMPARED, LONGER, LONGEST)
+    rounds = 1 if chosen.quick else ROUNDS
     with TemporaryDirectory() as name:
         folder = Path(name)
         arm = write_arm(folder)
         runs = _all_runs(folder, arm, sizes, rounds)
-        other = whole_run_figaroh.study(folder, arm, quick=quick, rounds=rounds)
+        other = _against_figaroh(folder, arm, quick=chosen.quick, rounds=rounds)
     script, every, thinned = (runs[case, sizes[0]] for case in CASES)
     rows = [_row(CASES[case], found, script) for (case, _), found in runs.items()]
     text = table(["run", "samples", "CPU us/sample", "script over this", "peak MiB"], rows)
-    ratio = _error_ratio(thinned[0], every[0])
+    own, full = thinned[0]["found"], every[0]["found"]
+    ratio = median(own[name][1] / error for name, (_, error) in full.items())
     gaps = _gaps(thinned[0], every[0])
     return (
         f"{text}\n\n"
@@ -63,44 +71,89 @@ def study(*, quick: bool = False) -> str:
 
 def _all_runs(
     folder: Path, arm: Path, sizes: tuple[int, int, int], rounds: int
-) -> dict[tuple[str, int], list[Run]]:
+) -> dict[tuple[str, int], Runs]:
     """Run every case on every length that it can bear, all of them in turns."""
     robot = load_robot(arm)
     logs = {count: write_log(folder / f"{count}.parquet", robot, count) for count in sizes}
     compared, longer, longest = sizes
     script, every, thinned = CASES
+
+    def run(case: str, count: int) -> dict[str, Any]:
+        return told_by(module("whole_run_cases", case, arm, logs[count])) | {"samples": count}
+
     # The script uses what seqid with every sample wrote beside the log.
     wanted = [(thinned, compared), (every, compared), (script, compared)]
     wanted += [(every, longer), (thinned, longer)]
-    runs: dict[tuple[str, int], list[Run]] = {}
-    for _ in range(rounds):
-        for case, count in wanted:
-            runs.setdefault((case, count), []).append(_run(case, arm, logs[count], count))
-    for case in (every, thinned):
-        runs[case, longest] = [_run(case, arm, logs[longest], longest)]
+    found = in_turns([partial(run, *one) for one in wanted], rounds)
+    runs = dict(zip(wanted, found, strict=True))
+    runs |= {(case, longest): [run(case, longest)] for case in (every, thinned)}
     order = sorted(runs, key=lambda key: (key[1], list(CASES).index(key[0])))
     return {key: runs[key] for key in order}
 
 
-def _run(case: str, arm: Path, log: Path, samples: int) -> Run:
-    found: dict[str, Any] = told_by(module("whole_run_cases", case, arm, log))
-    return Run(samples, found["cpu_s"], found["peak"], found["values"])
+def _row(name: str, runs: Runs, reference: Runs) -> list[str]:
+    us, other = (1e6 * middle(x, "cpu_s") / x[0]["samples"] for x in (runs, reference))
+    cells = [f"{us:.2f}", f"{other / us:.1f}", f"{middle(runs, 'peak'):.0f}"]
+    return [name, f"{runs[0]['samples']:,}", *cells]
 
 
-def _row(name: str, runs: Sequence[Run], reference: Sequence[Run]) -> list[str]:
-    us = median(run.us for run in runs)
-    ratio = median(run.us for run in reference) / us
-    peak = median(run.peak for run in runs)
-    return [name, f"{runs[0].samples:,}", f"{us:.2f}", f"{ratio:.1f}", f"{peak:.0f}"]
-
-
-def _gaps(run: Run, reference: Run) -> list[float]:
+def _gaps(run: dict[str, Any], reference: dict[str, Any]) -> list[float]:
     """Differences of the parameters, in standard errors of the reference."""
     return [
-        abs(run.values[name][0] - value) / error
-        for name, (value, error) in reference.values.items()
+        abs(run["found"][name][0] - value) / error
+        for name, (value, error) in reference["found"].items()
     ]
 
 
-def _error_ratio(run: Run, reference: Run) -> float:
-    return median(run.values[name][1] / error for name, (_, error) in reference.values.items())
+def _against_figaroh(folder: Path, robot_path: Path, *, quick: bool, rounds: int) -> str:
+    """The same arrays to both: regressor, base parameters, solution; or why there is no table."""
+    other = os.environ.get(INTERPRETER, "")
+    if not other or not _has_figaroh(other):
+        return LEFT_OUT
+    samples = SAMPLES // 20 if quick else SAMPLES
+    arrays = write_arrays(folder / "arrays.npz", robot_path, samples)
+    urdf = robot_path.with_name("arm.urdf")
+    program = [other, figaroh_case.__file__, str(urdf), str(arrays)]
+    jobs = [lambda: told_by(program), lambda: _ours(robot_path, arrays)]
+    theirs, ours = in_turns(jobs, rounds)
+    rows = [_beside("FIGAROH 1.0.2", theirs, theirs), _beside("seqid", ours, theirs)]
+    heads = ["", "CPU s", "times less", "peak MiB", "above its imports and the arrays, MiB"]
+    gap = abs(ours[0]["rms"] / theirs[0]["rms"] - 1)
+    text = table([*heads, "times less"], rows)
+    return (
+        f"The same {samples:,} samples of position, velocity, acceleration and torque in memory; "
+        f"from them to base parameters:\n\n{text}\n\n"
+        f"Both find {ours[0]['size']:.0f} base parameters; the RMS of what they leave differs by "
+        f"{gap:.0e} of itself. seqid gives standard errors as well."
+    )
+
+
+def _ours(robot_path: Path, arrays: Path) -> Told:
+    told: Any = told_by(module("whole_run_cases", "arrays", robot_path, arrays))
+    return told | told["found"]
+
+
+def write_arrays(path: Path, robot_path: Path, samples: int) -> Path:
+    """Write motion and noisy torque (N, 7) as arrays."""
+    robot = load_robot(robot_path)
+    assert robot.nominal is not None
+    q, dq, ddq = motion(np.arange(samples) / RATE_HZ)
+    tau = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, dq, ddq)
+    tau += NOISE * np.random.default_rng(7).normal(size=tau.shape)
+    np.savez(path, q=q, dq=dq, ddq=ddq, tau=tau)
+    return path
+
+
+def _has_figaroh(interpreter: str) -> bool:
+    command = [interpreter, "-c", "import figaroh"]
+    try:
+        return subprocess.run(command, capture_output=True, check=False).returncode == 0
+    except OSError:
+        return False
+
+
+def _beside(name: str, runs: Sequence[Told], reference: Sequence[Told]) -> list[str]:
+    cpu, peak = middle(runs, "cpu_s"), middle(runs, "peak")
+    above, theirs = (median(run["peak"] - run["base"] for run in x) for x in (runs, reference))
+    times, less = middle(reference, "cpu_s") / cpu, theirs / max(above, 1.0)
+    return [name, f"{cpu:.2f}", f"{times:.1f}", f"{peak:.0f}", f"{above:.0f}", f"{less:.0f}"]

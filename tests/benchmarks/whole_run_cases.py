@@ -1,25 +1,27 @@
 """Whole runs, one case per process: `python -m tests.benchmarks.whole_run_cases CASE ROBOT LOG`.
 
+Imports and loading the robot do not count.
 `straightforward` solves the same equations with what `decimated` wrote beside the log: its cut-off
 and the weights of the joints, so that their answers can be compared.
 """
 
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from tests import Array
-from tests.benchmarks.figaroh_case import usage
+from tests.benchmarks.figaroh_case import held_mib
+from tests.benchmarks.measure import tell
 from tests.plants.robots.seven_joint import JOINTS, RATE_HZ, SIGN_WIDTH, known_friction
 
 # Central differences; with those of second order (np.gradient) inertias are 1e-5 off.
 FIRST = RATE_HZ * np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 0, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
 SECOND = RATE_HZ**2 * np.array([-9, 128, -1008, 8064, -14350, 8064, -1008, 128, -9]) / 5040
+ROWS = 2048  # samples of arrays that are worked on at a time
 Found = dict[str, tuple[float, float]]  # value and standard error (0: not told)
-Case = Callable[[Path, Path], Callable[[], Found]]
 
 
 def decimated(robot_path: Path, log: Path) -> Callable[[], Found]:
@@ -114,20 +116,35 @@ def straightforward(robot_path: Path, log: Path) -> Callable[[], Found]:
     return run
 
 
-CASES: dict[str, Case] = {case.__name__: case for case in (decimated, full_rate, straightforward)}
+def arrays(robot_path: Path, path: Path) -> Callable[[], dict[str, float]]:
+    """Given motion and torque to base parameters, as the inertia stage solves for them."""
+    from seqid_cli.identify.regression.least_squares import Accumulator, solve
+    from seqid_cli.robot.base_parameters import base_regressor, free_basis
+    from seqid_cli.robot.file import load_robot
+
+    robot = load_robot(robot_path)
+    with np.load(path) as given:
+        q, dq, ddq, tau = (given[name] for name in ("q", "dq", "ddq", "tau"))
+
+    def run() -> dict[str, float]:
+        base, basis = held_mib(), free_basis(robot)
+        joints = [Accumulator(basis.size) for _ in range(robot.n)]
+        room = np.zeros((robot.n, basis.size, ROWS))
+        for start in range(0, len(q), ROWS):
+            part = slice(start, min(start + ROWS, len(q)))
+            out = room[:, :, : part.stop - start]
+            H = base_regressor(robot, basis, q[part], dq[part], ddq[part], out=out)
+            for j, joint in enumerate(joints):
+                joint.add(H[:, j], tau[part, j])
+        solution = solve(joints)
+        rms = [joint.residual_rms(solution.theta) for joint in joints]
+        return {"base": base, "size": basis.size, "rms": float(np.sqrt(np.mean(np.square(rms))))}
+
+    return run
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run one case and print what it took and what it found."""
-    case, robot_path, log = arguments
-    run = CASES[case](Path(robot_path), Path(log))
-    before = usage()[0]
-    values = run()
-    after, peak = usage()
-    result = {"cpu_s": after - before, "peak": peak, "values": values}
-    sys.stdout.write(json.dumps(result) + "\n")
-    return 0
-
+CASES = {case.__name__: case for case in (decimated, full_rate, straightforward, arrays)}
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    name, robot_file, *log_file = sys.argv[1:]
+    tell(CASES[name](Path(robot_file), Path(*log_file)))

@@ -33,7 +33,7 @@ def test_what_was_found_is_answered(path: Path, made: Mapping[str, Target], tmp_
     target = made[KINDS[path.name.partition("_")[0]]]
     run.lay_out(target, tmp_path)
     (tmp_path / target.file).write_bytes(path.read_bytes())
-    for line in dict.fromkeys(target.lines):
+    for line in dict.fromkeys(map(tuple, target.lines)):
         _, said, why = answer(run.filled(line, target, tmp_path))
         assert not why, f"{' '.join(line)}: {said}"
 

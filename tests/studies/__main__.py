@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 
 from tests import ROOT
-from tests.benchmarks import discovery, ingestion, kernels, smoother, whole_run
+from tests.benchmarks import discovery, ingestion, kernels, whole_run
 from tests.studies import tables
 from tests.studies.coverage import study as coverage
 from tests.studies.loop import study as closed_loop
@@ -29,11 +29,11 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {  # pa
     "planned_errors": ("plan.md", errors.study),
     "planned_separation": ("plan.md", separation.study),
     "recorded_effects": ("effects_study.md", effects.study),
-    "ingestion": (COSTS, lambda chosen: ingestion.study(quick=chosen.quick)),
-    "kernels": (COSTS, lambda chosen: kernels.study(quick=chosen.quick)),
-    "whole_run": (COSTS, lambda chosen: whole_run.study(quick=chosen.quick)),
-    "smoother": (COSTS, lambda chosen: smoother.study(quick=chosen.quick)),
-    "discovery": (COSTS, lambda chosen: discovery.study(quick=chosen.quick)),
+    "ingestion": (COSTS, ingestion.study),
+    "kernels": (COSTS, kernels.study),
+    "whole_run": (COSTS, whole_run.study),
+    "smoother": (COSTS, kernels.smoother),
+    "discovery": (COSTS, discovery.study),
 }
 SLOW = ("six_joint", "planned_errors", "recorded_effects")  # even of one rig
 
@@ -68,7 +68,7 @@ def written(name: str, chosen: argparse.Namespace) -> bool:
         return False
     if name == "coverage":
         return coverage.whole(chosen)
-    return name != "undeclared" or undeclared.choice_of(chosen).whole
+    return name != "undeclared" or undeclared.whole(chosen)
 
 
 if __name__ == "__main__":

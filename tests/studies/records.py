@@ -68,6 +68,12 @@ def results(
     return {key: kept[key] for key in cases if key in kept}
 
 
+def seeds_of(text: str) -> range:
+    """Seeds `A:B`, B left out; A alone is one seed."""
+    first, _, last = text.replace("-", ":").partition(":")
+    return range(int(first), int(last) if last else int(first) + 1)
+
+
 def mapped(
     work: Callable[[C], R], cases: Mapping[str, C], processes: int
 ) -> Iterator[tuple[str, R]]:

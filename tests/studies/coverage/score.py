@@ -2,7 +2,8 @@
 
 import time
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,15 +14,23 @@ from scipy.spatial.transform import Rotation
 from seqid_cli import identify
 from seqid_cli.errors import SeqidError, SeqidWarning
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.params.schema import FrictionJoint, FrictionStage, ImuStage, Stages
+from seqid_cli.params.schema import FrictionStage, ImuCalibration, ImuStage, Stages
 from tests import Array
 from tests.plants.robots.lab import true_standard, true_value
+from tests.plants.sensors import AccelerometerArray
 from tests.plants.simulate import Plant
 from tests.studies.coverage.cases import STREAM, Case, draw, record
 
 Row = dict[str, Any]
 Result = dict[str, Any]
 
+# The function of each stage, and the folders of the logs that it gets.
+STAGES = {
+    "friction": (identify.friction, ["friction"]),
+    "gravity": (identify.gravity, ["gravity", "friction"]),
+    "imu": (identify.imu_calib, ["imu"]),
+    "inertia": (identify.inertia, ["inertia"]),
+}
 POINTS = 10  # of each friction surface
 POINT_STREAM = 95
 VAGUE_DEG = 20.0  # a mounting's angle with a larger stated error is not known, and no estimate
@@ -30,14 +39,7 @@ VAGUE_DEG = 20.0  # a mounting's angle with a larger stated error is not known, 
 def score(case: Case) -> Result:
     """Record the case's logs, run friction, gravity, imu-calib and inertia, compare with truth."""
     drawn = draw(case)
-    result: Result = {
-        "rig": case.rig,
-        "seed": case.seed,
-        "noise": case.noise,
-        "encoder": case.encoder,
-        "traits": drawn.traits,
-        "rows": [],
-    }
+    result: Result = {**asdict(case), "traits": drawn.traits, "rows": []}
     with TemporaryDirectory(prefix="seqid-coverage-") as name:
         folder = Path(name)
         record(case, drawn, folder)
@@ -47,7 +49,12 @@ def score(case: Case) -> Result:
     if problem:
         result["failed"] = problem
     result["rows"] = compare(case, drawn.plant, stages)
-    result["verdicts"] = verdicts(stages)
+    found = {name: getattr(stages, name) for name in STAGES}
+    result["verdicts"] = {
+        name: all(verdict.good for verdict in stage.verdicts)
+        for name, stage in found.items()
+        if stage is not None
+    }
     if stages.inertia is not None:
         result["rotor_coupling"] = stages.inertia.rotor_coupling
         result["notes"] = list(stages.inertia.notes)
@@ -57,28 +64,18 @@ def score(case: Case) -> Result:
 
 def identified(folder: Path) -> tuple[Stages, str]:
     """The stages in their order by the package's own functions, and what stopped them."""
-    robot = folder / "robot.toml"
-    logs = {name: str(folder / name) for name in ("friction", "gravity", "imu", "inertia")}
-    there = {name: path for name, path in logs.items() if Path(path).is_dir()}
-    slow = [there[name] for name in ("gravity", "friction") if name in there]
-    out = {name: folder / f"{name}.json" for name in logs}
-    stages = Stages()
-    name = "friction"
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", SeqidWarning)
-            stages = identify.friction(there[name], robot, output=out[name]).stages
-            last, name = out[name], "gravity"
-            stages = identify.gravity(slow, robot, last, output=out[name]).stages
-            last = out[name]
-            if "imu" in there:
-                name = "imu"
-                stages = identify.imu_calib(there[name], robot, last, output=out[name]).stages
-                last = out[name]
-            name = "inertia"
-            stages = identify.inertia(there[name], robot, last, output=out[name]).stages
-    except SeqidError as error:
-        return stages, f"{name}: {error.message}"
+    stages, known = Stages(), []
+    for name, (identify_it, kinds) in STAGES.items():
+        logs = [str(folder / kind) for kind in kinds if (folder / kind).is_dir()]
+        out = folder / f"{name}.json"
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", SeqidWarning)
+                if logs:
+                    robot = folder / "robot.toml"
+                    stages, known = identify_it(logs, robot, *known, output=out).stages, [out]
+        except SeqidError as error:
+            return stages, f"{name}: {error.message}"
     return stages, ""
 
 
@@ -88,28 +85,17 @@ def compare(case: Case, plant: Plant, stages: Stages) -> list[Row]:
     if stages.friction is not None:
         rng = np.random.default_rng([STREAM[case.rig], case.seed, POINT_STREAM])
         rows += friction_rows(plant, stages.friction, rng)
+    standard = true_standard(plant)
     for name in ("gravity", "inertia"):
-        stage = getattr(stages, name)
-        if stage is not None:
-            standard = true_standard(plant)
-            rows += [
-                row(name, p.name, p.value, p.std_error, true_value(p.terms, standard))
-                for p in stage.parameters
-            ]
-    if stages.imu is not None:
-        rows += imu_rows(plant, stages.imu)
-    return rows
+        for p in getattr(getattr(stages, name), "parameters", ()):
+            rows.append(row(name, p.name, p.value, p.std_error, true_value(p.terms, standard)))
+    return rows + ([] if stages.imu is None else imu_rows(plant, stages.imu))
 
 
 def row(group: str, name: str, estimate: float, std_error: float, truth: float) -> Row:
     """One estimate; numbers as JSON has them."""
-    return {
-        "group": group,
-        "name": name,
-        "estimate": float(estimate),
-        "std_error": float(std_error),
-        "truth": float(truth),
-    }
+    numbers = {"estimate": float(estimate), "std_error": float(std_error), "truth": float(truth)}
+    return {"group": group, "name": name, **numbers}
 
 
 def friction_rows(plant: Plant, stage: FrictionStage, rng: np.random.Generator) -> list[Row]:
@@ -119,22 +105,17 @@ def friction_rows(plant: Plant, stage: FrictionStage, rng: np.random.Generator) 
         if name not in stage.joints:
             continue
         found = stage.joints[name]
+        surface = FrictionSurface.from_stage(found)
         q = rng.uniform(*found.position_range, POINTS)
         v = rng.uniform(*found.speed_range, POINTS) * rng.choice([-1.0, 1.0], POINTS)
-        value, error = surface_at(found, q, v)
+        columns, value = surface.columns(q, v), surface.torque(q, v)
+        variance = np.einsum("nk,kl,nl->n", columns, surface.covariance, columns)
+        error = np.sqrt(np.maximum(variance, 0.0))
         truth = true_friction(plant, j, q, v)
         for k in range(POINTS):
             one = row("friction", name, value[k], error[k], truth[k])
             rows.append(one | {"q": round(float(q[k]), 4), "v": round(float(v[k]), 4)})
     return rows
-
-
-def surface_at(joint: FrictionJoint, q: Array, v: Array) -> tuple[Array, Array]:
-    """Friction (N,) N m of a parameter file's surface, and its standard error."""
-    surface = FrictionSurface.from_stage(joint)
-    columns = surface.columns(q, v)
-    variance = np.einsum("nk,kl,nl->n", columns, surface.covariance, columns)
-    return surface.torque(q, v), np.sqrt(np.maximum(variance, 0.0))
 
 
 def true_friction(plant: Plant, joint: int, q: Array, v: Array) -> Array:
@@ -153,24 +134,20 @@ def imu_rows(plant: Plant, stage: ImuStage) -> list[Row]:
     """
     rows = []
     for imu in plant.imus:
-        if imu.name not in stage.imus:
-            continue
-        found = stage.imus[imu.name]
-        off = Rotation.from_matrix(np.array(found.rotation) @ imu.rotation.T).as_rotvec()
-        for axis, angle, error in zip("xyz", np.degrees(off), found.std_errors_deg, strict=True):
-            if error < VAGUE_DEG:
-                rows.append(row("imu", f"{imu.name} {axis}", angle, error, 0.0))
+        if imu.name in stage.imus:
+            angles = zip("xyz", *turned(imu, stage.imus[imu.name]), strict=True)
+            rows += [
+                row("imu", f"{imu.name} {axis}", angle, error, 0.0)
+                for axis, angle, error in angles
+                if error < VAGUE_DEG
+            ]
     return rows
 
 
-def verdicts(stages: Stages) -> Mapping[str, bool]:
-    """Whether all verdicts of each stage are good."""
-    found: dict[str, bool] = {}
-    for name in ("friction", "gravity", "imu", "inertia"):
-        stage = getattr(stages, name)
-        if stage is not None:
-            found[name] = all(verdict.good for verdict in stage.verdicts)
-    return found
+def turned(imu: AccelerometerArray, found: ImuCalibration) -> tuple[Array, Array]:
+    """Error of a mounting about the link's axes (3,) deg, and the stated standard error."""
+    off = Rotation.from_matrix(np.array(found.rotation) @ imu.rotation.T).as_rotvec()
+    return np.degrees(off), np.array(found.std_errors_deg, dtype=np.float64)
 
 
 def z_of(rows: Sequence[Row]) -> Array:

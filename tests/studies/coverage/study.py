@@ -14,11 +14,16 @@ judging: nothing is set by them. A table never has both.
 
 from argparse import Namespace
 from collections.abc import Sequence
+from itertools import repeat
+from typing import NamedTuple
 
-from tests.studies.coverage.cases import RIGS, case_of
-from tests.studies.coverage.score import Result, score
-from tests.studies.coverage.tables import tables_of
-from tests.studies.records import package_sources, results
+import numpy as np
+
+from tests import Array
+from tests.studies.coverage.cases import ENCODERS, NOISES, RIGS, case_of
+from tests.studies.coverage.score import Result, Row, score, z_of
+from tests.studies.records import package_sources, results, seeds_of
+from tests.studies.tables import number, rms, table
 
 TUNING = range(1000)
 FIRST_JUDGING = 10_000
@@ -30,6 +35,8 @@ NAMES = {"one": "One joint", "planar": "Two joints, planar", "six": "Six joints"
 def study(chosen: Namespace) -> str:
     """Run what is not there yet, and make the tables."""
     seeds = seeds_of(chosen.seeds or (QUICK if chosen.quick else SEEDS))
+    if seeds:
+        kind_of(seeds)
     rigs = [chosen.rig] if chosen.rig else ["planar"] if chosen.quick else list(RIGS)
     parts, program = [], package_sources()
     for rig in rigs:
@@ -61,36 +68,172 @@ def whole(chosen: Namespace) -> bool:
 def summary(results: Sequence[Result], program: str) -> str:
     """What the tables are made of."""
     seeds = sorted(r["seed"] for r in results)
-    check_kind(seeds)
-    kind = "tuning" if seeds[0] in TUNING else "judging"
     cpu = sum(r["cpu_s"] for r in results) / len(results)
     return (
-        f"{len(seeds)} {kind} seeds, {seeds[0]} to {seeds[-1]}; {cpu:.1f} s of CPU each; "
+        f"{len(seeds)} {kind_of(seeds)} seeds, {seeds[0]} to {seeds[-1]}; {cpu:.1f} s of CPU each; "
         f"package {program[:12]}."
     )
 
 
-def seeds_of(text: str) -> range:
-    """Seeds `A:B`, B left out.
+def kind_of(seeds: Sequence[int]) -> str:
+    """Tuning or judging.
 
     Raises
     ------
     SystemExit
-        If they are not of one kind, tuning or judging.
+        If they are not of one kind.
     """
-    first, _, last = text.replace("-", ":").partition(":")
-    seeds = range(int(first), int(last) if last else int(first) + 1)
-    if len(seeds):
-        check_kind(seeds)
-    return seeds
+    least, most = min(seeds), max(seeds)
+    if least in TUNING and most in TUNING:
+        return "tuning"
+    if least >= FIRST_JUDGING:
+        return "judging"
+    raise SystemExit(
+        f"seeds {least} to {most}: give seeds below {TUNING.stop} (tuning) or from "
+        f"{FIRST_JUDGING} on (judging), not both"
+    )
 
 
-def check_kind(seeds: Sequence[int]) -> None:
-    """Refuse seeds that are not all for tuning or all for judging."""
-    tuning = [seed in TUNING for seed in (min(seeds), max(seeds))]
-    judging = [seed >= FIRST_JUDGING for seed in (min(seeds), max(seeds))]
-    if not (all(tuning) or all(judging)):
-        raise SystemExit(
-            f"seeds {min(seeds)} to {max(seeds)}: give seeds below {TUNING.stop} (tuning) or from "
-            f"{FIRST_JUDGING} on (judging), not both"
-        )
+INSIDE = 1.96  # standard errors: the 95 % interval
+OPEN = ("do not tell whether rotors", "neither 0 nor 1")  # notes of an undecided coupling
+GROUPS = ("friction", "gravity", "inertia", "imu")
+HEADER = ["seeds", "values", "rms z", "inside 95 %", "interval", "largest z", "mean z"]
+
+
+class Coverage(NamedTuple):
+    """How the errors of some quantity compare with those stated, over seeds."""
+
+    seeds: int
+    count: int
+    rms: float
+    share: float
+    low: float
+    high: float
+    largest: float
+    mean: float
+
+    def cells(self) -> list[str]:
+        """Cells of a table's row, as `HEADER`."""
+        interval = f"{100 * self.low:.0f} to {100 * self.high:.0f}"
+        share = [number(self.rms, 3), f"{100 * self.share:.1f} %", interval]
+        return [f"{self.seeds}", f"{self.count}", *share, number(self.largest, 3),
+                f"{self.mean:+.2f}"]  # fmt: skip
+
+
+def coverage(by_seed: Sequence[Array]) -> Coverage:
+    """Summarise z by seed; values of one seed may depend on each other, seeds do not.
+
+    The share's interval is Wilson's, for as many independent values as the spread of the seeds'
+    own shares allows: at least the number of seeds, at most that of values.
+    """
+    kept = [z for z in by_seed if len(z)]
+    z = np.concatenate(kept)
+    inside = [(np.abs(own) <= INSIDE).astype(float) for own in kept]
+    share = float(np.mean(np.concatenate(inside)))
+    low, high = wilson(share, independent(inside))
+    return Coverage(
+        len(kept), len(z), rms(z), share, low, high, float(np.abs(z).max()), float(z.mean())
+    )
+
+
+def independent(by_seed: Sequence[Array]) -> float:
+    """Number of independent values that have the same uncertainty of their mean."""
+    sizes = np.array([len(x) for x in by_seed])
+    values = np.concatenate(by_seed)
+    mean = float(values.mean())
+    off = np.array([float(np.sum(x - mean)) for x in by_seed])
+    variance = float(np.sum(off**2)) / float(sizes.sum()) ** 2
+    if variance == 0.0 or len(by_seed) < 2:
+        return float(len(by_seed))
+    return float(np.clip(mean * (1.0 - mean) / variance, len(by_seed), len(values)))
+
+
+def wilson(share: float, count: float, z: float = INSIDE) -> tuple[float, float]:
+    """Wilson's 95 % interval of a share of `count` values."""
+    middle = share + z**2 / (2 * count)
+    half = z * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
+    scale = 1 + z**2 / count
+    return float((middle - half) / scale), float((middle + half) / scale)
+
+
+def tables_of(results: Sequence[Result]) -> str:
+    """All tables of one rig's results."""
+    parts = [group_table(results), parameter_table(results)]
+    if any("rotor_coupling" in r["traits"] for r in results):
+        parts.append(coupling_table(results))
+    parts.append(problems(results))
+    return "\n\n".join(part for part in parts if part)
+
+
+def _errors(results: Sequence[Result], **of: str) -> list[Array]:
+    """Errors over stated ones of a quantity or a group of them, seed by seed."""
+    return [z_of([x for x in r["rows"] if x.items() >= of.items()]) for r in results]
+
+
+def group_table(results: Sequence[Result]) -> str:
+    """One row per group of quantities and subset of the seeds."""
+    subsets: dict[str, Sequence[Result]] = {"all": results}
+    for value, trait in [*zip(NOISES, repeat("noise")), *zip(ENCODERS, repeat("encoder"))]:
+        own = [r for r in results if r[trait] == value]
+        if 0 < len(own) < len(results):
+            subsets[f"{value} {trait}"] = own
+    rows = []
+    for group in GROUPS:
+        for label, own in subsets.items():
+            z = _errors(own, group=group)
+            if any(map(len, z)):
+                rows.append([f"{group}, {label}", *coverage(z).cells()])
+            good = [x for x, r in zip(z, own, strict=True) if r["verdicts"].get(group)]
+            if label == "all" and 0 < len(good) < len(own):
+                rows.append([f"{group}, verdict good", *coverage(good).cells()])
+    return table(["group", *HEADER], rows)
+
+
+def parameter_table(results: Sequence[Result]) -> str:
+    """One row per parameter, joint's surface or IMU's axis."""
+    every: dict[tuple[str, str], list[Row]] = {}
+    for x in (x for r in results for x in r["rows"]):
+        every.setdefault((x["group"], x["name"]), []).append(x)
+    rows = []
+    for group, name in sorted(every, key=lambda one: GROUPS.index(one[0])):
+        cells = coverage(_errors(results, group=group, name=name)).cells()
+        rows.append([f"{group}: {name}", *cells, relative(every[group, name])])
+    return table(["quantity", *HEADER, "median error"], rows)
+
+
+def relative(rows: Sequence[Row]) -> str:
+    """Median error as a share of the median truth; of mountings, deg."""
+    off = np.abs([x["estimate"] - x["truth"] for x in rows])
+    truth = np.abs([x["truth"] for x in rows])
+    if not truth.any():
+        return f"{number(float(np.median(off)))} deg"
+    share = 100 * float(np.median(off) / np.median(truth))
+    return f"{number(share)} %" if share < 100 else "> 100 %"
+
+
+def coupling_table(results: Sequence[Result]) -> str:
+    """What was decided about the rotors' coupling against what is so."""
+    found = [r for r in results if "rotor_coupling" in r]
+    decided = sorted({decision(r) for r in found})
+    rows = []
+    for truth in (False, True):
+        own = [decision(r) for r in found if r["traits"]["rotor_coupling"] is truth]
+        counts = [str(own.count(decision)) for decision in decided]
+        rows.append(["rotors coupled" if truth else "rotors not coupled", *counts])
+    return table(["truth; decided:", *decided], rows)
+
+
+def decision(result: Result) -> str:
+    """What was decided about the coupling, or that the stage left it open."""
+    doubtful = any(words in note for note in result["notes"] for words in OPEN)
+    return "left open" if doubtful else str(result["rotor_coupling"])
+
+
+def problems(results: Sequence[Result]) -> str:
+    """Stages that stopped, and verdicts that are poor, by seed."""
+    lines = [f"- seed {r['seed']}: {r['failed']}" for r in results if "failed" in r]
+    for stage in GROUPS:
+        poor = [str(r["seed"]) for r in results if r["verdicts"].get(stage) is False]
+        if poor:
+            lines.append(f"- {stage} poor: seeds {', '.join(poor)}")
+    return "\n".join(lines)

@@ -8,16 +8,14 @@ most 10 s of CPU time and 1 GiB. What is not answered so is kept in the folder o
 
 import argparse
 import hashlib
-import json
 import sys
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
-from tests.studies.fuzz.run import Tally, fuzz, tell
-from tests.studies.fuzz.targets import Target, targets
+from tests.studies.fuzz.run import Tally, fuzz
+from tests.studies.fuzz.targets import targets
 from tests.studies.tables import show, table
 
 HEADER = ("file", "inputs", "read", "refused", "answers", "not well", "slowest, s", "peak, MiB")
@@ -31,38 +29,24 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--seconds", type=float, default=float("inf"), help="of CPU time, in all")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="", help="kinds with this in their name")
-    parser.add_argument("--keep", default="out/fuzz", help="folder for finds and rows of the table")
+    parser.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="folder for finds")
     parser.add_argument("--write", action="store_true", help="put the table into docs/trust.md")
     chosen = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as name:
-        made = [t for t in targets(Path(name)) if chosen.only in t.name]
+        made = [target for target in targets(Path(name)) if chosen.only in target.name]
         tallies = {target.name: Tally() for target in made}
-        _run(made, tallies, Path(name), chosen)
-    finds = _kept(tallies, Path(chosen.keep))
-    text = _with_earlier(rows(tallies), Path(chosen.keep) / "rows.json")
-    show("trust.md", "fuzz", text, kept=chosen.write)
-    return 1 if finds else 0
-
-
-def _run(
-    made: Sequence[Target], tallies: Mapping[str, Tally], work: Path, chosen: argparse.Namespace
-) -> None:
-    done, begun = 0, time.monotonic()
-    while done < chosen.count and time.monotonic() - begun < chosen.seconds:
-        for number, target in enumerate(made):
-            folder = work / f"target_{number}"
-            folder.mkdir(exist_ok=True)
-            size = min(ROUND, chosen.count - done)
-            fuzz(
-                target, folder, size, hash_of(target.name, chosen.seed, done), tallies[target.name]
-            )
-            tell(f"{target.name}: {done + size}, {len(tallies[target.name].finds)} finds")
-        done += ROUND
-
-
-def hash_of(*parts: object) -> int:
-    """A seed that is the same in every process."""
-    return int.from_bytes(hashlib.sha256(repr(parts).encode()).digest()[:6])
+        done, begun = 0, time.monotonic()
+        while done < chosen.count and time.monotonic() - begun < chosen.seconds:
+            for number, target in enumerate(made):
+                folder, tally = Path(name) / f"target_{number}", tallies[target.name]
+                folder.mkdir(exist_ok=True)
+                parts = repr((target.name, chosen.seed, done)).encode()
+                seed = int.from_bytes(hashlib.sha256(parts).digest()[:6])
+                fuzz(target, folder, min(ROUND, chosen.count - done), seed, tally)
+                _tell(f"{target.name}: {len(tally.outcomes)}, {len(tally.finds)} finds")
+            done += ROUND
+    show("trust.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write)
+    return 1 if _kept(tallies, chosen.keep) else 0
 
 
 def _kept(tallies: Mapping[str, Tally], folder: Path) -> int:
@@ -73,33 +57,26 @@ def _kept(tallies: Mapping[str, Tally], folder: Path) -> int:
         (folder / stem).write_bytes(find.data)
         report = f"{find.why}\n{' '.join(find.line)}\n{find.damage}\n{find.said}\n"
         (folder / f"{stem}.txt").write_text(report, encoding="utf-8", errors="backslashreplace")
-        tell(f"{folder / stem}: {find.why}")
+        _tell(f"{folder / stem}: {find.why}")
     return len(finds)
 
 
-def _with_earlier(new: Sequence[Sequence[Any]], path: Path) -> str:
-    """The table of these rows and of those that runs before left in a file: counts add up."""
-    known = json.loads(path.read_text()) if path.is_file() else {}
-    for name, *numbers in new:
-        before = known.get(name, [0] * len(numbers))
-        counts = (k in (0, 1, 2, 4) for k in range(len(numbers)))
-        both = zip(counts, before, numbers, strict=True)
-        known[name] = [a + b if adds else max(a, b) for adds, a, b in both]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(known))
-    return table(HEADER, [(name, *map(str, numbers)) for name, numbers in known.items()])
-
-
-def rows(tallies: Mapping[str, Tally]) -> list[list[Any]]:
+def rows(tallies: Mapping[str, Tally]) -> list[list[str]]:
     """How each kind was answered."""
-    cells: list[list[Any]] = []
+    cells = []
     for name, tally in tallies.items():
-        refused = tally.codes[2]
-        read = sum(tally.codes[code] for code in (0, 1, 3))
-        total = sum(tally.codes.values())
-        numbers = (total, read, refused, len(tally.answers), len(tally.finds))
-        cells.append([name, *numbers, round(tally.slowest, 1), tally.peak >> 10])
+        codes, every = tally.codes, tally.outcomes
+        read = sum(codes[code] for code in (0, 1, 3))
+        counts = (len(every), read, codes[2], len(tally.answers), len(tally.finds))
+        slowest = max((outcome.seconds for outcome in every), default=0.0)
+        peak = max((outcome.peak for outcome in every), default=0) >> 10
+        cells.append([name, *map(str, counts), f"{slowest:.1f}", str(peak)])
     return cells
+
+
+def _tell(text: str) -> None:
+    """Say how far it is."""
+    sys.stderr.write(text + "\n")
 
 
 if __name__ == "__main__":

@@ -5,15 +5,13 @@ What a damaged MCAP file still gives must be rows of the sound one, as long as c
 
 import traceback
 from collections.abc import Mapping
-from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.read import read_recording
-from seqid_cli.logs.recording import Recording
-from tests.studies.fuzz.mutations import BYTES, mutated
 from tests.unit.logs.samples import (
     ARRAY,
     GYRO,
@@ -29,67 +27,41 @@ from tests.unit.logs.writers import rewrite, write_parquet
 ROBOT = make_robot(imus=(ARRAY, GYRO), constants=0.1)
 
 
-def samples(folder: Path) -> Mapping[str, Path]:
-    """Sound logs of every encoding and storage."""
-    motion = make_motion(grid(300))
-    found = {}
+def sound_logs(folder: Path) -> tuple[Mapping[str, bytes], np.ndarray]:
+    """Sound logs of every encoding and storage by their kind, and the positions (N, n) in them."""
+    motion, found = make_motion(grid(300)), {}
     for encoding in ("cdr", "json"):
         source = write_motion(folder / f"{encoding}.mcap", motion, encoding=encoding)
-        for compression in ("none", "lz4", "zstd"):
-            for crc in (True, False):
-                name = f"{encoding}-{compression}-{'crc' if crc else 'no_crc'}"
-                found[name] = rewrite(
-                    source,
-                    folder / name,
-                    compression=compression,
-                    crc=crc,
-                    summary=crc,
-                    chunk_size=8192,
-                )
+        for compression, crc in product(("none", "lz4", "zstd"), (True, False)):
+            name = f"{encoding}-{compression}-{'crc' if crc else 'no_crc'}"
+            stored = {"compression": compression, "crc": crc, "summary": crc, "chunk_size": 8192}
+            found[name] = rewrite(source, folder / name, **stored)
         name = f"{encoding}-unchunked"
         found[name] = rewrite(source, folder / name, chunking=False)
-    found["parquet"] = write_parquet(
-        folder / "parquet", motion.t, JOINTS, motion.q, current=motion.tau
-    )
-    return found
+    own = (motion.t, JOINTS, motion.q)
+    found["parquet"] = write_parquet(folder / "parquet", *own, current=motion.tau)
+    return {kind: path.read_bytes() for kind, path in found.items()}, np.ascontiguousarray(motion.q)
 
 
-@dataclass(frozen=True)
-class Damaged:
-    """A log with one damage: of which kind it was, and its bytes."""
-
-    kind: str
-    damage: str
-    data: bytes
-
-
-def damaged(logs: Mapping[str, bytes], rng: np.random.Generator) -> Damaged:
-    """Damage one of the logs."""
-    kind = list(logs)[int(rng.integers(len(logs)))]
-    data, damage = mutated(logs[kind], BYTES, rng, most=1)
-    return Damaged(kind, damage, data)
-
-
-def problem(log: Damaged, path: Path, sound: np.ndarray) -> str:
+def problem(kind: str, data: bytes, path: Path, sound: np.ndarray) -> str:
     """Read a damaged log; returns what went wrong, empty if nothing."""
-    path.write_bytes(log.data)
-    checked = "crc" in log.kind.split("-") and "none" not in log.kind
+    path.write_bytes(data)
+    checked = "crc" in kind.split("-") and "none" not in kind
     try:
-        wrong = _unusable(read_recording(path, ROBOT))
-        return wrong or (_made_up(path, sound) if checked else "")
+        return _unusable(path) or (_made_up(path, sound) if checked else "")
     except InputError as error:
         return "" if error.message and error.where == str(path) else f"no place: {error}"
     except Exception:
         return traceback.format_exc()
 
 
-def _unusable(recording: Recording) -> str:
+def _unusable(path: Path) -> str:
     """What a recording may not be, whatever the file."""
-    count = len(recording.t)
+    recording = read_recording(path, ROBOT)
     values = [recording.t, recording.q, recording.dq, recording.tau]
     values += [*recording.accelerometers.values(), *recording.gyros.values()]
     there = [each for each in values if each is not None]
-    if any(len(each) != count or not np.isfinite(each).all() for each in there):
+    if any(len(each) != len(recording.t) or not np.isfinite(each).all() for each in there):
         return "channels of another length, or that are not numbers"
     return "" if (np.diff(recording.t) > 0).all() else "time goes back"
 
@@ -100,9 +72,3 @@ def _made_up(path: Path, sound: np.ndarray) -> str:
     known = {row.tobytes() for row in sound}
     strange = sum(row.tobytes() not in known for row in rows)
     return f"{strange} of {len(rows)} rows are made up" if strange else ""
-
-
-def sound_logs(folder: Path) -> tuple[Mapping[str, bytes], np.ndarray]:
-    """Bytes of sound logs by their kind, and the positions (N, n) rad in them."""
-    logs = {kind: path.read_bytes() for kind, path in samples(folder).items()}
-    return logs, np.ascontiguousarray(make_motion(grid(300)).q)

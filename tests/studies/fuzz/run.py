@@ -1,11 +1,8 @@
 """Run command lines on damaged files in one process, and say what was not answered well."""
 
-from __future__ import annotations
-
 import multiprocessing
 import re
 import resource
-import sys
 import time
 from collections import Counter
 from collections.abc import Sequence
@@ -20,41 +17,53 @@ from tests.studies.fuzz.mutations import mutated
 from tests.studies.fuzz.targets import Target
 
 WALL_S, PEAK_KIB, SLICE = 600, 1 << 20, 250
+ANSWERS, LONGEST = 2000, 200_000  # answers of one kind, bytes of an input that is damaged further
 _DETAIL = re.compile(r"[0-9]\S*|'[^']*'|\"[^\"]*\"|\\\S*|/\S*")
+Answer = tuple[int, str]  # exit code, and the words of its message
 
 
 @dataclass(frozen=True)
-class Find:
-    """An input that was not answered well: why, on which command line, and its bytes."""
+class Outcome:
+    """What came of one input: `why` it is not well answered; CPU s, peak KiB of the process.
+
+    The bytes are kept of what was not well answered, and of an answer that none before had.
+    """
 
     why: str
-    line: tuple[str, ...]
-    said: str
-    data: bytes
-    damage: str
+    answer: Answer = (-1, "")
+    line: Sequence[str] = ()
+    said: str = ""
+    damage: str = ""
+    seconds: float = 0.0
+    peak: int = 0
+    data: bytes = b""
 
 
 @dataclass
 class Tally:
-    """What came of the inputs of one target; `slowest` s of CPU, `peak` KiB of the process."""
+    """What came of the inputs of one target."""
 
-    codes: Counter[int] = field(default_factory=Counter)
-    finds: list[Find] = field(default_factory=list)
-    slowest: float = 0.0
-    peak: int = 0
-    cpu: float = 0.0
-    answers: set[tuple[int, str]] = field(default_factory=set)
-    fresh: list[bytes] = field(default_factory=list)  # inputs with an answer that none had before
+    outcomes: list[Outcome] = field(default_factory=list)
 
-    def take(self, part: Tally) -> None:
-        """Add what a slice found."""
-        self.codes += part.codes
-        self.finds += part.finds
-        self.slowest = max(self.slowest, part.slowest)
-        self.peak = max(self.peak, part.peak)
-        self.cpu += part.cpu
-        self.answers |= part.answers
-        self.fresh += part.fresh
+    @property
+    def finds(self) -> list[Outcome]:
+        """What was not answered well."""
+        return [outcome for outcome in self.outcomes if outcome.why]
+
+    @property
+    def codes(self) -> Counter[int]:
+        """How often each exit code was given."""
+        return Counter(outcome.answer[0] for outcome in self.outcomes)
+
+    @property
+    def answers(self) -> set[Answer]:
+        """All different answers."""
+        return {outcome.answer for outcome in self.outcomes}
+
+    @property
+    def fresh(self) -> list[bytes]:
+        """Inputs with an answer that none before had."""
+        return [o.data for o in self.outcomes if not o.why and 0 < len(o.data) < LONGEST]
 
 
 def fuzz(target: Target, folder: Path, count: int, seed: int, tally: Tally) -> None:
@@ -66,7 +75,7 @@ def fuzz(target: Target, folder: Path, count: int, seed: int, tally: Tally) -> N
     lay_out(target, folder)
     for start in range(0, count, SLICE):
         size = min(SLICE, count - start)
-        tally.take(_in_child(target, folder, size, (seed, start), tally))
+        tally.outcomes += _in_child(target, folder, size, (seed, start), tally)
 
 
 def lay_out(target: Target, folder: Path) -> None:
@@ -77,9 +86,15 @@ def lay_out(target: Target, folder: Path) -> None:
     (folder / target.file).parent.mkdir(exist_ok=True)
 
 
+def filled(line: Sequence[str], target: Target, folder: Path) -> list[str]:
+    """Put the damaged file and its folder into a command line."""
+    words = [word.replace("{}", str(folder / target.file)) for word in line]
+    return [word.replace("{@}", str(folder)) for word in words]
+
+
 def _in_child(
     target: Target, folder: Path, count: int, seed: tuple[int, int], known: Tally
-) -> Tally:
+) -> list[Outcome]:
     context = multiprocessing.get_context("fork")
     mine, theirs = context.Pipe(duplex=False)
     process = context.Process(target=_slice, args=(theirs, target, folder, count, seed, known))
@@ -87,7 +102,7 @@ def _in_child(
     theirs.close()
     try:
         if mine.poll(WALL_S):
-            return mine.recv()  # type: ignore[no-any-return]
+            return mine.recv()
         why = "stands still"
     except EOFError:
         why = "process died"
@@ -95,7 +110,7 @@ def _in_child(
         process.kill()
         process.join()
     data = (folder / target.file).read_bytes()
-    return Tally(finds=[Find(f"{why} ({process.exitcode})", (), "", data, "")])
+    return [Outcome(f"{why} ({process.exitcode})", data=data)]
 
 
 def _slice(
@@ -106,32 +121,32 @@ def _slice(
     seed: tuple[int, int],
     known: Tally,
 ) -> None:
-    rng, tally = np.random.default_rng(seed), Tally(answers=set(known.answers))
-    for _ in range(count):
-        pool = known.fresh if known.fresh and rng.random() < 0.4 else target.seeds
+    rng, answers, fresh = np.random.default_rng(seed), known.answers, known.fresh
+    outcomes: list[Outcome] = []
+    while len(outcomes) < count:
+        pool = fresh if fresh and rng.random() < 0.4 else target.seeds
         data, damage = mutated(pool[int(rng.integers(len(pool)))], target.damages, rng)
         line = target.lines[int(rng.integers(len(target.lines)))]
-        _one(target, folder, line, data, damage, tally)
-        if tally.peak > PEAK_KIB:  # of the whole process: another takes the rest
+        outcomes.append(_one(target, folder, line, data, damage, answers))
+        if len(answers) < ANSWERS:
+            answers.add(outcomes[-1].answer)
+        if outcomes[-1].peak > PEAK_KIB:  # of the whole process: another takes the rest
             break
-    tally.answers -= known.answers
-    sender.send(tally)
+    sender.send(outcomes)
     sender.close()
 
 
-def filled(line: Sequence[str], target: Target, folder: Path) -> list[str]:
-    """Put the damaged file and its folder into a command line."""
-    words = [word.replace("{}", str(folder / target.file)) for word in line]
-    return [word.replace("{@}", str(folder)) for word in words]
-
-
 def _one(
-    target: Target, folder: Path, line: Sequence[str], data: bytes, damage: str, tally: Tally
-) -> None:
+    target: Target,
+    folder: Path,
+    line: Sequence[str],
+    data: bytes,
+    damage: str,
+    answers: set[Answer],
+) -> Outcome:
     (folder / target.file).write_bytes(data)
-    arguments = filled(line, target, folder)
     begun = time.process_time()
-    code, said, why = answer(arguments)
+    code, said, why = answer(filled(line, target, folder))
     spent = time.process_time() - begun
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     if peak > PEAK_KIB:
@@ -140,18 +155,6 @@ def _one(
         why = why or "litter"
     for path in folder.glob("out.*"):
         path.unlink()
-    tally.codes[code] += 1
-    tally.cpu, tally.peak = tally.cpu + spent, max(tally.peak, peak)
-    tally.slowest = max(tally.slowest, spent)
-    if why:
-        tally.finds.append(Find(why, tuple(line), said[-3000:], data, damage))
     key = (code, _DETAIL.sub("#", said.split("error: ")[-1])[:200])
-    if key not in tally.answers and len(tally.answers) < 2000:
-        tally.answers.add(key)
-        if len(data) < 200_000:
-            tally.fresh.append(data)
-
-
-def tell(text: str) -> None:
-    """Say how far it is."""
-    sys.stderr.write(text + "\n")
+    kept = data if why or (key not in answers and len(answers) < ANSWERS) else b""
+    return Outcome(why, key, tuple(line), said[-3000:] if why else "", damage, spent, peak, kept)

@@ -1,7 +1,7 @@
 """What is fuzzed: sound files of every kind, and the command lines that read them."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import msgspec
@@ -24,7 +24,6 @@ from tests.unit.report.test_parts import payload_file, plan_file
 
 MCAP, PARQUET, BAG = (*BINARY, *[record] * 8), (*BINARY, *[column] * 16), (*BINARY, *[word] * 16)
 SQLITE, JSON, XML = (*BINARY, *[row] * 16), (*TEXT, *[value] * 20), (*TEXT, *[element] * 20)
-Line = tuple[str, ...]  # of a command; {} is the damaged file, {@} the folder
 _ARM = 'schema = "seqid/robot@1"\nname = "arm"\ngravity = [0.0, 0.0, -9.81]\n{more}\n' + "".join(
     f'[[joint]]\nname = "{name}"\n{{dh}}torque_constant = 0.1\ngear_ratio = {ratio}\n'
     "encoder_resolution = 1e-5\nposition_limits = [-2.8, 2.8]\nvelocity_limit = 2.0\n"
@@ -64,6 +63,39 @@ _URDF = """<?xml version="1.0"?>
 """
 
 
+Line = list[str]  # of a command; {} is the damaged file, {@} the folder
+
+
+def _lines(text: str) -> list[Line]:
+    return [line.split() for line in text.strip().splitlines()]
+
+
+_READ = """
+inspect {} -r {@}/robot.toml
+inspect {} -r {@}/robot.toml
+inspect {}
+init {} -o {@}/out.toml
+"""
+_LOG = _lines(_READ + "predict {} -r {@}/robot.toml -p {@}/model.json --cutoff 20")
+_ROBOT = _lines("""
+export {@}/model.json -r {@}/robot.toml -o {@}/out.urdf
+plan gravity -r {@}/robot.toml -o {@}/out.json
+predict {@}/log.csv -r {@}/robot.toml -p {@}/model.json --cutoff 20
+""")
+_DRAWING = [*_ROBOT, *_lines("init {@}/log.csv --urdf {} -o {@}/out.toml")]
+_REPORT = _lines("report {} -o {@}/out.html")
+_PARAMETERS = _lines("""
+compare {} {@}/sound.json
+compare {@}/model.json {}
+trend {} {@}/sound.json -o {@}/out.json
+export {} -r {@}/robot.toml -o {@}/out.xml
+gravity {@}/log.csv -r {@}/robot.toml -p {}
+report {} -o {@}/out.html
+""")
+_TORQUES = _lines("report {@}/prediction.json --torques {} -o {@}/out.html")
+_BOTH = _lines("report {} -o {@}/out.html --torques {@}/torques.parquet")
+
+
 @dataclass(frozen=True)
 class Target:
     """A kind of file: the name it gets, sound ones, ways to damage them, and who reads it."""
@@ -73,16 +105,22 @@ class Target:
     seeds: Sequence[bytes]
     damages: Sequence[Damage]
     lines: Sequence[Line]
-    beside: dict[str, bytes] = field(default_factory=dict)  # what else is in the folder
+    beside: Mapping[str, bytes] = field(default_factory=dict)  # what else is in the folder
 
 
-def targets(work: Path, rows: int = 60) -> list[Target]:
+def targets(work: Path) -> list[Target]:
     """Make the sound files in a folder and return all kinds."""
     arm = _arm(work)
-    return [*_logs(work, rows, arm), *_robots(arm), *_documents(work, arm)]
+    dh, by_urdf = arm["robot.toml"], _ARM.format(more='urdf = "arm.urdf"', dh="").encode()
+    robots = [
+        Target("robot.toml", "robot.toml", [dh, dh + _MORE.encode(), by_urdf], TEXT, _ROBOT),
+        Target("URDF", "arm.urdf", [arm["arm.urdf"]], XML, _DRAWING, {"robot.toml": by_urdf}),
+    ]
+    every = [*_logs(work), *robots, *_documents(work, arm["model.json"])]
+    return [replace(target, beside={**arm, **target.beside}) for target in every]
 
 
-def _data(rows: int) -> formats.Data:
+def _data(rows: int = 60) -> formats.Data:
     motion = make_motion(grid(rows), n=2)
     return formats.Data(motion.t, tuple(JOINTS), motion.q, motion.dq, motion.tau, motion.tau)
 
@@ -94,7 +132,7 @@ def _arm(work: Path, rows: int = 300) -> dict[str, bytes]:
     code, said, _ = answer(["simultaneous", str(log), "-r", str(robot), "-o", f"{work}/model.json"])
     if code not in (0, 1):
         raise RuntimeError(said)
-    short = formats.csv_own(work / "short.csv", _data(60)).read_bytes()
+    short = formats.csv_own(work / "short.csv", _data()).read_bytes()
     model = read_parameters(work / "model.json")
     for joint in model.stages.friction.joints.values():  # most of the file
         joint.covariance = []
@@ -106,46 +144,30 @@ def _arm(work: Path, rows: int = 300) -> dict[str, bytes]:
     }
 
 
-def _logs(work: Path, rows: int, arm: dict[str, bytes]) -> list[Target]:
-    data = _data(rows)
-    with_robot: Line = ("inspect", "{}", "-r", "{@}/robot.toml")
-    lines = (with_robot, with_robot, ("inspect", "{}"), ("init", "{}", "-o", "{@}/out.toml"))
-    deep = (
-        *lines,
-        ("predict", "{}", "-r", "{@}/robot.toml", "-p", "{@}/model.json", "--cutoff", "20"),
-    )
-
+def _logs(work: Path) -> list[Target]:
     def made(name: str, *writers: formats.Write) -> list[bytes]:
         folder = work / name
         folder.mkdir()
-        return [_content(write(folder / str(k), data)) for k, write in enumerate(writers)]
-
-    def log(name: str, seeds: list[bytes], damages: Sequence[Damage]) -> Target:
-        return Target(name, "log", seeds, damages, deep, arm)
+        return [_content(write(folder / str(k), _data())) for k, write in enumerate(writers)]
 
     cdr = made("mcap_cdr", formats.mcap_cdr, formats.mcap_dynamic, _with_imus)
     json = made("mcap_json", formats.mcap_json, formats.mcap_foxglove_json, formats.mcap_json_bare)
-    bag2 = made("rosbag2", formats.rosbag2_sqlite)
-    yaml = (work / "rosbag2" / "0" / "metadata.yaml").read_bytes()
-    bag = Target(
-        "ROS 2 bag: metadata.yaml",
-        "bag/metadata.yaml",
-        [yaml],
-        TEXT,
-        [tuple(part.replace("{}", "{@}/bag") for part in line) for line in lines],
-        {**arm, "bag/0.db3": bag2[0]},
-    )
-    return [
-        log("MCAP, CDR", cdr + _rewritten(work, cdr), MCAP),
-        log("MCAP, JSON", json + _rewritten(work, json), MCAP),
-        log("MCAP, protobuf", made("protobuf", formats.mcap_foxglove_protobuf), MCAP),
-        log("Parquet", made("parquet", formats.parquet, _plain), PARQUET),
-        log("Parquet, LeRobot episodes", made("lerobot", formats.lerobot, _episodes), PARQUET),
-        log("CSV", made("csv", formats.csv_own, formats.csv_rtde, formats.csv_franka), TEXT),
-        log("ROS 1 bag", made("rosbag1", formats.rosbag1), BAG),
-        log("ROS 2 bag: SQLite", bag2, SQLITE),
-        bag,
-    ]
+    bag = made("rosbag2", formats.rosbag2_sqlite)
+    logs: dict[str, tuple[list[bytes], Sequence[Damage]]] = {
+        "MCAP, CDR": (cdr + _rewritten(work, cdr), MCAP),
+        "MCAP, JSON": (json + _rewritten(work, json), MCAP),
+        "MCAP, protobuf": (made("protobuf", formats.mcap_foxglove_protobuf), MCAP),
+        "Parquet": (made("parquet", formats.parquet, _plain), PARQUET),
+        "Parquet, LeRobot episodes": (made("lerobot", formats.lerobot, _episodes), PARQUET),
+        "CSV": (made("csv", formats.csv_own, formats.csv_rtde, formats.csv_franka), TEXT),
+        "ROS 1 bag": (made("rosbag1", formats.rosbag1), BAG),
+        "ROS 2 bag: SQLite": (bag, SQLITE),
+    }
+    found = [Target(name, "log", seeds, how, _LOG) for name, (seeds, how) in logs.items()]
+    yaml = [(work / "rosbag2" / "0" / "metadata.yaml").read_bytes()]
+    lines, name = _lines(_READ.replace("{}", "{@}/bag")), "ROS 2 bag: metadata.yaml"
+    beside = {"bag/0.db3": bag[0]}
+    return [*found, Target(name, "bag/metadata.yaml", yaml, TEXT, lines, beside)]
 
 
 def _content(path: Path) -> bytes:
@@ -188,88 +210,36 @@ def _episodes(path: Path, data: formats.Data) -> Path:
     return path
 
 
-def _robots(arm: dict[str, bytes]) -> list[Target]:
-    dh = arm["robot.toml"]
-    by_urdf = _ARM.format(more='urdf = "arm.urdf"', dh="").encode()
-    lines: Sequence[Line] = (
-        ("export", "{@}/model.json", "-r", "{@}/robot.toml", "-o", "{@}/out.urdf"),
-        ("plan", "gravity", "-r", "{@}/robot.toml", "-o", "{@}/out.json"),
-        (
-            "predict",
-            "{@}/log.csv",
-            "-r",
-            "{@}/robot.toml",
-            "-p",
-            "{@}/model.json",
-            "--cutoff",
-            "20",
-        ),
-    )
-    urdf = ("init", "{@}/log.csv", "--urdf", "{}", "-o", "{@}/out.toml")
-    seeds = [dh, dh + _MORE.encode(), by_urdf]
-    with_urdf = {**arm, "robot.toml": by_urdf}
-    return [
-        Target("robot.toml", "robot.toml", seeds, TEXT, lines, arm),
-        Target("URDF", "arm.urdf", [arm["arm.urdf"]], XML, (*lines, urdf), with_urdf),
-    ]
-
-
-def _documents(work: Path, arm: dict[str, bytes]) -> list[Target]:
-    folder = work / "documents"
-    folder.mkdir()
-    torques = _few_rows(write_torques(folder / "torques.parquet"))
-    full = encode(full_file()).encode()
-    prediction = encode(prediction_file()).encode().replace(b"4000", b"100")
-    report: Line = ("report", "{}", "-o", "{@}/out.html")
-    beside = {**arm, "sound.json": full}
-
-    def document(name: str, content: object) -> Target:
-        return Target(name, "file.json", [encode(content).encode()], JSON, [report], beside)
-
-    used = FileId(path="model.json", sha256="0" * 64)
-    parameters = (
-        ("compare", "{}", "{@}/sound.json"),
-        ("compare", "{@}/model.json", "{}"),
-        ("trend", "{}", "{@}/sound.json", "-o", "{@}/out.json"),
-        ("export", "{}", "-r", "{@}/robot.toml", "-o", "{@}/out.xml"),
-        ("gravity", "{@}/log.csv", "-r", "{@}/robot.toml", "-p", "{}"),
-        report,
-    )
-    return [
-        Target("parameters", "file.json", [full, arm["model.json"]], JSON, parameters, beside),
-        document("diagnosis", diagnosis_file()),
-        Target(
-            "prediction", "file.json", [prediction], JSON,
-            [report, (*report, "--torques", "{@}/torques.parquet")],
-            {**beside, "torques.parquet": torques},
-        ),
-        Target(
-            "torques", "torques.parquet", [torques], PARQUET,
-            [("report", "{@}/prediction.json", "--torques", "{}", "-o", "{@}/out.html")],
-            {"prediction.json": prediction},
-        ),
-        document("payload", payload_file(used)),
-        document("plan", plan_file()),
-        document("trend", _trend(used)),
-    ]  # fmt: skip
-
-
-def _few_rows(path: Path) -> bytes:
-    table = pq.read_table(path)
+def _documents(work: Path, model: bytes) -> list[Target]:
+    path, used = work / "torques.parquet", FileId(path="model.json", sha256="0" * 64)
+    table = pq.read_table(write_torques(path))
     pq.write_table(table.take(list(range(0, len(table), 40))), path)
-    return path.read_bytes()
+    torques, full = path.read_bytes(), encode(full_file()).encode()
+    prediction = encode(prediction_file()).encode().replace(b"4000", b"100")
+    more = {"prediction.json": prediction, "torques.parquet": torques}
+    documents: dict[str, tuple[list[bytes], list[Line], dict[str, bytes]]] = {
+        "parameters": ([full, model], _PARAMETERS, {"sound.json": full}),
+        "prediction": ([prediction], [*_REPORT, *_BOTH], more),
+    }
+    for name, content in (
+        ("diagnosis", diagnosis_file()),
+        ("payload", payload_file(used)),
+        ("plan", plan_file()),
+        ("trend", _trend(used)),
+    ):
+        documents[name] = [encode(content).encode()], _REPORT, {}
+    found = [
+        Target(name, "file.json", seeds, JSON, lines, beside)
+        for name, (seeds, lines, beside) in documents.items()
+    ]
+    return [*found, Target("torques", "torques.parquet", [torques], PARQUET, _TORQUES, more)]
 
 
 def _trend(used: FileId) -> TrendFile:
     day = now()
     series = {"dates": [day, day], "values": [1, 2], "std_errors": [0.1, 0.1]}
-    quantity = {
-        "robot": "arm",
-        "stage": "friction",
-        "joint": "elbow",
-        "name": "at 1",
-        "unit": "N m",
-    }
+    quantity = {"robot": "arm", "stage": "friction", "joint": "elbow", "name": "at 1"}
+    quantity["unit"] = "N m"
     return msgspec.convert(
         {
             "schema": TREND_SCHEMA, "created": now(), "tool": msgspec.to_builtins(tool()),

@@ -4,28 +4,21 @@ The sequential experiments run at a part of the travel and of the speed that tra
 logs use, as trials in a lab do; the effect is there from the first log on.
 """
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.robot.types import Robot
-from tests.plants.motions.experiments import Trial, friction_trials, gravity_trials, inertia_trials
+from tests.plants.motions.experiments import friction_trials, gravity_trials, inertia_trials
 from tests.plants.motions.trajectories import Reference
 from tests.plants.motions.trials import moves, waves
 from tests.plants.samples import SIX_POSTURES
 from tests.studies.undeclared.cases import Condition, built, declared
-from tests.studies.undeclared.logs import TWO_POSTURES, robot_for, stored
+from tests.studies.undeclared.logs import TWO_POSTURES, Logs, robot_for, stored
 
-KINDS = (
-    "load_dependent_friction",
-    "gear_efficiency",
-    "thermal_friction",
-    "torque_ripple",
-    "spring",
-)
+KINDS = ("load_dependent_friction", "gear_efficiency", "thermal_friction", "torque_ripple")
+KINDS += ("spring",)
 TRAVEL, SPEED = 0.85, 0.75  # of what the other logs use, in the sequential experiments
 SPEEDS, SLOWEST = 6, 0.2  # of the friction trials; the slowest as a share of the fastest
 POSTURES = 2  # in which gravity trials are run
@@ -34,7 +27,6 @@ TRIAL_EVERY, EVERY = 4, 2  # control periods per row
 HELD_OUT_S = 14.0  # of a held-out log, about
 SLOW = 0.12  # of the top speed: what a motor does in each turn is below the low-pass there
 PAUSE = 60.0  # s between logs
-STAGES = ("friction", "gravity", "inertia")
 
 
 @dataclass(frozen=True)
@@ -58,16 +50,6 @@ class Case:
         return f"{self.rig}/{self.kind or 'none'}@{self.joint}/seed {self.seed}"
 
 
-@dataclass(frozen=True)
-class Logs:
-    """What a case records: the stages' experiments, training and held-out logs."""
-
-    robot: Robot
-    earlier: Mapping[str, Sequence[Recording]]
-    training: tuple[Recording, ...]
-    held_out: tuple[Recording, ...]
-
-
 def case_of(rig: str, kind: str, seed: int) -> Case:
     """The case of a kind and a seed; the joint goes round with both."""
     joints = declared(Condition("starts", rig, seed, (), "sequential_with")).arm.n
@@ -84,10 +66,9 @@ def references(case: Case) -> list[tuple[str, Reference, int]]:
         position_limits=middle + TRAVEL * (plant.position_limits - middle),
         velocity_limits=SPEED * plant.velocity_limits,
     )
-    postures = list(TWO_POSTURES if case.rig == "two" else SIX_POSTURES)
-    postures = [0.8 * posture for posture in postures]
+    postures = list(0.8 * np.array(TWO_POSTURES if case.rig == "two" else SIX_POSTURES))
     pairs = [(0, 1)] * 3 if case.rig == "two" else None
-    trials: list[Trial] = [
+    trials = [
         *friction_trials(small, postures[:1], speeds=SPEEDS, lowest=SLOWEST),
         *gravity_trials(small, postures[:POSTURES], speeds=(0.3,)),
         *inertia_trials(small, postures, rng, pairs=pairs, seconds=5.0),
@@ -116,9 +97,5 @@ def recorded(case: Case, cache: Path) -> Logs:
         log = stored(cache, what, plant, reference, seed, every=every, start=round(start, 3))
         found.setdefault(part, []).append(log)
         start += reference.duration + PAUSE
-    return Logs(
-        robot=robot_for(case.condition),
-        earlier={stage: found[stage] for stage in STAGES},
-        training=tuple(found["training"]),
-        held_out=tuple(found["held_out"]),
-    )
+    training, held_out = (tuple(found.pop(part)) for part in ("training", "held_out"))
+    return Logs(robot_for(case.condition), training, held_out, earlier=found)

@@ -6,18 +6,15 @@ Every case is kept in the cache, a line of `outside.jsonl` and its diagnosis as
 
 import argparse
 import sys
-import tempfile
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import msgspec
-
-from tests.studies.outside.cases import run_case
+from tests.studies.outside.cases import answered
 from tests.studies.outside.plan import RESERVED
 from tests.studies.outside.tabulate import tables
-from tests.studies.records import results
+from tests.studies.records import results, seeds_of
 from tests.studies.tables import show
 
 
@@ -25,17 +22,15 @@ def main(arguments: Sequence[str]) -> int:
     """Run what the cache does not hold, then write the tables."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies.outside", description=__doc__)
     parser.add_argument("--set", choices=("tuning", "reserved"), default="tuning")
-    parser.add_argument("--seeds", default="0:80", metavar="A:B")
+    parser.add_argument("--seeds", type=seeds_of, default="0:80", metavar="A:B")
     parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
     parser.add_argument("--keep", action="store_true", help="keep the logs and files in the cache")
     parser.add_argument("--coarser", type=float, default=1.0, help="counts of the encoders, times")
     parser.add_argument("--write", action="store_true", help="write the tables into the document")
     chosen = parser.parse_args(arguments)
-    first, _, last = chosen.seeds.partition(":")
-    seeds = range(int(first), int(last))
-    if any((seed >= RESERVED) != (chosen.set == "reserved") for seed in seeds):
+    if any((seed >= RESERVED) != (chosen.set == "reserved") for seed in chosen.seeds):
         parser.error(f"tuning seeds are below {RESERVED}, reserved ones are not")
-    rows = answers(seeds, chosen.cache, chosen.keep, chosen.coarser)
+    rows = answers(chosen.seeds, chosen.cache, chosen.keep, chosen.coarser)
     show("outside.md", f"outside_{chosen.set}", tables(rows), kept=chosen.write)
     return 0
 
@@ -48,18 +43,6 @@ def answers(
     cases = {str(seed): seed for seed in seeds}
     kept = results(cases, work, dict[str, Any], cache / "outside.jsonl", told=_told)
     return list(kept.values())
-
-
-def answered(seed: int, cache: Path, keep: bool, coarser: float) -> dict[str, Any]:
-    """Run a case, and keep its diagnosis."""
-    cache.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory() as name:
-        folder = cache / f"logs_{seed}" if keep else Path(name)
-        folder.mkdir(exist_ok=True)
-        row, found = run_case(seed, folder, coarser)
-    if found is not None:
-        (cache / f"{seed}.diagnosis.json").write_bytes(msgspec.json.encode(found))
-    return row
 
 
 def _told(row: dict[str, Any]) -> str:

@@ -1,24 +1,26 @@
 """A case as a user meets it: logs and files on disk, every command's own function, an answer."""
 
+import tempfile
 import time
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from seqid_cli import discover, identify
 from seqid_cli.errors import SeqidWarning
+from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from tests import Array
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm
-from tests.studies.outside.effects.effect import Effect
 from tests.studies.outside.plan import Case, drawn
 from tests.studies.outside.robotfiles import robot_toml, urdf
-from tests.studies.outside.simulate import Log, simulate
+from tests.studies.outside.simulate import Effect, Log, simulate
 from tests.unit.logs.writers import write_mcap, write_parquet
 
 SPEEDS = np.array([0.08, 0.2, 0.45, 0.8])  # of the joint's limit
@@ -31,12 +33,34 @@ class AstrayError(ArithmeticError):
     """Effect and position loop are unstable together: nobody records such a log."""
 
 
-class Recorder:
-    """Writes one log after the other, as a user's logger does."""
+def write(path: Path, arm: Arm, log: Log, t: Array) -> None:
+    """Write a log as Parquet or MCAP, with torques or currents."""
+    own: dict[str, Any] = {"accelerometers": log.accelerometers, "gyros": log.gyros}
+    effort = log.torque / (arm.of("ratio") * arm.of("constant")) if arm.currents else log.torque
+    if path.suffix == ".mcap":
+        own |= {"effort": effort, "encoding": "cdr", "t0_ns": int(t[0]) * 10**9}
+        write_mcap(path, t - int(t[0]), arm.names, log.q, **own)
+        return
+    own["current" if arm.currents else "torque"] = effort
+    own["temperature"] = log.temperature if arm.temperatures else None
+    write_parquet(path, t, arm.names, log.q, **own)
 
-    def __init__(self, case: Case, folder: Path, rng: np.random.Generator) -> None:
-        self.case, self.folder, self.rng = case, folder, rng
-        self.clock, self.count = 0.0, 0
+
+@dataclass
+class Recorder:
+    """Writes the robot's files, and one log after the other, as a user's logger does."""
+
+    case: Case
+    folder: Path
+    clock: float = 0.0
+    count: int = 0
+    rng: np.random.Generator = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.rng = np.random.default_rng([self.case.outline.seed, 6])
+        self.robot = self.folder / "robot.toml"
+        self.robot.write_text(robot_toml(self.case.arm))
+        (self.folder / "arm.urdf").write_text(urdf(self.case.arm))
 
     def record(self, motion: Array, effects: Sequence[Effect]) -> Path:
         """Simulate a motion and write the log."""
@@ -61,58 +85,74 @@ class Recorder:
 
     def trials(self, speeds: Array, effects: Sequence[Effect]) -> list[Path]:
         """Every joint by itself, the others held at a drawn posture."""
-        n = self.case.arm.n
-        posture = self.rng.uniform(-0.6, 0.6, n)
-        return [
-            self.record(motions.trial(self.case.arm, j, posture, speeds), effects) for j in range(n)
-        ]
+        arm = self.case.arm
+        posture = self.rng.uniform(-0.6, 0.6, arm.n)
+        return [self.record(motions.trial(arm, j, posture, speeds), effects) for j in range(arm.n)]
+
+    def one_step(self, logs: list[Path]) -> Path:
+        """Identify everything from the same logs; returns the parameter file."""
+        file, imu = self.folder / "simultaneous.json", self.folder / "imu.json"
+        if self.case.arm.imus:
+            identify.imu_calib(logs, self.robot, output=imu)
+        known = [imu] if self.case.arm.imus else []
+        identify.simultaneous(logs, self.robot, known, output=file)
+        return file
+
+    def sequential(self) -> Path:
+        """Record and identify stage by stage; returns the last parameter file."""
+        case, robot = self.case, self.robot
+        trials, more = (self.trials(speeds, case.before) for speeds in (SPEEDS, FEWER))
+        moves = self.moves(2, 18.0, case.before)
+        names = ("friction", "gravity", "imu", "inertia")
+        friction, known, imu, file = (self.folder / f"{name}.json" for name in names)
+        identify.friction(trials, robot, output=friction)
+        identify.gravity([*trials, *more], robot, friction, output=known)
+        if case.arm.imus:
+            identify.imu_calib([*more, *moves], robot, known, output=imu)
+            known = imu
+        identify.inertia(moves, robot, [known], output=file)
+        return file
 
 
-def write(path: Path, arm: Arm, log: Log, t: Array) -> None:
-    """Write a log as Parquet or MCAP, with torques or currents."""
-    scale = arm.of("ratio") * arm.of("constant")
-    own: dict[str, Any] = {"accelerometers": log.accelerometers, "gyros": log.gyros}
-    effort = log.torque / scale if arm.currents else log.torque
-    if path.suffix == ".mcap":
-        t0 = int(t[0]) * 10**9
-        write_mcap(
-            path, t - int(t[0]), arm.names, log.q, encoding="cdr", effort=effort, t0_ns=t0, **own
-        )
-        return
-    own["current" if arm.currents else "torque"] = effort
-    own["temperature"] = log.temperature if arm.temperatures else None
-    write_parquet(path, t, arm.names, log.q, **own)
+@dataclass(frozen=True)
+class Prepared:
+    """What a user has when something may be missing."""
+
+    recorder: Recorder
+    logs: list[Path]
+    file: Path
+
+    @property
+    def robot(self) -> Path:
+        """The robot file."""
+        return self.recorder.robot
 
 
-def run_case(
-    seed: int, folder: Path, coarser: float = 1.0
-) -> tuple[dict[str, Any], DiagnosisFile | None]:
-    """Record, identify, record on, diagnose: what was hidden and what was found."""
+def prepared(case: Case, folder: Path) -> Prepared:
+    """Record, identify, and record the logs that are asked about."""
+    recorder = Recorder(case, folder)
+    if case.outline.flow == "single":
+        logs = recorder.moves(1, 20.0, case.effects)
+        return Prepared(recorder, logs, recorder.one_step(logs))
+    if case.outline.flow.startswith("step"):
+        file, seconds = recorder.one_step(recorder.moves(3, 20.0, case.before)), 16.0
+    else:
+        file, seconds = recorder.sequential(), 18.0
+    return Prepared(recorder, recorder.moves(2, seconds, case.effects), file)
+
+
+def answered(seed: int, cache: Path, keep: bool = False, coarser: float = 1.0) -> dict[str, Any]:
+    """Record, identify, record on, diagnose: what was hidden and what was found.
+
+    The diagnosis is kept in the cache; the logs and files as well if they are to be kept.
+    """
+    cache.mkdir(parents=True, exist_ok=True)
     case = drawn(seed, coarser)
-    start, found, row = time.process_time(), None, _truth(case)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SeqidWarning)
-        try:
-            ready = prepared(case, folder)
-            row["stages"], found = (
-                ready.poor,
-                discover.diagnose(ready.logs, ready.robot, ready.file),
-            )
-            row |= told(found)
-        except Exception as error:  # a case that fails is an answer too
-            row["error"] = f"{type(error).__name__}: {error}"
-    row["seconds"] = time.process_time() - start
-    return row, found
-
-
-def _truth(case: Case) -> dict[str, Any]:
-    names = case.arm.names
-    return {
-        "seed": case.outline.seed,
+    start = time.process_time()
+    row = {
+        "seed": seed,
         "kinds": [effect.name for effect in case.effects],
-        "joints": [
-            " ".join(names[j] for j in (e.joint, e.partner) if j is not None) for e in case.effects
-        ],
+        "joints": [" ".join(names) for names in case.joints],
         "shares": list(case.shares),
         "flow": case.outline.flow,
         "arm": case.arm.label,
@@ -120,6 +160,32 @@ def _truth(case: Case) -> dict[str, Any]:
         "imu": bool(case.arm.imus),
         "error": "",
     }
+    with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
+        warnings.simplefilter("ignore", SeqidWarning)
+        folder = cache / f"logs_{seed}" if keep else Path(name)
+        folder.mkdir(exist_ok=True)
+        try:
+            ready = prepared(case, folder)
+            found = discover.diagnose(ready.logs, ready.robot, ready.file)
+            row |= {"stages": poor(ready.file)} | told(found)
+            (cache / f"{seed}.diagnosis.json").write_bytes(msgspec.json.encode(found))
+        except Exception as error:  # a case that fails is an answer too
+            row["error"] = f"{type(error).__name__}: {error}"
+    return row | {"seconds": time.process_time() - start}
+
+
+def poor(file: Path) -> str:
+    """What is poor of the stages, or "good"."""
+    stages = read_parameters(file).stages
+    named = ((name, getattr(stages, name)) for name in ("friction", "gravity", "imu", "inertia"))
+    found = [
+        f"{name} {verdict.joint}: {verdict.reason}"
+        for name, stage in named
+        if stage is not None
+        for verdict in stage.verdicts
+        if not verdict.good
+    ]
+    return "; ".join(found) or "good"
 
 
 def told(found: DiagnosisFile) -> dict[str, Any]:
@@ -143,67 +209,3 @@ def told(found: DiagnosisFile) -> dict[str, Any]:
             for joint, entry in found.joints.items()
         },
     }
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """What a user has when something may be missing; `poor` is what the stages say."""
-
-    robot: Path
-    logs: list[Path]
-    file: Path
-    poor: str
-    recorder: Recorder
-
-
-def prepared(case: Case, folder: Path) -> Prepared:
-    """Record, identify, and record the logs that are asked about."""
-    robot = folder / "robot.toml"
-    robot.write_text(robot_toml(case.arm))
-    (folder / "arm.urdf").write_text(urdf(case.arm))
-    recorder = Recorder(case, folder, np.random.default_rng([case.outline.seed, 6]))
-    if case.outline.flow == "single":
-        logs = recorder.moves(1, 20.0, case.effects)
-        file, poor = _one_step(case, robot, logs, folder)
-    elif case.outline.flow.startswith("step"):
-        file, poor = _one_step(case, robot, recorder.moves(3, 20.0, case.before), folder)
-        logs = recorder.moves(2, 16.0, case.effects)
-    else:
-        file, poor = _sequential(case, robot, recorder, folder)
-        logs = recorder.moves(2, 18.0, case.effects)
-    return Prepared(robot, logs, file, poor, recorder)
-
-
-def _one_step(case: Case, robot: Path, logs: list[Path], folder: Path) -> tuple[Path, str]:
-    file, imu = folder / "simultaneous.json", folder / "imu.json"
-    if case.arm.imus:
-        identify.imu_calib(logs, robot, output=imu)
-    stages = identify.simultaneous(logs, robot, [imu] if case.arm.imus else [], output=file).stages
-    return file, _poor(stages)
-
-
-def _sequential(case: Case, robot: Path, recorder: Recorder, folder: Path) -> tuple[Path, str]:
-    trials = recorder.trials(SPEEDS, case.before)
-    more = recorder.trials(FEWER, case.before)
-    moves = recorder.moves(2, 18.0, case.before)
-    files = [folder / f"{stage}.json" for stage in ("friction", "gravity", "imu", "inertia")]
-    identify.friction(trials, robot, output=files[0])
-    identify.gravity([*trials, *more], robot, files[0], output=files[1])
-    known = files[1:2]
-    if case.arm.imus:
-        identify.imu_calib([*more, *moves], robot, files[1], output=files[2])
-        known = files[2:3]
-    return files[3], _poor(identify.inertia(moves, robot, known, output=files[3]).stages)
-
-
-def _poor(stages: Any) -> str:
-    """What is poor of the stages, or "good"."""
-    named = ((name, getattr(stages, name)) for name in ("friction", "gravity", "imu", "inertia"))
-    poor = [
-        f"{name} {verdict.joint}: {verdict.reason}"
-        for name, stage in named
-        if stage is not None
-        for verdict in stage.verdicts
-        if not verdict.good
-    ]
-    return "; ".join(poor) or "good"

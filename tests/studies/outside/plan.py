@@ -1,63 +1,23 @@
 """What a seed stands for: an arm, what it lacks, when that came, and how it is recorded."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from tests import Array
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm, drawn_arm
-from tests.studies.outside.effects import friction, measured, mechanical
-from tests.studies.outside.effects.effect import Draw, Effect, Sized
-from tests.studies.outside.simulate import simulate
+from tests.studies.outside.effects import KINDS
+from tests.studies.outside.simulate import Effect, simulate
 
 Flow = Literal["late", "early", "step_late", "step_early", "single"]
 RESERVED = 10_000  # seeds from here on judge, and are not looked at before
 LEAST, MOST = 0.02, 0.2  # of the joint's torque, RMS, that an effect is drawn to make
 
-KINDS: Mapping[str, Draw] = {
-    draw.__name__: draw
-    for draw in (
-        friction.stribeck,
-        mechanical.spring,
-        measured.torque_bias,
-        mechanical.payload,
-        friction.load_dependent_friction,
-        mechanical.torque_ripple,
-        measured.time_skew,
-        friction.friction_change,
-        mechanical.joint_elasticity,
-        friction.nonlinear_viscous,
-        measured.torque_constant,
-        mechanical.external_contact,
-        friction.asymmetric_friction,
-        mechanical.base_tilt,
-        measured.drift,
-        friction.gear_efficiency,
-        mechanical.backlash,
-        measured.encoder_eccentricity,
-        friction.presliding_hysteresis,
-        mechanical.transmission_coupling,
-        measured.torque_saturation,
-        friction.quadratic_drag,
-        mechanical.rotor_inertia,
-        measured.periodic_disturbance,
-        friction.thermal_friction,
-        measured.actuator_lag,
-        friction.position_dependent_friction,
-    )
-}
 # Nothing is missing of a model that was identified with these inside.
-COMES_LATER = {
-    "payload",
-    "base_tilt",
-    "friction_change",
-    "rotor_inertia",
-    "torque_constant",
-    "external_contact",
-}
+COMES_LATER = {"payload", "base_tilt", "friction_change", "rotor_inertia", "torque_constant"}
+COMES_LATER |= {"external_contact"}
 FLOWS: tuple[Flow, ...] = ("late", "early", "late", "step_late", "early", "step_early", "single")
 MANY = 5  # joints; more would take minutes a case, and with IMUs even these do
 PUBLISHED = ("ur5", "panda", "so101", "ur10", "jaco", "xarm7", "z1")
@@ -90,6 +50,12 @@ class Case:
     def before(self) -> Sequence[Effect]:
         """What is there while the model is identified."""
         return () if self.outline.flow in ("late", "step_late") else self.effects
+
+    @property
+    def joints(self) -> list[list[str]]:
+        """The joints of every effect, none of one of the whole arm."""
+        pairs = [(effect.joint, effect.partner) for effect in self.effects]
+        return [[self.arm.names[j] for j in pair if j is not None] for pair in pairs]
 
 
 def kinds_of(seed: int) -> tuple[str, ...]:
@@ -127,15 +93,13 @@ def drawn(seed: int, coarser: float = 1.0) -> Case:
     arm = drawn_arm(rng, outline.label, outline.n, outline.imus)
     drives = tuple(replace(drive, count=coarser * drive.count) for drive in arm.drives)
     arm = replace(arm, drives=drives)
-    effects, shares = [], []
-    for kind in outline.kinds:
-        effect, share = sized(arm, KINDS[kind](arm, int(rng.integers(arm.n)), rng), rng)
-        effects.append(effect)
-        shares.append(share)
-    return Case(outline, arm, tuple(effects), tuple(shares))
+    found = [
+        sized(arm, KINDS[kind](arm, int(rng.integers(arm.n)), rng), rng) for kind in outline.kinds
+    ]
+    return Case(outline, arm, tuple(e for e, _ in found), tuple(share for _, share in found))
 
 
-def sized(arm: Arm, effect: Sized, rng: np.random.Generator) -> tuple[Effect, float]:
+def sized(arm: Arm, effect: Effect, rng: np.random.Generator) -> tuple[Effect, float]:
     """Make an effect as large as drawn, or as it can be; and how large that is.
 
     A size is the RMS of what the effect changes of the joint's logged torque, over 50 ms, as a
@@ -145,22 +109,19 @@ def sized(arm: Arm, effect: Sized, rng: np.random.Generator) -> tuple[Effect, fl
     arm = replace(arm, imus=(), noise=0.0)
     motion = motions.multisine(arm, np.random.default_rng([int(1e6 * target), 1]), 6.0)
     plain = simulate(arm, motion, 0, start=60.0).torque
-    scale, share = 1.0, 0.0
-    for _ in range(3):
+    width = max(int(0.05 * arm.rate_hz), 1)
+
+    def share(scale: float) -> float:
         changed = simulate(arm, motion, 0, [effect.make(scale)], start=60.0).torque
-        share = _share(arm, plain, changed, effect.joint)
-        wanted = float(np.clip(scale * target / max(share, 1e-9), 0.02, effect.most))
+        window = np.ones(width) / width
+        apart = np.array([np.convolve(x, window, "valid") for x in (changed - plain).T])
+        shares = np.sqrt(np.mean(apart**2, axis=1) / np.mean(plain**2, axis=0))
+        return float(shares.max() if effect.joint is None else shares[effect.joint])
+
+    scale, found = 1.0, share(1.0)
+    for _ in range(3):
+        wanted = float(np.clip(scale * target / max(found, 1e-9), 0.02, effect.most))
         if abs(np.log(wanted / scale)) < 0.15:
             break
-        scale = wanted
-    else:
-        changed = simulate(arm, motion, 0, [effect.make(scale)], start=60.0).torque
-        share = _share(arm, plain, changed, effect.joint)
-    return effect.make(scale), share
-
-
-def _share(arm: Arm, plain: Array, changed: Array, joint: int | None) -> float:
-    width = max(int(0.05 * arm.rate_hz), 1)
-    apart = np.array([np.convolve(x, np.ones(width) / width, "valid") for x in (changed - plain).T])
-    shares = np.sqrt(np.mean(apart**2, axis=1) / np.mean(plain**2, axis=0))
-    return float(shares.max() if joint is None else shares[joint])
+        scale, found = wanted, share(wanted)
+    return effect.make(scale), found

@@ -22,49 +22,24 @@ from seqid_cli.discover.refinement.rounds import on_the_same_samples
 from seqid_cli.errors import SeqidWarning
 from seqid_cli.logs.read import read_recording
 from seqid_cli.params.io import read_parameters
-from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
-from tests.studies.outside.cases import Prepared, prepared
-from tests.studies.outside.plan import Case, drawn
-from tests.studies.records import results
+from tests.studies.outside.cases import prepared
+from tests.studies.outside.plan import drawn
+from tests.studies.records import results, seeds_of
 from tests.studies.undeclared.cases import Truth
 from tests.studies.undeclared.refine import NEAR, told_model
 
 
 def refined_case(seed: int, folder: Path) -> dict[str, Any]:
-    """What `refine` made of a case, beside the model that is told."""
+    """What `refine` made of a case, beside the model that is told, under the better account."""
     case = drawn(seed)
-    (effect,) = case.effects
-    names = case.arm.names
-    joints = [names[j] for j in (effect.joint, effect.partner) if j is not None]
+    (effect,), (joints,) = case.effects, case.joints
     row = {"seed": seed, "kind": effect.name, "joints": joints, "flow": case.outline.flow}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", SeqidWarning)
-        ready = prepared(case, folder)
-        held_out = ready.recorder.moves(2, 18.0, case.effects)
-        clock = time.process_time()
-        found = discover.refine(ready.logs, held_out, ready.robot, ready.file)
-        row["seconds"] = round(time.process_time() - clock, 1)
-        after, told = _errors(case, ready, found, held_out, joints)
-    loop = found.closed_loop
-    assert loop is not None
-    row["added"] = [(r.effect, r.joint, r.confirmed, r.reason) for r in loop.rounds]
-    row["refused"] = [(r.effect, r.joint, r.reason) for r in loop.refused]
-    worst = max(loop.before, key=lambda j: loop.before[j].rmse / loop.noise_floor[j])
-    at = joints[0] if joints and joints[0] in loop.before else worst
-    row |= {"at": at, "before": loop.before[at].rmse, "floor": loop.noise_floor[at]}
-    row |= {"after": after[at], "told": None if told is None else told[at]}
-    return row
-
-
-def _errors(
-    case: Case,
-    ready: Prepared,
-    found: ParameterFile,
-    held_out: Sequence[Path],
-    joints: Sequence[str],
-) -> tuple[dict[str, float], dict[str, float] | None]:
-    """Held-out RMSE N m by joint: as refined, and told under the better account."""
+    ready = prepared(case, folder)
+    held_out = ready.recorder.moves(2, 18.0, case.effects)
+    clock = time.process_time()
+    loop = discover.refine(ready.logs, held_out, ready.robot, ready.file)
+    row["seconds"] = round(time.process_time() - clock, 1)
     robot, file = load_robot(ready.robot), read_parameters(ready.file)
     earlier: dict[str, list[Any]] = {}
     for log in file.inputs:
@@ -72,25 +47,32 @@ def _errors(
     options = on_the_same_samples(DiscoverOptions(), file.stages, robot)
     training = tuple(read_recording(path, robot) for path in ready.logs)
     material = Material(training, earlier, robot, options)
-    name = case.effects[0].name
-    truth = Truth(name, name, tuple(joints) or (None,), ())
-    accounts = (False,) if material.known else (False, True)
+    truth = Truth(effect.name, effect.name, tuple(joints) or (None,), ())
+    # It came later, or was there all along; in the only log it cannot have come later.
+    accounts = (False,) if case.outline.flow == "single" else (False, True)
     models = [told_model(material, file.stages, [truth], late=late) for late in accounts]
     logs = [read_recording(path, robot) for path in held_out]
     refined, *told = [
         held_out_error(logs, robot, model, options=options.motion).rmse()
-        for model in (found.stages, *models)
+        for model in (loop.stages, *models)
         if model is not None
     ]
     best = min(told, key=lambda rms: float(sum(rms**2)), default=None)
-    names = robot.joint_names
-    by_joint = dict(zip(names, refined.tolist(), strict=True))
-    return by_joint, None if best is None else dict(zip(names, best.tolist(), strict=True))
+    closed = loop.closed_loop
+    row["added"] = [(r.effect, r.joint, r.confirmed, r.reason) for r in closed.rounds]
+    row["refused"] = [(r.effect, r.joint, r.reason) for r in closed.refused]
+    before = {joint: error.rmse for joint, error in closed.before.items()}
+    worst = max(before, key=lambda joint: before[joint] / closed.noise_floor[joint])
+    at = joints[0] if joints and joints[0] in before else worst
+    k = robot.joint_names.index(at)
+    row |= {"at": at, "before": before[at], "floor": closed.noise_floor[at]}
+    return row | {"after": float(refined[k]), "told": None if best is None else float(best[k])}
 
 
 def answered(seed: int) -> dict[str, Any]:
     """Run a case; one that fails is an answer too."""
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
+        warnings.simplefilter("ignore", SeqidWarning)
         try:
             return refined_case(seed, Path(name))
         except Exception as error:
@@ -100,11 +82,10 @@ def answered(seed: int) -> dict[str, Any]:
 def main(arguments: Sequence[str]) -> int:
     """Run the cases of one effect that the cache does not hold, and say how many closed."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies.outside.refined")
-    parser.add_argument("--seeds", default="1000:1030", metavar="A:B")
+    parser.add_argument("--seeds", type=seeds_of, default="1000:1030", metavar="A:B")
     parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
     chosen = parser.parse_args(arguments)
-    first, _, last = chosen.seeds.partition(":")
-    cases = {str(s): s for s in range(int(first), int(last)) if len(drawn(s).effects) == 1}
+    cases = {str(seed): seed for seed in chosen.seeds if len(drawn(seed).effects) == 1}
     kept = results(cases, answered, dict[str, Any], chosen.cache / "refined.jsonl", told=str)
     right = [r for r in kept.values() if r["kind"] in {added[0] for added in r["added"]}]
     sure = [r for r in right if all(added[2] for added in r["added"])]

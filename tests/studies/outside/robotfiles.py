@@ -5,9 +5,10 @@ import xml.etree.ElementTree as ET
 import numpy as np
 
 from tests import Array
-from tests.studies.outside.arms import GRAVITY, Arm, Imu, Link
+from tests.studies.outside.arms import GRAVITY, Arm, Imu
 
 STEP_S = 1e-3
+FRICTION = {"solreffriction": "0.002 1", "solimpfriction": "0.99 0.999 0.001"}  # how hard it sticks
 
 
 def row(values: Array) -> str:
@@ -31,27 +32,15 @@ def mjcf(arm: Arm) -> ET.Element:
         body = {"pos": row(link.centre), "mass": repr(link.mass), "fullinertia": row(matrix)}
         ET.SubElement(parent, "inertial", body)
         if k < arm.n:
-            parent.append(_joint(arm, k, link))
+            drive = arm.drives[k]
+            joint = {"name": arm.names[k], "type": "hinge", "axis": row(link.axis)} | FRICTION
+            joint |= {"armature": repr(drive.rotor), "damping": repr(drive.viscous)}
+            ET.SubElement(parent, "joint", joint | {"frictionloss": repr(drive.coulomb)})
         for i, imu in enumerate(arm.imus):
             if imu.link == k:
                 _sites(parent, sensors, f"imu{i}", imu)
     ET.SubElement(root, "tendon")
     return root
-
-
-def _joint(arm: Arm, k: int, link: Link) -> ET.Element:
-    drive = arm.drives[k]
-    return ET.Element(
-        "joint",
-        name=arm.names[k],
-        type="hinge",
-        axis=row(link.axis),
-        armature=repr(drive.rotor),
-        damping=repr(drive.viscous),
-        frictionloss=repr(drive.coulomb),
-        solreffriction="0.002 1",
-        solimpfriction="0.99 0.999 0.001",
-    )
 
 
 def _sites(body: ET.Element, sensors: ET.Element, name: str, imu: Imu) -> None:

@@ -1,18 +1,59 @@
 """One log of an arm in MuJoCo: a controller follows a motion, and sensors say what they see."""
 
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
 
 from tests import Array
 from tests.studies.outside.arms import Arm
-from tests.studies.outside.effects.effect import Effect, State
 from tests.studies.outside.robotfiles import STEP_S, mjcf
 
 DAMPING = 0.8  # of the position loop
+
+
+@dataclass
+class State:
+    """An arm at a moment: t (s, of the session) and (n,) per joint; `memory` belongs to effects."""
+
+    t: float
+    q: Array  # rad
+    dq: Array  # rad/s
+    load: Array  # N m that the gear passes to the link
+    warmth: Array  # K above the cold arm
+    memory: dict[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One thing that the model lacks; every part that is given acts, by the scale that comes first.
+
+    `xml` edits the arm in MuJoCo. At every step `dry` gives the joint's dry friction beyond what it
+    would be, `push` a torque more at the joint, `flange` a force (3,) at the last body, and `drive`
+    makes of the torques that are told (n,) those that act. `told` makes of a logged torque (N,) at
+    times (N,) another one, of the joint or else of all; `angle` gives what the joint's encoder says
+    beyond its angle. `joint` is None for an effect of the whole arm, `partner` is the other joint
+    of a pair: either may give the name.
+    """
+
+    joint: int | None
+    most: float = 20.0
+    partner: int | None = None
+    xml: Callable[[float, ET.Element], None] | None = None
+    dry: Callable[[float, float, State], float] | None = None
+    push: Callable[[float, State], float] | None = None
+    flange: Callable[[float, float], Array] | None = None
+    drive: Callable[[float, Array, State], Array] | None = None
+    told: Callable[[float, Array, Array], Array] | None = None
+    angle: Callable[[float, float], float] | None = None
+    name: str = ""
+    scale: float = 1.0  # 1 is a usual size, `most` what the effect can be at the most
+
+    def make(self, scale: float) -> "Effect":
+        """The effect in a size."""
+        return replace(self, scale=scale)
 
 
 @dataclass(frozen=True)
@@ -37,7 +78,7 @@ def built(arm: Arm, effects: Sequence[Effect] = ()) -> mujoco.MjModel:
     root = mjcf(arm)
     for effect in effects:
         if effect.xml:
-            effect.xml(root)
+            effect.xml(effect.scale, root)
     return mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
 
 
@@ -95,39 +136,33 @@ def simulate(
     q, tau = np.empty_like(reference), np.empty_like(reference)
     sensed = np.empty((len(reference), model.nsensordata))
     state = State(start, reference[0], np.zeros(arm.n), data.qfrc_bias[link].copy(), warmth[0])
-    flange = next((e.flange for e in effects if e.flange), None)
+    pushed = next((e for e in effects if e.flange), None)
     for k in range(len(reference)):
         state.t, state.warmth = times[k], warmth[k]
         state.q, state.dq = data.qpos[motor], data.qvel[motor]
-        dry = coulomb * (1.0 + waviness * np.sin(state.q + phase))
-        said = state.q
-        for effect in effects:
-            said = effect.angle(said) if effect.angle else said
-            dry = effect.dry(dry, state) if effect.dry else dry
+        dry, said = coulomb * (1.0 + waviness * np.sin(state.q + phase)), state.q.copy()
+        for e in effects:
+            if e.angle:
+                said[e.joint] += e.angle(e.scale, said[e.joint])
+            if e.dry:
+                base = dry[e.joint]
+                dry[e.joint] = max(base + e.dry(e.scale, base, state), 0.0)
         torque = kp * (reference[k] - said) + kd * (rate[k] - state.dq) + forward[k]
-        acting = torque
-        for effect in effects:
-            acting = effect.drive(acting, state) if effect.drive else acting
-            acting = acting + effect.push(state) if effect.push else acting
+        acting = torque.copy()
+        for e in effects:
+            acting = e.drive(e.scale, acting, state) if e.drive else acting
+            if e.push:
+                acting[e.joint] += e.push(e.scale, state)
         q[k], tau[k] = said, torque
         model.dof_frictionloss[motor] = dry
         data.qfrc_applied[motor] = acting
-        if flange:
-            data.xfrc_applied[-1, :3] = flange(times[k] - start)
+        if pushed:
+            data.xfrc_applied[-1, :3] = pushed.flange(pushed.scale, times[k] - start)
         mujoco.mj_step(model, data)
         sensed[k] = data.sensordata
-        _load(model, data, motor, state)
+        passed = data.qfrc_applied + data.qfrc_constraint + data.qfrc_passive
+        state.load = (passed - model.dof_armature * data.qacc)[motor]  # what the gears pass on
     return _logged(arm, times, (q, tau, warmth, sensed), seed, effects)
-
-
-def _load(model: mujoco.MjModel, data: mujoco.MjData, motor: list[int], state: State) -> None:
-    """What the gears pass on: motor torque, less friction and the rotors' inertia."""
-    state.load = (
-        data.qfrc_applied
-        + data.qfrc_constraint
-        + data.qfrc_passive
-        - model.dof_armature * data.qacc
-    )[motor]
 
 
 def _logged(
@@ -139,9 +174,11 @@ def _logged(
 ) -> Log:
     rng = np.random.default_rng([seed, 5])
     q, tau, warmth, sensed = truth
-    told = tau
-    for effect in effects:
-        told = effect.told(told, times) if effect.told else told
+    told = tau.copy()
+    for e in effects:
+        for k in range(arm.n) if e.told else ():
+            if e.joint in (None, k):
+                told[:, k] = e.told(e.scale, told[:, k], times)
     rows = slice(None, None, round(1.0 / (STEP_S * arm.rate_hz)))
     noise = arm.noise * arm.of("coulomb") * rng.normal(size=told[rows].shape)
     counts = arm.of("count")

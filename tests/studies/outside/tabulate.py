@@ -1,14 +1,13 @@
 """The tables of `docs/outside.md`: answers by group and by effect, and stated confidences."""
 
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from seqid_cli.shares import percent
-from tests.studies.outside.plan import KINDS
+from tests.studies.outside.effects import KINDS
 from tests.studies.outside.score import Row, finding_is, label, one_step, silent, surely_wrong
-from tests.studies.tables import table
+from tests.studies.tables import counted, grouped, table
 
 LABELS = {
     "right": "right name",
@@ -30,133 +29,135 @@ GROUPS: Mapping[str, Callable[[Row], bool]] = {
     "without IMUs": lambda row: not row["imu"],
     "all": lambda row: True,
 }
-BINS = ((0.0, 0.8), (0.8, 0.9), (0.9, 0.97), (0.97, 0.99), (0.99, 1.0))
+BINS = ((0.0, 0.8), (0.8, 0.9), (0.9, 0.97), (0.97, 0.99), (0.99, np.nextafter(1.0, 2.0)))
 LOUD = 0.8  # confidence above which a wrong name is counted
-NAMED = ("right", "alike")
+NAMED = {"right", "alike"}
+Rows = Sequence[Row]
 
 
-def tables(rows: Sequence[Row]) -> str:
+def tables(rows: Rows) -> str:
     """Markdown: what is asked, clean cases, groups, effects, confidences."""
     makers = (asked_table, clean_table, group_table, effect_table, confidence_table)
-    return "\n\n".join(make(rows) for make in makers)
+    return "\n\n".join(text for text in (make(rows) for make in makers) if text)
 
 
 def _share(test: Sequence[bool]) -> str:
     return percent(sum(test) / len(test), 0) if test else "-"
 
 
-def asked_table(rows: Sequence[Row]) -> str:
+def _well(rows: Rows) -> list[Row]:
+    return [row for row in rows if not row["error"]]
+
+
+def _failed(rows: Rows) -> str:
+    return str(len(rows) - len(_well(rows)))
+
+
+def _found(rows: Rows) -> list[list[str]]:
+    """How well each effect was found, case by case."""
+    return [[label(row, k) for k in range(len(row["kinds"]))] for row in _well(rows)]
+
+
+def asked_table(rows: Rows) -> str:
     """What matters most, of all cases that did not fail."""
-    well = [row for row in rows if not row["error"]]
-    found = [[label(row, k) for k in range(len(row["kinds"]))] for row in well]
+    well, found = _well(rows), _found(rows)
     alone = [own[0] for own in found if len(own) == 1]
-    visible = [x in NAMED for x in alone if x != "little left"]
-    pairs = [own for own in found if len(own) == 2]
+    pairs = [set(own) for own in found if len(own) == 2]
     both = [own for own in pairs if "little left" not in own]
     loud = [
         any(f["confidence"] > LOUD and finding_is(row, f) == "wrong" for f in row["findings"])
         for row in well
     ]
-    asked: list[tuple[str, list[bool]]] = [
-        ("clean arm: nothing told", [silent(row) for row in well if not row["kinds"]]),
-        ("one effect that shows: its name, or told as like it", visible),
-        ("one effect, whether or not it shows", [x in NAMED for x in alone]),
-        ("two effects that both show: both", [set(own) <= set(NAMED) for own in both]),
-        ("two effects that both show: at least one", [bool({*NAMED} & {*own}) for own in both]),
-        ("two effects, whether or not they show: both", [set(own) <= set(NAMED) for own in pairs]),
-        (f"a wrong name above {LOUD:g}", loud),
-    ]
-    lines = [[what, str(len(own)), str(sum(own)), _share(own)] for what, own in asked]
+    asked = {
+        "clean arm: nothing told": [silent(row) for row in well if not row["kinds"]],
+        "one effect that shows: its name, or told as like it": [
+            x in NAMED for x in alone if x != "little left"
+        ],
+        "one effect, whether or not it shows": [x in NAMED for x in alone],
+        "two effects that both show: both": [own <= NAMED for own in both],
+        "two effects that both show: at least one": [bool(NAMED & own) for own in both],
+        "two effects, whether or not they show: both": [own <= NAMED for own in pairs],
+        f"a wrong name above {LOUD:g}": loud,
+    }
+    lines = [[what, str(len(own)), str(sum(own)), _share(own)] for what, own in asked.items()]
     return table(["of all", "cases", "so many", "share"], lines)
 
 
-def clean_table(rows: Sequence[Row]) -> str:
+def clean_table(rows: Rows) -> str:
     """How often nothing is told of arms that lack nothing."""
     clean = [row for row in rows if not row["kinds"]]
-    lines = []
-    for name, steps in (("sequential", False), ("one-step", True)):
-        own = [row for row in clean if one_step(row) == steps]
-        well = [row for row in own if not row["error"]]
-        cells = [_share([silent(row) for row in well]), str(sum(map(surely_wrong, well)))]
-        lines.append([f"clean, {name}", str(len(own)), *cells, str(len(own) - len(well))])
-    return table(["group", "cases", "silent", "a wrong name, surely", "failed"], lines)
-
-
-def _cells(found: Sequence[str]) -> list[str]:
-    counts = Counter(found)
-    return [_share([x == key for x in found]) if counts[key] else "" for key in LABELS]
-
-
-def group_table(rows: Sequence[Row]) -> str:
-    """Shares of hidden effects by how well they were found, per group of cases."""
-    lines = []
-    for name, chosen in GROUPS.items():
-        own = [row for row in rows if row["kinds"] and chosen(row)]
-        well = [row for row in own if not row["error"]]
-        found = [label(row, k) for row in well for k in range(len(row["kinds"]))]
-        wrong = _share([surely_wrong(row) for row in well])
-        counts = [str(len(own)), str(len(found))]
-        lines.append([name, *counts, *_cells(found), wrong, str(len(own) - len(well))])
-    header = ["group", "cases", "effects", *LABELS.values(), "a wrong name, surely", "failed"]
-    return table(header, lines)
-
-
-def effect_table(rows: Sequence[Row]) -> str:
-    """The same per effect, with its median share of the torque."""
-    lines = []
-    for kind in KINDS:
-        pairs = [
-            (row, k)
-            for row in rows
-            if not row["error"]
-            for k, x in enumerate(row["kinds"])
-            if x == kind
-        ]
-        if pairs:
-            size = percent(float(np.median([row["shares"][k] for row, k in pairs])), 1)
-            found = [label(row, k) for row, k in pairs]
-            counts = [str(sum(x == key for x in found) or "") for key in LABELS]
-            lines.append([kind, str(len(pairs)), size, *counts])
-    return table(["effect", "times", "size", *LABELS.values()], lines)
-
-
-def confidence_table(rows: Sequence[Row]) -> str:
-    """Stated confidences against how often they were right."""
-    findings = [(row, item) for row in rows if not row["error"] for item in row["findings"]]
-    lines = []
-    for low, high in BINS:
-        here = [(row, item) for row, item in findings if _in(item["confidence"], low, high)]
-        own = [finding_is(row, item) for row, item in here]
-        stated = [item["confidence"] for _, item in here]
-        named = [
-            finding_is(row, item)
-            for row, item in findings
-            if _in(item["name_confidence"] or 0.0, low, high)
-        ]
-        lines.append(
-            [
-                f"{low:g} to {high:g}",
-                str(len(own)),
-                percent(float(np.mean(stated)), 0) if stated else "-",
-                _share([x in NAMED for x in own]),
-                _share([x != "wrong" for x in own]),
-                str(len(named)),
-                _share([x == "right" for x in named]),
-            ]
-        )
-    return table(
-        [
-            "confidence",
-            "findings",
-            "stated, mean",
-            "right or told as like it",
-            "or right family",
-            "by the name's confidence",
-            "right name",
-        ],
-        lines,
+    return grouped(
+        "group",
+        {
+            "clean, sequential": [row for row in clean if not one_step(row)],
+            "clean, one-step": [row for row in clean if one_step(row)],
+        },
+        {
+            "cases": counted,
+            "silent": lambda own: _share([silent(row) for row in _well(own)]),
+            "a wrong name, surely": lambda own: str(sum(map(surely_wrong, _well(own)))),
+            "failed": _failed,
+        },
     )
 
 
-def _in(value: float, low: float, high: float) -> bool:
-    return low <= value < high or (high == 1.0 and value >= 1.0)
+def group_table(rows: Rows) -> str:
+    """Shares of hidden effects by how well they were found, per group of cases."""
+    hidden = [row for row in rows if row["kinds"]]
+
+    def share_of(key: str) -> Callable[[Rows], str]:
+        def cell(own: Rows) -> str:
+            hits = [x == key for found in _found(own) for x in found]
+            return _share(hits) if any(hits) else ""
+
+        return cell
+
+    return grouped(
+        "group",
+        {name: [row for row in hidden if chosen(row)] for name, chosen in GROUPS.items()},
+        {
+            "cases": counted,
+            "effects": lambda own: str(sum(map(len, _found(own)))),
+            **{name: share_of(key) for key, name in LABELS.items()},
+            "a wrong name, surely": lambda own: _share([surely_wrong(row) for row in _well(own)]),
+            "failed": _failed,
+        },
+    )
+
+
+def effect_table(rows: Rows) -> str:
+    """The same per effect, with its median share of the torque."""
+    every = [(row, k) for row in _well(rows) for k in range(len(row["kinds"]))]
+
+    def count_of(key: str) -> Callable[[Sequence[tuple[Row, int]]], str]:
+        return lambda own: str(sum(label(row, k) == key for row, k in own) or "")
+
+    return grouped(
+        "effect",
+        {kind: [(row, k) for row, k in every if row["kinds"][k] == kind] for kind in KINDS},
+        {
+            "times": counted,
+            "size": lambda own: percent(float(np.median([r["shares"][k] for r, k in own])), 1),
+            **{name: count_of(key) for key, name in LABELS.items()},
+        },
+    )
+
+
+def confidence_table(rows: Rows) -> str:
+    """Stated confidences against how often they were right."""
+    findings = [(item, finding_is(row, item)) for row in _well(rows) for item in row["findings"]]
+    lines = []
+    for low, high in BINS:
+        own = [(f["confidence"], worth) for f, worth in findings if low <= f["confidence"] < high]
+        named = [worth for f, worth in findings if low <= (f["name_confidence"] or 0.0) < high]
+        cells = [
+            percent(float(np.mean([stated for stated, _ in own])), 0) if own else "-",
+            _share([worth in NAMED for _, worth in own]),
+            _share([worth != "wrong" for _, worth in own]),
+            str(len(named)),
+            _share([worth == "right" for worth in named]),
+        ]
+        lines.append([f"{low:g} to {high:g}", str(len(own)), *cells])
+    header = ["confidence", "findings", "stated, mean", "right or told as like it"]
+    header += ["or right family", "by the name's confidence", "right name"]
+    return table(header, lines)

@@ -27,6 +27,7 @@ class Case:
     baseline_cutoff_hz: float
 
 
+UR10E = "identification__ur-20_02_{}.parquet"
 CASES = (
     Case(
         "Staubli TX40",
@@ -39,16 +40,18 @@ CASES = (
     Case(
         "UR10e",
         "ur10e_innopolis",
-        (
-            "identification__ur-20_02_12-50sec_12harm.parquet",
-            "identification__ur-20_02_12-40sec_12harm.parquet",
-            "identification__ur-20_02_10-30sec_12harm.parquet",
-        ),
-        ("identification__ur-20_02_19_15harm50sec.parquet",),
+        tuple(map(UR10E.format, ("12-50sec_12harm", "12-40sec_12harm", "10-30sec_12harm"))),
+        (UR10E.format("19_15harm50sec"),),
         (2.58, 3.77, 1.18, 0.39, 0.81, 0.63),
         5.0,
     ),
 )
+
+
+def missing(case: Case, folder: Path) -> str:
+    """What is said of a robot whose logs are not there, else nothing."""
+    there = all((folder / name).is_file() for name in (*case.train, *case.held_out))
+    return "" if there else f"{case.name}: left out, its logs are not beside the project."
 
 
 def predicted(case: Case, folder: Path, cutoff_hz: float | None = None) -> HeldOut:
@@ -68,9 +71,8 @@ def study(chosen: Namespace | None = None, data: Path = DATA) -> str:
 
 
 def _part(case: Case, folder: Path) -> str:
-    missing = [n for n in (*case.train, *case.held_out) if not (folder / n).is_file()]
-    if missing:
-        return f"{case.name}: left out, its logs are not beside the project."
+    if said := missing(case, folder):
+        return said
     same = predicted(case, folder, case.baseline_cutoff_hz)
     found = predicted(case, folder)
     theirs = f"{case.baseline_cutoff_hz:g} Hz"

@@ -11,43 +11,37 @@ ampere. Rows at rest are zero: friction balances there, whatever the parameters.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from tests import Array
-from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.mechanics.rigid import rot_x
 from tests.plants.simulate import Log, Plant
+from tests.studies.rigs.repetition import surface_of
 
 RIGID = ("mx_1", "my_1", "Izz_1")
 SLIDES = 1e-3  # rad/s
 
 
-@dataclass(frozen=True)
-class Knowledge:
-    """What the bound takes as given: friction's values or only its form; motion or the encoder."""
+def bound(plant: Plant, logs: Sequence[Log], name: str, *, friction: bool, motion: bool) -> float:
+    """Smallest standard error that an unbiased estimate of one of `RIGID` can have (kg m, kg m^2).
 
-    friction: bool
-    motion: bool
-
-
-def bounds(plant: Plant, logs: Sequence[Log], known: Knowledge) -> dict[str, float]:
-    """Smallest standard errors that unbiased estimates of `RIGID` can have (kg m, kg m^2)."""
-    size = len(RIGID) + (0 if known.friction else 2 + 2 * _waves(plant) + 1)
-    information = np.zeros((size, size))
+    Given are friction's values or only its form, and the motion or only the encoder.
+    """
+    information = 0.0
     for log in logs:
         rate = 1.0 / float(log.t[1] - log.t[0])
         columns = rigid_columns(plant, log)
-        if not known.friction:
+        if not friction:
             columns = np.hstack([columns, friction_columns(plant, log)])
         sliding = np.abs(log.truth.dq[:, :1]) > SLIDES
-        density = noise_density(plant, len(log.t), rate, encoder=not known.motion)
+        density = noise_density(plant, len(log.t), rate, encoder=not motion)
         information += whittle(columns * sliding, density)
     # Scaled first: the columns' units differ by orders of magnitude.
     scale = 1.0 / np.sqrt(np.diag(information))
     covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    return {name: float(np.sqrt(covariance[k, k])) for k, name in enumerate(RIGID)}
+    k = RIGID.index(name)
+    return float(np.sqrt(covariance[k, k]))
 
 
 def whittle(columns: Array, density: Array) -> Array:
@@ -97,18 +91,7 @@ def rigid_columns(plant: Plant, log: Log) -> Array:
 def friction_columns(plant: Plant, log: Log) -> Array:
     """Torque per coefficient of friction of the plant's own form along the true motion."""
     q, v = log.truth.q[:, 0], log.truth.dq[:, 0]
-    sign, angle = np.sign(v)[:, None], np.outer(q, np.arange(1, _waves(plant) + 1))
-    hump = np.exp(-((v / float(surface_of(plant).stribeck_speed[0])) ** 2))[:, None]
+    surface = surface_of(plant)
+    sign, angle = np.sign(v)[:, None], np.outer(q, np.arange(1, surface.amplitude.shape[1] + 1))
+    hump = np.exp(-((v / float(surface.stribeck_speed[0])) ** 2))[:, None]
     return np.hstack([sign, sign * np.sin(angle), sign * np.cos(angle), sign * hump, v[:, None]])
-
-
-def surface_of(plant: Plant) -> SurfaceFriction:
-    """Friction of a plant whose friction has a known form."""
-    friction = plant.friction
-    if not isinstance(friction, SurfaceFriction):
-        raise TypeError(f"friction is a {type(friction).__name__}, not a SurfaceFriction")
-    return friction
-
-
-def _waves(plant: Plant) -> int:
-    return int(surface_of(plant).amplitude.shape[1])

@@ -1,5 +1,6 @@
-"""One rig built anew, and what its stages predict of held-out logs."""
+"""One rig built anew, what its stages predict of held-out logs, and what repetitions say."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,35 +10,57 @@ from seqid_cli.params.schema import Stages
 from tests import Array
 from tests.plants.arms.rigs import mounting
 from tests.plants.friction.surface import SurfaceFriction
-from tests.plants.robots.identified import HeldOut, held_out, noise_floor, simultaneous
+from tests.plants.robots.identified import held_out, noise_floor, simultaneous
 from tests.plants.robots.lab import Experiment
 from tests.plants.simulate import Plant
+from tests.studies.tables import number, rms, spread, table
+
+METHODS = ("sequential", "simultaneous", "current noise alone")
 
 
 @dataclass(frozen=True)
-class Predicted:
-    """Errors on held-out logs step by step and in one step; `floor` (n,) N m is the noise alone."""
+class Estimate:
+    """Error and standard error of a quantity, as shares of a true value."""
 
-    sequential: HeldOut
-    simultaneous: HeldOut
-    floor: Array
+    error: float
+    std_error: float
 
 
-def predicted(experiment: Experiment, stages: Stages) -> Predicted:
-    """Predict the held-out logs with the stages, and with the classical fit of the same logs."""
+Torque = Mapping[str, tuple[Array, Array]]  # RMSE (n,) N m of all samples, of sliding ones
+
+
+def predicted(experiment: Experiment, stages: Stages) -> Torque:
+    """Predict held-out logs: with the stages, with the classical fit of the same logs, noise."""
     logs, robot, options = experiment.recordings, experiment.robot, InertiaOptions()
-    own = held_out(logs["validation"], robot, stages, options)
     training = [log for stage in ("friction", "gravity", "inertia") for log in logs.get(stage, ())]
     classical = simultaneous(training, robot, stages.imu)
-    together = held_out(logs["validation"], robot, classical, options)
-    return Predicted(own, together, noise_floor(experiment, "validation", own.cutoff_hz))
+    own, other = (held_out(logs["validation"], robot, x, options) for x in (stages, classical))
+    floor = noise_floor(experiment, "validation", own.cutoff_hz)
+    found = ((own.every, own.sliding), (other.every, other.sliding), (floor, floor))
+    return dict(zip(METHODS, found, strict=True))
 
 
 def another(plant: Plant, rng: np.random.Generator) -> Plant:
     """Draw the friction's phases and the arrays' mountings; everything else stays."""
-    friction = plant.friction
-    if not isinstance(friction, SurfaceFriction):
-        raise TypeError(f"friction is a {type(friction).__name__}, not a SurfaceFriction")
+    friction = surface_of(plant)
     imus = tuple(replace(imu, rotation=mounting(*rng.uniform(-1.2, 1.2, 3))) for imu in plant.imus)
     phase = rng.uniform(-np.pi, np.pi, friction.phase.shape)
     return replace(plant, friction=replace(friction, phase=phase), imus=imus)
+
+
+def surface_of(plant: Plant) -> SurfaceFriction:
+    """Friction of a plant whose friction has a known form."""
+    assert isinstance(plant.friction, SurfaceFriction)
+    return plant.friction
+
+
+def parameter_table(rows: Mapping[str, tuple[Sequence[Estimate], str]]) -> str:
+    """Errors of the repetitions next to the paper's, by quantity."""
+    lines = []
+    for label, (found, paper) in rows.items():
+        s = spread([100 * e.error for e in found])
+        z = rms([e.error / e.std_error for e in found])
+        lines.append([label, *map(number, (s.median, s.worst, s.mean, z)), paper])
+    return table(
+        ["parameter", "median error %", "worst %", "mean (signed) %", "rms z", "paper %"], lines
+    )

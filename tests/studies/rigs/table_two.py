@@ -8,6 +8,7 @@ import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 
 from seqid_cli.identify.options import InertiaOptions
@@ -43,16 +44,14 @@ WAYS: Mapping[str, str] = {
 PAPER = {"differenced": "79", "imu": "16"}
 
 
-def faults(seed: int) -> Faults:
-    """Errors of a cheap accelerometer: bias, gain, axes, and a clock two milliseconds late."""
-    return Faults(seed=seed, bias=0.2, turn_on=0.02, scale=0.005, tilt=0.005, delay=0.002)
-
-
 def rig(factor: int, seed: int, rng: np.random.Generator) -> Plant:
-    """The rig with `factor` counts per line of its encoder."""
+    """The rig with `factor` counts per line of its encoder, and a cheap accelerometer's errors.
+
+    These are of bias, gain, axes, and a clock two milliseconds late.
+    """
     plant = another(one_joint(quadrature_factor=factor), rng)
-    imus = tuple(replace(imu, bias=0.0, faults=faults(seed)) for imu in plant.imus)
-    return replace(plant, imus=imus)
+    faults = Faults(seed=seed, bias=0.2, turn_on=0.02, scale=0.005, tilt=0.005, delay=0.002)
+    return replace(plant, imus=tuple(replace(x, bias=0.0, faults=faults) for x in plant.imus))
 
 
 def trials(plant: Plant, rng: np.random.Generator, *, short: bool = False) -> list[Trial]:
@@ -80,25 +79,18 @@ def errors(factor: int, seed: int, *, short: bool = False) -> dict[str, float]:
         "raw": differenced(experiment, stages, None),
         "differenced": differenced(experiment, stages, PAPER_HZ),
     }
-    papers = Stages(
-        friction=stages.friction, gravity=stages.gravity, imu=mounting_alone(stages.imu)
-    )
+    # The paper calibrates no bias, gain, axis or clock of a sensor.
+    kept = ("rotation", "std_error_deg", "references", "noise_density")
+    mounted = {
+        name: ImuCalibration(**{field: getattr(one, field) for field in kept})
+        for name, one in stages.imu.imus.items()
+    }
+    papers = msgspec.structs.replace(stages, imu=ImuStage(imus=mounted))
     for source in ("encoder", "imu", "fused"):
         known = papers if source == "imu" else stages
         stage = with_inertia(logs, robot, known, InertiaOptions(source=source)).inertia
         found[source] = next(p.value for p in stage.parameters if p.name == "Izz_1")
     return {way: 100.0 * (value / LINK_INERTIA - 1.0) for way, value in found.items()}
-
-
-def mounting_alone(stage: ImuStage | None) -> ImuStage:
-    """What the paper calibrates: no bias, gain, axis or clock of a sensor."""
-    kept = ("rotation", "std_error_deg", "references", "noise_density")
-    return ImuStage(
-        imus={
-            name: ImuCalibration(**{field: getattr(one, field) for field in kept})
-            for name, one in stage.imus.items()
-        }
-    )
 
 
 def differenced(experiment: Experiment, stages: Stages, cutoff_hz: float | None) -> float:

@@ -9,7 +9,6 @@ from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage
-from tests import Array
 from tests.plants.arms.rigs import two_joint
 from tests.plants.motions.experiments import (
     Trial,
@@ -21,17 +20,24 @@ from tests.plants.motions.experiments import (
 from tests.plants.robots.identified import sequential
 from tests.plants.robots.lab import run, true_standard, true_value
 from tests.plants.simulate import Plant
-from tests.studies.rigs.repetition import another, predicted
-from tests.studies.tables import number, rms, spread, table
+from tests.studies.coverage.score import true_friction
+from tests.studies.rigs.repetition import (
+    METHODS,
+    Estimate,
+    Torque,
+    another,
+    parameter_table,
+    predicted,
+)
+from tests.studies.tables import number, rms, table
 
 SEED, REPETITIONS = 42, 6
 POSTURES = tuple(np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9))
-PAPER = {"pi_1": "2.1", "pi_2": "10.5", "pi_4": "5.7", "pi_5": "1.1"}
-SYMBOLS = {
-    "pi_1": "pi_1 (I_1zz + N_1^2 I_m1 + m_2 l_1^2)",
-    "pi_2": "pi_2 (I_2zz)",
-    "pi_4": "pi_4 (m_2 r_2x)",
-    "pi_5": "pi_5 (m_2 r_2y, % of pi_4)",
+PAPER = {  # of Eq. 44: symbol, and the paper's error in %
+    "Izz_1": ("pi_1 (I_1zz + N_1^2 I_m1 + m_2 l_1^2)", "2.1"),
+    "Izz_2": ("pi_2 (I_2zz)", "10.5"),
+    "mx_2": ("pi_4 (m_2 r_2x)", "5.7"),
+    "my_2": ("pi_5 (m_2 r_2y, % of pi_4)", "1.1"),
 }
 ORDERS = {
     "chosen": FrictionOptions(),
@@ -45,17 +51,16 @@ class SurfaceError:
 
     rms: float
     worst: float
-    orders: tuple[int, int]
+    orders: str
 
 
 @dataclass(frozen=True)
 class Repetition:
     """Results of one rig built anew; errors are shares of the true values."""
 
-    error: dict[str, float]
-    z: dict[str, float]
-    surface: dict[tuple[str, str], SurfaceError]  # by orders and joint
-    torque: dict[str, Array]  # RMSE N m over all samples, per joint
+    estimates: dict[str, Estimate]
+    surfaces: dict[str, SurfaceError]  # by joint and orders
+    torque: Torque
 
 
 def trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
@@ -74,104 +79,66 @@ def repetition(number_of: int) -> Repetition:
     plant = another(two_joint(), rng)
     experiment = run("two_joint", plant, trials(plant, rng), SEED + number_of)
     logs, robot = experiment.recordings, experiment.robot
-    stages = sequential(experiment.recordings, experiment.robot)
-    assert stages.inertia is not None
-    error, z = table_iv(plant, stages.inertia)
-    surface: dict[tuple[str, str], SurfaceError] = {}
+    stages = sequential(logs, robot)
+    surfaces = {}
     for label, orders in ORDERS.items():
         fitted = identify_friction(logs["friction"], robot, options=orders)
         for j, joint in enumerate(plant.arm.names):
-            surface[label, joint] = surface_error(plant, fitted, j)
-    found = predicted(experiment, stages)
-    torque = {"sequential": found.sequential.every, "simultaneous": found.simultaneous.every}
-    return Repetition(error, z, surface, torque | {"noise": found.floor})
+            surfaces[f"{joint}, {label}"] = surface_error(plant, fitted, j)
+    return Repetition(table_iv(plant, stages.inertia), surfaces, predicted(experiment, stages))
 
 
-def table_iv(plant: Plant, stage: RigidStage) -> tuple[dict[str, float], dict[str, float]]:
-    """Errors and z of Eq. 44's parameters; the known rotor of joint 1 belongs to pi_1."""
+def table_iv(plant: Plant, stage: RigidStage) -> dict[str, Estimate]:
+    """Errors of Eq. 44's parameters; the known rotor of joint 1 belongs to pi_1."""
     standard = true_standard(plant)
-    names = {"Izz_1": "pi_1", "Izz_2": "pi_2", "mx_2": "pi_4", "my_2": "pi_5"}
-    scale = {
-        "pi_1": true_value({"Izz_1": 1.0, "m_2": float(plant.arm.dh[1, 1]) ** 2}, standard)
-        + float(plant.arm.reflected[0]),
-        "pi_2": standard["Izz_2"],
-        "pi_4": standard["mx_2"],
-        "pi_5": standard["mx_2"],
-    }
-    error, z = {}, {}
-    for parameter in stage.parameters:
-        off = parameter.value - true_value(parameter.terms, standard)
-        name = names[parameter.name]
-        error[name] = off / scale[name]
-        z[name] = off / parameter.std_error
-    return error, z
+    scale = standard | {"my_2": standard["mx_2"]}
+    scale["Izz_1"] = true_value({"Izz_1": 1.0, "m_2": float(plant.arm.dh[1, 1]) ** 2}, standard)
+    scale["Izz_1"] += float(plant.arm.reflected[0])
+    found = {}
+    for p in stage.parameters:
+        off, size = p.value - true_value(p.terms, standard), scale[p.name]
+        found[p.name] = Estimate(off / size, p.std_error / size)
+    return found
 
 
 def surface_error(plant: Plant, stage: FrictionStage, joint: int) -> SurfaceError:
     """Compare on a grid over the identified range of positions and speeds, both directions."""
     found = stage.joints[plant.arm.names[joint]]
-    low, high = found.position_range
-    slow, fast = found.speed_range
-    position, speed = np.meshgrid(np.linspace(low, high, 61), np.geomspace(slow, fast, 41))
-    q = np.zeros((position.size, plant.arm.n))
-    q[:, joint] = position.ravel()
-    truth, fitted = [], []
-    for sign in (1.0, -1.0):
-        v = np.zeros_like(q)
-        v[:, joint] = sign * speed.ravel()
-        law = plant.friction.begin()(0.0, q, v, np.zeros_like(q))
-        dry = law.forward if sign > 0 else -law.backward
-        truth.append((dry + law.smooth)[:, joint])
-        fitted.append(FrictionSurface.from_stage(found).torque(q[:, joint], v[:, joint]))
-    true = np.concatenate(truth)
-    off = (np.concatenate(fitted) - true) / rms(true)
-    orders = (found.position_order, found.velocity_order)
+    places = np.linspace(*found.position_range, 61)
+    position, speed = np.meshgrid(places, np.geomspace(*found.speed_range, 41))
+    q, v = np.tile(position.ravel(), 2), np.concatenate([speed.ravel(), -speed.ravel()])
+    true = true_friction(plant, joint, q, v)
+    off = (FrictionSurface.from_stage(found).torque(q, v) - true) / rms(true)
+    orders = f"{found.position_order}, {found.velocity_order}"
     return SurfaceError(rms(off), float(np.abs(off).max()), orders)
 
 
 def study(chosen: Namespace) -> str:
     """All tables of this rig."""
-    repetitions = 1 if chosen.quick else REPETITIONS
-    found = [repetition(k) for k in range(repetitions)]
-    said = f"{repetitions} rigs; errors in % of the true value."
-    return "\n\n".join([said, parameter_table(found), friction_table(found), torque_table(found)])
-
-
-def parameter_table(found: list[Repetition]) -> str:
-    """Table IV."""
-    rows = []
-    for name, paper in PAPER.items():
-        s = spread([100 * r.error[name] for r in found])
-        z = rms([r.z[name] for r in found])
-        cells = [number(x) for x in (s.median, s.worst, s.mean, z)]
-        rows.append([SYMBOLS[name], *cells, paper])
-    return table(
-        ["parameter", "median error %", "worst %", "mean (signed) %", "rms z", "paper %"], rows
+    found = [repetition(k) for k in range(1 if chosen.quick else REPETITIONS)]
+    parameters = {
+        symbol: ([r.estimates[name] for r in found], paper)
+        for name, (symbol, paper) in PAPER.items()
+    }
+    surfaces = []
+    for label in found[0].surfaces:
+        errors = [r.surfaces[label] for r in found]
+        sizes = float(np.median([e.rms for e in errors])), max(e.worst for e in errors)
+        orders = "; ".join(sorted({e.orders for e in errors}))
+        surfaces.append([label, *(number(100 * size) for size in sizes), orders])
+    torques = []
+    for method in METHODS:
+        values = 1e3 * np.array([r.torque[method][0] for r in found])
+        cells = [*np.median(values, axis=0), *values.max(axis=0)]
+        torques.append([method, *(number(float(x), 3) for x in cells)])
+    joints = [f"{what} {joint}" for what in ("median", "worst") for joint in two_joint().arm.names]
+    return "\n\n".join(
+        [
+            f"{len(found)} rigs; errors in % of the true value.",
+            parameter_table(parameters),
+            table(
+                ["friction surface", "median of RMS error %", "largest error %", "m, l"], surfaces
+            ),
+            table(["held-out torque RMSE, mN m", *joints], torques),
+        ]
     )
-
-
-def friction_table(found: list[Repetition]) -> str:
-    """Surfaces with the paper's orders and with the chosen ones."""
-    rows = []
-    for label in ORDERS:
-        for joint in two_joint().arm.names:
-            errors = [r.surface[label, joint] for r in found]
-            orders = "; ".join(sorted({f"{m}, {l}" for m, l in (e.orders for e in errors)}))
-            middle = number(100 * float(np.median([e.rms for e in errors])))
-            worst = number(100 * max(e.worst for e in errors))
-            rows.append([f"{joint}, {label}", middle, worst, orders])
-    header = ["friction surface", "median of RMS error %", "largest error %", "m, l"]
-    return table(header, rows)
-
-
-def torque_table(found: list[Repetition]) -> str:
-    """RMSE on the held-out moves, mN m."""
-    rows = []
-    for method in ("sequential", "simultaneous", "noise"):
-        label = "current noise alone" if method == "noise" else method
-        values = 1e3 * np.array([r.torque[method] for r in found])
-        cells = [number(float(x), 3) for x in [*np.median(values, axis=0), *values.max(axis=0)]]
-        rows.append([label, *cells])
-    names = two_joint().arm.names
-    header = [*(f"median {n}" for n in names), *(f"worst {n}" for n in names)]
-    return table(["held-out torque RMSE, mN m", *header], rows)

@@ -3,7 +3,7 @@
 import hashlib
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from seqid_cli.robot.types import Robot
 from tests import Array, plants
 from tests.plants.motions.experiments import Trial, friction_trials, gravity_trials, inertia_trials
 from tests.plants.motions.trajectories import Reference
-from tests.plants.motions.trials import SEED_STRIDE, Drill, drills
+from tests.plants.motions.trials import SEED_STRIDE, drills
 from tests.plants.robots.identified import sequential, simultaneous
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.samples import SIX_POSTURES
@@ -34,19 +34,12 @@ TWO_POSTURES = np.array([[0.0, 0.3], [0.7, -1.0], [-0.9, 1.3], [1.5, 0.8], [-1.8
 
 @dataclass(frozen=True)
 class Logs:
-    """What one case records, and its robot file."""
+    """What one case records, and its robot file; `earlier` are experiments of stages, by stage."""
 
     robot: Robot
-    training: tuple[Recording, ...]
-    held_out: tuple[Recording, ...]
-
-
-@dataclass(frozen=True)
-class Errors:
-    """RMSE (n,) N m of held-out torque: low-passed, and as it is in the log."""
-
-    band: Array
-    raw: Array
+    training: Sequence[Recording]
+    held_out: Sequence[Recording]
+    earlier: Mapping[str, Sequence[Recording]] = field(default_factory=dict)
 
 
 def logs_of(condition: Condition, cache: Path) -> Logs:
@@ -56,7 +49,7 @@ def logs_of(condition: Condition, cache: Path) -> Logs:
     found: dict[bool, list[Recording]] = {False: [], True: []}
     plan = drills(declared(condition), condition.seed, seconds=condition.seconds)
     for number, drill in enumerate(plan):
-        if _kept(drill, sensors.keep):
+        if sensors.keep == "all" or (sensors.keep == "periodic") == (drill.period is not None):
             seed = SEED_STRIDE * condition.seed + number
             what = f"{_plant_label(condition)}|{drill.name}"
             recording = stored(
@@ -70,10 +63,6 @@ def logs_of(condition: Condition, cache: Path) -> Logs:
 def robot_for(condition: Condition) -> Robot:
     """The robot file of a case."""
     return robot_of(condition.rig, declared(condition))
-
-
-def _kept(drill: Drill, keep: str) -> bool:
-    return keep == "all" or (keep == "periodic") == (drill.period is not None)
 
 
 def _plant_label(condition: Condition) -> str:
@@ -92,38 +81,24 @@ def stored(
     every: int,
     start: float,
 ) -> Recording:
+    """Simulate a log, or read from the cache what the stages read of it; it has no IMUs."""
     motion = hashlib.sha256(np.ascontiguousarray(reference.q).tobytes()).hexdigest()
     key = hashlib.sha256(f"{what}|{motion}|{seed}|{every}|{start!r}|{plant_sources()}".encode())
     digest = key.hexdigest()
     path = cache / "logs" / digest[:2] / f"{digest[:24]}.npz"
     name = what.rpartition("|")[2]
     if not path.is_file():
-        log = simulate(plant, reference, seed, every=every, imus=False, start=start)
-        _save(path, recording_of(plant, name, log))
-    return _load(path, name, digest)
-
-
-def _save(path: Path, recording: Recording) -> None:
-    """Write what the stages read of a recording, whole or not at all."""
-    assert recording.tau is not None
-    warm = {} if recording.temperature is None else {"temperature": recording.temperature}
-    rate = np.array(recording.rate_hz)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(f".{os.getpid()}.part")
-    with part.open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            allow_pickle=False,
-            q=recording.q,
-            tau=recording.tau,
-            rate=rate,
-            start=np.array(recording.start),
-            **warm,
+        log = recording_of(
+            plant, name, simulate(plant, reference, seed, every=every, imus=False, start=start)
         )
-    part.replace(path)
-
-
-def _load(path: Path, name: str, digest: str) -> Recording:
+        found = {"q": log.q, "tau": log.tau, "rate": log.rate_hz, "start": log.start}
+        if log.temperature is not None:
+            found["temperature"] = log.temperature
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = path.with_suffix(f".{os.getpid()}.part")
+        with part.open("wb") as stream:
+            np.savez_compressed(stream, allow_pickle=False, **found)
+        part.replace(path)  # whole or not at all
     with np.load(path, allow_pickle=False) as data:
         q, rate = data["q"], float(data["rate"])
         return Recording(
@@ -136,7 +111,7 @@ def _load(path: Path, name: str, digest: str) -> Recording:
             valid=np.ones(len(q), dtype=bool),
             health=Health(rate_hz=rate, jitter=0.0),
             tau=data["tau"],
-            temperature=data["temperature"] if "temperature" in data.files else None,
+            temperature=data.get("temperature"),
         )
 
 
@@ -192,20 +167,19 @@ def stages_of(condition: Condition, cache: Path) -> Stages:
     return sequential(logs, robot)
 
 
-def errors(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> Errors:
-    """Distance of the torque to what is predicted, all logs; above the low-pass it stays."""
-    band, raw, samples = np.zeros(robot.n), np.zeros(robot.n), 0
+def errors(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> Array:
+    """RMSE (2, n) N m of held-out torque: low-passed, and as it is in the log."""
+    squares, samples = np.zeros((2, robot.n)), 0
     found = predict(recordings, robot, stages, options=InertiaOptions())
     for recording, p in zip(recordings, found, strict=True):
-        assert recording.tau is not None
         finer = np.column_stack([np.interp(p.t, recording.t, tau) for tau in recording.tau.T])
-        band += np.sum(p.beyond[p.used] ** 2, axis=0)
-        raw += np.sum((finer - p.tau + p.beyond)[p.used] ** 2, axis=0)
+        off = np.stack([p.beyond, finer - p.tau + p.beyond])[:, p.used]
+        squares += np.sum(off**2, axis=1)
         samples += int(p.used.sum())
-    return Errors(np.sqrt(band / samples), np.sqrt(raw / samples))
+    return np.sqrt(squares / samples)
 
 
-def excess(condition: Condition, number: int, cache: Path, with_it: Errors) -> tuple[float, ...]:
+def excess(condition: Condition, number: int, cache: Path, with_it: Array) -> tuple[float, ...]:
     """By what share an effect raises each joint's held-out RMSE, (n,).
 
     Compared with the same logs without it, and the file that they give: what a model that has the
@@ -214,5 +188,4 @@ def excess(condition: Condition, number: int, cache: Path, with_it: Errors) -> t
     case = condition.without(number)
     logs = logs_of(case, cache)
     without = errors(logs.held_out, logs.robot, stages_of(case, cache))
-    more = np.maximum(with_it.band / without.band, with_it.raw / without.raw) - 1.0
-    return tuple(float(x) for x in more)
+    return tuple(float(x) for x in (with_it / without - 1.0).max(axis=0))

@@ -4,12 +4,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
-from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry, UnexplainedPart
-from tests.studies.undeclared.cases import Truth
+from msgspec.structs import replace
+
+from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
+from tests.studies.undeclared.cases import Condition, Record, Truth, built, in_the_model
+from tests.unit.params.documents import diagnosis_file
 
 SURE = 0.8  # confidence from which a wrong mechanism counts as a confident error
 INVISIBLE = 0.02  # share by which an effect must raise some joint's held-out RMSE to be seen
 LOOSE = 0.5  # the same for backlash, whose impacts do not repeat
+
+# What stands for a diagnosis that failed: neither quiet nor right.
+FAILED = replace(diagnosis_file(), findings=[], unexplained=[], joints={}, events=[], hidden=[])
 
 
 def named(finding: FindingEntry, truth: Truth) -> bool:
@@ -22,84 +28,89 @@ def right(finding: FindingEntry, truth: Truth) -> bool:
     return named(finding, truth) and finding.joint in truth.joints
 
 
-def wrong(finding: FindingEntry, truths: Sequence[Truth]) -> bool:
-    """Whether it is none of the true effects."""
-    return not any(right(finding, truth) for truth in truths)
-
-
-def quantity_named(entry: UnexplainedPart, truth: Truth) -> bool:
-    """Whether it is at a right joint and names something that the effect depends on."""
-    return entry.joint in truth.joints and bool(set(entry.depends_on) & set(truth.depends_on))
-
-
-def quantities_named(entry: UnexplainedPart, truth: Truth) -> bool:
-    """Whether it is at a right joint and names everything that the effect depends on."""
-    return entry.joint in truth.joints and set(truth.depends_on) <= set(entry.depends_on)
-
-
 @dataclass(frozen=True)
-class Score:
-    """One diagnosis against one true effect, or none.
+class Judged:
+    """A case and how its diagnosis is judged; by its first effect if not said otherwise.
 
     Attributes
     ----------
-    right, kind_right, own_name : bool
-        The first finding: kind and joint; kind alone; kind without help of confusable ones.
-    anywhere : bool
-        Some finding has kind and joint.
-    quiet : bool
-        The verdict is nothing_missing.
-    alarm : bool
-        There is a finding.
-    explained_away : bool
-        The verdict is unexplained with a right quantity at the right joint; `all_quantities` with
-        all of them.
+    right, kind_right, own_name, first_right : bool
+        The first finding has kind and joint; the kind; both without help of confusable ones; both
+        of any of the effects.
+    found, all_found : bool
+        Some finding has kind and joint of any effect; every effect has one of its own.
+    quiet, alarm, silent : bool
+        The verdict is that nothing is missing; there is a finding; there is none.
+    explained_away, all_quantities : bool
+        The verdict is unexplained, with some quantity that the effect depends on named at a right
+        joint; with all of them.
     sure_and_wrong : bool
         Some finding of confidence above `SURE` is none of the true effects.
+    seen, loud : bool
+        All effects leave something to find in these logs; one makes some joint's held-out RMSE half
+        larger.
     """
 
+    record: Record
+    diagnosis: DiagnosisFile
+    truths: tuple[Truth, ...]
+    truth: Truth
+    first: Sequence[FindingEntry]
     right: bool
     kind_right: bool
     own_name: bool
-    anywhere: bool
+    first_right: bool
+    found: bool
+    all_found: bool
     quiet: bool
     alarm: bool
+    silent: bool
     explained_away: bool
     all_quantities: bool
     sure_and_wrong: bool
+    seen: bool
+    loud: bool
+
+    @property
+    def condition(self) -> Condition:
+        """The case."""
+        return self.record.condition
 
 
-def score(diagnosis: DiagnosisFile, truths: Sequence[Truth], number: int = 0) -> Score:
-    """Judge a diagnosis by true effect `number`; the others only keep findings from being wrong."""
-    truth = truths[number] if truths else Truth("clean", None, (), ())
-    first = diagnosis.findings[0] if diagnosis.findings else None
-    unknown = diagnosis.verdict == "unexplained"
-    return Score(
-        right=first is not None and right(first, truth),
-        kind_right=first is not None and named(first, truth),
-        own_name=first is not None and first.effect == truth.kind and right(first, truth),
-        anywhere=any(right(f, truth) for f in diagnosis.findings),
+def judged(record: Record) -> Judged:
+    """Judge a record; one without a diagnosis is wrong in every respect."""
+    diagnosis, condition = record.diagnosis or FAILED, record.condition
+    _, truths = built(condition)
+    truth = truths[0] if truths else Truth("clean", None, (), ())
+    findings = diagnosis.findings
+    first = findings[:1]
+    parts = diagnosis.unexplained if diagnosis.verdict == "unexplained" else ()
+    told = [set(part.depends_on) for part in parts if part.joint in truth.joints]
+    excess = [max(own, default=0.0) for own in record.excess]
+    in_model = [in_the_model(condition, name) for name, _, _ in condition.effects]
+    hit = any(right(f, truth) for f in first)
+    return Judged(
+        record=record,
+        diagnosis=diagnosis,
+        truths=truths,
+        truth=truth,
+        first=first,
+        right=hit,
+        kind_right=any(named(f, truth) for f in first),
+        own_name=hit and first[0].effect == truth.kind,
+        first_right=any(right(f, t) for f in first for t in truths),
+        found=any(right(f, t) for f in findings for t in truths),
+        all_found=any(
+            all(map(right, chosen, truths)) for chosen in permutations(findings, len(truths))
+        ),
         quiet=diagnosis.verdict == "nothing_missing",
-        alarm=bool(diagnosis.findings),
-        explained_away=unknown and any(quantity_named(u, truth) for u in diagnosis.unexplained),
-        all_quantities=unknown and any(quantities_named(u, truth) for u in diagnosis.unexplained),
-        sure_and_wrong=any(f.confidence > SURE and wrong(f, truths) for f in diagnosis.findings),
+        alarm=bool(first),
+        silent=not first,
+        explained_away=any(own & set(truth.depends_on) for own in told),
+        all_quantities=any(set(truth.depends_on) <= own for own in told),
+        sure_and_wrong=any(
+            f.confidence > SURE and not any(right(f, t) for t in truths) for f in findings
+        ),
+        seen=not any(in_model) and all(share >= INVISIBLE for share in excess),
+        loud=any(share >= LOOSE for share in excess),
     )
-
-
-def both_found(diagnosis: DiagnosisFile, truths: Sequence[Truth]) -> bool:
-    """Whether every true effect is some finding's, and no finding stands for two of them."""
-    return any(
-        all(right(f, t) for f, t in zip(chosen, truths, strict=True))
-        for chosen in permutations(diagnosis.findings, len(truths))
-    )
-
-
-def visible(excess: Sequence[float]) -> bool:
-    """Whether an effect leaves something to find in these logs."""
-    return max(excess, default=0.0) >= INVISIBLE
-
-
-def loud(excess: Sequence[float]) -> bool:
-    """Whether some joint's held-out RMSE is half larger than without the effect."""
-    return max(excess, default=0.0) >= LOOSE

@@ -1,62 +1,110 @@
-"""The study of undeclared effects: which cases, what is kept, and its tables."""
+"""The study of undeclared effects: which cases are run, what is kept of them, and its tables."""
 
 import tempfile
+import time
 from argparse import ArgumentParser, Namespace
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import get_args
 
+import msgspec
+
+from seqid_cli.discover.diagnosis import diagnose
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.params.results.diagnosis import DiagnosisFile
 from tests.studies.coverage.cases import RIGS
-from tests.studies.undeclared.cases import RIG_NAMES, Condition, Group, matrix, quick
-from tests.studies.undeclared.run import Choice, run, sources
+from tests.studies.records import encoded, package_sources, results
+from tests.studies.undeclared.cases import RIG_NAMES, Condition, Group, Record, matrix, quick
+from tests.studies.undeclared.logs import errors, excess, logs_of, plant_sources, stages_of
 from tests.studies.undeclared.tables import tables
+
+PARTS = ("discover", "identify", "model", "motion", "robot")  # what a diagnosis depends on
 
 
 def study(arguments: Namespace) -> str:
     """Run what is not there yet; return the tables."""
-    choice = choice_of(arguments)
-    records = run(choice)
-    command = "python -m tests.studies --only undeclared"
-    made = f"Made by `{command}`, sources {sources()[:12]}."
-    return f"{made}\n\n{tables(records, len(choice.cases))}"
+    cases = cases_of(arguments)
+    sources = package_sources(*PARTS) + plant_sources()
+    found = results(
+        {case.key: case for case in cases},
+        partial(run_case, cache=arguments.cache),
+        Record,
+        arguments.cache / "undeclared.jsonl",
+        sources=sources,
+        run=not arguments.tables,
+        limit=arguments.limit,
+        processes=arguments.processes,
+        told=_told,
+        failed=lambda record: bool(record.error),
+    )
+    made = f"Made by `python -m tests.studies --only undeclared`, sources {sources[:12]}."
+    return f"{made}\n\n{tables(list(found.values()), len(cases))}"
+
+
+def run_case(condition: Condition, cache: Path) -> Record:
+    """Record, identify, diagnose with the options that a user has who sets none."""
+    seconds: dict[str, float] = {}
+    record, clock = Record(condition, None, (), seconds), time.monotonic()
+
+    def lap(name: str) -> None:
+        nonlocal clock
+        clock, since = time.monotonic(), clock
+        seconds[name] = round(clock - since, 2)
+
+    try:
+        logs = logs_of(condition, cache)
+        lap("simulate")
+        stages = stages_of(condition, cache)
+        lap("identify")
+        own = errors(logs.held_out, logs.robot, stages)
+        more = tuple(excess(condition, k, cache, own) for k in range(len(condition.effects)))
+        record = replace(record, excess=more)
+        lap("compare")
+        said = diagnose(logs.training, logs.robot, stages, options=DiscoverOptions())
+        found = msgspec.json.decode(encoded(said), type=DiagnosisFile)  # what is no number: error
+        lap("diagnose")
+        return replace(record, diagnosis=found)
+    except Exception as problem:  # whatever goes wrong is counted, and the study goes on
+        return replace(record, error=f"{type(problem).__name__}: {problem}")
+
+
+def _told(record: Record) -> str:
+    """One line per case to the screen, so that a long study shows how it goes."""
+    if record.diagnosis is None:
+        return record.error
+    named = [f"{f.effect}@{f.joint} {f.confidence:.2f}" for f in record.diagnosis.findings]
+    seconds = " ".join(f"{name} {value:.0f}" for name, value in record.seconds.items())
+    return f"{record.diagnosis.verdict} {', '.join(named)} ({seconds} s)"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options that only this study has."""
-    own = parser.add_argument_group("undeclared effects")
+    """Options that only this study has, or others of simulated arms as well."""
+    add = parser.add_argument_group("undeclared effects").add_argument
     folder = Path(tempfile.gettempdir()) / "seqid-study"
-    own.add_argument("--cache", type=Path, default=folder, help="logs and results (%(default)s)")
-    jobs = ("--processes", "--jobs")
-    own.add_argument(*jobs, type=int, default=1, help="cases at a time (%(default)s)")
-    own.add_argument("--only-kind", nargs="+", metavar="NAME", help="with one of these effects")
-    rigs = list(dict.fromkeys([*RIG_NAMES, *RIGS]))
-    own.add_argument("--rig", choices=rigs, help="one robot alone")
-    own.add_argument("--seeds", metavar="A-B", help="these seeds alone (coverage: A:B)")
-    own.add_argument(
-        "--fresh",
-        type=int,
-        default=0,
-        metavar="N",
-        help="add so much to seeds: other motions, noise",
-    )
-    own.add_argument("--size", type=float, help="effects of this size alone")
-    own.add_argument("--groups", nargs="+", choices=get_args(Group), help="parts of the study")
-    own.add_argument("--limit", type=int, metavar="N", help="at most N new cases this time")
-    own.add_argument("--tables", action="store_true", help="no runs, tables of what is there")
+    add("--cache", type=Path, default=folder, help="logs and results (%(default)s)")
+    add("--processes", "--jobs", type=int, default=1, help="cases at a time (%(default)s)")
+    add("--only-kind", nargs="+", metavar="NAME", help="with one of these effects")
+    add("--rig", choices=list(dict.fromkeys([*RIG_NAMES, *RIGS])), help="one robot alone")
+    add("--seeds", metavar="A-B", help="these seeds alone (coverage: A:B)")
+    more = "add so much to seeds: other motions, noise"
+    add("--fresh", type=int, default=0, metavar="N", help=more)
+    add("--size", type=float, help="effects of this size alone")
+    add("--groups", nargs="+", choices=get_args(Group), help="parts of the study")
+    add("--limit", type=int, metavar="N", help="at most N new cases this time")
+    add("--tables", action="store_true", help="no runs, tables of what is there")
 
 
-def choice_of(arguments: Namespace) -> Choice:
+def cases_of(arguments: Namespace) -> list[Condition]:
     """Cases that the options leave."""
     every = quick() if arguments.quick else matrix()
-    chosen = [c for c in every if _chosen(c, arguments)]
-    return Choice(
-        cases=tuple(replace(c, seed=c.seed + arguments.fresh) for c in chosen),
-        whole=not arguments.quick and len(chosen) == len(every) and not arguments.fresh,
-        cache=arguments.cache,
-        processes=arguments.processes,
-        run=not arguments.tables,
-        limit=arguments.limit,
-    )
+    chosen = [case for case in every if _chosen(case, arguments)]
+    return [replace(case, seed=case.seed + arguments.fresh) for case in chosen]
+
+
+def whole(arguments: Namespace) -> bool:
+    """Whether no case of the study is left out."""
+    return cases_of(arguments) == list(matrix())
 
 
 def _chosen(condition: Condition, arguments: Namespace) -> bool:

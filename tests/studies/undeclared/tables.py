@@ -1,6 +1,7 @@
 """The tables of the study of undeclared effects, made from its records."""
 
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from itertools import pairwise
 from operator import attrgetter
 
@@ -8,102 +9,130 @@ import numpy as np
 
 from tests.plants.effects.registry import CATALOGUE, OUTSIDE
 from tests.studies.tables import counted, grouped, number
-from tests.studies.undeclared.cases import CHANGES, SENSORS, SIZES
-from tests.studies.undeclared.judged import (
-    Cases,
-    Judged,
-    by_name,
-    judged,
-    mistaken,
-    of_group,
-    of_rig,
-    share,
-)
-from tests.studies.undeclared.run import Record
-from tests.studies.undeclared.score import INVISIBLE, LOOSE, SURE, both_found, loud
+from tests.studies.undeclared.cases import CHANGES, SENSORS, SIZES, Record
+from tests.studies.undeclared.score import INVISIBLE, LOOSE, SURE, Judged, judged
 
-_right, _alarm, _quiet, _anywhere, _explained_away, _sure_and_wrong = (
-    attrgetter(f"score.{name}")
-    for name in ("right", "alarm", "quiet", "anywhere", "explained_away", "sure_and_wrong")
-)
-WRONG = f"wrong and above {SURE:g}"
 RIGS = {"two": "two joints", "six": "six joints"}
 BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 0.99, 1.0)
+Select = Callable[[Judged], bool]
+Cases = Sequence[Judged]
+Cell = Callable[[Cases], str]
+
+
+def share(hit: str | Select, only: Select = lambda case: True) -> Cell:
+    """A cell: the share of the cases that a condition, or what is judged, holds for, of some."""
+    holds = attrgetter(hit) if isinstance(hit, str) else hit
+
+    def cell(cases: Cases) -> str:
+        own = [holds(c) for c in cases if only(c)]
+        return f"{100 * sum(own) / len(own):.0f} % of {len(own)}" if own else "-"
+
+    return cell
+
+
+def by_rig(label: str, hit: str) -> dict[str, Cell]:
+    """Two cells: the share on each of the arms."""
+    return {f"{label}, {name}": share(hit, _where(rig=rig)) for rig, name in RIGS.items()}
+
+
+def mistaken(hit: str) -> Cell:
+    """A cell: what the first finding says most often where it is wrong."""
+
+    def said(case: Judged) -> str:
+        if case.record.diagnosis is None:
+            return "failed"
+        return case.first[0].effect if case.first else case.diagnosis.verdict
+
+    def cell(cases: Cases) -> str:
+        names = Counter(said(case) for case in cases if not getattr(case, hit))
+        return ", ".join(f"{name} {count}" for name, count in names.most_common(2)) or "-"
+
+    return cell
+
+
+def _where(**asked: object) -> Select:
+    """Cases whose condition has these values."""
+    return lambda case: all(getattr(case.condition, k) == value for k, value in asked.items())
+
+
+def _chosen(cases: Cases, **asked: object) -> list[Judged]:
+    return list(filter(_where(**asked), cases))
+
+
+def _seen(cases: Cases, group: str) -> list[Judged]:
+    """Cases of a group that leave something to find."""
+    return [case for case in _chosen(cases, group=group) if case.seen]
+
+
+def _by_name(cases: Cases, names: Iterable[str]) -> dict[str, Cases]:
+    return {name: [c for c in cases if c.truth.name == name] for name in names}
+
+
+SURELY: Mapping[str, Cell] = {f"wrong and above {SURE:g}": share("sure_and_wrong")}
+USUAL: Mapping[str, Cell] = {
+    "found at all": share("found"),
+    **SURELY,
+    "if not right": mistaken("right"),
+}
 
 
 def tables(records: Sequence[Record], wanted: int) -> str:
     """All tables; `wanted` is the number of cases of the study."""
-    cases = judged(records)
+    cases = [judged(record) for record in records]
     failed = [r for r in records if r.diagnosis is None]
+    sections = {
+        "Alone, by kind": kinds,
+        "Clean": clean,
+        "Two at once": pairs,
+        "Outside the catalogue": outside,
+        "Other files to start from": starts,
+        "What the stated confidence is worth": reliability,
+    }
+    made = {title: make(cases) for title, make in sections.items()}
     parts = [
         f"{len(records)} of {wanted} cases; {len(failed)} failed, which counts as wrong.",
         _seconds(records),
-        _section("Alone, by kind", kinds(cases)),
-        _section("Clean", clean(cases)),
-        _section("Two at once", pairs(cases)),
-        _section("Outside the catalogue", outside(cases)),
-        _section("Other files to start from", starts(cases)),
-        _section("What the stated confidence is worth", reliability(cases)),
+        *(f"#### {title}\n\n{content}" for title, content in made.items() if content),
         "\n".join(f"- failed: {r.condition.key}: {r.error}" for r in failed),
     ]
     return "\n\n".join(part for part in parts if part)
 
 
-def _section(title: str, content: str) -> str:
-    return f"#### {title}\n\n{content}" if content else ""
-
-
 def _seconds(records: Sequence[Record]) -> str:
     parts = []
     for rig, name in RIGS.items():
-        spent = [r.seconds["diagnose"] for r in records if _diagnosed(r) and r.condition.rig == rig]
+        own = [r.seconds for r in records if r.condition.rig == rig]
+        spent = [seconds["diagnose"] for seconds in own if "diagnose" in seconds]
         if spent:
-            longest = number(max(spent))
-            parts.append(f"{name}: median {number(float(np.median(spent)))} s, longest {longest} s")
+            middle, longest = number(float(np.median(spent))), number(max(spent))
+            parts.append(f"{name}: median {middle} s, longest {longest} s")
     return f"Time of a diagnosis: {'; '.join(parts)}." if parts else ""
-
-
-def _diagnosed(record: Record) -> bool:
-    return "diagnose" in record.seconds
-
-
-def _loud(case: Judged) -> bool:
-    return any(map(loud, case.record.excess))
 
 
 def kinds(cases: Cases) -> str:
     """Per kind: how often the first finding has kind and joint."""
-    alone = of_group(cases, "catalogue")
-    tight = [c for c in alone if c.truths[0].kind != "backlash"]
-    loose = [c for c in alone if c.truths[0].kind == "backlash"]
-    groups: dict[str, Cases] = {
-        name: [c for c in tight if c.truths[0].kind == name] for name in CATALOGUE
-    }
+    alone = _seen(cases, "catalogue")
+    tight = [c for c in alone if c.truth.kind != "backlash"]
+    loose = [c for c in alone if c.truth.kind == "backlash"]
+    groups: dict[str, Cases] = {n: [c for c in tight if c.truth.kind == n] for n in CATALOGUE}
     groups["all of these"] = tight
-    groups["backlash, RMSE half above"] = [c for c in loose if _loud(c)]
-    groups["backlash, less than that"] = [c for c in loose if not _loud(c)]
-    content = grouped(
-        "effect",
-        groups,
-        {
-            f"{name}, size {size:g}": share(
-                _right,
-                lambda c, rig=rig, size=size: (  # type: ignore[misc]
-                    c.condition.rig == rig and c.condition.effects[0][2] == size
-                ),
-            )
-            for rig, name in RIGS.items()
-            for size in SIZES
-        }
-        | {
-            "all": share(_right),
-            "by its own name": share(attrgetter("score.own_name")),
-            "kind without joint": share(attrgetter("score.kind_right")),
-            "found at all": share(_anywhere),
-            WRONG: share(_sure_and_wrong),
-            "if not right": mistaken(_right),
-        },
-    )
+    groups["backlash, RMSE half above"] = [c for c in loose if c.loud]
+    groups["backlash, less than that"] = [c for c in loose if not c.loud]
+
+    def of(rig: str, size: float) -> Select:
+        return lambda c: c.condition.rig == rig and c.condition.effects[0][2] == size
+
+    columns = {
+        f"{name}, size {size:g}": share("right", of(rig, size))
+        for rig, name in RIGS.items()
+        for size in SIZES
+    }
+    columns |= {
+        "all": share("right"),
+        "by its own name": share("own_name"),
+        "kind without joint": share("kind_right"),
+    }
+    content = grouped("effect", groups, columns | USUAL)
     note = (
         "Right: the first finding has the kind, or says that it may be that, and the joint. Of "
         f"cases in which the effect raises some joint's held-out RMSE by {100 * INVISIBLE:.0f} % "
@@ -114,96 +143,70 @@ def kinds(cases: Cases) -> str:
 
 def clean(cases: Cases) -> str:
     """False alarms."""
-    alone = [c for c in cases if c.condition.group == "clean"]
-    usual = [c for c in alone if c.condition.start == "simultaneous"]
-    groups = {name: [c for c in usual if c.condition.sensors == name] for name in SENSORS}
-    for start in ("sequential", "before"):
-        groups[f"file: {start}"] = [c for c in alone if c.condition.start == start]
-    return grouped(
-        "nothing undeclared",
-        groups | {"all": alone},
-        {f"finding, {name}": share(_alarm, of_rig(rig)) for rig, name in RIGS.items()}
-        | {
-            "verdict not nothing_missing": share(lambda c: not c.score.quiet),
-            f"finding above {SURE:g}": share(_sure_and_wrong),
-            "most often": mistaken(_quiet),
-        },
-    )
+    alone = _chosen(cases, group="clean")
+    usual = _chosen(alone, start="simultaneous")
+    groups = {name: _chosen(usual, sensors=name) for name in SENSORS}
+    groups |= {f"file: {start}": _chosen(alone, start=start) for start in ("sequential", "before")}
+    columns = {
+        "verdict not nothing_missing": share(lambda case: not case.quiet),
+        f"finding above {SURE:g}": share("sure_and_wrong"),
+        "most often": mistaken("quiet"),
+    }
+    groups["all"] = alone
+    return grouped("nothing undeclared", groups, by_rig("finding", "alarm") | columns)
 
 
 def pairs(cases: Cases) -> str:
     """Two effects at once."""
-    alone = [c for c in cases if c.condition.group == "pairs"]
-
-    def same(case: Judged) -> bool:
-        (_, one, _), (_, two, _) = case.condition.effects
-        return one == two
-
-    groups = {name: [c for c in alone if of_rig(rig)(c)] for rig, name in RIGS.items()} | {
-        "on one joint": [c for c in alone if same(c)],
-        "on different joints": [c for c in alone if not same(c)],
+    alone = _chosen(cases, group="pairs")
+    joints = [len({joint for _, joint, _ in c.condition.effects}) for c in alone]
+    groups = {
+        **{name: _chosen(alone, rig=rig) for rig, name in RIGS.items()},
+        "on one joint": [c for c, count in zip(alone, joints, strict=True) if count == 1],
+        "on different joints": [c for c, count in zip(alone, joints, strict=True) if count == 2],
         "all": alone,
         "both visible": [c for c in alone if c.seen],
     }
-    return grouped(
-        "pairs",
-        groups,
-        {
-            "both found": share(lambda c: both_found(c.diagnosis, c.truths)),
-            "one at least": share(lambda c: any(s.anywhere for s in c.scores)),
-            "first finding right": share(lambda c: bool(c.diagnosis.findings) and c.first_right),
-            WRONG: share(_sure_and_wrong),
-        },
-    )
+    columns = {
+        "both found": share("all_found"),
+        "one at least": share("found"),
+        "first finding right": share("first_right"),
+    }
+    return grouped("pairs", groups, columns | SURELY)
 
 
 def outside(cases: Cases) -> str:
     """What the catalogue does not have."""
-    return grouped(
-        "outside the catalogue",
-        by_name(of_group(cases, "outside"), OUTSIDE),
-        {
-            "unexplained, right quantity and joint": share(_explained_away),
-            "all quantities": share(lambda c: c.score.all_quantities),
-            "unexplained": share(lambda c: c.diagnosis.verdict == "unexplained"),
-            "some effect named": share(_alarm),
-            f"named above {SURE:g}": share(_sure_and_wrong),
-            "most often": mistaken(lambda c: not c.score.alarm),
-        },
-    )
+    own = _seen(cases, "outside")
+    columns = {
+        "unexplained, right quantity and joint": share("explained_away"),
+        "all quantities": share("all_quantities"),
+        "unexplained": share(lambda case: case.diagnosis.verdict == "unexplained"),
+        "some effect named": share("alarm"),
+        f"named above {SURE:g}": share("sure_and_wrong"),
+        "most often": mistaken("silent"),
+    }
+    return grouped("outside the catalogue", _by_name(own, OUTSIDE) | {"all": own}, columns)
 
 
 def starts(cases: Cases) -> str:
     """Files other than those of the same logs."""
-    alone = of_group(cases, "starts")
-    before = [c for c in alone if c.condition.start == "before"]
-    groups: dict[str, Cases] = {
-        f"{name}, file of before": [c for c in before if c.truths[0].name == name]
-        for name in CHANGES
+    alone = _seen(cases, "starts")
+    before = _chosen(alone, start="before")
+    groups = {
+        **{f"{name}, file of before": own for name, own in _by_name(before, CHANGES).items()},
+        "changes, all": before,
+        "sequential file without it": _chosen(alone, start="sequential"),
+        "with it": _chosen(alone, start="sequential_with"),
     }
-    groups["changes, all"] = before
-    labels = {"sequential": "sequential file without it", "sequential_with": "with it"}
-    for start, label in labels.items():
-        groups[label] = [c for c in alone if c.condition.start == start]
-    return grouped(
-        "effect and file",
-        groups,
-        {f"right, {name}": share(_right, of_rig(rig)) for rig, name in RIGS.items()}
-        | {
-            "found at all": share(_anywhere),
-            WRONG: share(_sure_and_wrong),
-            "if not right": mistaken(_right),
-        },
-    )
+    return grouped("effect and file", groups, by_rig("right", "right") | USUAL)
 
 
 def reliability(cases: Cases) -> str:
     """Stated confidence of the first finding against how often it is right."""
-    firsts = [(c, c.diagnosis.findings[0]) for c in cases if _alarm(c)]
+    firsts = [(c, f) for c in cases for f in c.first]
     of_class = [(f.confidence, c.first_right) for c, f in firsts]
-    of_name = [
-        (f.name_confidence or 0.0, c.score.own_name) for c, f in firsts if len(c.truths) == 1
-    ]
+    of_name = [(f.name_confidence or 0.0, c.own_name) for c, f in firsts if len(c.truths) == 1]
     parts = [
         _reliability("confidence of the first finding", "right", of_class),
         _reliability("confidence in its name", "name right", of_name),

@@ -9,8 +9,9 @@ import pytest
 from tests.plants.arms.rigs import plain
 from tests.studies.coverage.cases import Case, draw, record
 from tests.studies.coverage.score import compare, identified
-from tests.studies.coverage.study import seeds_of
-from tests.studies.coverage.tables import coverage as coverage_of
+from tests.studies.coverage.study import coverage as coverage_of
+from tests.studies.coverage.study import kind_of
+from tests.studies.records import seeds_of
 
 
 def test_honest_errors_are_covered_and_halved_ones_are_not() -> None:
@@ -24,7 +25,7 @@ def test_honest_errors_are_covered_and_halved_ones_are_not() -> None:
 @pytest.mark.parametrize("text", ["990:1010", "500:20000", "2000:2100", "9999:10001"])
 def test_seeds_for_tuning_and_for_judging_are_not_mixed(text: str) -> None:
     with pytest.raises(SystemExit, match="not both"):
-        seeds_of(text)
+        kind_of(seeds_of(text))
 
 
 def test_identification_without_noise_recovers_the_truths(tmp_path: Path) -> None:

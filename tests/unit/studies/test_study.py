@@ -9,12 +9,8 @@ from tests.plants.mechanics.rigid import Rigid
 from tests.plants.motions.trajectories import sweeps
 from tests.plants.simulate import simulate
 from tests.studies.__main__ import STUDIES
-from tests.studies.rigs.bound import (
-    friction_columns,
-    rigid_columns,
-    surface_of,
-    whittle,
-)
+from tests.studies.rigs.bound import friction_columns, rigid_columns, whittle
+from tests.studies.rigs.repetition import surface_of
 from tests.studies.tables import placed
 
 

@@ -9,9 +9,9 @@ import pytest
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm
 from tests.studies.outside.bench import pendulum, quiet_arm, sweeps
-from tests.studies.outside.effects.effect import Effect
-from tests.studies.outside.plan import KINDS, LEAST, MOST, sized
-from tests.studies.outside.simulate import Log, built, simulate
+from tests.studies.outside.effects import KINDS
+from tests.studies.outside.plan import LEAST, MOST, sized
+from tests.studies.outside.simulate import Effect, Log, built, simulate
 
 
 def made(kind: str, arm: Arm, joint: int = 0, scale: float = 1.0, seed: int = 3) -> Effect:
@@ -75,13 +75,9 @@ def test_what_sensors_say() -> None:
     """Sensors' effects as functions of the true torque and time, exactly."""
     arm = replace(quiet_arm(6), drives=tuple(replace(d, coulomb=2.0) for d in quiet_arm(6).drives))
     t = 100.0 + np.arange(0.0, 4.0, 1e-3)
-    tau = np.column_stack([np.sin(3.0 * t), 0.5 * np.cos(2.0 * t)])
-    more = {}
+    own, more = np.sin(3.0 * t), {}
     for kind in ("torque_constant", "torque_saturation", "torque_bias", "drift", "time_skew"):
-        effect = made(kind, arm)
-        assert effect.told is not None
-        more[kind] = (effect.told(tau, t) - tau)[:, 0]
-    own = tau[:, 0]
+        more[kind] = made(kind, arm).told(1.0, own, t) - own
     np.testing.assert_allclose(np.abs(more["torque_constant"]), 0.05 * np.abs(own), atol=1e-12)
     np.testing.assert_allclose(more["torque_saturation"], 0.05 * own**3 / 400.0, atol=1e-12)
     np.testing.assert_allclose(np.abs(more["torque_bias"]), 0.8, atol=1e-12)

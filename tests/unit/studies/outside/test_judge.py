@@ -9,15 +9,8 @@ import pytest
 
 from seqid_cli.model.effects.registry import CATALOGUE
 from tests.studies.outside.__main__ import answers
-from tests.studies.outside.plan import (
-    COMES_LATER,
-    KINDS,
-    MANY,
-    PUBLISHED,
-    drawn,
-    kinds_of,
-    outlined,
-)
+from tests.studies.outside.effects import KINDS
+from tests.studies.outside.plan import COMES_LATER, MANY, PUBLISHED, drawn, kinds_of, outlined
 from tests.studies.outside.score import QUANTITIES, label, silent, surely_wrong
 
 

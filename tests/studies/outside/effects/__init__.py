@@ -1,1 +1,0 @@
-"""What a model can lack in the second simulator."""

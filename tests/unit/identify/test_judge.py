@@ -57,7 +57,6 @@ def test_gravity_of_another_size_or_sign_is_poor(
     off = {name: factor * value for name, value in gravity.representative.items()}
     wrong = replace(gravity, representative=off)
     known = judged(Stages(friction=friction, gravity=wrong), None, robot)
-    assert known.gravity is not None
     assert poor(known.gravity.verdicts) == ["joint_1", ""]
     assert "gravity in the friction trials" in known.gravity.verdicts[-2].reason
 

@@ -42,8 +42,6 @@ def test_later_commands_take_the_files_cutoff(
     robot, out = ["-r", str(tmp_path / "robot.toml")], tmp_path / "model.json"
     assert run(["simultaneous", *map(str, logs), *robot, "-o", str(out)]) == 0
     stages = msgspec.json.decode(out.read_bytes(), type=ParameterFile).stages
-    assert stages.inertia is not None
-    assert stages.friction is not None
     assert len({use.cutoff_hz for use in stages.inertia.motion_use}) == 1
     assert stages.friction.cutoff_hz == stages.inertia.cutoff_hz
     for given, hz in (([], stages.inertia.cutoff_hz), (["--cutoff", "7"], 7.0)):

@@ -101,5 +101,4 @@ def test_axes_that_an_imu_does_not_see_are_no_pairs(two_joint: Rig) -> None:
     calibration = stage.imus["imu_b"]
     assert calibration.configurations == len(seen)
     assert "joint_2" not in calibration.references
-    assert calibration.axis_rmse_deg is not None
     assert calibration.axis_rmse_deg < 1.0

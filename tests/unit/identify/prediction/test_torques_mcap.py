@@ -92,7 +92,6 @@ def test_another_implementation_of_cdr_reads_the_same(tmp_path: Path) -> None:
     rows = []
     with (tmp_path / "out.mcap").open("rb") as stream:
         for schema, channel, message in make_reader(stream).iter_messages(topics=[TOPICS[0]]):
-            assert schema is not None
             assert (schema.name, schema.encoding) == ("sensor_msgs/msg/JointState", "ros2msg")
             assert channel.message_encoding == "cdr"
             state = types.deserialize_cdr(message.data, schema.name)

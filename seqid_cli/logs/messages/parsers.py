@@ -32,7 +32,8 @@ def field_decoder(kind: Kind, names: NameMap, parse: Parse) -> Decode:
         for i, data in enumerate(batch):
             try:
                 message = parse(data)
-                numbers = list(map(_number, row_of(kind, message, names)))
+                row = row_of(kind, message, names)
+                numbers = [v if v.__class__ is float else _number(v) for v in row]
                 stamp_ns = _stamp_ns(message)
             except Exception:  # the content is hostile, and the parser raises anything
                 continue
@@ -63,8 +64,6 @@ def _stamp_ns(message: object) -> int:
 
 
 def _number(value: object) -> float:
-    if value.__class__ is float:
-        return value
     if value is None:
         return _NAN
     if isinstance(value, bool) or not isinstance(value, int | float | str):

@@ -36,7 +36,8 @@ def row_of(kind: Kind, message: object, names: NameMap) -> list[object]:
     elif (joints := field(message, "joints")) is not None:
         joints = _list(joints)
         for entry, joint in names.pairs([str(field(each, "name")) for each in joints]):
-            row[joint::n] = [field(joints[entry], name) for name in JOINT_QUANTITIES]
+            for k, name in enumerate(JOINT_QUANTITIES):
+                row[k * n + joint] = field(joints[entry], name)
     else:
         entries = _texts(field(message, "name"))
         arrays = [_list(field(message, quantity)) for quantity in JOINT_QUANTITIES]
@@ -44,9 +45,10 @@ def row_of(kind: Kind, message: object, names: NameMap) -> list[object]:
             if len(array) not in (0, len(entries)):
                 raise ValueError(f"{len(array)} values of {quantity} for {len(entries)} names")
         pairs = names.pairs(entries)
-        for first, array in enumerate(arrays):
+        for k, array in enumerate(arrays):
+            first = k * n
             for entry, joint in pairs if array else ():
-                row[first * n + joint] = array[entry]
+                row[first + joint] = array[entry]
     return row
 
 

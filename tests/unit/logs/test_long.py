@@ -14,7 +14,7 @@ from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.storage import temporary
 from seqid_cli.logs.tables import parquet
-from seqid_cli.motion.blocks import open_surveyed
+from seqid_cli.motion.blocks import joined, open_surveyed
 from seqid_cli.robot.types import Robot
 from tests import Array
 from tests.unit.logs.samples import JOINTS, curve, make_robot
@@ -23,17 +23,12 @@ from tests.unit.logs.writers import write_mcap, write_parquet
 SAMPLES = 3_000
 
 
-def joined(log: LongLog) -> Block:
+def all_of(log: LongLog) -> Block:
     """All samples of a log."""
     parts = list(log.blocks())
-    starts = np.cumsum([0, *(len(part.q) for part in parts)])
+    starts = np.cumsum([0, *(part.samples for part in parts)])
     assert [part.start for part in parts] == starts[:-1].tolist()
-    return Block(
-        0,
-        np.concatenate([part.q for part in parts]),
-        np.concatenate([part.tau for part in parts]),
-        np.concatenate([part.valid for part in parts]),
-    )
+    return joined(parts)
 
 
 def check(path: Path, robot: Robot, *, tolerance: float = 0.0) -> LongLog:
@@ -41,7 +36,7 @@ def check(path: Path, robot: Robot, *, tolerance: float = 0.0) -> LongLog:
     whole, log = read_recording(path, robot), open_long(path, robot)
     assert log is not None
     assert whole.tau is not None
-    found = joined(log)
+    found = all_of(log)
     np.testing.assert_allclose(found.q, whole.q, rtol=0, atol=tolerance)
     np.testing.assert_allclose(found.tau, whole.tau, rtol=0, atol=20 * tolerance)
     np.testing.assert_array_equal(found.valid, whole.valid)
@@ -155,7 +150,7 @@ def test_a_log_that_changes_between_two_passes_is_refused(
     other.replace(path)
     if not spooled:
         with pytest.raises(InputError, match="changed while"):
-            joined(log)
+            all_of(log)
     with pytest.raises(InputError, match="changed while"):
         log.sha256  # noqa: B018
     path.unlink()

@@ -93,7 +93,7 @@ def test_definition_with_other_fields(tmp_path: Path) -> None:
 
 def test_values_of_other_types_than_declared_are_refused(tmp_path: Path) -> None:
     path = storage(rosbag2_sqlite(tmp_path / "bag", DATA))
-    executed(path, "UPDATE topics SET name = x'00ff'")
+    executed(path, "UPDATE topics SET type = x'00ff'")
     with pytest.raises(InputError, match="cannot be read"):
         read_recording(path, make_robot())
 

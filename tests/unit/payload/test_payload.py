@@ -21,6 +21,7 @@ from seqid_cli.robot.regressor import PER_LINK, inverse_dynamics
 from seqid_cli.robot.types import Robot
 from tests import ROOT, Array
 from tests.plants.arms.rigs import standard_parameters
+from tests.plants.robots.stages import inertia_stage
 
 RIG = ROOT / "sample_logs" / "six_joint"
 NOISE = 0.2  # N m
@@ -77,6 +78,19 @@ def test_the_errors_are_those_of_repetition() -> None:
         mass = payload(carrying(BODY, seed), robot, file, ENCODERS).payload.mass
         masses.append((mass.value - 2.5) / mass.std_error)
     assert 0.4 < float(np.sqrt(np.mean(np.square(masses)))) < 1.8
+
+
+def test_the_errors_of_the_model_are_passed_on() -> None:
+    robot, file = arm()
+    last = [file.stages.inertia.representative[f"{kind}_6"] for kind in STANDARD]
+    errors = []
+    for error in (1e-9, 1.0):
+        links = np.vstack([np.zeros((5, PER_LINK)), last])
+        stage = inertia_stage(robot, links, error=error)
+        stage.cutoff_hz = 4.0
+        model = with_stage(None, file.robot, [], inertia=stage)
+        errors.append(payload(carrying(BODY), robot, model, ENCODERS).payload.mass.std_error)
+    assert errors[1] > 2.0 * errors[0]
 
 
 def test_nothing_carried_is_a_mass_of_zero_within_its_error() -> None:

@@ -44,13 +44,16 @@ def test_columns_are_what_the_formula_says() -> None:
     place = scene()
     q, dq = place.motion.q, place.motion.dq
     effect = effect_of(
-        asked("c1*sign(dq)*abs(load) - c2*tanh(dq_1/w)**2 + 3*c2*min(q, 0.1) + c3", w=(0.1, 1.0))
+        asked(
+            "c1*sign(dq)*abs(load) - c2*tanh(dq_1/w)**2 + 3*c2*min(q, 0.1) + c3*sign(dq_1)",
+            w=(0.1, 1.0),
+        )
     )
     columns = effect.columns(place, 1, {"w": 0.5})
     first = place.sign[:, 1] * np.abs(place.load[:, 1])
     second = 3.0 * np.minimum(q[:, 1], 0.1) - np.tanh(dq[:, 0] / 0.5) ** 2
     assert columns.keys() == {1}
-    assert columns[1] == pytest.approx(np.column_stack([first, second, np.ones(len(q))]))
+    assert columns[1] == pytest.approx(np.column_stack([first, second, place.sign[:, 0]]))
 
 
 @pytest.mark.parametrize("name", ["q", "dq", "ddq", "theta", "load", "friction", "tau", "t"])

@@ -54,10 +54,10 @@ def test_a_cause_changes_all_that_it_says(noise: Sample) -> None:
 
 
 @pytest.mark.parametrize(("own", "explained"), [([0, 1], True), ([1, 0], False)])
-def test_a_joint_has_no_friction_of_another(
+def test_each_joint_has_a_friction_of_its_own(
     noise: Sample, own: list[int], *, explained: bool
 ) -> None:
-    friction = noise.dq + 0.5 * noise.direction + 1.0
+    friction = noise.dq * np.array([1.0, 3.0]) + 0.5 * noise.direction + 1.0
     error = _structural_error(replace(noise, tau=friction[:, own])).error
     assert error < 1e-6 if explained else error > 0.5
 

@@ -22,7 +22,7 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
-from seqid_cli.robot.types import Joint
+from seqid_cli.robot.types import Joint, Robot
 from tests import Array
 from tests.plants.arms.rigs import plain, two_joint
 from tests.plants.friction.surface import SurfaceFriction
@@ -85,14 +85,14 @@ def test_rests_give_the_noise_on_average(coloured: float, step: float) -> None:
     assert abs(np.mean([found for found, _ in drawn]) - 1.0) < 0.15
 
 
-@pytest.mark.parametrize(("coloured", "off"), [(0.0, 0.15), (0.5, 0.35)])
+@pytest.mark.parametrize(("coloured", "off"), [(0.0, 0.1), (0.5, 0.35)])
 def test_noise_shows_above_the_cutoff_of_any_motion(coloured: float, off: float) -> None:
     found, floor = ratio([wander(60.0, 4)], coloured=coloured, step=0.0, seed=4)
     np.testing.assert_allclose(found, 1.0, atol=off)
     np.testing.assert_array_less(floor.low / floor.rms * found, 1.0)
     np.testing.assert_array_less(1.0, floor.high / floor.rms * found)
     # What colour it has in the band, motion does not tell: it may be all that is left.
-    assert np.all(floor.high / floor.rms * found > 0.7 * LOOSE / np.sqrt(2.0))
+    assert np.all(floor.high / floor.rms * found > 0.93 * np.sqrt(1.0 + LOOSE**2 / 2.0))
 
 
 def test_the_residual_does_not_bound_the_floor() -> None:
@@ -110,6 +110,10 @@ def test_the_residual_does_not_bound_the_floor() -> None:
     np.testing.assert_allclose(floor.rms, truth, rtol=0.2)
     assert np.all(floor.low < truth)
     assert np.all(floor.high > truth)
+    # Without rests slow noise may be all that is left.
+    large = small[0] + 20.0 * np.cos(3.0 * found[0].motion.q)
+    floor = noise_floor([log], found, [large], silent(found), rows=rows)
+    assert np.all(floor.high > 10.0)
 
 
 def test_less_than_the_interval_makes_the_floor_doubtful() -> None:
@@ -129,17 +133,21 @@ def test_a_controller_that_hunts_at_rest_is_no_noise(hunting: float, off: float)
     np.testing.assert_array_less(floor.low / floor.rms * found, 1.0)
 
 
-def test_rests_with_more_than_all_that_is_left_are_passed_over() -> None:
+@pytest.mark.parametrize("slow", [False, True])
+def test_rests_with_more_than_all_that_is_left_are_passed_over(*, slow: bool) -> None:
     q = resting(80.0, 6.0, 6)
     still = np.all(np.gradient(q, axis=0) == 0.0, axis=1)
-    tau = np.random.default_rng(0).standard_normal(q.shape) * np.where(still, 30.0, 1.0)[:, None]
+    white, more = np.random.default_rng(0).standard_normal((2, *q.shape))
+    tau = white + still[:, None] * (0.5 * np.cumsum(more, axis=0) if slow else 30.0 * more)
     log = recording(q, tau)
     found, rows = scenes([log])
     left = np.where(found[0].slides, low_passed(tau * ~still[:, None], found[0]), 0.0)
     floor = noise_floor([log], found, [left], silent(found), rows=rows)
     truth = np.array([rms(left[found[0].slides[:, j], j]) for j in range(2)])
-    np.testing.assert_allclose(floor.rms, truth, rtol=0.3)
+    assert np.all(floor.low <= truth)
     assert np.all(floor.high >= truth)
+    if not slow:
+        np.testing.assert_allclose(floor.rms, truth, rtol=0.3)
 
 
 def spectrum(rng: np.random.Generator, law: Array, *, averaged: float = 20.0) -> Spectrum:
@@ -162,6 +170,8 @@ def test_what_spectra_hold_beside_noise_is_no_noise(flicker: float) -> None:
     f = np.linspace(0.01, 3.0 * CUTOFF_HZ, 3000)
     white = np.sqrt(np.trapezoid(2.0 * power_gain(scene.motion.lowpass, f, 2), f))
     assert low < middle < high
+    short = level_of(spectra, CUTOFF_HZ).rms([(scene.motion, 2.0)])
+    assert short[2] / short[1] > 1.3 * high / low
     assert middle == pytest.approx(alone[0], rel=0.1)
     if flicker:
         assert middle > 1.2 * white
@@ -186,7 +196,6 @@ def test_the_encoders_part_adds_to_torque_noise() -> None:
 
 Case = tuple[Scene, Rows, int]  # scene, rows, samples of the log
 
-DRAWS = 150  # of two joints each
 IN_BAND = np.sqrt(2 * CUTOFF_HZ / RATE_HZ)  # RMS of unit white noise after the low-pass
 
 
@@ -211,27 +220,24 @@ def rejected(case: Case, extra: Array, draws: int, seed: int) -> float:
     return count / (2 * draws)
 
 
-def test_low_passed_white_noise_passes_at_the_promised_rate(moving: Case) -> None:
+@pytest.mark.parametrize(("rests", "draws", "most"), [(False, 150, 10), (True, 75, 7)])
+def test_low_passed_white_noise_passes_at_the_promised_rate(
+    moving: Case, *, rests: bool, draws: int, most: int
+) -> None:
     # 3 of 300 are expected; 11 or more would be seen once in five thousand times.
-    assert rejected(moving, np.zeros((moving[2], 2)), DRAWS, 2) <= 10 / 300
+    found = case(resting(30.0, 1.0, 1)) if rests else moving
+    assert rejected(found, np.zeros((found[2], 2)), draws, 2) <= most / (2 * draws)
 
 
-def test_rests_between_the_samples_do_not_matter() -> None:
-    found = case(resting(30.0, 1.0, 1))
-    assert rejected(found, np.zeros((found[2], 2)), DRAWS // 2, 3) <= 7 / 150
-
-
-@pytest.mark.parametrize("hz", [0.4, 3.0, 6.0])
-def test_a_sine_of_half_the_noise_is_seen(moving: Case, hz: float) -> None:
+@pytest.mark.parametrize("hz", [0.0, 0.4, 3.0, 6.0])
+def test_a_sine_of_half_the_noise_and_slow_noise_of_its_size_are_seen(
+    moving: Case, hz: float
+) -> None:
     t = np.arange(moving[2]) / RATE_HZ
-    wave = 0.5 * IN_BAND * np.sqrt(2) * np.sin(2 * np.pi * hz * t)
-    assert rejected(moving, np.stack([wave, wave], axis=1), 20, 4) > 0.8
-
-
-def test_slow_noise_of_the_size_of_the_white_is_seen(moving: Case) -> None:
-    rng = np.random.default_rng(5)
-    slow = lfilter([np.sqrt(1 - 0.99**2)], [1, -0.99], rng.standard_normal((moving[2], 2)), axis=0)
-    assert rejected(moving, IN_BAND * slow, 20, 6) > 0.8
+    wave = 0.5 * np.sqrt(2) * np.sin(2 * np.pi * hz * t)[:, None] * np.ones(2)
+    drive = np.random.default_rng(5).standard_normal((moving[2], 2))
+    slow = lfilter([np.sqrt(1 - 0.99**2)], [1, -0.99], drive, axis=0)
+    assert rejected(moving, IN_BAND * (wave if hz else slow), 20, 4) > 0.8
 
 
 def test_too_few_samples_are_not_judged() -> None:
@@ -257,12 +263,18 @@ def log() -> Recording:
     return recording(found.q, found.current * plant.torque_per_ampere, 1000.0 / EVERY)
 
 
-@pytest.mark.slow
-def test_the_encoders_part_is_smaller_than_what_is_left(log: Recording) -> None:
+@pytest.fixture(scope="module")
+def identified(log: Recording) -> tuple[Robot, Stages]:
     robot = sample_robot("two_joint")
     friction, inertia = identify_simultaneous([log], robot, options=MotionOptions())
-    stages = Stages(friction=friction, inertia=inertia)
-    (scene,) = scenes_of([log], robot, stages, options=InertiaOptions())
+    return robot, Stages(friction=friction, inertia=inertia)
+
+
+@pytest.mark.slow
+def test_the_encoders_part_is_smaller_than_what_is_left(
+    log: Recording, identified: tuple[Robot, Stages]
+) -> None:
+    (scene,) = scenes_of([log], *identified, options=InertiaOptions())
     (echo,) = encoder_residuals([log], [scene])
     left, slides = residual_of(scene), scene.slides
     for j in range(JOINTS):
@@ -271,10 +283,10 @@ def test_the_encoders_part_is_smaller_than_what_is_left(log: Recording) -> None:
 
 
 @pytest.mark.slow
-def test_a_log_whose_encoders_are_too_coarse_is_filtered_at_its_own_cutoff(log: Recording) -> None:
-    robot = sample_robot("two_joint")
-    friction, inertia = identify_simultaneous([log], robot, options=MotionOptions())
-    stages = Stages(friction=friction, inertia=inertia)
+def test_a_log_whose_encoders_are_too_coarse_is_filtered_at_its_own_cutoff(
+    log: Recording, identified: tuple[Robot, Stages]
+) -> None:
+    robot, stages = identified
     own = estimate_motion(log, robot, MotionOptions()).cutoff.hz
     larger = replace(log, tau=log.tau + 20.0 * np.std(log.tau, axis=0) * np.sin(3.0 * log.q))
     for given, origin, expected in (

@@ -58,6 +58,7 @@ class Linear:
         self.where = [slice(int(a), int(b)) for a, b in pairwise(edges)]
         self.size = int(edges[-1])
         self._own = [self._of_channel(c) for c in range(len(rows.y))]
+        self._known: dict[int, tuple[Gained, Predicted]] = {}  # by parts of the model
 
     @cached_property
     def _root(self) -> list[Array]:
@@ -182,6 +183,11 @@ class Linear:
         The log Bayes factor is the density of its coefficients at zero, beforehand over given the
         rows (Savage's ratio: J. M. Dickey, Annals of Mathematical Statistics 42, 1971).
         """
+        if id(part) not in self._known:
+            self._known[id(part)] = self._again(part)
+        return self._known[id(part)]
+
+    def _again(self, part: Part) -> tuple[Gained, Predicted]:
         at = self._at(part)
         every, alone = (
             _taken_back(*self._of(x, at), part) for x in (self._whole, self._without_file)

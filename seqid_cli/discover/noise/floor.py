@@ -11,8 +11,9 @@ motion
     top of the band, where there is no motion.
 
 Without rests, what colour the noise has below the top of the band stays open: the interval reaches
-up to all that is left. The estimate is one of its own: what a model leaves of the torque does not
-bound it. Rests whose interval lies above all that is left are refuted.
+up to what noise of any shape would have there that is as large at the top, or to all that is left
+where this is less. The estimate is one of its own: what a model leaves of the torque does not bound
+it. Rests whose interval lies above all that is left are refuted.
 """
 
 from collections.abc import Sequence
@@ -34,7 +35,8 @@ from seqid_cli.typing import Array, Mask
 
 STRETCH = 4.0  # periods of the cut-off: of a rest, at least, and per spectrum while joints move
 LEAST_SHARE = 0.1  # of the residual's power that stays noise, whatever the encoder explains
-NORMAL_95 = np.array([0.0, -1.96, 1.96])  # a normal deviate's middle, and the ends of its interval
+UNKNOWN = np.array([0.0, 0.0, 0.0, np.inf])
+NORMAL_95 = np.array([0.0, -1.96, 1.96, 1.96])  # a deviate's middle, ends of its interval, most
 
 
 @dataclass(frozen=True)
@@ -118,8 +120,8 @@ def noise_floor(
         # Of noise no more can be there than is left of the torque in all.
         if not still or floor[1] > left:
             floor = np.hypot(_noise(moving, slid, reference_hz), encoder)
-            floor[2] = max(floor[2], left)
-        found.append(floor)
+            floor[2] = max(floor[2], min(left, floor[3]))
+        found.append(floor[:3])
     return NoiseFloor(*np.array(found).T)
 
 
@@ -135,9 +137,9 @@ def rms(values: Array) -> float:
 
 
 def _noise(spectra: Sequence[Spectrum], slid: Slid, reference_hz: float) -> Array:
-    """RMS of low-passed torque noise, and the ends of its interval (3,), N m; 0 if unknown."""
+    """RMS of low-passed torque noise, ends of its interval, the most (4,), N m; 0 if unknown."""
     shown = [one for one in spectra if len(one.frequency)]
-    return level_of(shown, reference_hz).rms(slid) if shown and slid else np.zeros(3)
+    return level_of(shown, reference_hz).rms(slid) if shown and slid else UNKNOWN
 
 
 def _rests(recording: Recording, scene: Scene, *, settling: float = 1.2) -> tuple[list[int], int]:

@@ -51,9 +51,10 @@ class Level:
     reference_hz: float
 
     def rms(self, slid: Slid) -> Array:
-        """RMS of the low-passed noise of some logs, and the ends of its 95 % interval (3,), N m.
+        """RMS of the low-passed noise of some logs, ends of its 95 % interval, the most (4,), N m.
 
-        That noise scatters about its mean in so short a time is in the interval.
+        That noise scatters about its mean in so short a time is in the interval. The most is what
+        any shape would make, however unlikely.
         """
         total = sum(seconds for _, seconds in slid)
         passed, scatter = np.zeros(len(RATIO)), np.zeros(len(RATIO))
@@ -68,7 +69,8 @@ class Level:
         most_likely = likely & (WHITE if white else ~WHITE)
         found = self._quantiles(middle, spread, most_likely, [0.5])
         low, high = self._quantiles(middle, spread, likely, [TAIL, 1.0 - TAIL])
-        return np.exp(0.5 * np.array([found[0], min(low, found[0]), max(high, found[0])]))
+        ends = min(low, found[0]), max(high, found[0]), max(high, middle.max())
+        return np.exp(0.5 * np.array([found[0], *ends]))
 
     def _quantiles(self, middle: Array, spread: Array, some: Mask, shares: list[float]) -> Array:
         """Quantiles of the logarithm of a mean square over some of the shapes."""

@@ -69,7 +69,7 @@ def _regressor(rounds: int) -> list[list[str]]:
         return base_regressor(robot, basis, q, dq, ddq)
 
     def selected() -> Array:
-        return np.asarray(loop()[:, :, basis.representative.any(axis=1)])
+        return loop()[:, :, np.flatnonzero(basis.representative.any(axis=1))]
 
     one, chosen, every, base = _cpu([loop, selected, batch, needed], rounds)
     per, unit = 1e6 / len(q), "us/sample"

@@ -58,7 +58,6 @@ def score(case: Case) -> Result:
     if stages.inertia is not None:
         result["rotor_coupling"] = stages.inertia.rotor_coupling
         result["notes"] = list(stages.inertia.notes)
-        result["cutoff_hz"] = stages.inertia.cutoff_hz
     return result
 
 
@@ -112,9 +111,7 @@ def friction_rows(plant: Plant, stage: FrictionStage, rng: np.random.Generator) 
         variance = np.einsum("nk,kl,nl->n", columns, surface.covariance, columns)
         error = np.sqrt(np.maximum(variance, 0.0))
         truth = true_friction(plant, j, q, v)
-        for k in range(POINTS):
-            one = row("friction", name, value[k], error[k], truth[k])
-            rows.append(one | {"q": round(float(q[k]), 4), "v": round(float(v[k]), 4)})
+        rows += [row("friction", name, *one) for one in zip(value, error, truth, strict=True)]
     return rows
 
 

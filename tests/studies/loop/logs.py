@@ -31,23 +31,23 @@ PAUSE = 60.0  # s between logs
 
 @dataclass(frozen=True)
 class Case:
-    """One arm: its effect (None: nothing undeclared) at a joint; the seed decides the rest."""
+    """One arm: its effect at a joint; the seed decides the rest."""
 
     rig: str
-    kind: str | None
+    kind: str
     joint: int
     seed: int
 
     @property
     def condition(self) -> Condition:
         """The case as the study of undeclared effects describes plants."""
-        effects = ((self.kind, self.joint, 1.0),) if self.kind else ()
+        effects = ((self.kind, self.joint, 1.0),)
         return Condition("starts", self.rig, self.seed, effects, "sequential_with")
 
     @property
     def key(self) -> str:
         """A name to search for."""
-        return f"{self.rig}/{self.kind or 'none'}@{self.joint}/seed {self.seed}"
+        return f"{self.rig}/{self.kind}@{self.joint}/seed {self.seed}"
 
 
 def case_of(rig: str, kind: str, seed: int) -> Case:

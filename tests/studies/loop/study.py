@@ -81,7 +81,7 @@ def run_case(case: Case, cache: Path) -> Result:
     after = loop.after[name]
     rounds = [(f"{r.effect}@{r.joint}", r) for r in (*loop.rounds, *loop.refused)]
     return Result(
-        kind=str(case.kind),
+        kind=case.kind,
         rig=case.rig,
         before=loop.before[name].rmse,
         after=after.rmse,

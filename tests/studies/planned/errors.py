@@ -7,13 +7,9 @@ several draws of noise, and identified: alone, and with the first session's logs
 from argparse import Namespace
 from collections.abc import Sequence
 
-import msgspec
 import numpy as np
 
-from seqid_cli.identify.friction_surface.stage import identify_friction
-from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.rigid.gravity import identify_gravity
-from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.results.plan import PlannedStage
 from seqid_cli.params.schema import RigidStage, Stages
@@ -21,13 +17,13 @@ from seqid_cli.plan.belief import belief_of, information_of
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.inertia import plan_inertia
-from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.types import Array
 from tests.plants.arms.rigs import six_joint
 from tests.plants.motions.experiments import friction_trials, gravity_trials
 from tests.plants.planned import recorded
-from tests.plants.robots.lab import robot_of, run
+from tests.plants.robots.identified import before_inertia, with_inertia
+from tests.plants.robots.lab import run
 from tests.plants.samples import SIX_POSTURES
-from tests.plants.simulate import Plant
 from tests.studies.rigs.repetition import another
 from tests.studies.tables import number, share_within, table
 
@@ -47,9 +43,19 @@ def study(chosen: Namespace) -> str:
 def compared(arm: int, draws: int) -> list[list[str]]:
     """Alone, and with the first session's logs."""
     plant = another(six_joint(), np.random.default_rng([SEED, arm]))
-    robot = robot_of("six_joint", plant)
-    before = slow_stages(plant, robot, arm)
-    first, stages = first_session(plant, robot, before, arm)
+    postures = list(SIX_POSTURES)
+    slow = gravity_trials(plant, postures[:5], speeds=(0.3,))
+    trials = [*friction_trials(plant, postures[:1], lowest=0.08), *slow]
+    experiment = run("six_joint", plant, trials, arm, every=EVERY)
+    robot = experiment.robot
+    before = before_inertia(experiment.recordings, robot)
+
+    def inertia(logs: Sequence[Recording]) -> Stages:
+        return with_inertia({"inertia": logs}, robot, before, InertiaOptions())
+
+    belief = belief_of(robot, before, limits_of(robot, ramp_s=FIRST.ramp_s))
+    first = recorded(plant, plan_inertia(belief, before, FIRST).moves, 900 + arm, every=EVERY)
+    stages = inertia(first)
     belief = belief_of(robot, stages, limits_of(robot, ramp_s=OPTIONS.ramp_s))
     rows = []
     for label, logs in (("", []), (", with --have", first)):
@@ -57,38 +63,12 @@ def compared(arm: int, draws: int) -> list[list[str]]:
         obtained = []
         for draw in range(draws):
             more = recorded(plant, planned.moves, 7000 + 97 * arm + draw, every=EVERY)
-            obtained.append(inertia([*logs, *more], robot, before))
+            obtained.append(inertia([*logs, *more]).inertia)
         found = ratios(planned.stage, obtained)
         numbers = [number(x, 3) for x in (np.median(found), found.min(), found.max())]
         share = f"{share_within(found - 1.0, 0.25):.0%}".replace("%", " %")
         rows.append([f"{arm + 1}{label}", str(len(found)), share, *numbers])
     return rows
-
-
-def slow_stages(plant: Plant, robot: Robot, seed: int) -> Stages:
-    """Friction and gravity."""
-    postures = list(SIX_POSTURES)
-    slow = gravity_trials(plant, postures[:5], speeds=(0.3,))
-    trials = [*friction_trials(plant, postures[:1], lowest=0.08), *slow]
-    logs = run("six_joint", plant, trials, seed, every=EVERY).recordings
-    found = Stages(friction=identify_friction(logs["friction"], robot, options=FrictionOptions()))
-    gravity = identify_gravity([*logs["friction"], *logs["gravity"]], robot, found)
-    return msgspec.structs.replace(found, gravity=gravity)
-
-
-def first_session(
-    plant: Plant, robot: Robot, before: Stages, seed: int
-) -> tuple[list[Recording], Stages]:
-    """Logs of a short plan, and the stages with them."""
-    belief = belief_of(robot, before, limits_of(robot, ramp_s=FIRST.ramp_s))
-    moves = plan_inertia(belief, before, FIRST).moves
-    logs = recorded(plant, moves, 900 + seed, every=EVERY)
-    return logs, msgspec.structs.replace(before, inertia=inertia(logs, robot, before))
-
-
-def inertia(logs: Sequence[Recording], robot: Robot, before: Stages) -> RigidStage:
-    """The inertia stage of some logs."""
-    return identify_inertia(logs, robot, before, options=InertiaOptions())
 
 
 def ratios(planned: PlannedStage, obtained: Sequence[RigidStage]) -> Array:

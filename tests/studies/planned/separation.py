@@ -7,7 +7,7 @@ and judged on others once.
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -15,12 +15,10 @@ from pathlib import Path
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.logs.recording import Recording
-from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import belief_of
 from seqid_cli.plan.discrimination.discriminate import ENOUGH, plan_discriminate
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.robot.types import Robot
 from tests.plants.motions.trials import drills
 from tests.plants.planned import recorded
 from tests.studies.records import package_sources, results
@@ -35,16 +33,9 @@ EARLIER = 50  # added to the seed: the model is of logs without the effect
 LOGS = ("fast", "moves", "slow")  # tried in turn, until one leaves the rival open
 
 
-@dataclass(frozen=True)
-class Drawn:
-    """Seed of motions and noise, number of the joint, sizes that are tried in turn."""
-
-    seed: int
-    joint: int
-    sizes: tuple[float, ...]
-
-
-DRAWN = {"Tuned on": Drawn(0, 1, (1.0, 0.4)), "Judged on": Drawn(43, 0, (0.7, 0.3))}
+# Seed of motions and noise, number of the joint, sizes that are tried in turn.
+Drawn = tuple[int, int, tuple[float, ...]]
+DRAWN: Mapping[str, Drawn] = {"Tuned on": (0, 1, (1.0, 0.4)), "Judged on": (43, 0, (0.7, 0.3))}
 PAIRS = (
     ("asymmetric_friction", "torque_bias"),
     ("torque_bias", "asymmetric_friction"),
@@ -64,6 +55,13 @@ PAIRS = (
     ("joint_elasticity", "time_skew"),
     ("torque_ripple", "encoder_eccentricity"),
 )
+# By whether the pair is separated, and whether the plan says beforehand that it may not be.
+ANSWERS = {
+    (True, True): "separated, though not promised",
+    (True, False): "separated",
+    (False, True): "told beforehand",
+    (False, False): "no",
+}
 
 
 @dataclass(frozen=True)
@@ -94,17 +92,18 @@ class Outcome:
 def study(chosen: argparse.Namespace) -> str:
     """Names before and after the planned motion, case by case."""
     sources = package_sources("plan", "discover", "model") + plant_sources()
-    parts = {}
-    for name, drawn in DRAWN.items() if not chosen.quick else list(DRAWN.items())[:1]:
+    parts = []
+    for name, drawn in list(DRAWN.items())[: 1 if chosen.quick else None]:
+        seed, joint, _ = drawn
         found = results(
             {"-".join(pair): pair for pair in (PAIRS[:2] if chosen.quick else PAIRS)},
             partial(outcome, drawn=drawn, cache=chosen.cache),
             Outcome,
-            chosen.cache / "separation" / f"{drawn.seed}_{drawn.joint}.jsonl",
+            chosen.cache / "separation" / f"{seed}_{joint}.jsonl",
             sources=sources,
         )
-        parts[name] = _table(list(found.values()))
-    return "\n\n".join(f"{name}: {text}" for name, text in parts.items())
+        parts.append(f"{name}: {_table(list(found.values()))}")
+    return "\n\n".join(parts)
 
 
 def _table(found: Sequence[Outcome]) -> str:
@@ -115,7 +114,7 @@ def _table(found: Sequence[Outcome]) -> str:
             "plan: dropped with", "names after", "answer"]  # fmt: skip
     rows = [
         [o.effect, f"{o.log}, {o.size:g}", ", ".join(o.before), o.rival, f"{o.imitated:.1%}",
-         f"{o.power:.0%}", ", ".join(o.after), _answer(o)]
+         f"{o.power:.0%}", ", ".join(o.after), ANSWERS[o.separated, o.told]]
         for o in open_
     ]  # fmt: skip
     closed = ", ".join(f"{o.effect} against {o.rival}" for o in found if not o.log)
@@ -127,62 +126,38 @@ def _table(found: Sequence[Outcome]) -> str:
     )
 
 
-def _answer(o: Outcome) -> str:
-    if o.separated:
-        return "separated, though not promised" if o.told else "separated"
-    return "told beforehand" if o.told else "no"
-
-
 def outcome(pair: tuple[str, str], drawn: Drawn, cache: Path) -> Outcome:
-    """One pair: the first log that leaves the rival open, and what the plan makes of it."""
-    effect, rival = pair
-    clean = Condition("clean", "two", drawn.seed + EARLIER)
-    stages = stages_of(clean, cache)
-    for case, robot, log in _logs(effect, drawn, cache):
-        names = _names([log], robot, stages, pair)
-        if rival in names:
-            return _after(case, pair, robot, stages, log, names)
-    return Outcome(effect, rival, robot_for(clean).joint_names[drawn.joint])
+    """One pair: the first log that leaves the rival open, and what the plan makes of it.
 
-
-def _logs(effect: str, drawn: Drawn, cache: Path) -> Iterator[tuple[Condition, Robot, Recording]]:
-    seed = drawn.seed
-    for size in drawn.sizes:
-        case = Condition("catalogue", "two", seed, ((effect, drawn.joint, size),), seconds=LOG_S)
-        plant, robot = built(case)[0], robot_for(case)
-        for drill in drills(declared(case), seed, seconds=LOG_S):
-            if drill.name in LOGS:
-                what = f"{case.effects}|{drill.name}"
-                log = stored(cache, what, plant, drill.reference, seed, every=2, start=drill.start)
-                yield case, robot, log
-
-
-def _names(
-    logs: Sequence[Recording], robot: Robot, stages: Stages, pair: tuple[str, str]
-) -> list[str]:
-    """All names of the finding that is the effect, or its rival."""
-    found = diagnose(logs, robot, stages, options=DiscoverOptions()).findings
-    every = [[f.effect, *f.confusable_with] for f in found]
-    return next((names for names in every if set(pair) & set(names)), [])
-
-
-def _after(
-    case: Condition,
-    pair: tuple[str, str],
-    robot: Robot,
-    stages: Stages,
-    log: Recording,
-    before: list[str],
-) -> Outcome:
-    """Plan with the log at hand, record on the same plant, and diagnose all logs."""
-    effect, joint, size = case.effects[0]
+    It plans with this log, records on the same plant, and diagnoses all logs.
+    """
+    (effect, rival), (seed, joint, sizes) = pair, drawn
+    clean = Condition("clean", "two", seed + EARLIER)
+    robot, stages = robot_for(clean), stages_of(clean, cache)
     at = robot.joint_names[joint]
-    belief = belief_of(robot, stages, limits_of(robot, ramp_s=0.4))
-    options = PlanOptions(duration_s=SECONDS, move_s=MOVE_S, between=pair, joint=at, seed=case.seed)
-    planned = plan_discriminate(belief, stages, options, [log])
-    told = planned.stage.separation
-    power, imitated = (told.powers[0], told.imitations[0]) if told else (0.0, 1.0)
-    more = recorded(built(case)[0], planned.moves, case.seed, start=LATER_S)
-    after = _names([log, *more], robot, stages, pair)
-    name = log.path.name
-    return Outcome(effect, pair[1], at, name, size, before, power, imitated, after)
+
+    def names(logs: Sequence[Recording]) -> list[str]:
+        """All names of the finding that is the effect, or its rival."""
+        found = diagnose(logs, robot, stages, options=DiscoverOptions()).findings
+        every = [[f.effect, *f.confusable_with] for f in found]
+        return next((own for own in every if set(pair) & set(own)), [])
+
+    for size in sizes:
+        case = Condition("catalogue", "two", seed, ((effect, joint, size),), seconds=LOG_S)
+        plant, _ = built(case)
+        for drill in drills(declared(case), seed, seconds=LOG_S):
+            if drill.name not in LOGS:
+                continue
+            what = f"{case.effects}|{drill.name}"
+            log = stored(cache, what, plant, drill.reference, seed, every=2, start=drill.start)
+            before = names([log])
+            if rival in before:
+                belief = belief_of(robot, stages, limits_of(robot, ramp_s=0.4))
+                wanted = {"duration_s": SECONDS, "move_s": MOVE_S, "between": pair, "joint": at}
+                options = PlanOptions(**wanted, seed=seed)
+                planned = plan_discriminate(belief, stages, options, [log])
+                told = planned.stage.separation
+                power, imitated = (told.powers[0], told.imitations[0]) if told else (0.0, 1.0)
+                after = names([log, *recorded(plant, planned.moves, seed, start=LATER_S)])
+                return Outcome(effect, rival, at, drill.name, size, before, power, imitated, after)
+    return Outcome(effect, rival, at)

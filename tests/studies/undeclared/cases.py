@@ -13,14 +13,15 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile
 from tests.plants.cases import RIGS
 from tests.plants.effects.arm import other
 from tests.plants.effects.registry import CATALOGUE, OUTSIDE, REGISTRY, inject
-from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.simulate import Plant
+from tests.studies.rigs.repetition import surface_of
 
 Group = Literal["catalogue", "clean", "pairs", "outside", "starts"]
 Start = Literal["simultaneous", "sequential", "sequential_with", "before"]
 Effects = tuple[tuple[str, int, float], ...]  # name, joint, size
 
 RIG_NAMES: Mapping[str, str] = {"two": "vertical_two_joint", "six": "six_joint"}
+JOINTS: Mapping[str, int] = {"two": 2, "six": 6}
 SEEDS = range(5)
 SIZES = (1.0, 0.4)
 WEAR = "friction_change"
@@ -146,14 +147,9 @@ QUANTITIES: Mapping[str, tuple[str, ...]] = {
 }
 
 
-def plant_of(rig: str, *, simple_friction: bool = False) -> Plant:
-    """A rig by its name here."""
-    return RIGS[RIG_NAMES[rig]](simple_friction=simple_friction)
-
-
 def declared(condition: Condition) -> Plant:
     """The plant that the robot file describes, with the condition's instruments."""
-    plant = plant_of(condition.rig, simple_friction=condition.simple_friction)
+    plant = RIGS[RIG_NAMES[condition.rig]](simple_friction=condition.simple_friction)
     sensors = SENSORS[condition.sensors]
     return replace(
         plant,
@@ -166,51 +162,38 @@ def declared(condition: Condition) -> Plant:
 def built(condition: Condition) -> tuple[Plant, tuple[Truth, ...]]:
     """The plant with all effects, and what they are."""
     plant, truths = declared(condition), []
+    names = plant.arm.names
     for name, joint, size in condition.effects:
-        plant, truth = (
-            worn(plant, joint, size) if name == WEAR else _injected(plant, name, joint, size)
-        )
-        truths.append(truth)
+        if name == WEAR:
+            plant = worn(plant, joint, size)
+            truths.append(Truth(WEAR, WEAR, (names[joint],), ("direction", "velocity")))
+            continue
+        found = inject(name, plant, joint, size)
+        places: tuple[str | None, ...] = (None if found.joint is None else names[found.joint],)
+        if found.kind == "transmission_coupling":
+            places = (names[joint], names[joint - 1])
+        depends = found.depends_on or QUANTITIES.get(found.kind or "", ())
+        if depends == ("other_joint",):
+            depends = tuple(f"other_joint:{names[k]}" for k in (joint, other(plant, joint)))
+        plant = found.plant
+        truths.append(Truth(name, found.kind, places, depends))
     return plant, tuple(truths)
 
 
-def _injected(plant: Plant, name: str, joint: int, size: float) -> tuple[Plant, Truth]:
-    found = inject(name, plant, joint, size)
-    names = plant.arm.names
-    places: tuple[str | None, ...] = (None if found.joint is None else names[found.joint],)
-    if found.kind == "transmission_coupling":
-        places = (names[joint], names[joint - 1])
-    depends = found.depends_on or QUANTITIES.get(found.kind or "", ())
-    if depends == ("other_joint",):
-        depends = tuple(f"other_joint:{names[k]}" for k in (joint, other(plant, joint)))
-    return found.plant, Truth(name, found.kind, places, depends)
-
-
-def worn(plant: Plant, joint: int, size: float) -> tuple[Plant, Truth]:
+def worn(plant: Plant, joint: int, size: float) -> Plant:
     """Coulomb friction of one joint higher by 30 % times size."""
-    friction = plant.friction
-    if not isinstance(friction, SurfaceFriction):
-        raise TypeError(f"friction is a {type(friction).__name__}, not a SurfaceFriction")
+    friction = surface_of(plant)
     coulomb = friction.coulomb.copy()
     coulomb[joint] *= 1.0 + 0.3 * size
-    truth = Truth(WEAR, WEAR, (plant.arm.names[joint],), ("direction", "velocity"))
-    return replace(plant, friction=replace(friction, coulomb=coulomb)), truth
-
-
-def joint_for(name: str, seed: int, joints: int) -> int:
-    """A joint that varies with the seed and the effect, among those that can have it."""
-    first = 0 if name == WEAR else REGISTRY[name].first
-    return first + (seed + sum(map(ord, name))) % (joints - first)
-
-
-def _joints(rig: str) -> int:
-    return plant_of(rig).arm.n
+    return replace(plant, friction=replace(friction, coulomb=coulomb))
 
 
 def _single(
     group: Group, rig: str, name: str, seed: int, size: float = 1.0, start: Start = "simultaneous"
 ) -> Condition:
-    joint = joint_for(name, seed, _joints(rig))
+    """A case of one effect, at a joint that varies with the seed among those that can have it."""
+    first = 0 if name == WEAR else REGISTRY[name].first
+    joint = first + (seed + sum(map(ord, name))) % (JOINTS[rig] - first)
     return Condition(group, rig, seed, ((name, joint, size),), start)
 
 
@@ -241,10 +224,9 @@ def pairs() -> Iterator[Condition]:
     rng = np.random.default_rng(44)
     for number in range(PAIRS):
         rig = ("two", "six")[number % 2]
-        n = _joints(rig)
         while True:
             one, two = (str(x) for x in rng.choice(CATALOGUE, 2, replace=False))
-            here, there = (int(x) for x in rng.choice(n, 2, replace=False))
+            here, there = (int(x) for x in rng.choice(JOINTS[rig], 2, replace=False))
             joints = (here, here if number % 4 < 2 else there)
             sprung = {one, two} == set(SPRUNG) and joints[0] == joints[1]
             fits = all(j >= REGISTRY[x].first for x, j in zip((one, two), joints, strict=True))

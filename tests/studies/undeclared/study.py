@@ -44,27 +44,16 @@ def study(arguments: Namespace) -> str:
 
 def run_case(condition: Condition, cache: Path) -> Record:
     """Record, identify, diagnose with the options that a user has who sets none."""
-    seconds: dict[str, float] = {}
-    record, clock = Record(condition, None, (), seconds), time.monotonic()
-
-    def lap(name: str) -> None:
-        nonlocal clock
-        clock, since = time.monotonic(), clock
-        seconds[name] = round(clock - since, 2)
-
+    record = Record(condition, None, (), {})
     try:
-        logs = logs_of(condition, cache)
-        lap("simulate")
-        stages = stages_of(condition, cache)
-        lap("identify")
+        logs, stages = logs_of(condition, cache), stages_of(condition, cache)
         own = errors(logs.held_out, logs.robot, stages)
         more = tuple(excess(condition, k, cache, own) for k in range(len(condition.effects)))
-        record = replace(record, excess=more)
-        lap("compare")
+        record, clock = replace(record, excess=more), time.monotonic()
         said = diagnose(logs.training, logs.robot, stages, options=DiscoverOptions())
         found = msgspec.json.decode(encoded(said), type=DiagnosisFile)  # what is no number: error
-        lap("diagnose")
-        return replace(record, diagnosis=found)
+        seconds = {"diagnose": round(time.monotonic() - clock, 2)}
+        return replace(record, diagnosis=found, seconds=seconds)
     except Exception as problem:  # whatever goes wrong is counted, and the study goes on
         return replace(record, error=f"{type(problem).__name__}: {problem}")
 

@@ -10,10 +10,11 @@ from tests.studies.undeclared.score import FAILED, judged
 from tests.studies.undeclared.tables import tables
 from tests.unit.params.documents import diagnosis_file
 
-STRIBECK, SPRING = ("stribeck", 1, 1.0), ("spring", 0, 1.0)
+STRIBECK, SPRING, BESIDE = ("stribeck", 1, 1.0), ("spring", 0, 1.0), ("spring", 1, 1.0)
 (FOUND,) = diagnosis_file().findings[:1]
 ALIKE = replace(FOUND, joint="elbow", effect="presliding_hysteresis", confusable_with=["stribeck"])
 (PART,) = diagnosis_file().unexplained[:1]
+FIRST = "right kind_right own_name found"
 HITS = ("right", "kind_right", "own_name", "found", "all_found", "sure_and_wrong", "explained_away")
 
 
@@ -24,21 +25,24 @@ def record(*effects: tuple[str, int, float], share: float = 0.03, **said: Any) -
 
 
 ELBOW, SHOULDER = replace(FOUND, joint="elbow"), replace(FOUND, joint="shoulder")
+EITHER = replace(ELBOW, confusable_with=["spring"])
 UNEXPLAINED = {"unexplained": [replace(PART, joint="shoulder")], "verdict": "unexplained"}
 
 
 @pytest.mark.parametrize(
     ("effects", "said", "hits"),
     [
-        ([STRIBECK], {"findings": [ELBOW]}, "right kind_right own_name found all_found"),
+        ([STRIBECK], {"findings": [ELBOW]}, f"{FIRST} all_found"),
         ([STRIBECK], {"findings": [ALIKE]}, "right kind_right found all_found"),
         ([STRIBECK], {"findings": [SHOULDER]}, "kind_right sure_and_wrong"),
         ([STRIBECK], {"findings": [replace(SHOULDER, confidence=0.8)]}, "kind_right"),
-        ([STRIBECK, SPRING], {"findings": [ELBOW]}, "right kind_right own_name found"),
+        ([STRIBECK, SPRING], {"findings": [ELBOW]}, FIRST),
+        ([STRIBECK, BESIDE], {"findings": [EITHER]}, FIRST),
+        ([STRIBECK, BESIDE], {"findings": [EITHER] * 2}, f"{FIRST} all_found"),
         ([SPRING, STRIBECK], {"findings": [ELBOW]}, "found"),
         ([SPRING], UNEXPLAINED, "explained_away"),
         ([SPRING], UNEXPLAINED | {"verdict": "effects_missing"}, ""),
-        ([("spring", 1, 1.0)], UNEXPLAINED, ""),
+        ([BESIDE], UNEXPLAINED, ""),
     ],
 )
 def test_a_diagnosis_is_worth_what_it_says(effects: Any, said: dict[str, Any], hits: str) -> None:

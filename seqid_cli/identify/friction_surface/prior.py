@@ -31,7 +31,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor
 from scipy.linalg.lapack import dpotri
-from scipy.optimize import fsolve, minimize
+from scipy.optimize import minimize
 
 from seqid_cli.identify.friction_surface.reduction import EDGES, EXTRA, SHARED, Orders, Reduced
 from seqid_cli.model.friction_basis import Scaling
@@ -218,13 +218,10 @@ class Evidence:
             cost, gradient = cost + more, gradient + 2.0 * slope
         return cost, gradient
 
-    def strongest(
-        self, near: Sizes | None = None, *, limit: float = 5.0, near_by: float = 0.1
-    ) -> tuple[Sizes, float]:
+    def strongest(self, near: Sizes | None = None, *, limit: float = 5.0) -> tuple[Sizes, float]:
         """The sizes of the largest marginal likelihood, and twice its logarithm.
 
-        The search starts from sizes that are `near`, else from the usual ones. The likelihood is
-        flat about its maximum: the last digits are those at which its slope vanishes, `near_by`.
+        The search starts from sizes that are `near`, else from the usual ones.
         """
         start, furthest = np.zeros(len(self.usual)), limit * self.spread
         if near is not None:
@@ -232,13 +229,33 @@ class Evidence:
             start = np.clip(np.log(values / self.usual), -furthest, furthest)
         bounds = [(-far, far) for far in furthest.tolist()]
         found = minimize(self, start, jac=True, method="L-BFGS-B", bounds=bounds)
-        start = np.asarray(found.x, dtype=np.float64)
-        level = fsolve(self._slope, start, full_output=True, xtol=1e-10, epsfcn=1e-8)[0]
-        logs = level if np.abs(level - start).max() < near_by else start
+        logs = self._polished(np.asarray(found.x, dtype=np.float64))
         return self.sizes(logs), -self(logs)[0]
 
-    def _slope(self, logs: Array) -> Array:
-        return self(logs)[1]
+    def _polished(
+        self,
+        logs: Array,
+        *,
+        near: float = 0.1,
+        newton: int = 20,
+        done: float = 1e-10,
+        trial_step: float = 0.0001,
+    ) -> Array:
+        """The maximum to the last digits, by Newton's method: the likelihood is flat about it."""
+        slope = self(logs)[1]
+        steps = trial_step * np.eye(len(logs))
+        curvature = np.stack([(self(logs + step)[1] - slope) / trial_step for step in steps])
+        curvature = 0.5 * (curvature + curvature.T)
+        if np.linalg.eigvalsh(curvature)[0] <= 0.0:
+            return logs
+        for _ in range(newton):
+            step = np.linalg.solve(curvature, self(logs)[1])
+            if np.abs(step).max() > near:
+                break
+            logs = logs - step
+            if np.abs(step).max() < done:
+                break
+        return logs
 
     def _of_errors(
         self, own: Reduced, sizes: Sizes, normal: Normal, mean: Array, covariance: Array

@@ -20,7 +20,7 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.imu.array import calibrated, layout, read_angular
 from seqid_cli.motion.motion import Motion, estimate_motion, filtered_torque
 from seqid_cli.motion.options import SOURCES, MotionOptions
-from seqid_cli.motion.smoother.fused import absent_imus, fused_motion, needed
+from seqid_cli.motion.smoother.fused import absent_imus, fused_motion, needed, promising
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.kinematics import forward, link_angular_motion
 from seqid_cli.robot.types import Imu, Robot
@@ -84,6 +84,8 @@ def best_motion(
         return motion
     if source == "imu":
         return _from_imus(recording, robot, stage, motion)
+    if source == "needed" and not promising(recording, robot, stage, motion):
+        return motion
     found = fused_motion(recording, robot, stage, motion, insist=source == "fused")
     if source == "fused" and found.source != "fused":
         raise _impossible(source, recording, robot, stage, found.warnings)

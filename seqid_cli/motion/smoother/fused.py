@@ -14,6 +14,8 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
+from seqid_cli.errors import InputError
+from seqid_cli.logs.pieces import cut
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import (
     Score,
@@ -23,7 +25,8 @@ from seqid_cli.motion.filters.bandwidth import (
 )
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
-from seqid_cli.motion.motion import Motion, filtered_torque
+from seqid_cli.motion.motion import Motion, estimate_motion, filtered_torque
+from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.smoother.chunk import Mounted
 from seqid_cli.motion.smoother.imus import mounted_imus, read
 from seqid_cli.motion.smoother.smooth import smoothed_motion
@@ -79,14 +82,50 @@ def needed(motion: Motion, encoder: Motion, *, min_gain: float = 3.0) -> bool:
 
     What the drive and its encoder do wrong shows between encoder and torque, and a smoother that
     believes the IMUs hides it. Who looks for such effects takes IMUs only where the encoders are
-    too coarse to show anything: acceleration must be `min_gain` times better known, in the median
-    of what moves.
+    too coarse to show anything: acceleration must be `min_gain` times better known.
     """
+    return _gain(motion, encoder) > min_gain
+
+
+def promising(
+    recording: Recording,
+    robot: Robot,
+    stage: ImuStage | None,
+    encoder: Motion,
+    *,
+    piece_s: float = 3.0,
+    min_gain: float = 2.0,
+) -> bool:
+    """Whether IMUs may be `needed`: what `piece_s` seconds about the fastest moment say of it.
+
+    Smoothing a whole log costs as much as all else that is done with its motion.
+    """
+    if not mounted_imus(recording, robot, stage) or recording.t[-1] < 2.0 * piece_s:
+        return True
+    asked = _digest(recording, robot, stage), float(encoder.cutoff.hz), piece_s
+    if asked not in _GAINS:
+        speed = np.where(encoder.usable, np.abs(encoder.dq).max(axis=1), 0.0)
+        middle = float(recording.t[np.argmax(speed)])
+        first = min(max(middle - 0.5 * piece_s, 0.0), float(recording.t[-1]) - piece_s)
+        piece = cut(recording, [(first, first + piece_s)])[0]
+        try:
+            alone = estimate_motion(piece, robot, MotionOptions(cutoff_hz=encoder.cutoff.hz))
+            _GAINS[asked] = _gain(fused_motion(piece, robot, stage, alone), alone)
+        except InputError:  # nothing of the piece can be filtered
+            _GAINS[asked] = np.inf
+    return _GAINS[asked] > min_gain
+
+
+_GAINS = dict[tuple[bytes, float, float], float]()  # of pieces that were asked
+
+
+def _gain(motion: Motion, encoder: Motion) -> float:
+    """How many times better acceleration is known than by the encoders, median of what moves."""
     moving = motion.moving.any(axis=0)
     if not moving.any():
-        return False
+        return 0.0
     known = np.maximum(motion.acceleration_error[moving], 1e-300)
-    return bool(np.median(encoder.acceleration_error[moving] / known) > min_gain)
+    return float(np.median(encoder.acceleration_error[moving] / known))
 
 
 def disagreement(

@@ -14,7 +14,7 @@ from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import Motion, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.smoother import fused as fused_module
-from seqid_cli.motion.smoother.fused import fused_motion
+from seqid_cli.motion.smoother.fused import fused_motion, needed, promising
 from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
@@ -204,3 +204,13 @@ def test_joints_beyond_all_imus_keep_their_encoders() -> None:
         np.testing.assert_allclose(own[:, 1], alone[:, 1], atol=1e-9)
     assert got.error[1] == pytest.approx(before.acceleration_error[1])
     assert got.error[0] < 0.2 * before.acceleration_error[0]
+
+
+@pytest.mark.parametrize("name", ["one", "one_400", "two"])
+def test_a_piece_promises_what_the_whole_log_gives(name: str) -> None:
+    s = scene(name)
+    assert promising(s.recording, s.robot, s.stage, encoder(s), piece_s=2.0) == needed(
+        fused(name), encoder(s), min_gain=2.0
+    )
+    alone = replace(s.recording, accelerometers={}, gyros={})
+    assert promising(alone, s.robot, s.stage, encoder(s))  # nothing to be gained by asking

@@ -29,26 +29,33 @@ def has_trials(scene: Scene, joint: Joint) -> bool:
 
 def absorbed(scene: Scene, effect: Effect, joint: Joint, settings: Settings) -> dict[int, Array]:
     """Coefficients (entries, k) of each joint's surface per unit coefficient of an effect."""
-    found = dict[int, Array]()
-    touched = effect.columns(_trials(scene, joint or 0), joint, settings)
+    found, first = dict[int, Array](), joint or 0
+    touched = effect.columns(_trials(scene, first), joint, settings)
     for j in (j for j in touched if has_trials(scene, j)):
         trials = _trials(scene, j)
-        ahead, back = np.split(effect.columns(trials, joint, settings)[j], 2)
-        F = surface_columns(trials, j)[: len(ahead)]
+        own = touched if j == first else effect.columns(trials, joint, settings)
+        ahead, back = np.split(own[j], 2)
+        F = surface_columns(trials, j, slice(len(ahead)))
         found[j] = np.asarray(np.linalg.lstsq(F, 0.5 * (ahead - back[::-1]), rcond=None)[0])
     return found
 
 
-def surface_columns(scene: Scene, joint: int) -> Array:
-    """Columns (N, entries) of a joint's friction surface."""
+def surface_columns(scene: Scene, joint: int, part: slice = slice(None)) -> Array:
+    """Columns (N, entries) of a joint's friction surface, of some samples of a data set."""
     surface, motion = scene.model.surfaces[joint], scene.motion
     assert surface is not None
-    columns: Array = surface.columns(motion.q[:, joint], motion.dq[:, joint])[:, : surface.entries]
-    return columns
+    columns: Array = surface.columns(motion.q[part, joint], motion.dq[part, joint])
+    return columns[:, : surface.entries]
 
 
 def _trials(scene: Scene, joint: int) -> Scene:
     """One joint at the speeds and places of its trials, all ahead first, then the same way back."""
+    if joint not in scene.trials:
+        scene.trials[joint] = _steady(scene, joint)
+    return scene.trials[joint]
+
+
+def _steady(scene: Scene, joint: int) -> Scene:
     surface = scene.model.surfaces[joint]
     assert surface is not None
     places = surface.scaling.over_position.at(np.linspace(0.0, 1.0, PLACES))

@@ -19,6 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.discover.absorbed import surface_columns
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.identify.regression.least_squares import whitened
 from seqid_cli.model.effects.scene import Scene
@@ -197,7 +198,7 @@ def _simple(scene: Scene, joint: int, terms: int, part: slice) -> Array:
 def _surface(scene: Scene, surface: FrictionSurface, joint: int, part: slice) -> Array:
     """Terms of the surface, and a drag beyond the fastest speed at which it was identified."""
     v = scene.motion.dq[part, joint]
-    columns = surface.columns(scene.motion.q[part, joint], v)[:, : surface.entries]
+    columns = surface_columns(scene, joint, part)
     beyond = surface.scaling.faster(v) * np.sign(v)
     return np.column_stack([columns, beyond])
 

@@ -24,7 +24,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from seqid_cli.discover.select.rows import (
     Gained,
@@ -133,6 +133,12 @@ class Linear:
     def _solved(self, factor: Factor, right: Array) -> Array:
         scale = self._scale[:, None] if right.ndim == 2 else self._scale
         solved: Array = cho_solve(factor, right * scale, check_finite=False) * scale
+        return solved
+
+    def _halved(self, factor: Factor, right: Array) -> Array:
+        """R^-T right (p, k) of a factor R: the square of it is right' M^-1 right."""
+        scaled = right * self._scale[:, None]
+        solved: Array = solve_triangular(factor[0], scaled, trans="T", check_finite=False)
         return solved
 
     @cached_property
@@ -256,9 +262,9 @@ class Linear:
         left = np.empty_like(crossed.d)
         for k, (factor, theta) in enumerate(self._without):
             rest = C - crossed.C[k]
-            Z, left[k] = self._solved(factor, rest), d - crossed.d[k] - rest.T @ theta
+            Z, left[k] = self._halved(factor, rest), d - crossed.d[k] - rest.T @ theta
             for S, at in zip(seen, crossed.where, strict=True):
-                S[k] = rest[:, at].T @ Z[:, at]
+                S[k] = Z[:, at].T @ Z[:, at]
         rows, found = self.rows.independent, list[Predicted]()
         for i, (term, at, own) in enumerate(zip(terms, crossed.where, crossed.D, strict=True)):
             others = bayes_factor(own.sum(axis=0) - own - seen[i], left[:, at], term.precision)[0]
@@ -269,10 +275,10 @@ class Linear:
     def _given(self, solved: tuple[Factor, Array], crossed: _Crossed) -> list[Gained]:
         """What each term by itself does to a solved model."""
         (factor, theta), (C, d, whole) = solved, crossed.whole
-        Z, left = self._solved(factor, C), d - C.T @ theta
+        Z, left = self._halved(factor, C), d - C.T @ theta
         found = []
         for term, at, D in zip(crossed.terms, crossed.where, whole, strict=True):
-            S = D - C[:, at].T @ Z[:, at]
+            S = D - Z[:, at].T @ Z[:, at]
             value, a, covariance = bayes_factor(S, left[at], term.precision)
             visible = float(np.trace(S) / max(float(np.trace(D)), 1e-300))
             found.append(Gained(float(value), a, covariance, max(visible, 0.0)))
@@ -285,22 +291,23 @@ class Linear:
         count, wide = len(at[0]), int(edges[-1])
         C, d = np.zeros((count, self.size, wide)), np.zeros((count, wide))
         D = [np.zeros((count, term.size, term.size)) for term in terms]
-        for c, (index, _) in enumerate(self._own):
+        for c, (index, known) in enumerate(self._own):
             here = [i for i, term in enumerate(terms) if c in term.columns]
             if not here:
                 continue
             places = [np.arange(where[i].start, where[i].stop)[terms[i].at(c)] for i in here]
-            columns, sizes = np.concatenate(places), np.cumsum([len(own) for own in places])
+            columns, edge = np.concatenate(places), np.cumsum([len(own) for own in places])[:-1]
             square = np.ix_(index, columns)
             for k, rows in enumerate(at[c]):
                 for part in tiles(rows.stop, rows.start):
-                    B, y = self._weighted(c, part)
-                    X = _times(self._root[c][part], [terms[i].columns[c][part] for i in here])
-                    C[k][square] += B.T @ X
-                    d[k, columns] += y @ X
-                    for i, own in zip(here, np.split(X, sizes[:-1], axis=1), strict=True):
+                    every = [terms[i].columns[c][part] for i in here]
+                    wX = _times(self.weight[c][part], every)
+                    if known:  # none above a cut-off
+                        C[k][square] += np.vstack([B[part].T @ wX for B in known])
+                    d[k, columns] += self.rows.y[c][part] @ wX
+                    for i, X, own in zip(here, every, np.split(wX, edge, axis=1), strict=True):
                         at_c = terms[i].at(c)
-                        D[i][k, at_c, at_c] += own.T @ own
+                        D[i][k, at_c, at_c] += X.T @ own
         return _Crossed(terms, where, C, d, D)
 
 

@@ -15,6 +15,7 @@ from seqid_cli.discover.survey.rows import TOGETHER, Rows
 from seqid_cli.model.effects.effect import Columns, Effect
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
+from seqid_cli.motion.filters.butterworth import single
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -119,18 +120,22 @@ class Stage:
         """Columns of candidates on the rows of the joints that they touch."""
         keys = [candidate.address for candidate in candidates]
         missing = {k: c for k, c in zip(keys, candidates, strict=True) if k not in self._made}
-        for key, candidate in missing.items():
+        plain = {c.plain.address: c.plain for c in missing.values()}
+        plain = {key: c for key, c in plain.items() if key not in self._made}
+        for key, candidate in plain.items():
             if candidate.effect.wide:
                 self._made[key] = self._wide(candidate)
         longest = max(scene.samples for scene in self.scenes)
         together = max(1, min(TOGETHER, MOST_COLUMNS // longest))
         for passes in (1, 2):
-            narrow = [(k, c) for k, c in missing.items() if not c.effect.wide]
+            narrow = [(k, c) for k, c in plain.items() if not c.effect.wide]
             some = {k: c for k, c in narrow if c.effect.passes == passes}
             for first in range(0, len(some), together):
                 part = list(some.items())[first : first + together]
                 made = self._computed([c for _, c in part], passes)
                 self._made.update(zip([k for k, _ in part], made, strict=True))
+        absorbed = {key: c for key, c in missing.items() if c.absorbed}
+        self._made.update({key: self._less_absorbed(c) for key, c in absorbed.items()})
         made = [self._made[key] for key in keys]
         return [
             self.with_drive(own) if candidate.effect.drive else own
@@ -165,7 +170,7 @@ class Stage:
             joints = sorted({joint for columns in raw for joint in columns})
             for j in joints:
                 own = [(i, columns[j]) for i, columns in enumerate(raw) if j in columns]
-                rows = self.rows.filtered(number, np.hstack([X for _, X in own]), passes)
+                rows = self.rows.filtered(number, np.hstack([single(X) for _, X in own]), passes)
                 kept.setdefault(j, []).append(rows[self.rows.used[number][:, j]])
                 owners[j] = [(i, X.shape[1]) for i, X in own]
         result: list[dict[int, Array]] = [{} for _ in candidates]
@@ -174,11 +179,14 @@ class Stage:
             edges = np.cumsum([width for _, width in owners[j]])
             for (i, _), X in zip(owners[j], np.split(whole, edges[:-1], axis=1), strict=True):
                 result[i][j] = np.ascontiguousarray(X)
-        for candidate, columns in zip(candidates, result, strict=True):
-            if candidate.absorbed:
-                for j, taken in candidate.in_friction(self.scenes[0]).items():
-                    columns[j] -= self.friction[j][:, : len(taken)] @ taken
         return list(result)
+
+    def _less_absorbed(self, candidate: Candidate) -> Channels:
+        """Columns of a candidate less what the file's friction has absorbed of it."""
+        columns = dict(self._made[candidate.plain.address])
+        for j, taken in candidate.in_friction(self.scenes[0]).items():
+            columns[j] = columns[j] - self.friction[j][:, : len(taken)] @ taken
+        return columns
 
 
 def candidates_of(

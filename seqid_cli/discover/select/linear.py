@@ -238,8 +238,11 @@ class Linear:
         ]
 
     def _left(self, channel: int, at: slice, theta: Array) -> Array:
-        B, y = self._weighted(channel, at)
-        left: Array = (y - B @ theta[self._own[channel][0]]) / self._root[channel][at]
+        index, columns = self._own[channel]
+        left, first = self.rows.y[channel][at].copy(), 0
+        for own in columns:
+            left -= own[at] @ theta[index[first : first + own.shape[1]]]
+            first += own.shape[1]
         return left
 
     def gained(self, terms: Sequence[Part]) -> list[Gained]:

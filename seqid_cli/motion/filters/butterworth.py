@@ -21,6 +21,7 @@ cut-off.
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import cast
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -65,11 +66,14 @@ class Lowpass:
     ) -> Array:
         """Filter (N, ...) along the first axis, each run of valid samples by itself.
 
+        What is in single precision is filtered in it, in half the time.
+
         `valid` (N,): false where samples must not leak into others; these are returned as they are.
         `times`: number of passes. `every`: samples 0, `every`, 2 `every`, ... are returned only.
         """
-        rows = np.array(values.reshape(len(values), -1).T, dtype=np.float64, order="C")
-        kept = rows if every == 1 else np.array(rows[:, ::every])
+        kind = np.float32 if values.dtype == np.float32 else np.float64
+        rows: Array = np.array(values.reshape(len(values), -1).T, dtype=kind, order="C")
+        kept: Array = rows if every == 1 else np.array(rows[:, ::every])
         self.filter_rows(rows, valid, into=kept, times=times, every=every)
         return np.ascontiguousarray(kept.T).reshape(-1, *values.shape[1:])
 
@@ -112,14 +116,28 @@ class Lowpass:
         response = _response(self, times, every)
         samples, reach = rows.shape[1], response.reach
         hop = response.size - 2 * reach
-        wide = np.pad(rows, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
-        kept = np.empty((len(rows), -(-(samples - first) // every)))
+        wide = _prolonged(rows, reach)
+        kept = np.empty((len(rows), -(-(samples - first) // every)), rows.dtype)
         for start in range(first, samples, hop):
             stop = min(start + hop, samples)
             piece = response.of(wide[:, start : stop + 2 * reach])
             at = slice((start - first) // every, -(-(stop - first) // every))
             kept[:, at] = piece[:, : at.stop - at.start]
         return kept
+
+
+def single(values: Array) -> Array:
+    """The same values in single precision, which is enough for columns of an effect."""
+    return cast(Array, values.astype(np.float32))
+
+
+def _prolonged(rows: Array, reach: int) -> Array:
+    """Signals (c, N) with `reach` samples more at either end, reflected about the last ones."""
+    if rows.shape[1] <= reach:
+        return np.pad(rows, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
+    before, behind = rows[:, reach:0:-1], rows[:, -2 : -reach - 2 : -1]
+    ends = 2.0 * rows[:, :1] - before, 2.0 * rows[:, -1:] - behind
+    return np.concatenate([ends[0], rows, ends[1]], axis=1)
 
 
 @dataclass(frozen=True)
@@ -135,7 +153,7 @@ class _Response:
     def of(self, piece: Array) -> Array:
         """Filter a piece (c, m), from its sample `reach` on; zeros follow it."""
         spectrum = rfft(piece, self.size)
-        spectrum *= self.gain
+        spectrum *= self.gain.astype(piece.dtype)
         short = self.size // self.every
         found = irfft(self._folded(spectrum, short), short)
         found /= self.every

@@ -151,11 +151,13 @@ def normal_equations(
     band, gradient = np.zeros((m + 3, n, 4 * n)), np.zeros((m + 3, n))
     for a in range(4):
         gradient[a : a + m] += pulls[a]
+    places = np.tile(np.arange(n * n).reshape(n, n), (4, 4)).ravel()
+    rises = np.kron(np.multiply.outer(rise, rise), precision).ravel()
     for start in range(0, m, stretch):
         now = slice(start, start + stretch)
         size = 1.0 / jerk.relative[now]
-        coupled = size[:, :, None] * size[:, None] * precision
-        H = np.multiply.outer(rise, rise)[:, None, :, None] * coupled[:, None, :, None]
+        coupled = (size[:, :, None] * size[:, None]).reshape(-1, n * n)
+        H = (coupled.take(places, axis=1) * rises).reshape(-1, 4, n, 4, n)
         for j in range(n):
             H[:, :, j, :, j] += own[now, j]
         H = H.reshape(-1, 4 * n, 4 * n)

@@ -9,13 +9,13 @@ count as much as the joint's rows below the cut-off.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.discover.survey.rows import Rows, stride_of
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.motion.filters.butterworth import single
 from seqid_cli.typing import Array, Index, Mask
 
 PASSING = 0.05  # share of the power above the cut-off, under which that below says nothing
@@ -85,8 +85,7 @@ def both_bands(
 ) -> dict[int, Array]:
     """Split columns at the logs' own rates into rows below and above the cut-off.
 
-    Rows above it belong to channel n + joint, in single precision: there are many, and hundreds of
-    candidates keep theirs. Of a log in which nearly all of
+    Rows above it belong to channel n + joint, in single precision. Of a log in which nearly all of
     a column lies above, what is left below comes from where the joint reverses, and there its law
     is known least: then that log's rows above alone count.
     """
@@ -95,8 +94,7 @@ def both_bands(
     for scene, columns in zip(rows.scenes, per_scene, strict=True):
         full = _full(scene)
         every = round(full.motion.rate_hz / scene.motion.rate_hz)
-        for joint, values in columns.items():
-            X = single(values)
+        for joint, X in columns.items():
             low = full.motion.filtered(X, times=2)
             passing = np.mean(low**2) < PASSING * np.mean((X - low) ** 2)
             below.setdefault(joint, []).append(low[::every] * (not passing))
@@ -105,7 +103,8 @@ def both_bands(
     for joint in below:
         slow, fast = rows.torque(joint, below[joint]), high.of(joint, above[joint])
         result[joint] = slow
-        result[rows.n + joint] = fast
+        # There are many rows above, and hundreds of candidates that keep theirs.
+        result[rows.n + joint] = cast(Array, fast.astype(np.float32))
     return result
 
 

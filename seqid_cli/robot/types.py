@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,9 @@ class Joint:
 
     `torque_constant` [N m/A] and `rotor_inertia` [kg m^2] are on the motor side;
     `winding_resistance` [ohm] and `supply_voltage` [V] are for logs of voltage or duty cycle.
-    `torque_constant_error` is the relative standard error of the joint's torque scale. `urdf` holds
-    what the URDF says of the joint, None where there is none.
+    `torque_constant_error` is the relative standard error of the joint's torque scale.
+    `encoder_side` tells which side of the gear the positions are of. `urdf` holds what the URDF
+    says of the joint, None where there is none.
     """
 
     name: str
@@ -34,6 +36,7 @@ class Joint:
     winding_resistance: float | None = None
     supply_voltage: float | None = None
     encoder_resolution: float | None = None
+    encoder_side: Literal["motor", "link"] = "motor"
     position_limits: tuple[float, float] | None = None
     velocity_limit: float | None = None
     urdf: UrdfJoint | None = None

@@ -4,7 +4,8 @@ Encoder on the motor (encoder_side 0): with x = q_link - q_measured the joint's 
 
     M x'' + D x' + K x = -tau_L,        tau_effect = (d tau / d q, dq, ddq) . (x, x', x'')
 
-Encoder on the link (encoder_side 1): rotor and motor friction feel dq_m = dq + tau_L' / K,
+Encoder on the link (encoder_side 1, where the robot file says so): rotor and motor friction feel
+dq_m = dq + tau_L' / K,
 
     tau_effect = N^2 J tau_L'' / K + (d tau_friction / d dq) tau_L' / K
 
@@ -67,15 +68,16 @@ class JointElasticity(Effect):
         return settings["encoder_side"] > 0.5
 
     def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
-        """Yield resonances around the cut-off for either side of the encoder."""
+        """Yield resonances around the cut-off; the robot file tells where the encoder sits."""
         assert joint is not None
         inertia = max(float(np.mean(link_inertia(scenes[0], joint)[:, joint])), 1e-9)
         cutoff = scenes[0].motion.lowpass.cutoff_hz
         share = np.geomspace(SOFTEST, STIFFEST, POINTS)
         stiffness = inertia * (2 * np.pi * cutoff * share) ** 2
-        for side, some in ((0.0, stiffness), (1.0, stiffness[::2])):
-            for k in some:
-                yield {"trial_stiffness": float(k), "encoder_side": side, "damping_ratio": BLUNT}
+        link = scenes[0].robot.joints[joint].encoder_side == "link"
+        for k in stiffness[:: 1 + link]:
+            settings = {"trial_stiffness": float(k), "encoder_side": float(link)}
+            yield {**settings, "damping_ratio": BLUNT}
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Torque per unit compliance, on all joints (link's side: on its own)."""

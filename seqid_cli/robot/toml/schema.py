@@ -38,6 +38,7 @@ class JointEntry(Table, frozen=True):
     winding_resistance: float | None = None
     supply_voltage: float | None = None
     encoder_resolution: float | None = None
+    encoder_side: Literal["motor", "link"] = "motor"
     position_limits: tuple[float, float] | None = None
     velocity_limit: float | None = None
 

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.absorbed import absorbed, has_trials, surface_columns
+from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.scenes import scenes_of
+from seqid_cli.discover.select.model import Ground
+from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
@@ -53,6 +56,21 @@ def test_friction_identified_with_an_effect_has_more_by_what_is_absorbed(name: s
 def _between(scene: Scene) -> Array:
     speed = np.abs(scene.motion.dq[:, 0])
     return np.flatnonzero((speed > SLOWEST) & (speed < FASTEST))
+
+
+def test_rows_of_what_is_absorbed_are_those_of_its_columns() -> None:
+    robot = load_robot(SAMPLES / "robot.toml")
+    log = read_recording(SAMPLES / "friction/joint_1.parquet", robot)
+    stages = Stages(friction=identify_friction([log], robot, options=ORDERS))
+    ground = Ground.of(rows_of(scenes_of([log], robot, stages, options=InertiaOptions())), stages)
+    whole = candidate("stribeck", 0, stribeck_speed=0.6, exponent=2.0)
+    scene, some = ground.stage.scenes[0], replace(whole, absorbed=True)
+    for first in (some, whole):  # whichever is asked for first
+        columns = Stage(ground.stage.rows, ground.base.friction).columns([first, some])[1]
+        low = scene.motion.filtered(some.columns(scene)[0], times=2)
+        expected = ground.stage.rows.torque(0, [low])
+        np.testing.assert_allclose(columns[0], expected, atol=1e-5 * np.abs(expected).max())
+        assert np.abs(columns[0]).max() < 0.9 * np.abs(whole.columns(scene)[0]).max()
 
 
 def test_files_without_trials_have_absorbed_nothing_that_is_known() -> None:

@@ -1,6 +1,7 @@
 """What lies between motor and link: a spring, play, rotors, an encoder, a drive of two joints."""
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -32,8 +33,8 @@ STIFFNESS = 4000.0  # N m/rad; resonance with the motor held: 11 Hz
 
 @pytest.mark.parametrize("cutoff_hz", [5.0, 20.0])
 @pytest.mark.parametrize("side", ["motor", "link"])
-def test_the_stiffness_comes_back(cutoff_hz: float, side: str) -> None:
-    """Also with the resonance inside the band; and the grid tells where the encoder sits."""
+def test_the_stiffness_comes_back(cutoff_hz: float, side: Literal["motor", "link"]) -> None:
+    """Also with the resonance inside the band; the robot file tells where the encoder sits."""
     effect, logs = JointElasticity(), [run(Gear(STIFFNESS, 2.0), seed=seed) for seed in range(2)]
     scenes = [scene(log, cutoff_hz=cutoff_hz, side=side) for log in logs]
     settings, c, rms = best_fitted(effect, scenes, 0)

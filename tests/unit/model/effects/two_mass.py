@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Literal
 
 import numpy as np
 
@@ -91,7 +92,9 @@ def _plan(seed: int, steps: int, top_hz: float) -> Iterator[tuple[float, float, 
     return zip(angle.tolist(), speed.tolist(), acceleration.tolist(), strict=True)
 
 
-def scene(log: Log, *, cutoff_hz: float, side: str = "motor", noise: float = 0.03) -> Scene:
+def scene(
+    log: Log, *, cutoff_hz: float, side: Literal["motor", "link"] = "motor", noise: float = 0.03
+) -> Scene:
     """Return what the log's reader sees, knowing all but the gear: encoder counts of 1e-5 rad."""
     angle = log.motor if side == "motor" else log.link
     counts = np.round(angle / 1e-5)[:, None] * 1e-5
@@ -103,7 +106,8 @@ def scene(log: Log, *, cutoff_hz: float, side: str = "motor", noise: float = 0.0
     robot = robot_from_chain(
         chain_from_dh([(0.0, 0.0, 0.0, 0.0)]), gravity=np.array([0.0, -9.81, 0.0])
     )
-    robot = replace(robot, joints=(replace(robot.joints[0], rotor_inertia=MOTOR, gear_ratio=1.0),))
+    joint = replace(robot.joints[0], rotor_inertia=MOTOR, gear_ratio=1.0, encoder_side=side)
+    robot = replace(robot, joints=(joint,))
     phi = np.zeros((1, 10))
     phi[0, 2], phi[0, 9] = -WEIGHT / 9.81, LINK
     surface = friction_surface(COULOMB, VISCOUS, top=20.0)

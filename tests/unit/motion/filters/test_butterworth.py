@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, fftconvolve, sosfreqz
 
-from seqid_cli.motion.filters.butterworth import ORDER, SHORTEST, Lowpass, impulse_response
+from seqid_cli.motion.filters.butterworth import (
+    ORDER,
+    SHORTEST,
+    Lowpass,
+    impulse_response,
+    single,
+)
 from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.typing import Array, Mask
 
@@ -71,6 +77,15 @@ def test_it_is_the_filter_of_each_whole_run(
     lowpass.filter_rows(rows, valid, only=np.array([0, 2]))
     np.testing.assert_allclose(rows[[0, 2]].T, found[:, [0, 2]], rtol=0, atol=1e-11)
     np.testing.assert_array_equal(rows[1], values[:, 1])
+
+
+@pytest.mark.parametrize("every", [1, 3])
+def test_single_precision_stays_so_and_is_nearly_as_good(every: int) -> None:
+    values, valid, lowpass = walk(5003, 3), with_gaps(5003), Lowpass(10.0, 250.0)
+    found = lowpass(single(values), valid, times=2, every=every)
+    assert found.dtype == np.float32
+    error = np.abs(found - lowpass(values, valid, times=2, every=every)).max()
+    assert error < 1e-6 * np.abs(values).max()
 
 
 @pytest.mark.parametrize("cutoff_hz", [8.0, 40.0, 200.0])

@@ -11,7 +11,7 @@ import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.noise.encoder import encoder_residuals
-from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
+from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor, rms
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import HELD, Ground, Model
@@ -22,6 +22,7 @@ from seqid_cli.discover.survey.events import GATE, Interval, event_masks, find_e
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.motion.filters.differentiation import shrink
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
@@ -168,10 +169,14 @@ def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
     """Whether an event's residual (N, n) N m is small beside the torque's swing around it.
 
     The more clearly it stands out against moments of like motion, at which a law errs alike, the
-    smaller it may be.
+    smaller it may be; but not within a period of the cut-off of where the joint may stick.
     """
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
-    joints = list(event.joints)
-    left = np.sqrt(np.mean(residual[inside][:, joints] ** 2, axis=0))
-    swing = np.ptp(scene.modelled[around][:, joints], axis=0)
-    return bool(np.all(left * event.score / GATE < Options.law * swing))
+    period = round(scene.motion.rate_hz / scene.motion.lowpass.cutoff_hz)
+    for j in event.joints:
+        least = Options.law * float(np.ptp(scene.modelled[around, j]))
+        away = inside & shrink(scene.slides[:, j], period)
+        size = max(rms(residual[inside, j]), rms(residual[away, j]) * event.score / GATE)
+        if size >= least:
+            return False
+    return True

@@ -118,8 +118,10 @@ def noise_floor(
         moving += [_top_of_band(log, x, r[:, j], e[:, j], j) for log, x, r, e in logs]
         floor = np.hypot(_noise([*still, *moving], slid, reference_hz), encoder)
         # Of noise no more can be there than is left of the torque in all.
-        if not still or floor[1] > left:
+        refuted = bool(still) and floor[1] > left
+        if refuted:
             floor = np.hypot(_noise(moving, slid, reference_hz), encoder)
+        if refuted or not still:
             floor[2] = max(floor[2], min(left, floor[3]))
         found.append(floor[:3])
     return NoiseFloor(*np.array(found).T)

@@ -70,8 +70,8 @@ class Spectrum:
         window = np.hanning(length) if robust else np.ones(length)
         pieces = window * detrend(np.stack([values[s : s + length] for s in starts]), axis=1)
         power = np.abs(np.fft.rfft(pieces, axis=1)[:, kept]) ** 2 / (rate_hz * np.sum(window**2))
-        # The median of an exponential distribution is log 2 of its mean.
-        middle = robust and len(starts) > SLOWEST
+        # The median of an exponential distribution is log 2 of its mean; that of two is their mean.
+        middle = robust and len(starts) > 2
         density = np.median(power, axis=0) / np.log(2.0) if middle else power.mean(axis=0)
         count = len(starts) / HANN_MEDIAN if robust else len(starts)
         return cls(frequency[kept], density, np.full(len(density), count))

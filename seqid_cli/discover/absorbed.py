@@ -30,10 +30,10 @@ def has_trials(scene: Scene, joint: Joint) -> bool:
 def absorbed(scene: Scene, effect: Effect, joint: Joint, settings: Settings) -> dict[int, Array]:
     """Coefficients (entries, k) of each joint's surface per unit coefficient of an effect."""
     found, first = dict[int, Array](), joint or 0
-    touched = effect.columns(_trials(scene, first), joint, settings)
+    touched = effect.steady_columns(_trials(scene, first), joint, settings)
     for j in (j for j in touched if has_trials(scene, j)):
         trials = _trials(scene, j)
-        own = touched if j == first else effect.columns(trials, joint, settings)
+        own = touched if j == first else effect.steady_columns(trials, joint, settings)
         ahead, back = np.split(own[j], 2)
         F = surface_columns(trials, j, slice(len(ahead)))
         found[j] = np.asarray(np.linalg.lstsq(F, 0.5 * (ahead - back[::-1]), rcond=None)[0])

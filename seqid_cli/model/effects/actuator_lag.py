@@ -10,10 +10,12 @@ import numpy as np
 from scipy.signal import lfilter
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Settings
-from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
+from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled, steady_change
 from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.typing import Array
+
+SOON_S = 1e-6
 
 
 class ActuatorLag(TorqueMeasurement):
@@ -22,6 +24,7 @@ class ActuatorLag(TorqueMeasurement):
     name = "actuator_lag"
     family = "measurement"
     timing = True
+    steady = True
     shared = True
     linear = (Coefficient("time_constant", "s", low=0.0, high=0.2),)
     alike = ("time_skew", "joint_elasticity")
@@ -34,6 +37,10 @@ class ActuatorLag(TorqueMeasurement):
         """Time derivative of the modelled torque."""
         rate, valid = scene.motion.rate_hz, scene.motion.valid
         return of_modelled(scene, joint, lambda tau: differentiate(tau, rate, valid)[0])
+
+    def steady_columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+        """The same from the torque a little later on the way."""
+        return steady_change(scene, joint, SOON_S)
 
     def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
         """Send the command through the lag, starting settled."""

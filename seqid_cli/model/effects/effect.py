@@ -221,6 +221,10 @@ class Effect(abc.ABC):
             For every joint whose torque is touched; unfiltered.
         """
 
+    def steady_columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+        """Compute the same of joints at constant speeds, whose samples are places, not times."""
+        return self.columns(scene, joint, settings)
+
     def available(self, scenes: Scenes, joint: Joint) -> bool:
         """Return whether robot file and channels allow to look for it; by default `needs`."""
         moving = "motion" not in self.needs or (joint is not None and moves(scenes, joint))

@@ -53,6 +53,15 @@ def touched(scene: Scene, joint: Joint) -> list[int]:
     return list(range(scene.robot.n)) if joint is None else [joint]
 
 
+def steady_change(scene: Scene, joint: Joint, seconds: float) -> Columns:
+    """Change of the torque of steady motion over `seconds`, (N, 1) per second."""
+    motion, which = scene.motion, touched(scene, joint)
+    later = replace(scene, motion=replace(motion, q=motion.q + seconds * motion.dq))
+    now, then = ((one.carried + one.friction)[:, which] for one in (scene, later))
+    change = (then - now) / seconds
+    return {j: change[:, [k]] for k, j in enumerate(which)}
+
+
 def of_modelled(scene: Scene, joint: Joint, function: Callable[[Array], Array]) -> Columns:
     """Columns function(tau) of the torque as it should be, ready for one more low-pass.
 

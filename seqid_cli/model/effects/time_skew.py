@@ -15,7 +15,7 @@ derivative.
 from scipy.ndimage import shift
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
-from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled
+from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled, steady_change
 from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.typing import Array
@@ -43,6 +43,7 @@ class TimeSkew(TorqueMeasurement):
         ),
     )
     timing = True
+    steady = True
     first_order = True
     shared = True
     linear = (Coefficient("delay", "s", low=-LARGEST_S, high=LARGEST_S),)
@@ -58,6 +59,12 @@ class TimeSkew(TorqueMeasurement):
         if abs(around) < SMALL_S:
             return of_modelled(scene, joint, lambda tau: -differentiate(tau, rate, valid)[0])
         return of_modelled(scene, joint, lambda tau: (delayed(tau, around, rate) - tau) / around)
+
+    def steady_columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+        """The same from the torque a little earlier on the way."""
+        around = settings["around"]
+        delay = around if abs(around) > SMALL_S else SMALL_S
+        return {j: -X for j, X in steady_change(scene, joint, -delay).items()}
 
     def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
         """Shift back."""

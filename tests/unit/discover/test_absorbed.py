@@ -21,46 +21,51 @@ from seqid_cli.robot.file import load_robot
 from tests import ROOT, Array
 from tests.unit.discover.arms import arm_scenes, candidate
 
-SAMPLES = ROOT / "sample_logs" / "one_joint"
+SAMPLES = ROOT / "sample_logs"
 ORDERS = FrictionOptions(position_order=4, velocity_order=3)
 SLOWEST, FASTEST = 0.4, 3.0  # rad/s, between the trials' slowest and fastest
-EFFECTS = {  # settings; per unit coefficient some 0.01 N m
-    "stribeck": ({"stribeck_speed": 0.6, "exponent": 2.0}, 0.01),
-    "nonlinear_viscous": ({"exponent": 0.5}, 0.01),
-    "load_dependent_friction": ({}, 0.1),
+ONE, LIFT = ("one_joint", "joint_1"), ("six_joint", "shoulder_lift")
+EFFECTS = {  # sample robot and joint; settings; coefficient; how well it is known
+    "stribeck": (ONE, {"stribeck_speed": 0.6, "exponent": 2.0}, 0.01, 0.05),
+    "nonlinear_viscous": (ONE, {"exponent": 0.5}, 0.01, 0.05),
+    "load_dependent_friction": (ONE, {}, 0.1, 0.05),
+    "actuator_lag": (LIFT, {}, 0.005, 0.15),
+    "time_skew": (LIFT, {"around": 0.005}, 0.005, 0.15),
 }
 
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_friction_identified_with_an_effect_has_more_by_what_is_absorbed(name: str) -> None:
-    robot = load_robot(SAMPLES / "robot.toml")
+    (sample, own), settings, size, known = EFFECTS[name]
+    robot, effect = load_robot(SAMPLES / sample / "robot.toml"), CATALOGUE[name]
+    j = robot.joint_names.index(own)
     log, other = (
-        read_recording(SAMPLES / f"{x}/joint_1.parquet", robot) for x in ("friction", "gravity")
+        read_recording(SAMPLES / sample / f"{x}/{own}.parquet", robot)
+        for x in ("friction", "gravity")
     )
     without = Stages(friction=identify_friction([log], robot, options=ORDERS))
     without.gravity = identify_gravity([other, log], robot, without)
-    settings, size = EFFECTS[name]
-    effect = CATALOGUE[name]
     (scene,) = scenes_of([log], robot, without, options=InertiaOptions())
     full = scene.full or scene
-    more = size * effect.columns(full, 0, settings)[0]
-    with_it = identify_friction([replace(log, tau=log.tau + more)], robot, options=ORDERS)
-    taken = absorbed(scene, effect, 0, settings)[0][:, 0]
-    old, new = (np.ravel(x.joints["joint_1"].positive) for x in (without.friction, with_it))
-    F = surface_columns(scene, 0)[_between(scene)]
+    tau = log.tau.copy()
+    tau[:, j] += size * effect.columns(full, j, settings)[j][:, 0]
+    with_it = identify_friction([replace(log, tau=tau)], robot, options=ORDERS)
+    taken = absorbed(scene, effect, j, settings)[j][:, 0]
+    old, new = (np.ravel(x.joints[own].positive) for x in (without.friction, with_it))
+    F = surface_columns(scene, j)[_between(scene, j)]
     said, found = F @ (size * taken), F @ (new - old)
     assert np.std(found) > 0.0
-    assert np.linalg.norm(said - found) < 0.05 * np.linalg.norm(found)
+    assert np.linalg.norm(said - found) < known * np.linalg.norm(found)
 
 
-def _between(scene: Scene) -> Array:
-    speed = np.abs(scene.motion.dq[:, 0])
+def _between(scene: Scene, joint: int) -> Array:
+    speed = np.abs(scene.motion.dq[:, joint])
     return np.flatnonzero((speed > SLOWEST) & (speed < FASTEST))
 
 
 def test_rows_of_what_is_absorbed_are_those_of_its_columns() -> None:
-    robot = load_robot(SAMPLES / "robot.toml")
-    log = read_recording(SAMPLES / "friction/joint_1.parquet", robot)
+    robot = load_robot(SAMPLES / "one_joint" / "robot.toml")
+    log = read_recording(SAMPLES / "one_joint" / "friction/joint_1.parquet", robot)
     stages = Stages(friction=identify_friction([log], robot, options=ORDERS))
     ground = Ground.of(rows_of(scenes_of([log], robot, stages, options=InertiaOptions())), stages)
     whole = candidate("stribeck", 0, stribeck_speed=0.6, exponent=2.0)

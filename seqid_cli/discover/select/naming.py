@@ -40,22 +40,14 @@ class Named:
     others: tuple[str, ...] = ()
 
 
-def reality(
-    share: float,
-    gain: float,
-    *,
-    constant: float = 0.06,
-    of_share: float = 0.44,
-    of_gain: float = 0.73,
-) -> float:
+def reality(share: float, gain: float, *, of_share: float = 0.7, of_gain: float = 1.1) -> float:
     """Probability that a term is more than the errors of a model that lacks nothing.
 
     `share` is what it takes away of the squared error, `gain` the log evidence for it. The log odds
-    are a `constant` and parts `of_share`, its logit, and `of_gain`, its logarithm to base 10.
+    are the parts `of_share`, its logit, and `of_gain`, its logarithm to base 10.
     """
     share = float(np.clip(share, 1e-3, 1.0 - 1e-3))
-    odds = constant + of_share * np.log(share / (1.0 - share))
-    odds += of_gain * np.log10(max(gain, 1.0))
+    odds = of_share * np.log(share / (1.0 - share)) + of_gain * np.log10(max(gain, 1.0))
     return float(1.0 / (1.0 + np.exp(-odds)))
 
 

@@ -81,6 +81,7 @@ OF_THE_JOINT = {  # what follows the keys of the first joint
     "torque_constant_error = 1.0": r"torque_constant_error .* below 1",
     "torque_constant_error = nan": r"torque_constant_error .* finite",
     'torque_constant_error = "2 %"': r"torque_constant_error: ",
+    'encoder_side = "output"': r"joint\[0\].encoder_side: invalid enum value 'output'",
     "encoder_resolution = 0.0": r"joint\[0\].encoder_resolution .* above 0",
     "rotor_inertia = -1e-4": r"joint\[0\].rotor_inertia .* 0 or more",
     "position_limits = [1.0, 1.0]": r"joint\[0\].position_limits .* ascending",

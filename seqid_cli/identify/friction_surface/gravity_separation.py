@@ -6,19 +6,21 @@ Forward and backward trials at one speed have the half-sum
 
 Gravity cannot know the speed and has the shape a(q); the second term is the direction dependence
 that Eq. 15 takes to be zero. Both are fitted, the second as an offset and a slope over the speed,
-and kept only where the data speak for it.
+and kept only where the data speak for it. So is what else is the same both ways and depends on the
+position alone, as the torque of a spring or a cable does: left in, it would be friction's noise.
 """
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.polynomial import Chebyshev
 from scipy.linalg import block_diag
 
 from seqid_cli.identify.friction_surface.trials import Trial, configurations, speed_levels
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array, Index
+from seqid_cli.typing import Array, Index, Mask
 
 
 def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
@@ -82,18 +84,25 @@ def _half_sums(group: list[Trial]) -> list[HalfSum]:
 
 @dataclass(frozen=True)
 class GravityGroup:
-    """Trials in one locked configuration with p_xi (2,) kg m and its standard errors."""
+    """Trials in one locked configuration with p_xi (2,) kg m and its standard errors.
+
+    `beyond` is the torque over the position that gravity does not make.
+    """
 
     robot: Robot
     configuration: Array
     trials: list[Trial]
     p_xi: Array
     std_error: Array
+    beyond: Chebyshev | None = None
 
     def torque(self, q: Array) -> Array:
-        """Gravity torque (K,) N m at positions q (K,) of the moving joint (Eq. 12)."""
+        """Torque (K,) N m that both ways have at positions q (K,) of the moving joint (Eq. 12)."""
         joint = self.trials[0].joint
-        return gravity_columns(self.robot, joint, self.configuration, q) @ self.p_xi
+        torque: Array = gravity_columns(self.robot, joint, self.configuration, q) @ self.p_xi
+        if self.beyond is not None:
+            torque = torque + self.beyond(np.clip(q, *self.beyond.domain))
+        return torque
 
 
 @dataclass(frozen=True)
@@ -176,10 +185,12 @@ def fit_gravity(
     if robot.chain.prismatic[joint] and columns.shape[1]:
         extra = extra[:, 1:]  # the gravity force of a prismatic joint is itself an offset
     y = np.concatenate([half.tau for half in pairs]) * root
-    plain, extended = (
-        Clustered.of(each * root[:, None], y, block)
-        for each in (columns, np.hstack([columns, extra]))
-    )
+    bases = [each * root[:, None] for each in (columns, np.hstack([columns, extra]))]
+    plain, extended = (Clustered.of(each, y, block) for each in bases)
+    beyond = _beyond(pairs, plain.left / root, extended.left / root)
+    if beyond is not None:
+        y = y - beyond(np.concatenate([half.q for half in pairs])) * root
+        plain, extended = (Clustered.of(each, y, block) for each in bases)
     squares = []  # of friction: half the difference of the directions
     for k in kept:
         ahead = [t.tau.mean() for t in groups[k] if t.velocity > 0]
@@ -189,7 +200,7 @@ def fit_gravity(
     found = extended if directional else plain
     ends = np.cumsum([a[k].shape[1] for k in kept])
     fitted = [
-        GravityGroup(robot, groups[k][0].configuration, groups[k], p_xi, error)
+        GravityGroup(robot, groups[k][0].configuration, groups[k], p_xi, error, beyond)
         for k, p_xi, error in zip(
             kept,
             np.split(found.theta, ends)[:-1],
@@ -198,6 +209,35 @@ def fit_gravity(
         )
     ]
     return GravityFit(fitted, unpaired, directional, share)
+
+
+def _beyond(
+    pairs: list[HalfSum], left: Array, unlike: Array, *, degree: int = 8, most: float = 0.5
+) -> Chebyshev | None:
+    """Torque over the position that half-sums have beyond gravity, `left` (N,) N m.
+
+    A polynomial of some `degree` over all pairs. None, unless of what friction that depends on the
+    direction does not make either, `unlike` (N,) N m, one like it leaves pairs that are left out no
+    more than `most` of their squares: what pairs share is no noise.
+    """
+    q = np.concatenate([half.q for half in pairs])
+    root = np.sqrt(np.concatenate([np.full(len(half.q), half.weight) for half in pairs]))
+    number = np.repeat(np.arange(len(pairs)), [len(half.q) for half in pairs])
+
+    def fitted(values: Array, some: Mask) -> Chebyshev:
+        domain = [float(q.min()), float(q.max())]
+        return Chebyshev.fit(q[some], values[some], degree, domain=domain, w=root[some])
+
+    others = [number != k for k in range(len(pairs))]
+    if min(np.count_nonzero(some) for some in others) <= degree:
+        return None
+    rest = unlike.copy()
+    for some in others:
+        own = ~some & (q >= q[some].min()) & (q <= q[some].max())
+        rest[own] -= fitted(unlike, some)(q[own])
+    if np.sum((rest * root) ** 2) > most * np.sum((unlike * root) ** 2):
+        return None
+    return fitted(left, number >= 0)
 
 
 def _asymmetry(

@@ -155,7 +155,20 @@ def summarise(
     verdict = _verdict(name, joint, unseen, surface.scaling)
     for level in joint.speeds:
         level.std_error = float(np.hypot(level.std_error, error * level.friction))
-    return joint, verdict, _notes(name, joint, unpaired)
+    return joint, verdict, [*_notes(name, joint, unpaired), *_beyond_gravity(name, joint, gravity)]
+
+
+def _beyond_gravity(name: str, joint: FrictionJoint, gravity: GravityFit) -> list[str]:
+    """Say how large the torque over the position is that gravity does not make."""
+    beyond = gravity.groups[0].beyond
+    if beyond is None:
+        return []
+    size = float(np.std(beyond(np.linspace(*beyond.domain))))
+    return [
+        f"{name}: torque that depends on the position and is no gravity, {size:.3g} {joint.unit} "
+        "RMS and the same both ways, as of a spring or a cable, is taken off the trials; seqid "
+        "diagnose tells what it is"
+    ]
 
 
 def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:

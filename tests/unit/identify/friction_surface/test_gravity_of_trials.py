@@ -106,6 +106,46 @@ def test_friction_that_depends_on_direction_is_seen(robot: Robot, asymmetry: flo
             np.testing.assert_allclose(group.p_xi, p, atol=0.1)
 
 
+def sprung(trials: list[Trial], stiffness: float, cubic: float) -> list[Trial]:
+    """The same with a spring at the joint."""
+    pulls = [stiffness * (each.q - 0.3) + cubic * each.q**3 for each in trials]
+    return [replace(each, tau=each.tau + own) for each, own in zip(trials, pulls, strict=True)]
+
+
+@pytest.mark.parametrize("asymmetry", [0.0, 0.1])
+def test_a_spring_is_neither_friction_nor_direction_dependent(
+    robot: Robot, asymmetry: float
+) -> None:
+    for seed in range(10):
+        trials = trials_of(robot, np.random.default_rng(300 + seed), asymmetry=asymmetry)
+        bare, fit = (fit_gravity(robot, JOINT, each) for each in (trials, sprung(trials, 4.0, 0.5)))
+        assert bare.groups[0].beyond is None
+        assert not fit.directional
+        for group in fit.groups:
+            for ahead, back in zip(*(_ways(group.trials, way) for way in (1, -1)), strict=True):
+                q = np.linspace(-1.9, 1.9, 50)
+                left = [
+                    np.interp(q, *(x[np.argsort(t.q)] for x in (t.q, t.tau - group.torque(t.q))))
+                    for t in (ahead, back)
+                ]
+                assert np.std(left[0] + left[1]) < 0.3  # of a spring that makes 12 N m
+
+
+def _ways(trials: list[Trial], way: int) -> list[Trial]:
+    return sorted((t for t in trials if t.velocity * way > 0), key=lambda t: t.velocity * way)
+
+
+def test_pairs_that_share_no_places_tell_no_spring(robot: Robot) -> None:
+    rng = np.random.default_rng(5)
+    apart = [
+        trial(JOINT, 0.5 * way, q[::way], 3.0 * way + np.sin(9 * q[::way]), CONFIGURATIONS[k])
+        for k, q in enumerate((np.linspace(-2, -1, 40), np.linspace(0.5, 1.5, 40)))
+        for way in (1, -1)
+    ]
+    hissing = [replace(t, tau=t.tau + 0.1 * rng.standard_normal(len(t.q))) for t in apart]
+    assert all(group.beyond is None for group in fit_gravity(robot, JOINT, hissing).groups)
+
+
 def test_trials_without_twins_are_counted(robot: Robot) -> None:
     rng = np.random.default_rng(0)
     both = [t for t in trials_of(robot, rng) if t.configuration[1] > -1]

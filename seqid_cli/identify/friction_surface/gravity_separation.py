@@ -212,7 +212,7 @@ def fit_gravity(
 
 
 def _beyond(
-    pairs: list[HalfSum], left: Array, unlike: Array, *, degree: int = 8, most: float = 0.5
+    pairs: list[HalfSum], left: Array, unlike: Array, *, degree: int = 8, most: float = 0.7
 ) -> Chebyshev | None:
     """Torque over the position that half-sums have beyond gravity, `left` (N,) N m.
 

@@ -93,9 +93,12 @@ def test_names_are_sure_where_no_rival_comes_near(pair: Selected) -> None:
 
 
 def test_what_no_effect_explains_is_a_smooth_function() -> None:
-    (one,) = selected(at_joint(0, waves)).taken[:1]
+    found = selected(at_joint(0, waves))
+    (one,) = found.taken[:1]
     assert one.term.smooth
     assert one.term.joint == 0
+    with_it, without = found.model.linear.left_out[0], one.left[0]
+    assert Options.improvement < one.share <= 1.0 - np.sum(with_it**2) / np.sum(without**2) + 1e-9
 
 
 def gain_and_losses(scene: Scene) -> Array:

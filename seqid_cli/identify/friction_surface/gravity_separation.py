@@ -235,7 +235,7 @@ def _beyond(
     for some in others:
         own = ~some & (q >= q[some].min()) & (q <= q[some].max())
         rest[own] -= fitted(unlike, some)(q[own])
-    if np.sum((rest * root) ** 2) > most * np.sum((unlike * root) ** 2):
+    if np.sum((rest * root) ** 2) >= most * np.sum((unlike * root) ** 2):
         return None
     return fitted(left, number >= 0)
 

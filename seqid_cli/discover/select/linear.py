@@ -87,11 +87,6 @@ class Linear:
         index = np.concatenate([np.zeros(0, dtype=np.intp), *(own for own, _ in here)])
         return index, [columns for _, columns in here]
 
-    def _weighted(self, channel: int, at: slice = slice(None)) -> tuple[Array, Array]:
-        """Weighted columns (M, p_c) and torque (M,) of some rows of a channel."""
-        columns = [own[at] for own in self._own[channel][1]]
-        return _times(self._root[channel][at], columns), self._y[channel][at]
-
     @cached_property
     def prior(self) -> Array:
         """Precision (p, p) of all parameters beforehand."""
@@ -112,10 +107,10 @@ class Linear:
     def _sums_of(self, rows: Sequence[slice]) -> tuple[Array, Array]:
         """B'wB (p, p) and B'wy (p,) of some rows of every channel."""
         A, b = np.zeros((self.size, self.size)), np.zeros(self.size)
-        for channel, ((index, _), at) in enumerate(zip(self._own, rows, strict=True)):
-            B, y = self._weighted(channel, at)
+        for (index, columns), root, y, at in zip(self._own, self._root, self._y, rows, strict=True):
+            B = _times(root[at], [own[at] for own in columns])
             A[np.ix_(index, index)] += B.T @ B
-            b[index] += B.T @ y
+            b[index] += B.T @ y[at]
         return A, b
 
     @cached_property

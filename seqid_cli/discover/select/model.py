@@ -237,14 +237,15 @@ class Model:
         there = term.channels & channels
         return sum(float(weight[c] @ term.part.torque(c, theta) ** 2) for c in there)
 
-    def beyond_file(self, channels: frozenset[int]) -> float:
-        """Share of the squared error that goes where it was not fitted, of what the file leaves.
+    def beyond(self, before: Sequence[Array], channels: frozenset[int]) -> float:
+        """Share of the squared error that goes where it was not fitted, of `before`, (M_c,) N m.
 
-        A model of a log that is too short takes off what its own freedom has added.
+        Of what the file leaves: a model of a log that is too short takes off what its own freedom
+        has added.
         """
-        scale, parts = self.noise.sigma, (self.linear.left_out, self.ground.rows.y)
-        left, file = (sum(float(r[c] @ r[c]) / scale[c] ** 2 for c in channels) for r in parts)
-        return float(1.0 - left / max(file, 1e-300))
+        scale, parts = self.noise.sigma, (self.linear.left_out, before)
+        left, first = (sum(float(r[c] @ r[c]) / scale[c] ** 2 for c in channels) for r in parts)
+        return float(1.0 - left / max(first, 1e-300))
 
     def is_detail(self, term: Term) -> bool:
         """Whether a term is small beside the torque of the model, which ends at the cut-off."""

@@ -87,14 +87,11 @@ class Weighed:
         Of a smooth function by the squares of blocks that were left out as well: it follows large
         errors of a few blocks which an effect's law does not.
         """
-        share = min(self.one.predicted.share, self.model.beyond_file(self.term.channels))
-        if not self.term.smooth:
-            return share
-        scale, parts = self.model.noise.sigma, (self.model.linear.left_out, self.linear.left_out)
-        with_it, without = (
-            sum(float(r[c] @ r[c]) / scale[c] ** 2 for c in self.term.channels) for r in parts
-        )
-        return min(share, float(1.0 - with_it / max(without, 1e-300)))
+        model, channels = self.model, self.term.channels
+        share = min(self.one.predicted.share, model.beyond(model.ground.rows.y, channels))
+        if self.term.smooth:
+            share = min(share, model.beyond(self.linear.left_out, channels))
+        return share
 
 
 @dataclass(frozen=True)

@@ -180,16 +180,16 @@ def fit_gravity(
         np.concatenate([np.full(len(half.q), getattr(half, name)) for half in pairs])
         for name in ("speed", "weight")
     )
-    columns, root = block_diag(*(a[k] for k in kept)), np.sqrt(weight)
+    columns, root, q = block_diag(*(a[k] for k in kept)), np.sqrt(weight), np.concatenate(places)
     extra = np.column_stack([np.ones_like(speed), speed / speed.max()])
     if robot.chain.prismatic[joint] and columns.shape[1]:
         extra = extra[:, 1:]  # the gravity force of a prismatic joint is itself an offset
     y = np.concatenate([half.tau for half in pairs]) * root
     bases = [each * root[:, None] for each in (columns, np.hstack([columns, extra]))]
     plain, extended = (Clustered.of(each, y, block) for each in bases)
-    beyond = _beyond(pairs, plain.left / root, extended.left / root)
+    beyond = _beyond(q, root, block // parts, plain.left / root, extended.left / root)
     if beyond is not None:
-        y = y - beyond(np.concatenate([half.q for half in pairs])) * root
+        y = y - beyond(q) * root
         plain, extended = (Clustered.of(each, y, block) for each in bases)
     squares = []  # of friction: half the difference of the directions
     for k in kept:
@@ -212,23 +212,28 @@ def fit_gravity(
 
 
 def _beyond(
-    pairs: list[HalfSum], left: Array, unlike: Array, *, degree: int = 8, most: float = 0.7
+    q: Array,
+    root: Array,
+    pair: Index,
+    left: Array,
+    unlike: Array,
+    *,
+    degree: int = 8,
+    most: float = 0.7,
 ) -> Chebyshev | None:
-    """Torque over the position that half-sums have beyond gravity, `left` (N,) N m.
+    """Torque over the position q (N,) that half-sums have beyond gravity, `left` (N,) N m.
 
-    A polynomial of some `degree` over all pairs. None, unless of what friction that depends on the
-    direction does not make either, `unlike` (N,) N m, one like it leaves pairs that are left out no
-    more than `most` of their squares: what pairs share is no noise.
+    A polynomial of some `degree` over all pairs, which `pair` (N,) numbers; rows weigh `root` (N,).
+    None, unless of what friction that depends on the direction does not make either, `unlike` (N,)
+    N m, one like it leaves pairs that are left out less than `most` of their squares: what pairs
+    share is no noise.
     """
-    q = np.concatenate([half.q for half in pairs])
-    root = np.sqrt(np.concatenate([np.full(len(half.q), half.weight) for half in pairs]))
-    number = np.repeat(np.arange(len(pairs)), [len(half.q) for half in pairs])
 
     def fitted(values: Array, some: Mask) -> Chebyshev:
         domain = [float(q.min()), float(q.max())]
         return Chebyshev.fit(q[some], values[some], degree, domain=domain, w=root[some])
 
-    others = [number != k for k in range(len(pairs))]
+    others = [pair != k for k in range(int(pair.max()) + 1)]
     if min(np.count_nonzero(some) for some in others) <= degree:
         return None
     rest = unlike.copy()
@@ -237,7 +242,7 @@ def _beyond(
         rest[own] -= fitted(unlike, some)(q[own])
     if np.sum((rest * root) ** 2) >= most * np.sum((unlike * root) ** 2):
         return None
-    return fitted(left, number >= 0)
+    return fitted(left, pair >= 0)
 
 
 def _asymmetry(

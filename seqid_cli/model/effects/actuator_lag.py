@@ -15,8 +15,6 @@ from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.typing import Array
 
-SOON_S = 1e-6
-
 
 class ActuatorLag(TorqueMeasurement):
     """Command minus torque of a first-order drive; of one joint, or one lag of all (joint None)."""
@@ -40,7 +38,7 @@ class ActuatorLag(TorqueMeasurement):
 
     def steady_columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """The same from the torque a little later on the way."""
-        return steady_change(scene, joint, SOON_S)
+        return steady_change(scene, joint)
 
     def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
         """Send the command through the lag, starting settled."""

@@ -14,6 +14,8 @@ from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
+SMALL_S = 1e-6  # below it the derivative over time is exact enough
+
 
 class MeasurementEffect(Effect):
     """An effect that a recording can be freed of by correcting the channel that it distorts."""
@@ -53,9 +55,10 @@ def touched(scene: Scene, joint: Joint) -> list[int]:
     return list(range(scene.robot.n)) if joint is None else [joint]
 
 
-def steady_change(scene: Scene, joint: Joint, seconds: float) -> Columns:
-    """Change of the torque of steady motion over `seconds`, (N, 1) per second."""
+def steady_change(scene: Scene, joint: Joint, seconds: float = 0.0) -> Columns:
+    """Change of the torque of steady motion over `seconds`, SMALL_S at least, (N, 1) per second."""
     motion, which = scene.motion, touched(scene, joint)
+    seconds = seconds if abs(seconds) > SMALL_S else SMALL_S
     later = replace(scene, motion=replace(motion, q=motion.q + seconds * motion.dq))
     now, then = ((one.carried + one.friction)[:, which] for one in (scene, later))
     change = (then - now) / seconds

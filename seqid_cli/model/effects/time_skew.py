@@ -15,7 +15,12 @@ derivative.
 from scipy.ndimage import shift
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
-from seqid_cli.model.effects.measurement import TorqueMeasurement, of_modelled, steady_change
+from seqid_cli.model.effects.measurement import (
+    SMALL_S,
+    TorqueMeasurement,
+    of_modelled,
+    steady_change,
+)
 from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.typing import Array
@@ -23,7 +28,6 @@ from seqid_cli.typing import Array
 LARGEST_S = 0.1
 # Free base parameters take up part of a delay, so that the residual's own comes out too short.
 CONSISTENT = 1.5  # ratio of d to d_0 beyond which the column does not belong to the coefficient
-SMALL_S = 1e-6  # below it the derivative is exact enough
 
 
 class TimeSkew(TorqueMeasurement):
@@ -62,9 +66,7 @@ class TimeSkew(TorqueMeasurement):
 
     def steady_columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """The same from the torque a little earlier on the way."""
-        around = settings["around"]
-        delay = around if abs(around) > SMALL_S else SMALL_S
-        return {j: -X for j, X in steady_change(scene, joint, -delay).items()}
+        return {j: -X for j, X in steady_change(scene, joint, -settings["around"]).items()}
 
     def true_torque(self, tau: Array, rate_hz: float, settings: Settings, c: Array) -> Array:
         """Shift back."""

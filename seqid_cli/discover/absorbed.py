@@ -1,65 +1,127 @@
-"""What a file's friction has absorbed of an effect that was there when it was identified.
+"""What a file has absorbed of an effect that was there when it was identified.
 
 Friction trials move one joint at constant speeds, both ways. What an effect has at these speeds and
-places against the motion is taken for friction, as far as the surface's terms can follow; a model
-that knows the effect has it twice. So the effect shows as its torque X less what was absorbed,
+places against the motion is taken for friction, and what it has both ways for gravity, as far as
+their terms can follow. With X(q, v) the torque of an effect in the trials, F the columns of a
+joint's friction surface and G those of gravity, a unit of its coefficient is in the file as
 
-    X - F P,   P = argmin over trials |(X(q, v) - X(q, -v)) / 2 - F(q, v) P|^2,
+    P = argmin over trials |(X(q, v) - X(q, -v)) / 2 - F(q, v) P|^2,
+    p = argmin over trials |(X(q, v) + X(q, -v)) / 2 - G(q) p|^2,
 
-F being the columns of the surface. The half-sum of both ways is gravity's, and in the rigid body.
+and the deviations of friction and gravity from the file are held to -P and -p times the coefficient
+(see `Part.in_file`), where those of a file without the effect are held to zero.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
 
+from seqid_cli.discover.base import Base, has_trials, surface_columns
 from seqid_cli.model.effects.effect import Effect, Settings
 from seqid_cli.model.effects.scene import Joint, Scene
+from seqid_cli.params.schema import Stages
+from seqid_cli.robot.base_parameters import base_regressor
 from seqid_cli.typing import Array
 
 PLACES = 33  # over the positions of a trial
+OPEN = 1e-6  # of the largest singular value: what gravity's trials leave open
 
 
-def has_trials(scene: Scene, joint: Joint) -> bool:
-    """Whether the file tells at which speeds and in which postures friction was identified."""
-    surfaces = scene.model.surfaces if joint is None else [scene.model.surfaces[joint]]
-    return all(s is not None and len(s.speeds) > 0 and s.postures for s in surfaces)
+class FileTrials:
+    """The steady motion from which a file's friction and gravity were identified.
 
+    Parameters
+    ----------
+    scene : Scene
+        Any data set with the file's model.
+    base : Base
+        Columns of the rigid body and of friction, whose coefficients are told.
+    stages : Stages
+        The file's.
+    """
 
-def absorbed(scene: Scene, effect: Effect, joint: Joint, settings: Settings) -> dict[int, Array]:
-    """Coefficients (entries, k) of each joint's surface per unit coefficient of an effect."""
-    found, first = dict[int, Array](), joint or 0
-    touched = effect.steady_columns(_trials(scene, first), joint, settings)
-    for j in (j for j in touched if has_trials(scene, j)):
-        trials = _trials(scene, j)
-        own = touched if j == first else effect.steady_columns(trials, joint, settings)
-        ahead, back = np.split(own[j], 2)
-        F = surface_columns(trials, j, slice(len(ahead)))
-        found[j] = np.asarray(np.linalg.lstsq(F, 0.5 * (ahead - back[::-1]), rcond=None)[0])
-    return found
+    def __init__(self, scene: Scene, base: Base, stages: Stages) -> None:
+        self.scene, self.base, self.stages = scene, base, stages
+        self._made: dict[int, Scene] = {}
+        self._fits: dict[int, Array] = {}
 
+    def absorbed(self, effect: Effect, joint: Joint, settings: Settings) -> dict[int, Array]:
+        """Coefficients (., k) that are in the file per unit coefficient of an effect.
 
-def surface_columns(scene: Scene, joint: int, part: slice = slice(None)) -> Array:
-    """Columns (N, entries) of a joint's friction surface, of some samples of a data set."""
-    surface, motion = scene.model.surfaces[joint], scene.motion
-    assert surface is not None
-    columns: Array = surface.columns(motion.q[part, joint], motion.dq[part, joint])
-    return columns[:, : surface.entries]
+        By part of the base: of the rigid body (0), and of friction of each joint (from 1).
+        """
+        first, found, both = joint or 0, dict[int, Array](), dict[int, Array]()
+        touched = effect.steady_columns(self._trials(first), joint, settings)
+        for j in (j for j in touched if has_trials(self.scene, j)):
+            own = touched if j == first else effect.steady_columns(self._trials(j), joint, settings)
+            ahead, back = np.split(own[j], 2)
+            found[1 + j] = self._friction(j) @ (0.5 * (ahead - back[::-1]))
+            both[j] = 0.5 * (ahead + back[::-1])
+        seen = [self._gravity[j] @ half for j, half in both.items() if j in self._gravity]
+        return {0: np.sum(seen, axis=0), **found} if seen else found
 
+    def beside(self, columns: Array, joint: int, absorbed: dict[int, Array]) -> Array:
+        """Columns (M_j, k) of an effect on a joint's rows less what the file has of them."""
+        friction, gravity = absorbed.get(1 + joint), absorbed.get(0)
+        if friction is not None:
+            columns = columns - self.base.friction[joint][:, : len(friction)] @ friction
+        return columns if gravity is None else columns - self.base.rigid[joint] @ gravity
 
-def _trials(scene: Scene, joint: int) -> Scene:
-    """One joint at the speeds and places of its trials, all ahead first, then the same way back."""
-    if joint not in scene.trials:
-        scene.trials[joint] = _steady(scene, joint)
-    return scene.trials[joint]
+    def _friction(self, joint: int) -> Array:
+        """Coefficients of a joint's surface (entries, N) per torque in its trials one way."""
+        if joint not in self._fits:
+            trials = self._trials(joint)
+            F = surface_columns(trials, joint, slice(trials.samples // 2))
+            self._fits[joint] = np.asarray(np.linalg.pinv(F), dtype=np.float64)
+        return self._fits[joint]
+
+    @cached_property
+    def _gravity(self) -> dict[int, Array]:
+        """Rigid parameters (b, N) per torque in each joint's trials, the same for both ways."""
+        gravity, basis = self.stages.gravity, self.base.basis
+        joints = [j for j in range(self.scene.robot.n) if has_trials(self.scene, j)]
+        names = [p.name for p in gravity.parameters] if gravity else []
+        own = [basis.names.index(name) for name in names if name in basis.names]
+        if not joints or not own:
+            return {}
+        weight = [self._weight(j) for j in joints]
+        every = [w * self._at_rest(j)[:, own] for j, w in zip(joints, weight, strict=True)]
+        told = np.zeros((basis.size, sum(map(len, every))))
+        told[own] = np.linalg.pinv(np.vstack(every), rcond=OPEN)
+        parts = np.split(told, np.cumsum([len(G) for G in every])[:-1], axis=1)
+        return {j: w * part for j, w, part in zip(joints, weight, parts, strict=True)}
+
+    def _at_rest(self, joint: int) -> Array:
+        """Columns (N, b) of gravity at a joint, where its trials lead one way."""
+        trials = self._trials(joint)
+        q = trials.motion.q[: trials.samples // 2]
+        rest = np.zeros_like(q)
+        return base_regressor(self.scene.robot, self.base.basis, q, rest, rest)[:, joint]
+
+    def _weight(self, joint: int) -> float:
+        """Of a place of a joint's trials: all of one joint count by the error of its friction."""
+        assert self.stages.friction is not None
+        name = self.scene.robot.joint_names[joint]
+        error = max(self.stages.friction.joints[name].rmse, 1e-12)
+        return float(1.0 / (error * np.sqrt(self._trials(joint).samples)))
+
+    def _trials(self, joint: int) -> Scene:
+        """A joint at the speeds and places of its trials, all ahead first, then the way back."""
+        if joint not in self._made:
+            self._made[joint] = _steady(self.scene, joint)
+        return self._made[joint]
 
 
 def _steady(scene: Scene, joint: int) -> Scene:
     surface = scene.model.surfaces[joint]
     assert surface is not None
     places = surface.scaling.over_position.at(np.linspace(0.0, 1.0, PLACES))
-    every = list(product(surface.postures, surface.speeds, places))
+    every: Sequence[tuple[Array, float, float]] = list(
+        product(surface.postures, surface.speeds, places)
+    )
     q = np.array([posture for posture, _, _ in every])
     q[:, joint] = [place for _, _, place in every]
     dq = np.zeros_like(q)

@@ -19,10 +19,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.discover.absorbed import surface_columns
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.identify.regression.least_squares import whitened
-from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
@@ -169,6 +168,12 @@ def residual_of(scene: Scene) -> Array:
     return left
 
 
+def has_trials(scene: Scene, joint: Joint) -> bool:
+    """Whether the file tells at which speeds and in which postures friction was identified."""
+    surfaces = scene.model.surfaces if joint is None else [scene.model.surfaces[joint]]
+    return all(s is not None and len(s.speeds) > 0 and s.postures for s in surfaces)
+
+
 def friction_columns(
     scene: Scene, stage: FrictionStage | None, joint: int, part: slice = slice(None)
 ) -> Array:
@@ -193,6 +198,14 @@ def _simple_terms(stage: FrictionStage, name: str) -> int:
 def _simple(scene: Scene, joint: int, terms: int, part: slice) -> Array:
     v, sign = scene.motion.dq[part, joint], scene.sign[part, joint]
     return np.stack([sign, v, np.ones_like(v)], axis=1)[:, :terms]
+
+
+def surface_columns(scene: Scene, joint: int, part: slice = slice(None)) -> Array:
+    """Columns (N, entries) of a joint's friction surface, of some samples of a data set."""
+    surface, motion = scene.model.surfaces[joint], scene.motion
+    assert surface is not None
+    columns: Array = surface.columns(motion.q[part, joint], motion.dq[part, joint])
+    return columns[:, : surface.entries]
 
 
 def _surface(scene: Scene, surface: FrictionSurface, joint: int, part: slice) -> Array:

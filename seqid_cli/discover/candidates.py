@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.discover.absorbed import absorbed, has_trials, surface_columns
+from seqid_cli.discover.absorbed import FileTrials
+from seqid_cli.discover.base import has_trials
 from seqid_cli.discover.drive import drive_rows
 from seqid_cli.discover.select.rows import Channels
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
@@ -26,7 +27,7 @@ class Candidate:
 
     One `apart` has coefficients of its own above the cut-off: what is faster than the position loop
     moves the arm, and the measured torque does not follow. One `absorbed` was there in the trials
-    of the file's friction, which has absorbed a part of it (see `absorbed`).
+    of the file's friction and gravity, which have absorbed a part of it (see `FileTrials`).
     """
 
     effect: Effect
@@ -47,7 +48,7 @@ class Candidate:
 
     @property
     def plain(self) -> Candidate:
-        """The same beside friction that has absorbed nothing of it."""
+        """The same beside a file that has absorbed nothing of it."""
         return replace(self, absorbed=False)
 
     @property
@@ -70,18 +71,9 @@ class Candidate:
         specs = self.effect.settings
         return tuple(self.settings[s.name] for s in specs if not s.continuous and not s.then)
 
-    def in_friction(self, scene: Scene) -> dict[int, Array]:
-        """Coefficients (entries, k) of each joint's surface that stand for it in the file."""
-        return absorbed(scene, self.effect, self.joint, self.settings)
-
     def columns(self, scene: Scene) -> Columns:
-        """Torque (N, k) per unit coefficient by joint, beside the file's friction, unfiltered."""
-        made = self.effect.columns(scene, self.joint, self.settings)
-        if not self.absorbed:
-            return made
-        for j, P in self.in_friction(scene).items():
-            made = {**made, j: made[j] - surface_columns(scene, j) @ P}
-        return made
+        """Torque (N, k) per unit coefficient by joint, unfiltered."""
+        return self.effect.columns(scene, self.joint, self.settings)
 
     def add_torque(
         self, total: Sequence[Array], scenes: Sequence[Scene], coefficients: Array
@@ -101,15 +93,15 @@ MOST_COLUMNS = 2_000_000  # candidates times samples that are worked out togethe
 class Stage:
     """Rows and data sets on which candidates are tried, with the columns made so far.
 
-    `friction` (M_j, k_j) are the columns of each joint's friction, its surface first.
+    `file` tells what the parameter file has absorbed of effects.
     """
 
-    def __init__(self, rows: Rows, friction: Sequence[Array]) -> None:
-        self.rows, self.friction = rows, friction
+    def __init__(self, rows: Rows, file: FileTrials | None = None) -> None:
+        self.rows, self.file = rows, file
         self.high = high_band(rows)
         self.drive = drive_rows(rows)
         self._made: dict[tuple[object, ...], Channels] = {}
-        self.precisions: dict[tuple[object, ...], Array] = {}  # of columns that are kept
+        self.known: dict[tuple[object, ...], tuple[Array, dict[int, Array]]] = {}  # see `effects`
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
@@ -118,24 +110,20 @@ class Stage:
 
     def columns(self, candidates: Sequence[Candidate]) -> list[Channels]:
         """Columns of candidates on the rows of the joints that they touch."""
-        keys = [candidate.address for candidate in candidates]
+        keys = [candidate.plain.address for candidate in candidates]
         missing = {k: c for k, c in zip(keys, candidates, strict=True) if k not in self._made}
-        plain = {c.plain.address: c.plain for c in missing.values()}
-        plain = {key: c for key, c in plain.items() if key not in self._made}
-        for key, candidate in plain.items():
+        for key, candidate in missing.items():
             if candidate.effect.wide:
                 self._made[key] = self._wide(candidate)
         longest = max(scene.samples for scene in self.scenes)
         together = max(1, min(TOGETHER, MOST_COLUMNS // longest))
         for passes in (1, 2):
-            narrow = [(k, c) for k, c in plain.items() if not c.effect.wide]
+            narrow = [(k, c) for k, c in missing.items() if not c.effect.wide]
             some = {k: c for k, c in narrow if c.effect.passes == passes}
             for first in range(0, len(some), together):
                 part = list(some.items())[first : first + together]
                 made = self._computed([c for _, c in part], passes)
                 self._made.update(zip([k for k, _ in part], made, strict=True))
-        absorbed = {key: c for key, c in missing.items() if c.absorbed}
-        self._made.update({key: self._less_absorbed(c) for key, c in absorbed.items()})
         made = [self._made[key] for key in keys]
         return [
             self.with_drive(own) if candidate.effect.drive else own
@@ -181,12 +169,18 @@ class Stage:
                 result[i][j] = np.ascontiguousarray(X)
         return list(result)
 
-    def _less_absorbed(self, candidate: Candidate) -> Channels:
-        """Columns of a candidate less what the file's friction has absorbed of it."""
-        columns = dict(self._made[candidate.plain.address])
-        for j, taken in candidate.in_friction(self.scenes[0]).items():
-            columns[j] = columns[j] - self.friction[j][:, : len(taken)] @ taken
-        return columns
+    def in_file(self, candidate: Candidate) -> dict[int, Array]:
+        """What the file has absorbed of a candidate (see `FileTrials.absorbed`)."""
+        if not candidate.absorbed or self.file is None:
+            return {}
+        return self.file.absorbed(candidate.effect, candidate.joint, candidate.settings)
+
+    def beside_file(self, columns: Channels, in_file: dict[int, Array]) -> Channels:
+        """Columns less what the file has absorbed of them, on the rows that have some."""
+        if self.file is None or not in_file:
+            return columns
+        below = {c: X for c, X in columns.items() if c < self.rows.n}
+        return {**columns, **{j: self.file.beside(X, j, in_file) for j, X in below.items()}}
 
 
 def candidates_of(

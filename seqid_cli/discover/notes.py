@@ -111,11 +111,11 @@ def file_notes(
 
 
 def absorbed_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
-    """Effects that were there when the file was identified, as its friction shows."""
+    """Effects that were there when the file was identified, as its stages show."""
     told = [one.term for one in found.found.effects if one.term.absorbed]
     return tuple(
         f"{robot.name_of(term.joint) or 'all joints'}: {term.name} was there when the file was "
-        "identified, whose friction has absorbed a part of it: refine identifies friction anew"
+        "identified, which has absorbed a part of it: refine identifies the stages anew"
         for term in told
     )
 

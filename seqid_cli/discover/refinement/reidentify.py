@@ -182,7 +182,7 @@ def _stages(material: Material, model: Refitted, fit: Callable[[], Model], *, la
     if all(earlier.get(stage) for stage in needed):
         return _sequential(material, model, last=last)
     joint = fit()
-    return moved(stages, joint, joint.moves)
+    return moved(stages, joint, joint.linear.theta)
 
 
 def _sequential(material: Material, model: Refitted, *, last: bool) -> Stages:

@@ -13,7 +13,8 @@ log evidence by
 and the log density that all other blocks predict for block b by E - E without b. All of it follows
 from products block by block: no fit is repeated. What a parameter file says of the base is a block
 as well: a base that is free enough takes up a constant effect at the price of leaving the file, and
-E - E without the file is what the term saves of it.
+E - E without the file is what the term saves of it. Of an effect that was there when the file was
+identified the file has R a in its base: theta + R a ~ N(0, P^-1) then, which couples the two.
 """
 
 from __future__ import annotations
@@ -88,21 +89,53 @@ class Linear:
         return index, [columns for _, columns in here]
 
     @cached_property
-    def prior(self) -> Array:
-        """Precision (p, p) of all parameters beforehand."""
+    def _held(self) -> Array:
+        """Precision (p, p) beforehand of what is `held`."""
         P = np.zeros((self.size, self.size))
         for part, where in zip(self.parts, self.where, strict=True):
             P[where, where] = part.precision
         return P
 
     @cached_property
-    def _of_file(self) -> Array:
-        """The part of it (p, p) that is the parameter file's."""
+    def _held_apart(self) -> Array:
+        """The same (p, p) without what the parameter file says."""
         P = np.zeros((self.size, self.size))
         for part, where in zip(self.parts, self.where, strict=True):
-            if part.apart is not None:
-                P[where, where] = part.precision - part.apart
+            P[where, where] = part.precision if part.apart is None else part.apart
         return P
+
+    def in_file(self, part: Part) -> Array:
+        """Parameters (p, k) that the file has per unit of a part's coefficients."""
+        R = np.zeros((self.size, part.size))
+        for number, own in part.in_file.items():
+            first = self.where[number].start
+            R[first : first + len(own), : own.shape[1]] = own
+        return R
+
+    @cached_property
+    def lift(self) -> Array:
+        """The matrix (p, p) that makes of parameters what is held: they and what the file has."""
+        U = np.eye(self.size)
+        for part, where in zip(self.parts, self.where, strict=True):
+            if part.in_file:
+                U[:, where] += self.in_file(part)
+        return U
+
+    @property
+    def held(self) -> Array:
+        """Parameters (p,) and what the file has absorbed of terms, which are held to the file."""
+        return np.asarray(self.lift @ self.theta)
+
+    def _coupled(self, held: Array) -> Array:
+        """Precision (p, p) of the parameters, from that of what is held."""
+        if not any(part.in_file for part in self.parts):
+            return held
+        return np.asarray(self.lift.T @ held @ self.lift)
+
+    @cached_property
+    def prior(self) -> Array:
+        """Precision (p, p) of all parameters beforehand."""
+        return self._coupled(self._held)
 
     def _sums_of(self, rows: Sequence[slice]) -> tuple[Array, Array]:
         """B'wB (p, p) and B'wy (p,) of some rows of every channel."""
@@ -156,7 +189,7 @@ class Linear:
     def _without_file(self) -> tuple[Factor, Array]:
         """Factor and solution (p,) without what the parameter file says."""
         A, b = self.sums
-        factor = self._factor(A - self._of_file)
+        factor = self._factor(A + self._coupled(self._held_apart) - self.prior)
         return factor, self._solved(factor, b)
 
     @property
@@ -210,7 +243,7 @@ class Linear:
     def evidence(self) -> float:
         """Log density of the rows, their weights' part aside."""
         factor, theta = self._whole
-        scaled = self.prior * np.outer(self._scale, self._scale)
+        scaled = self._held * np.outer(self._scale, self._scale)
         before = sum(half_log_det(factored(scaled[at, at])) for at in self.where)
         return 0.5 * (float(self.sums[1] @ theta) - self._square) - half_log_det(factor) + before
 
@@ -232,6 +265,14 @@ class Linear:
             for c, at in enumerate(self.rows.at)
         ]
 
+    def torque_beside_file(self, part: Part) -> dict[int, Array]:
+        """Torque (M_c,) N m of a part of the model less what the file has absorbed of it."""
+        own = self._at(part)
+        theta = -self.in_file(part) @ self.theta[own]
+        theta[own] = self.theta[own]
+        every = slice(None)
+        return {c: self.rows.y[c] - self._left(c, every, theta) for c in part.columns}
+
     def _left(self, channel: int, at: slice, theta: Array) -> Array:
         index, columns = self._own[channel]
         left, first = self.rows.y[channel][at].copy(), 0
@@ -246,7 +287,8 @@ class Linear:
         for first in range(0, len(terms), BATCH):
             some = terms[first : first + BATCH]
             every = [(slice(0, len(y)),) for y in self._y]
-            found += self._given(self._whole, self._crossed(some, every))
+            crossed = self._crossed(some, every)
+            found += self._given(self._whole, crossed, self._with_file(crossed, self._held))
         return found
 
     def predicted(self, terms: Sequence[Part]) -> list[Predicted]:
@@ -254,8 +296,11 @@ class Linear:
         if not terms:
             return []
         crossed = self._crossed(terms, self.rows.at)
-        every, alone = (self._given(x, crossed) for x in (self._whole, self._without_file))
-        C, d, _ = crossed.whole
+        told = self._with_file(crossed, self._held)
+        every = self._given(self._whole, crossed, told)
+        apart = self._with_file(crossed, self._held_apart)
+        alone = self._given(self._without_file, crossed, apart)
+        (C, whole), d = told, crossed.d.sum(axis=0)
         seen = [np.empty_like(D) for D in crossed.D]  # of the columns, by the base without a block
         left = np.empty_like(crossed.d)
         for k, (factor, theta) in enumerate(self._without):
@@ -265,20 +310,33 @@ class Linear:
                 S[k] = Z[:, at].T @ Z[:, at]
         rows, found = self.rows.independent, list[Predicted]()
         for i, (term, at, own) in enumerate(zip(terms, crossed.where, crossed.D, strict=True)):
-            others = bayes_factor(own.sum(axis=0) - own - seen[i], left[:, at], term.precision)[0]
+            others = bayes_factor(whole[i] - own - seen[i], left[:, at], term.precision)[0]
             density, here = every[i].evidence - others, rows[sorted(term.columns)].sum(axis=0)
             found.append(Predicted(density, here, every[i].evidence - alone[i].evidence))
         return found
 
-    def _given(self, solved: tuple[Factor, Array], crossed: _Crossed) -> list[Gained]:
-        """What each term by itself does to a solved model."""
-        (factor, theta), (C, d, whole) = solved, crossed.whole
-        Z, left = self._halved(factor, C), d - C.T @ theta
+    def _with_file(self, crossed: _Crossed, held: Array) -> tuple[Array, list[Array]]:
+        """C (p, m) and D (k, k) of all blocks and of what is `held` (p, p) beforehand."""
+        C, whole = crossed.C.sum(axis=0), [own.sum(axis=0) for own in crossed.D]
+        if not any(term.in_file for term in crossed.terms):
+            return C, whole
+        R = np.hstack([self.in_file(term) for term in crossed.terms])
+        PR = held @ R
+        own = [D + R[:, at].T @ PR[:, at] for D, at in zip(whole, crossed.where, strict=True)]
+        return C + self.lift.T @ PR, own
+
+    def _given(
+        self, solved: tuple[Factor, Array], crossed: _Crossed, told: tuple[Array, list[Array]]
+    ) -> list[Gained]:
+        """What each term by itself does to a solved model, with the products C and D."""
+        (factor, theta), (C, whole) = solved, told
+        Z, left = self._halved(factor, C), crossed.d.sum(axis=0) - C.T @ theta
         found = []
-        for term, at, D in zip(crossed.terms, crossed.where, whole, strict=True):
+        for term, at, D, blocks in zip(crossed.terms, crossed.where, whole, crossed.D, strict=True):
             S = D - Z[:, at].T @ Z[:, at]
             value, a, covariance = bayes_factor(S, left[at], term.precision)
-            visible = float(np.trace(S) / max(float(np.trace(D)), 1e-300))
+            square = float(np.trace(blocks.sum(axis=0)))
+            visible = float(np.trace(S) / max(square, 1e-300))
             found.append(Gained(float(value), a, covariance, max(visible, 0.0)))
         return found
 
@@ -289,8 +347,11 @@ class Linear:
         count, wide = len(at[0]), int(edges[-1])
         C, d = np.zeros((count, self.size, wide)), np.zeros((count, wide))
         D = [np.zeros((count, term.size, term.size)) for term in terms]
+        first = dict[tuple[int, ...], int]()  # one of the terms with the same columns
+        keys = [(term.size, *map(id, term.columns.values())) for term in terms]
+        same = [first.setdefault(key, i) for i, key in enumerate(keys)]
         for c, (index, known) in enumerate(self._own):
-            here = [i for i, term in enumerate(terms) if c in term.columns]
+            here = [i for i in first.values() if c in terms[i].columns]
             if not here:
                 continue
             places = [np.arange(where[i].start, where[i].stop)[terms[i].at(c)] for i in here]
@@ -306,6 +367,9 @@ class Linear:
                     for i, X, own in zip(here, every, np.split(wX, edge, axis=1), strict=True):
                         at_c = terms[i].at(c)
                         D[i][k, at_c, at_c] += X.T @ own
+        for i, other in ((i, other) for i, other in enumerate(same) if other != i):
+            C[:, :, where[i]], d[:, where[i]] = C[:, :, where[other]], d[:, where[other]]
+            D[i] = D[other]
         return _Crossed(terms, where, C, d, D)
 
 
@@ -318,11 +382,6 @@ class _Crossed:
     C: Array  # (blocks, p, m)
     d: Array  # (blocks, m)
     D: list[Array]  # (blocks, k, k) of each term
-
-    @cached_property
-    def whole(self) -> tuple[Array, Array, list[Array]]:
-        """C (p, m), d (m,) and D (k, k) of all blocks."""
-        return self.C.sum(axis=0), self.d.sum(axis=0), [own.sum(axis=0) for own in self.D]
 
 
 def _times(root: Array, columns: Sequence[Array]) -> Array:

@@ -7,9 +7,9 @@ from seqid_cli.typing import Array
 
 
 class Loosened:
-    """A solved model while parts of it are held by other precisions, one after the other.
+    """A solved model while parts of what is held get other precisions, one after the other.
 
-    With C the covariance of some parameters, t their values and D what their precision grows by,
+    With C the covariance of some of it, t their values and D what their precision grows by,
     all by those of before, the log evidence grows by (log det(P + D) - log det P
     - log det(1 + D C) - t' (1 + D C)^-1 D t) / 2.
 
@@ -19,7 +19,8 @@ class Loosened:
     """
 
     def __init__(self, linear: Linear) -> None:
-        self.theta, self.covariance = linear.theta.copy(), linear.covariance.copy()
+        self.theta = linear.held
+        self.covariance = linear.lift @ linear.covariance @ linear.lift.T
         self._told = np.diag(linear.sums[0])  # by the rows
 
     def gained(self, at: slice, before: Array, after: Array) -> float:

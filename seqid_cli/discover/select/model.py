@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import Base, base_of
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.noise.spectra import DETAIL
@@ -76,7 +77,7 @@ class Ground:
     def of(cls, own: SurveyRows, stages: Stages) -> Ground:
         """Rows of all logs, and what they have to be explained by beside the file's stages."""
         base = base_of(own, stages)
-        stage = Stage(own, base.friction)
+        stage = Stage(own, FileTrials(own.scenes[0], base, stages))
         high, drive = stage.high, stage.drive
         below = tuple(own.blocks_of(j) for j in range(own.n))
         y = (*base.y, *high.y, *drive.y)
@@ -232,10 +233,9 @@ class Model:
         self.settle()
 
     def squares(self, term: Term, channels: frozenset[int]) -> float:
-        """Weighted square of a term's torque at some channels."""
-        theta, weight = self.linear.theta[self.where(term)], self.noise.weight
-        there = term.channels & channels
-        return sum(float(weight[c] @ term.part.torque(c, theta) ** 2) for c in there)
+        """Weighted square of a term's torque beside the file at some channels."""
+        torque, weight = self.linear.torque_beside_file(term.part), self.noise.weight
+        return sum(float(weight[c] @ torque[c] ** 2) for c in term.channels & channels)
 
     def beyond(self, before: Sequence[Array], channels: frozenset[int]) -> float:
         """Share of the squared error that goes where it was not fitted, of `before`, (M_c,) N m.
@@ -257,20 +257,15 @@ class Model:
 
     @cached_property
     def deviation(self) -> list[Array]:
-        """What the base adds to the file's model (N, n) N m, at all samples of every scene."""
-        rigid, *friction = [self.linear.theta[at] for at in self.linear.where[: 1 + self.ground.n]]
-        return self.ground.base.deviation(rigid, friction)
+        """What the base adds to the file's model (N, n) N m, at all samples of every scene.
 
-    @property
-    def moves(self) -> Array:
-        """Parameters (p,) by which the base leaves the file, what it has absorbed taken away."""
-        theta, scene = self.linear.theta.copy(), self.ground.stage.scenes[0]
-        for term in self.terms:
-            if isinstance(term.what, Candidate) and term.absorbed:
-                for j, taken in term.what.in_friction(scene).items():
-                    first = self.linear.where[1 + j].start
-                    theta[first : first + len(taken)] -= taken @ self.coefficients(term)
-        return theta
+        Beside terms less what the file has absorbed of them (see `shown`).
+        """
+        return self._deviation(self.linear.held)
+
+    def _deviation(self, theta: Array) -> list[Array]:
+        rigid, *friction = [theta[at] for at in self.linear.where[: 1 + self.ground.n]]
+        return self.ground.base.deviation(rigid, friction)
 
     @property
     def candidates(self) -> list[Candidate]:
@@ -278,11 +273,19 @@ class Model:
         return [term.what for term in self.terms if isinstance(term.what, Candidate)]
 
     def shown(self, without: Term | None = None) -> list[Array]:
-        """Torque (N, n) N m of all terms but one, low-passed, at all samples of every scene."""
-        scenes = self.ground.stage.scenes
+        """Torque (N, n) N m of all terms but one, low-passed, at all samples of every scene.
+
+        Less what the file has absorbed of them.
+        """
+        scenes, linear = self.ground.stage.scenes, self.linear
         total = [np.zeros_like(scene.motion.q) for scene in scenes]
+        absorbed = np.zeros(linear.size)
         for term in (one for one in self.terms if one is not without):
             term.what.add_torque(total, scenes, self.coefficients(term))
+            absorbed += linear.in_file(term.part) @ linear.theta[self.where(term)]
+        if np.any(absorbed):
+            parts = zip(total, self._deviation(absorbed), strict=True)
+            total = [torque - in_file for torque, in_file in parts]
         return total
 
     def left(self, without: Term | None = None) -> list[Array]:

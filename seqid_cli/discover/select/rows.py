@@ -68,12 +68,15 @@ class Part:
 
     `apart` is the part of that precision which is not a parameter file's; all, where it is None.
     Of channels in `first` the columns are those from that number on; of others they are all.
+    `in_file` are coefficients (., k) of other parts of the model, by their number, that stand for
+    the part in a parameter file: held to the file is what they are more than that.
     """
 
     columns: Channels
     precision: Array
     apart: Array | None = None
     first: Mapping[int, int] = field(default_factory=dict)
+    in_file: Mapping[int, Array] = field(default_factory=dict)
 
     @property
     def size(self) -> int:

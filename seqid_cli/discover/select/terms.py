@@ -47,7 +47,7 @@ class Term:
 
     @property
     def absorbed(self) -> bool:
-        """Whether the file's friction has absorbed a part of it."""
+        """Whether the file has absorbed a part of it."""
         return isinstance(self.what, Candidate) and self.what.absorbed
 
     @property
@@ -71,13 +71,16 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
     size : (channels,) array
         RMS [N m] of what the file leaves: no term is likely to be much more.
     """
-    known, found, n = stage.precisions, list[Term](), stage.rows.n
+    known, found, n = stage.known, list[Term](), stage.rows.n
     for candidate, columns in zip(candidates, stage.columns(candidates), strict=True):
         if columns and next(iter(columns.values())).shape[1] and any(map(len, columns.values())):
             first = {c: candidate.size for c in columns if candidate.apart and c // n == 1}
             if candidate.address not in known:
-                known[candidate.address] = np.diag(_precision(columns, size, first))
-            found.append(Term(candidate, Part(columns, known[candidate.address], first=first)))
+                in_file = stage.in_file(candidate)
+                beside = stage.beside_file(columns, in_file)
+                known[candidate.address] = np.diag(_precision(beside, size, first)), in_file
+            precision, in_file = known[candidate.address]
+            found.append(Term(candidate, Part(columns, precision, first=first, in_file=in_file)))
     return found
 
 

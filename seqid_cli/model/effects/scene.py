@@ -66,11 +66,6 @@ class Scene:
         """What effects have computed of this scene and want to keep with it."""
         return {}
 
-    @cached_property
-    def trials(self) -> dict[int, Scene]:
-        """Steady motion of single joints with this model, as far as it has been made, by joint."""
-        return {}
-
     @property
     def angle(self) -> Array:
         """Positions (N, n) for what is finer than the low-pass: the encoder's where there are."""

@@ -13,7 +13,7 @@ from tests.unit.discover.arms import arm_scenes, candidate
 
 def test_columns_are_filtered_as_the_effect_asks() -> None:
     scenes = arm_scenes(logs=2, seconds=8.0)
-    stage = Stage(rows_of(scenes), ())
+    stage = Stage(rows_of(scenes))
     some = [
         candidate("torque_bias", 0),
         candidate("stribeck", 1, stribeck_speed=0.1, exponent=2.0),

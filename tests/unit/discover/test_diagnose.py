@@ -321,7 +321,7 @@ def beyond_friction(found: Investigation, times: float) -> Investigation:
     for scene, part in zip(scenes, ground.base.whole, strict=True):
         fast = np.abs(scene.motion.dq[:, 1:]) > 0.5 * top
         whole.append(replace(part, residual=part.residual * np.where(fast, times, 1.0)))
-    stage = Stage(replace(rows, scenes=scenes), ())
+    stage = Stage(replace(rows, scenes=scenes))
     return on(found, replace(ground, stage=stage, base=replace(ground.base, whole=tuple(whole))))
 
 

@@ -1,10 +1,13 @@
 """The linear model against densities written out in full."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
 from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.loosened import Loosened
 from seqid_cli.discover.select.rows import Part, Rows
 from tests import Array
 
@@ -55,6 +58,48 @@ def log_density(rows: Rows, parts: list[Part], weight: list[Array], kept: Array)
         covariance += X @ np.linalg.inv(part.precision) @ X.T
     at = np.flatnonzero(kept)
     return float(multivariate_normal.logpdf(y[at], cov=covariance[np.ix_(at, at)]))
+
+
+IN_FILE = {0: np.array([[0.7, -2.0], [0.0, 1.5], [3.0, 0.4]]), 1: np.array([[1.1, 0.0]])}
+
+
+@pytest.mark.parametrize("of_file", [0.0, 0.6])
+def test_what_a_file_has_of_a_term_is_taken_off_its_columns(
+    rows: Rows, base: list[Part], term: Part, weight: list[Array], of_file: float
+) -> None:
+    base = [replace(part, apart=(1.0 - of_file) * part.precision) for part in base]
+    less = {c: X - base[0].columns[c] @ IN_FILE[0] for c, X in term.columns.items()}
+    less[0] -= base[1].columns[0][:, :1] @ IN_FILE[1]
+    absorbed, beside = replace(term, in_file=IN_FILE), replace(term, columns=less)
+    other = Part({0: np.ones((LENGTHS[0], 1))}, np.eye(1), in_file={0: np.ones((3, 1))})
+    for parts in (base, [*base, other]):
+        if parts is not base:
+            less_other = {c: -base[0].columns[c] @ np.ones((3, 1)) for c in (0, 1)}
+            less_other[0] += 1.0
+            parts_beside = [*base, replace(other, columns=less_other, in_file={})]
+        else:
+            parts_beside = base
+        one, two = Linear(rows, parts, weight), Linear(rows, parts_beside, weight)
+        for told, same in ((one.gained, two.gained),):
+            a, b = told([term, absorbed])[1], same([beside])[0]
+            assert a.evidence == pytest.approx(b.evidence, abs=1e-6)
+            np.testing.assert_allclose(a.coefficients, b.coefficients, atol=1e-7)
+            np.testing.assert_allclose(a.covariance, b.covariance, atol=1e-7)
+        a, b = one.predicted([term, absorbed])[1], two.predicted([beside])[0]
+        np.testing.assert_allclose(a.density, b.density, atol=1e-6)
+        assert a.file == pytest.approx(b.file, abs=1e-6)
+        one, two = (
+            Linear(rows, [*parts, absorbed], weight),
+            Linear(rows, [*parts_beside, beside], weight),
+        )
+        assert one.evidence == pytest.approx(two.evidence, abs=1e-6)
+        np.testing.assert_allclose(one.held, two.theta, atol=1e-6)
+        for x, y in zip(one.left_out, two.left_out, strict=True):
+            np.testing.assert_allclose(x, y, atol=1e-6)
+        torque = one.torque_beside_file(absorbed)
+        np.testing.assert_allclose(torque[0], less[0] @ two.theta[-2:], atol=1e-6)
+        loose, same = Loosened(one), Loosened(two)
+        np.testing.assert_allclose(loose.covariance, same.covariance, atol=1e-6)
 
 
 def test_evidence_is_the_ratio_of_two_densities(

@@ -63,43 +63,42 @@ def log_density(rows: Rows, parts: list[Part], weight: list[Array], kept: Array)
 IN_FILE = {0: np.array([[0.7, -2.0], [0.0, 1.5], [3.0, 0.4]]), 1: np.array([[1.1, 0.0]])}
 
 
-@pytest.mark.parametrize("of_file", [0.0, 0.6])
-def test_what_a_file_has_of_a_term_is_taken_off_its_columns(
-    rows: Rows, base: list[Part], term: Part, weight: list[Array], of_file: float
+def _less_in_file(base: list[Part], part: Part) -> Part:
+    """The part with what the file has of it taken off its columns instead."""
+    columns = dict(part.columns)
+    for number, R in part.in_file.items():
+        for c, B in base[number].columns.items():
+            columns[c] = columns.get(c, 0.0) - B[:, : len(R)] @ R
+    return replace(part, columns=columns, in_file={})
+
+
+@pytest.mark.parametrize("beside", [False, True], ids=["alone", "beside another"])
+def test_what_a_file_has_of_a_term_is_as_if_taken_off_its_columns(
+    rows: Rows, base: list[Part], term: Part, weight: list[Array], beside: bool
 ) -> None:
-    base = [replace(part, apart=(1.0 - of_file) * part.precision) for part in base]
-    less = {c: X - base[0].columns[c] @ IN_FILE[0] for c, X in term.columns.items()}
-    less[0] -= base[1].columns[0][:, :1] @ IN_FILE[1]
-    absorbed, beside = replace(term, in_file=IN_FILE), replace(term, columns=less)
+    base = [replace(part, apart=0.4 * part.precision) for part in base]
     other = Part({0: np.ones((LENGTHS[0], 1))}, np.eye(1), in_file={0: np.ones((3, 1))})
-    for parts in (base, [*base, other]):
-        if parts is not base:
-            less_other = {c: -base[0].columns[c] @ np.ones((3, 1)) for c in (0, 1)}
-            less_other[0] += 1.0
-            parts_beside = [*base, replace(other, columns=less_other, in_file={})]
-        else:
-            parts_beside = base
-        one, two = Linear(rows, parts, weight), Linear(rows, parts_beside, weight)
-        for told, same in ((one.gained, two.gained),):
-            a, b = told([term, absorbed])[1], same([beside])[0]
-            assert a.evidence == pytest.approx(b.evidence, abs=1e-6)
-            np.testing.assert_allclose(a.coefficients, b.coefficients, atol=1e-7)
-            np.testing.assert_allclose(a.covariance, b.covariance, atol=1e-7)
-        a, b = one.predicted([term, absorbed])[1], two.predicted([beside])[0]
-        np.testing.assert_allclose(a.density, b.density, atol=1e-6)
-        assert a.file == pytest.approx(b.file, abs=1e-6)
-        one, two = (
-            Linear(rows, [*parts, absorbed], weight),
-            Linear(rows, [*parts_beside, beside], weight),
-        )
-        assert one.evidence == pytest.approx(two.evidence, abs=1e-6)
-        np.testing.assert_allclose(one.held, two.theta, atol=1e-6)
-        for x, y in zip(one.left_out, two.left_out, strict=True):
-            np.testing.assert_allclose(x, y, atol=1e-6)
-        torque = one.torque_beside_file(absorbed)
-        np.testing.assert_allclose(torque[0], less[0] @ two.theta[-2:], atol=1e-6)
-        loose, same = Loosened(one), Loosened(two)
-        np.testing.assert_allclose(loose.covariance, same.covariance, atol=1e-6)
+    absorbed, model = replace(term, in_file=IN_FILE), [*base, *[other] * beside]
+    less, same = _less_in_file(base, absorbed), [_less_in_file(base, part) for part in model]
+
+    tried, expected = Linear(rows, model, weight), Linear(rows, same, weight)
+    one, two = tried.gained([term, absorbed])[1], expected.gained([less])[0]
+    assert one.evidence == pytest.approx(two.evidence, abs=1e-6)
+    np.testing.assert_allclose(one.coefficients, two.coefficients, atol=1e-7)
+    np.testing.assert_allclose(one.covariance, two.covariance, atol=1e-7)
+    left_out, as_well = tried.predicted([term, absorbed])[1], expected.predicted([less])[0]
+    np.testing.assert_allclose(left_out.density, as_well.density, atol=1e-6)
+    assert left_out.file == pytest.approx(as_well.file, abs=1e-6)
+
+    taken, expected = (Linear(rows, parts, weight) for parts in ([*model, absorbed], [*same, less]))
+    assert taken.evidence == pytest.approx(expected.evidence, abs=1e-6)
+    np.testing.assert_allclose(taken.held, expected.theta, atol=1e-6)
+    for r, s in zip(taken.left_out, expected.left_out, strict=True):
+        np.testing.assert_allclose(r, s, atol=1e-6)
+    torque = less.columns[1] @ expected.theta[-term.size :]
+    np.testing.assert_allclose(taken.torque_beside_file(absorbed)[1], torque, atol=1e-6)
+    loosened, expected_too = Loosened(taken), Loosened(expected)
+    np.testing.assert_allclose(loosened.covariance, expected_too.covariance, atol=1e-6)
 
 
 def test_evidence_is_the_ratio_of_two_densities(

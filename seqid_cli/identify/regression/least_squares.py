@@ -193,13 +193,15 @@ def solve(
     alone = [_solve_scaled(total)[:2] for total in totals]
     left = [j.residual_rms(x, B.shape[1]) for j, (x, B) in zip(joints, alone, strict=True)]
     sigma = np.maximum(left, 1e-12)
+    known = [totals[k][:, :-1] for k in used] + ([] if prior is None else [prior.A])
+    seen = np.any([_seen(rows) for rows in known], axis=0) if known else np.zeros(size, dtype=bool)
     for _ in range(iterations):
         scale = sigma / np.sqrt(independent)  # of the factor: what follows must use the same
         stack = [totals[k] / scale[k] for k in used]
         if prior is not None:
             stack.append(np.column_stack([prior.A, prior.b]))
         factor = triangular(np.vstack(stack)) if stack else np.zeros((size + 1, size + 1))
-        theta, basis, left_open, condition, determined = _solve_scaled(factor)
+        theta, basis, left_open, condition, determined = _solve_scaled(factor, seen)
         sigma = np.maximum([joint.residual_rms(theta) for joint in joints], 1e-12)
     rank = basis.shape[1]
     bread = basis @ basis.T
@@ -216,15 +218,23 @@ def solve(
     return Solution(*found, sigma, bread, left_open, moves, shares, designs)
 
 
-def _solve_scaled(factor: Array) -> tuple[Array, Array, Array, float, Mask]:
-    """Smallest solution with scaled columns.
+def _seen(rows: Array) -> Mask:
+    """Columns of rows (k, p) of one noise that hold more than rounding."""
+    norms = np.linalg.norm(rows, axis=0)
+    return np.asarray(norms > 1e-9 * norms.max(initial=1e-300))
+
+
+def _solve_scaled(
+    factor: Array, seen: Mask | None = None
+) -> tuple[Array, Array, Array, float, Mask]:
+    """Smallest solution with scaled columns, of those that are `seen` (p,).
 
     Then B with (H'H)^+ = B B' over what is excited, the directions that are not, the condition, and
     which parameters have no part in those directions.
     """
     R, z = factor[:-1, :-1], factor[:-1, -1]
     scale = np.linalg.norm(R, axis=0)
-    scale[scale < 1e-9 * scale.max(initial=1e-300)] = np.inf
+    scale[~(_seen(R) if seen is None else seen)] = np.inf
     U, s, Vt = np.linalg.svd(R / scale)
     kept = s > RANK_TOLERANCE * s[0] if s[0] > 0 else np.zeros(len(s), dtype=bool)
     basis = (Vt[kept].T / s[kept]) / scale[:, None]

@@ -100,6 +100,19 @@ def test_what_cannot_be_told_apart_is_not_determined() -> None:
     assert np.isfinite(got.covariance).all()
 
 
+@pytest.mark.parametrize("quiet", [1e-3, 1e-7, 1e-11])
+def test_a_quiet_joint_hides_no_parameters_of_a_loud_one(quiet: float) -> None:
+    rng = np.random.default_rng(11)
+    loud, other = rng.normal(size=(480, P)), rng.normal(size=(480, P))
+    other[:, :4] = 0.0  # a wrist does not feel what is before it
+    joints = [of(loud, THETA, 0.3, rng), of(other, THETA, quiet, rng)]
+    got = solve([accumulated(*joint) for joint in joints])
+    assert got.determined.all()
+    np.testing.assert_allclose(got.theta[:4], THETA[:4], atol=0.1)
+    np.testing.assert_allclose(got.theta[4:], THETA[4:], atol=10.0 * quiet)
+    assert got.sigma[0] == pytest.approx(0.3, rel=0.15)
+
+
 def test_no_rows_determine_nothing() -> None:
     got = solve([Accumulator(3)])
     assert got.rank == 0

@@ -64,18 +64,16 @@ class PeriodicDisturbance(Effect):
         """Lines of the residual that keep amplitude and phase and are not made by the motion."""
         assert joint is not None
         shared = all(scene.shared_clock for scene in scenes)
-        signals = [
-            Signal(r[:, joint], scene.motion.rate_hz, scene.start)
-            for scene, r in zip(scenes, residual, strict=True)
-        ]
-        made = [
-            Signal(scene.modelled[:, joint], scene.motion.rate_hz, scene.start) for scene in scenes
-        ]
         ends = [scene.time[[0, -1]] for scene in scenes]
         fixed = {"clocks": 0.0 if shared else float(len(scenes)), "span": float(np.ptp(ends))}
-        for near in strongest_lines(signals, LOWEST_HZ, LINES):
+        whole = _signals(scenes, joint, residual)
+        made = _signals(scenes, joint, [scene.modelled for scene in scenes])
+        for near in strongest_lines(whole, LOWEST_HZ, LINES):
+            signals = _signals(scenes, joint, residual, near)
             frequency, coherence = refined(signals, near) if shared else _by_log(signals, near)
-            if coherence >= COHERENT and _of_time(signals, made, frequency):
+            here, left, motion = (_amplitudes_at(frequency, x) for x in (signals, whole, made))
+            alike = here.min() >= SAME * np.median(here)
+            if coherence >= COHERENT and alike and np.median(left) > OF_MOTION * np.median(motion):
                 yield {"frequency": frequency, **fixed}
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
@@ -120,6 +118,18 @@ def _amplitudes(c: Array, covariance: Array) -> tuple[Array, Array]:
     return size, np.sqrt(variance.mean(axis=1))
 
 
+def _signals(
+    scenes: Scenes, joint: int, torque: Sequence[Array], line_hz: float = np.inf
+) -> list[Signal]:
+    """Torque (N, n) of each log where it counts: below the cut-off only where the joint slides."""
+    found = []
+    for scene, tau in zip(scenes, torque, strict=True):
+        motion = scene.motion
+        counts = scene.slides[:, joint] | (line_hz > motion.lowpass.cutoff_hz)
+        found.append(Signal(np.where(counts, tau[:, joint], 0.0), motion.rate_hz, scene.start))
+    return found
+
+
 def _by_log(signals: Sequence[Signal], near: float) -> tuple[float, float]:
     """Frequency and coherence if only the phases within each log are known."""
     found = np.array([refined([signal], near) for signal in signals])
@@ -128,9 +138,6 @@ def _by_log(signals: Sequence[Signal], near: float) -> tuple[float, float]:
     return frequency, float(np.median(found[:, 1]))
 
 
-def _of_time(signals: Sequence[Signal], made: Sequence[Signal], frequency: float) -> bool:
-    """Whether a line is there in all logs alike, and larger than what the motion makes of it."""
-    here = np.array([amplitude(signal, frequency) for signal in signals])
-    motion = np.array([amplitude(signal, frequency) for signal in made])
-    alike = here.min() >= SAME * np.median(here)
-    return bool(alike and np.median(here) > OF_MOTION * np.median(motion))
+def _amplitudes_at(frequency: float, signals: Sequence[Signal]) -> Array:
+    """Amplitudes of a line in each log."""
+    return np.array([amplitude(signal, frequency) for signal in signals])

@@ -25,7 +25,7 @@ MOST_STEPS = 200_000
 
 @dataclass(frozen=True)
 class Signal:
-    """One log's values (N,) at `rate_hz`, the first at time `start` s."""
+    """One log's values (N,) at `rate_hz`, the first at time `start` s; zero where none counts."""
 
     values: Array
     rate_hz: float
@@ -67,8 +67,9 @@ def strongest_lines(signals: Sequence[Signal], low_hz: float, count: int) -> lis
 
 
 def amplitude(signal: Signal, frequency: float) -> float:
-    """Amplitude of the signal's line at a frequency."""
-    return float(2.0 * np.abs(np.mean(_demodulated(signal, frequency)[0])))
+    """Amplitude of the signal's line at a frequency, over the values that count."""
+    z, _, weight = _demodulated(signal, frequency)
+    return float(2.0 * np.abs(weight @ z) / max(float(weight.sum()), 1.0))
 
 
 def refined(signals: Sequence[Signal], near: float) -> tuple[float, float]:
@@ -79,35 +80,41 @@ def refined(signals: Sequence[Signal], near: float) -> tuple[float, float]:
     tuple of float
         Frequency (Hz) and coherence: 1 if amplitude and phase are the same all the time.
     """
-    parts = [_demodulated(signal, near) for signal in signals]
-    z = np.concatenate([part[0] for part in parts])
-    t = np.concatenate([part[1] for part in parts])
+    parts = zip(*(_demodulated(signal, near) for signal in signals), strict=True)
+    z, t, weight = map(np.concatenate, parts)
     longest = max(signal.length_s for signal in signals)
     reach, step = 0.75 / longest, 1.0 / (STEPS * max(float(np.ptp(t)), longest))
     half = min(int(np.ceil(reach / step)), MOST_STEPS)
     offsets = step * np.arange(-half, half + 1)
-    score = _coherence(z, t, np.asarray(offsets, dtype=np.float64))
+    score = _coherence(z, t, weight, np.asarray(offsets, dtype=np.float64))
     centre = offsets[int(np.argmax(score))]
     for _ in range(3):  # each closes in by a factor of eight
         close = centre + step * np.linspace(-1.0, 1.0, 33)
-        score = _coherence(z, t, close)
+        score = _coherence(z, t, weight, close)
         centre, step = close[int(np.argmax(score))], step / 8.0
     return near + float(centre), float(score.max())
 
 
-def _coherence(z: Complex, t: Array, offsets: Array) -> Array:
-    total = float(np.sum(np.abs(z) ** 2)) * len(z)
+def _coherence(z: Complex, t: Array, weight: Array, offsets: Array) -> Array:
+    total = float(weight @ np.abs(z) ** 2) * float(weight.sum())
     chunks = np.array_split(offsets, max(1, len(offsets) * len(t) // 2_000_000))
-    sums = [np.abs(np.exp(-2j * np.pi * np.outer(part, t)) @ z) ** 2 for part in chunks]
+    sums = [np.abs(np.exp(-2j * np.pi * np.outer(part, t)) @ (weight * z)) ** 2 for part in chunks]
     return np.concatenate(sums) / max(total, 1e-300)
 
 
-def _demodulated(signal: Signal, frequency: float) -> tuple[Complex, Array]:
-    """Means of the signal, turned back by the frequency, over equal pieces; their mid-times."""
-    turned = signal.values * np.exp(-2j * np.pi * frequency * signal.time)
-    pieces = np.array_split(np.arange(len(turned)), max(1, min(PIECES, len(turned))))
-    z = np.array([np.mean(turned[piece]) for piece in pieces])
-    return z, np.array([float(np.mean(signal.time[piece])) for piece in pieces])
+def _demodulated(signal: Signal, frequency: float) -> tuple[Complex, Array, Array]:
+    """Means of the signal, turned back by the frequency, over equal pieces.
+
+    Over the values that count, with their mean times and numbers.
+    """
+    counts = np.flatnonzero(signal.values)
+    time = signal.time[counts]
+    turned = signal.values[counts] * np.exp(-2j * np.pi * frequency * time)
+    piece = counts * PIECES // max(len(signal.values), 1)
+    weight = np.bincount(piece, minlength=PIECES).astype(np.float64)
+    number, there = np.maximum(weight, 1.0), [turned.real, turned.imag, time]
+    real, imag, t = (np.bincount(piece, x, minlength=PIECES) / number for x in there)
+    return real + 1j * imag, t, weight
 
 
 def _periodogram(signal: Signal) -> tuple[Array, Array]:

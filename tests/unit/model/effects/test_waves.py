@@ -152,6 +152,17 @@ def test_logs_without_a_common_clock_have_their_own_phases() -> None:
     assert not EFFECT.columns(unknown, 0, settings)[0].any()
 
 
+def test_a_line_counts_where_the_joint_slides() -> None:
+    """A log in which the joint rests most of the time says as much of the line while it moves."""
+    (moving,) = logs(shared=False, count=1)
+    resting = scene_of(wander(20.0, seed=7, rests=((2.0, 18.5),)), log=1)
+    scenes = [moving, resting]
+    residual = [np.where(scene.slides, line(scene, 5.3), 0.0) for scene in scenes]
+    found = [settings["frequency"] for settings in EFFECT.grid(scenes, 0, residual)]
+    assert found[0] == pytest.approx(5.3, abs=0.02)
+    assert np.mean(resting.slides[:, 0]) < 0.25 * np.mean(moving.slides[:, 0])
+
+
 def test_nothing_in_noise_nor_on_the_other_joint() -> None:
     scenes = logs()
     assert list(EFFECT.grid(scenes, 0, [noise_like(s, 50 + s.log, NOISE) for s in scenes])) == []

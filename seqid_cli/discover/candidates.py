@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -70,6 +71,20 @@ class Candidate:
         """Its settings that are not searched between the grid's values."""
         specs = self.effect.settings
         return tuple(self.settings[s.name] for s in specs if not s.continuous and not s.then)
+
+    def is_same_as(self, other: Candidate, *, tolerance: float = 0.01) -> bool:
+        """Whether two are one effect; a joint may have several lines and ripples.
+
+        These are one where orders and frequencies differ by a share of `tolerance` at most. Of what
+        is looked for to first order the settings say about which size.
+        """
+        if self.key != other.key:
+            return False
+        every = () if self.effect.first_order else self.effect.settings
+        told = [s.name for s in every if self.effect.wide or not s.continuous]
+        return all(
+            math.isclose(self.settings[s], other.settings[s], rel_tol=tolerance) for s in told
+        )
 
     def columns(self, scene: Scene) -> Columns:
         """Torque (N, k) per unit coefficient by joint, unfiltered."""

@@ -12,7 +12,6 @@ Held-out logs play no part in any of this: `refine` is not given them. What they
 is in `confirm`.
 """
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -159,7 +158,7 @@ def _add_effects(loop: Loop, found: Investigation) -> Investigation:
             break
         taken = max(left, key=lambda taken: taken.evidence)
         step("trying effects", loop.added, loop.added + max(len(left), len(rest)))
-        rest = [other for other in rest if not _same(other, _what(taken))]
+        rest = [other for other in rest if not other.is_same_as(_what(taken))]
         stages = loop.model.stages
         accepted = _try(loop, found, taken)
         if not accepted:
@@ -186,20 +185,7 @@ def _what(taken: Taken) -> Candidate:
 
 
 def _among(one: Candidate, others: Sequence[Candidate]) -> bool:
-    return any(_same(one, other) for other in others)
-
-
-def _same(one: Candidate, other: Candidate, *, tolerance: float = 0.01) -> bool:
-    """Whether two are one effect; a joint may have several lines, and ripples of several orders.
-
-    Lines are one where orders and frequencies differ by a share of `tolerance` at most. Of what is
-    looked for to first order the settings say about which size.
-    """
-    if one.key != other.key:
-        return False
-    every = () if one.effect.first_order else one.effect.settings
-    told = [s.name for s in every if one.effect.wide or not s.continuous]
-    return all(math.isclose(one.settings[s], other.settings[s], rel_tol=tolerance) for s in told)
+    return any(one.is_same_as(other) for other in others)
 
 
 def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Recording, ...]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import Base, base_of
-from seqid_cli.discover.candidates import Candidate, Stage
+from seqid_cli.discover.candidates import Candidate, Stage, candidates_of
 from seqid_cli.discover.noise.spectra import DETAIL
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.loosened import Loosened
@@ -227,10 +227,19 @@ class Model:
         for number, term in enumerate(self.terms):
             if isinstance(term.what, Candidate):
                 tuner = Tuner(self.ground.stage, self.beside(term), self.ground.size)
-                tried = next(iter(tuner.tried([term.what])), None)
-                if tried is not None:
-                    self.terms[number] = tuner.tuned(tried, NEAR).term
+                every = tuner.tried([term.what, *self._lines_at(term, term.what)])
+                if every:
+                    best = max(every, key=lambda one: one.evidence)
+                    self.terms[number] = tuner.tuned(best, NEAR).term
         self.settle()
+
+    def _lines_at(self, term: Term, what: Candidate) -> list[Candidate]:
+        """Of a line in time or a ripple, the same where what is left without it says."""
+        if not what.effect.wide:
+            return []
+        scenes, left = self.ground.stage.scenes, self.left(without=term)
+        near = candidates_of(scenes, [what.effect], left, {what.joint})
+        return [one for one in near if one.apart == what.apart and one.is_same_as(what)]
 
     def squares(self, term: Term, channels: frozenset[int]) -> float:
         """Weighted square of a term's torque beside the file at some channels."""

@@ -82,6 +82,17 @@ def test_what_is_left_is_known_at_all_samples() -> None:
     assert value == pytest.approx(DRAG, abs=4.0 * float(np.sqrt(model.covariance(term)[0, 0])))
 
 
+def test_a_lines_frequency_is_sharpened_beside_all_else() -> None:
+    scenes = arm_scenes(at_joint(0, lambda s: 3.0 * np.sin(2 * np.pi * 3.7 * s.time) + drag(s)))
+    model, span = model_of(scenes), float(scenes[-1].time[-1])
+    for off in (3.7 + 0.3 / span, 3.9):  # a part of a turn over the session; another line
+        model.terms.clear()
+        line = candidate("periodic_disturbance", 0, frequency=off, clocks=0.0, span=span)
+        model.add([line, candidate("quadratic_drag", 0)])
+        found = model.candidates[0].settings["frequency"]
+        assert found == (off if off == 3.9 else pytest.approx(3.7, abs=0.02 / span))
+
+
 def test_errors_are_no_narrower_than_the_scatter_over_blocks() -> None:
     def lasting(scene: Scene) -> Array:
         rng = np.random.default_rng(scene.log)

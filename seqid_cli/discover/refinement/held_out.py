@@ -223,6 +223,16 @@ def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> 
     return gain_of(old, new) if old.any() else Gain(0.0, 0.0, 0.0)
 
 
+def likelier(one: HeldOutError, other: HeldOutError) -> bool:
+    """Whether one model explains the same samples better than another, all joints together.
+
+    By the likelihood of normal errors, whose size is each joint's own and each model's: what a
+    joint loses counts as much as what another gains.
+    """
+    first, second = (np.log(np.maximum(x.squares.sum(axis=0), 1e-300)) for x in (one, other))
+    return bool(one.samples.sum(axis=0) @ (first - second) < 0.0)
+
+
 def doubt(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> float:
     """Probability that nothing is gained, over drawn weights of the blocks, as selection has it."""
     old, new = _weighed(before, after, joints)

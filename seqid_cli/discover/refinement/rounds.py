@@ -21,7 +21,7 @@ from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.evidence import evidence_of
 from seqid_cli.discover.investigate import Investigation, investigate, investigate_beside
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refinement.held_out import LEAST_GAIN, Gain, doubt, gain
+from seqid_cli.discover.refinement.held_out import LEAST_GAIN, Gain, doubt, gain, likelier
 from seqid_cli.discover.refinement.loop import Account, Loop, candidates_of_model, with_effects
 from seqid_cli.discover.refinement.material import Key, Material, Refitted, key_of
 from seqid_cli.discover.rivals import rivals_of
@@ -253,8 +253,7 @@ def _account(loop: Loop, found: Investigation, taken: Taken) -> tuple[Account, O
     if not (loop.logs_before and asked):
         return after, outcome
     early = replace(early, rival=after)
-    change = gain(early.everywhere, after.everywhere, range(loop.material.robot.n))
-    account = after if change.value > 0.0 else early
+    account = after if likelier(after.everywhere, early.everywhere) else early
     return account, _outcome(loop, account, taken)
 
 

@@ -11,7 +11,13 @@ import pytest
 from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.confirm import confirm, excess_note
-from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, gain, gain_of
+from seqid_cli.discover.refinement.held_out import (
+    Gain,
+    HeldOutError,
+    gain,
+    gain_of,
+    likelier,
+)
 from seqid_cli.discover.refinement.rounds import ALL_ALONG, LATE, quiet, refine
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.friction_surface.stage import identify_friction
@@ -135,6 +141,17 @@ def test_events_are_not_fitted() -> None:
 def blocks(squares: Sequence[Sequence[float]]) -> HeldOutError:
     values, zero = np.array(squares, dtype=float), np.zeros(np.shape(squares))
     return HeldOutError(values, np.ones_like(values), zero, zero)
+
+
+@pytest.mark.parametrize(("first", "second", "better"), [(9.0, 0.2, True), (2.0, 0.2, False)])
+def test_what_one_joint_gains_counts_as_much_as_what_another_loses(
+    first: float, second: float, better: bool
+) -> None:
+    samples, none = np.full((4, 2), 25.0), np.zeros((4, 2))
+    one = HeldOutError(samples * [1.0, 1.0], samples, none, none)
+    other = HeldOutError(samples * [first, second], samples, none, none)
+    assert likelier(one, other) == better
+    assert likelier(other, one) != better
 
 
 def test_what_extrapolation_misses_hides_no_gain() -> None:

@@ -22,8 +22,7 @@ from seqid_cli.discover.survey.rows import Rows as SurveyRows
 from seqid_cli.params.schema import Stages
 from seqid_cli.typing import Array
 
-FAR = 30.0  # standard errors of the file, in multiples, that a free base may move by
-SCALES = (1.0, 3.0, 10.0, FAR)  # of which the evidence chooses
+SCALES = (1.0, 3.0, 10.0, 30.0)  # of the file's errors, of which the evidence chooses
 OWN_OFFSET = 0.75  # sample periods: time offset that every drive has, and no effect
 
 
@@ -60,7 +59,7 @@ class Hold:
 
 
 HELD = Hold("held")
-FREE = Hold("free", FAR)
+FREE = Hold("free", max(SCALES))
 FIRM = Hold("firm", 0.1)
 
 

@@ -57,9 +57,10 @@ class FileTrials:
         touched = effect.steady_columns(self._trials(first), joint, settings)
         for j in (j for j in touched if has_trials(self.scene, j)):
             own = touched if j == first else effect.steady_columns(self._trials(j), joint, settings)
-            ahead, back = np.split(own[j], 2)
-            found[1 + j] = self._friction(j) @ (0.5 * (ahead - back[::-1]))
-            both[j] = 0.5 * (ahead + back[::-1])
+            odd, even = 0.5 * (own[j] - own[j][::-1]), 0.5 * (own[j] + own[j][::-1])
+            apart = self._by_direction(j, even)
+            found[1 + j] = self._friction(j) @ (odd + apart)
+            both[j] = np.split(even - apart, 2)[0]
         seen = [self._gravity[j] @ half for j, half in both.items() if j in self._gravity]
         return {0: np.sum(seen, axis=0), **found} if seen else found
 
@@ -71,12 +72,25 @@ class FileTrials:
         return columns if gravity is None else columns - self.base.rigid[joint] @ gravity
 
     def _friction(self, joint: int) -> Array:
-        """Coefficients of a joint's surface (entries, N) per torque in its trials one way."""
+        """Coefficients of a joint's surface (entries, N) per torque in its trials."""
         if joint not in self._fits:
             trials = self._trials(joint)
-            F = surface_columns(trials, joint, slice(trials.samples // 2))
+            F = surface_columns(trials, joint)
             self._fits[joint] = np.asarray(np.linalg.pinv(F), dtype=np.float64)
         return self._fits[joint]
+
+    def _by_direction(self, joint: int, even: Array) -> Array:
+        """What a surface of two directions takes of torque (N, k) that both ways have.
+
+        An offset and a slope over the speed, beside gravity (see `fit_gravity`).
+        """
+        surface, trials = self.scene.model.surfaces[joint], self._trials(joint)
+        assert surface is not None
+        if not surface.directional:
+            return np.zeros_like(even)
+        speed = np.abs(trials.motion.dq[:, joint])
+        A = np.column_stack([np.ones_like(speed), speed, self._at_rest(joint)])
+        return np.asarray(A[:, :2] @ np.linalg.lstsq(A, even, rcond=OPEN)[0][:2])
 
     @cached_property
     def _gravity(self) -> dict[int, Array]:
@@ -88,16 +102,18 @@ class FileTrials:
         if not joints or not own:
             return {}
         weight = [self._weight(j) for j in joints]
-        every = [w * self._at_rest(j)[:, own] for j, w in zip(joints, weight, strict=True)]
+        every = [
+            w * np.split(self._at_rest(j), 2)[0][:, own]
+            for j, w in zip(joints, weight, strict=True)
+        ]
         told = np.zeros((basis.size, sum(map(len, every))))
         told[own] = np.linalg.pinv(np.vstack(every), rcond=OPEN)
         parts = np.split(told, np.cumsum([len(G) for G in every])[:-1], axis=1)
         return {j: w * part for j, w, part in zip(joints, weight, parts, strict=True)}
 
     def _at_rest(self, joint: int) -> Array:
-        """Columns (N, b) of gravity at a joint, where its trials lead one way."""
-        trials = self._trials(joint)
-        q = trials.motion.q[: trials.samples // 2]
+        """Columns (N, b) of gravity at a joint, where its trials lead."""
+        q = self._trials(joint).motion.q
         rest = np.zeros_like(q)
         return base_regressor(self.scene.robot, self.base.basis, q, rest, rest)[:, joint]
 

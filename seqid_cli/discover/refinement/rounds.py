@@ -26,7 +26,7 @@ from seqid_cli.discover.refinement.loop import Account, Loop, candidates_of_mode
 from seqid_cli.discover.refinement.material import Key, Material, Refitted, key_of
 from seqid_cli.discover.rivals import rivals_of
 from seqid_cli.discover.scenes import with_own_cutoffs
-from seqid_cli.discover.select.naming import TOLD, named, reality
+from seqid_cli.discover.select.naming import named, reality
 from seqid_cli.discover.select.results import Options, Taken
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
@@ -43,6 +43,7 @@ from seqid_cli.working import step
 
 ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
+PROBABLE = 0.5  # probability of being there from which an effect is added
 TRIED = Options(improvement=LEAST_GAIN)  # what is tried need not be worth a finding
 
 
@@ -216,7 +217,7 @@ class Outcome:
     @property
     def accepted(self) -> bool:
         """Whether it is worth it."""
-        return self.gains and self.likely >= TOLD and not self.losing
+        return self.gains and self.likely > PROBABLE and not self.losing
 
 
 def _try(loop: Loop, found: Investigation, taken: Taken) -> bool:
@@ -313,8 +314,8 @@ def _reason(names: Sequence[str], candidate: Candidate, account: Account, outcom
         return LATE if candidate.key in account.late else ALL_ALONG
     if candidate.effect.wide and abs(outcome.change.value) < LEAST_GAIN:
         return "lies above the low-pass, where the model is not judged"
-    if outcome.gains and outcome.likely < TOLD:
-        return "is not likely enough to be told"
+    if outcome.gains and outcome.likely <= PROBABLE:
+        return "is less likely than not"
     if outcome.gains:
         lost = ", ".join(names[j] for j in outcome.losing)
         return f"the model identified anew with it predicts {lost} worse"

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import chain
 
 import numpy as np
 
@@ -65,12 +66,17 @@ FIRM = Hold("firm", 0.1)
 
 @dataclass(frozen=True)
 class Ground:
-    """What does not change during a selection: rows of all joints, below and above the cut-off."""
+    """What does not change during a selection: rows of all joints, below and above the cut-off.
+
+    `size` (channels,) N m is what the file leaves; it is `poor` where its friction or inertia stage
+    says so of a joint.
+    """
 
     stage: Stage
     base: Base
     rows: Rows
-    size: Array  # (channels,) N m, what the file leaves
+    size: Array
+    poor: bool = False
 
     @classmethod
     def of(cls, own: SurveyRows, stages: Stages) -> Ground:
@@ -85,7 +91,9 @@ class Ground:
         size = np.array([np.sqrt(np.mean(v**2)) if len(v) else 1.0 for v in y])
         views = tuple(1 + (c // own.n != 1 and drive.of(c % own.n)) for c in range(len(y)))
         rows = Rows(y, block, len(own.fold), views)
-        return cls(stage, base, rows, np.maximum(size, 1e-12))
+        told = [stage.verdicts for stage in (stages.friction, stages.inertia) if stage is not None]
+        poor = any(one.joint and not one.good for one in chain.from_iterable(told))
+        return cls(stage, base, rows, np.maximum(size, 1e-12), poor)
 
     @property
     def n(self) -> int:

@@ -141,13 +141,15 @@ def prepared(case: Case, folder: Path) -> Prepared:
     return Prepared(recorder, recorder.moves(2, seconds, case.effects), file)
 
 
-def answered(seed: int, cache: Path, keep: bool = False, coarser: float = 1.0) -> dict[str, Any]:
+def answered(
+    seed: int, cache: Path, keep: bool = False, coarser: float = 1.0, whole: bool = False
+) -> dict[str, Any]:
     """Record, identify, record on, diagnose: what was hidden and what was found.
 
     The diagnosis is kept in the cache; the logs and files as well if they are to be kept.
     """
     cache.mkdir(parents=True, exist_ok=True)
-    case = drawn(seed, coarser)
+    case = drawn(seed, coarser, whole)
     start = time.process_time()
     row = {
         "seed": seed,

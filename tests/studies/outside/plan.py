@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from tests.studies.outside import motions
-from tests.studies.outside.arms import Arm, drawn_arm
+from tests.studies.outside.arms import Arm, drawn_arm, published_links
 from tests.studies.outside.effects import KINDS
 from tests.studies.outside.simulate import Effect, simulate
 
@@ -70,8 +70,8 @@ def kinds_of(seed: int) -> tuple[str, ...]:
     return first, str(rng.choice([name for name in names if name != first]))
 
 
-def outlined(seed: int) -> Outline:
-    """Which sort of case a seed is."""
+def outlined(seed: int, whole: bool = False) -> Outline:
+    """Which sort of case a seed is; `whole` ones are published arms of which all joints move."""
     rng = np.random.default_rng([seed, 77])
     kinds = kinds_of(seed)
     flow = FLOWS[int(rng.integers(len(FLOWS)))]
@@ -80,6 +80,9 @@ def outlined(seed: int) -> Outline:
     label, n = "drawn", int(rng.choice([1, 2, 2, 2, 2, 3]))
     if seed % 6 == 1:
         label, n = PUBLISHED[(seed // 6) % len(PUBLISHED)], int(rng.choice([2, 3, 3, MANY]))
+    if whole:
+        label = PUBLISHED[seed % len(PUBLISHED)]
+        n = len(published_links(label))
     if "transmission_coupling" in kinds:
         n = max(n, 2)
     imus, mcap = bool(rng.random() < 0.5) and n < MANY, bool(rng.random() < 0.3)
@@ -87,9 +90,9 @@ def outlined(seed: int) -> Outline:
     return Outline(seed, kinds, flow, label, n, imus, mcap, clock)
 
 
-def drawn(seed: int, coarser: float = 1.0) -> Case:
+def drawn(seed: int, coarser: float = 1.0, whole: bool = False) -> Case:
     """The case of a seed, with encoders that many times as coarse as drawn."""
-    outline, rng = outlined(seed), np.random.default_rng([seed, 78])
+    outline, rng = outlined(seed, whole), np.random.default_rng([seed, 78])
     arm = drawn_arm(rng, outline.label, outline.n, outline.imus)
     drives = tuple(replace(drive, count=coarser * drive.count) for drive in arm.drives)
     arm = replace(arm, drives=drives)

@@ -42,6 +42,7 @@ def test_a_seed_is_one_case() -> None:
     assert first.shares == again.shares
     coarse = drawn(11, coarser=3.0)
     np.testing.assert_allclose(coarse.arm.of("count"), 3.0 * first.arm.of("count"))
+    assert {outlined(seed, whole=True).n for seed in range(20)} == {5, 6, 7}  # joints of whole arms
     outlines = [outlined(seed) for seed in range(100)]
     flows = {"late", "early", "step_late", "step_early", "single"}
     assert {each.flow for each in outlines} == flows

@@ -25,8 +25,16 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 
+from seqid_cli.discover.select.algebra import (
+    Factor,
+    bayes_factor,
+    factored,
+    half_log_det,
+    scale_of,
+    taken_back,
+)
 from seqid_cli.discover.select.rows import (
     Gained,
     Part,
@@ -36,10 +44,7 @@ from seqid_cli.discover.select.rows import (
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array, Index
 
-Factor = tuple[Array, bool]  # of Cholesky, as scipy has it
-
 BATCH = 200  # terms that are tried at once
-RIDGE = 1e-10  # of a scaled column's square
 
 
 class Linear:
@@ -88,20 +93,11 @@ class Linear:
         index = np.concatenate([np.zeros(0, dtype=np.intp), *(own for own, _ in here)])
         return index, [columns for _, columns in here]
 
-    @cached_property
-    def _held(self) -> Array:
-        """Precision (p, p) beforehand of what is `held`."""
+    def _blocks(self, *, file: bool = True) -> Array:
+        """Precision (p, p) beforehand of what is `held`, with or without what the file says."""
         P = np.zeros((self.size, self.size))
         for part, where in zip(self.parts, self.where, strict=True):
-            P[where, where] = part.precision
-        return P
-
-    @cached_property
-    def _held_apart(self) -> Array:
-        """The same (p, p) without what the parameter file says."""
-        P = np.zeros((self.size, self.size))
-        for part, where in zip(self.parts, self.where, strict=True):
-            P[where, where] = part.precision if part.apart is None else part.apart
+            P[where, where] = part.precision if file or part.apart is None else part.apart
         return P
 
     def in_file(self, part: Part) -> Array:
@@ -135,7 +131,7 @@ class Linear:
     @cached_property
     def prior(self) -> Array:
         """Precision (p, p) of all parameters beforehand."""
-        return self._coupled(self._held)
+        return self._coupled(self._blocks())
 
     def _sums_of(self, rows: Sequence[slice]) -> tuple[Array, Array]:
         """B'wB (p, p) and B'wy (p,) of some rows of every channel."""
@@ -189,7 +185,7 @@ class Linear:
     def _without_file(self) -> tuple[Factor, Array]:
         """Factor and solution (p,) without what the parameter file says."""
         A, b = self.sums
-        factor = self._factor(A + self._coupled(self._held_apart) - self.prior)
+        factor = self._factor(A + self._coupled(self._blocks(file=False)) - self.prior)
         return factor, self._solved(factor, b)
 
     @property
@@ -223,16 +219,16 @@ class Linear:
 
     def _again(self, part: Part) -> tuple[Gained, Predicted]:
         at = self._at(part)
-        every, alone = (
-            _taken_back(*self._of(x, at), part) for x in (self._whole, self._without_file)
+        value, alone, *others = (
+            taken_back(*self._of(x, at), part.precision)
+            for x in (self._whole, self._without_file, *self._without)
         )
-        others = [_taken_back(*self._of(x, at), part)[0] for x in self._without]
         rows = self.rows.independent[sorted(part.columns)].sum(axis=0)
-        value, a, S = every
+        a, S = self._of(self._whole, at)
         seen = np.trace(np.linalg.inv(S) - part.precision)
         visible = float(seen / max(float(np.trace(self.sums[0][at, at])), 1e-300))
         gained = Gained(value, a, S, max(visible, 0.0))
-        return gained, Predicted(value - np.array(others), rows, value - alone[0])
+        return gained, Predicted(value - np.array(others), rows, value - alone)
 
     def _of(self, solved: tuple[Factor, Array], at: slice) -> tuple[Array, Array]:
         """Some coefficients (k,) of a solved model and their covariance (k, k)."""
@@ -243,7 +239,7 @@ class Linear:
     def evidence(self) -> float:
         """Log density of the rows, their weights' part aside."""
         factor, theta = self._whole
-        scaled = self._held * np.outer(self._scale, self._scale)
+        scaled = self._blocks() * np.outer(self._scale, self._scale)
         before = sum(half_log_det(factored(scaled[at, at])) for at in self.where)
         return 0.5 * (float(self.sums[1] @ theta) - self._square) - half_log_det(factor) + before
 
@@ -288,7 +284,7 @@ class Linear:
             some = terms[first : first + BATCH]
             every = [(slice(0, len(y)),) for y in self._y]
             crossed = self._crossed(some, every)
-            found += self._given(self._whole, crossed, self._with_file(crossed, self._held))
+            found += self._given(self._whole, crossed, self._with_file(crossed, self._blocks()))
         return found
 
     def predicted(self, terms: Sequence[Part]) -> list[Predicted]:
@@ -296,9 +292,8 @@ class Linear:
         if not terms:
             return []
         crossed = self._crossed(terms, self.rows.at)
-        told = self._with_file(crossed, self._held)
+        told, apart = (self._with_file(crossed, self._blocks(file=x)) for x in (True, False))
         every = self._given(self._whole, crossed, told)
-        apart = self._with_file(crossed, self._held_apart)
         alone = self._given(self._without_file, crossed, apart)
         (C, whole), d = told, crossed.d.sum(axis=0)
         seen = [np.empty_like(D) for D in crossed.D]  # of the columns, by the base without a block
@@ -391,43 +386,3 @@ def _times(root: Array, columns: Sequence[Array]) -> Array:
     for own, (a, b) in zip(columns, pairwise(edges.tolist()), strict=True):
         np.multiply(own, root[:, None], out=result[:, a:b])
     return result
-
-
-def scale_of(diagonal: Array) -> Array:
-    """Factors (p,) that make ones of what is not zero in a matrix's diagonal."""
-    return np.asarray(1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0)))
-
-
-def factored(scaled: Array) -> Factor:
-    """Cholesky factor of a matrix (p, p) whose rows and columns are scaled."""
-    scaled[np.diag_indices(len(scaled))] += RIDGE
-    return cho_factor(scaled, check_finite=False)
-
-
-def _taken_back(a: Array, covariance: Array, part: Part) -> tuple[float, Array, Array]:
-    """Log Bayes factor of a part of a model, from its coefficients (k,) and their covariance."""
-    size = np.sqrt(np.diag(part.precision))
-    value, vector = np.linalg.eigh(covariance * np.outer(size, size))
-    value = np.maximum(value, 1e-300)
-    u = (a * size) @ vector
-    return 0.5 * float(np.sum(u**2 / value + np.log(value))), a, covariance
-
-
-def half_log_det(factor: Factor) -> float:
-    """Half the logarithm of the determinant."""
-    return float(np.sum(np.log(np.diag(factor[0]))))
-
-
-def bayes_factor(D: Array, d: Array, precision: Array) -> tuple[Array, Array, Array]:
-    """Log Bayes factor, coefficients (k,) and covariance (k, k); `precision` is diagonal.
-
-    D (..., k, k) and d (..., k) may be of several data sets.
-    """
-    size = 1.0 / np.sqrt(np.diag(precision))
-    value, vector = np.linalg.eigh(D * np.outer(size, size))
-    value = np.maximum(value, 0.0)
-    u = ((d * size)[..., None, :] @ vector)[..., 0, :]
-    gain = 0.5 * np.sum(u**2 / (1.0 + value) - np.log1p(value), axis=-1)
-    inverse = (vector / (1.0 + value)[..., None, :]) @ np.swapaxes(vector, -1, -2)
-    a = size * (inverse @ (d * size)[..., None])[..., 0]
-    return gain, a, inverse * np.outer(size, size)

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from seqid_cli.discover.select.linear import Linear, factored, half_log_det, scale_of
+from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
+from seqid_cli.discover.select.linear import Linear
 from seqid_cli.typing import Array
 
 

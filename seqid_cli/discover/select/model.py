@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import chain
 
 import numpy as np
 
@@ -66,17 +65,12 @@ FIRM = Hold("firm", 0.1)
 
 @dataclass(frozen=True)
 class Ground:
-    """What does not change during a selection: rows of all joints, below and above the cut-off.
-
-    `size` (channels,) N m is what the file leaves; it is `poor` where its friction or inertia stage
-    says so of a joint.
-    """
+    """What does not change during a selection: rows of all joints, below and above the cut-off."""
 
     stage: Stage
     base: Base
     rows: Rows
-    size: Array
-    poor: bool = False
+    size: Array  # (channels,) N m, what the file leaves
 
     @classmethod
     def of(cls, own: SurveyRows, stages: Stages) -> Ground:
@@ -91,9 +85,7 @@ class Ground:
         size = np.array([np.sqrt(np.mean(v**2)) if len(v) else 1.0 for v in y])
         views = tuple(1 + (c // own.n != 1 and drive.of(c % own.n)) for c in range(len(y)))
         rows = Rows(y, block, len(own.fold), views)
-        told = [stage.verdicts for stage in (stages.friction, stages.inertia) if stage is not None]
-        poor = any(one.joint and not one.good for one in chain.from_iterable(told))
-        return cls(stage, base, rows, np.maximum(size, 1e-12), poor)
+        return cls(stage, base, rows, np.maximum(size, 1e-12))
 
     @property
     def n(self) -> int:

@@ -1,9 +1,8 @@
 """How sure a term is, and its name.
 
 That a term is more than the errors of a model which lacks nothing goes with the share of the
-squared error that it takes away where it was not fitted, with its gain in log predictive density,
-and with whether the file's own verdicts call a joint poor: a logistic regression on cases of which
-the truth is known (docs/discovery.md).
+squared error that it takes away where it was not fitted, and with its gain in log predictive
+density: a logistic regression on cases of which the truth is known (docs/discovery.md).
 
 How sure its name is follows from the gains of all effects that touch the same channels, over drawn
 weights of the blocks (D. B. Rubin, "The Bayesian bootstrap", Annals of Statistics 9, 1981). The
@@ -41,24 +40,15 @@ class Named:
     others: tuple[str, ...] = ()
 
 
-def reality(
-    share: float,
-    gain: float,
-    *,
-    poor: bool = False,
-    of_share: float = 0.7,
-    of_gain: float = 1.1,
-    of_poor: float = 1.5,
-) -> float:
+def reality(share: float, gain: float, *, of_share: float = 0.7, of_gain: float = 1.1) -> float:
     """Probability that a term is more than the errors of a model that lacks nothing.
 
     `share` is what it takes away of the squared error, `gain` the log evidence for it. The log odds
-    are the parts `of_share`, its logit, and `of_gain`, its logarithm to base 10, less `of_poor`
-    where the file is `poor`: effects are made from its model.
+    are the parts `of_share`, its logit, and `of_gain`, its logarithm to base 10.
     """
     share = float(np.clip(share, 1e-3, 1.0 - 1e-3))
     odds = of_share * np.log(share / (1.0 - share)) + of_gain * np.log10(max(gain, 1.0))
-    return float(1.0 / (1.0 + np.exp(of_poor * poor - odds)))
+    return float(1.0 / (1.0 + np.exp(-odds)))
 
 
 def named(taken: Taken) -> Named:
@@ -66,9 +56,10 @@ def named(taken: Taken) -> Named:
     shares = _shares(taken)
     own = shares.pop(taken.term.name, 0.0)
     others = {name: share for name, share in shares.items() if share > SELDOM}
+    there = reality(taken.share, taken.evidence)
     every = (*others, *(name for name in taken.untried if name not in others))
-    by_itself = taken.likely * own / (1.0 + len(taken.untried))
-    return Named(taken.likely * (own + sum(others.values())), by_itself, every)
+    by_itself = there * own / (1.0 + len(taken.untried))
+    return Named(there * (own + sum(others.values())), by_itself, every)
 
 
 def _shares(taken: Taken) -> dict[str, float]:

@@ -8,7 +8,6 @@ from scipy.special import ndtri
 
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import Model, rms_of_rows
-from seqid_cli.discover.select.naming import reality
 from seqid_cli.discover.select.rows import Gained, Predicted
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.typing import Array
@@ -94,11 +93,6 @@ class Weighed:
             share = min(share, model.beyond(self.linear.left_out, channels))
         return share
 
-    @property
-    def likely(self) -> float:
-        """Probability that it is there."""
-        return reality(self.share, self.evidence, poor=self.model.ground.poor)
-
 
 @dataclass(frozen=True)
 class Taken:
@@ -107,8 +101,7 @@ class Taken:
     `rivals` ranks all that touches its channels, itself included, in its place; `left` (M_c,) N m
     is what the model without it leaves of every channel's blocks, each fitted to all others.
     `evidence` is the log evidence for it and `share` the part of the squared error that it takes
-    away, both no more than beside a base that may leave the file, and beyond the file as it is;
-    `likely` is the probability that it is there.
+    away, both no more than beside a base that may leave the file, and beyond the file as it is.
     `instead` are effects that other finished models have in its place, and how far these are
     behind in log evidence. `untried` are effects that look alike and that these logs lack the
     channels to look for.
@@ -119,7 +112,6 @@ class Taken:
     left: Sequence[Array]
     evidence: float
     share: float
-    likely: float
     instead: Mapping[str, float]
     untried: tuple[str, ...] = ()
 

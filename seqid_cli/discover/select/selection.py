@@ -25,7 +25,7 @@ import numpy as np
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
-from seqid_cli.discover.select.naming import TOLD
+from seqid_cli.discover.select.naming import TOLD, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.results import Key, Options, Ranked, Selected, Taken, Weighed, again
 from seqid_cli.discover.select.rows import scatter
@@ -259,7 +259,8 @@ class Selection:
     def _is_told(self, own: Weighed, least: float) -> bool:
         """Whether a term is worth it beside all others, likely, and by itself."""
         worth = self._passes(own.one) and own.share > self.options.improvement
-        return worth and own.likely >= least and not self._of_a_law(own.one)
+        there = worth and reality(own.share, own.evidence) >= least
+        return there and not self._of_a_law(own.one)
 
     def _all_taken(self, least: float) -> tuple[Taken, ...]:
         """Terms that are told, with their rivals; they give way to simpler ones."""
@@ -322,7 +323,6 @@ class Selection:
             linear.left_out,
             evidence=own.evidence,
             share=own.share,
-            likely=own.likely,
             instead=self._instead_of(term),
             untried=self._untried(term),
         )

@@ -2,13 +2,9 @@
 
 import numpy as np
 import pytest
-from msgspec import structs
 
 from seqid_cli.discover.select.model import FIRM, FREE, HELD, Model
-from seqid_cli.discover.select.naming import reality
-from seqid_cli.discover.select.results import Weighed
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.params.schema import Stages, Verdict
 from tests import Array
 from tests.unit.discover.arms import (
     DRAG,
@@ -44,22 +40,6 @@ def test_the_evidence_says_how_loosely_the_base_is_held(extra: Extra | None, loo
     assert model.rescale() == loose
     assert (model.hold.rigid > 1.0) == loose
     assert (model.hold.doubt(2) > 0.0) == loose
-
-
-@pytest.mark.parametrize("good", [True, False])
-def test_beside_a_file_that_calls_itself_poor_a_term_is_less_likely(good: bool) -> None:
-    scenes = arm_scenes(at_joint(0, drag), noise=(3.0, 1.0))
-    known = file_of(scenes[0])
-    verdicts = [Verdict(joint="j1", good=good), Verdict(good=False)]  # of a joint, of the stage
-    model = model_of(
-        scenes, HELD, Stages(inertia=structs.replace(known.inertia, verdicts=verdicts))
-    )
-    model.add([candidate("quadratic_drag", 0)])
-    own = Weighed(model.terms[0], model)
-    assert model.ground.poor != good
-    assert 0.1 < own.likely < 0.99
-    assert own.likely <= reality(own.share, own.evidence)
-    assert (own.likely < reality(own.share, own.evidence)) != good
 
 
 def late(share: float) -> Extra:

@@ -12,7 +12,6 @@ and the deviations of friction and gravity from the file are held to -P and -p t
 (see `Part.in_file`), where those of a file without the effect are held to zero.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from itertools import product
@@ -135,9 +134,7 @@ def _steady(scene: Scene, joint: int) -> Scene:
     surface = scene.model.surfaces[joint]
     assert surface is not None
     places = surface.scaling.over_position.at(np.linspace(0.0, 1.0, PLACES))
-    every: Sequence[tuple[Array, float, float]] = list(
-        product(surface.postures, surface.speeds, places)
-    )
+    every = list(product(surface.postures, surface.speeds, places))
     q = np.array([posture for posture, _, _ in every])
     q[:, joint] = [place for _, _, place in every]
     dq = np.zeros_like(q)

@@ -157,11 +157,7 @@ class Stage:
             both = self.columns([replace(candidate, apart=False)])[0]
             below = [X for c, X in both.items() if c < self.rows.n]
             return both if any(np.any(X, axis=0).all() for X in below) else {}
-        effect = candidate.effect
-        per_scene = [
-            effect.columns(scene.full or scene, candidate.joint, candidate.settings)
-            for scene in self.scenes
-        ]
+        per_scene = [candidate.columns(scene.full or scene) for scene in self.scenes]
         return both_bands(self.rows, self.high, per_scene)
 
     def _computed(self, candidates: Sequence[Candidate], passes: int) -> list[Channels]:
@@ -169,7 +165,7 @@ class Stage:
         kept: dict[int, list[Array]] = {}
         owners: dict[int, list[tuple[int, int]]] = {}  # by joint: candidate, number of its columns
         for number, scene in enumerate(self.scenes):
-            raw = [c.effect.columns(scene, c.joint, c.settings) for c in candidates]
+            raw = [c.columns(scene) for c in candidates]
             joints = sorted({joint for columns in raw for joint in columns})
             for j in joints:
                 own = [(i, columns[j]) for i, columns in enumerate(raw) if j in columns]

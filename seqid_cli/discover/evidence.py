@@ -118,7 +118,7 @@ def _sign(over: _Over, scenes: Sequence[Scene], j: int, take: Take) -> Array | f
 def _over(what: What, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
     """The quantity that a term with coefficients theta (k,) goes with at a joint."""
     if isinstance(what, Candidate) and what.effect.over == "wave":
-        columns = [what.effect.columns(scene, what.joint, what.settings)[j] for scene in scenes]
+        columns = [what.columns(scene)[j] for scene in scenes]
         return _Over("wave", j, values=[_turn(X, theta) for X in columns])
     if isinstance(what, Candidate) and what.effect.over == "driving_load":
         along = [scene.load[:, j] * np.sign(scene.motion.dq[:, j]) for scene in scenes]

@@ -219,12 +219,10 @@ class Linear:
 
     def _again(self, part: Part) -> tuple[Gained, Predicted]:
         at = self._at(part)
-        value, alone, *others = (
-            taken_back(*self._of(x, at), part.precision)
-            for x in (self._whole, self._without_file, *self._without)
-        )
+        solved = [self._of(x, at) for x in (self._whole, self._without_file, *self._without)]
+        value, alone, *others = (taken_back(a, S, part.precision) for a, S in solved)
         rows = self.rows.independent[sorted(part.columns)].sum(axis=0)
-        a, S = self._of(self._whole, at)
+        a, S = solved[0]
         seen = np.trace(np.linalg.inv(S) - part.precision)
         visible = float(seen / max(float(np.trace(self.sums[0][at, at])), 1e-300))
         gained = Gained(value, a, S, max(visible, 0.0))
@@ -261,13 +259,12 @@ class Linear:
             for c, at in enumerate(self.rows.at)
         ]
 
-    def torque_beside_file(self, part: Part) -> dict[int, Array]:
-        """Torque (M_c,) N m of a part of the model less what the file has absorbed of it."""
+    def torque_beside_file(self, part: Part, channel: int) -> Array:
+        """Torque (M_c,) N m of a part at a channel less what the file has absorbed of it."""
         own = self._at(part)
         theta = -self.in_file(part) @ self.theta[own]
         theta[own] = self.theta[own]
-        every = slice(None)
-        return {c: self.rows.y[c] - self._left(c, every, theta) for c in part.columns}
+        return self.rows.y[channel] - self._left(channel, slice(None), theta)
 
     def _left(self, channel: int, at: slice, theta: Array) -> Array:
         index, columns = self._own[channel]
@@ -284,7 +281,7 @@ class Linear:
             some = terms[first : first + BATCH]
             every = [(slice(0, len(y)),) for y in self._y]
             crossed = self._crossed(some, every)
-            found += self._given(self._whole, crossed, self._with_file(crossed, self._blocks()))
+            found += self._given(self._whole, crossed, self._with_file(crossed))
         return found
 
     def predicted(self, terms: Sequence[Part]) -> list[Predicted]:
@@ -292,10 +289,10 @@ class Linear:
         if not terms:
             return []
         crossed = self._crossed(terms, self.rows.at)
-        told, apart = (self._with_file(crossed, self._blocks(file=x)) for x in (True, False))
+        told, apart = (self._with_file(crossed, file=x) for x in (True, False))
         every = self._given(self._whole, crossed, told)
         alone = self._given(self._without_file, crossed, apart)
-        (C, whole), d = told, crossed.d.sum(axis=0)
+        (C, whole), (_, d, _) = told, crossed.whole
         seen = [np.empty_like(D) for D in crossed.D]  # of the columns, by the base without a block
         left = np.empty_like(crossed.d)
         for k, (factor, theta) in enumerate(self._without):
@@ -310,13 +307,13 @@ class Linear:
             found.append(Predicted(density, here, every[i].evidence - alone[i].evidence))
         return found
 
-    def _with_file(self, crossed: _Crossed, held: Array) -> tuple[Array, list[Array]]:
-        """C (p, m) and D (k, k) of all blocks and of what is `held` (p, p) beforehand."""
-        C, whole = crossed.C.sum(axis=0), [own.sum(axis=0) for own in crossed.D]
+    def _with_file(self, crossed: _Crossed, *, file: bool = True) -> tuple[Array, list[Array]]:
+        """C (p, m) and D (k, k) of all blocks and of what is held, with or without the file."""
+        C, _, whole = crossed.whole
         if not any(term.in_file for term in crossed.terms):
             return C, whole
         R = np.hstack([self.in_file(term) for term in crossed.terms])
-        PR = held @ R
+        PR = self._blocks(file=file) @ R
         own = [D + R[:, at].T @ PR[:, at] for D, at in zip(whole, crossed.where, strict=True)]
         return C + self.lift.T @ PR, own
 
@@ -324,14 +321,13 @@ class Linear:
         self, solved: tuple[Factor, Array], crossed: _Crossed, told: tuple[Array, list[Array]]
     ) -> list[Gained]:
         """What each term by itself does to a solved model, with the products C and D."""
-        (factor, theta), (C, whole) = solved, told
-        Z, left = self._halved(factor, C), crossed.d.sum(axis=0) - C.T @ theta
+        (factor, theta), (C, coupled), (_, d, whole) = solved, told, crossed.whole
+        Z, left = self._halved(factor, C), d - C.T @ theta
         found = []
-        for term, at, D, blocks in zip(crossed.terms, crossed.where, whole, crossed.D, strict=True):
+        for term, at, D, own in zip(crossed.terms, crossed.where, coupled, whole, strict=True):
             S = D - Z[:, at].T @ Z[:, at]
             value, a, covariance = bayes_factor(S, left[at], term.precision)
-            square = float(np.trace(blocks.sum(axis=0)))
-            visible = float(np.trace(S) / max(square, 1e-300))
+            visible = float(np.trace(S) / max(float(np.trace(own)), 1e-300))
             found.append(Gained(float(value), a, covariance, max(visible, 0.0)))
         return found
 
@@ -377,6 +373,11 @@ class _Crossed:
     C: Array  # (blocks, p, m)
     d: Array  # (blocks, m)
     D: list[Array]  # (blocks, k, k) of each term
+
+    @cached_property
+    def whole(self) -> tuple[Array, Array, list[Array]]:
+        """C (p, m), d (m,) and D (k, k) of all blocks."""
+        return self.C.sum(axis=0), self.d.sum(axis=0), [own.sum(axis=0) for own in self.D]
 
 
 def _times(root: Array, columns: Sequence[Array]) -> Array:

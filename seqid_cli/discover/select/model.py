@@ -242,8 +242,9 @@ class Model:
 
     def squares(self, term: Term, channels: frozenset[int]) -> float:
         """Weighted square of a term's torque beside the file at some channels."""
-        torque, weight = self.linear.torque_beside_file(term.part), self.noise.weight
-        return sum(float(weight[c] @ torque[c] ** 2) for c in term.channels & channels)
+        torque, weight = self.linear.torque_beside_file, self.noise.weight
+        there = term.channels & channels
+        return sum(float(weight[c] @ torque(term.part, c) ** 2) for c in there)
 
     def beyond(self, before: Sequence[Array], channels: frozenset[int]) -> float:
         """Share of the squared error that goes where it was not fitted, of `before`, (M_c,) N m.

@@ -96,7 +96,7 @@ def test_what_a_file_has_of_a_term_is_as_if_taken_off_its_columns(
     for r, s in zip(taken.left_out, expected.left_out, strict=True):
         np.testing.assert_allclose(r, s, atol=1e-6)
     torque = less.columns[1] @ expected.theta[-term.size :]
-    np.testing.assert_allclose(taken.torque_beside_file(absorbed)[1], torque, atol=1e-6)
+    np.testing.assert_allclose(taken.torque_beside_file(absorbed, 1), torque, atol=1e-6)
     loosened, expected_too = Loosened(taken), Loosened(expected)
     np.testing.assert_allclose(loosened.covariance, expected_too.covariance, atol=1e-6)
 

@@ -5,16 +5,20 @@ Forward and backward trials at one speed have the half-sum
     (tau_1 + tau_2) / 2 = a(q)' p_xi + (f_forward - f_backward) / 2.
 
 Gravity cannot know the speed and has the shape a(q); the second term is the direction dependence
-that Eq. 15 takes to be zero. Both are fitted, the second as an offset and a slope over the speed,
-and kept only where the data speak for it. So is what else is the same both ways and depends on the
-position alone, as the torque of a spring or a cable does: left in, it would be friction's noise.
+that Eq. 15 takes to be zero. Both are fitted, the second as a share of friction and a slope over
+the speed, and kept only where the data speak for it. Friction at a place is half the difference of
+the two trials: an offset, the same at all places, would leave a part of what friction has over the
+position to gravity, and is taken only where it leaves clearly less. What else is the same both ways
+and depends on the position alone, as the torque of a spring or a cable does, is fitted as well:
+left in, it would be friction's noise.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.polynomial import Chebyshev
+from numpy.polynomial import Chebyshev, chebyshev
 from scipy.linalg import block_diag
 
 from seqid_cli.identify.friction_surface.trials import Trial, configurations, speed_levels
@@ -58,11 +62,12 @@ def plane_across(axis: Array) -> tuple[Array, Array]:
 class HalfSum(NamedTuple):
     """Half-sum `tau` (K,) N m of a forward and a backward trial at `q` (K,) rad (Eq. 15).
 
-    `speed` is the pair's, `weight` samples per slice.
+    `friction` (K,) N m is half their difference, `speed` the pair's, `weight` samples per slice.
     """
 
     q: Array
     tau: Array
+    friction: Array
     speed: float
     weight: float
 
@@ -71,15 +76,24 @@ def _half_sums(group: list[Trial]) -> list[HalfSum]:
     """Half-sums of forward and backward trials of one configuration, speed by speed."""
     result = []
     for level in speed_levels(group):
-        ways = ([t for t in level if t.velocity > 0], [t for t in level if t.velocity < 0])
-        for ahead, back in zip(*ways, strict=False):
-            inside = (ahead.q >= back.q.min()) & (ahead.q <= back.q.max())
-            order = np.argsort(back.q)
-            twin = np.interp(ahead.q[inside], back.q[order], back.tau[order])
-            if inside.sum() >= 4:
-                half = (ahead.tau[inside] + twin) / 2
-                result.append(HalfSum(ahead.q[inside], half, level[0].speed, ahead.weight))
+        back = [t for t in level if t.velocity < 0]
+        for ahead in (t for t in level if t.velocity > 0):
+            twin = max(back, key=lambda t: len(_inside(ahead, t)), default=None)
+            if twin is not None and len(at := _inside(ahead, twin)) >= 4:
+                back.remove(twin)
+                result.append(_half_sum(ahead, twin, at, level[0].speed))
     return result
+
+
+def _inside(ahead: Trial, back: Trial) -> Index:
+    """Slices of a forward trial that lie where a backward trial has been."""
+    return np.flatnonzero((ahead.q >= back.q.min()) & (ahead.q <= back.q.max()))
+
+
+def _half_sum(ahead: Trial, back: Trial, at: Index, speed: float) -> HalfSum:
+    order = np.argsort(back.q)
+    tau, twin = ahead.tau[at], np.interp(ahead.q[at], back.q[order], back.tau[order])
+    return HalfSum(ahead.q[at], (tau + twin) / 2, (tau - twin) / 2, speed, ahead.weight)
 
 
 @dataclass(frozen=True)
@@ -146,12 +160,20 @@ class Clustered:
 
 
 def fit_gravity(
-    robot: Robot, joint: int, trials: list[Trial], *, enough_pairs: int = 8
+    robot: Robot,
+    joint: int,
+    trials: list[Trial],
+    *,
+    enough_pairs: int = 8,
+    degree: int = 8,
+    clear: float = 0.7,
 ) -> GravityFit:
     """Fit p_xi per configuration to the half-sums, with or without direction dependence.
 
-    Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up.
-    Returns: groups without a forward/backward pair are left out and counted in `unpaired`.
+    Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up. What
+    depends on the position is a polynomial of some `degree`; another law is clearly better where it
+    leaves less than `clear` of the squares. Returns: groups without a forward/backward pair are
+    left out and counted in `unpaired`.
     """
     groups = configurations(trials)
     sums = [_half_sums(group) for group in groups]
@@ -181,16 +203,26 @@ def fit_gravity(
         for name in ("speed", "weight")
     )
     columns, root, q = block_diag(*(a[k] for k in kept)), np.sqrt(weight), np.concatenate(places)
-    extra = np.column_stack([np.ones_like(speed), speed / speed.max()])
+    y, friction = (
+        np.concatenate([getattr(x, name) for x in pairs]) for name in ("tau", "friction")
+    )
+    dry = _at_no_speed(q, speed, friction, root, degree)
+    extras = [np.column_stack([x, speed / speed.max()]) for x in (dry, np.ones_like(speed))]
     if robot.chain.prismatic[joint] and columns.shape[1]:
-        extra = extra[:, 1:]  # the gravity force of a prismatic joint is itself an offset
-    y = np.concatenate([half.tau for half in pairs]) * root
-    bases = [each * root[:, None] for each in (columns, np.hstack([columns, extra]))]
-    plain, extended = (Clustered.of(each, y, block) for each in bases)
-    beyond = _beyond(q, root, block // parts, plain.left / root, extended.left / root)
+        extras = [extras[1][:, 1:]]  # the gravity force of a prismatic joint is itself an offset
+
+    def fits(y: Array) -> list[Clustered]:
+        bases = (columns, *(np.hstack([columns, extra]) for extra in extras))
+        return [Clustered.of(A * root[:, None], y * root, block) for A in bases]
+
+    plain, *others = fits(y)
+    number = _of_fewest(others, clear)
+    left = [each.left / root for each in (plain, others[number])]
+    beyond = _beyond(q, root, block // parts, *left, degree=degree, most=clear)
     if beyond is not None:
-        y = y - beyond(q) * root
-        plain, extended = (Clustered.of(each, y, block) for each in bases)
+        plain, *others = fits(y - beyond(q))
+        number = _of_fewest(others, clear)
+    extended, extra = others[number], extras[number]
     squares = []  # of friction: half the difference of the directions
     for k in kept:
         ahead = [t.tau.mean() for t in groups[k] if t.velocity > 0]
@@ -211,6 +243,22 @@ def fit_gravity(
     return GravityFit(fitted, unpaired, directional, share)
 
 
+def _at_no_speed(q: Array, speed: Array, friction: Array, root: Array, degree: int) -> Array:
+    """Friction (N,) N m less what goes with the speed (N,), smooth over the position q (N,)."""
+    place = np.interp(q, [q.min(), q.max()], [-1.0, 1.0])
+    columns = np.column_stack([chebyshev.chebvander(place, degree), speed])
+    rows = columns * root[:, None]
+    return np.asarray(columns[:, :-1] @ np.linalg.lstsq(rows, friction * root, rcond=1e-10)[0][:-1])
+
+
+def _of_fewest(fits: Sequence[Clustered], clear: float) -> int:
+    """The first of several fits, or one that leaves clearly less than those before it."""
+    best, squares = 0, [float(fit.left @ fit.left) for fit in fits]
+    for number in range(1, len(fits)):
+        best = number if squares[number] < clear * squares[best] else best
+    return best
+
+
 def _beyond(
     q: Array,
     root: Array,
@@ -218,8 +266,8 @@ def _beyond(
     left: Array,
     unlike: Array,
     *,
-    degree: int = 8,
-    most: float = 0.7,
+    degree: int,
+    most: float,
 ) -> Chebyshev | None:
     """Torque over the position q (N,) that half-sums have beyond gravity, `left` (N,) N m.
 

@@ -1,6 +1,7 @@
 """Eq. 12-15: p_xi is recovered; direction-dependent friction is seen, and only where it is."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -104,6 +105,42 @@ def test_friction_that_depends_on_direction_is_seen(robot: Robot, asymmetry: flo
         assert fit.asymmetry == pytest.approx(abs(asymmetry), rel=0.25)
         for group, p in zip(fit.groups, P_XI, strict=True):
             np.testing.assert_allclose(group.p_xi, p, atol=0.1)
+
+
+@pytest.mark.parametrize("goes_with", [1.0, 0.0])
+def test_a_joint_is_no_heavier_for_friction_that_depends_on_direction(
+    robot: Robot, goes_with: float
+) -> None:
+    """What friction has over the position is mostly gravity's shape here."""
+    q = np.linspace(-2, 2, SLICES)
+    places = 3.0 * np.sin(q + 0.4) + 0.5 * np.sin(2 * q)
+    rng, trials = np.random.default_rng(6), []
+    for configuration, p in zip(CONFIGURATIONS, P_XI, strict=True):
+        for direction, speed in product((1, -1), SPEEDS):
+            friction = 6.0 + 2.0 * speed + places
+            more = direction * 0.5 * (6.0 + goes_with * places)
+            tau = gravity_columns(robot, JOINT, configuration, q) @ p
+            tau += direction * (friction + more) + 0.02 * rng.standard_normal(SLICES)
+            trials.append(trial(JOINT, direction * speed, q, tau, configuration))
+    fit = fit_gravity(robot, JOINT, trials)
+    assert fit.directional
+    for group, p in zip(fit.groups, P_XI, strict=True):
+        np.testing.assert_allclose(group.p_xi, p, atol=0.02)
+
+
+def test_each_trial_finds_the_twin_that_has_been_where_it_was(robot: Robot) -> None:
+    whole = trials_of(robot, np.random.default_rng(5), noise=0.0)[: 2 * len(SPEEDS)]
+    ahead = [each for each in whole if each.velocity > 0]
+    back = [each for each in whole if each.velocity < 0]
+    halves = [part(each, way) for each in back for way in (slice(40), slice(40, None))]
+    p_xi = [fit_gravity(robot, JOINT, [*ahead, *some]).groups[0].p_xi for some in (back, halves)]
+    np.testing.assert_allclose(p_xi[0], P_XI[0], atol=0.01)
+    np.testing.assert_allclose(p_xi[1], P_XI[0], atol=0.01)
+
+
+def part(whole: Trial, at: slice) -> Trial:
+    arrays = {name: getattr(whole, name)[at] for name in ("q", "dq", "ddq", "tau", "places", "t")}
+    return replace(whole, **arrays)
 
 
 def sprung(trials: list[Trial], stiffness: float, cubic: float) -> list[Trial]:

@@ -22,6 +22,7 @@ from itertools import combinations
 
 import numpy as np
 
+from seqid_cli.discover.base import has_trials
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
@@ -41,16 +42,20 @@ def select(
     options: Options | None = None,
     catalogue: Sequence[Effect] | None = None,
 ) -> Selection:
-    """Select what the model lacks, with the base held in both ways; the evidence chooses one.
+    """Select what the model lacks.
 
-    A base that is held loosely takes up friction that has changed: the terms of such a model are
-    tried with the base held as the file says, too.
+    Of friction trials it is known what a file has taken up of an effect. Without them the base is
+    held in both ways to begin with, and the evidence chooses one. A base that is held loosely takes
+    up friction that has changed: the terms of such a model are tried with the base held as the file
+    says, too.
     """
     if catalogue is None:
         catalogue = _known(ground)
     options = options or Options()
     first, other = (Selection(Model(ground, h), options, catalogue) for h in (HELD, FREE))
     first.finish()
+    if all(has_trials(ground.stage.scenes[0], j) for j in range(ground.n)):
+        return _best_of_all([first]).merged()
     other.run()
     changes = other.model.rescale()
     best = _best_of_all([first, other])
@@ -364,9 +369,7 @@ class Selection:
         """Share of a term's torque to which its law is known, beside another term."""
         like = _alike(term, one.term)
         greater = like and again(term, self.model).predicted.total > one.predicted.total
-        free = isinstance(term.what, Candidate) and term.what.effect.apart
-        likeness = self.options.apart if free else self.options.likeness
-        return likeness if greater else self.options.law
+        return self.options.likeness if greater else self.options.law
 
 
 def _alike(one: Term, other: Term) -> bool:

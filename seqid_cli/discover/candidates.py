@@ -70,7 +70,8 @@ class Candidate:
     def kind(self) -> tuple[float, ...]:
         """Its settings that are not searched between the grid's values."""
         specs = self.effect.settings
-        return tuple(self.settings[s.name] for s in specs if not s.continuous and not s.then)
+        own = [s.name for s in specs if not s.continuous and not s.then]
+        return tuple(self.settings.get(name, 0.0) for name in own)
 
     def is_same_as(self, other: Candidate, *, tolerance: float = 0.01) -> bool:
         """Whether two are one effect; a joint may have several lines and ripples.

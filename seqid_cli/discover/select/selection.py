@@ -369,15 +369,18 @@ class Selection:
         """Share of a term's torque to which its law is known, beside another term."""
         like = _alike(term, one.term)
         greater = like and again(term, self.model).predicted.total > one.predicted.total
-        return self.options.likeness if greater else self.options.law
+        free = isinstance(term.what, Candidate) and term.what.effect.apart
+        likeness = self.options.apart if free else self.options.likeness
+        return likeness if greater else self.options.law
 
 
 def _alike(one: Term, other: Term) -> bool:
-    """Whether two effects look like each other."""
+    """Whether two effects look like each other, as one does at another joint."""
     what, beside = one.what, other.what
     if not (isinstance(what, Candidate) and isinstance(beside, Candidate)):
         return False
-    return other.name in what.effect.alike or one.name in beside.effect.alike
+    elsewhere = one.name == other.name and one.joint != other.joint
+    return elsewhere or other.name in what.effect.alike or one.name in beside.effect.alike
 
 
 def _ranked(linear: Linear, tried: Sequence[Tried]) -> list[Ranked]:

@@ -1,12 +1,15 @@
 """The base does not stand as the robot file says: gravity comes from another direction.
 
-    tau = G(q; t x g) = t_1 G(q; e_1 x g) + t_2 G(q; e_2 x g)
+    tau = G(q; R(t) g) - G(q; g)
+        = sin(a) / a (t_1 G(q; e_1 x g) + t_2 G(q; e_2 x g)) - (1 - cos(a)) G(q; g),    a = |t|
 
 g [m/s^2] is gravity in the base frame, G(q; .) the gravity torque of the model, linear in it, and
-t [rad] a small rotation of gravity about two axes e_1, e_2 square to it: x and y of the base where
-it stands upright. A constant tilt hides in the first moments once these are free, to which gravity
-torque is as linear: Gautier, Khalil, "Direct calculation of minimum set of inertial parameters of
-serial robots", IEEE Trans. Robotics and Automation 6(3), 1990.
+t [rad] a rotation of gravity about two axes e_1, e_2 square to it: x and y of the base where it
+stands upright. The settings `around_1`, `around_2` make the columns exact near that rotation: to
+first order a base that leans by 5 degrees looks like an error of torque constants, too. A constant
+tilt hides in the first moments once these are free, to which gravity torque is as linear: Gautier,
+Khalil, "Direct calculation of minimum set of inertial parameters of serial robots", IEEE Trans.
+Robotics and Automation 6(3), 1990.
 """
 
 from collections.abc import Mapping, Sequence
@@ -22,6 +25,7 @@ from seqid_cli.typing import Array
 
 LARGEST_RAD = 0.35
 PARALLEL = 1e-6
+AROUND = ("around_1", "around_2")
 
 
 class BaseTilt(Effect):
@@ -32,7 +36,10 @@ class BaseTilt(Effect):
     arm = True
     passes = 1
     change = True
-    settings = (Setting("upright", "1", low=0.0, high=1.0, continuous=False),)
+    settings = (
+        Setting("upright", "1", low=0.0, high=1.0, continuous=False),
+        *(Setting(name, "rad", -LARGEST_RAD, LARGEST_RAD, False, asked=False) for name in AROUND),
+    )
     alike = ("payload", "spring", "torque_bias")
     separate_by = (
         "an accelerometer on the base, or fast moves of the proximal joints: inertial torque does "
@@ -52,8 +59,14 @@ class BaseTilt(Effect):
         return scenes[0].model.phi is not None and bool(scenes[0].robot.gravity.any())
 
     def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
-        """Whether the first joint turns about gravity."""
-        return {"upright": [float(first_joint_upright(scenes[0].robot))]}
+        """Whether the first joint turns about gravity; no rotation to begin with."""
+        upright = float(first_joint_upright(scenes[0].robot))
+        return {"upright": [upright], **{key: [0.0] for key in AROUND}}
+
+    def sharpened(self, settings: Settings, c: Array) -> dict[str, float]:
+        """The rotation that was found."""
+        found = np.clip(c[:2], -LARGEST_RAD, LARGEST_RAD).tolist()
+        return {**settings, **dict(zip(AROUND, found, strict=True))}
 
     def plausible(
         self,
@@ -76,7 +89,7 @@ class BaseTilt(Effect):
         return bool(tilted) and super().plausible(scenes, joint, settings, c)
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
-        """Gravity torque of two directions square to gravity."""
+        """Gravity torque of two directions square to gravity, less what is lost along it."""
         q, phi = scene.motion.q, scene.model.phi
         new = int(settings["upright"])
         if phi is None:
@@ -84,7 +97,14 @@ class BaseTilt(Effect):
         still = np.zeros_like(q)
         chain, gravity = scene.robot.chain, scene.robot.gravity
         across = [np.cross(axis, gravity) for axis in tilt_axes(gravity)]
-        turned = [inverse_dynamics(chain, g, phi, q, still, still) for g in across]
+        around = np.array([settings.get(name, 0.0) for name in AROUND])
+        angle = float(np.linalg.norm(around))
+        lost = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2  # (1 - cos(a)) / a^2
+        turns = [
+            np.sinc(angle / np.pi) * own - lost * a * gravity
+            for own, a in zip(across, around, strict=True)
+        ]
+        turned = [inverse_dynamics(chain, g, phi, q, still, still) for g in turns]
         stacked = np.stack(turned, axis=2)
         columns = {j: np.ascontiguousarray(stacked[:, j]) for j in range(scene.robot.n)}
         if new:

@@ -66,9 +66,15 @@ def test_the_lean_comes_back() -> None:
     turned = Rotation.from_rotvec(lean @ axes).apply(scene.robot.gravity)
     tilted = replace(scene.model, robot=replace(scene.robot, gravity=turned))
     seen = moved_by(scene, tilted)
-    c, rms = fitted(BaseTilt(), [seen], None, {"upright": 0.0})
+    settings = {"upright": 0.0}
+    c, rms = fitted(BaseTilt(), [seen], None, settings)
     assert c == pytest.approx(lean, rel=0.05)
     assert rms < 0.05 * rms_left([seen])
+    for _ in range(3):
+        settings = BaseTilt().sharpened(settings, c)
+        c, rms = fitted(BaseTilt(), [seen], None, settings)
+    assert c == pytest.approx(lean, rel=1e-4)
+    assert rms < 1e-5 * rms_left([seen])
 
 
 def test_the_first_links_moment_shows_once_its_axis_leans() -> None:

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import binary_dilation, maximum_filter1d
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES
-from seqid_cli.model.torque import TorqueModel, known_rotors, sampled_friction, sliding
+from seqid_cli.model.torque import REACH, TorqueModel, known_rotors, sampled_friction, sliding
 from seqid_cli.motion.motion import Motion
+from seqid_cli.motion.segmentation import TRAVEL_STEPS, noise_step
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
@@ -78,8 +80,9 @@ class Scene:
 
     @cached_property
     def slides(self) -> Mask:
-        """Samples (N, n) at which a joint certainly slides."""
-        return sliding(self.motion, SLIDES * self.sign_width)
+        """Samples (N, n) at which a joint certainly slides, and does not turn back on the way."""
+        slides = sliding(self.motion, SLIDES * self.sign_width)
+        return slides if self.encoder is None else slides & ~_turns_back(self.motion, self.encoder)
 
     @cached_property
     def sign(self) -> Array:
@@ -143,6 +146,19 @@ class Scene:
 
 
 Scenes = Sequence[Scene]
+
+
+def _turns_back(motion: Motion, encoder: Array) -> Mask:
+    """Samples (N, n) that the low-pass mixes with some at which a joint turns back.
+
+    A controller that hunts, or a joint that shakes, may turn many times where the low-passed motion
+    goes on; friction then has less than its usual mean.
+    """
+    reach = max(1, int(REACH * motion.rate_hz / motion.lowpass.cutoff_hz))
+    ahead = encoder * np.where(motion.dq < 0.0, -1.0, 1.0)
+    farthest = maximum_filter1d(ahead, reach + 1, axis=0, origin=reach // 2)
+    back = farthest - ahead > TRAVEL_STEPS * noise_step(encoder)
+    return np.asarray(binary_dilation(back, np.ones((2 * reach + 1, 1), dtype=bool)))
 
 
 def sign_widths(model: TorqueModel, top_speed: Array) -> Array:

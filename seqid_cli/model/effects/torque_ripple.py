@@ -60,7 +60,7 @@ class TorqueRipple(Effect):
     wide = True
     wave = "ripple"
     over = "wave"
-    alike = ("encoder_eccentricity", "periodic_disturbance")
+    alike = ("encoder_eccentricity", "periodic_disturbance", "torque_constant")
     separate_by = (
         "slow passes at two constant speeds and two loads, both ways: ripple keeps its place in "
         "angle; what grows with load, direction or speed tells which kind it is"

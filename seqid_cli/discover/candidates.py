@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -28,14 +29,15 @@ class Candidate:
 
     One `apart` has coefficients of its own above the cut-off: what is faster than the position loop
     moves the arm, and the measured torque does not follow. One `absorbed` was there in the trials
-    of the file's friction and gravity, which have absorbed a part of it (see `FileTrials`).
+    of the file's friction and gravity, which have absorbed a part of it (see `FileTrials`): "all"
+    of them, or friction alone, where gravity is known from other joints' trials.
     """
 
     effect: Effect
     joint: int | None
     settings: dict[str, float]
     apart: bool = False
-    absorbed: bool = False
+    absorbed: Literal["", "friction", "all"] = ""
 
     @property
     def size(self) -> int:
@@ -50,7 +52,7 @@ class Candidate:
     @property
     def plain(self) -> Candidate:
         """The same beside a file that has absorbed nothing of it."""
-        return replace(self, absorbed=False)
+        return replace(self, absorbed="")
 
     @property
     def address(self) -> tuple[object, ...]:
@@ -185,7 +187,8 @@ class Stage:
         """What the file has absorbed of a candidate (see `FileTrials.absorbed`)."""
         if not candidate.absorbed or self.file is None:
             return {}
-        return self.file.absorbed(candidate.effect, candidate.joint, candidate.settings)
+        found = self.file.absorbed(candidate.effect, candidate.joint, candidate.settings)
+        return {k: own for k, own in found.items() if k or candidate.absorbed == "all"}
 
     def beside_file(self, columns: Channels, in_file: dict[int, Array]) -> Channels:
         """Columns less what the file has absorbed of them, on the rows that have some."""
@@ -223,7 +226,9 @@ def candidates_of(
                     if effect.wide:
                         yield Candidate(effect, joint, settings, apart=True)
                     if effect.steady and has_trials(narrow[0], joint):
-                        yield Candidate(effect, joint, settings, absorbed=True)
+                        yield Candidate(effect, joint, settings, absorbed="all")
+                        if effect.even:
+                            yield Candidate(effect, joint, settings, absorbed="friction")
 
 
 def _only(effect: Effect, robot: Robot, joints: Sequence[int | None]) -> Sequence[int | None]:

@@ -244,7 +244,7 @@ def _account(loop: Loop, found: Investigation, taken: Taken) -> tuple[Account, O
     known = candidates_of_model(loop.model.effects)
     after = Account(loop, (*known, candidate.plain), late | {candidate.key}, kept=True)
     early = Account(loop, (*known, candidate), late, kept=False)
-    freed = candidate.absorbed or _freed(found, taken)
+    freed = bool(candidate.absorbed) or _freed(found, taken)
     if loop.material.known or (freed and not loop.logs_before):
         return early, _outcome(loop, early, taken)
     outcome = _outcome(loop, after, taken)

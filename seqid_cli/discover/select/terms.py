@@ -48,7 +48,7 @@ class Term:
     @property
     def absorbed(self) -> bool:
         """Whether the file has absorbed a part of it."""
-        return isinstance(self.what, Candidate) and self.what.absorbed
+        return isinstance(self.what, Candidate) and bool(self.what.absorbed)
 
     @property
     def key(self) -> tuple[str, int | None]:

@@ -23,6 +23,7 @@ class ActuatorLag(TorqueMeasurement):
     family = "measurement"
     timing = True
     steady = True
+    even = True
     shared = True
     linear = (Coefficient("time_constant", "s", low=0.0, high=0.2),)
     alike = ("time_skew", "joint_elasticity")

@@ -133,6 +133,8 @@ class Effect(abc.ABC):
     steady : bool
         Whether its torque at a constant speed follows from posture and speed, so that it is known
         what friction trials had of it.
+    even : bool
+        Whether a part of that is the same both ways, which gravity may have taken up.
     drive : bool
         Whether its torque arises between the motor's current and a torque sensor behind the gear,
         which does not see it.
@@ -171,6 +173,7 @@ class Effect(abc.ABC):
     change: bool = False
     apart: bool = False
     steady: bool = False
+    even: bool = False
     drive: bool = False
     wave: str = ""
     later: tuple[str, ...] = ()

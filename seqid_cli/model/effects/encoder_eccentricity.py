@@ -36,6 +36,7 @@ class EncoderEccentricity(MeasurementEffect):
     name = "encoder_eccentricity"
     family = "measurement"
     steady = True
+    even = True
     settings = (Setting("order", "cycles per motor turn", low=0.0, continuous=False),)
     linear = (
         Coefficient("error_sin", "rad", -LARGEST_RAD, LARGEST_RAD),

@@ -26,6 +26,7 @@ class GearEfficiency(LoadLoss):
     """Losses in proportion to the transmitted torque, of their own in either power direction."""
 
     name = "gear_efficiency"
+    even = True
     over = "driving_load"
     linear = (
         Coefficient("driving_loss", "1", low=0.0, high=1.5),

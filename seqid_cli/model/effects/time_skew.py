@@ -48,6 +48,7 @@ class TimeSkew(TorqueMeasurement):
     )
     timing = True
     steady = True
+    even = True
     first_order = True
     shared = True
     linear = (Coefficient("delay", "s", low=-LARGEST_S, high=LARGEST_S),)

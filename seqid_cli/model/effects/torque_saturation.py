@@ -32,6 +32,7 @@ class TorqueSaturation(TorqueMeasurement):
     family = "measurement"
     drive = True
     steady = True
+    even = True
     settings = (Setting("around", "1/(N m)^2", low=0.0, continuous=False, agreement=CONSISTENT),)
     first_order = True
     over = "load"

@@ -128,7 +128,7 @@ def test_files_absorb_nothing_of_what_was_not_there() -> None:
     arm = _Arm.of(*ONE)
     stage = Ground.of(rows_of(arm.scenes()), arm.stages).stage
     whole = candidate("stribeck", 0, stribeck_speed=0.6, exponent=2.0)
-    some = replace(whole, absorbed=True)
+    some = replace(whole, absorbed="all")
     columns, same = stage.columns([whole, some])
     assert all(same[c] is X for c, X in columns.items())
     assert stage.beside_file(columns, stage.in_file(whole)) is columns

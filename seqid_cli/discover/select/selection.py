@@ -356,22 +356,22 @@ class Selection:
         return tuple(one.name for one in alike if one.possible(scenes, term.joint))
 
     def _of_a_law(self, one: Ranked) -> bool:
-        """Whether it takes away no more than the error of a law: a taken term's, or the model's.
+        """Whether it takes away no more than the error of a law: the model's, or a term's.
 
-        Beside a term that looks like it and gains more that law is known less well.
+        Of a term that gains more; that is known less well where the two look alike.
         """
         model, channels, gain = self.model, one.term.channels, one.predicted.total
         others = [t for t in model.terms if t.channels & channels and t is not one.term]
-        laws = [self._known_to(t, one) ** 2 * model.squares(t, channels) for t in others]
+        greater = [t for t in others if again(t, model).predicted.total > gain]
+        laws = [self._known_to(t, one.term) ** 2 * model.squares(t, channels) for t in greater]
         return model.is_detail(one.term) or 2.0 * gain < max(laws, default=0.0)
 
-    def _known_to(self, term: Term, one: Ranked) -> float:
+    def _known_to(self, term: Term, beside: Term) -> float:
         """Share of a term's torque to which its law is known, beside another term."""
-        like = _alike(term, one.term)
-        greater = like and again(term, self.model).predicted.total > one.predicted.total
+        if not _alike(term, beside):
+            return self.options.law
         free = isinstance(term.what, Candidate) and term.what.effect.apart
-        likeness = self.options.apart if free else self.options.likeness
-        return likeness if greater else self.options.law
+        return self.options.apart if free else self.options.likeness
 
 
 def _alike(one: Term, other: Term) -> bool:

@@ -41,7 +41,13 @@ class Backlash(Effect):
     needs = ("load",)
     apart = True
     linear = (Coefficient("gap", "rad", low=0.0, high=0.1),)
-    alike = ("presliding_hysteresis", "joint_elasticity", "time_skew", "actuator_lag")
+    alike = (
+        "presliding_hysteresis",
+        "joint_elasticity",
+        "time_skew",
+        "actuator_lag",
+        "transmission_coupling",
+    )
     separate_by = (
         "slow and fast moves in which the load of this joint changes its sign while it moves, and "
         "others in which it keeps it; an accelerometer on the link sees the landing"

@@ -80,9 +80,22 @@ class Scene:
 
     @cached_property
     def slides(self) -> Mask:
-        """Samples (N, n) at which a joint certainly slides, and does not turn back on the way."""
-        slides = sliding(self.motion, SLIDES * self.sign_width)
-        return slides if self.encoder is None else slides & ~_turns_back(self.motion, self.encoder)
+        """Samples (N, n) at which a joint certainly slides."""
+        return sliding(self.motion, SLIDES * self.sign_width)
+
+    @cached_property
+    def turns_back(self) -> Mask:
+        """Samples (N, n) that the low-pass mixes with some at which a joint turns back.
+
+        A controller that hunts, or a joint that shakes, may turn many times where the low-passed
+        motion goes on; friction then has less than its usual mean.
+        """
+        motion, encoder = self.motion, self.angle
+        reach = max(1, int(REACH * motion.rate_hz / motion.lowpass.cutoff_hz))
+        ahead = encoder * np.where(motion.dq < 0.0, -1.0, 1.0)
+        farthest = maximum_filter1d(ahead, reach + 1, axis=0, origin=reach // 2)
+        back = farthest - ahead > TRAVEL_STEPS * noise_step(encoder)
+        return np.asarray(binary_dilation(back, np.ones((2 * reach + 1, 1), dtype=bool)))
 
     @cached_property
     def sign(self) -> Array:
@@ -146,19 +159,6 @@ class Scene:
 
 
 Scenes = Sequence[Scene]
-
-
-def _turns_back(motion: Motion, encoder: Array) -> Mask:
-    """Samples (N, n) that the low-pass mixes with some at which a joint turns back.
-
-    A controller that hunts, or a joint that shakes, may turn many times where the low-passed motion
-    goes on; friction then has less than its usual mean.
-    """
-    reach = max(1, int(REACH * motion.rate_hz / motion.lowpass.cutoff_hz))
-    ahead = encoder * np.where(motion.dq < 0.0, -1.0, 1.0)
-    farthest = maximum_filter1d(ahead, reach + 1, axis=0, origin=reach // 2)
-    back = farthest - ahead > TRAVEL_STEPS * noise_step(encoder)
-    return np.asarray(binary_dilation(back, np.ones((2 * reach + 1, 1), dtype=bool)))
 
 
 def sign_widths(model: TorqueModel, top_speed: Array) -> Array:

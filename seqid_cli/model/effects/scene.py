@@ -85,7 +85,7 @@ class Scene:
 
     @cached_property
     def turns_back(self) -> Mask:
-        """Samples (N, n) that the low-pass mixes with some at which a joint turns back.
+        """Samples (N, n) that the low-pass mixes with some where a joint that slides turns back.
 
         A controller that hunts, or a joint that shakes, may turn many times where the low-passed
         motion goes on; friction then has less than its usual mean.
@@ -95,7 +95,8 @@ class Scene:
         ahead = encoder * np.where(motion.dq < 0.0, -1.0, 1.0)
         farthest = maximum_filter1d(ahead, reach + 1, axis=0, origin=reach // 2)
         back = farthest - ahead > TRAVEL_STEPS * noise_step(encoder)
-        return np.asarray(binary_dilation(back, np.ones((2 * reach + 1, 1), dtype=bool)))
+        within = np.ones((2 * reach + 1, 1), dtype=bool)
+        return np.asarray(binary_dilation(back & self.slides, within))
 
     @cached_property
     def sign(self) -> Array:

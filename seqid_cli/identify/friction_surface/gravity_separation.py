@@ -159,21 +159,52 @@ class Clustered:
         return np.asarray(np.sqrt(np.sum(self.moves**2, axis=0) * count / max(count - p, 1)))
 
 
+@dataclass(frozen=True)
+class _Pairs:
+    """Half-sums of a joint, row by row (N,), and the pair that each is of, numbered from 0."""
+
+    q: Array
+    tau: Array
+    friction: Array
+    speed: Array
+    weight: Array
+    pair: Index
+    slice: Index
+
+    @classmethod
+    def of(cls, pairs: Sequence[HalfSum]) -> "_Pairs":
+        """Stack pairs."""
+        lengths = [len(half.q) for half in pairs]
+        q, tau, friction = (
+            np.concatenate([getattr(half, x) for half in pairs]) for x in ("q", "tau", "friction")
+        )
+        speed, weight = (
+            np.repeat([getattr(half, x) for half in pairs], lengths) for x in ("speed", "weight")
+        )
+        pair, at = np.repeat(np.arange(len(pairs)), lengths), [np.arange(n) for n in lengths]
+        return cls(q, tau, friction, speed, weight, pair, np.concatenate(at))
+
+    def blocks(self, parts: int) -> Index:
+        """Blocks (N,), so many to a pair."""
+        return self.pair * parts + self.slice * parts // np.bincount(self.pair)[self.pair]
+
+    def dry(self, degree: int) -> Array:
+        """Friction (N,) N m less what goes with the speed, smooth over the position."""
+        place = np.interp(self.q, [self.q.min(), self.q.max()], [-1.0, 1.0])
+        columns = np.column_stack([chebyshev.chebvander(place, degree), self.speed])
+        root = np.sqrt(self.weight)
+        found = np.linalg.lstsq(columns * root[:, None], self.friction * root, rcond=1e-10)[0]
+        return np.asarray(columns[:, :-1] @ found[:-1])
+
+
 def fit_gravity(
-    robot: Robot,
-    joint: int,
-    trials: list[Trial],
-    *,
-    enough_pairs: int = 8,
-    degree: int = 8,
-    clear: float = 0.7,
+    robot: Robot, joint: int, trials: list[Trial], *, degree: int = 8, clear: float = 0.7
 ) -> GravityFit:
     """Fit p_xi per configuration to the half-sums, with or without direction dependence.
 
-    Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up. What
-    depends on the position is a polynomial of some `degree`; another law is clearly better where it
-    leaves less than `clear` of the squares. Returns: groups without a forward/backward pair are
-    left out and counted in `unpaired`.
+    What depends on the position is a polynomial of some `degree`; another law is clearly better
+    where it leaves less than `clear` of the squares. Returns: groups without a forward/backward
+    pair are left out and counted in `unpaired`.
     """
     groups = configurations(trials)
     sums = [_half_sums(group) for group in groups]
@@ -190,65 +221,72 @@ def fit_gravity(
     unpaired = len(trials) - sum(len(groups[k]) for k in kept)
     if not kept:
         return GravityFit([], unpaired, False, 0.0)
-    pairs = [half for k in kept for half in sums[k]]
-    parts = 1 if len(pairs) >= enough_pairs else 4
-    block = np.concatenate(
-        [
-            number * parts + np.arange(len(half.q)) * parts // len(half.q)
-            for number, half in enumerate(pairs)
-        ]
+    pairs, columns = (
+        _Pairs.of([x for k in kept for x in sums[k]]),
+        block_diag(*(a[k] for k in kept)),
     )
-    speed, weight = (
-        np.concatenate([np.full(len(half.q), getattr(half, name)) for half in pairs])
-        for name in ("speed", "weight")
-    )
-    columns, root, q = block_diag(*(a[k] for k in kept)), np.sqrt(weight), np.concatenate(places)
-    y, friction = (
-        np.concatenate([getattr(x, name) for x in pairs]) for name in ("tau", "friction")
-    )
-    dry = _at_no_speed(q, speed, friction, root, degree)
-    extras = [np.column_stack([x, speed / speed.max()]) for x in (dry, np.ones_like(speed))]
+    extras = [np.column_stack([x, pairs.speed / pairs.speed.max()]) for x in _uneven(pairs, degree)]
     if robot.chain.prismatic[joint] and columns.shape[1]:
         extras = [extras[1][:, 1:]]  # the gravity force of a prismatic joint is itself an offset
+    friction = _usual_friction([groups[k] for k in kept])
+    found, beyond, share, directional = _both_ways(pairs, columns, extras, friction, degree, clear)
+    ends = np.cumsum([a[k].shape[1] for k in kept])
+    each = zip(
+        kept, np.split(found.theta, ends)[:-1], np.split(found.std_error, ends)[:-1], strict=True
+    )
+    fitted = [
+        GravityGroup(robot, groups[k][0].configuration, groups[k], p_xi, error, beyond)
+        for k, p_xi, error in each
+    ]
+    return GravityFit(fitted, unpaired, directional, share)
+
+
+def _uneven(pairs: _Pairs, degree: int) -> tuple[Array, Array]:
+    """What differs between the directions, to a factor: a share of friction, or an offset (N,)."""
+    return pairs.dry(degree), np.ones_like(pairs.q)
+
+
+def _usual_friction(groups: Sequence[Sequence[Trial]]) -> float:
+    """RMS [N m] of half the difference of the directions, over configurations."""
+    squares = []
+    for group in groups:
+        ahead = [t.tau.mean() for t in group if t.velocity > 0]
+        back = [t.tau.mean() for t in group if t.velocity < 0]
+        squares.append(((np.mean(ahead) - np.mean(back)) / 2) ** 2)
+    return float(np.sqrt(np.mean(squares)))
+
+
+def _both_ways(
+    pairs: _Pairs,
+    columns: Array,
+    extras: Sequence[Array],
+    friction: float,
+    degree: int,
+    clear: float,
+    *,
+    enough_pairs: int = 8,
+) -> tuple[Clustered, Chebyshev | None, float, bool]:
+    """Fit what both ways have, columns (N, p) of gravity and one of the `extras`, or none.
+
+    Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up. Also
+    what is left over the position, and the share of friction that depends on the direction.
+    """
+    root = np.sqrt(pairs.weight)
+    block = pairs.blocks(1 if pairs.pair[-1] + 1 >= enough_pairs else 4)
 
     def fits(y: Array) -> list[Clustered]:
         bases = (columns, *(np.hstack([columns, extra]) for extra in extras))
         return [Clustered.of(A * root[:, None], y * root, block) for A in bases]
 
-    plain, *others = fits(y)
+    plain, *others = fits(pairs.tau)
     number = _of_fewest(others, clear)
     left = [each.left / root for each in (plain, others[number])]
-    beyond = _beyond(q, root, block // parts, *left, degree=degree, most=clear)
+    beyond = _beyond(pairs.q, root, pairs.pair, *left, degree=degree, most=clear)
     if beyond is not None:
-        plain, *others = fits(y - beyond(q))
+        plain, *others = fits(pairs.tau - beyond(pairs.q))
         number = _of_fewest(others, clear)
-    extended, extra = others[number], extras[number]
-    squares = []  # of friction: half the difference of the directions
-    for k in kept:
-        ahead = [t.tau.mean() for t in groups[k] if t.velocity > 0]
-        back = [t.tau.mean() for t in groups[k] if t.velocity < 0]
-        squares.append(((np.mean(ahead) - np.mean(back)) / 2) ** 2)
-    share, directional = _asymmetry(plain, extended, extra, float(np.sqrt(np.mean(squares))))
-    found = extended if directional else plain
-    ends = np.cumsum([a[k].shape[1] for k in kept])
-    fitted = [
-        GravityGroup(robot, groups[k][0].configuration, groups[k], p_xi, error, beyond)
-        for k, p_xi, error in zip(
-            kept,
-            np.split(found.theta, ends)[:-1],
-            np.split(found.std_error, ends)[:-1],
-            strict=True,
-        )
-    ]
-    return GravityFit(fitted, unpaired, directional, share)
-
-
-def _at_no_speed(q: Array, speed: Array, friction: Array, root: Array, degree: int) -> Array:
-    """Friction (N,) N m less what goes with the speed (N,), smooth over the position q (N,)."""
-    place = np.interp(q, [q.min(), q.max()], [-1.0, 1.0])
-    columns = np.column_stack([chebyshev.chebvander(place, degree), speed])
-    rows = columns * root[:, None]
-    return np.asarray(columns[:, :-1] @ np.linalg.lstsq(rows, friction * root, rcond=1e-10)[0][:-1])
+    share, directional = _asymmetry(plain, others[number], extras[number], friction)
+    return others[number] if directional else plain, beyond, share, directional
 
 
 def _of_fewest(fits: Sequence[Clustered], clear: float) -> int:

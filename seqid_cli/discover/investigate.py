@@ -143,8 +143,9 @@ def guessed(model: Model) -> list[Mask]:
 def events_of(model: Model, guess: Sequence[Mask], *, least: float = 0.25) -> list[Interval]:
     """Stretches that stand out in what the model leaves, and are no errors of its laws.
 
-    Nor are they mostly samples (N, n) of `guess`, at which an effect may have any torque, nor
-    what terms make: of their square the file leaves `least` at least.
+    Nor are they mostly samples (N, n) of `guess`, at which an effect may have any torque, or such
+    at which a joint turns back above the cut-off; nor what terms make: of their square the file
+    leaves `least` at least.
     """
     rows, left, found = model.ground.stage.rows, model.left(), list[Interval]()
     for event in find_events(rows, model.scaled()):
@@ -160,8 +161,9 @@ def events_of(model: Model, guess: Sequence[Mask], *, least: float = 0.25) -> li
 
 
 def _may_be_any(event: Interval, scene: Scene, guess: Mask, *, most: float = 0.5) -> bool:
-    """Whether an effect may have any torque at more than `most` of a push's samples."""
-    there = guess[event.inside(scene)][:, list(event.joints)]
+    """Whether an effect, or friction, may have any torque at more than `most` of its samples."""
+    unknown = guess | scene.turns_back
+    there = unknown[event.inside(scene)][:, list(event.joints)]
     return bool(np.mean(there) > most)
 
 

@@ -156,7 +156,7 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
         own = np.minimum((at * count) // motion.samples, count - 1)
         kept = own % thin == 0
         picked.append(at[kept])
-        counts = scene.slides & ~outside & ~scene.turns_back
+        counts = scene.slides & ~outside
         used.append(counts[at[kept]])
         block.append(own[kept] + first)
         lengths.append(count)

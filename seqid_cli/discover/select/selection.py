@@ -52,10 +52,11 @@ def select(
     if catalogue is None:
         catalogue = _known(ground)
     options = options or Options()
-    first, other = (Selection(Model(ground, h), options, catalogue) for h in (HELD, FREE))
+    first = Selection(Model(ground, HELD), options, catalogue)
     first.finish()
-    if all(has_trials(ground.stage.scenes[0], j) for j in range(ground.n)):
+    if has_trials(ground.stage.scenes[0], None):
         return _best_of_all([first]).merged()
+    other = Selection(Model(ground, FREE), options, catalogue)
     other.run()
     changes = other.model.rescale()
     best = _best_of_all([first, other])

@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.identify.regression.least_squares import whitened
 from seqid_cli.model.effects.scene import Joint, Scene
-from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
@@ -179,20 +178,18 @@ def friction_columns(
 ) -> Array:
     """Free friction of one joint: the terms of its surface, or Coulomb, viscous (and offset).
 
-    Of some samples of a data set, not low-passed.
+    Of some samples of a data set, not low-passed. Beside a surface there is a drag beyond the
+    fastest speed at which it was identified.
     """
     surface = scene.model.surfaces[joint]
     if surface is None or stage is None:
         return _simple(scene, joint, 2, part)
-    terms = _simple_terms(stage, scene.robot.joint_names[joint])
-    if terms:
+    terms = len(stage.joints[scene.robot.joint_names[joint]].parameters)
+    if terms:  # Coulomb, viscous and offset of a simultaneous fit
         return _simple(scene, joint, terms, part)
-    return _surface(scene, surface, joint, part)
-
-
-def _simple_terms(stage: FrictionStage, name: str) -> int:
-    """How many of Coulomb, viscous and offset a simultaneous fit gave; 0 for a surface."""
-    return len(stage.joints[name].parameters)
+    v = scene.motion.dq[part, joint]
+    beyond = surface.scaling.faster(v) * np.sign(v)
+    return np.column_stack([surface_columns(scene, joint, part), beyond])
 
 
 def _simple(scene: Scene, joint: int, terms: int, part: slice) -> Array:
@@ -206,14 +203,6 @@ def surface_columns(scene: Scene, joint: int, part: slice = slice(None)) -> Arra
     assert surface is not None
     columns: Array = surface.columns(motion.q[part, joint], motion.dq[part, joint])
     return columns[:, : surface.entries]
-
-
-def _surface(scene: Scene, surface: FrictionSurface, joint: int, part: slice) -> Array:
-    """Terms of the surface, and a drag beyond the fastest speed at which it was identified."""
-    v = scene.motion.dq[part, joint]
-    columns = surface_columns(scene, joint, part)
-    beyond = surface.scaling.faster(v) * np.sign(v)
-    return np.column_stack([columns, beyond])
 
 
 def _rigid_prior(basis: Basis, parts: Sequence[RigidStage | None]) -> Array:

@@ -19,7 +19,6 @@ from seqid_cli.model.effects.effect import Columns, Effect
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.motion.filters.butterworth import single
-from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 
@@ -213,13 +212,13 @@ def candidates_of(
     n = narrow[0].robot.n
     full = [scene.full or scene for scene in narrow]
     whole = [full_residual(scene, r) for scene, r in zip(narrow, left, strict=True)]
+    asked = {own.name: own.joint for own in narrow[0].robot.effects}  # where the file wants its own
     for effect in effects:
         scenes, residual = (full, whole) if effect.wide else (narrow, left)
         joints: list[int | None] = [None] if effect.arm else list(range(n))
         if effect.shared and n > 1:
             joints.append(None)
-        only = _only(effect, narrow[0].robot, joints)
-        for joint in only:
+        for joint in (j for j in joints if j == asked.get(effect.name, j)):
             if (near is None or joint in near) and effect.available(scenes, joint):
                 for settings in effect.grid(scenes, joint, residual):
                     yield Candidate(effect, joint, settings)
@@ -229,9 +228,3 @@ def candidates_of(
                         yield Candidate(effect, joint, settings, absorbed="all")
                         if effect.even:
                             yield Candidate(effect, joint, settings, absorbed="friction")
-
-
-def _only(effect: Effect, robot: Robot, joints: Sequence[int | None]) -> Sequence[int | None]:
-    """Of these joints, the one where the robot file wants its own effect to be looked for."""
-    asked = {own.name: own.joint for own in robot.effects}.get(effect.name)
-    return joints if asked is None else [joint for joint in joints if joint == asked]

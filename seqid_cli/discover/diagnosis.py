@@ -98,7 +98,9 @@ def diagnose(
 def described(found: Investigation, robot: Robot) -> DiagnosisFile:
     """Turn a selection and events into findings, unexplained parts and a verdict."""
     findings = [_finding(found, robot, taken) for taken in found.found.effects]
-    rest = _largest_of_each([_unexplained(found, robot, taken) for taken in found.found.smooth])
+    functions = [_unexplained(found, robot, taken) for taken in found.found.smooth]
+    first = {part.joint: part for part in sorted(functions, key=lambda part: part.share)}
+    rest = sorted(first.values(), key=lambda part: -part.share)  # the largest of each joint
     ordinary = expected(found)
     excess = excess_residuals(found, ordinary)
     if found.events:
@@ -149,16 +151,15 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
     )
 
 
-def _largest_of_each(rest: Sequence[UnexplainedPart]) -> list[UnexplainedPart]:
-    """One entry per joint, the largest share first."""
-    ordered = sorted(rest, key=lambda u: -u.share)
-    return list({u.joint: u for u in reversed(ordered)}.values())[::-1]
-
-
 def _contact(found: Investigation, robot: Robot) -> FindingEntry:
     """The finding that stands for all events."""
-    effect = CATALOGUE["external_contact"]
-    energies = _event_energies(found)
+    effect, scenes, left = (
+        CATALOGUE["external_contact"],
+        found.ground.stage.scenes,
+        found.model.left(),
+    )
+    floor = np.maximum(found.floor.rms, 1e-12)
+    energies = [e.energy(scenes[e.scene], left[e.scene] / floor) for e in found.events]
     inside = sum(energies)
     gained = sum(max(taken.one.predicted.total, 0.0) for taken in found.found.taken)
     confidence = max(event.certainty for event in found.events) * _apart(found, energies)
@@ -174,13 +175,6 @@ def _contact(found: Investigation, robot: Robot) -> FindingEntry:
         note=f"{len(found.events)} interval(s), left out of the search",
         evidence=pushed(found, robot),
     )
-
-
-def _event_energies(found: Investigation) -> list[float]:
-    """Squared residual inside each event beyond the noise floor, in its units."""
-    scenes, left = found.ground.stage.scenes, found.model.left()
-    floor = np.maximum(found.floor.rms, 1e-12)
-    return [event.energy(scenes[event.scene], left[event.scene] / floor) for event in found.events]
 
 
 def _apart(found: Investigation, energies: Sequence[float]) -> float:
@@ -202,6 +196,7 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
     what, model = taken.term.what, found.model
     assert isinstance(what, Candidate)
     name, effect = named(taken), what.effect
+    joints = joints_below(taken.term.channels, found.ground.n)
     found_there = model.coefficients(taken.term), model.covariance(taken.term)
     values = effect.reported(robot, what.joint, what.settings, *found_there)
     return FindingEntry(
@@ -209,7 +204,7 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
         joint=robot.name_of(what.joint),
         confidence=name.confidence,
         name_confidence=name.by_itself,
-        explains=_explains(found, taken),
+        explains=share_above(taken.without[joints], model.rms()[joints], found.floor.rms[joints]),
         confusable_with=list(name.others),
         separate_by=separate_by(effect, name.others, robot, what.joint),
         gain=taken.one.predicted.share,
@@ -242,12 +237,6 @@ def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int 
     between = f"--between {effect.name},{rivals[0]}{where}"
     command = f"seqid plan discriminate {between}, with these logs as --have, plans it"
     return f"{effect.separate_by}; {command}"
-
-
-def _explains(found: Investigation, taken: Taken) -> float:
-    """What `share_above` says of the effect's joints, on blocks that were left out."""
-    joints = joints_below(taken.term.channels, found.ground.n)
-    return share_above(taken.without[joints], found.model.rms()[joints], found.floor.rms[joints])
 
 
 def share_above(before: Array, after: Array, floor: Array) -> float:

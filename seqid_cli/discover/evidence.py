@@ -116,10 +116,18 @@ def _sign(over: _Over, scenes: Sequence[Scene], j: int, take: Take) -> Array | f
 
 
 def _over(what: What, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
-    """The quantity that a term with coefficients theta (k,) goes with at a joint."""
+    """The quantity that a term with coefficients theta (k,) goes with at a joint.
+
+    Of a wave with columns sine, cosine, ... it is the place on it, 0 where it rises.
+    """
     if isinstance(what, Candidate) and what.effect.over == "wave":
         columns = [what.columns(scene)[j] for scene in scenes]
-        return _Over("wave", j, values=[_turn(X, theta) for X in columns])
+        a, b = theta[::2], theta[1::2]
+        turns = [
+            np.arctan2(X[:, ::2] @ a + X[:, 1::2] @ b, X[:, 1::2] @ a - X[:, ::2] @ b)
+            for X in columns
+        ]
+        return _Over("wave", j, values=[np.mod(turn / (2 * np.pi), 1.0) for turn in turns])
     if isinstance(what, Candidate) and what.effect.over == "driving_load":
         along = [scene.load[:, j] * np.sign(scene.motion.dq[:, j]) for scene in scenes]
         return _Over("driving_load", j, what.sided, along)
@@ -137,13 +145,6 @@ def _values(axis: Axis, scenes: Sequence[Scene]) -> list[Array] | None:
     if len(known) < len(found):
         return _values(Axis("time", axis.joint), scenes) if axis.measure == "session_time" else None
     return known
-
-
-def _turn(X: Array, theta: Array) -> Array:
-    """Place (N,) on the wave that columns (N, 2k) sine, cosine, ... make, 0 where it rises."""
-    sin, cos, a, b = X[:, ::2], X[:, 1::2], theta[::2], theta[1::2]
-    turn: Array = np.mod(np.arctan2(sin @ a + cos @ b, cos @ a - sin @ b) / (2 * np.pi), 1.0)
-    return turn
 
 
 def _binned(

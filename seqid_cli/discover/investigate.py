@@ -140,31 +140,26 @@ def guessed(model: Model) -> list[Mask]:
     return masks
 
 
-def events_of(model: Model, guess: Sequence[Mask], *, least: float = 0.25) -> list[Interval]:
+def events_of(
+    model: Model, guess: Sequence[Mask], *, least: float = 0.25, most: float = 0.5
+) -> list[Interval]:
     """Stretches that stand out in what the model leaves, and are no errors of its laws.
 
-    Nor are they mostly samples (N, n) of `guess`, at which an effect may have any torque, or such
-    at which a joint turns back above the cut-off; nor what terms make: of their square the file
-    leaves `least` at least.
+    At `most` of their samples an effect may have any torque (`guess`, (N, n)), or a joint turns
+    back above the cut-off. Nor do terms make them: of their square the file leaves `least`.
     """
     rows, left, found = model.ground.stage.rows, model.left(), list[Interval]()
     for event in find_events(rows, model.scaled()):
         scene, own = rows.scenes[event.scene], left[event.scene]
         file = model.ground.base.whole[event.scene].residual
+        unknown = (guess[event.scene] | scene.turns_back)[event.inside(scene)]
         if (
             not of_law(event, scene, own)
-            and not _may_be_any(event, scene, guess[event.scene])
+            and np.mean(unknown[:, list(event.joints)]) <= most
             and event.squares(scene, file) > least * event.squares(scene, own)
         ):
             found.append(event)
     return found
-
-
-def _may_be_any(event: Interval, scene: Scene, guess: Mask, *, most: float = 0.5) -> bool:
-    """Whether an effect, or friction, may have any torque at more than `most` of its samples."""
-    unknown = guess | scene.turns_back
-    there = unknown[event.inside(scene)][:, list(event.joints)]
-    return bool(np.mean(there) > most)
 
 
 def of_law(event: Interval, scene: Scene, residual: Array) -> bool:

@@ -125,28 +125,22 @@ def free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
 
     By as much of the squared error as an effect must gain.
     """
-    found_at, left = touched(found), found.model.rms()
-    worse = [
-        f"{joint.name} ({left[j]:.3g} against {found.start[j]:.3g} {joint.unit('N m')})"
-        for j, joint in enumerate(robot.joints)
-        if j not in found_at and _fits_worse(found, j)
-    ]
+    found_at, left, worse = touched(found), found.model.rms(), list[str]()
+    rows, told = found.ground.rows, Options()
+    for j, joint in ((j, x) for j, x in enumerate(robot.joints) if j not in found_at):
+        free, file = (
+            np.bincount(rows.block[j], weights=r[j] ** 2, minlength=rows.blocks)
+            for r in (found.model.linear.left_out, found.ground.base.y)
+        )
+        if doubt_of(free - (1.0 + told.improvement) * file) <= told.doubt:
+            sizes = f"{left[j]:.3g} against {found.start[j]:.3g} {joint.unit('N m')}"
+            worse.append(f"{joint.name} ({sizes})")
     if not worse:
         return ()
     return (
         f"these logs are too short to judge the model at {', '.join(worse)}: fitted to a part of "
         "them, it predicts the rest worse than the file does",
     )
-
-
-def _fits_worse(found: Investigation, joint: int) -> bool:
-    """Whether blocks that were left out of the fit are surely better predicted by the file."""
-    rows, told = found.ground.rows, Options()
-    free, file = (
-        np.bincount(rows.block[joint], weights=left[joint] ** 2, minlength=rows.blocks)
-        for left in (found.model.linear.left_out, found.ground.base.y)
-    )
-    return doubt_of(free - (1.0 + told.improvement) * file) <= told.doubt
 
 
 def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from seqid_cli.model.effects.scene import (
 )
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.imu.link_acceleration import log_motion
-from seqid_cli.motion.motion import Motion, decimated, estimate_motion
+from seqid_cli.motion.motion import decimated, estimate_motion
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
@@ -51,7 +51,12 @@ def scenes_of(
         If a log carries neither torque nor current.
     """
     logs = list(recordings)
-    motions = [_motion(log, robot, stages, options) for log in logs]
+    motions = []
+    for log in logs:
+        torque_of(log)
+        motions.append(
+            log_motion(log, robot, options.motion, imu=stages.imu, source=options.source)
+        )
     model = TorqueModel.from_stages(stages, robot)
     starts, shared = shared_starts(logs)
     top = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
@@ -74,13 +79,6 @@ def scenes_of(
         )
         scenes.append(thinned(full))
     return scenes
-
-
-def _motion(recording: Recording, robot: Robot, stages: Stages, options: InertiaOptions) -> Motion:
-    """Motion of a log at its own rate."""
-    torque_of(recording)
-    imu, source = stages.imu, options.source
-    return log_motion(recording, robot, options.motion, imu=imu, source=source)
 
 
 def with_own_cutoffs(

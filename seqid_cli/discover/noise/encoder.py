@@ -51,16 +51,13 @@ def _drawn(recording: Recording, scene: Scene, rng: np.random.Generator) -> Arra
     q, dq, _ = seen(read)
     friction = sampled_friction(scene.model.surfaces, replace(motion, q=q, dq=dq))
     rigid = scene.model.rigid(*seen(read if motion.source == "encoder" else truth))
-    right = lowpass(lowpass(_torque(scene, truth, recording), valid), valid)[::every]
+    sharp = [s and replace(s, sign_width=SHARP) for s in scene.model.surfaces]
+    v, a = differentiate(truth, rate, valid)
+    torque = scene.model.rigid(truth, v, a)
+    torque += replace(scene.model, surfaces=sharp).friction(truth, v)
+    right = lowpass(lowpass(torque, valid), valid)[::every]
     residual: Array = right - motion.filtered(rigid) - motion.filtered(friction, times=2)
     return residual
-
-
-def _torque(scene: Scene, q: Array, recording: Recording) -> Array:
-    """Modelled torque (N, n) N m at the log's rate."""
-    v, a = differentiate(q, recording.rate_hz, recording.valid)
-    sharp = [s and replace(s, sign_width=SHARP) for s in scene.model.surfaces]
-    return scene.model.rigid(q, v, a) + replace(scene.model, surfaces=sharp).friction(q, v)
 
 
 def encoder_readings(

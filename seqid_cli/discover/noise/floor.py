@@ -113,7 +113,11 @@ def noise_floor(
         heard, left = (_rms_of(values, of, j) for values in (echo, residual))
         heard = heard if rows is None else rms(rows.torque(j, [e[:, j] for e in echo]))
         encoder = heard * np.exp(encoder_error * NORMAL_95)
-        still = [_rested(log, at, j) for log, at in zip(recordings, rests, strict=True) if at[0]]
+        still = [
+            Spectrum.of(log.tau[:, j], *at, log.rate_hz, robust=False).at_least(_rounding(log, j))
+            for log, at in zip(recordings, rests, strict=True)
+            if at[0] and log.tau is not None
+        ]
         moving = [_above(log, scene, j) for log, scene, *_ in logs]
         moving += [_top_of_band(log, x, r[:, j], e[:, j], j) for log, x, r, e in logs]
         floor = np.hypot(_noise([*still, *moving], slid, reference_hz), encoder)
@@ -155,13 +159,6 @@ def _rests(recording: Recording, scene: Scene, *, settling: float = 1.2) -> tupl
     lengths = [b - a for a, b in runs(quiet, len(quiet)) if b - a >= STRETCH * period]
     length = int(np.median(lengths)) if lengths else 0
     return stretches(quiet, length) if length else [], length
-
-
-def _rested(recording: Recording, rests: tuple[list[int], int], joint: int) -> Spectrum:
-    """The raw torque while all joints stand."""
-    assert recording.tau is not None
-    torque, rate = recording.tau[:, joint], recording.rate_hz
-    return Spectrum.of(torque, *rests, rate, robust=False).at_least(_rounding(recording, joint))
 
 
 def _above(

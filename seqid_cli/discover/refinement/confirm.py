@@ -10,7 +10,7 @@ from seqid_cli.discover.base import residual_of
 from seqid_cli.discover.noise.encoder import encoder_residuals
 from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
 from seqid_cli.discover.refinement.held_out import HeldOutError, WholeLogs, gain, held_out_error
-from seqid_cli.discover.refinement.loop import joints_of, key_of_round, with_effects
+from seqid_cli.discover.refinement.loop import with_effects
 from seqid_cli.discover.refinement.rounds import Refinement
 from seqid_cli.discover.scenes import scenes_of, with_own_cutoffs
 from seqid_cli.discover.survey.usable import usable_logs
@@ -47,7 +47,15 @@ def confirm(
     found = replace(found, material=material)
     models = [found.came, *(with_effects(m, robot) for m in (found.without, *found.steps[1:]))]
     errors, more = _errors(found, models, held_out, whole)
-    rounds = _confirmed(found, errors[1:])
+    rounds, names, number = list(found.rounds), robot.joint_names, 1
+    for k, told in enumerate(rounds):
+        if told.accepted:
+            own = [names.index(told.joint)] if told.joint is not None else range(robot.n)
+            change = gain(errors[number], errors[number + 1], own)
+            number += 1
+            rounds[k] = structs.replace(
+                told, held_out_gain=change.value, interval=change.limits, confirmed=change.certain
+            )
     errors = errors if found.steps[1:] else errors[:1]
     logs = tuple(dict.fromkeys(str(log.path) for log in held_out))
     return _closed(found, rounds, errors, _floor(found, held_out), logs, (*notes, *more))
@@ -75,29 +83,12 @@ def _errors(
 ) -> tuple[list[HeldOutError], tuple[str, ...]]:
     """Errors of all models: of the held-out logs as a whole, where they can be had."""
     options, robot = found.material.options.motion, found.material.robot
-    note: tuple[str, ...] = ()
-    if whole is not None:
-        found_there = [whole.error(stages, options=options) for stages in models]
-        there = [error for error in found_there if error is not None]
-        if len(there) == len(models):
-            return there, ("errors are of the whole held-out logs",)
-        note = ("errors are of pieces of the held-out logs",)
+    there = [whole.error(stages, options=options) for stages in models if whole is not None]
+    known = [error for error in there if error is not None]
+    if len(known) == len(models):
+        return known, ("errors are of the whole held-out logs",)
+    note = () if whole is None else ("errors are of pieces of the held-out logs",)
     return [held_out_error(held_out, robot, stages, options=options) for stages in models], note
-
-
-def _confirmed(found: Refinement, errors: Sequence[HeldOutError]) -> list[RefinementRound]:
-    """The rounds with what the held-out logs say; `errors` before the first and after each."""
-    rounds, number = [], 0
-    for told in found.rounds:
-        if told.accepted:
-            joints = joints_of(key_of_round(told, found.material.robot), found.material.robot)
-            change = gain(errors[number], errors[number + 1], joints)
-            number += 1
-            told = structs.replace(
-                told, held_out_gain=change.value, interval=change.limits, confirmed=change.certain
-            )
-        rounds.append(told)
-    return rounds
 
 
 def _closed(
@@ -140,20 +131,17 @@ def _closed(
 def _by_joint(error: HeldOutError, names: Sequence[str]) -> dict[str, JointRmse]:
     """Errors of the joints that slide."""
     columns = (error.rmse(), error.rmse_inside(), error.rmse_outside(), error.share_outside())
+    every = zip(names, np.stack(columns, axis=1).tolist(), strict=True)
     return {
         name: JointRmse(
-            rmse=float(columns[0][j]),
-            rmse_inside=_known(columns[1][j]),
-            rmse_outside=_known(columns[2][j]),
-            share_outside=float(columns[3][j]),
+            rmse=rmse,
+            rmse_inside=inside if np.isfinite(inside) else None,
+            rmse_outside=outside if np.isfinite(outside) else None,
+            share_outside=share,
         )
-        for j, name in enumerate(names)
-        if np.isfinite(columns[0][j])
+        for name, (rmse, inside, outside, share) in every
+        if np.isfinite(rmse)
     }
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def _floor(found: Refinement, held_out: Sequence[Recording]) -> NoiseFloor:

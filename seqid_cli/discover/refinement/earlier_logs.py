@@ -48,38 +48,19 @@ def read_earlier(
         )
         needed = {}
     whole = {x.sha256: [x] for x in _logs(inputs, needed.values())} if needed else {}
-    rest: dict[str, list[Recording]] = {}
+    pieces = dict(at_hand)
     if others:
-        pieces = take_excerpts(
-            _logs(inputs, others.values()),
-            inputs.robot,
-            inputs.stages,
-            options=options,
-            places=False,
-        )
-        rest = by_digest(pieces.recordings)
-    by_stage = {
-        stage: [
-            recording
-            for sha256 in logs
-            for recording in _some(stage, sha256, whole, {**at_hand, **rest}, held)
-        ]
-        for stage, logs in found.by_stage.items()
-    }
+        some, given = _logs(inputs, others.values()), (inputs.robot, inputs.stages)
+        held_of_them = take_excerpts(some, *given, options=options, places=False)
+        pieces |= by_digest(held_of_them.recordings)
+    by_stage = dict[str, list[Recording]]()
+    for stage, logs in found.by_stage.items():
+        by_stage[stage] = own = []
+        for sha256 in logs:
+            # Trials are taken as a whole, of others what is fitted of them.
+            parts = [] if stage in TRIALS and sha256 not in held else pieces.get(sha256, [])
+            own += parts or whole.get(sha256, [])
     return Earlier(by_stage, notes)
-
-
-def _some(
-    stage: str,
-    sha256: str,
-    whole: Mapping[str, Sequence[Recording]],
-    pieces: Mapping[str, Sequence[Recording]],
-    held: set[str],
-) -> Sequence[Recording]:
-    """A log as a stage needs it: whole for trials, else what is fitted where it is."""
-    if stage in TRIALS and sha256 not in held:
-        return whole.get(sha256, ())
-    return pieces.get(sha256) or whole.get(sha256, ())
 
 
 def _logs(inputs: Inputs, paths: Iterable[Path]) -> LogSet:

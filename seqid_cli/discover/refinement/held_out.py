@@ -75,9 +75,8 @@ class HeldOutError:
 
     def share_outside(self) -> Array:
         """Share (n,) of the samples that lie beyond them."""
-        return np.asarray(
-            self.outside_samples.sum(axis=0) / np.maximum(self.samples.sum(axis=0), 1.0)
-        )
+        beyond, every = (x.sum(axis=0) for x in (self.outside_samples, self.samples))
+        return np.asarray(beyond / np.maximum(every, 1.0))
 
 
 def _rms(squares: Array, samples: Array) -> Array:
@@ -205,8 +204,7 @@ class WholeLogs:
 
     def _opened(self, file: Path) -> Recording | SurveyedLog | None:
         """A log to be passed over, or a short one; None for a long one that must be held."""
-        least = likely_rows(file)
-        clock = self.time_source
+        least, clock = likely_rows(file), self.time_source
         if least < LONG:
             return read_screened(file, self.robot, time_source=clock).recording if least else None
         log = open_if_long(file, self.robot, time_source=clock, least=1)

@@ -107,11 +107,8 @@ def find_earlier(
     """
     unseen = {path.resolve() for path in held_out}
     known = [log for log in inputs if unseen & {p.resolve() for p in _places(log, folders)}]
-    listed = [log for log in inputs if log.stage in FITTED_STAGES and log not in known]
-    paths: dict[str, Path] = {}
-    by_stage: dict[str, list[str]] = {}
-    lost: list[str] = []
-    for log in listed:
+    paths, by_stage, lost = dict[str, Path](), dict[str, list[str]](), list[str]()
+    for log in (x for x in inputs if x.stage in FITTED_STAGES and x not in known):
         path = paths.get(log.sha256) or at_hand.get(log.sha256) or _find(log, folders)
         if path is None:
             lost.append(log.path)

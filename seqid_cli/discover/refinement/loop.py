@@ -136,16 +136,6 @@ class Loop:
         self.rounds.append(told)
 
 
-def key_of_round(told: RefinementRound, robot: Robot) -> Key:
-    """The effect of a round, and its joint by number."""
-    return told.effect, None if told.joint is None else robot.joint_names.index(told.joint)
-
-
-def joints_of(key: Key, robot: Robot) -> set[int]:
-    """Joints that an effect is of."""
-    return set(range(robot.n)) if key[1] is None else {key[1]}
-
-
 def with_effects(model: Refitted, robot: Robot) -> Stages:
     """The stages with the effects written into them."""
     effects = [

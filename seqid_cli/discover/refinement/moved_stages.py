@@ -1,14 +1,12 @@
 """Stages moved by deviations of the base, and held where logs hardly tell them."""
 
-from collections.abc import Mapping
-
 import msgspec
 import numpy as np
 
 from seqid_cli.discover.select.model import Model
 from seqid_cli.identify.rigid.parameters import representative_of
 from seqid_cli.identify.rigid.simultaneous import surface_entries
-from seqid_cli.params.schema import FrictionJoint, RigidStage, Stages
+from seqid_cli.params.schema import FrictionJoint, Stages
 from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.typing import Array
 
@@ -72,7 +70,14 @@ def moved(stages: Stages, fit: Model, theta: Array) -> Stages:
     for name in ("gravity", "inertia"):
         stage = getattr(stages, name)
         if stage is not None:
-            setattr(result, name, _moved_rigid(stage, values))
+            own = [
+                msgspec.structs.replace(p, value=float(p.value + values.get(p.name, 0.0)))
+                for p in stage.parameters
+            ]
+            anew = dict(stage.representative)
+            setattr(
+                result, name, msgspec.structs.replace(stage, parameters=own, representative=anew)
+            )
     last = result.inertia or result.gravity
     if last is not None:
         now = np.array([last.representative.get(x, 0.0) for x in standard_names(n)])
@@ -83,37 +88,19 @@ def moved(stages: Stages, fit: Model, theta: Array) -> Stages:
     return result
 
 
-def _moved_rigid(stage: RigidStage, change: Mapping[str, float]) -> RigidStage:
-    parameters = [
-        msgspec.structs.replace(p, value=float(p.value + change.get(p.name, 0.0)))
-        for p in stage.parameters
-    ]
-    return msgspec.structs.replace(
-        stage, parameters=parameters, representative=dict(stage.representative)
-    )
-
-
 def _moved_friction(joint: FrictionJoint, change: Array) -> FrictionJoint:
     """A surface whose entries moved; of a simultaneous fit the parameters as well."""
     positive, negative = np.array(joint.positive), np.array(joint.negative)
-    size = positive.size
-    if joint.parameters:
-        return _moved_simple(joint, change)
-    positive = positive + change[:size].reshape(positive.shape)
-    other = change[size : 2 * size] if joint.directional else change[:size]
-    negative = negative + other.reshape(negative.shape)
-    return msgspec.structs.replace(joint, positive=positive.tolist(), negative=negative.tolist())
-
-
-def _moved_simple(joint: FrictionJoint, change: Array) -> FrictionJoint:
-    ahead, back = surface_entries(joint.speed_range[1], len(change))
-    parameters = [
-        msgspec.structs.replace(p, value=float(p.value + c))
-        for p, c in zip(joint.parameters, change, strict=True)
-    ]
+    size, parameters = positive.size, joint.parameters
+    if parameters:
+        ahead, back = (own @ change for own in surface_entries(joint.speed_range[1], len(change)))
+        pairs = zip(parameters, change, strict=True)
+        parameters = [msgspec.structs.replace(p, value=float(p.value + c)) for p, c in pairs]
+    else:
+        ahead, back = change[:size], change[size : 2 * size] if joint.directional else change[:size]
     return msgspec.structs.replace(
         joint,
-        positive=(np.array(joint.positive) + (ahead @ change)[None]).tolist(),
-        negative=(np.array(joint.negative) + (back @ change)[None]).tolist(),
+        positive=(positive + ahead.reshape(positive.shape)).tolist(),
+        negative=(negative + back.reshape(negative.shape)).tolist(),
         parameters=parameters,
     )

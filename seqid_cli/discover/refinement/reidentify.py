@@ -121,20 +121,15 @@ def _turns(
         before = effects
         if candidates:
             effects, candidates = _effects_of(material, fit()), [x.plain for x in fit().candidates]
-        settled = bool(before) and _step(before, effects) <= close
+        settled = bool(before) and all(
+            np.all(abs(new.coefficients - old.coefficients) <= close * _errors(new))
+            for old, new in zip(before, effects, strict=True)
+        )
         last = not (left and candidates) or settled
         stages = _stages(material, Refitted(stages, tuple(effects), late), fit, last=last)
         yield stages, candidates
         if last:
             return
-
-
-def _step(before: Sequence[FittedEffect], after: Sequence[FittedEffect]) -> float:
-    """By how many of their standard errors coefficients have moved, at most."""
-    return max(
-        float(np.max(np.abs(new.coefficients - old.coefficients) / _errors(new)))
-        for old, new in zip(before, after, strict=True)
-    )
 
 
 def _errors(effect: FittedEffect) -> Array:

@@ -135,12 +135,8 @@ def _late(file: ParameterFile, known: Sequence[Fitted], robot: Robot) -> frozens
     """Effects of the file that an earlier refinement found to have come late."""
     rounds = file.closed_loop.rounds if file.closed_loop is not None else []
     names = {(r.effect, r.joint) for r in rounds if r.reason == LATE}
-    keys = [key for key in map(key_of, known) if key is not None]
-    return frozenset(
-        key
-        for key in keys
-        if (key[0], None if key[1] is None else robot.joint_names[key[1]]) in names
-    )
+    keys = (key for key in map(key_of, known) if key is not None)
+    return frozenset(key for key in keys if (key[0], robot.name_of(key[1])) in names)
 
 
 def _add_effects(loop: Loop, found: Investigation) -> Investigation:
@@ -190,14 +186,11 @@ def _among(one: Candidate, others: Sequence[Candidate]) -> bool:
 
 def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Recording, ...]:
     """The logs with the events that were found in them marked as not to be used."""
-    result = []
-    for number, log in enumerate(logs):
-        t, valid = log.t - log.t[0], log.valid.copy()
-        for event in events:
-            if event.scene == number:
-                valid &= (t < event.start) | (t > event.end)
-        result.append(replace(log, valid=valid))
-    return tuple(result)
+    valid = [log.valid.copy() for log in logs]
+    for event in events:
+        t = logs[event.scene].t - logs[event.scene].t[0]
+        valid[event.scene] &= (t < event.start) | (t > event.end)
+    return tuple(replace(log, valid=own) for log, own in zip(logs, valid, strict=True))
 
 
 @dataclass(frozen=True)
@@ -223,7 +216,8 @@ class Outcome:
 def _try(loop: Loop, found: Investigation, taken: Taken) -> bool:
     """Fit the model with one effect more; keep it if that helps."""
     account, outcome = _account(loop, found, taken)
-    told = _shown(loop, _told(loop, taken, account, outcome), found, taken)
+    reason = _reason(loop.material.robot.joint_names, _what(taken), account, outcome)
+    told = _round(loop, found, taken, accepted=outcome.accepted, reason=reason)
     if outcome.accepted:
         loop.accept(told, account)
     else:
@@ -244,7 +238,9 @@ def _account(loop: Loop, found: Investigation, taken: Taken) -> tuple[Account, O
     known = candidates_of_model(loop.model.effects)
     after = Account(loop, (*known, candidate.plain), late | {candidate.key}, kept=True)
     early = Account(loop, (*known, candidate), late, kept=False)
-    freed = bool(candidate.absorbed) or _freed(found, taken)
+    hold, n = found.model.hold, found.ground.n
+    loose = max(hold.rigid, *(hold.of(c % n) for c in taken.term.channels)) > 1.0
+    freed = bool(candidate.absorbed) or loose  # the base had to leave the file there
     if loop.material.known or (freed and not loop.logs_before):
         return early, _outcome(loop, early, taken)
     outcome = _outcome(loop, after, taken)
@@ -255,12 +251,6 @@ def _account(loop: Loop, found: Investigation, taken: Taken) -> tuple[Account, O
     early = replace(early, rival=after)
     account = after if likelier(after.everywhere, early.everywhere) else early
     return account, _outcome(loop, account, taken)
-
-
-def _freed(found: Investigation, taken: Taken) -> bool:
-    """Whether the selection had to let the base leave the file at an effect's joints."""
-    hold, n = found.model.hold, found.ground.n
-    return max(hold.rigid, *(hold.of(c % n) for c in taken.term.channels)) > 1.0
 
 
 def _has_company(loop: Loop, found: Investigation, taken: Taken) -> bool:
@@ -287,25 +277,21 @@ def _predicted(taken: Taken) -> Gain:
     return Gain(told.share, *told.interval)
 
 
-def _told(loop: Loop, taken: Taken, account: Account, outcome: Outcome) -> RefinementRound:
-    names, candidate, change = loop.material.robot.joint_names, _what(taken), _predicted(taken)
+def _round(
+    loop: Loop, found: Investigation, taken: Taken, *, accepted: bool, reason: str
+) -> RefinementRound:
+    """What was tried, and what the decision rests on."""
+    robot, term, change = loop.material.robot, taken.term, _predicted(taken)
     return RefinementRound(
-        effect=candidate.effect.name,
-        joint=loop.material.robot.name_of(candidate.joint),
-        accepted=outcome.accepted,
+        effect="unexplained" if term.smooth else term.name,
+        joint=robot.name_of(term.joint),
+        accepted=accepted,
         training_gain=change.value,
         training_interval=change.limits,
-        reason=_reason(names, candidate, account, outcome),
+        reason=reason,
+        evidence=evidence_of(found, robot, taken),
+        rivals=rivals_of(robot, taken, () if term.smooth else named(taken).others),
     )
-
-
-def _shown(
-    loop: Loop, told: RefinementRound, found: Investigation, taken: Taken
-) -> RefinementRound:
-    """A round with what it rests on."""
-    robot, alike = loop.material.robot, () if taken.term.smooth else named(taken).others
-    shown = evidence_of(found, robot, taken)
-    return msgspec.structs.replace(told, evidence=shown, rivals=rivals_of(robot, taken, alike))
 
 
 def _reason(names: Sequence[str], candidate: Candidate, account: Account, outcome: Outcome) -> str:
@@ -325,23 +311,11 @@ def _reason(names: Sequence[str], candidate: Candidate, account: Account, outcom
 def _add_smooth(loop: Loop, found: Investigation) -> None:
     """Add smooth terms of no known cause where they predict left-out blocks."""
     for taken in found.found.smooth:
-        told = _shown(loop, _told_smooth(loop, taken), found, taken)
-        loop.rounds.append(told)
-        if told.accepted:
+        sure = _predicted(taken).certain
+        reason = "" if sure else "does not certainly predict left-out blocks better"
+        loop.rounds.append(_round(loop, found, taken, accepted=sure, reason=reason))
+        if sure:
             what, model = taken.term.what, loop.model
             assert isinstance(what, SmoothFunction)
             term = what.term(taken.one.gained.coefficients)
             loop.steps.append(replace(model, effects=(*model.effects, term)))
-
-
-def _told_smooth(loop: Loop, taken: Taken) -> RefinementRound:
-    joint, change = taken.term.joint, _predicted(taken)
-    assert joint is not None
-    return RefinementRound(
-        effect="unexplained",
-        joint=loop.material.robot.joint_names[joint],
-        accepted=change.certain,
-        training_gain=change.value,
-        training_interval=change.limits,
-        reason="" if change.certain else "does not certainly predict left-out blocks better",
-    )

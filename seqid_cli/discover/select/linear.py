@@ -63,7 +63,7 @@ class Linear:
         edges = np.cumsum([0, *(part.size for part in self.parts)])
         self.where = [slice(int(a), int(b)) for a, b in pairwise(edges)]
         self.size = int(edges[-1])
-        self._own = [self._of_channel(c) for c in range(len(rows.y))]
+        self._own = list(map(self._of_channel, range(len(rows.y))))
         self._known: dict[int, tuple[Gained, Predicted]] = {}  # by parts of the model
 
     @cached_property
@@ -214,24 +214,20 @@ class Linear:
         rows (Savage's ratio: J. M. Dickey, Annals of Mathematical Statistics 42, 1971).
         """
         if id(part) not in self._known:
-            self._known[id(part)] = self._again(part)
+            at = self._at(part)
+            solved = [
+                (theta[at], self._solved(factor, np.eye(self.size)[:, at])[at])
+                for factor, theta in (self._whole, self._without_file, *self._without)
+            ]
+            value, alone, *others = (taken_back(a, S, part.precision) for a, S in solved)
+            rows = self.rows.independent[sorted(part.columns)].sum(axis=0)
+            a, S = solved[0]
+            seen = np.trace(np.linalg.inv(S) - part.precision)
+            visible = float(seen / max(float(np.trace(self.sums[0][at, at])), 1e-300))
+            gained = Gained(value, a, S, max(visible, 0.0))
+            told = Predicted(value - np.array(others), rows, value - alone)
+            self._known[id(part)] = gained, told
         return self._known[id(part)]
-
-    def _again(self, part: Part) -> tuple[Gained, Predicted]:
-        at = self._at(part)
-        solved = [self._of(x, at) for x in (self._whole, self._without_file, *self._without)]
-        value, alone, *others = (taken_back(a, S, part.precision) for a, S in solved)
-        rows = self.rows.independent[sorted(part.columns)].sum(axis=0)
-        a, S = solved[0]
-        seen = np.trace(np.linalg.inv(S) - part.precision)
-        visible = float(seen / max(float(np.trace(self.sums[0][at, at])), 1e-300))
-        gained = Gained(value, a, S, max(visible, 0.0))
-        return gained, Predicted(value - np.array(others), rows, value - alone)
-
-    def _of(self, solved: tuple[Factor, Array], at: slice) -> tuple[Array, Array]:
-        """Some coefficients (k,) of a solved model and their covariance (k, k)."""
-        factor, theta = solved
-        return theta[at], self._solved(factor, np.eye(self.size)[:, at])[at]
 
     @cached_property
     def evidence(self) -> float:
@@ -239,11 +235,8 @@ class Linear:
         factor, theta = self._whole
         scaled = self._blocks() * np.outer(self._scale, self._scale)
         before = sum(half_log_det(factored(scaled[at, at])) for at in self.where)
-        return 0.5 * (float(self.sums[1] @ theta) - self._square) - half_log_det(factor) + before
-
-    @cached_property
-    def _square(self) -> float:
-        return sum(float(y @ y) for y in self._y)
+        square = sum(float(y @ y) for y in self._y)
+        return 0.5 * (float(self.sums[1] @ theta) - square) - half_log_det(factor) + before
 
     def residual(self) -> list[Array]:
         """What is left (M_c,) N m of every channel."""

@@ -351,10 +351,9 @@ class Selection:
         """Effects that look like a term and cannot be looked for at its joint."""
         if not isinstance(term.what, Candidate):
             return ()
-        known = {effect.name: effect for effect in self.catalogue}
-        alike = [known[name] for name in term.what.effect.alike if name in known]
-        scenes = self.model.ground.stage.scenes
-        return tuple(one.name for one in alike if one.possible(scenes, term.joint))
+        scenes, alike = self.model.ground.stage.scenes, term.what.effect.alike
+        likely = (one for one in self.catalogue if one.name in alike)
+        return tuple(one.name for one in likely if one.possible(scenes, term.joint))
 
     def _of_a_law(self, one: Ranked) -> bool:
         """Whether it takes away no more than the error of a law: the model's, or a term's.

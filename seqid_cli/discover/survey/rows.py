@@ -147,7 +147,8 @@ def stride_of(motion: Motion) -> int:
 def rows_of(scenes: Sequence[Scene]) -> Rows:
     """Choose the rows of all logs, their blocks and folds."""
     picked, used, block, lengths = [], [], [], []
-    thin = _thinning(scenes)
+    periods = sum(float(s.motion.t[-1]) * s.motion.lowpass.cutoff_hz for s in scenes)
+    thin = max(1, math.ceil(SAMPLES_PER_CUTOFF * periods / MOST_ROWS))  # very long logs: memory
     first = 0
     for scene, outside in zip(scenes, extrapolated(scenes), strict=True):
         motion = scene.motion
@@ -198,11 +199,13 @@ def _moved(
     """Leave out joints in logs in which they are only shaken or hardly move, or of next to no rows.
 
     Where a held joint gives way a little, its brake or stiction holds what its base columns, and
-    its few rows elsewhere, would have to explain. Other logs do
-    not predict a single move of a joint: left out, it would count for more than all of them.
+    its few rows elsewhere, would have to explain. Other logs do not predict a single move of a
+    joint: left out, it would count for more than all of them.
     """
-    parts = zip(scenes, picked, used, strict=True)
-    travel = np.array([_travel(s.motion.q[p], u) for s, p, u in parts])
+    travel = np.zeros((len(scenes), used[0].shape[1]))
+    for own, scene, at, counts in zip(travel, scenes, picked, used, strict=True):
+        for j in np.flatnonzero(counts.any(axis=0)):
+            own[j] = np.ptp(scene.motion.q[at[counts[:, j]], j])
     often = np.array([u.mean(axis=0) for u in used])
     moves = (travel > SHAKEN * travel.max(axis=0)) & (often > SELDOM * often.max(axis=0))
     kept = [u & m for u, m in zip(used, moves, strict=True)]
@@ -220,21 +223,6 @@ def _predictable(used: Sequence[Mask], block: Sequence[Index], folds: Index) -> 
     enough = (share > LEAST_OF_FOLD).sum(axis=0) >= min(FEWEST_FOLDS, number)
     enough |= not enough.any()
     return tuple(u & enough for u in used)
-
-
-def _travel(q: Array, used: Mask) -> Array:
-    """Range (n,) of positions (M, n) where each joint counts."""
-    high = np.max(np.where(used, q, -np.inf), axis=0, initial=-np.inf)
-    low = np.min(np.where(used, q, np.inf), axis=0, initial=np.inf)
-    return np.where(used.any(axis=0), high - low, 0.0)
-
-
-def _thinning(scenes: Sequence[Scene]) -> int:
-    """Every how many blocks one is kept, so that very long logs fit into memory."""
-    rows = sum(
-        float(s.motion.t[-1]) * SAMPLES_PER_CUTOFF * s.motion.lowpass.cutoff_hz for s in scenes
-    )
-    return max(1, int(np.ceil(rows / MOST_ROWS)))
 
 
 def _folds(lengths: Sequence[int]) -> Index:

@@ -34,9 +34,10 @@ def usable_logs(
     kept: list[Recording] = []
     left_out: list[tuple[str, str]] = []
     for pieces in by_log(recordings):
-        joints = [found for piece in pieces if (found := _echoed(piece, robot))]
-        if 2 * len(joints) >= len(pieces) and joints:
-            left_out.append((str(pieces[0].path), joints[0]))
+        every = [echoes(robot, x.t, x.q, x.tau, x.valid) for x in pieces if x.tau is not None]
+        echoed = [", ".join(robot.joint_names[j] for j in found) for found in every if len(found)]
+        if 2 * len(echoed) >= len(pieces) and echoed:
+            left_out.append((str(pieces[0].path), echoed[0]))
         else:
             kept += pieces
     if left_out and not kept:
@@ -44,11 +45,3 @@ def usable_logs(
         others = f" (and {len(left_out) - 1} more logs)" if len(left_out) > 1 else ""
         raise InputError(f"joint {first}: {WARNING}{others}", where=path, hint=REMEDY)
     return kept, tuple(f"{p} is left out: joint {j}: {WARNING}; {REMEDY}" for p, j in left_out)
-
-
-def _echoed(recording: Recording, robot: Robot) -> str:
-    """Names of the joints, joined by commas."""
-    if recording.tau is None:
-        return ""
-    found = echoes(robot, recording.t, recording.q, recording.tau, recording.valid)
-    return ", ".join(robot.joint_names[j] for j in found)

@@ -51,39 +51,45 @@ def plan_discriminate(
             hint = "Give a file with friction and inertia, and a robot file with the joint's drive."
             text = f"{effect.name} cannot be looked for with this model"
             raise ConfigError(text, where=str(belief.robot.source), hint=hint)
-    question = Question.of(effects, joint, scenes[:: max(1, len(scenes) // 12)])
-    size = _size(belief, joint, options.size_share)
+    question = Question.of(belief, effects, joint, scenes[:: max(1, len(scenes) // 12)])
+    usual = typical(belief, seed=0)
+    torque = belief.torque(usual, belief.regressor(usual), sigmas=0.0)
+    which = slice(None) if joint is None else slice(joint, joint + 1)
+    size = options.size_share * float(np.sqrt(np.mean(torque[..., which] ** 2)))
     logs = logged(have, belief.robot, stages, options=InertiaOptions()) if have else []
     found = separation_of(belief, question, scenes, size, logs)
-    if all(found.open):
+    open_ = found.open()
+    if all(open_):
         one, other = effects
         note = f"no motion tells {one.name} from {other.name}: record {one.separate_by}"
         return Planned([], PlannedStage(notes=[note]))
     chosen, seconds = _chosen(found, pool, options.duration_s)
-    total = found.of[chosen].sum(axis=0)
-    told = [found.surely(total, k) for k in (0, 1)]
+    told = [found.surely(found.of[chosen].sum(axis=0), k) for k in (0, 1)]
+    powers, imitations = [float(x.power) for x in told], [x.imitated for x in told]
     separation = EffectSeparation(
         between=[effect.name for effect in effects],
         joint=None if joint is None else belief.robot.joint_names[joint],
         size=found.size,
         distance=float(np.sqrt(min(np.median(one.left) for one in told))),
-        power=min(float(one.power) for one in told),
+        power=min(powers),
         seconds_needed=_needed(told, seconds),
-        imitated=max(one.imitated for one in told),
-        powers=[float(one.power) for one in told],
-        imitations=[one.imitated for one in told],
-        special_case=next((x.name for x, y in zip(effects, found.open, strict=True) if y), None),
+        imitated=max(imitations),
+        powers=powers,
+        imitations=imitations,
+        special_case=next(
+            (x.name for x, nested in zip(effects, open_, strict=True) if nested), None
+        ),
     )
     moves = [
-        msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}", stage="discriminate")
+        msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}")
         for i, k in enumerate(chosen, start=1)
     ]
     notes = [
         f"if it is {one.name}, these moves may leave it open: record {one.separate_by}"
-        for one, power in zip(effects, separation.powers, strict=True)
+        for one, power in zip(effects, powers, strict=True)
         if power < ENOUGH
     ]
-    return Planned(moves, PlannedStage(duration_s=seconds, separation=separation, notes=notes))
+    return Planned(moves, PlannedStage(separation=separation, notes=notes))
 
 
 def asked(robot: Robot, options: PlanOptions) -> tuple[tuple[Effect, Effect], int | None]:
@@ -188,11 +194,3 @@ def _needed(told: Sequence[Told], seconds: float, *, power: float = 0.95) -> flo
         if min(float(one.longer(factor).power) for one in told) >= power:
             return float(seconds * factor)
     return None
-
-
-def _size(belief: Belief, joint: int | None, share: float) -> float:
-    """Root mean square torque N m of an effect of the usual size."""
-    moves = typical(belief, seed=0)
-    torque = belief.torque(moves, belief.regressor(moves), sigmas=0.0)
-    which = slice(None) if joint is None else slice(joint, joint + 1)
-    return share * float(np.sqrt(np.mean(torque[..., which] ** 2)))

@@ -263,7 +263,7 @@ def within_limits(
         found.append(
             PlannedMove(
                 name=f"{stage}_{number:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}",
-                stage=stage,
+                stage="",
                 joints=joints,
                 duration_s=options.length_s,
                 start={name: float(x) for name, x in zip(names, moves.q[k, 0], strict=True)},

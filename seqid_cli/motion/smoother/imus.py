@@ -1,6 +1,5 @@
 """IMUs for the motion smoother: what calibration knows of them, and their live readings."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -23,42 +22,37 @@ LEAST_NOISE = 1e-3  # m/s^2 or rad/s
 
 def mounted_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> list[Mounted]:
     """IMUs with calibration and readings, as the calibration has them, without their readings."""
-    found = []
-    for imu in robot.imus:
-        calibration = stage.imus.get(imu.name) if stage else None
-        if calibration is not None and imu.name in recording.accelerometers:
-            gyro = imu.gyro and imu.name in recording.gyros
-            found.append(_mounted(imu, calibration, gyro=gyro, rate_hz=recording.rate_hz))
-    return found
+    known = stage.imus if stage else {}
+    return [
+        _mounted(imu, known[imu.name], recording)
+        for imu in robot.imus
+        if imu.name in known and imu.name in recording.accelerometers
+    ]
 
 
-def _axes(rows: Sequence[Sequence[float]], gains: Sequence[float | None], nominal: Array) -> Array:
-    """Sensing axes (K, 3), as long as the channels' gains."""
-    axes = np.array(rows) if len(rows) == len(nominal) else nominal
-    return np.asarray(axes * entries(gains, len(nominal), 1.0)[:, None])
-
-
-def _mounted(imu: Imu, known: ImuCalibration, *, gyro: bool, rate_hz: float) -> Mounted:
-    count = len(imu.axes)
-    rates = 3 if gyro else 0
-    axes = _axes(known.accelerometer_axes, known.accelerometer_scale, imu.axes)
-    if gyro:
-        axes = np.vstack([axes, _axes(known.gyro_axes, known.gyro_scale, np.eye(3))])
+def _mounted(imu: Imu, known: ImuCalibration, recording: Recording) -> Mounted:
+    count, rates = len(imu.axes), 3 if imu.gyro and imu.name in recording.gyros else 0
     R, lever = np.array(known.rotation), entries(known.lever, 3, 0.0)
-    given = (known.accelerometer_bias, known.gyro_bias)
-    noises = (known.accelerometer_noise, known.gyro_noise)
-    bias, density = (
-        np.concatenate([entries(own, count, 0.0), entries(gyros, rates, 0.0)])
-        for own, gyros in (given, noises)
+    bias, density, gains = (
+        np.concatenate([entries(own, count, usual), entries(gyros, rates, usual)])
+        for own, gyros, usual in (
+            (known.accelerometer_bias, known.gyro_bias, 0.0),
+            (known.accelerometer_noise, known.gyro_noise, 0.0),
+            (known.accelerometer_scale, known.gyro_scale, 1.0),
+        )
     )
+    own = known.accelerometer_axes
+    axes = np.array(own) if len(own) == count else imu.axes
+    if rates:
+        axes = np.vstack([axes, known.gyro_axes or np.eye(3)])
     prior = _prior(known, count, rates)
     nothing = np.zeros((0, count + rates))
     return Mounted(
         name=imu.name,
-        place=Mounting(imu.after_joint, imu.positions, axes, R, lever),
+        place=Mounting(imu.after_joint, imu.positions, axes * gains[:, None], R, lever),
         raw=nothing,
         live=nothing > 0,
-        noise=np.maximum(density * np.sqrt(rate_hz / 2), LEAST_NOISE),
+        noise=np.maximum(density * np.sqrt(recording.rate_hz / 2), LEAST_NOISE),
         bias=bias,
         delay=known.time_offset_s if known.time_offset_std_error_s is not None else 0.0,
         away=np.zeros(len(prior)),

@@ -182,12 +182,6 @@ def chosen(chunk: Chunk, constants: Constants) -> Iterator[tuple[Mounted, Index,
         start += len(taken)
 
 
-def misfit(x: Mounted, told: Array) -> Array:
-    """Residual of each channel over its noise, (K,)."""
-    r = ((x.y - told) / x.spread) * x.seen
-    return np.asarray(np.sqrt(np.sum(r**2, axis=0) / np.maximum(x.seen.sum(axis=0), 1)))
-
-
 def predicted(chunk: Chunk, c: Array, x: Mounted) -> Array:
     """An IMU's readings (M, K), its bias included."""
     motion = mean_motion(chunk, c[:, : x.joints], x.fraction)

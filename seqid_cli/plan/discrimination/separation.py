@@ -159,7 +159,7 @@ def scenes_of(belief: Belief, stages: Stages, moves: Sequence[PlannedMove]) -> l
     model = TorqueModel.from_stages(stages, belief.robot)
     width = sign_widths(model, belief.limits.speed)
     n = belief.robot.n
-    cutoff = Cutoff(NOISE_HZ, np.zeros(n), 0.0, False, np.zeros(n))
+    cutoff = Cutoff(NOISE_HZ, np.zeros(n), np.zeros(n))
     scenes = []
     for number, move in enumerate(moves):
         t, q, dq, ddq = sampled(move, belief.robot.joint_names, RATE_HZ)

@@ -55,11 +55,6 @@ def test_both_sources_together_come_near_the_bound_with_the_error_stated(name: s
     ratio = rms(off / np.sqrt(got.variance))
     assert (ratio > 0.5).all()
     assert (ratio < 1.8).all()
-
-
-@pytest.mark.parametrize("name", RIGS)
-def test_the_place_of_each_imu_is_found(name: str) -> None:
-    s, got = scene(name), smoothed(RIGS[name])
     assert tuple(got.mounted) == tuple(imu.name for imu in s.plant.imus)
     known = slice(0, 3 if name == "six" else 2)  # turns about z do not show how far along z it is
     for imu in s.plant.imus:
@@ -169,20 +164,14 @@ def test_clipped_readings_are_left_out() -> None:
     assert (error(rig) < 1.5 * error(Rig(2, COARSE))).all()
 
 
-def test_one_dead_channel_does_not_cost_the_array() -> None:
+def test_dead_channels_and_lost_positions_cost_little() -> None:
     rig = Rig(2, COARSE)
     c = recorded(rig)
-    values = c.recording.accelerometers["imu_b"].copy()
+    values, q = c.recording.accelerometers["imu_b"].copy(), c.recording.q.copy()
     values[1500:, 4] = values[1500, 4]
     got = again(c, accelerometers=c.recording.accelerometers | {"imu_b": values})
     assert tuple(got.mounted) == ("imu_a", "imu_b")
     assert (error(rig, got) < 1.3 * error(rig)).all()
-
-
-def test_positions_that_are_not_numbers_are_bridged() -> None:
-    rig = Rig(2, COARSE)
-    c = recorded(rig)
-    q = c.recording.q.copy()
     q[1000:1200, 1], q[50, 0], q[-5:] = np.nan, np.inf, np.nan
     got = again(c, q=q)
     assert np.isfinite(got.ddq).all()
@@ -195,7 +184,6 @@ def test_a_gap_is_bridged() -> None:
     valid, q = s.recording.valid.copy(), s.recording.q.copy()
     valid[1000:1100], q[1000:1100] = False, 7.0
     got = again(s, valid=valid, q=q)
-    assert error(RIGS["one"])[0] < 0.5
     off = (got.ddq - s.truth)[:, 0]
     for part in (slice(200, 950), slice(1150, -200)):
         assert np.sqrt(np.mean(off[part] ** 2)) < 0.3

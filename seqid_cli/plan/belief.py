@@ -191,10 +191,20 @@ def _parameters(
     return theta, spread
 
 
-def _density(belief: Belief, stages: Stages, *, friction_hz: float = 2.0) -> tuple[Array, str]:
+def _density(
+    belief: Belief, stages: Stages, *, friction_hz: float = 2.0, noise_share: float = 0.03
+) -> tuple[Array, str]:
     """Information per second and (N m)^2 of each joint, and where it comes from."""
-    assumed, origin = _assumed_noise(belief)
-    noise = assumed**2 / NOISE_HZ
+    sizes = np.zeros(belief.robot.n)
+    if belief.theta is not None:
+        moves = typical(belief, seed=0)[:20]
+        torque = belief.regressor(moves) @ belief.theta
+        sizes = noise_share * np.sqrt(np.mean(torque**2, axis=(0, 1)))
+    origin = "assumed: a thirtieth of the usual torque; errors are relative to that"
+    if not sizes.any():
+        why = "no torque is known" if belief.theta is None else "the links weigh nothing"
+        sizes, origin = np.ones(belief.robot.n), f"assumed: 1 N m, as {why}"
+    noise = np.maximum(sizes, 0.1 * sizes.max()) ** 2 / NOISE_HZ
     inertia = stages.inertia
     measured = inertia.noise_density if inertia else {}
     friction = stages.friction.joints if stages.friction else {}
@@ -207,18 +217,3 @@ def _density(belief: Belief, stages: Stages, *, friction_hz: float = 2.0) -> tup
             noise[j] = measured[name] ** 2
     known = measured or (inertia and inertia.cutoff_hz)
     return 2.0 / noise, "what the stages left of the torque" if known else origin
-
-
-def _assumed_noise(belief: Belief, *, noise_share: float = 0.03) -> tuple[Array, str]:
-    """Standard deviation (n,) N m of the torque, where none was measured."""
-    if belief.theta is None:
-        return np.ones(belief.robot.n), "assumed: 1 N m, as no torque is known"
-    moves = typical(belief, seed=0)[:20]
-    H = belief.regressor(moves)
-    sizes = np.sqrt(np.mean((H @ belief.theta) ** 2, axis=(0, 1)))
-    if not sizes.any():
-        return np.ones(belief.robot.n), "assumed: 1 N m, as the links weigh nothing"
-    floor = noise_share * float(sizes.max())
-    return np.maximum(noise_share * sizes, 0.1 * floor), (
-        "assumed: a thirtieth of the usual torque; errors are relative to that"
-    )

@@ -156,27 +156,28 @@ def _verdicts(what: str, stage: PlannedStage) -> list[Verdict]:
         return [Verdict(good=told.power >= ENOUGH, reason=reason)]
     if what == "discriminate":
         return [Verdict(good=False, reason=stage.notes[0])]
-    if stage.rank is None or stage.structural_rank is None:
+    if stage.rank is None:
         return []
     reason = f"{what}: rank {stage.rank} of {stage.structural_rank}"
     return [Verdict(good=stage.rank == stage.structural_rank, reason=reason)]
 
 
 def _notes(belief: Belief) -> list[str]:
-    names = np.array(belief.robot.joint_names)
-    open_ended = names[~np.isfinite(belief.limits.torque) & belief.limits.moves]
-    notes = []
-    if belief.theta is None:
-        notes.append("no torque is known (neither -p nor a URDF with inertias): none was checked")
-    elif len(open_ended):
-        notes.append(f"no torque limit in a URDF, none was checked: {', '.join(open_ended)}")
-    if not any(belief.surfaces):
-        notes.append("friction is not known: it is not part of the torque that was checked")
-    if belief.geometry is None:
-        notes.append("no collision shapes in a URDF: watch the first run for collisions")
-    else:
-        notes.append("the ways between moves are not checked for collisions")
-    still = names[~belief.limits.moves]
-    if len(still):
-        notes.append(f"kept still: {', '.join(still)}")
-    return notes
+    names, moves = np.array(belief.robot.joint_names), belief.limits.moves
+    unlimited, still = names[moves & np.isinf(belief.limits.torque)], names[~moves]
+    known, shapes = belief.theta is not None, belief.geometry is not None
+    notes = (
+        (not known, "no torque is known (neither -p nor a URDF with inertias): none was checked"),
+        (
+            known and len(unlimited),
+            f"no torque limit in a URDF, none was checked: {', '.join(unlimited)}",
+        ),
+        (
+            not any(belief.surfaces),
+            "friction is not known: it is not part of the torque that was checked",
+        ),
+        (not shapes, "no collision shapes in a URDF: watch the first run for collisions"),
+        (shapes, "the ways between moves are not checked for collisions"),
+        (len(still), f"kept still: {', '.join(still)}"),
+    )
+    return [text for applies, text in notes if applies]

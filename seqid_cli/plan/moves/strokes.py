@@ -4,7 +4,7 @@ A stroke gets up to its speed v and back to rest in cosine ramps, v (1 - cos(pi 
 length r = pi v / (2 a) at which their largest acceleration is a.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -25,11 +25,12 @@ def top_speed(limits: Limits, j: int, span: float, *, steady: float = 0.5) -> fl
     return float(min(limits.speed[j], np.sqrt(2.0 * limits.acceleration[j] * ramps / np.pi)))
 
 
-def reduced_accelerations(belief: Belief, *, max_halvings: int = 4) -> Iterator[Belief]:
+def gentler(belief: Belief, *, max_halvings: int = 4) -> list[Belief]:
     """The same with accelerations halved, again and again, for loads that leave no more."""
-    for halvings in range(max_halvings + 1):
-        acceleration = belief.limits.acceleration / 2.0**halvings
-        yield replace(belief, limits=replace(belief.limits, acceleration=acceleration))
+    return [
+        replace(belief, limits=replace(belief.limits, acceleration=own))
+        for own in (belief.limits.acceleration / 2.0**k for k in range(max_halvings + 1))
+    ]
 
 
 def lifted(
@@ -39,7 +40,7 @@ def lifted(
 
     With them come the speed of the sweep and its largest torques over their limits (P,).
     """
-    for reduced in reduced_accelerations(belief):
+    for reduced in gentler(belief):
         speed = top_speed(reduced.limits, j, span)
         load = overloads(reduced, j, postures, speed)
         if np.sum(load <= 1.0) >= needed:

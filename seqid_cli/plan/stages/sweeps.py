@@ -25,11 +25,11 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.moves.strokes import (
+    gentler,
     lifted,
     overloads,
     postures_of,
     reachable,
-    reduced_accelerations,
     seconds_of,
     stroke_move,
     sweeps,
@@ -120,7 +120,7 @@ def plan_gravity(
         return Planned([], PlannedStage(rank=0, structural_rank=0, notes=[note]))
     fresh = replace(belief, prior=np.zeros_like(belief.prior))
     goal = Goal.of(fresh, options.seed)
-    *_, slow = reduced_accelerations(fresh)  # slow sweeps need no more
+    slow = gentler(fresh)[-1]  # slow sweeps need no more
     pool = _pool(slow, goal, np.random.default_rng(options.seed))
     nothing = np.zeros_like(goal.W)
     count = per_joint * len(np.unique(pool.joint))

@@ -34,7 +34,6 @@ from seqid_cli.motion.smoother.solve import (
     Solution,
     detailed,
     encoder_motion,
-    interpolated,
     probed_variance,
     settled,
 )
@@ -55,20 +54,14 @@ class Smoothed:
     dq: Array
     ddq: Array
     places: Index
-    variance_at_places: Array  # (G, n, 3)
+    variance: Array  # (G, n, 3)
     mounted: dict[str, Mounted]  # that took part, as the last chunk left them
     notes: tuple[str, ...]
-
-    @property
-    def variance(self) -> Array:
-        """(N, n, 3), interpolated between the places."""
-        return interpolated(np.arange(len(self.q)), self.places, self.variance_at_places)
 
     def typical(self, valid: Mask) -> Array:
         """Median variance (n, 3) at valid samples (N,); infinite for joints beyond all IMUs."""
         known = valid[self.places]
-        variance = self.variance_at_places[known if known.any() else slice(None)]
-        found = np.median(variance, axis=0)
+        found = np.median(self.variance[known if known.any() else slice(None)], axis=0)
         found[1 + max((x.place.link for x in self.mounted.values()), default=-1) :] = np.inf
         return np.asarray(found)
 

@@ -18,7 +18,7 @@ from seqid_cli.params.results.plan import EffectSeparation, PlannedMove, Planned
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
 from seqid_cli.plan.discrimination.question import Question
-from seqid_cli.plan.discrimination.separation import Separation, Told, scenes_of, separation_of
+from seqid_cli.plan.discrimination.separation import Separation, scenes_of, separation_of
 from seqid_cli.plan.moves.fourier import COARSE_HZ, Shapes
 from seqid_cli.plan.moves.strokes import (
     REST_S,
@@ -54,39 +54,27 @@ def plan_discriminate(
     question = Question.of(belief, effects, joint, scenes[:: max(1, len(scenes) // 12)])
     usual = typical(belief, seed=0)
     torque = belief.torque(usual, belief.regressor(usual), sigmas=0.0)
-    which = slice(None) if joint is None else slice(joint, joint + 1)
-    size = options.size_share * float(np.sqrt(np.mean(torque[..., which] ** 2)))
+    torque = torque if joint is None else torque[..., joint]
+    size = options.size_share * float(np.sqrt(np.mean(torque**2)))
     logs = logged(have, belief.robot, stages, options=InertiaOptions()) if have else []
     found = separation_of(belief, question, scenes, size, logs)
-    open_ = found.open()
-    if all(open_):
+    nested = [x.name for x, open_ in zip(effects, found.open(), strict=True) if open_]
+    if len(nested) == 2:
         one, other = effects
         note = f"no motion tells {one.name} from {other.name}: record {one.separate_by}"
         return Planned([], PlannedStage(notes=[note]))
     chosen, seconds = _chosen(found, pool, options.duration_s)
-    told = [found.surely(found.of[chosen].sum(axis=0), k) for k in (0, 1)]
-    powers, imitations = [float(x.power) for x in told], [x.imitated for x in told]
-    separation = EffectSeparation(
-        between=[effect.name for effect in effects],
-        joint=None if joint is None else belief.robot.joint_names[joint],
-        size=found.size,
-        distance=float(np.sqrt(min(np.median(one.left) for one in told))),
-        power=min(powers),
-        seconds_needed=_needed(told, seconds),
-        imitated=max(imitations),
-        powers=powers,
-        imitations=imitations,
-        special_case=next(
-            (x.name for x, nested in zip(effects, open_, strict=True) if nested), None
-        ),
-    )
+    separation = _described(found, chosen, seconds)
+    separation.between = [effect.name for effect in effects]
+    separation.joint = None if joint is None else belief.robot.joint_names[joint]
+    separation.special_case = nested[0] if nested else None
     moves = [
         msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}")
         for i, k in enumerate(chosen, start=1)
     ]
     notes = [
         f"if it is {one.name}, these moves may leave it open: record {one.separate_by}"
-        for one, power in zip(effects, powers, strict=True)
+        for one, power in zip(effects, separation.powers, strict=True)
         if power < ENOUGH
     ]
     return Planned(moves, PlannedStage(separation=separation, notes=notes))
@@ -188,9 +176,25 @@ def _chosen(
         total, spent = total + found.of[best], spent + float(seconds[best])
 
 
-def _needed(told: Sequence[Told], seconds: float, *, power: float = 0.95) -> float | None:
-    """Seconds of such moves for a power; None where no length of them is enough."""
-    for factor in np.geomspace(0.01, 1e4, 61):
-        if min(float(one.longer(factor).power) for one in told) >= power:
-            return float(seconds * factor)
-    return None
+def _described(
+    found: Separation, chosen: Sequence[int], seconds: float, *, power: float = 0.95
+) -> EffectSeparation:
+    """How well chosen moves tell the effects apart; seconds of such moves for a power."""
+    told = [found.surely(found.of[chosen].sum(axis=0), k) for k in (0, 1)]
+    powers, imitations = [float(x.power) for x in told], [x.imitated for x in told]
+    longer = (
+        float(seconds * factor)
+        for factor in np.geomspace(0.01, 1e4, 61)
+        if min(float(one.longer(factor).power) for one in told) >= power
+    )
+    return EffectSeparation(
+        between=[],
+        joint=None,
+        size=found.size,
+        distance=float(np.sqrt(min(np.median(one.left) for one in told))),
+        power=min(powers),
+        seconds_needed=next(longer, None),
+        imitated=max(imitations),
+        powers=powers,
+        imitations=imitations,
+    )

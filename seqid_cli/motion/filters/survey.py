@@ -202,16 +202,15 @@ class Survey:
 
 
 def _lengths(
-    rate_hz: float, samples: int, *, second_s: int = 8, velocity_s: int = 20
+    rate_hz: float,
+    samples: int,
+    *,
+    second_s: int = 8,
+    velocity_s: int = 20,
+    least_segment: int = 256,
 ) -> tuple[int, int, list[int]]:
     """Segments of both spectra and halves of the time scales, in samples."""
+    second, velocity = (max(least_segment, int(s * rate_hz)) for s in (second_s, velocity_s))
     halves = [max(1, round(scale * rate_hz / 2)) for scale in SCALES_S]
-    return (
-        _segment(samples - 2, second_s, rate_hz),
-        _segment(samples - 1, velocity_s, rate_hz),
-        [half for half in halves if 2 * half < samples],
-    )
-
-
-def _segment(samples: int, seconds: float, rate_hz: float, *, least_segment: int = 256) -> int:
-    return min(samples, max(least_segment, int(seconds * rate_hz)))
+    halves = [half for half in halves if 2 * half < samples]
+    return min(samples - 2, second), min(samples - 1, velocity), halves

@@ -113,27 +113,6 @@ def test_a_late_clock_is_found(joints: int, late: float) -> None:
     assert (error(off) < 0.1 * alone(right)).all()
 
 
-def test_the_offset_of_a_calibration_counts_where_the_log_tells_nothing() -> None:
-    c = recorded(Rig(1, COARSE, fault=Fault(delay_s=0.004)))
-    own = c.stage.imus["imu_a"]
-    known = ImuCalibration(
-        rotation=own.rotation,
-        std_error_deg=own.std_error_deg,
-        time_offset_s=0.004,
-        time_offset_std_error_s=1e-5,
-    )
-    noise = 0.03 * np.random.default_rng(0).standard_normal((len(c.truth), 12))
-    got = again(
-        replace(c, stage=ImuStage(imus={"imu_a": known})),
-        replace(c.robot, gravity=np.zeros(3)),
-        q=np.zeros_like(c.recording.q),
-        accelerometers={"imu_a": noise},
-    ).mounted["imu_a"]
-    assert got.delay == pytest.approx(0.004, abs=5e-4)
-    late = got.place.channels + 6
-    assert np.sqrt(np.linalg.inv(got.precision)[late, late]) > 3e-4
-
-
 def test_a_calibration_of_the_channels_is_used() -> None:
     """With everything known, a second of data is enough; unknown gains of 10 % are not."""
     rig = Rig(1, COARSE)

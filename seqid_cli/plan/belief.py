@@ -21,7 +21,6 @@ from seqid_cli.identify.rigid.posterior import gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.torque import friction_surfaces
-from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.limits import Limits
@@ -68,18 +67,6 @@ class Belief:
         if self.geometry is None:
             return np.zeros(len(q), dtype=bool)
         return np.array([self.geometry.collides(one).any() for one in q])
-
-    def free_span(self, j: int, posture: Array, *, points: int = 60) -> tuple[float, float]:
-        """The longest part of joint j's range that touches nothing, all others at `posture`."""
-        low, high = float(self.limits.lower[j]), float(self.limits.upper[j])
-        if self.geometry is None:
-            return low, high
-        places = np.linspace(low, high, points)
-        q = np.tile(posture, (points, 1))
-        q[:, j] = places
-        free = runs(~self.geometry.collides(q), points)
-        first, end = max(free, key=lambda run: run[1] - run[0], default=(0, 1))
-        return float(places[first]), float(places[end - 1])
 
     @property
     def checks_torque(self) -> bool:

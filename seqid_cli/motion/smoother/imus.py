@@ -13,7 +13,7 @@ from seqid_cli.motion.smoother.chunk import Mounted
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import white_noise
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Array, Index, Mask
 
 # Prior standard deviations where no calibration says better, and what changes since it was made.
 BIAS_DRIFT, GYRO_BIAS_DRIFT, DELAY_DRIFT_S = 0.05, 0.005, 0.001
@@ -165,12 +165,18 @@ def moved(x: Mounted, change: Array) -> Mounted:
     return replace(x, place=place, bias=x.bias + bias, delay=x.delay + float(late[0]), away=away)
 
 
-def handed_on(x: Mounted, covariance: Array, *, forget: float = 1.5) -> Mounted:
-    """What the next stretch is to assume: the constants of this one, of `covariance` (g, g)."""
+def handed_on(x: Mounted, taken: Index, covariance: Array, *, forget: float = 1.5) -> Mounted:
+    """What the next stretch is to assume: the constants of this one.
+
+    `covariance` (m, m) is of those that took part, `taken` (m,).
+    """
+    own: Array = np.asarray(np.linalg.inv(x.precision), dtype=np.float64)
+    own[taken], own[:, taken] = 0.0, 0.0
+    own[np.ix_(taken, taken)] = covariance
     channels = x.place.channels
     rates = channels - len(x.place.positions)
-    drift = np.zeros(len(covariance))
+    drift = np.zeros(len(own))
     drift[:channels] = np.repeat([BIAS_DRIFT, GYRO_BIAS_DRIFT], [channels - rates, rates])
     drift[channels + 6] = 0.1 * DELAY_DRIFT_S
-    precision = np.linalg.inv(forget * covariance + np.diag(0.1 * drift**2))
+    precision = np.linalg.inv(forget * own + np.diag(0.1 * drift**2))
     return replace(x, away=np.zeros(len(x.away)), precision=0.5 * (precision + precision.T))

@@ -80,9 +80,14 @@ def _smoothed(chunk: Chunk, size: Array) -> tuple[Part, Array]:
     shared, said = _agreed(chunk, coarse, c, jerk)
     last = detailed(*_refined(chunk, shared))
     motion = motion_at(last.chunk, last.c)[:: last.chunk.stride]
-    known = *probed_variance(last, shared), _with_covariance(shared, last)
+    # IMUs as the next chunk is to take them; the clocks as the fine knots have them.
+    covariance, slots = np.linalg.inv(shared.schur), chosen(shared.chunk, shared.constants)
+    imus = tuple(
+        handed_on(replace(x, delay=fine.delay), taken, covariance[own, own])
+        for (x, taken, own), fine in zip(slots, last.chunk.imus, strict=True)
+    )
     size = shared.jerk.size * np.sqrt(shared.chunk.spacing / coarse.spacing)
-    return (motion, *known, notes + said), size
+    return (motion, *probed_variance(last, shared), imus, notes + said), size
 
 
 def _refined(chunk: Chunk, shared: Solution) -> tuple[Chunk, Array, Jerk]:
@@ -113,18 +118,6 @@ def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[Solution
         if not name:
             return shared, notes
         coarse = replace(coarse, imus=tuple(x for x in coarse.imus if x.name != name))
-
-
-def _with_covariance(shared: Solution, last: Solution) -> tuple[Mounted, ...]:
-    """IMUs as the next chunk is to take them; the clocks as the fine knots have them."""
-    found_here, found = np.linalg.inv(shared.schur), []
-    slots = chosen(shared.chunk, shared.constants)
-    for (x, taken, own), fine in zip(slots, last.chunk.imus, strict=True):
-        covariance: Array = np.asarray(np.linalg.inv(x.precision), dtype=np.float64)
-        covariance[taken], covariance[:, taken] = 0.0, 0.0
-        covariance[np.ix_(taken, taken)] = found_here[own, own]
-        found.append(handed_on(replace(x, delay=fine.delay), covariance))
-    return tuple(found)
 
 
 def _on_knots(chunk: Chunk, spacing: float) -> Chunk:

@@ -50,9 +50,14 @@ def halved(factor: Array, right: Array, *, transposed: bool = False) -> Array:
     return np.asarray(x)
 
 
-def encoder_motion(chunk: Chunk, size: Array, *, encoder_rounds: int = 4) -> tuple[Array, Jerk]:
+def encoder_motion(
+    chunk: Chunk, size: Array, *, encoder_rounds: int = 4, first_mean_s: float = 0.05
+) -> tuple[Array, Jerk]:
     """Coefficients (K, n) and the jerk from the encoders alone, which couple no joints."""
-    c, rng, alone = _first_coefficients(chunk), np.random.default_rng(0), np.eye(len(size))
+    q = np.column_stack([view.q for view in chunk.views])
+    q = uniform_filter1d(q, max(3, int(first_mean_s / chunk.dt)), axis=0)
+    c = q[np.clip((np.arange(chunk.intervals + 3) - 1) * chunk.every, 0, len(q) - 1)]
+    rng, alone = np.random.default_rng(0), np.eye(len(size))
     jerk = Jerk(size, alone, np.ones((chunk.intervals, len(size))))
     for _ in range(encoder_rounds):
         solution = renewed(chunk, c, jerk, (), "none")
@@ -148,14 +153,6 @@ def _noise_factors(
         misfit = np.sqrt(square / np.maximum(x.seen.sum(axis=0), 1) / free)
         factors.append(np.maximum(misfit, 1.0 / most_quieter))
     return factors
-
-
-def _first_coefficients(chunk: Chunk, *, first_mean_s: float = 0.05) -> Array:
-    """Moving averages of the positions."""
-    q = np.column_stack([view.q for view in chunk.views])
-    q = uniform_filter1d(q, max(3, int(first_mean_s / chunk.dt)), axis=0)
-    index = np.clip((np.arange(chunk.intervals + 3) - 1) * chunk.every, 0, len(q) - 1)
-    return np.asarray(q[index])
 
 
 def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:

@@ -198,7 +198,11 @@ def separation_of(
         E = found.effects(np.zeros_like(known))
         for own, reading in zip(question.slots, readings, strict=True):
             reading.append(_seen(own, E, moment))
-        size = max(_size_of(one, squares) for (one,) in readings)
+        sizes = [
+            np.concatenate([square_of(squares[x.at, x.at], c) for x, c in one])
+            for (one,) in readings
+        ]
+        size = max(float(np.sqrt(np.median(one))) for one in sizes)
     for own, many, reading in zip(question.slots, question.true, readings, strict=True):
         reading.append([(x, _drawn(x, squares[x.at, x.at], size)) for x in own[:many]])
     return replace(found, size=size)
@@ -232,12 +236,6 @@ def _fit(S: Array, moment: Array) -> tuple[Array, Array, float]:
     root = vectors / np.sqrt(np.maximum(values, 1e-300))
     white = root.T @ moment
     return root @ white, root, float(white @ white / 2.0)
-
-
-def _size_of(true: Reading, squares: Array) -> float:
-    """Root mean square torque N m, median over what may be true."""
-    every = [square_of(squares[one.at, one.at], c) for one, c in true]
-    return float(np.sqrt(np.median(np.concatenate(every))))
 
 
 def _drawn(slot: Slot, square: Array, size: float, *, draws: int = 24) -> Array:

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from seqid_cli.errors import ConfigError
+from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.params.results.plan import PlannedMove, Stroke
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.limits import Limits
@@ -102,12 +103,24 @@ def stroke_move(
 
 
 def reachable(
-    belief: Belief, j: int, postures: Array, share: float, widest: float
+    belief: Belief, j: int, postures: Array, share: float, widest: float, *, points: int = 60
 ) -> tuple[Array, Array]:
-    """Postures (P, n) in which joint j sweeps almost as far as in any, and the ends (P, 2) rad."""
+    """Postures (P, n) in which joint j sweeps almost as far as in any, and the ends (P, 2) rad.
+
+    It sweeps the longest part of its range that touches nothing, within a `share` of the range.
+    """
     limits = belief.limits
-    middle, half = (limits.lower[j] + limits.upper[j]) / 2, share * limits.range[j] / 2
-    ends = np.array([belief.free_span(j, posture) for posture in postures])
+    low, high = limits.lower[j], limits.upper[j]
+    middle, half = (low + high) / 2, share * limits.range[j] / 2
+    ends = np.tile([low, high], (len(postures), 1))
+    if belief.geometry is not None:
+        places = np.linspace(low, high, points)
+        for end, posture in zip(ends, postures, strict=True):
+            q = np.tile(posture, (points, 1))
+            q[:, j] = places
+            free = runs(~belief.geometry.collides(q), points)
+            first, stop = max(free, key=lambda run: run[1] - run[0], default=(0, 1))
+            end[:] = places[first], places[stop - 1]
     ends = np.clip(ends, middle - half, middle + half)
     width = np.diff(ends)[:, 0]
     if width.max() <= 0.0:

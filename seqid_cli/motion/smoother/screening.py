@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.motion.smoother.chunk import Chunk, Mounted, mean_motion
 from seqid_cli.motion.smoother.imus import moved
@@ -16,16 +15,23 @@ from seqid_cli.typing import Array, Mask
 BEYOND_NOISE = 2.3  # limits of what joint motion leaves of an IMU's readings
 
 
-def believed(chunk: Chunk, c: Array) -> tuple[Chunk, list[str]]:
-    """Place the IMUs on the encoders' motion `c`; those that contradict it are left out."""
+def believed(
+    chunk: Chunk, c: Array, *, largest_offset: float = 2.0, least_seen: float = 0.3
+) -> tuple[Chunk, list[str]]:
+    """Place the IMUs on the encoders' motion `c`; those that cannot be right are left out."""
     kept, notes = [], []
-    for x in chunk.imus:
-        placed = located(chunk, c, x)
-        reason = _contradiction(placed, predicted(chunk, c, placed), chunk)
-        if reason:
+    for given in chunk.imus:
+        x = located(chunk, c, given)
+        share = float(x.seen.mean()) * chunk.stride
+        off = np.sum((x.y - predicted(chunk, c, x)) * x.seen, axis=0)
+        mean = float(np.abs(off / np.maximum(x.seen.sum(axis=0), 1)).max())
+        if share < least_seen:
+            notes.append(f"{x.name} is left out: it reads in {percent(share, 0)} of the samples")
+        elif not mean < largest_offset:
+            reason = f"its mean reading is off by {mean:.3g} (limit {largest_offset:g})"
             notes.append(f"{x.name} is left out: {reason}")
         else:
-            kept.append(placed)
+            kept.append(x)
     return replace(chunk, imus=tuple(kept)), notes
 
 
@@ -178,35 +184,3 @@ def _design(chunk: Chunk, c: Array, x: Mounted, count: int) -> tuple[Array, Arra
     G = G * there[:, :, None] / noise[:, None]
     info = np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]
     return r, noise, G, info
-
-
-def _contradiction(
-    x: Mounted,
-    expected: Array,
-    chunk: Chunk,
-    *,
-    disagreement: float = 0.5,
-    largest_offset: float = 2.0,
-    least_seen: float = 0.3,
-    compare_s: float = 0.1,
-) -> str:
-    """Why an IMU cannot be right, or nothing."""
-    share = float(x.seen.mean()) * chunk.stride
-    if share < least_seen:
-        return f"it reads in {percent(share, 0)} of the samples"
-    width = max(3, int(compare_s / chunk.spacing))
-    weight = np.maximum(uniform_filter1d(x.seen.astype(float), width, axis=0), 1e-9)
-    seen, told = (uniform_filter1d(v * x.seen, width, axis=0) / weight for v in (x.y, expected))
-    alive, there = x.seen.any(axis=1), x.seen.any(axis=0)
-    off = np.abs(np.mean((seen - told)[alive], axis=0, where=x.seen[alive]))
-    if not np.nanmax(off) < largest_offset:
-        return f"its mean reading is off by {np.nanmax(off):.3g} (limit {largest_offset:g})"
-    # Of the changes about each channel's mean.
-    error, size = (
-        float(np.sqrt(np.mean(np.var(v[:, there], axis=0, where=x.seen[:, there]))))
-        for v in (seen - told, told)
-    )
-    limit = disagreement * size + 3 * float(np.sqrt(np.mean(x.spread**2)))
-    if not error < limit:
-        return f"it differs from the encoders by {error:.3g} (limit {limit:.3g})"
-    return ""

@@ -81,7 +81,8 @@ def _smoothed(chunk: Chunk, size: Array) -> tuple[Part, Array]:
     last = detailed(*_refined(chunk, shared))
     motion = motion_at(last.chunk, last.c)[:: last.chunk.stride]
     # IMUs as the next chunk is to take them; the clocks as the fine knots have them.
-    covariance, slots = np.linalg.inv(shared.schur), chosen(shared.chunk, shared.constants)
+    covariance: Array = np.asarray(np.linalg.inv(shared.schur), dtype=np.float64)
+    slots = chosen(shared.chunk, shared.constants)
     imus = tuple(
         handed_on(replace(x, delay=fine.delay), taken, covariance[own, own])
         for (x, taken, own), fine in zip(slots, last.chunk.imus, strict=True)

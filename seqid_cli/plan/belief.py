@@ -68,11 +68,6 @@ class Belief:
             return np.zeros(len(q), dtype=bool)
         return np.array([self.geometry.collides(one).any() for one in q])
 
-    @property
-    def checks_torque(self) -> bool:
-        """Whether torque and a limit of it are known at all."""
-        return self.theta is not None and bool(np.isfinite(self.limits.torque).any())
-
     def regressor(self, moves: Moves) -> Array:
         """Rows H (M, N, n, b) of the base parameters."""
         M, N, n = moves.q.shape

@@ -129,7 +129,8 @@ def _with_torque(
     moves = Moves(t, *(x[None] for x in states))
     torque = belief.torque(moves, belief.regressor(moves))[0]
     parts = np.array([part.max(axis=0) for part in np.array_split(torque, points)])
-    share = float((torque / belief.limits.torque).max()) if belief.checks_torque else None
+    limited = np.isfinite(belief.limits.torque).any()
+    share = float((torque / belief.limits.torque).max()) if limited else None
     shown = {name: [float(f"{x:.4g}") for x in parts[:, j]] for j, name in enumerate(names)}
     return structs.replace(move, torque=shown, torque_share=share)
 

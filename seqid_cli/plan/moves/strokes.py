@@ -90,7 +90,6 @@ def stroke_move(
     ]
     start = posture.copy()
     start[j] = ends[0]
-    share = float(overloads(belief, j, posture[None], max(speeds))[0])
     return PlannedMove(
         name=name,
         stage="",
@@ -98,7 +97,6 @@ def stroke_move(
         duration_s=seconds_of(strokes),
         start={name: float(x) for name, x in zip(names, start, strict=True)},
         strokes=strokes,
-        torque_share=share if belief.checks_torque else None,
     )
 
 

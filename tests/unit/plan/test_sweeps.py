@@ -73,8 +73,6 @@ def test_friction_sweeps_every_joint_both_ways_over_its_range(belief: Belief) ->
         there, back = move.strokes[0], move.strokes[1]
         assert (there.start, there.end) == (back.end, back.start)
         assert (there.start, there.end) == (belief.limits.lower[j], belief.limits.upper[j])
-        assert move.torque_share is not None
-        assert move.torque_share <= 1.0
 
 
 def test_a_joint_that_cannot_lift_the_arm_is_named(belief: Belief) -> None:
@@ -159,7 +157,6 @@ def test_no_joint_behind_all_imus_turns_for_them(belief: Belief) -> None:
 def test_validation_is_drawn_by_itself(belief: Belief) -> None:
     planned = plan_validation(belief, OPTIONS)
     assert all(len(move.joints) == 6 for move in planned.moves)
-    assert max(move.torque_share or 0.0 for move in planned.moves) <= 1.0
     assert planned.moves != plan_validation(belief, replace(OPTIONS, seed=1)).moves
 
 

@@ -64,10 +64,8 @@ def plan_discriminate(
         note = f"no motion tells {one.name} from {other.name}: record {one.separate_by}"
         return Planned([], PlannedStage(notes=[note]))
     chosen, seconds = _chosen(found, pool, options.duration_s)
-    separation = _described(found, chosen, seconds)
-    separation.between = [effect.name for effect in effects]
-    separation.joint = None if joint is None else belief.robot.joint_names[joint]
-    separation.special_case = nested[0] if nested else None
+    where = None if joint is None else belief.robot.joint_names[joint]
+    separation = _described(found, chosen, seconds, [x.name for x in effects], where, nested)
     moves = [
         msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}")
         for i, k in enumerate(chosen, start=1)
@@ -177,7 +175,14 @@ def _chosen(
 
 
 def _described(
-    found: Separation, chosen: Sequence[int], seconds: float, *, power: float = 0.95
+    found: Separation,
+    chosen: Sequence[int],
+    seconds: float,
+    between: list[str],
+    joint: str | None,
+    nested: Sequence[str],
+    *,
+    power: float = 0.95,
 ) -> EffectSeparation:
     """How well chosen moves tell the effects apart; seconds of such moves for a power."""
     told = [found.surely(found.of[chosen].sum(axis=0), k) for k in (0, 1)]
@@ -188,8 +193,8 @@ def _described(
         if min(float(one.longer(factor).power) for one in told) >= power
     )
     return EffectSeparation(
-        between=[],
-        joint=None,
+        between=between,
+        joint=joint,
         size=found.size,
         distance=float(np.sqrt(min(np.median(one.left) for one in told))),
         power=min(powers),
@@ -197,4 +202,5 @@ def _described(
         imitated=max(imitations),
         powers=powers,
         imitations=imitations,
+        special_case=nested[0] if nested else None,
     )

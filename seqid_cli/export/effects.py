@@ -99,7 +99,7 @@ def _random_scene(stages: Stages, robot: Robot) -> Scene:
     every = np.ones((samples, robot.n), dtype=bool)
     model = TorqueModel.from_stages(stages, robot)
     sessions = [entry.session for entry in stages.effects or [] if entry.session is not None]
-    cutoff = Cutoff(0.1 * _RATE_HZ, np.zeros(robot.n), 0.0, False, np.zeros(robot.n))
+    cutoff = Cutoff(0.1 * _RATE_HZ, np.zeros(robot.n), np.zeros(robot.n))
     motion = Motion(
         t=np.arange(samples) / _RATE_HZ,
         q=q,

@@ -16,9 +16,9 @@ from seqid_cli.logs.long import Block, LongLog, open_long
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
-from seqid_cli.motion.filters.differentiation import SIDE, differentiate, shrink
+from seqid_cli.motion.filters.differentiation import SIDE
 from seqid_cli.motion.filters.survey import Survey
-from seqid_cli.motion.motion import Motion, all_valid
+from seqid_cli.motion.motion import Motion, filtered_motion, thinned
 from seqid_cli.motion.segmentation import motion_reach, moving_mask
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -46,12 +46,7 @@ class Plan:
     @property
     def kept_lowpass(self) -> Lowpass:
         """The same filter for the samples that stay."""
-        return Lowpass(self.cutoff.hz, self.kept_rate_hz, self.factor)
-
-    @property
-    def kept_rate_hz(self) -> float:
-        """Samples per second that stay."""
-        return self.rate_hz / self.factor
+        return Lowpass(self.cutoff.hz, self.rate_hz / self.factor, self.factor)
 
 
 LEAST_BLOCK = 32_768  # samples; thinned ones need less memory and are twice as long
@@ -72,8 +67,8 @@ def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff
 
 def motion_blocks(blocks: Iterable[Block], plan: Plan) -> Iterator[Motion]:
     """Filter, differentiate and decimate a log's samples; `t` counts from its first."""
-    for window, *inner in overlapping(blocks, plan.rows, plan.margin):
-        yield _motion(window, plan, slice(*inner))
+    for window, start, stop in overlapping(blocks, plan.rows, plan.margin):
+        yield _motion(window, plan, start, stop)
 
 
 S = TypeVar("S", Block, Motion)
@@ -107,27 +102,15 @@ def overlapping(parts: Iterable[S], rows: int, margin: int) -> Iterator[tuple[S,
         held, before = [whole], stop
 
 
-def _motion(window: Block, plan: Plan, inner: slice) -> Motion:
-    factor = plan.factor
-    kept = np.arange(inner.start, inner.stop, factor)
-    lowpass, valid = plan.lowpass, window.valid
-    q = lowpass(window.q, valid)
-    dq, ddq = differentiate(q, plan.rate_hz, valid)
-    tau = lowpass(lowpass(window.tau, valid), valid)
-    usable = shrink(valid, 2 * lowpass.settling)
-    return Motion(
-        t=(window.start + kept) / plan.rate_hz,
-        q=q[kept],
-        dq=dq[kept],
-        ddq=ddq[kept],
-        tau=tau[kept],
-        moving=moving_mask(window.q, plan.rate_hz, plan.step, kept),
-        usable=usable[kept],
-        valid=all_valid(valid[inner], factor),
-        rate_hz=plan.kept_rate_hz,
-        lowpass=plan.kept_lowpass,
-        cutoff=plan.cutoff,
-    )
+def _motion(window: Block, plan: Plan, start: int, stop: int) -> Motion:
+    t = (window.start + np.arange(window.samples)) / plan.rate_hz
+    later = np.broadcast_to(np.False_, window.q.shape)  # asked at the kept samples alone
+    motion = filtered_motion(t, window.q, window.valid, plan.rate_hz, plan.cutoff, later)
+    lowpass, valid = motion.lowpass, window.valid
+    motion = replace(motion, tau=lowpass(lowpass(window.tau, valid), valid))
+    kept = np.arange(start, stop, plan.factor)
+    moving = moving_mask(window.q, plan.rate_hz, plan.step, kept)
+    return replace(thinned(motion, plan.factor, start, stop), moving=moving)
 
 
 @dataclass(frozen=True)

@@ -91,16 +91,24 @@ def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) 
     rate = recording.rate_hz
     resolution = encoder_resolution(robot)
     survey = Survey.of(recording.q, rate)
-    moving = moving_mask(recording.q, rate, survey.noise_step(resolution))
     chosen = survey.cutoff(resolution, highest_hz=highest_bridged(recording))
     own = recording.sha256 in options.own
     cutoff = chosen if own else as_asked(chosen, recording.path, rate, options)
-    lowpass = Lowpass(cutoff.hz, rate)
-    tau, usable = filtered_torque(recording, lowpass)
-    q = lowpass(recording.q, recording.valid)
-    dq, ddq = differentiate(q, rate, recording.valid)
-    given = recording.t, q, dq, ddq, tau, moving, usable, recording.valid, rate, lowpass, cutoff
-    return Motion(*given, warnings=recording.health.mended)
+    moving = moving_mask(recording.q, rate, survey.noise_step(resolution))
+    motion = filtered_motion(recording.t, recording.q, recording.valid, rate, cutoff, moving)
+    tau, usable = filtered_torque(recording, motion.lowpass)
+    return replace(motion, tau=tau, usable=usable, warnings=recording.health.mended)
+
+
+def filtered_motion(
+    t: Array, q: Array, valid: Mask, rate_hz: float, cutoff: Cutoff, moving: Mask
+) -> Motion:
+    """Filter and differentiate positions q (N, n) at times t (N,); no torque yet."""
+    lowpass = Lowpass(cutoff.hz, rate_hz)
+    q = lowpass(q, valid)
+    dq, ddq = differentiate(q, rate_hz, valid)
+    usable = shrink(valid, 2 * lowpass.settling)
+    return Motion(t, q, dq, ddq, None, moving, usable, valid, rate_hz, lowpass, cutoff)
 
 
 def filtered_torque(recording: Recording, lowpass: Lowpass) -> tuple[Array | None, Mask]:
@@ -130,7 +138,7 @@ def as_asked(chosen: Cutoff, path: Path, rate_hz: float, options: MotionOptions)
     if options.cutoff_hz is None:
         return chosen
     require_rate(path, rate_hz, options)
-    return replace(chosen, hz=options.cutoff_hz, alone_hz=chosen.hz, chosen=False)
+    return replace(chosen, hz=options.cutoff_hz, alone_hz=chosen.hz)
 
 
 def require_rate(
@@ -174,20 +182,17 @@ def decimated(motion: Motion, samples_per_cutoff: float = SAMPLES_PER_CUTOFF) ->
     Low-passed signals lose nothing by it; the filter of computed terms runs on at the lower rate.
     """
     factor = int(motion.rate_hz / (samples_per_cutoff * motion.lowpass.cutoff_hz))
-    if factor < 2 or not motion.lowpass.active:
-        return motion
-    rate = motion.rate_hz / factor
-    return replace(
-        motion.part(slice(None, None, factor)),
-        valid=all_valid(motion.valid, factor),
-        rate_hz=rate,
-        lowpass=Lowpass(motion.lowpass.cutoff_hz, rate, factor * motion.lowpass.every),
-    )
+    return thinned(motion, factor) if factor > 1 and motion.lowpass.active else motion
 
 
-def all_valid(valid: Mask, factor: int) -> Mask:
-    """A kept sample is valid if all samples up to the next kept one are."""
-    result = valid[::factor].copy()
-    for start, stop in runs(~valid, len(valid)):
-        result[start // factor : -(-stop // factor)] = False
-    return result
+def thinned(motion: Motion, factor: int, start: int = 0, stop: int | None = None) -> Motion:
+    """Keep every `factor`-th sample of [start, stop), valid if all up to the next one are."""
+    if stop is None:
+        stop = motion.samples
+    whole, rate = motion.valid[start:stop], motion.rate_hz / factor
+    valid = whole[::factor].copy()
+    for low, high in runs(~whole, len(whole)):
+        valid[low // factor : -(-high // factor)] = False
+    lowpass = Lowpass(motion.lowpass.cutoff_hz, rate, factor * motion.lowpass.every)
+    part = motion.part(slice(start, stop, factor))
+    return replace(part, valid=valid, rate_hz=rate, lowpass=lowpass)

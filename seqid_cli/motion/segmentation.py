@@ -45,11 +45,8 @@ class Stretch:
 
 def noise_step(q: Array, resolution: Array | None = None) -> Array:
     """Smallest position change of each joint (n,) rad that counts as more than encoder noise."""
-    step = encoder_step(q)
-    if resolution is not None:
-        step = np.maximum(step, resolution)
-    noise = 3 * white_noise(q)
-    return np.maximum(np.maximum(step, SMALLEST_STEP), np.where(step > 0, 0.0, noise))
+    step = np.maximum(encoder_step(q), 0.0 if resolution is None else resolution)
+    return np.asarray(np.maximum(np.where(step > 0, step, 3 * white_noise(q)), SMALLEST_STEP))
 
 
 def motion_reach(rate_hz: float) -> int:
@@ -122,17 +119,17 @@ def _stretches(
     q: Array, rate_hz: float, joint: int, start: int, stop: int, step: float
 ) -> list[Stretch]:
     """Split one move of one joint at its reversals and keep what runs at constant velocity."""
-    position = q[start:stop, joint]
     result: list[Stretch] = []
-    for a, b in _directions(position, step):
-        for c, d in _plateaus(position[a:b], rate_hz, step):
-            low, high = start + a + c, start + a + d
-            time = np.arange(high - low) / rate_hz
+    for a, b in _directions(q[start:stop, joint], step):
+        begin, end = start + a, start + b
+        for c, d in _plateaus(q[begin:end, joint], rate_hz, step):
+            part = q[begin + c : begin + d]
+            time = np.arange(len(part)) / rate_hz
             time -= time.mean()
-            slope = float(time @ q[low:high, joint] / (time @ time))
-            where = tuple(float(x) for x in q[low:high].mean(axis=0))
-            if abs(slope) > 0:
-                result.append(Stretch(joint, low, high, start + a, start + b, slope, where))
+            slope = float(time @ part[:, joint] / (time @ time))
+            where = tuple(part.mean(axis=0).tolist())
+            if slope:
+                result.append(Stretch(joint, begin + c, begin + d, begin, end, slope, where))
     return result
 
 
@@ -167,48 +164,44 @@ def _plateaus(
     speed *= rate_hz / max(1, len(position) // 50)
     wanted = 30 * step * rate_hz / max(float(speed), 1e-9)
     half = int(np.clip(wanted, max(2, 0.02 * rate_hz), max(2, len(position) / 12)))
-    if 4 * half + 3 > len(position):
+    if 6 * half >= len(position):
         return []
     inner = windowed_velocity(position, rate_hz, half)[half:-half]
-    if len(inner) <= 4 * half:
-        return []
     drift = np.abs(inner[2 * half :] - inner[: -2 * half])
     middle = inner[half:-half]
     # Two windowed velocities of a quantised position differ by up to two counts per window.
-    allowed = velocity_tolerance * np.abs(middle) + 1.2 * step * rate_hz / (2 * half)
-    steady = drift < allowed
-    result = []
+    steady = drift < velocity_tolerance * np.abs(middle) + 1.2 * step * rate_hz / (2 * half)
+    found = []
     for a, b in runs(steady, len(steady)):
-        result += _trimmed(position, a + 2 * half, b + 2 * half, half, rate_hz, step)
-    return result
+        whole = _trimmed(position, a + 5 * half // 2, b + 2 * half - half // 2, rate_hz, step)
+        found += [whole] if whole else []
+    return found
 
 
 def _trimmed(
     position: Array,
     start: int,
     stop: int,
-    half: int,
     rate_hz: float,
     step: float,
     *,
     least_share: float = 0.5,
     shortest_s: float = 0.12,
-) -> list[tuple[int, int]]:
+) -> tuple[int, int] | None:
     """Cut a steady range back until its velocity is one and the same throughout."""
     # Drift within a window can be too slow to see and still add up, as near the top of a sine; what
     # is left must then be a fair share of the move.
-    start, stop = start + half // 2, stop - half // 2
     least = max(8 * step, least_share * abs(float(position[-1] - position[0])))
     while stop - start >= max(8, shortest_s * rate_hz):
         piece = position[start:stop]
         if abs(float(piece[-1] - piece[0])) < least:
-            return []
+            break
         first, last = _end_velocities(piece, step)
         if max(first, last) <= 1.0:
-            return [(start, stop)]
+            return start, stop
         cut = max(1, (stop - start) // 12)
         start, stop = (start + cut, stop) if first > last else (start, stop - cut)
-    return []
+    return None
 
 
 def _end_velocities(
@@ -219,15 +212,14 @@ def _end_velocities(
     cubic = Polynomial.fit(x, piece, 3, domain=[-1, 1], window=[-1, 1]).deriv()
     mean = float(piece[-1] - piece[0]) / 2
     # The slope of a cubic at its ends, from samples quantised to a step, is known to about this.
-    noise = 10 * step / np.sqrt(12 * len(piece))
+    slack = 30 * step / np.sqrt(12 * len(piece)) / abs(mean)
     first, middle, last = (float(cubic(at)) / mean for at in (-1.0, 0.0, 1.0))
-    slack = 3 * noise / abs(mean)
-
-    def excess(end: float) -> float:
-        # An end faster than the middle is a controller settling, a slower one the top of a sine.
-        return float(max(abs(end - 1) / (steady + slack), (middle - end) / (slower + slack)))
-
-    return excess(first), excess(last)
+    # An end faster than the middle is a controller settling, a slower one the top of a sine.
+    excess = [
+        float(max(abs(end - 1) / (steady + slack), (middle - end) / (slower + slack)))
+        for end in (first, last)
+    ]
+    return excess[0], excess[1]
 
 
 def unmoved(

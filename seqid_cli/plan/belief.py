@@ -21,7 +21,6 @@ from seqid_cli.identify.rigid.posterior import gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.torque import friction_surfaces
-from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.limits import Limits
@@ -68,23 +67,6 @@ class Belief:
         if self.geometry is None:
             return np.zeros(len(q), dtype=bool)
         return np.array([self.geometry.collides(one).any() for one in q])
-
-    def free_span(self, j: int, posture: Array, *, points: int = 60) -> tuple[float, float]:
-        """The longest part of joint j's range that touches nothing, all others at `posture`."""
-        low, high = float(self.limits.lower[j]), float(self.limits.upper[j])
-        if self.geometry is None:
-            return low, high
-        places = np.linspace(low, high, points)
-        q = np.tile(posture, (points, 1))
-        q[:, j] = places
-        free = runs(~self.geometry.collides(q), points)
-        first, end = max(free, key=lambda run: run[1] - run[0], default=(0, 1))
-        return float(places[first]), float(places[end - 1])
-
-    @property
-    def checks_torque(self) -> bool:
-        """Whether torque and a limit of it are known at all."""
-        return self.theta is not None and bool(np.isfinite(self.limits.torque).any())
 
     def regressor(self, moves: Moves) -> Array:
         """Rows H (M, N, n, b) of the base parameters."""
@@ -191,10 +173,20 @@ def _parameters(
     return theta, spread
 
 
-def _density(belief: Belief, stages: Stages, *, friction_hz: float = 2.0) -> tuple[Array, str]:
+def _density(
+    belief: Belief, stages: Stages, *, friction_hz: float = 2.0, noise_share: float = 0.03
+) -> tuple[Array, str]:
     """Information per second and (N m)^2 of each joint, and where it comes from."""
-    assumed, origin = _assumed_noise(belief)
-    noise = assumed**2 / NOISE_HZ
+    sizes = np.zeros(belief.robot.n)
+    if belief.theta is not None:
+        moves = typical(belief, seed=0)[:20]
+        torque = belief.regressor(moves) @ belief.theta
+        sizes = noise_share * np.sqrt(np.mean(torque**2, axis=(0, 1)))
+    origin = "assumed: a thirtieth of the usual torque; errors are relative to that"
+    if not sizes.any():
+        why = "no torque is known" if belief.theta is None else "the links weigh nothing"
+        sizes, origin = np.ones(belief.robot.n), f"assumed: 1 N m, as {why}"
+    noise = np.maximum(sizes, 0.1 * sizes.max()) ** 2 / NOISE_HZ
     inertia = stages.inertia
     measured = inertia.noise_density if inertia else {}
     friction = stages.friction.joints if stages.friction else {}
@@ -207,18 +199,3 @@ def _density(belief: Belief, stages: Stages, *, friction_hz: float = 2.0) -> tup
             noise[j] = measured[name] ** 2
     known = measured or (inertia and inertia.cutoff_hz)
     return 2.0 / noise, "what the stages left of the torque" if known else origin
-
-
-def _assumed_noise(belief: Belief, *, noise_share: float = 0.03) -> tuple[Array, str]:
-    """Standard deviation (n,) N m of the torque, where none was measured."""
-    if belief.theta is None:
-        return np.ones(belief.robot.n), "assumed: 1 N m, as no torque is known"
-    moves = typical(belief, seed=0)[:20]
-    H = belief.regressor(moves)
-    sizes = np.sqrt(np.mean((H @ belief.theta) ** 2, axis=(0, 1)))
-    if not sizes.any():
-        return np.ones(belief.robot.n), "assumed: 1 N m, as the links weigh nothing"
-    floor = noise_share * float(sizes.max())
-    return np.maximum(noise_share * sizes, 0.1 * floor), (
-        "assumed: a thirtieth of the usual torque; errors are relative to that"
-    )

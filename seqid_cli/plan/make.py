@@ -52,7 +52,13 @@ def make_plan(
         found = {what: plan_discriminate(belief, stages, options, list(have))}
     else:
         found = _session(what, belief, stages, options, have)
-    moves = [move for planned in found.values() for move in planned.moves]
+    moves = [
+        structs.replace(move, stage=name)
+        for name, planned in found.items()
+        for move in planned.moves
+    ]
+    for planned in found.values():
+        planned.stage.duration_s = sum(move.duration_s for move in planned.moves)
     if belief.theta is not None:
         heavy = loaded(belief, options.load_kg)
         moves = [_with_torque(heavy if m.stage == "payload" else belief, m) for m in moves]
@@ -123,7 +129,8 @@ def _with_torque(
     moves = Moves(t, *(x[None] for x in states))
     torque = belief.torque(moves, belief.regressor(moves))[0]
     parts = np.array([part.max(axis=0) for part in np.array_split(torque, points)])
-    share = float((torque / belief.limits.torque).max()) if belief.checks_torque else None
+    limited = np.isfinite(belief.limits.torque).any()
+    share = float((torque / belief.limits.torque).max()) if limited else None
     shown = {name: [float(f"{x:.4g}") for x in parts[:, j]] for j, name in enumerate(names)}
     return structs.replace(move, torque=shown, torque_share=share)
 
@@ -150,27 +157,28 @@ def _verdicts(what: str, stage: PlannedStage) -> list[Verdict]:
         return [Verdict(good=told.power >= ENOUGH, reason=reason)]
     if what == "discriminate":
         return [Verdict(good=False, reason=stage.notes[0])]
-    if stage.rank is None or stage.structural_rank is None:
+    if stage.rank is None:
         return []
     reason = f"{what}: rank {stage.rank} of {stage.structural_rank}"
     return [Verdict(good=stage.rank == stage.structural_rank, reason=reason)]
 
 
 def _notes(belief: Belief) -> list[str]:
-    names = np.array(belief.robot.joint_names)
-    open_ended = names[~np.isfinite(belief.limits.torque) & belief.limits.moves]
-    notes = []
-    if belief.theta is None:
-        notes.append("no torque is known (neither -p nor a URDF with inertias): none was checked")
-    elif len(open_ended):
-        notes.append(f"no torque limit in a URDF, none was checked: {', '.join(open_ended)}")
-    if not any(belief.surfaces):
-        notes.append("friction is not known: it is not part of the torque that was checked")
-    if belief.geometry is None:
-        notes.append("no collision shapes in a URDF: watch the first run for collisions")
-    else:
-        notes.append("the ways between moves are not checked for collisions")
-    still = names[~belief.limits.moves]
-    if len(still):
-        notes.append(f"kept still: {', '.join(still)}")
-    return notes
+    names, moves = np.array(belief.robot.joint_names), belief.limits.moves
+    unlimited, still = names[moves & np.isinf(belief.limits.torque)], names[~moves]
+    known, shapes = belief.theta is not None, belief.geometry is not None
+    notes = (
+        (not known, "no torque is known (neither -p nor a URDF with inertias): none was checked"),
+        (
+            known and len(unlimited),
+            f"no torque limit in a URDF, none was checked: {', '.join(unlimited)}",
+        ),
+        (
+            not any(belief.surfaces),
+            "friction is not known: it is not part of the torque that was checked",
+        ),
+        (not shapes, "no collision shapes in a URDF: watch the first run for collisions"),
+        (shapes, "the ways between moves are not checked for collisions"),
+        (len(still), f"kept still: {', '.join(still)}"),
+    )
+    return [text for applies, text in notes if applies]

@@ -45,8 +45,6 @@ class Cutoff:
 
     hz: float
     encoder_step: Array  # (n,) rad, the smallest step seen
-    bias: float  # noise over signal power of the acceleration there, of the worst moving joint
-    chosen: bool
     noise_density: Array  # (n,) rad^2/Hz of the position noise
     alone_hz: float | None = None  # the encoders' own choice where `hz` is another's
 
@@ -97,10 +95,11 @@ def encoder_step(q: Array) -> Array:
 
     A channel counts as quantised when nearly all of its steps are multiples of the smallest one.
     """
-    return np.array([_step(q[:, j]) for j in range(q.shape[1])])
+    return np.array([step_of(position) for position in q.T])
 
 
-def _step(position: Array) -> float:
+def step_of(position: Array) -> float:
+    """Smallest step of one joint's position (N,), as of `encoder_step`."""
     levels = np.diff(np.unique(np.round(position, 10)))
     levels = levels[levels > 1e-9]
     if len(levels) < 3:
@@ -121,11 +120,6 @@ class Score:
     joints: int  # that move
     seconds: float = math.inf
 
-    @property
-    def highest_hz(self) -> float:
-        """Highest cut-off that the motion's bandwidth allows."""
-        return highest_of(self.bandwidth_hz)
-
 
 def highest_of(
     bandwidth_hz: float, joints: int = 0, seconds: float = math.inf, *, per_parameter: float = 2.0
@@ -144,22 +138,16 @@ def choose_smoothed_cutoff(
     """Choose one low-pass cut-off for a log whose motion comes from the smoother.
 
     `encoder`: the encoders' own choice. `dq`, `ddq` (N, n): smoothed [rad/s, rad/s^2]. `variance`
-    (n, 3): as of `smoothed_error`. `moving` (n,). Returns: with the `bias` left at the cut-off.
+    (n, 3): as of `smoothed_error`. `moving` (n,).
     """
     if not moving.any():
         return encoder
     highest = min(HIGHEST_HZ, rate_hz / 8)
     candidates = np.geomspace(encoder.hz, max(encoder.hz, highest), 60)
     found = smoothed_score(encoder, dq, ddq, variance, rate_hz, candidates, moving=moving)
-    allowed = np.searchsorted(candidates, found.highest_hz, side="right")
-    best = lowest_as_good(found.values[: max(1, allowed)], int(np.sum(moving)))
-    hz = float(candidates[best])
-    error = smoothed_error(variance, encoder.noise_density, hz)
-    shares = [
-        error[j] / max(float(_power_below(ddq[:, j], rate_hz, np.array(hz))) - error[j], 1e-12)
-        for j in np.flatnonzero(moving)
-    ]
-    return replace(encoder, hz=hz, alone_hz=encoder.hz, bias=float(max(shares)))
+    allowed = np.searchsorted(candidates, highest_of(found.bandwidth_hz), side="right")
+    best = lowest_as_good(found.values[: max(1, allowed)], found.joints)
+    return replace(encoder, hz=float(candidates[best]), alone_hz=encoder.hz)
 
 
 def smoothed_score(
@@ -176,7 +164,9 @@ def smoothed_score(
     error = np.array([smoothed_error(variance, encoder.noise_density, hz) for hz in cutoffs])
     values, bandwidth = np.zeros(len(cutoffs)), 0.0
     for j in np.flatnonzero(moving):
-        power = _power_below(ddq[:, j], rate_hz, np.minimum(cutoffs, rate_hz / 2))
+        length = min(len(ddq), max(256, int(8 * rate_hz)))
+        frequency, density = welch(ddq[:, j], rate_hz, nperseg=length, detrend=False)
+        power = power_below(frequency, density, np.minimum(cutoffs, rate_hz / 2))
         signal = np.maximum(power - error[:, j], 1e-12)
         values += np.log(signal) - KAPPA * error[:, j] / signal
         length = min(len(dq), max(256, int(20 * rate_hz)))
@@ -191,10 +181,8 @@ def lowest_as_good(score: Array, joints: int, *, worth: float = 0.01) -> int:
     return int(np.flatnonzero(score >= best - worth * joints)[0])
 
 
-def _power_below(values: Array, rate_hz: float, cutoffs: Array) -> Array:
-    """Power of a signal below each cut-off."""
-    length = min(len(values), max(256, int(8 * rate_hz)))
-    frequency, density = welch(values, rate_hz, nperseg=length, detrend=False)
+def power_below(frequency: Array, density: Array, cutoffs: Array) -> Array:
+    """Power of a signal below each cut-off (C,) by its spectrum (F,)."""
     total = np.concatenate(([0.0], np.cumsum(density[1:] * frequency[1])))
     return np.asarray(np.interp(cutoffs, frequency, total))
 
@@ -233,8 +221,7 @@ def acceleration_powers(
     top = (frequency > 0.2 * rate_hz) & (frequency < 0.4 * rate_hz)
     above = density[top] / (2 * np.pi * frequency[top]) ** 4
     floor = max(step**2 / 12 * 2 / rate_hz, float(np.median(above)) if top.any() else 0.0, 1e-30)
-    total = np.concatenate(([0.0], np.cumsum(density[1:] * frequency[1])))
     noise = differentiated_error(np.asarray(floor), cutoffs)
-    signal = np.interp(cutoffs, frequency, total) - noise
+    signal = power_below(frequency, density, cutoffs) - noise
     # Power beyond the first point where noise takes over is noise, whatever its exact level.
     return np.maximum.accumulate(np.maximum(signal, 1e-12)), noise, floor

@@ -103,19 +103,12 @@ class Survey:
         self._tail = wide[max(0, keep - begin) :].copy(order="K")
         self._seen = end
 
-    def _add_fourth(self, wide: Array, *, tile: int = 2048) -> None:
+    def _add_fourth(self, wide: Array) -> None:
         """Take fourth differences of samples, where they are to be kept."""
         count = max(0, len(wide) - 4)
         first, step = self._fourth.next_kept()
-        kept = np.empty((wide.shape[1], len(range(first, count, step)))).T
-        for low in range(0, len(kept), tile):  # what is made on the way stays in cache
-            high = min(low + tile, len(kept))
-            start, stop = first + low * step, first + (high - 1) * step + 1
-            a, b, c, d, e = (wide[start + k : stop + k : step] for k in range(5))
-            ab, bc, cd, de = b - a, c - b, d - c, e - d
-            abc, bcd, cde = bc - ab, cd - bc, de - cd
-            np.abs((cde - bcd) - (bcd - abc), out=kept[low:high])
-        self._fourth.push_kept(kept, count)
+        parts = (w * wide[first + k : count + k : step] for k, w in enumerate((1, -4, 6, -4, 1)))
+        self._fourth.push_kept(np.abs(sum(parts, start=np.zeros(1))), count)
 
     def _add_travel(self, wide: Array, half: int, number: int, *, steps: int = 16) -> None:
         step = max(1, half // steps)
@@ -136,8 +129,7 @@ class Survey:
     def encoder_step(self) -> Array:
         """Smallest step of each joint's position (n,) rad, 0 where it is not quantised."""
         if self._step is None:
-            steps = [bandwidth.encoder_step(levels[:, None]) for levels in self._known]
-            self._step = np.concatenate(steps)
+            self._step = np.array([bandwidth.step_of(levels) for levels in self._known])
         return self._step
 
     def count(self, resolution: Array) -> Array:
@@ -170,20 +162,20 @@ class Survey:
         floors = step**2 / 12 * 2 / self.rate_hz
         if not len(joints):
             middle = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)[60]
-            return bandwidth.Cutoff(float(middle), step, 0.0, True, floors)
+            return bandwidth.Cutoff(float(middle), step, floors)
         own = bandwidth.highest_of(self._widest(joints), len(joints), self._seen / self.rate_hz)
         highest = min(highest, own)
         candidates = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)
-        score, bias, floors[joints] = self._scored(joints, step, candidates)
-        best = bandwidth.first_maximum(score)
-        return bandwidth.Cutoff(float(candidates[best]), step, float(bias[best]), True, floors)
+        score, floors[joints] = self._scored(joints, step, candidates)
+        hz = candidates[bandwidth.first_maximum(score)]
+        return bandwidth.Cutoff(float(hz), step, floors)
 
     def score(self, resolution: Array, cutoffs: Array) -> bandwidth.Score | None:
         """Score cut-offs (C,) Hz by the joints that move; None where none does."""
         step, joints = self._steps(resolution)
         if not len(joints):
             return None
-        values, *_ = self._scored(joints, step, np.minimum(cutoffs, self.rate_hz / 2))
+        values, _ = self._scored(joints, step, np.minimum(cutoffs, self.rate_hz / 2))
         seconds = self._seen / self.rate_hz
         return bandwidth.Score(values, self._widest(joints), len(joints), seconds)
 
@@ -197,30 +189,28 @@ class Survey:
         density *= self.rate_hz**2
         return max(bandwidth.bandwidth_of(frequency, density[j], self.rate_hz) for j in joints)
 
-    def _scored(self, joints: Index, step: Array, cutoffs: Array) -> tuple[Array, Array, Array]:
-        """Score and bias of each cut-off (C,) by some joints, and these joints' noise densities."""
+    def _scored(self, joints: Index, step: Array, cutoffs: Array) -> tuple[Array, Array]:
+        """Score of each cut-off (C,) by some joints, and these joints' noise densities."""
         frequency, density = self._second.density(self.rate_hz)
         density *= self.rate_hz**4
-        score, bias, floors = np.zeros(len(cutoffs)), np.zeros(len(cutoffs)), np.zeros(len(joints))
+        score, floors = np.zeros(len(cutoffs)), np.zeros(len(joints))
         for k, j in enumerate(joints):
             given = frequency, density[j], self.rate_hz, step[j], cutoffs
             signal, noise, floors[k] = bandwidth.acceleration_powers(*given)
             score += np.log(signal) - bandwidth.KAPPA * noise / signal
-            bias = np.maximum(bias, noise / signal)
-        return score, bias, floors
+        return score, floors
 
 
 def _lengths(
-    rate_hz: float, samples: int, *, second_s: int = 8, velocity_s: int = 20
+    rate_hz: float,
+    samples: int,
+    *,
+    second_s: int = 8,
+    velocity_s: int = 20,
+    least_segment: int = 256,
 ) -> tuple[int, int, list[int]]:
     """Segments of both spectra and halves of the time scales, in samples."""
+    second, velocity = (max(least_segment, int(s * rate_hz)) for s in (second_s, velocity_s))
     halves = [max(1, round(scale * rate_hz / 2)) for scale in SCALES_S]
-    return (
-        _segment(samples - 2, second_s, rate_hz),
-        _segment(samples - 1, velocity_s, rate_hz),
-        [half for half in halves if 2 * half < samples],
-    )
-
-
-def _segment(samples: int, seconds: float, rate_hz: float, *, least_segment: int = 256) -> int:
-    return min(samples, max(least_segment, int(seconds * rate_hz)))
+    halves = [half for half in halves if 2 * half < samples]
+    return min(samples - 2, second), min(samples - 1, velocity), halves

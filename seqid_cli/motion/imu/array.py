@@ -20,10 +20,19 @@ from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robot.types import Imu
 from seqid_cli.typing import Array, Mask
 
-QUANTITIES = (
-    *(f"specific force along {a}" for a in "xyz"),
-    *(f"angular acceleration about {a}" for a in "xyz"),
-    *(f"angular velocity product {a}" for a in ("xx", "yy", "zz", "xy", "xz", "yz")),
+GROUPS = {
+    "the specific force": [f"specific force along {a}" for a in "xyz"],
+    "the angular acceleration": [f"angular acceleration about {a}" for a in "xyz"],
+    "the products of the angular velocity": [
+        f"angular velocity product {a}" for a in ("xx", "yy", "zz", "xy", "xz", "yz")
+    ],
+}
+# By the number of dimensions over which accelerometers spread that do not see everything.
+REMEDIES = (
+    "all of them sit at one point: spread them",
+    "they sit on a line: place some off it",
+    "they sit on a plane: place some off it",
+    "turn some of the sensing axes",
 )
 
 
@@ -79,42 +88,27 @@ def layout(imu: Imu, *, min_resolution: float = 1 - 1e-6) -> ArrayLayout:
 
 def layout_statements(imu: Imu, *, poor_condition: float = 1000.0) -> list[str]:
     """Say what a layout of accelerometers, and its gyro, cannot see, and what would mend it."""
-    found, said = layout(imu), []
+    found, said, count = layout(imu), [], len(imu.axes)
     hidden = np.isinf(found.errors)
     if imu.gyro:
         hidden[3:] = False
-    for group, what in (
-        (slice(0, 3), "the specific force"),
-        (slice(3, 6), "the angular acceleration"),
-        (slice(6, 12), "the products of the angular velocity"),
-    ):
-        if hidden[group].all():
+    for (what, names), own in zip(GROUPS.items(), np.split(hidden, [3, 6]), strict=True):
+        if own.all():
             said.append(f"{what} cannot be told from the rest")
-        elif hidden[group].any():
-            names = [n for n, h in zip(QUANTITIES[group], hidden[group], strict=True) if h]
-            said.append(f"not told from the rest: {', '.join(names)}")
-    spare = len(imu.axes) - found.rank
-    if said and spare > 0:
-        said.append(f"{spare} of its {len(imu.axes)} accelerometers repeat what others say")
+        elif own.any():
+            unseen = [name for name, h in zip(names, own, strict=True) if h]
+            said.append(f"not told from the rest: {', '.join(unseen)}")
+    if said and count > found.rank:
+        said.append(f"{count - found.rank} of its {count} accelerometers repeat what others say")
     if hidden[3:].any():
-        said.append(_remedy(imu))
+        centred = imu.positions - imu.positions.mean(axis=0)
+        remedy = REMEDIES[np.linalg.matrix_rank(centred, tol=1e-9)]
+        few = f"{count} accelerometers are fewer than the 12 that see everything"
+        said.append(few if count < 12 else remedy)
     elif found.condition > poor_condition and not imu.gyro:
         near = "its accelerometers are too close or too alike"
         said.append(f"{near} (condition {found.condition:.3g})")
     return said
-
-
-def _remedy(imu: Imu) -> str:
-    spread = np.linalg.svd(imu.positions - imu.positions.mean(axis=0), compute_uv=False)
-    if len(imu.axes) < 12:
-        return f"{len(imu.axes)} accelerometers are fewer than the 12 that see everything"
-    size = spread / max(float(spread[0]), 1e-12)
-    if spread[0] < 1e-9:
-        return "all of them sit at one point: spread them"
-    missing = int(np.sum(size < 1e-6))
-    if missing:
-        return f"they sit on a {'line' if missing > 1 else 'plane'}: place some off it"
-    return "turn some of the sensing axes"
 
 
 def _scaled(A: Array) -> tuple[Array, Array]:

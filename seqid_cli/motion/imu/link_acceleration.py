@@ -9,14 +9,14 @@ Each IMU weighted by its noise below the cut-off, this is a small least squares 
 and 42 are its cases of one and two moving joints. Only what no IMU sees is left to the encoder.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.imu.array import calibrated, layout, read_angular
 from seqid_cli.motion.motion import Motion, estimate_motion, filtered_torque
 from seqid_cli.motion.options import SOURCES, MotionOptions
@@ -27,11 +27,11 @@ from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Index
 
 
-@dataclass(frozen=True)
-class LinkReading:
-    """Angular acceleration (N, 3) rad/s^2 in the frame of the link that carries the IMU."""
+class LinkReading(NamedTuple):
+    """Angular acceleration (N, 3) rad/s^2 of the link that carries the IMU, in its frame."""
 
-    imu: Imu
+    name: str
+    link: int
     dw: Array
     noise: float
 
@@ -97,11 +97,21 @@ def _from_imus(
 ) -> Motion:
     moving = np.flatnonzero(motion.moving.any(axis=0))
     readings, warnings = [], [*absent_imus(recording, robot, stage)]
-    for reading in _readings(recording, robot, stage, motion):
-        if _healthy(reading, robot, motion, moving):
+    for imu in robot.imus:
+        calibration = stage.imus.get(imu.name) if stage else None
+        sees = imu.name in recording.gyros or layout(imu).acceleration
+        if calibration is None or imu.name not in recording.accelerometers or not sees:
+            continue
+        reading = _link_reading(imu, calibration, recording, motion)
+        # What the encoders alone say of the link; its mean over a whole log they know well.
+        states = motion.q, motion.dq, motion.ddq, reading.link
+        expected = link_angular_motion(robot.chain, *states)[1]
+        bias = (reading.dw - expected)[motion.usable].mean(axis=0)
+        reading = reading._replace(dw=reading.dw - bias)
+        if _healthy(reading, expected, motion, moving):
             readings.append(reading)
         else:
-            warnings.append(f"{reading.imu.name} is left out: it contradicts the encoders")
+            warnings.append(f"{imu.name} is left out: it contradicts the encoders")
     if not readings:
         raise _impossible("imu", recording, robot, stage, warnings)
     ddq, error = _solve(robot, motion, moving, readings)
@@ -109,7 +119,7 @@ def _from_imus(
         motion,
         ddq=ddq,
         source="imu",
-        imus=tuple(reading.imu.name for reading in readings),
+        imus=tuple(reading.name for reading in readings),
         error=error,
         encoder_error=motion.acceleration_error,
         warnings=tuple(warnings),
@@ -131,69 +141,32 @@ def _impossible(
     return InputError(message, hint=hint, where=str(recording.path))
 
 
-def _readings(
-    recording: Recording, robot: Robot, stage: ImuStage | None, motion: Motion
-) -> Iterator[LinkReading]:
-    calibrations = stage.imus if stage else {}
-    for imu in robot.imus:
-        calibration = calibrations.get(imu.name)
-        values = recording.accelerometers.get(imu.name)
-        if calibration is None or values is None:
-            continue
-        gyro = recording.gyros.get(imu.name)
-        if gyro is None and not layout(imu).acceleration:
-            continue
-        reading = link_reading(imu, calibration, values, gyro, recording, motion)
-        # Take off the bias: the encoders know the mean acceleration of a whole log well.
-        off = reading.dw - _predicted(robot, motion, imu.after_joint)
-        yield replace(reading, dw=reading.dw - off[motion.usable].mean(axis=0))
-
-
-def link_reading(
+def _link_reading(
     imu: Imu,
     calibration: ImuCalibration,
-    values: Array,
-    gyro: Array | None,
     recording: Recording,
     motion: Motion,
     *,
     axis_error: float = 0.003,
 ) -> LinkReading:
     """One IMU's angular acceleration in its link's frame, its calibration taken off."""
-    factor = round(recording.rate_hz / motion.rate_hz)
-    lowpass = Lowpass(motion.lowpass.cutoff_hz, recording.rate_hz)
-    mended, values, gyro = calibrated(imu, calibration, values, gyro)
-    offset = calibration.time_offset_s
-    values = _on_encoders_clock(values, recording, offset)
-    gyro = None if gyro is None else _on_encoders_clock(gyro, recording, offset)
-    reading = read_angular(mended, values, gyro, lowpass, recording.valid)
-    dw = (reading.dw @ np.array(calibration.rotation).T)[::factor]
-    noise = (calibration.noise_density or 0.0) * np.sqrt(lowpass.cutoff_hz)
-    size = float(np.sqrt(np.mean(np.sum(dw**2, axis=1))))
-    error = float(np.hypot(noise, axis_error * size))
-    return LinkReading(imu, _gain(calibration) * dw, error)
+    raw = recording.accelerometers[imu.name], recording.gyros.get(imu.name)
+    imu, values, gyro = calibrated(imu, calibration, *raw)
+    t, valid, offset = recording.t, recording.valid, calibration.time_offset_s
 
+    def on_encoders_clock(values: Array) -> Array:
+        # Readings stamped t were taken at t - `offset`.
+        return np.column_stack([np.interp(t + offset, t[valid], v[valid]) for v in values.T])
 
-def _on_encoders_clock(
-    values: Array, recording: Recording, offset: float, *, least_shift: float = 0.001
-) -> Array:
-    """Readings (N, K) when the encoders were read; those stamped t were taken at t - `offset`."""
-    if abs(offset) * recording.rate_hz < least_shift:
-        return values
-    t, valid = recording.t, recording.valid
-    return np.column_stack([np.interp(t + offset, t[valid], v[valid]) for v in values.T])
-
-
-def _gain(calibration: ImuCalibration) -> float:
-    """Scale of the angular acceleration, where the encoders prove that it is not one."""
-    # Gains of single accelerometers, where they are known, are off the readings already.
-    references = list(calibration.references.values())
-    single = [*calibration.accelerometer_scale, *calibration.gyro_scale]
-    if not references or any(scale is not None for scale in single):
-        return 1.0
-    weight = np.array([1 / max(r.gain_std_error, 1e-6) ** 2 for r in references])
-    mean = float(np.average([r.gain for r in references], weights=weight))
-    return mean if abs(mean - 1.0) > 4 / np.sqrt(weight.sum()) else 1.0
+    if offset:
+        values = on_encoders_clock(values)
+        gyro = None if gyro is None else on_encoders_clock(gyro)
+    dw = (
+        read_angular(imu, values, gyro, motion.lowpass, valid).dw @ np.array(calibration.rotation).T
+    )
+    noise = (calibration.noise_density or 0.0) * np.sqrt(motion.lowpass.cutoff_hz)
+    size = np.sqrt(np.mean(np.sum(dw**2, axis=1)))
+    return LinkReading(imu.name, imu.after_joint, dw, float(np.hypot(noise, axis_error * size)))
 
 
 def axes_in_link(robot: Robot, q: Array, link: int) -> Array:
@@ -204,25 +177,22 @@ def axes_in_link(robot: Robot, q: Array, link: int) -> Array:
     return axes
 
 
-def _predicted(robot: Robot, motion: Motion, link: int) -> Array:
-    """Angular acceleration (N, 3) of a link from the encoders alone."""
-    return link_angular_motion(robot.chain, motion.q, motion.dq, motion.ddq, link)[1]
-
-
 def _healthy(
-    reading: LinkReading, robot: Robot, motion: Motion, moving: Index, *, disagreement: float = 0.5
+    reading: LinkReading,
+    expected: Array,
+    motion: Motion,
+    moving: Index,
+    *,
+    disagreement: float = 0.5,
 ) -> bool:
     """Whether an IMU agrees with what the encoders say its link does."""
-    link = reading.imu.after_joint
-    own = moving[moving <= link]
-    if not len(own):
-        return False
-    expected = _predicted(robot, motion, link)[motion.usable]
-    off = reading.dw[motion.usable] - expected
-    noise = float(np.sqrt(np.sum(motion.cutoff.acceleration_noise[own] ** 2)))
-    size = float(np.sqrt(np.mean(np.sum(expected**2, axis=1))))
-    error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
-    return bool(np.isfinite(error)) and error < disagreement * size + 3 * (noise + reading.noise)
+    own = moving[moving <= reading.link]
+    noise = np.sqrt(np.sum(motion.cutoff.acceleration_noise[own] ** 2)) + reading.noise
+    error, size = (
+        np.sqrt(np.mean(np.sum(x[motion.usable] ** 2, axis=1)))
+        for x in (reading.dw - expected, expected)
+    )
+    return bool(len(own) and error < disagreement * size + 3 * noise)  # not if it is no number
 
 
 def _solve(
@@ -238,14 +208,13 @@ def _solve(
     normal = np.zeros((motion.samples, count, count))
     right = np.zeros((motion.samples, count))
     still = np.zeros_like(motion.q)
-    for reading in readings:
-        link = reading.imu.after_joint
+    for _, link, dw, sigma in readings:
         c = link_angular_motion(robot.chain, motion.q, motion.dq, still, link)[1]
         J, own = np.zeros((motion.samples, 3, count)), moving <= link
         J[:, :, own] = axes_in_link(robot, motion.q, link)[:, moving[own]].swapaxes(1, 2)
-        weight = 1.0 / max(reading.noise, 1e-9) ** 2
+        weight = 1.0 / max(sigma, 1e-9) ** 2
         normal += weight * np.einsum("nik,nil->nkl", J, J)
-        right += weight * np.einsum("nik,ni->nk", J, reading.dw - c)
+        right += weight * np.einsum("nik,ni->nk", J, dw - c)
     noise = np.maximum(motion.cutoff.acceleration_noise, 1e-9)
     encoder = unseen / noise[moving] ** 2
     normal[:, range(count), range(count)] += encoder

@@ -9,7 +9,7 @@ above its own bandwidth the low-pass takes from torque and motion alike.
 import hashlib
 from collections import OrderedDict
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import msgspec
 import numpy as np
@@ -27,12 +27,10 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion, estimate_motion, filtered_torque
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.motion.smoother.chunk import Mounted
-from seqid_cli.motion.smoother.imus import mounted_imus, read
-from seqid_cli.motion.smoother.smooth import smoothed_motion
+from seqid_cli.motion.smoother.imus import mounted_imus
+from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
-from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
 
 
@@ -56,13 +54,13 @@ def fused_motion(
         return replace(encoder, warnings=(*encoder.warnings, *missing))
     smoothed = _smoothed(recording, robot, stage)
     warnings = (*encoder.warnings, *missing, *smoothed.notes)
-    if not smoothed.imus:
+    if not smoothed.mounted:
         return replace(encoder, warnings=warnings)
     apart = disagreement(encoder, encoder.lowpass(smoothed.ddq, recording.valid))
     if not apart.any():
         return replace(_filtered(recording, encoder, smoothed), warnings=warnings)
     names = ", ".join(robot.joint_names[j] for j in np.flatnonzero(apart))
-    doubt = f"{', '.join(smoothed.imus)} and the encoder of {names} disagree"
+    doubt = f"{', '.join(smoothed.mounted)} and the encoder of {names} disagree"
     if not insist:
         return replace(encoder, warnings=(*warnings, f"{doubt}: encoders alone are used"))
     return replace(_filtered(recording, encoder, smoothed), warnings=(*warnings, doubt))
@@ -73,7 +71,8 @@ def score_of_smoothed(
 ) -> Score:
     """Score cut-offs [Hz] by the motion that the smoother makes of a log."""
     smoothed = _smoothed(recording, robot, stage)
-    given = smoothed.dq, smoothed.ddq, smoothed.variance, recording.rate_hz, cutoffs
+    variance = smoothed.typical(recording.valid)
+    given = smoothed.dq, smoothed.ddq, variance, recording.rate_hz, cutoffs
     return smoothed_score(encoder.cutoff, *given, moving=np.any(encoder.moving, axis=0))
 
 
@@ -161,50 +160,15 @@ def _digest(recording: Recording, robot: Robot, stage: ImuStage | None) -> bytes
     return found.digest()
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What is used of a smoothed motion: q, dq, ddq (N, n), their median variances (n, 3)."""
-
-    q: Array
-    dq: Array
-    ddq: Array
-    variance: Array
-    seen: Mask  # (n,) not beyond all IMUs; of others the variance is not known
-    imus: tuple[str, ...]
-    notes: tuple[str, ...]
-
-
-def _made(recording: Recording, robot: Robot, stage: ImuStage | None) -> _Found:
-    s = smoothed_motion(recording, robot, stage)
-    known = recording.valid[s.places]
-    variance = s.variance_at_places
-    variance = np.median(variance[known] if known.any() else variance, axis=0)
-    last = max((x.place.link for x in s.mounted.values()), default=-1)
-    seen = np.arange(robot.n) <= last
-    variance = np.where(seen[:, None], variance, np.inf)
-    used = [x for x in mounted_imus(recording, robot, stage) if x.name in s.mounted]
-    notes = (*s.notes, *_silent(recording, used))
-    return _Found(s.q, s.dq, s.ddq, variance, seen, tuple(s.mounted), notes)
-
-
-def _silent(recording: Recording, imus: list[Mounted], *, mostly: float = 0.95) -> Iterator[str]:
-    """Say which of the IMUs that were used read only now and then."""
-    for imu in imus:
-        live = read(imu, recording, slice(None)).live[recording.valid]
-        share = np.count_nonzero(live.any(axis=1)) / max(len(live), 1)
-        if share < mostly:
-            yield f"{imu.name} reads in {percent(share, 0)} of the samples"
-
-
-_KEPT = OrderedDict[bytes, _Found]()
+_KEPT = OrderedDict[bytes, Smoothed]()
 
 
 def _smoothed(
     recording: Recording, robot: Robot, stage: ImuStage | None, *, most_values: int = 16_000_000
-) -> _Found:
+) -> Smoothed:
     """Smooth a log; the last motions are kept by `_digest`, up to so many values in all."""
     digest = _digest(recording, robot, stage)
-    found = _KEPT.pop(digest, None) or _made(recording, robot, stage)
+    found = _KEPT.pop(digest, None) or smoothed_motion(recording, robot, stage)
     _KEPT[digest] = found
     while sum(3 * one.q.size for one in _KEPT.values()) > most_values:
         _KEPT.popitem(last=False)
@@ -223,14 +187,27 @@ def absent_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> I
             yield f"{imu.name} is not calibrated"
 
 
-def _filtered(recording: Recording, encoder: Motion, smoothed: _Found) -> Motion:
-    cutoff, moves = encoder.cutoff, np.any(encoder.moving, axis=0)
-    if cutoff.chosen:
+def _filtered(recording: Recording, encoder: Motion, smoothed: Smoothed) -> Motion:
+    """Filter a smoothed motion; joints that no IMU sees are differentiated as without them."""
+    cutoff, moves, valid = encoder.cutoff, np.any(encoder.moving, axis=0), recording.valid
+    variance = smoothed.typical(valid)
+    if cutoff.alone_hz is None:
         cutoff = choose_smoothed_cutoff(
-            cutoff, smoothed.dq, smoothed.ddq, smoothed.variance, encoder.rate_hz, moving=moves
+            cutoff, smoothed.dq, smoothed.ddq, variance, encoder.rate_hz, moving=moves
         )
     lowpass = Lowpass(cutoff.hz, recording.rate_hz)
-    q, dq, ddq = _low_passed(recording, lowpass, smoothed, moves)
+    # What noise makes of locked joints must not pass for excitation.
+    motion = [
+        lowpass(np.where(moves, values, still), valid)
+        for values, still in ((smoothed.q, recording.q), (smoothed.dq, 0.0), (smoothed.ddq, 0.0))
+    ]
+    hidden = moves & np.isinf(variance[:, 0])
+    if hidden.any():
+        q = lowpass(recording.q[:, hidden], valid)
+        alone = (q, *differentiate(q, recording.rate_hz, valid))
+        for values, own in zip(motion, alone, strict=True):
+            values[:, hidden] = own
+    q, dq, ddq = motion
     tau, usable = filtered_torque(recording, lowpass)
     return replace(
         encoder,
@@ -242,26 +219,7 @@ def _filtered(recording: Recording, encoder: Motion, smoothed: _Found) -> Motion
         lowpass=lowpass,
         cutoff=cutoff,
         source="fused",
-        imus=smoothed.imus,
-        error=np.sqrt(smoothed_error(smoothed.variance, cutoff.noise_density, cutoff.hz)),
+        imus=tuple(smoothed.mounted),
+        error=np.sqrt(smoothed_error(variance, cutoff.noise_density, cutoff.hz)),
         encoder_error=encoder.cutoff.encoder_noise,
     )
-
-
-def _low_passed(
-    recording: Recording, lowpass: Lowpass, smoothed: _Found, moves: Mask
-) -> list[Array]:
-    """q, dq, ddq (N, n): smoothed where IMUs see a joint, else differentiated as without them."""
-    valid = recording.valid
-    # What noise makes of locked joints must not pass for excitation.
-    motion = [
-        lowpass(np.where(moves, values, still), valid)
-        for values, still in ((smoothed.q, recording.q), (smoothed.dq, 0.0), (smoothed.ddq, 0.0))
-    ]
-    hidden = moves & ~smoothed.seen
-    if hidden.any():
-        q = lowpass(recording.q[:, hidden], valid)
-        alone = (q, *differentiate(q, recording.rate_hz, valid))
-        for values, own in zip(motion, alone, strict=True):
-            values[:, hidden] = own
-    return motion

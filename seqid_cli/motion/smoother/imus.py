@@ -1,6 +1,5 @@
 """IMUs for the motion smoother: what calibration knows of them, and their live readings."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,7 @@ from seqid_cli.motion.smoother.chunk import Mounted
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import white_noise
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Array, Index, Mask
 
 # Prior standard deviations where no calibration says better, and what changes since it was made.
 BIAS_DRIFT, GYRO_BIAS_DRIFT, DELAY_DRIFT_S = 0.05, 0.005, 0.001
@@ -23,42 +22,37 @@ LEAST_NOISE = 1e-3  # m/s^2 or rad/s
 
 def mounted_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> list[Mounted]:
     """IMUs with calibration and readings, as the calibration has them, without their readings."""
-    found = []
-    for imu in robot.imus:
-        calibration = stage.imus.get(imu.name) if stage else None
-        if calibration is not None and imu.name in recording.accelerometers:
-            gyro = imu.gyro and imu.name in recording.gyros
-            found.append(_mounted(imu, calibration, gyro=gyro, rate_hz=recording.rate_hz))
-    return found
+    known = stage.imus if stage else {}
+    return [
+        _mounted(imu, known[imu.name], recording)
+        for imu in robot.imus
+        if imu.name in known and imu.name in recording.accelerometers
+    ]
 
 
-def _axes(rows: Sequence[Sequence[float]], gains: Sequence[float | None], nominal: Array) -> Array:
-    """Sensing axes (K, 3), as long as the channels' gains."""
-    axes = np.array(rows) if len(rows) == len(nominal) else nominal
-    return np.asarray(axes * entries(gains, len(nominal), 1.0)[:, None])
-
-
-def _mounted(imu: Imu, known: ImuCalibration, *, gyro: bool, rate_hz: float) -> Mounted:
-    count = len(imu.axes)
-    rates = 3 if gyro else 0
-    axes = _axes(known.accelerometer_axes, known.accelerometer_scale, imu.axes)
-    if gyro:
-        axes = np.vstack([axes, _axes(known.gyro_axes, known.gyro_scale, np.eye(3))])
+def _mounted(imu: Imu, known: ImuCalibration, recording: Recording) -> Mounted:
+    count, rates = len(imu.axes), 3 if imu.gyro and imu.name in recording.gyros else 0
     R, lever = np.array(known.rotation), entries(known.lever, 3, 0.0)
-    given = (known.accelerometer_bias, known.gyro_bias)
-    noises = (known.accelerometer_noise, known.gyro_noise)
-    bias, density = (
-        np.concatenate([entries(own, count, 0.0), entries(gyros, rates, 0.0)])
-        for own, gyros in (given, noises)
+    bias, density, gains = (
+        np.concatenate([entries(own, count, usual), entries(gyros, rates, usual)])
+        for own, gyros, usual in (
+            (known.accelerometer_bias, known.gyro_bias, 0.0),
+            (known.accelerometer_noise, known.gyro_noise, 0.0),
+            (known.accelerometer_scale, known.gyro_scale, 1.0),
+        )
     )
+    own = known.accelerometer_axes
+    axes = np.array(own) if len(own) == count else imu.axes
+    if rates:
+        axes = np.vstack([axes, known.gyro_axes or np.eye(3)])
     prior = _prior(known, count, rates)
     nothing = np.zeros((0, count + rates))
     return Mounted(
         name=imu.name,
-        place=Mounting(imu.after_joint, imu.positions, axes, R, lever),
+        place=Mounting(imu.after_joint, imu.positions, axes * gains[:, None], R, lever),
         raw=nothing,
         live=nothing > 0,
-        noise=np.maximum(density * np.sqrt(rate_hz / 2), LEAST_NOISE),
+        noise=np.maximum(density * np.sqrt(recording.rate_hz / 2), LEAST_NOISE),
         bias=bias,
         delay=known.time_offset_s if known.time_offset_std_error_s is not None else 0.0,
         away=np.zeros(len(prior)),
@@ -171,12 +165,18 @@ def moved(x: Mounted, change: Array) -> Mounted:
     return replace(x, place=place, bias=x.bias + bias, delay=x.delay + float(late[0]), away=away)
 
 
-def handed_on(x: Mounted, covariance: Array, *, forget: float = 1.5) -> Mounted:
-    """What the next stretch is to assume: the constants of this one, of `covariance` (g, g)."""
+def handed_on(x: Mounted, taken: Index, covariance: Array, *, forget: float = 1.5) -> Mounted:
+    """What the next stretch is to assume: the constants of this one.
+
+    `covariance` (m, m) is of those that took part, `taken` (m,).
+    """
+    own: Array = np.asarray(np.linalg.inv(x.precision), dtype=np.float64)
+    own[taken], own[:, taken] = 0.0, 0.0
+    own[np.ix_(taken, taken)] = covariance
     channels = x.place.channels
     rates = channels - len(x.place.positions)
-    drift = np.zeros(len(covariance))
+    drift = np.zeros(len(own))
     drift[:channels] = np.repeat([BIAS_DRIFT, GYRO_BIAS_DRIFT], [channels - rates, rates])
     drift[channels + 6] = 0.1 * DELAY_DRIFT_S
-    precision = np.linalg.inv(forget * covariance + np.diag(0.1 * drift**2))
+    precision = np.linalg.inv(forget * own + np.diag(0.1 * drift**2))
     return replace(x, away=np.zeros(len(x.away)), precision=0.5 * (precision + precision.T))

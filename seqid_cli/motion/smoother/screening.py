@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from seqid_cli.motion.smoother.chunk import Chunk, Mounted, mean_motion
 from seqid_cli.motion.smoother.imus import moved
@@ -16,16 +15,23 @@ from seqid_cli.typing import Array, Mask
 BEYOND_NOISE = 2.3  # limits of what joint motion leaves of an IMU's readings
 
 
-def believed(chunk: Chunk, c: Array) -> tuple[Chunk, list[str]]:
-    """Place the IMUs on the encoders' motion `c`; those that contradict it are left out."""
+def believed(
+    chunk: Chunk, c: Array, *, largest_offset: float = 2.0, least_seen: float = 0.3
+) -> tuple[Chunk, list[str]]:
+    """Place the IMUs on the encoders' motion `c`; those that cannot be right are left out."""
     kept, notes = [], []
-    for x in chunk.imus:
-        placed = located(chunk, c, x)
-        reason = _contradiction(placed, predicted(chunk, c, placed), chunk)
-        if reason:
+    for given in chunk.imus:
+        x = located(chunk, c, given)
+        share = float(x.seen.mean()) * chunk.stride
+        off = np.sum((x.y - predicted(chunk, c, x)) * x.seen, axis=0)
+        mean = float(np.abs(off / np.maximum(x.seen.sum(axis=0), 1)).max())
+        if share < least_seen:
+            notes.append(f"{x.name} is left out: it reads in {percent(share, 0)} of the samples")
+        elif not mean < largest_offset:
+            reason = f"its mean reading is off by {mean:.3g} (limit {largest_offset:g})"
             notes.append(f"{x.name} is left out: {reason}")
         else:
-            kept.append(placed)
+            kept.append(x)
     return replace(chunk, imus=tuple(kept)), notes
 
 
@@ -54,13 +60,14 @@ class Fit:
         return self.together / max(self.alone, 1e-9)
 
 
-def fits(chunk: Chunk, alone: Array, together: Array) -> list[Fit]:
+def fits(chunk: Chunk, alone: Array, together: Array, *, in_motion: float = 0.05) -> list[Fit]:
     """How well each IMU goes with coefficients (K, n) by everything, and by the encoders."""
     found = []
     for x in chunk.imus:
-        own = x.there & _in_motion(chunk, alone, x.joints)
-        if not own.any():
-            own = x.there
+        speed = np.abs(mean_motion(chunk, alone[:, : x.joints])[1])
+        fastest = np.maximum(speed.max(axis=1, keepdims=True), 1e-9)
+        own = x.there & (speed > in_motion * fastest).any(axis=0)
+        own = own if own.any() else x.there
         off = _without_drift(x, predicted(chunk, together, x))
         left, size = (_typical(v, x.seen, own) for v in (off / x.spread, off))
         fit = Fit(x.name, left, np.inf, size)
@@ -92,13 +99,6 @@ def contradiction(found: Sequence[Fit], *, unexplained: float = 0.36) -> tuple[s
     return (name, [said]) if name else ("", notes)
 
 
-def _in_motion(chunk: Chunk, c: Array, joints: int, *, in_motion: float = 0.05) -> Mask:
-    """Intervals (M,) in which any of the first joints moves."""
-    speed = np.abs(mean_motion(chunk, c[:, :joints])[1])
-    fastest = speed.max(axis=1, keepdims=True)
-    return np.asarray((speed > in_motion * np.maximum(fastest, 1e-9)).any(axis=0))
-
-
 def _without_drift(x: Mounted, told: Array) -> Array:
     """Residual (M, K) of the readings without what a drifting bias explains."""
     t = np.linspace(-1.0, 1.0, len(told))[:, None] * x.seen
@@ -117,29 +117,25 @@ def located(
     chunk: Chunk, c: Array, x: Mounted, *, sure_s: float = 0.002, sure_m: float = 0.005
 ) -> Mounted:
     """Fit an IMU's place, biases and clock offset to a motion that is taken as given."""
-    if not x.seen.any():
-        return x
     late = x.place.channels + 6
     known = np.diag(x.precision) ** -0.5
-    if known[late] < sure_s and known[late - 6 : late - 3].max() < sure_m:
+    sure = known[late] < sure_s
+    if not x.seen.any() or (sure and known[late - 6 : late - 3].max() < sure_m):
         return x
-    if known[late] > sure_s:
+    if not sure:
         x = _searched(chunk, c, x)
-    return _fitted(chunk, c, _fitted(chunk, c, x, late), late + 1)
+    for count in (late, late + 1):  # one step of least squares for the first constants
+        r, noise, G, info = _design(chunk, c, x, count)
+        right = np.tensordot(r / noise, G, 2) - (x.precision @ x.away)[:count]
+        change = np.zeros(len(x.away))
+        change[:count] = np.linalg.solve(info, right)
+        x = _placed(chunk, x, change)
+    return x
 
 
 def _placed(chunk: Chunk, x: Mounted, change: Array) -> Mounted:
     """An IMU with its constants changed, its readings where the clock has them."""
     return replace(chunk, imus=(moved(x, change),)).gathered().imus[0]
-
-
-def _fitted(chunk: Chunk, c: Array, x: Mounted, count: int) -> Mounted:
-    """One step of least squares for the first `count` constants."""
-    r, noise, G, info = _design(chunk, c, x, count)
-    right = np.tensordot(r / noise, G, 2) - (x.precision @ x.away)[:count]
-    change = np.zeros(len(x.away))
-    change[:count] = np.linalg.solve(info, right)
-    return _placed(chunk, x, change)
 
 
 def _searched(
@@ -188,37 +184,3 @@ def _design(chunk: Chunk, c: Array, x: Mounted, count: int) -> tuple[Array, Arra
     G = G * there[:, :, None] / noise[:, None]
     info = np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]
     return r, noise, G, info
-
-
-def _contradiction(
-    x: Mounted,
-    expected: Array,
-    chunk: Chunk,
-    *,
-    disagreement: float = 0.5,
-    largest_offset: float = 2.0,
-    least_seen: float = 0.3,
-    compare_s: float = 0.1,
-) -> str:
-    """Why an IMU cannot be right, or nothing."""
-    share = float(x.seen.mean()) * chunk.stride
-    if share < least_seen:
-        return f"it reads in {percent(share, 0)} of the samples"
-    width = max(3, int(compare_s / chunk.spacing))
-    weight = np.maximum(uniform_filter1d(x.seen.astype(float), width, axis=0), 1e-9)
-    seen, told = (uniform_filter1d(v * x.seen, width, axis=0) / weight for v in (x.y, expected))
-    alive = x.seen.any(axis=1)
-    off = np.abs(np.mean((seen - told)[alive], axis=0, where=x.seen[alive]))
-    if not np.nanmax(off) < largest_offset:
-        return f"its mean reading is off by {np.nanmax(off):.3g} (limit {largest_offset:g})"
-    error, size = (_changes(v, x) for v in (seen - told, told))
-    limit = disagreement * size + 3 * float(np.sqrt(np.mean(x.spread**2)))
-    if not error < limit:
-        return f"it differs from the encoders by {error:.3g} (limit {limit:.3g})"
-    return ""
-
-
-def _changes(values: Array, x: Mounted) -> float:
-    """RMS of the changes about each channel's mean, where it was seen."""
-    alive = x.seen.any(axis=0)
-    return float(np.sqrt(np.mean(np.var(values[:, alive], axis=0, where=x.seen[:, alive]))))

@@ -10,6 +10,7 @@ towards it by expectation and maximisation; traces come from probing with random
 from the factor's rows behind some of the knots.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,14 +34,14 @@ from seqid_cli.motion.smoother.solve import (
     Solution,
     detailed,
     encoder_motion,
-    interpolated,
     probed_variance,
     settled,
 )
 from seqid_cli.motion.smoother.system import chosen
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array, Index
+from seqid_cli.shares import percent
+from seqid_cli.typing import Array, Index, Mask
 
 FINE_S, COARSE_S = 1e-3, 4e-3  # between knots: no more, of the motion and for the constants
 
@@ -53,14 +54,16 @@ class Smoothed:
     dq: Array
     ddq: Array
     places: Index
-    variance_at_places: Array  # (G, n, 3)
+    variance: Array  # (G, n, 3)
     mounted: dict[str, Mounted]  # that took part, as the last chunk left them
     notes: tuple[str, ...]
 
-    @property
-    def variance(self) -> Array:
-        """(N, n, 3), interpolated between the places."""
-        return interpolated(np.arange(len(self.q)), self.places, self.variance_at_places)
+    def typical(self, valid: Mask) -> Array:
+        """Median variance (n, 3) at valid samples (N,); infinite for joints beyond all IMUs."""
+        known = valid[self.places]
+        found = np.median(self.variance[known if known.any() else slice(None)], axis=0)
+        found[1 + max((x.place.link for x in self.mounted.values()), default=-1) :] = np.inf
+        return np.asarray(found)
 
 
 Part = tuple[Array, Index, Array, tuple[Mounted, ...], list[str]]
@@ -77,9 +80,15 @@ def _smoothed(chunk: Chunk, size: Array) -> tuple[Part, Array]:
     shared, said = _agreed(chunk, coarse, c, jerk)
     last = detailed(*_refined(chunk, shared))
     motion = motion_at(last.chunk, last.c)[:: last.chunk.stride]
-    known = *probed_variance(last, shared), _with_covariance(shared, last)
+    # IMUs as the next chunk is to take them; the clocks as the fine knots have them.
+    covariance: Array = np.asarray(np.linalg.inv(shared.schur), dtype=np.float64)
+    slots = chosen(shared.chunk, shared.constants)
+    imus = tuple(
+        handed_on(replace(x, delay=fine.delay), taken, covariance[own, own])
+        for (x, taken, own), fine in zip(slots, last.chunk.imus, strict=True)
+    )
     size = shared.jerk.size * np.sqrt(shared.chunk.spacing / coarse.spacing)
-    return (motion, *known, notes + said), size
+    return (motion, *probed_variance(last, shared), imus, notes + said), size
 
 
 def _refined(chunk: Chunk, shared: Solution) -> tuple[Chunk, Array, Jerk]:
@@ -112,18 +121,6 @@ def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[Solution
         coarse = replace(coarse, imus=tuple(x for x in coarse.imus if x.name != name))
 
 
-def _with_covariance(shared: Solution, last: Solution) -> tuple[Mounted, ...]:
-    """IMUs as the next chunk is to take them; the clocks as the fine knots have them."""
-    found_here, found = np.linalg.inv(shared.schur), []
-    slots = chosen(shared.chunk, shared.constants)
-    for (x, taken, own), fine in zip(slots, last.chunk.imus, strict=True):
-        covariance: Array = np.asarray(np.linalg.inv(x.precision), dtype=np.float64)
-        covariance[taken], covariance[:, taken] = 0.0, 0.0
-        covariance[np.ix_(taken, taken)] = found_here[own, own]
-        found.append(handed_on(replace(x, delay=fine.delay), covariance))
-    return tuple(found)
-
-
 def _on_knots(chunk: Chunk, spacing: float) -> Chunk:
     """The same with knots about as far apart as `spacing` s."""
     finer = max(1, round(chunk.dt / spacing))
@@ -140,12 +137,14 @@ def smoothed_motion(
     chunk_s: float = 10.0,
     overlap_s: float = 0.5,
     first_jerk: float = 1000.0,
+    mostly: float = 0.95,
 ) -> Smoothed:
     """Smooth all joints of one log, by chunks that fade into each other.
 
     `stage`: calibrations; IMUs without one take no part. `chunk_s`: length [s] of what is smoothed
-    at once, from the constants that the chunk before has found. Returns: at the log's own rate.
-    Joints that no believed IMU sees rest on their encoders.
+    at once, from the constants that the chunk before has found. `mostly`: share of the samples, in
+    fewer of which an IMU that reads is named. Returns: at the log's own rate. Joints that no
+    believed IMU sees rest on their encoders.
     """
     samples, rate = len(recording.q), recording.rate_hz
     filled = np.column_stack([bridged(x, np.isfinite(x)) for x in recording.q.T])
@@ -153,36 +152,44 @@ def smoothed_motion(
     step = np.where(step > 0, step, encoder_step(filled))
     size = np.full(robot.n, first_jerk * np.sqrt(max(COARSE_S, 1.0 / rate) / FINE_S))
     known = {x.name: x for x in mounted_imus(recording, robot, stage)}
-    lap = int(overlap_s * rate)
-    edges = np.linspace(0, samples, max(1, round(samples / (chunk_s * rate))) + 1).astype(int)
-    starts = np.maximum(edges[:-1] - lap, 0).tolist()
-    stops = np.minimum(np.append(edges[1:-1], samples) + lap, samples).tolist()
-    joined, used = np.zeros((samples, 3, robot.n)), set()
+    joined, live = np.zeros((samples, 3, robot.n)), dict.fromkeys(known, 0.0)
+    used: set[str] = set()
     at, variances, notes = [], [], []
-    for k, (start, stop) in enumerate(zip(starts, stops, strict=True)):
-        own = slice(start, stop)
+    for own, share in _fading(samples, chunk_s * rate, int(overlap_s * rate)):
         views = tuple(
             encoder_view(recording.q[own, j], float(step[j]), recording.valid[own])
             for j in range(robot.n)
         )
         imus = tuple(read(x, recording, own) for x in known.values())
+        live |= {x.name: live[x.name] + float(share @ x.live.any(axis=1)) for x in imus}
         # Threads of the linear algebra only get into each other's way with matrices this narrow.
         with threadpool_limits(1):
             part, size = _smoothed(Chunk(robot, views, 1.0 / rate, 1, imus), size)
         motion, places, variance, found, said = part
         known |= {x.name: x for x in found}
         used |= {x.name for x in found}
-        notes += [f"{start / rate:.1f} s: {x}" for x in said]
-        rise = [start, stops[k - 1]] if k else [-2, -1]
-        fall = [starts[k + 1] if k + 1 < len(starts) else samples, stop]
-        t = np.arange(start, stop, dtype=float)
-        share = np.interp(t, [*rise, *fall], [0.0, 1.0, 1.0, 0.0])
+        notes += [f"{own.start / rate:.1f} s: {x}" for x in said]
         joined[own] += share[:, None, None] * motion
         kept = share[places] >= 0.5
-        at.append(places[kept] + start)
+        at.append(places[kept] + own.start)
         variances.append(variance[kept])
-    q, dq, ddq = (np.ascontiguousarray(joined[:, d]) for d in range(3))
     mounted = {name: x for name, x in known.items() if name in used}
+    shares = {name: live[name] / max(int(recording.valid.sum()), 1) for name in mounted}
+    rare = {name: share for name, share in shares.items() if share < mostly}
+    notes += [f"{name} reads in {percent(x, 0)} of the samples" for name, x in rare.items()]
+    q, dq, ddq = (np.ascontiguousarray(joined[:, d]) for d in range(3))
     return Smoothed(
         q, dq, ddq, np.concatenate(at), np.concatenate(variances), mounted, tuple(notes)
     )
+
+
+def _fading(samples: int, length: float, lap: int) -> Iterator[tuple[slice, Array]]:
+    """Chunks of about a length with a lap on either side, and their samples' shares, 1 in all."""
+    edges = np.linspace(0, samples, max(1, round(samples / length)) + 1).astype(int)
+    starts = np.maximum(edges[:-1] - lap, 0).tolist()
+    stops = np.minimum(np.append(edges[1:-1], samples) + lap, samples).tolist()
+    for k, (start, stop) in enumerate(zip(starts, stops, strict=True)):
+        rise = [start, stops[k - 1]] if k else [-2, -1]
+        fall = [starts[k + 1] if k + 1 < len(starts) else samples, stop]
+        t = np.arange(start, stop, dtype=float)
+        yield slice(start, stop), np.interp(t, [*rise, *fall], [0.0, 1.0, 1.0, 0.0])

@@ -50,9 +50,14 @@ def halved(factor: Array, right: Array, *, transposed: bool = False) -> Array:
     return np.asarray(x)
 
 
-def encoder_motion(chunk: Chunk, size: Array, *, encoder_rounds: int = 4) -> tuple[Array, Jerk]:
+def encoder_motion(
+    chunk: Chunk, size: Array, *, encoder_rounds: int = 4, first_mean_s: float = 0.05
+) -> tuple[Array, Jerk]:
     """Coefficients (K, n) and the jerk from the encoders alone, which couple no joints."""
-    c, rng, alone = _first_coefficients(chunk), np.random.default_rng(0), np.eye(len(size))
+    q = np.column_stack([view.q for view in chunk.views])
+    q = uniform_filter1d(q, max(3, int(first_mean_s / chunk.dt)), axis=0)
+    c = q[np.clip((np.arange(chunk.intervals + 3) - 1) * chunk.every, 0, len(q) - 1)]
+    rng, alone = np.random.default_rng(0), np.eye(len(size))
     jerk = Jerk(size, alone, np.ones((chunk.intervals, len(size))))
     for _ in range(encoder_rounds):
         solution = renewed(chunk, c, jerk, (), "none")
@@ -70,29 +75,19 @@ def _factor(band: Array, *, stiffness: tuple[float, ...] = (0.0, 1e-14, 1e-12, 1
     raise np.linalg.LinAlgError("the encoders' information is not positive definite")
 
 
-def _jerks(chunk: Chunk, c: Array, jerk: Jerk) -> Array:
-    """Jerk (M, n) over its size."""
-    return jerk_of(c, chunk.spacing) / (jerk.size * jerk.relative)
-
-
-def settled(coarse: Chunk, c: Array, jerk: Jerk) -> Solution:
+def settled(coarse: Chunk, c: Array, jerk: Jerk, *, known_axes: float = 0.002) -> Solution:
     """Find the IMUs' constants with the motion on coarse knots; axes that are known stay."""
     rng = np.random.default_rng(0)
-    rounds: tuple[system.Constants, ...] = ("place",) if _axes_known(coarse) else ("place", "all")
-    solution = None
-    for constants in rounds if coarse.imus else ("none",):
+    rounds: list[system.Constants] = ["place" if coarse.imus else "none"]
+    axes = [np.diag(x.precision)[x.place.channels + 7 :].min() for x in coarse.imus]
+    if axes and min(axes) <= known_axes**-2.0:
+        rounds.append("all")
+    for constants in rounds:
         linear = system.linearised(coarse, c, gains=constants == "all")
         solution = renewed(coarse, c, jerk, linear, constants)
         jerk = _probed_jerk(solution, rng)
         coarse, c = solution.chunk.gathered(), solution.c
-    assert solution is not None
     return replace(solution, chunk=coarse, jerk=jerk)
-
-
-def _axes_known(chunk: Chunk, *, known_axes: float = 0.002) -> bool:
-    """Whether earlier stretches have told the channels' axes."""
-    known = [np.diag(x.precision)[x.place.channels + 7 :].min() for x in chunk.imus]
-    return bool(known) and min(known) > known_axes**-2.0
 
 
 def detailed(fine: Chunk, c: Array, jerk: Jerk, *, noise_tolerance: float = 0.1) -> Solution:
@@ -102,8 +97,7 @@ def detailed(fine: Chunk, c: Array, jerk: Jerk, *, noise_tolerance: float = 0.1)
     first = renewed(fine, c, jerk, linear, "clock")
     fine, c, jerk = first.chunk.gathered(), first.c, _probed_jerk(first, rng)
     told = tuple(system.predicted(fine, c, x) for x in fine.imus)
-    misfits = [system.misfit(x, y) for x, y in zip(fine.imus, told, strict=True)]
-    factors = _noise_factors(first, jerk, misfits)
+    factors = _noise_factors(first, fine, jerk, told)
     if any(np.any(np.abs(f - 1.0) > noise_tolerance) for f in factors):
         pairs = zip(fine.imus, factors, strict=True)
         fine = replace(fine, imus=tuple(replace(x, noise=x.noise * f) for x, f in pairs))
@@ -140,28 +134,25 @@ def renewed(
 
 def _noise_factors(
     solution: Solution,
+    fine: Chunk,
     jerk: Jerk,
-    misfits: list[Array],
+    told: tuple[Array, ...],
     *,
     most_quieter: float = 2.0,
     least_free: float = 0.1,
 ) -> list[Array]:
     """Noise of each IMU's channels over what they were weighted with, most likely."""
     # The motion has followed the noise in as many directions as the readings determine.
-    chunk = solution.chunk
-    found = jerk_of(solution.c, chunk.spacing) / jerk.relative
+    factors = []
+    found = jerk_of(solution.c, fine.spacing) / jerk.relative
     determined = np.sum((found @ jerk.precision) * found)
-    readings = sum(x.seen.sum() for x in chunk.imus)
+    readings = sum(x.seen.sum() for x in solution.chunk.imus)
     free = max(1.0 - determined / max(readings, 1), least_free)
-    return [np.maximum(each / np.sqrt(free), 1.0 / most_quieter) for each in misfits]
-
-
-def _first_coefficients(chunk: Chunk, *, first_mean_s: float = 0.05) -> Array:
-    """Moving averages of the positions."""
-    q = np.column_stack([view.q for view in chunk.views])
-    q = uniform_filter1d(q, max(3, int(first_mean_s / chunk.dt)), axis=0)
-    index = np.clip((np.arange(chunk.intervals + 3) - 1) * chunk.every, 0, len(q) - 1)
-    return np.asarray(q[index])
+    for x, y in zip(fine.imus, told, strict=True):
+        square = np.sum((((x.y - y) / x.spread) * x.seen) ** 2, axis=0)
+        misfit = np.sqrt(square / np.maximum(x.seen.sum(axis=0), 1) / free)
+        factors.append(np.maximum(misfit, 1.0 / most_quieter))
+    return factors
 
 
 def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:
@@ -172,9 +163,12 @@ def _probed_jerk(solution: Solution, rng: np.random.Generator) -> Jerk:
     probe = np.zeros((chunk.intervals + 3, n))
     for a in range(4):
         probe[a : a + chunk.intervals] += JERK[a] * over
-    seen = _jerks(chunk, solution.inverse(probe.reshape(-1, 1)).reshape(-1, n), jerk)
+    answer = solution.inverse(probe.reshape(-1, 1)).reshape(-1, n)
+    found, seen = (
+        jerk_of(c, chunk.spacing) / (jerk.size * jerk.relative) for c in (solution.c, answer)
+    )
     # Expectation and maximisation for the correlations, the faster fixed point for the sizes.
-    found, left_open = _jerks(chunk, solution.c, jerk), signs.T @ seen
+    left_open = signs.T @ seen
     second = found.T @ found + 0.5 * (left_open + left_open.T)
     renewed = _renewed_jerk(chunk, solution.c, jerk, seen * signs)
     return replace(renewed, correlation=_correlation(second))
@@ -231,14 +225,16 @@ def _renewed_jerk(
 
 
 def probed_variance(
-    solution: Solution, shared: Solution, *, probe_s: float = 0.125
+    solution: Solution, shared: Solution, *, probe_s: float = 0.125, fewer: int = 4
 ) -> tuple[Index, Array]:
     """Variance (G, n, 3) of q, dq, ddq at samples (G,); `shared` tells of the constants."""
     chunk = solution.chunk
     every = max(1, int(probe_s / chunk.spacing))
     knots = np.arange(min(every, chunk.intervals) // 2, chunk.intervals, every)
     knots = np.unique(np.minimum(-(-knots // chunk.stride) * chunk.stride, chunk.intervals - 1))
-    found = _at_knots(solution, knots)
+    places, few = np.arange(len(knots)), knots[::fewer]  # of q, dq where others lie further apart
+    found = interpolated(places, places[::fewer], _forward(solution, few, slice(0, 3)))
+    found[:, :, 2] = _forward(solution, knots, slice(2, 3))[:, :, 0]
     if len(shared.schur):
         at = np.round(knots * chunk.spacing / shared.chunk.spacing).astype(int)
         at = np.minimum(at, shared.chunk.intervals - 1)
@@ -268,15 +264,6 @@ def _everywhere(
     rise = np.exp(np.clip(follow / (np.sum(spread**2, axis=0) + few), *follows) * size)[:, :, None]
     usual = found / rise[knots]
     return places * chunk.every // chunk.stride, interpolated(places, knots, usual) * rise[places]
-
-
-def _at_knots(solution: Solution, knots: Index, *, fewer: int = 4) -> Array:
-    """Variance (G, n, 3) at knots: of all at a few, of the acceleration everywhere."""
-    few = knots[::fewer]
-    places = np.arange(len(knots))
-    found = interpolated(places, places[::fewer], _forward(solution, few, slice(0, 3)))
-    found[:, :, 2] = _forward(solution, knots, slice(2, 3))[:, :, 0]
-    return found
 
 
 def _forward(solution: Solution, knots: Index, which: slice) -> Array:

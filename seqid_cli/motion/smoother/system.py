@@ -94,14 +94,6 @@ def linearised(chunk: Chunk, c: Array, *, gains: bool = False) -> tuple[Cells, .
     return tuple(jacobians(chunk, c, x, gains=gains) for x in chunk.imus)
 
 
-def _share(chunk: Chunk, x: Mounted) -> Array:
-    """Share (C, K) of each cell's intervals with readings in which the channels have one."""
-    count = np.maximum(np.add.reduceat(x.there.astype(float), chunk.cells), 1.0)
-    if x.seen.all():
-        return np.ones((len(count), x.seen.shape[1]))
-    return np.asarray(np.add.reduceat(x.seen.astype(float), chunk.cells) / count[:, None])
-
-
 def normal_equations(
     chunk: Chunk,
     c: Array,
@@ -134,13 +126,15 @@ def normal_equations(
         W[..., : x.joints] = by_coefficients / x.spread[:, None, None]
         G = cells.by_constants[:, :, taken] / x.spread[:, None]
         W = np.concatenate([W.reshape(count, -1, 4 * n), G], axis=2)
-        H = (W * _share(chunk, x)[:, :, None]).transpose(0, 2, 1) @ W
+        there = np.add.reduceat(x.there.astype(float), chunk.cells)
+        # Of each cell's intervals with readings, those in which a channel has one.
+        share = np.add.reduceat(x.seen.astype(float), chunk.cells) / np.maximum(there, 1.0)[:, None]
+        H = (W * share[:, :, None]).transpose(0, 2, 1) @ W
         seen = x.there.tobytes()
         shared[seen] = shared.get(seen, 0.0) + H[:, : 4 * n, : 4 * n]
         both = H[:, : 4 * n, 4 * n :].reshape(count, 4, n, -1).transpose(1, 3, 0, 2)
         for b in range(4):
             border[at, b : b + m] += both[b][:, of_cells] * x.there[:, None]
-        there = np.add.reduceat(x.there.astype(float), chunk.cells)
         corner[at, at] = np.tensordot(there, H[:, 4 * n :, 4 * n :], 1)
         corner[at, at] += x.precision[np.ix_(taken, taken)]
         r: Array = np.zeros((count * chunk.cell, len(x.noise)))
@@ -180,12 +174,6 @@ def chosen(chunk: Chunk, constants: Constants) -> Iterator[tuple[Mounted, Index,
         taken = np.arange(first, stops[constants])
         yield x, taken, slice(start, start + len(taken))
         start += len(taken)
-
-
-def misfit(x: Mounted, told: Array) -> Array:
-    """Residual of each channel over its noise, (K,)."""
-    r = ((x.y - told) / x.spread) * x.seen
-    return np.asarray(np.sqrt(np.sum(r**2, axis=0) / np.maximum(x.seen.sum(axis=0), 1)))
 
 
 def predicted(chunk: Chunk, c: Array, x: Mounted) -> Array:

@@ -18,7 +18,7 @@ from seqid_cli.params.results.plan import EffectSeparation, PlannedMove, Planned
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
 from seqid_cli.plan.discrimination.question import Question
-from seqid_cli.plan.discrimination.separation import Separation, Told, scenes_of, separation_of
+from seqid_cli.plan.discrimination.separation import Separation, scenes_of, separation_of
 from seqid_cli.plan.moves.fourier import COARSE_HZ, Shapes
 from seqid_cli.plan.moves.strokes import (
     REST_S,
@@ -51,31 +51,23 @@ def plan_discriminate(
             hint = "Give a file with friction and inertia, and a robot file with the joint's drive."
             text = f"{effect.name} cannot be looked for with this model"
             raise ConfigError(text, where=str(belief.robot.source), hint=hint)
-    question = Question.of(effects, joint, scenes[:: max(1, len(scenes) // 12)])
-    size = _size(belief, joint, options.size_share)
+    question = Question.of(belief, effects, joint, scenes[:: max(1, len(scenes) // 12)])
+    usual = typical(belief, seed=0)
+    torque = belief.torque(usual, belief.regressor(usual), sigmas=0.0)
+    torque = torque if joint is None else torque[..., joint]
+    size = options.size_share * float(np.sqrt(np.mean(torque**2)))
     logs = logged(have, belief.robot, stages, options=InertiaOptions()) if have else []
     found = separation_of(belief, question, scenes, size, logs)
-    if all(found.open):
+    nested = [x.name for x, open_ in zip(effects, found.open(), strict=True) if open_]
+    if len(nested) == 2:
         one, other = effects
         note = f"no motion tells {one.name} from {other.name}: record {one.separate_by}"
         return Planned([], PlannedStage(notes=[note]))
     chosen, seconds = _chosen(found, pool, options.duration_s)
-    total = found.of[chosen].sum(axis=0)
-    told = [found.surely(total, k) for k in (0, 1)]
-    separation = EffectSeparation(
-        between=[effect.name for effect in effects],
-        joint=None if joint is None else belief.robot.joint_names[joint],
-        size=found.size,
-        distance=float(np.sqrt(min(np.median(one.left) for one in told))),
-        power=min(float(one.power) for one in told),
-        seconds_needed=_needed(told, seconds),
-        imitated=max(one.imitated for one in told),
-        powers=[float(one.power) for one in told],
-        imitations=[one.imitated for one in told],
-        special_case=next((x.name for x, y in zip(effects, found.open, strict=True) if y), None),
-    )
+    where = None if joint is None else belief.robot.joint_names[joint]
+    separation = _described(found, chosen, seconds, [x.name for x in effects], where, nested)
     moves = [
-        msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}", stage="discriminate")
+        msgspec.structs.replace(pool[k], name=f"discriminate_{i:02d}")
         for i, k in enumerate(chosen, start=1)
     ]
     notes = [
@@ -83,7 +75,7 @@ def plan_discriminate(
         for one, power in zip(effects, separation.powers, strict=True)
         if power < ENOUGH
     ]
-    return Planned(moves, PlannedStage(duration_s=seconds, separation=separation, notes=notes))
+    return Planned(moves, PlannedStage(separation=separation, notes=notes))
 
 
 def asked(robot: Robot, options: PlanOptions) -> tuple[tuple[Effect, Effect], int | None]:
@@ -182,17 +174,33 @@ def _chosen(
         total, spent = total + found.of[best], spent + float(seconds[best])
 
 
-def _needed(told: Sequence[Told], seconds: float, *, power: float = 0.95) -> float | None:
-    """Seconds of such moves for a power; None where no length of them is enough."""
-    for factor in np.geomspace(0.01, 1e4, 61):
-        if min(float(one.longer(factor).power) for one in told) >= power:
-            return float(seconds * factor)
-    return None
-
-
-def _size(belief: Belief, joint: int | None, share: float) -> float:
-    """Root mean square torque N m of an effect of the usual size."""
-    moves = typical(belief, seed=0)
-    torque = belief.torque(moves, belief.regressor(moves), sigmas=0.0)
-    which = slice(None) if joint is None else slice(joint, joint + 1)
-    return share * float(np.sqrt(np.mean(torque[..., which] ** 2)))
+def _described(
+    found: Separation,
+    chosen: Sequence[int],
+    seconds: float,
+    between: list[str],
+    joint: str | None,
+    nested: Sequence[str],
+    *,
+    power: float = 0.95,
+) -> EffectSeparation:
+    """How well chosen moves tell the effects apart; seconds of such moves for a power."""
+    told = [found.surely(found.of[chosen].sum(axis=0), k) for k in (0, 1)]
+    powers, imitations = [float(x.power) for x in told], [x.imitated for x in told]
+    longer = (
+        float(seconds * factor)
+        for factor in np.geomspace(0.01, 1e4, 61)
+        if min(float(one.longer(factor).power) for one in told) >= power
+    )
+    return EffectSeparation(
+        between=between,
+        joint=joint,
+        size=found.size,
+        distance=float(np.sqrt(min(np.median(one.left) for one in told))),
+        power=min(powers),
+        seconds_needed=next(longer, None),
+        imitated=max(imitations),
+        powers=powers,
+        imitations=imitations,
+        special_case=nested[0] if nested else None,
+    )

@@ -1,38 +1,89 @@
-"""Two effects between which a motion is to decide: settings that count, and what may be true."""
+"""Two effects between which a motion is to decide: their columns beside those of the model.
+
+Columns of a data set: the rigid base parameters, friction of the joints that either effect touches
+(that of others tells nothing), then those of both effects at every setting.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from seqid_cli.discover.select.naming import TEMPER
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.scene import Scene
-from seqid_cli.typing import Array
+from seqid_cli.plan.belief import Belief
+from seqid_cli.plan.stages.goal import Goal
+from seqid_cli.robot.base_parameters import base_regressor
+from seqid_cli.typing import Array, Index
+
+
+@dataclass(frozen=True)
+class Slot:
+    """An effect at one setting: where its columns stand behind the base, bounds of coefficients."""
+
+    effect: Effect
+    setting: dict[str, float]
+    at: slice
+    low: Array  # (k,)
+    high: Array
+
+    def fits(self, c: Array) -> Array:
+        """Whether coefficients (..., k) are within them."""
+        return np.asarray(((c >= self.low) & (c <= self.high)).all(axis=-1))
 
 
 @dataclass(frozen=True)
 class Question:
     """Two effects at a joint (None: of the whole arm), each with the settings that are tried.
 
-    The first ones of `settings` are true in turn, `true` many; a rival may have any.
+    The first of each effect's `slots` are true in turn, `true` many; a rival may have any. `base`
+    columns stand before them, those of `friction` by joint, the rigid ones first. `prior` (K, K) is
+    what is known of them beforehand, part by part.
     """
 
-    effects: tuple[Effect, Effect]
     joint: int | None
-    settings: tuple[Sequence[dict[str, float]], Sequence[dict[str, float]]]
+    slots: tuple[list[Slot], list[Slot]]
     true: tuple[int, int]
+    friction: list[slice]
+    base: int
+    prior: Array
 
     @classmethod
     def of(
-        cls, effects: tuple[Effect, Effect], joint: int | None, scenes: Sequence[Scene]
+        cls,
+        belief: Belief,
+        effects: tuple[Effect, Effect],
+        joint: int | None,
+        scenes: Sequence[Scene],
     ) -> Question:
         """Take settings from the grids over some data sets, and what is reached of them."""
-        first, second = (_settings(effect, joint, scenes) for effect in effects)
-        settings = [*first[0], *first[1]], [*second[0], *second[1]]
-        return cls(effects, joint, settings, (len(first[0]), len(second[0])))
+        slots: tuple[list[Slot], list[Slot]] = ([], [])
+        many, start = [], 0
+        for effect, own in zip(effects, slots, strict=True):
+            true, reached = _settings(effect, joint, scenes)
+            many.append(len(true))
+            for setting in (*true, *reached):
+                specs = effect.coefficients(setting)
+                bounds = np.array([x.low for x in specs]), np.array([x.high for x in specs])
+                own.append(Slot(effect, setting, slice(start, start + len(specs)), *bounds))
+                start += len(specs)
+        first = scenes[0]
+        touched = {
+            j for x in (*slots[0], *slots[1]) for j in x.effect.columns(first, joint, x.setting)
+        }
+        known = [
+            _friction(belief, first, j)[1] if j in touched else np.zeros((0, 0))
+            for j in range(belief.robot.n)
+        ]
+        ends = belief.basis.size + np.cumsum([0, *map(len, known)])
+        rigid = _known(belief.root @ belief.root.T, Goal.of(belief, 0).scale ** 2)
+        parts = [rigid, *(x for x in known if len(x)), np.zeros((start, start))]
+        friction = [slice(int(a), int(b)) for a, b in pairwise(ends)]
+        return cls(joint, slots, (many[0], many[1]), friction, int(ends[-1]), block_diag(*parts))
 
 
 def _settings(
@@ -56,73 +107,61 @@ def _settings(
 
 
 @dataclass(frozen=True)
-class Slot:
-    """Where the columns of an effect at one setting stand, and the bounds of coefficients (k,)."""
+class Gram:
+    """Sums over a data set: of weighted columns (K, K), with the residual (K,), unweighted ones.
 
-    at: slice
-    low: Array
-    high: Array
-
-    def fits(self, c: Array) -> Array:
-        """Whether coefficients (..., k) are within them."""
-        return np.asarray(((c >= self.low) & (c <= self.high)).all(axis=-1))
-
-
-Reading = list[tuple[Slot, Array]]  # settings with coefficients (D, k) that may be true
-
-
-def without_base(G: Array, moment: Array, base: int) -> Array:
-    """What the base leaves of the effects' products with the residual (k,)."""
-    return np.asarray(
-        moment[base:] - G[base:, :base] @ np.linalg.solve(G[:base, :base], moment[:base])
-    )
-
-
-def seen(slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64) -> Reading:
-    """Settings as likely as logs make them, with coefficients (D, k) of their errors.
-
-    `E` (k, k) are the products of the effects' columns, base eliminated, `moment` (k,) those with
-    the residual. Likelihoods are tempered as those of names are, as the law is not exactly right.
+    `squares` (k, k) is of the effects' columns at the joint in question.
     """
-    rng = np.random.default_rng(0)
-    fits = [_fit(E[one.at, one.at], moment[one.at]) for one in slots]
-    gains = np.array(
-        [gain if one.fits(c) else 0.0 for one, (c, _, gain) in zip(slots, fits, strict=True)]
-    )
-    scale = max(TEMPER * float(gains.max()), 1.0)
-    chance = np.exp((gains - gains.max()) / scale)
-    counts = rng.multinomial(draws, chance / chance.sum())
-    found = []
-    for one, (c, root, _), count in zip(slots, fits, counts, strict=True):
-        if count:
-            drawn = c + np.sqrt(scale) * rng.normal(size=(count, len(c))) @ root.T
-            found.append((one, np.clip(drawn, one.low, one.high)))
-    return found
+
+    gram: Array
+    moment: Array
+    squares: Array
 
 
-def _fit(S: Array, moment: Array) -> tuple[Array, Array, float]:
-    """Coefficients (k,), a root (k, k) of their covariance, and the gain."""
-    values, vectors = np.linalg.eigh(S + 1e-9 * np.trace(S) * np.eye(len(S)) + 1e-12)
-    root = vectors / np.sqrt(np.maximum(values, 1e-300))
-    white = root.T @ moment
-    return root @ white, root, float(white @ white / 2.0)
+def gram_of(belief: Belief, question: Question, scene: Scene) -> Gram:
+    """Sum up the samples at which joints slide, weighted by the noise."""
+    K, b = len(question.prior), question.base
+    gram, moment, squares = np.zeros((K, K)), np.zeros(K), np.zeros((K, K))
+    tau = scene.motion.tau
+    left = np.zeros(scene.sign.shape) if tau is None else tau - scene.modelled_filtered
+    for j, (index, X) in enumerate(_rows(belief, question, scene)):
+        if question.joint in (None, j):
+            squares[np.ix_(index, index)] += X.T @ X
+        weight = np.sqrt(belief.density[j] * scene.slides[:, j] / scene.motion.rate_hz)
+        X *= weight[:, None]
+        gram[np.ix_(index, index)] += X.T @ X
+        moment[index] += X.T @ (weight * left[:, j])
+    return Gram(gram, moment, squares[b:, b:])
 
 
-def size_of(true: Reading, squares: Array) -> float:
-    """Root mean square torque N m, median over what may be true."""
-    every = [square_of(squares[one.at, one.at], c) for one, c in true]
-    return float(np.sqrt(np.median(np.concatenate(every))))
+def _rows(belief: Belief, question: Question, scene: Scene) -> Iterator[tuple[Index, Array]]:
+    """Columns (N, k) of each joint, and where they stand (k,)."""
+    motion, rigid = scene.motion, belief.basis.size
+    H = base_regressor(belief.robot, belief.basis, motion.q, motion.dq, motion.ddq)
+    slots = [*question.slots[0], *question.slots[1]]
+    made = [x.effect.columns(scene, question.joint, x.setting) for x in slots]
+    for j, part in enumerate(question.friction):
+        places, columns = [np.arange(rigid)], [H[:, j]]
+        if part.stop > part.start:
+            places.append(np.arange(part.start, part.stop))
+            columns.append(_friction(belief, scene, j)[0])
+        for slot, own in zip(slots, made, strict=True):
+            if j in own:
+                places.append(question.base + np.arange(slot.at.start, slot.at.stop))
+                columns.append(motion.filtered(own[j]))
+        yield np.concatenate(places), np.hstack(columns)
 
 
-def drawn_of(slot: Slot, square: Array, size: float, *, draws: int = 24) -> Array:
-    """Coefficients (D, k) of this root mean square torque, every one of as much beforehand."""
-    k = len(square)
-    drawn = np.random.default_rng(0).normal(size=(draws, k)) if k > 1 else np.array([[1.0], [-1.0]])
-    c = np.unique(np.where(slot.low >= 0.0, np.abs(drawn), drawn), axis=0)
-    c /= np.sqrt(np.maximum(np.diag(square), 1e-300))
-    return np.asarray(size * c / np.sqrt(np.maximum(square_of(square, c), 1e-300))[:, None])
+def _friction(belief: Belief, scene: Scene, j: int) -> tuple[Array, Array]:
+    """Columns (N, k) of a joint's friction, and what is known of their coefficients (k, k)."""
+    motion, surface = scene.motion, belief.surfaces[j]
+    if surface is None:
+        return np.stack([scene.sign[:, j], motion.dq[:, j]], axis=1), np.zeros((2, 2))
+    columns = surface.columns(motion.q[:, j], motion.dq[:, j])
+    return columns, _known(surface.covariance, np.mean(columns**2, axis=0))
 
 
-def square_of(S: Array, c: Array) -> Array:
-    """C' S c (..., D) of coefficients c (D, k)."""
-    return np.asarray(np.sum((S @ c.T) * c.T, axis=-2))
+def _known(covariance: Array, square: Array) -> Array:
+    """Inverse of a covariance; a column of mean square 1 has a doubt of 1e-3 at least."""
+    floor = 1e-6 / np.maximum(square, 1e-12 * square.max(initial=1e-300))
+    return np.asarray(np.linalg.inv(covariance + np.diag(floor)))

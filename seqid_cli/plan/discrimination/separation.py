@@ -30,8 +30,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
-from itertools import chain
 
 import numpy as np
 from scipy.special import ndtr
@@ -45,22 +43,14 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.params.results.plan import PlannedMove
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import NOISE_HZ, Belief
-from seqid_cli.plan.discrimination.columns import Layout, gram_of
-from seqid_cli.plan.discrimination.question import (
-    Question,
-    Reading,
-    Slot,
-    drawn_of,
-    seen,
-    size_of,
-    square_of,
-    without_base,
-)
+from seqid_cli.plan.discrimination.question import Question, Slot, gram_of
 from seqid_cli.plan.moves.trajectories import RATE_HZ, sampled
 from seqid_cli.typing import Array
 
 BEHIND = float(np.log(1.0 / SELDOM - 1.0))  # tempered gain by which a rival is not told
 NESTED = 0.999  # share that the rival imitates on all moves of the pool, from which it always does
+
+Reading = list[tuple[Slot, Array]]  # settings with coefficients (D, k) that may be true
 
 
 @dataclass(frozen=True)
@@ -102,15 +92,14 @@ class Told:
 
 @dataclass(frozen=True)
 class Separation:
-    """Gram matrices of moves: `of` (M, K, K) of both effects' columns, the base eliminated last.
+    """Gram matrices of moves, `of` (M, K, K), columns as of the question.
 
-    Columns are base (`base` many), then those of each setting in `slots`, by effect. `true` are the
-    readings of each effect, `size` N m the root mean square torque of what may be true.
+    `prior` (K, K) is what is known beforehand, logs with it. `true` are the readings of each
+    effect, `size` N m the root mean square torque of what may be true.
     """
 
-    base: int
-    slots: tuple[list[Slot], list[Slot]]
-    prior: Array  # (K, K)
+    question: Question
+    prior: Array
     of: Array
     true: tuple[list[Reading], list[Reading]]
     size: float
@@ -120,7 +109,7 @@ class Separation:
 
         The ridge, of columns of unit length, is for parts of the base that no move shows.
         """
-        G, b = total + self.prior, self.base
+        G, b = total + self.prior, self.question.base
         size = np.sqrt(np.maximum(np.diagonal(G, axis1=-2, axis2=-1)[..., :b], 1e-300))[..., None]
         base = G[..., :b, :b] / size / np.swapaxes(size, -1, -2) + ridge * np.eye(b)
         gain = np.linalg.solve(base, G[..., :b, b:] / size) / size
@@ -128,8 +117,8 @@ class Separation:
 
     def told(self, total: Array, true: int) -> Told:
         """Of one of the effects being the true one, on moves of this Gram matrix (..., K, K)."""
-        E = self.effects(total)
-        return self._of(E, list(chain(*self.true[true])), true)
+        readings = [pair for reading in self.true[true] for pair in reading]
+        return self._of(self.effects(total), readings, true)
 
     def surely(self, total: Array, true: int) -> Told:
         """The same of the reading with the smallest chance, on moves of one matrix (K, K)."""
@@ -138,29 +127,27 @@ class Separation:
         return min(every, key=lambda told: float(told.power))
 
     def _of(self, E: Array, reading: Reading, true: int) -> Told:
-        found = [self._against(E, a.at, c, self.slots[1 - true]) for a, c in reading]
-        return Told(*(np.concatenate(parts, axis=-1) for parts in zip(*found, strict=True)))
+        """G and T (..., D) of coefficients with rivals at all of their settings."""
+        gains, lefts = [], []
+        for slot, c in reading:
+            own = left = square_of(E[..., slot.at, slot.at], c)
+            for rival in self.question.slots[1 - true]:
+                S = E[..., rival.at, rival.at]
+                ridge = 1e-9 * np.trace(S, axis1=-2, axis2=-1)[..., None, None] + 1e-12
+                right = E[..., rival.at, slot.at] @ c.T
+                fitted = np.linalg.solve(S + ridge * np.eye(S.shape[-1]), right)
+                rest = own - np.sum(right * fitted, axis=-2)
+                fits = rival.fits(np.swapaxes(fitted, -1, -2))
+                left = np.where(fits, np.minimum(left, rest), left)
+            gains.append(own / 2.0)
+            lefts.append(np.maximum(left, 0.0))
+        return Told(np.concatenate(gains, axis=-1), np.concatenate(lefts, axis=-1))
 
-    def _against(self, E: Array, a: slice, c: Array, rivals: Sequence[Slot]) -> tuple[Array, Array]:
-        """G and T (..., D) of coefficients c (D, k) with rivals at all of their settings."""
-        own = square_of(E[..., a, a], c)
-        left = own
-        for b in rivals:
-            S = E[..., b.at, b.at]
-            ridge = 1e-9 * np.trace(S, axis1=-2, axis2=-1)[..., None, None] + 1e-12
-            right = E[..., b.at, a] @ c.T
-            fitted = np.linalg.solve(S + ridge * np.eye(S.shape[-1]), right)
-            rest = own - np.sum(right * fitted, axis=-2)
-            left = np.where(b.fits(np.swapaxes(fitted, -1, -2)), np.minimum(left, rest), left)
-        return own / 2.0, np.maximum(left, 0.0)
-
-    @cached_property
-    def open(self) -> tuple[bool, bool]:
+    def open(self) -> list[bool]:
         """Whether not even all moves of the pool together show what an effect has of its own."""
         total = self.of.sum(axis=0)
         found = [self.told(total, true) for true in (0, 1)]
-        first, second = (x.left.mean() < (1 - NESTED) * 2.0 * x.gain.mean() for x in found)
-        return bool(first), bool(second)
+        return [bool(x.left.mean() < (1 - NESTED) * 2.0 * x.gain.mean()) for x in found]
 
     def value(self, total: Array) -> Array:
         """Merit (...) of moves: mean over what may be true, of both effects."""
@@ -172,7 +159,7 @@ def scenes_of(belief: Belief, stages: Stages, moves: Sequence[PlannedMove]) -> l
     model = TorqueModel.from_stages(stages, belief.robot)
     width = sign_widths(model, belief.limits.speed)
     n = belief.robot.n
-    cutoff = Cutoff(NOISE_HZ, np.zeros(n), 0.0, False, np.zeros(n))
+    cutoff = Cutoff(NOISE_HZ, np.zeros(n), np.zeros(n))
     scenes = []
     for number, move in enumerate(moves):
         t, q, dq, ddq = sampled(move, belief.robot.joint_names, RATE_HZ)
@@ -197,24 +184,69 @@ def separation_of(
 
     True effects have a root mean square torque of `size` N m, or what the logs say of it.
     """
-    layout = Layout.of(belief, question, scenes[0])
-    planned = [gram_of(belief, question, scene, layout) for scene in scenes]
-    logged = [gram_of(belief, question, scene, layout) for scene in have]
+    planned = [gram_of(belief, question, scene) for scene in scenes]
+    logged = [gram_of(belief, question, scene) for scene in have]
     squares = np.sum([one.squares for one in (*planned, *logged)], axis=0)
     squares /= sum(x.samples for x in (*scenes, *have))
-    known = np.sum([layout.prior, *(one.gram for one in logged)], axis=0)
-    first = len(question.settings[0])
-    slots = layout.slots[:first], layout.slots[first:]
-    found = Separation(
-        layout.base, slots, known, np.stack([one.gram for one in planned]), ([], []), size
-    )
+    known = np.sum([question.prior, *(one.gram for one in logged)], axis=0)
+    of = np.stack([one.gram for one in planned])
     readings: tuple[list[Reading], list[Reading]] = ([], [])
+    found = Separation(question, known, of, readings, size)
     if logged:
-        moment = without_base(known, np.sum([one.moment for one in logged], axis=0), layout.base)
+        b, moment = question.base, np.sum([one.moment for one in logged], axis=0)
+        moment = moment[b:] - known[b:, :b] @ np.linalg.solve(known[:b, :b], moment[:b])
         E = found.effects(np.zeros_like(known))
-        for own, reading in zip(slots, readings, strict=True):
-            reading.append(seen(own, E, moment))
-        size = max(size_of(one, squares) for (one,) in readings)
-    for own, many, reading in zip(slots, question.true, readings, strict=True):
-        reading.append([(x, drawn_of(x, squares[x.at, x.at], size)) for x in own[:many]])
-    return replace(found, true=readings, size=size)
+        for own, reading in zip(question.slots, readings, strict=True):
+            reading.append(_seen(own, E, moment))
+        sizes = [
+            np.concatenate([square_of(squares[x.at, x.at], c) for x, c in one])
+            for (one,) in readings
+        ]
+        size = max(float(np.sqrt(np.median(one))) for one in sizes)
+    for own, many, reading in zip(question.slots, question.true, readings, strict=True):
+        reading.append([(x, _drawn(x, squares[x.at, x.at], size)) for x in own[:many]])
+    return replace(found, size=size)
+
+
+def _seen(slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64) -> Reading:
+    """Settings as likely as logs make them, with coefficients (D, k) of their errors.
+
+    `E` (k, k) are the products of the effects' columns, base eliminated, `moment` (k,) those with
+    the residual. Likelihoods are tempered as those of names are, as the law is not exactly right.
+    """
+    rng = np.random.default_rng(0)
+    fits = [_fit(E[one.at, one.at], moment[one.at]) for one in slots]
+    gains = np.array(
+        [gain if one.fits(c) else 0.0 for one, (c, _, gain) in zip(slots, fits, strict=True)]
+    )
+    scale = max(TEMPER * float(gains.max()), 1.0)
+    chance = np.exp((gains - gains.max()) / scale)
+    counts = rng.multinomial(draws, chance / chance.sum())
+    found = []
+    for one, (c, root, _), count in zip(slots, fits, counts, strict=True):
+        if count:
+            drawn = c + np.sqrt(scale) * rng.normal(size=(count, len(c))) @ root.T
+            found.append((one, np.clip(drawn, one.low, one.high)))
+    return found
+
+
+def _fit(S: Array, moment: Array) -> tuple[Array, Array, float]:
+    """Coefficients (k,), a root (k, k) of their covariance, and the gain."""
+    values, vectors = np.linalg.eigh(S + 1e-9 * np.trace(S) * np.eye(len(S)) + 1e-12)
+    root = vectors / np.sqrt(np.maximum(values, 1e-300))
+    white = root.T @ moment
+    return root @ white, root, float(white @ white / 2.0)
+
+
+def _drawn(slot: Slot, square: Array, size: float, *, draws: int = 24) -> Array:
+    """Coefficients (D, k) of this root mean square torque, every one of as much beforehand."""
+    k = len(square)
+    drawn = np.random.default_rng(0).normal(size=(draws, k)) if k > 1 else np.array([[1.0], [-1.0]])
+    c = np.unique(np.where(slot.low >= 0.0, np.abs(drawn), drawn), axis=0)
+    c /= np.sqrt(np.maximum(np.diag(square), 1e-300))
+    return np.asarray(size * c / np.sqrt(np.maximum(square_of(square, c), 1e-300))[:, None])
+
+
+def square_of(S: Array, c: Array) -> Array:
+    """C' S c (..., D) of coefficients c (D, k)."""
+    return np.asarray(np.sum((S @ c.T) * c.T, axis=-2))

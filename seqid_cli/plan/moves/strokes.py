@@ -4,12 +4,13 @@ A stroke gets up to its speed v and back to rest in cosine ramps, v (1 - cos(pi 
 length r = pi v / (2 a) at which their largest acceleration is a.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from seqid_cli.errors import ConfigError
+from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.params.results.plan import PlannedMove, Stroke
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.limits import Limits
@@ -25,11 +26,12 @@ def top_speed(limits: Limits, j: int, span: float, *, steady: float = 0.5) -> fl
     return float(min(limits.speed[j], np.sqrt(2.0 * limits.acceleration[j] * ramps / np.pi)))
 
 
-def reduced_accelerations(belief: Belief, *, max_halvings: int = 4) -> Iterator[Belief]:
+def gentler(belief: Belief, *, max_halvings: int = 4) -> list[Belief]:
     """The same with accelerations halved, again and again, for loads that leave no more."""
-    for halvings in range(max_halvings + 1):
-        acceleration = belief.limits.acceleration / 2.0**halvings
-        yield replace(belief, limits=replace(belief.limits, acceleration=acceleration))
+    return [
+        replace(belief, limits=replace(belief.limits, acceleration=own))
+        for own in (belief.limits.acceleration / 2.0**k for k in range(max_halvings + 1))
+    ]
 
 
 def lifted(
@@ -39,7 +41,7 @@ def lifted(
 
     With them come the speed of the sweep and its largest torques over their limits (P,).
     """
-    for reduced in reduced_accelerations(belief):
+    for reduced in gentler(belief):
         speed = top_speed(reduced.limits, j, span)
         load = overloads(reduced, j, postures, speed)
         if np.sum(load <= 1.0) >= needed:
@@ -88,7 +90,6 @@ def stroke_move(
     ]
     start = posture.copy()
     start[j] = ends[0]
-    share = float(overloads(belief, j, posture[None], max(speeds))[0])
     return PlannedMove(
         name=name,
         stage="",
@@ -96,17 +97,28 @@ def stroke_move(
         duration_s=seconds_of(strokes),
         start={name: float(x) for name, x in zip(names, start, strict=True)},
         strokes=strokes,
-        torque_share=share if belief.checks_torque else None,
     )
 
 
 def reachable(
-    belief: Belief, j: int, postures: Array, share: float, widest: float
+    belief: Belief, j: int, postures: Array, share: float, widest: float, *, points: int = 60
 ) -> tuple[Array, Array]:
-    """Postures (P, n) in which joint j sweeps almost as far as in any, and the ends (P, 2) rad."""
+    """Postures (P, n) in which joint j sweeps almost as far as in any, and the ends (P, 2) rad.
+
+    It sweeps the longest part of its range that touches nothing, within a `share` of the range.
+    """
     limits = belief.limits
-    middle, half = (limits.lower[j] + limits.upper[j]) / 2, share * limits.range[j] / 2
-    ends = np.array([belief.free_span(j, posture) for posture in postures])
+    low, high = limits.lower[j], limits.upper[j]
+    middle, half = (low + high) / 2, share * limits.range[j] / 2
+    ends = np.tile([low, high], (len(postures), 1))
+    if belief.geometry is not None:
+        places = np.linspace(low, high, points)
+        for end, posture in zip(ends, postures, strict=True):
+            q = np.tile(posture, (points, 1))
+            q[:, j] = places
+            free = runs(~belief.geometry.collides(q), points)
+            first, stop = max(free, key=lambda run: run[1] - run[0], default=(0, 1))
+            end[:] = places[first], places[stop - 1]
     ends = np.clip(ends, middle - half, middle + half)
     width = np.diff(ends)[:, 0]
     if width.max() <= 0.0:

@@ -141,5 +141,4 @@ def predicted_stage(
         condition=condition,
         not_excited=[parameters[k].expression for k in about if vague[k]],
         growth=growth,
-        duration_s=seconds * len(each),
     )

@@ -42,8 +42,7 @@ def plan_validation(
     rng = np.random.default_rng(own.seed)
     drawn, _ = draw_pool(belief, goal, shapes, [tuple(belief.limits.moving)], 10 * count, rng)
     check_torque(belief, drawn, own)
-    moves, _ = within_limits(belief, drawn[:count], own, "validation")
-    return Planned(moves, PlannedStage(duration_s=own.length_s * len(moves)))
+    return Planned(within_limits(belief, drawn[:count], own, "validation")[0], PlannedStage())
 
 
 def rigid_stage(

@@ -46,13 +46,6 @@ class LoadedBelief(Belief):
         """Information (M, 10 + 2 n, 10 + 2 n) on the unknowns."""
         return super().information(moves, self.wide(moves, H))
 
-    def passed_on(self, moves: Moves, C: Array) -> Array:
-        """Covariance (k, k) by the model's own parameters, `root`, given the noise's alone."""
-        H = self.regressor(moves)
-        parts = (self.wide(moves, H), self.weights(moves), H)
-        moved = C @ np.einsum("mnjk,mnj,mnjb->kb", *parts, optimize=True) @ self.root
-        return np.asarray(moved @ moved.T)
-
 
 def loaded(belief: Belief, mass: float, *, lever: float = 0.1) -> LoadedBelief:
     """Put a body of `mass` kg at the flange, its centre within some `lever` m of the last joint."""
@@ -79,8 +72,11 @@ def plan_payload(belief: Belief, stages: Stages, options: PlanOptions) -> Planne
     goal = replace(goal, W=W)
     nothing = np.zeros_like(W)
     moves, dense, each = optimised(whole, goal, options, nothing, "payload")
-    C = goal.covariance(each.sum(axis=0))
-    errors = np.sqrt(np.diag(C + loaded(belief, 0.0).passed_on(dense, C)))
+    C, H, empty = goal.covariance(each.sum(axis=0)), belief.regressor(dense), loaded(belief, 0.0)
+    # By the model's own parameters, given the noise's alone.
+    parts = (empty.wide(dense, H), empty.weights(dense), H)
+    moved = C @ np.einsum("mnjk,mnj,mnjb->kb", *parts, optimize=True) @ empty.root
+    errors = np.sqrt(np.diag(C) + np.sum(moved**2, axis=1))
     parameters = [
         PredictedParameter(
             name=f"payload_{kind}",

@@ -234,12 +234,12 @@ def within_limits(
     sampled.
     """
     shapes, drawn = Shapes.over(options.length_s, dense_hz), drawn.copy()
-    where, shares = np.arange(len(drawn)), np.zeros(len(drawn))
+    where = np.arange(len(drawn))
     for _ in range(most + 1):
         moves = shapes.moves(drawn, belief.limits)
         own = moves[where]
-        shares[where] = [belief.overload(x, belief.regressor(x))[0] for x in own.singly()]
-        where = where[(shares[where] > 1.0) | belief.collides(own.every(4).q)]
+        loads = [belief.overload(x, belief.regressor(x))[0] for x in own.singly()]
+        where = where[(np.array(loads) > 1.0) | belief.collides(own.every(4).q)]
         if not len(where):
             break
         drawn[where, :, EXTENT] *= 1.0 - (1.0 - REDUCTION) / 10
@@ -263,12 +263,11 @@ def within_limits(
         found.append(
             PlannedMove(
                 name=f"{stage}_{number:02d}_{'__'.join(joints) if len(joints) < 3 else 'all'}",
-                stage=stage,
+                stage="",
                 joints=joints,
                 duration_s=options.length_s,
                 start={name: float(x) for name, x in zip(names, moves.q[k, 0], strict=True)},
                 fourier={names[j]: fourier(k, j) for j in moving},
-                torque_share=float(shares[k]) if belief.checks_torque else None,
             )
         )
     return found, moves[kept]

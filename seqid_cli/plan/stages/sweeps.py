@@ -25,11 +25,11 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.plan.moves.strokes import (
+    gentler,
     lifted,
     overloads,
     postures_of,
     reachable,
-    reduced_accelerations,
     seconds_of,
     stroke_move,
     sweeps,
@@ -64,7 +64,7 @@ def plan_friction(
         moves.append(stroke_move(reduced, f"friction_{name}", j, posture, ends, speeds))
         fastest = seconds_of(moves[-1].strokes[-2:])
         errors[name] = float(1.0 / np.sqrt(belief.density[j] * fastest))
-    return _planned("friction", moves, PlannedStage(torque_error=errors))
+    return Planned(moves, PlannedStage(torque_error=errors))
 
 
 def lightest_posture(
@@ -99,15 +99,6 @@ def lightest_posture(
     raise ConfigError(message, where=str(belief.robot.source), hint=hint)
 
 
-def _planned(
-    stage: str, moves: list[PlannedMove], result: PlannedStage, information: Array | None = None
-) -> Planned:
-    """The moves under the name of their stage, and how long they take."""
-    own = [msgspec.structs.replace(move, stage=stage) for move in moves]
-    seconds = sum(move.duration_s for move in moves)
-    return Planned(own, msgspec.structs.replace(result, duration_s=seconds), information)
-
-
 @dataclass(frozen=True)
 class _Sweeps:
     """All sweeps of the pool, M of them, `ends` rad, with their scaled information."""
@@ -129,7 +120,7 @@ def plan_gravity(
         return Planned([], PlannedStage(rank=0, structural_rank=0, notes=[note]))
     fresh = replace(belief, prior=np.zeros_like(belief.prior))
     goal = Goal.of(fresh, options.seed)
-    *_, slow = reduced_accelerations(fresh)  # slow sweeps need no more
+    slow = gentler(fresh)[-1]  # slow sweeps need no more
     pool = _pool(slow, goal, np.random.default_rng(options.seed))
     nothing = np.zeros_like(goal.W)
     count = per_joint * len(np.unique(pool.joint))
@@ -147,8 +138,7 @@ def plan_gravity(
     states, each = pool.moves[np.array(chosen)], pool.information[chosen]
     stage = rigid_stage(fresh, goal, without, states, each, nothing, wanted=wanted)
     stage.growth = []
-    information = each.sum(axis=0) * np.outer(goal.scale, goal.scale)
-    return _planned("gravity", moves, stage, information)
+    return Planned(moves, stage, each.sum(axis=0) * np.outer(goal.scale, goal.scale))
 
 
 def _pool(
@@ -223,7 +213,11 @@ def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planne
         hint = "Correct effort in the URDF, or narrow position_limits in the robot file."
         raise ConfigError(message, where=str(robot.source), hint=hint)
     postures, ends = drawn[fit], ends[fit]
-    directions = _directions(belief, first, postures)
+    frames = forward(robot.chain, postures)
+    links = [imu.after_joint for imu in robot.imus]
+    # The first joint's axis in the frame of each IMU's link (I, P, 3).
+    seen = [np.einsum("pab,pa->pb", frames.R[:, i], frames.z[:, first]) for i in links]
+    directions = np.array(seen)
     chosen = [0]  # the middle
     while len(chosen) < POSTURES:
         others = [k for k in range(len(postures)) if k not in chosen]
@@ -232,8 +226,8 @@ def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planne
     moves = [
         _swing(reduced, first, postures[k], ends[k], f"_{i}") for i, k in enumerate(chosen, start=1)
     ]
-    last = max(imu.after_joint for imu in robot.imus)  # no IMU rides behind later joints
-    for j in (j for j in belief.limits.moving[1:] if j <= last):
+    # No IMU rides behind later joints.
+    for j in (j for j in belief.limits.moving[1:] if j <= max(links)):
         own, posture, span = lightest_posture(belief, j, rng, share=SPAN)
         moves.append(_swing(own, j, posture, np.array(span)))
     shares = _least_information(directions[:, chosen]) / len(chosen)
@@ -242,15 +236,7 @@ def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planne
         f" {len(chosen)} directions at right angles to it"
         for imu, worst in zip(robot.imus, shares, strict=True)
     ]
-    return _planned("imu-calib", moves, PlannedStage(notes=notes))
-
-
-def _directions(belief: Belief, first: int, postures: Array) -> Array:
-    """The first joint's axis in the frame of each IMU's link (I, P, 3)."""
-    frames = forward(belief.robot.chain, postures)
-    links = [imu.after_joint for imu in belief.robot.imus]
-    seen = [np.einsum("pab,pa->pb", frames.R[:, i], frames.z[:, first]) for i in links]
-    return np.array(seen)
+    return Planned(moves, PlannedStage(notes=notes))
 
 
 def _least_information(directions: Array) -> Array:

@@ -37,7 +37,7 @@ def made_motion(q: Array, dq: Array, ddq: Array, lowpass: Lowpass, **further: An
         "moving": np.ones_like(q, dtype=bool),
         "usable": every,
         "valid": every,
-        "cutoff": Cutoff(lowpass.cutoff_hz, zeros, 0.0, True, zeros),
+        "cutoff": Cutoff(lowpass.cutoff_hz, zeros, zeros),
     }
     given = usual | further
     return Motion(q=q, dq=dq, ddq=ddq, rate_hz=lowpass.rate_hz, lowpass=lowpass, **given)

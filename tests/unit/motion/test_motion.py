@@ -145,7 +145,7 @@ def test_a_survey_in_parts_chooses_as_that_of_the_whole_log(
     moving = np.any(moving_mask(log.q, RATE, step), axis=0)
     np.testing.assert_array_equal(survey.moving(step), moving)
     expected, found = Survey.of(log.q, RATE).cutoff(known), survey.cutoff(known)
-    for name in ("hz", "bias", "encoder_step", "noise_density"):
+    for name in ("hz", "encoder_step", "noise_density"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9)
 
 

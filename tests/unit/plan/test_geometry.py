@@ -7,10 +7,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.params.schema import Stages
-from seqid_cli.plan.belief import belief_of
 from seqid_cli.plan.functions import plan
-from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.robot.file import load_robot
@@ -82,14 +79,6 @@ def test_no_planned_move_collides(arm: Robot, what: str) -> None:
         assert not found.collides(q).any()
     assert made.moves or what == "gravity"  # gravity loads no joint of this arm
     assert any("ways between moves" in note for note in made.notes)
-
-
-def test_a_span_ends_where_the_arm_folds_onto_itself(arm: Robot) -> None:
-    belief = belief_of(arm, Stages(), limits_of(arm, ramp_s=0.5))
-    assert belief.free_span(0, np.zeros(3)) == (belief.limits.lower[0], belief.limits.upper[0])
-    folded = replace(belief, geometry=geometry_of(arm, np.zeros((1, 3))))
-    low, high = folded.free_span(2, np.array([0.0, 2.6, 0.0]))
-    assert low < 0.0 < high < belief.limits.upper[2]
 
 
 def test_a_cell_without_room_and_an_arm_without_shapes_are_told(arm: Robot, tmp_path: Path) -> None:

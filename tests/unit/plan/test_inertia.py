@@ -56,14 +56,6 @@ def test_information_is_that_of_the_regressor(belief: Belief, goal: Goal, pool: 
     assert np.allclose(found, expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
 
 
-def test_no_move_of_a_pool_needs_too_much_torque(belief: Belief, goal: Goal) -> None:
-    tight = replace(belief, limits=replace(belief.limits, torque=TIGHT * belief.limits.torque))
-    shapes, groups = Shapes.over(SECONDS, COARSE_HZ), groups_of(belief.limits, together=True)
-    drawn, _ = draw_pool(tight, goal, shapes, groups, 40, np.random.default_rng(0))
-    assert 0 < len(drawn) < 40
-    assert assess(tight, goal, shapes.moves(drawn, tight.limits))[1].max() <= 1.0
-
-
 def test_greedy_choice_beats_every_one_of_a_thousand_random_sets(goal: Goal, pool: Pool) -> None:
     nothing = np.zeros_like(goal.W)
     chosen = choose(goal, pool[1], COUNT, nothing)
@@ -87,15 +79,6 @@ def test_refinement_lowers_the_error(belief: Belief, goal: Goal, pool: Pool) -> 
     assert overload.max() <= 1.0
     moved, before_it = (x[..., :COEFFICIENTS].any(axis=2) for x in (better, pool[0][chosen]))
     assert np.array_equal(moved, before_it)
-
-
-def test_what_is_there_already_changes_the_choice(goal: Goal, pool: Pool) -> None:
-    first = choose(goal, pool[1], COUNT, np.zeros_like(goal.W))
-    have = 10 * pool[1][first[:4]].sum(axis=0)
-    later = choose(goal, pool[1], 4, have)
-    with_new = float(goal.errors(have + pool[1][later].sum(axis=0)))
-    again = float(goal.errors(have + pool[1][first[:4]].sum(axis=0)))
-    assert with_new < again
 
 
 @pytest.mark.parametrize(
@@ -170,20 +153,3 @@ def test_a_planar_arm_names_what_stays_open() -> None:
     assert stage.rank == stage.structural_rank == 4
     assert set(stage.not_excited) >= {"payload_mz", "payload_Ixx"}
     assert {p.name for p in stage.parameters} == {f"payload_{k}" for k in ("m", "mx", "my", "Izz")}
-
-
-def test_predicted_errors_follow_the_noise() -> None:
-    robot = sample_robot("two_joint")
-    phi = np.tile([1.0, 0.1, 0.0, 0.0, 0.02, 0.0, 0.02, 0.0, 0.0, 0.02], (2, 1))
-    stages = Stages(inertia=inertia_stage(robot, phi, error=1e-9))
-    belief = belief_of(robot, stages, limits_of(robot, ramp_s=0.3))
-    noisy = replace(belief, density=belief.density / 4.0)
-    ratio = [
-        b.std_error / a.std_error
-        for a, b in zip(
-            plan_payload(belief, stages, OPTIONS).stage.parameters,
-            plan_payload(noisy, stages, OPTIONS).stage.parameters,
-            strict=True,
-        )
-    ]
-    assert ratio == pytest.approx([2.0] * 4, rel=0.02)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from seqid_cli.motion.filters.bandwidth import Cutoff, encoder_step
+from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.filters.survey import Survey
@@ -25,13 +25,6 @@ def motion(rng: np.random.Generator, seconds: float = 20.0, top_hz: float = 1.5)
     frequency = rng.uniform(0.1, top_hz, (8, 2))
     phase = rng.uniform(0, 2 * np.pi, (8, 2))
     return np.asarray(0.4 * np.sin(2 * np.pi * t[:, None, None] * frequency + phase).sum(axis=1))
-
-
-@pytest.mark.parametrize("counts", [600, 4096, 2**17])
-def test_the_step_of_a_quantised_position_is_found(counts: int) -> None:
-    step = 2 * np.pi / counts
-    q = quantise(motion(np.random.default_rng(0)), step)
-    np.testing.assert_allclose(encoder_step(q), step, rtol=0.01)
 
 
 def test_the_coarser_the_encoder_the_lower_the_cutoff() -> None:

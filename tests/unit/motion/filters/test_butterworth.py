@@ -88,17 +88,6 @@ def test_single_precision_stays_so_and_is_nearly_as_good(every: int) -> None:
     assert error < 1e-6 * np.abs(values).max()
 
 
-@pytest.mark.parametrize("cutoff_hz", [8.0, 40.0, 200.0])
-def test_what_lies_beyond_its_memory_does_not_matter(cutoff_hz: float) -> None:
-    lowpass = Lowpass(cutoff_hz, 1000.0)
-    reach = lowpass.memory
-    values = walk(4 * reach + 2000)
-    low, high = reach + 500, len(values) - reach - 700
-    part = lowpass(values[low - reach : high + reach])
-    error = np.abs(part[reach:-reach] - lowpass(values)[low:high]).max()
-    assert error < 1e-12 * np.abs(values).max()
-
-
 def test_a_cutoff_near_the_nyquist_rate_filters_nothing() -> None:
     values, lowpass = walk(300), Lowpass(49.0, 100.0)
     assert lowpass.memory == 0
@@ -144,25 +133,6 @@ def test_the_response_is_that_of_the_full_rate(every: int, per_cutoff: float) ->
     frequency = np.linspace(0.0, RATE / every / 2, 200)
     found = gain(Lowpass(cutoff, RATE / every, every), frequency)
     np.testing.assert_allclose(found, usual(cutoff, frequency, RATE), atol=4e-6)
-
-
-def test_filtering_and_thinning_commute() -> None:
-    """Terms of thinned motion, filtered, are those of the full motion, filtered and thinned."""
-    every, cutoff, rate = 20, 5.0, 1000.0
-    t = np.arange(40_000) / rate
-    values = np.stack([np.sin(9.0 * t), np.cos(25.0 * t + 1.0) + 0.3 * np.sin(31.0 * t)], axis=1)
-    full = Lowpass(cutoff, rate)(values)[::every]
-    thinned, other = (Lowpass(cutoff, rate / every, m)(values[::every]) for m in (every, 1))
-    inner = slice(150, -150)
-    np.testing.assert_allclose(thinned[inner], full[inner], atol=1e-5)
-    assert np.abs(other - full)[inner].max() > 1e-3  # another filter
-
-
-@pytest.mark.parametrize("length", range(1, 14))
-def test_short_runs_are_survived(length: int) -> None:
-    x = np.linspace(0.0, 1.0, length)[:, None] * np.array([1.0, 2.0])
-    assert Lowpass(10.0, RATE)(x).shape == x.shape
-    assert np.isfinite(differentiate(x, RATE)).all()
 
 
 @pytest.mark.parametrize("degree", range(9))

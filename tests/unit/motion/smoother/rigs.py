@@ -14,7 +14,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.smoother.chunk import Chunk, Jerk, encoder_view
 from seqid_cli.motion.smoother.imus import mounted_imus, read
 from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
-from seqid_cli.motion.smoother.solve import probed_variance, renewed
+from seqid_cli.motion.smoother.solve import interpolated, probed_variance, renewed
 from seqid_cli.motion.smoother.system import linearised
 from tests import Array
 from tests.plants.fused import GYRO_NOISE, Case, Rig, case
@@ -59,10 +59,15 @@ def alone(rig: Rig) -> Array:
     return error(rig, smoothed(rig, imus=False))
 
 
+def variance(got: Smoothed) -> Array:
+    """Stated variance (N, n, 3) of q, dq, ddq at every sample."""
+    return interpolated(np.arange(len(got.q)), got.places, got.variance)
+
+
 def coverage(rig: Rig, got: Smoothed | None = None) -> Array:
     """RMS (n,) of the acceleration's errors over their standard errors."""
     got = got or smoothed(rig)
-    return rms((got.ddq - recorded(rig).truth) / np.sqrt(got.variance[:, :, 2]))
+    return rms((got.ddq - recorded(rig).truth) / np.sqrt(variance(got)[:, :, 2]))
 
 
 def differentiated(c: Case) -> Array:
@@ -112,5 +117,5 @@ def bound(c: Case, rig: Rig) -> Array:
     q = truth.q - dt**2 * truth.ddq / 6
     coefficients = np.vstack([q[:1], q, q[-1:], q[-1:]])
     solution = renewed(chunk, coefficients, jerk, linearised(chunk, coefficients), "place")
-    variance = probed_variance(solution, solution)[1]
-    return np.asarray(np.sqrt(np.mean(variance[:, :, 2], axis=0)))
+    found = probed_variance(solution, solution)[1]
+    return np.asarray(np.sqrt(np.mean(found[:, :, 2], axis=0)))

@@ -27,6 +27,7 @@ from tests.unit.motion.smoother.rigs import (
     rms,
     scene,
     smoothed,
+    variance,
 )
 
 pytestmark = pytest.mark.slow
@@ -52,14 +53,9 @@ def test_both_sources_together_come_near_the_bound_with_the_error_stated(name: s
     assert (error(rig) < 1.3 * bound(s, rig)).all()
     got, truth = smoothed(rig), s.log.truth
     off = np.stack([got.q - truth.q, got.dq - truth.dq, got.ddq - truth.ddq], axis=2)
-    ratio = rms(off / np.sqrt(got.variance))
+    ratio = rms(off / np.sqrt(variance(got)))
     assert (ratio > 0.5).all()
     assert (ratio < 1.8).all()
-
-
-@pytest.mark.parametrize("name", RIGS)
-def test_the_place_of_each_imu_is_found(name: str) -> None:
-    s, got = scene(name), smoothed(RIGS[name])
     assert tuple(got.mounted) == tuple(imu.name for imu in s.plant.imus)
     known = slice(0, 3 if name == "six" else 2)  # turns about z do not show how far along z it is
     for imu in s.plant.imus:
@@ -117,27 +113,6 @@ def test_a_late_clock_is_found(joints: int, late: float) -> None:
     assert (error(off) < 0.1 * alone(right)).all()
 
 
-def test_the_offset_of_a_calibration_counts_where_the_log_tells_nothing() -> None:
-    c = recorded(Rig(1, COARSE, fault=Fault(delay_s=0.004)))
-    own = c.stage.imus["imu_a"]
-    known = ImuCalibration(
-        rotation=own.rotation,
-        std_error_deg=own.std_error_deg,
-        time_offset_s=0.004,
-        time_offset_std_error_s=1e-5,
-    )
-    noise = 0.03 * np.random.default_rng(0).standard_normal((len(c.truth), 12))
-    got = again(
-        replace(c, stage=ImuStage(imus={"imu_a": known})),
-        replace(c.robot, gravity=np.zeros(3)),
-        q=np.zeros_like(c.recording.q),
-        accelerometers={"imu_a": noise},
-    ).mounted["imu_a"]
-    assert got.delay == pytest.approx(0.004, abs=5e-4)
-    late = got.place.channels + 6
-    assert np.sqrt(np.linalg.inv(got.precision)[late, late]) > 3e-4
-
-
 def test_a_calibration_of_the_channels_is_used() -> None:
     """With everything known, a second of data is enough; unknown gains of 10 % are not."""
     rig = Rig(1, COARSE)
@@ -169,20 +144,14 @@ def test_clipped_readings_are_left_out() -> None:
     assert (error(rig) < 1.5 * error(Rig(2, COARSE))).all()
 
 
-def test_one_dead_channel_does_not_cost_the_array() -> None:
+def test_dead_channels_and_lost_positions_cost_little() -> None:
     rig = Rig(2, COARSE)
     c = recorded(rig)
-    values = c.recording.accelerometers["imu_b"].copy()
+    values, q = c.recording.accelerometers["imu_b"].copy(), c.recording.q.copy()
     values[1500:, 4] = values[1500, 4]
     got = again(c, accelerometers=c.recording.accelerometers | {"imu_b": values})
     assert tuple(got.mounted) == ("imu_a", "imu_b")
     assert (error(rig, got) < 1.3 * error(rig)).all()
-
-
-def test_positions_that_are_not_numbers_are_bridged() -> None:
-    rig = Rig(2, COARSE)
-    c = recorded(rig)
-    q = c.recording.q.copy()
     q[1000:1200, 1], q[50, 0], q[-5:] = np.nan, np.inf, np.nan
     got = again(c, q=q)
     assert np.isfinite(got.ddq).all()
@@ -195,11 +164,10 @@ def test_a_gap_is_bridged() -> None:
     valid, q = s.recording.valid.copy(), s.recording.q.copy()
     valid[1000:1100], q[1000:1100] = False, 7.0
     got = again(s, valid=valid, q=q)
-    assert error(RIGS["one"])[0] < 0.5
     off = (got.ddq - s.truth)[:, 0]
     for part in (slice(200, 950), slice(1150, -200)):
         assert np.sqrt(np.mean(off[part] ** 2)) < 0.3
-    assert np.isfinite(np.sqrt(got.variance)).all()
+    assert np.isfinite(np.sqrt(variance(got))).all()
 
 
 @pytest.mark.parametrize(("joint", "deg"), [(3, 5.0), (4, 30.0)])
@@ -237,7 +205,7 @@ def test_a_healthy_imu_is_kept_however_fine_the_encoders(rig: Rig) -> None:
 def test_chunks_join_without_a_seam() -> None:
     s, whole = scene("one"), smoothed(RIGS["one"])
     got = smoothed_motion(s.recording, s.robot, s.stage, chunk_s=1.2)
-    assert rms((got.ddq - whole.ddq) / np.sqrt(whole.variance[:, :, 2]))[0] < 0.5
+    assert rms((got.ddq - whole.ddq) / np.sqrt(variance(whole)[:, :, 2]))[0] < 0.5
     assert np.abs(np.diff(got.q - whole.q, axis=0)).max() < 1e-4
     assert error(RIGS["one"], got)[0] < 1.1 * error(RIGS["one"])[0]
 
@@ -257,7 +225,7 @@ def test_a_slower_log_is_smoothed_on_finer_knots() -> None:
     inner = slice(50, -50)
     off = (got.ddq - s.truth[::4])[inner]
     assert (np.sqrt(np.mean(off**2, axis=0)) < 1.6 * error(RIGS["two"])).all()
-    ratio = np.sqrt(np.mean(off**2 / got.variance[inner, :, 2], axis=0))
+    ratio = np.sqrt(np.mean(off**2 / variance(got)[inner, :, 2], axis=0))
     assert (ratio > 0.5).all()
     assert (ratio < 1.8).all()
 

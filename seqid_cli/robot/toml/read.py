@@ -3,6 +3,7 @@
 Imports neither numpy nor Pinocchio, so that a wrong file is reported at once.
 """
 
+import glob
 import re
 import tomllib
 from pathlib import Path
@@ -73,7 +74,7 @@ def read_limited(path: Path, what: str, limit: int) -> bytes:
         with path.open("rb") as file:
             raw = file.read(limit + 1)
     except FileNotFoundError:
-        names = sorted(other.name for other in path.parent.glob(f"*{path.suffix}"))
+        names = sorted(other.name for other in path.parent.glob(f"*{glob.escape(path.suffix)}"))
         hint = f"In {path.parent} there is: {', '.join(names[:10]) or f'no *{path.suffix} file'}."
         raise ConfigError(f"{what} not found", where=where, hint=hint) from None
     except (OSError, ValueError) as problem:

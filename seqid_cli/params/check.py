@@ -52,7 +52,8 @@ def _problems(document: schema.OfRobot) -> Iterator[_Problem]:
         for name in struct.__struct_fields__:
             value = getattr(struct, name)
             if name in _OF_JOINTS and not isinstance(struct, schema.Verdict):
-                for joint in [value] if isinstance(value, str) else value or ():
+                many = value if isinstance(value, Mapping | list) else [value]
+                for joint in many:
                     if isinstance(joint, str) and joint and joint not in joints:
                         what = f"joint {joint!r} is none of the robot's: {', '.join(joints)}"
                         yield f"{key}.{name}", what

@@ -27,37 +27,18 @@ SMALLEST, LARGEST = 1e-12, 1e9  # in SI units, of any constant of a drive, of an
 LEAST_AXIS = 1e-9  # length of an axis; a shorter one has no direction
 MOST_JOINTS = 16  # memory grows with the third power, the time of some checks with the fourth
 
-# From what on and below what the size of each number of a joint must be, and what it is.
-_NUMBERS = {
-    "torque_constant": (
-        SMALLEST,
-        LARGEST,
-        "It is the motor-side constant in N m/A; the sign goes to gear_ratio.",
-    ),
-    "torque_constant_error": (
-        0.0,
-        1.0,
-        "It is relative: 0.02 where the constant is known to 2 % (one sigma).",
-    ),
-    "gear_ratio": (
-        SMALLEST,
-        LARGEST,
-        "Motor turns per joint turn; 1 for a direct drive, negative if it turns back.",
-    ),
-    "rotor_inertia": (
-        0.0,
-        LARGEST,
-        "It is in kg m^2 on the motor side; leave it out to identify it.",
-    ),
-    "winding_resistance": (
-        SMALLEST,
-        LARGEST,
-        "It is the motor's resistance in ohm, both terminals.",
-    ),
-    "supply_voltage": (SMALLEST, LARGEST, "It is the voltage in V at a duty cycle of 1."),
-    "encoder_resolution": (SMALLEST, LARGEST, "It is the encoder's step at the joint in rad."),
-    "velocity_limit": (SMALLEST, LARGEST, "It is the largest speed in rad/s."),
+# What each number of a joint is, and from what on and below what its size must be.
+_MEANINGS = {
+    "torque_constant": "It is the motor-side constant in N m/A; the sign goes to gear_ratio.",
+    "torque_constant_error": "It is relative: 0.02 where the constant is known to 2 % (one sigma).",
+    "gear_ratio": "Motor turns per joint turn; 1 for a direct drive, negative if it turns back.",
+    "rotor_inertia": "It is in kg m^2 on the motor side; leave it out to identify it.",
+    "winding_resistance": "It is the motor's resistance in ohm, both terminals.",
+    "supply_voltage": "It is the voltage in V at a duty cycle of 1.",
+    "encoder_resolution": "It is the encoder's step at the joint in rad.",
+    "velocity_limit": "It is the largest speed in rad/s.",
 }
+_LIMITS = {"torque_constant_error": (0.0, 1.0), "rotor_inertia": (0.0, LARGEST)}
 # What the motor's data must hold for a log of these channels.
 _NEEDED = {
     "current": ("torque_constant",),
@@ -148,8 +129,8 @@ def _joint(key: str, joint: JointEntry, urdf: str | None) -> Iterator[_Problem]:
     if urdf is None and joint.dh is None:
         hint = 'Give urdf = "...", or dh = { alpha, a, d, theta0 } for every joint.'
         yield f"neither urdf nor {key}.dh{named} is given", hint
-    for name, (low, high, hint) in _NUMBERS.items():
-        value = getattr(joint, name)
+    for name, hint in _MEANINGS.items():
+        value, (low, high) = getattr(joint, name), _LIMITS.get(name, (SMALLEST, LARGEST))
         if value is not None and not low <= (abs(value) if name == "gear_ratio" else value) < high:
             size = "its size must" if name == "gear_ratio" else "must"
             limits = f"{size} be {low:g} or more and below {high:g}"
@@ -213,7 +194,7 @@ def _channels(robot: RobotFile) -> Iterator[_Problem]:
                 yield (
                     f"{source} says that the log carries {kind}, but joint[{k}].{name} "
                     f"(joint {joint.name!r}) is missing",
-                    f"Add {name} and gear_ratio to that joint. {_NUMBERS[name][2]}",
+                    f"Add {name} and gear_ratio to that joint. {_MEANINGS[name]}",
                 )
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import msgspec
-
 from seqid_cli.export.formats import export as written
 from seqid_cli.export.formats import format_of
 from seqid_cli.identify.inputs import Models, model_id, read_models, robot_of
@@ -16,7 +14,6 @@ from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.params.results.export import (
     EXPORT_SCHEMA,
     ExportedLink,
-    ExportedParameter,
     ExportFile,
 )
 from seqid_cli.params.schema import ParameterFile
@@ -67,10 +64,7 @@ def export(parameters: Models, robot: PathLike, output: PathLike) -> ExportFile:
         stages=list(present(previous.stages)),
         exact=model.nearest.exact,
         largest_deviation=model.largest_deviation,
-        base_parameters=[
-            msgspec.convert(deviation, ExportedParameter, from_attributes=True)
-            for deviation in model.deviations
-        ],
+        base_parameters=list(model.deviations),
         joints={name: _link(model, k) for k, name in enumerate(arm.joint_names)},
         notes=list(model.notes),
     )
@@ -86,6 +80,6 @@ def _link(model: ExportModel, k: int) -> ExportedLink:
         inertia=body.inertia.tolist(),
         rotor_inertia=float(model.nearest.rotor[k]),
         armature=float(model.armature[k]),
-        prior="urdf" if model.nearest.expected.from_cad[k] else "guessed",
+        prior="urdf" if model.nearest.from_cad[k] else "guessed",
         friction=model.friction[k],
     )

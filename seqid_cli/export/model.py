@@ -10,17 +10,10 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.export.effects import Absorbed, absorbed_effects
 from seqid_cli.export.observer import Thresholds, largest_mass, thresholds
 from seqid_cli.export.urdf_tree import UrdfBody, bodies_of_urdf
-from seqid_cli.model.bodies.nearest import (
-    Deviation,
-    Expected,
-    Identified,
-    NearestBodies,
-    identified,
-    nearest_bodies,
-)
+from seqid_cli.model.bodies.nearest import Identified, NearestBodies, identified, nearest_bodies
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
-from seqid_cli.params.results.export import ExportedFriction
+from seqid_cli.params.results.export import ExportedFriction, ExportedParameter
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.regressor import PER_LINK, Coupling
@@ -50,7 +43,7 @@ class ExportModel:
     coupling: Coupling
     surfaces: tuple[FrictionSurface | None, ...]
     friction: tuple[ExportedFriction | None, ...]
-    deviations: tuple[Deviation, ...]
+    deviations: tuple[ExportedParameter, ...]
     effects: Absorbed
     observer: Thresholds
     notes: tuple[str, ...]
@@ -118,7 +111,7 @@ def export_model(
         effects=effects,
         observer=thresholds(robot, stages, surfaces, mass, errors),
         notes=(
-            *_notes_on_links(robot, stages, demand, nearest.expected),
+            *_notes_on_links(robot, stages, demand, nearest),
             *_notes_on_friction(robot, friction),
             *effects.notes,
         ),
@@ -126,7 +119,7 @@ def export_model(
 
 
 def _notes_on_links(
-    robot: Robot, stages: Stages, demand: Identified, expected: Expected
+    robot: Robot, stages: Stages, demand: Identified, nearest: NearestBodies
 ) -> list[str]:
     notes = []
     if stages.inertia is None:
@@ -135,7 +128,7 @@ def _notes_on_links(
     elif demand.open:
         notes.append("not determined by the logs, so as in the prior: " + "; ".join(demand.open))
     guessed = [
-        name for name, cad in zip(robot.joint_names, expected.from_cad, strict=True) if not cad
+        name for name, cad in zip(robot.joint_names, nearest.from_cad, strict=True) if not cad
     ]
     if guessed:
         notes.append(

@@ -21,7 +21,7 @@ from seqid_cli.params.results.inspection import InspectedJoint
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.toml.schema import Columns
 from seqid_cli.robot.toml.template import JointTemplate, RobotTemplate
-from seqid_cli.robot.urdf.text import UrdfJoint, UrdfText, best_chain, check_urdf
+from seqid_cli.robot.urdf.text import UrdfJoint, UrdfText, best_chain
 
 _FILLERS = re.compile(r"(joint|axis|link|act|actuator)")
 
@@ -48,10 +48,8 @@ def propose(
     `drives`: `torque_constant` and `gear_ratio`, one for all joints or one for each.
 
     Raises UsageError: as many drives' data as there are neither joints nor one. Raises InputError:
-    a log cannot be read, or shows no joint. Raises ConfigError: no command could use the URDF.
+    a log cannot be read, or shows no joint.
     """
-    if urdf is not None:
-        check_urdf(urdf)
     surveyed = survey(paths[0])
     guessed = guess(surveyed)
     reports = [inspect_log(path) for path in paths]

@@ -233,12 +233,10 @@ def _band_limited(surface: FrictionSurface, q: Array, dq: Array, near: Places) -
 @lru_cache(maxsize=1)
 def _interpolation() -> Array:
     """Lagrange's weights (6, PARTS) of the knots for the points from a sample to the next."""
-    at = np.arange(PARTS) / PARTS
-    weights = np.ones((len(KNOTS), PARTS))
-    for i, knot in enumerate(KNOTS):
-        for other in np.delete(KNOTS, i):
-            weights[i] *= (at - other) / (knot - other)
-    return weights
+    powers = np.arange(len(KNOTS))[:, None]
+    at = (np.arange(PARTS) / PARTS) ** powers
+    weights = np.linalg.solve(KNOTS.astype(float) ** powers, at)
+    return np.asarray(weights, dtype=np.float64)
 
 
 @lru_cache(maxsize=1)

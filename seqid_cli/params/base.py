@@ -6,6 +6,7 @@ a dictionary as the rows of one table, other values by their names. Long lists a
 
 from collections.abc import Mapping, Sequence
 from html import escape
+from typing import Any
 
 import msgspec
 
@@ -28,58 +29,54 @@ class Document(Struct):
 
     def _repr_html_(self) -> str:
         """Return the content as tables."""
-        return f'<div class="seqid">{_fields(self)}</div>'
+        return f'<div class="seqid">{_tables(self)}</div>'
 
 
-def _fields(struct: object) -> str:
-    """The fields of a structure: short values in one table, then a part for each longer one."""
-    names = [name for name in getattr(struct, "__struct_fields__", ()) if name not in _LEFT_OUT]
-    values = {name: getattr(struct, name) for name in names}
-    short = {name: _short(value) for name, value in values.items()}
-    rows = [(name, text) for name, text in short.items() if text]
+def _fields(struct: msgspec.Struct) -> dict[str, object]:
+    return {x: getattr(struct, x) for x in struct.__struct_fields__ if x not in _LEFT_OUT}
+
+
+def _tables(value: Any) -> str:
+    """A structure: short values in one table, then a part for each longer one; or many as rows."""
+    if isinstance(value, list) and not isinstance(value[0], msgspec.Struct):
+        return f"{len(value)} rows"
+    if not isinstance(value, msgspec.Struct):
+        return _records(value)
+    values = _fields(value)
+    rows = [(name, text) for name, own in values.items() if (text := _short(own))]
     parts = [_table((), rows)] if rows else []
-    for name, value in values.items():
-        inner = ""
-        if short[name] is not None:
-            continue
-        if isinstance(value, msgspec.Struct):
-            inner = _fields(value)
-        elif isinstance(value, Mapping):
-            inner = _records(list(value.values()), list(map(str, value)))
-        elif isinstance(value, Sequence) and all(isinstance(x, msgspec.Struct) for x in value):
-            inner = _records(value, [])
-        if inner:
-            title = f"<summary>{escape(name)}</summary>"
-            parts.append(f"<details open>{title}{inner}</details>")
+    for name, own in values.items():
+        if own and not _short(own) and (inner := _tables(own)):
+            parts.append(f"<details open><summary>{escape(name)}</summary>{inner}</details>")
     return "".join(parts)
 
 
-def _short(value: object) -> str | None:
-    """A value in one cell ("" where there is nothing); None where it takes a part of its own."""
-    if value is None or (isinstance(value, Sequence | Mapping) and not value):
-        return ""
+def _short(value: object) -> str:
+    """A value in one cell; empty where there is nothing, or too much for a cell."""
     if isinstance(value, float):
         return f"{value:.4g}"
-    if isinstance(value, str | int | bool):
+    if isinstance(value, str | int):
         return escape(str(value))
     if isinstance(value, Sequence) and all(isinstance(x, str | float | int) for x in value):
         if len(value) > _MOST_VALUES and not isinstance(value[0], str):
             return f"{len(value)} values"
-        return "<br>".join(str(_short(x)) for x in value)
-    return None
+        return "<br>".join(map(_short, value))
+    return ""
 
 
-def _records(records: Sequence[object], names: Sequence[str]) -> str:
-    """Structures of one kind as rows, behind their names where they have any."""
+def _records(value: Any) -> str:
+    """Structures or values of one kind as rows, behind their names where they have any."""
+    names = list(map(str, value)) if isinstance(value, Mapping) else []
+    records = list(value.values()) if isinstance(value, Mapping) else list(value)
     shown = records[:_MOST_ROWS]
-    if not all(isinstance(record, msgspec.Struct) for record in shown):
-        rows = [(name, _short(record) or "") for name, record in zip(names, shown, strict=False)]
-        return _table((), rows)
-    fields = [name for name in getattr(shown[0], "__struct_fields__", ()) if name not in _LEFT_OUT]
-    columns = [n for n in fields if any(_short(getattr(record, n, None)) for record in shown)]
-    cells = [[_short(getattr(record, n, None)) or "" for n in columns] for record in shown]
+    columns: list[str] = []
+    cells = [[_short(record)] for record in shown]
+    if shown and isinstance(shown[0], msgspec.Struct):
+        texts = [{x: _short(own) for x, own in _fields(record).items()} for record in shown]
+        columns = [x for x in texts[0] if any(text[x] for text in texts)]
+        cells = [[text[x] for x in columns] for text in texts]
     if names:
-        columns = ["", *columns]
+        columns = ["", *columns] if columns else columns
         cells = [[escape(name), *row] for name, row in zip(names, cells, strict=False)]
     rest = len(records) - len(shown)
     return _table(columns, cells) + (f"<p>and {rest} more</p>" if rest else "")
@@ -88,6 +85,5 @@ def _records(records: Sequence[object], names: Sequence[str]) -> str:
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     head = "".join(f"<th>{escape(name)}</th>" for name in columns)
     body = "".join("<tr>" + "".join(f"<td>{x}</td>" for x in row) + "</tr>" for row in rows)
-    return (
-        f"<table>{f'<thead><tr>{head}</tr></thead>' if head else ''}<tbody>{body}</tbody></table>"
-    )
+    top = f"<thead><tr>{head}</tr></thead>" if head else ""
+    return f"<table>{top}<tbody>{body}</tbody></table>"

@@ -70,12 +70,11 @@ def with_stage(
     Earlier stages and their inputs stay; a stage that is given again replaces the old one, and
     what had been identified from the old one (`stale_stages`) is dropped.
     """
-    new = present(schema.Stages(**stages))  # type: ignore[arg-type]
-    gone = {*new, *stale_stages(previous, tuple(new))}
+    gone = {*stages, *stale_stages(previous, tuple(stages))}
     old = present(previous.stages) if previous else {}
     kept = {name: stage for name, stage in old.items() if name not in gone}
     earlier = [log for log in previous.inputs if log.stage not in gone] if previous else []
-    return _file(robot, [*earlier, *inputs], {**kept, **new}, created=now())
+    return _file(robot, [*earlier, *inputs], {**kept, **stages})
 
 
 def refined(
@@ -92,23 +91,19 @@ def refined(
     """
     # Effects are there even where nothing was added.
     content = {"effects": [], **present(previous.stages), **present(stages)}
-    logs = [*previous.inputs, *inputs]
-    return _file(robot, logs, content, created=now(), closed_loop=closed_loop)
+    return _file(robot, [*previous.inputs, *inputs], content, closed_loop)
 
 
 def _file(
     robot: schema.RobotId,
     inputs: Sequence[schema.InputLog],
     stages: Mapping[str, object],
-    *,
-    created: str,
     closed_loop: schema.ClosedLoop | None = None,
-    written_by: schema.Tool | None = None,
 ) -> schema.ParameterFile:
     return schema.ParameterFile(
         schema=schema.SCHEMA,
-        created=created,
-        tool=written_by or tool(),
+        created=now(),
+        tool=tool(),
         robot=robot,
         inputs=list({(log.stage, log.sha256, log.path): log for log in inputs}.values()),
         stages=schema.Stages(**stages),  # type: ignore[arg-type]
@@ -138,23 +133,21 @@ def join(files: Sequence[tuple[str, schema.ParameterFile]]) -> schema.ParameterF
     if not files:
         raise ConfigError("no parameter file given", hint="Name one with -p.")
     first_name, first = files[0]
-    stages: dict[str, object] = {}
-    source: dict[str, str] = {}
+    found: dict[str, tuple[object, str]] = {}
     for name, file in files:
-        check_same_robot(
-            (first_name, first.robot), (name, file.robot), "Join files of one robot only."
-        )
+        hint = "Join files of one robot only."
+        check_same_robot((first_name, first.robot), (name, file.robot), hint)
         for stage, content in present(file.stages).items():
-            if stages.setdefault(stage, content) != content:
-                message = f"its {stage} stage differs from that of {source[stage]}"
+            known, source = found.setdefault(stage, (content, name))
+            if known != content:
+                message = f"its {stage} stage differs from that of {source}"
                 hint = "Give files of one branch, or redo one from the other's result."
                 raise ConfigError(message, where=name, hint=hint)
-            source.setdefault(stage, name)
-    return _file(
+    joined = _file(
         first.robot,
         [log for _, file in files for log in file.inputs],
-        stages,
-        created=max(file.created for _, file in files),
-        closed_loop=next((file.closed_loop for _, file in files if file.closed_loop), None),
-        written_by=first.tool,
+        {stage: content for stage, (content, _) in found.items()},
+        next((file.closed_loop for _, file in files if file.closed_loop), None),
     )
+    joined.created, joined.tool = max(file.created for _, file in files), first.tool
+    return joined

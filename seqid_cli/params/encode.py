@@ -27,17 +27,13 @@ def encode(document: object) -> str:
 
 def plain(value: object, path: str = "$") -> Json:
     """Turn structures into dictionaries, lists and rounded numbers."""
-    if isinstance(value, bool | str | None):
+    if isinstance(value, bool | str | int | None):
         return value
     if isinstance(value, float):
         if not math.isfinite(value):
             message = f"{path} is {value}: every number of a result must be finite"
             raise ValueError(message)
         return float(f"{min(max(value, -LARGEST), LARGEST):.{_DIGITS}g}")
-    if isinstance(value, int):
-        return value
-    if isinstance(value, msgspec.Raw):
-        return plain(msgspec.json.decode(value), path)
     if isinstance(value, msgspec.Struct):
         sparse = value.__struct_config__.omit_defaults
         fields = {name: getattr(value, name) for name in value.__struct_fields__}

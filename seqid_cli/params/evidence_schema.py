@@ -27,14 +27,6 @@ class EvidenceEntry(Struct, kw_only=True):
     after: list[float]
     after_spread: list[float]
 
-    @property
-    def whole(self) -> bool:
-        """Whether all lists are of one length; those of what is taken off may be empty."""
-        lengths = {len(self.count), len(self.before), len(self.before_spread)}
-        if self.after or self.after_spread:
-            lengths |= {len(self.after), len(self.after_spread)}
-        return lengths == {len(self.x)}
-
 
 class RivalEntry(Struct, kw_only=True):
     """A term that was tried and not taken; `joint` is null for a term of the whole arm.

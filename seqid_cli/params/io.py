@@ -2,10 +2,10 @@
 
 import hashlib
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar, cast
 
 import msgspec
 
@@ -13,35 +13,35 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.params.check import check_consistency
 from seqid_cli.params.encode import encode
 from seqid_cli.params.files import write_text_atomic
-from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA, DiagnosisFile
-from seqid_cli.params.results.payload import PAYLOAD_SCHEMA, PayloadFile
-from seqid_cli.params.results.plan import PLAN_SCHEMA, PlanFile
-from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
-from seqid_cli.params.results.trend import TREND_SCHEMA, TrendFile
-from seqid_cli.params.schema import SCHEMA, ParameterFile
+from seqid_cli.params.results.diagnosis import DiagnosisFile
+from seqid_cli.params.results.payload import PayloadFile
+from seqid_cli.params.results.plan import PlanFile
+from seqid_cli.params.results.prediction import PredictionFile
+from seqid_cli.params.results.trend import TrendFile
+from seqid_cli.params.schema import OfRobot, ParameterFile
 
 if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
 
-T = TypeVar("T")
 Json = dict[str, object]
-Migration = Callable[[Json], Json]
 Result = PredictionFile | DiagnosisFile | PayloadFile | PlanFile
 Document = ParameterFile | Result
 D = TypeVar("D", bound=Document, covariant=True)
 
-PARAMS_VERSION = 1
+PARAMS_VERSION = 1  # of the others there is one version
 # From each older version: the function that turns it into the next. Version 1 is the oldest.
-PARAMS_MIGRATIONS: Mapping[int, Migration] = {}
-_RESULTS: Mapping[str, type[Result]] = {
-    PREDICTION_SCHEMA: PredictionFile,
-    DIAGNOSIS_SCHEMA: DiagnosisFile,
-    PAYLOAD_SCHEMA: PayloadFile,
-    PLAN_SCHEMA: PlanFile,
+PARAMS_MIGRATIONS: Mapping[int, Callable[[Json], Json]] = {}
+_KINDS: Mapping[str, type[Document | TrendFile]] = {
+    "params": ParameterFile,
+    "prediction": PredictionFile,
+    "diagnosis": DiagnosisFile,
+    "payload": PayloadFile,
+    "plan": PlanFile,
+    "trend": TrendFile,
 }
+_OF_ROBOT = ("params", "prediction", "diagnosis", "payload", "plan")
 _PARAMETER_HINT = "-p takes a JSON file that seqid wrote with -o."
 _RESULT_HINT = "Name JSON files that seqid wrote with -o."
-_UPGRADE = "Upgrade seqid: pip install --upgrade seqid."
 _MAX_BYTES = 256 * 1024 * 1024
 _NAME = re.compile(r"seqid/(?P<kind>[a-z_]+)@(?P<version>[1-9][0-9]{0,5})")
 _BYTE = re.compile(r"\(byte (\d+)\)")
@@ -66,30 +66,7 @@ def read_parameters(path: Path) -> ParameterFile:
     this version knows, or does not follow the schema. The message names the line or the key.
     """
     data, document = _opened(path, _PARAMETER_HINT)
-    name = _schema_of(document, "not a parameter file", str(path), _PARAMETER_HINT)
-    if name["kind"] != "params":
-        message = f"is a {name['kind']} file ({name[0]}), not a parameter file"
-        hint = f"Give the parameters that the {name['kind']} used."
-        raise ConfigError(message, where=str(path), hint=hint)
-    return _parameters(data, document, int(name["version"]), str(path))
-
-
-def _parameters(data: bytes, document: Json, found: int, where: str) -> ParameterFile:
-    """Decode a parameter file; one of an older version is brought up to date step by step."""
-    if found > PARAMS_VERSION:
-        newest = f"seqid/params@{PARAMS_VERSION}"
-        message = f"is of the newer version seqid/params@{found}; this seqid reads up to {newest}"
-        raise ConfigError(message, where=where, hint=_UPGRADE)
-    try:
-        for current in range(found, PARAMS_VERSION):
-            document = PARAMS_MIGRATIONS[current](document)
-            data = msgspec.json.encode(document)
-    except (LookupError, TypeError, ValueError, RecursionError) as error:
-        message = f"is of the old version seqid/params@{found} and cannot be brought up to date"
-        raise ConfigError(message, where=where, hint="Identify again from the logs.") from error
-    file = _decoded(data, ParameterFile, "parameters", where)
-    check_consistency(file, where)
-    return file
+    return cast(ParameterFile, _content(data, document, ["params"], str(path), _PARAMETER_HINT))
 
 
 def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
@@ -101,27 +78,9 @@ def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
     found: list[Source[Document]] = []
     for path in paths:
         data, document = _opened(path, _RESULT_HINT)
-        name = _schema_of(document, "no result", str(path), _RESULT_HINT)
-        content = _content(data, document, name, str(path))
-        found.append(Source(str(path), hashlib.sha256(data).hexdigest(), content))
+        content = _content(data, document, _OF_ROBOT, str(path), _RESULT_HINT)
+        found.append(Source(str(path), hashlib.sha256(data).hexdigest(), cast(Document, content)))
     return found
-
-
-def _content(data: bytes, document: Json, name: re.Match[str], where: str) -> Document:
-    """Decode a document by the name of its schema."""
-    kind = name["kind"]
-    if kind == "params":
-        return _parameters(data, document, int(name["version"]), where)
-    if name[0] in _RESULTS:
-        result = _decoded(data, _RESULTS[name[0]], kind, where)
-        check_consistency(result, where)
-        return result
-    known = [known for known in _RESULTS if known.startswith(f"seqid/{kind}@")]
-    message = f"is of the version {name[0]}; this seqid reads {', '.join(known)}"
-    if not known:
-        kinds = ", ".join(schema.split("@")[0] for schema in (SCHEMA, *_RESULTS))
-        message = f"is a {kind} file ({name[0]}); what can be read here: {kinds}"
-    raise ConfigError(message, where=where, hint=_UPGRADE if known else "Leave it out.")
 
 
 def read_trend(path: Path) -> TrendFile | None:
@@ -130,9 +89,56 @@ def read_trend(path: Path) -> TrendFile | None:
     Raises ConfigError: it is missing, is no JSON, does not follow its schema, or a series is torn.
     """
     data, document = _opened(path, _RESULT_HINT)
-    if document.get("schema") != TREND_SCHEMA:
+    if not str(document.get("schema")).startswith("seqid/trend@"):
         return None
-    return _decoded(data, TrendFile, "trend", str(path))
+    return cast(TrendFile, _content(data, document, ["trend"], str(path), _RESULT_HINT))
+
+
+def _content(
+    data: bytes, document: Json, kinds: Collection[str], where: str, hint: str
+) -> Document | TrendFile:
+    """Decode a document of one of these kinds; an older parameter file is brought up to date."""
+    schema, kind, version = _schema_of(document, kinds, where, hint)
+    newest = PARAMS_VERSION if kind == "params" else 1
+    if version > newest:
+        message = f"is of the newer version {schema}; this seqid reads up to seqid/{kind}@{newest}"
+        upgrade = "Upgrade seqid: pip install --upgrade seqid."
+        raise ConfigError(message, where=where, hint=upgrade)
+    try:
+        for older in range(version, newest):
+            document = PARAMS_MIGRATIONS[older](document)
+            data = msgspec.json.encode(document)
+    except (LookupError, TypeError, ValueError, RecursionError) as error:
+        message = f"is of the old version {schema} and cannot be brought up to date"
+        raise ConfigError(message, where=where, hint="Identify again from the logs.") from error
+    try:
+        content = msgspec.json.decode(data, type=_KINDS[kind])
+    except (msgspec.ValidationError, RecursionError) as error:
+        match = _PLACE.match(str(error))
+        text = f"{match['key']}: {match['what']}" if match else str(error)
+        message = "is nested too deeply" if isinstance(error, RecursionError) else text
+        remedy = f"The file was edited or damaged: run the command that wrote the {kind} again."
+        raise ConfigError(message, where=where, hint=remedy) from error
+    if isinstance(content, OfRobot):
+        check_consistency(content, where)
+    return content
+
+
+def _schema_of(
+    document: Json, kinds: Collection[str], where: str, hint: str
+) -> tuple[str, str, int]:
+    """Return the schema, kind and version of a document; raise unless it is of these kinds."""
+    schema = document.get("schema")
+    name = _NAME.fullmatch(schema) if isinstance(schema, str) else None
+    if name is None:
+        found = "missing" if schema is None else repr(schema)[:60]
+        raise ConfigError(f"is no result: `schema` is {found}", where=where, hint=hint)
+    if name["kind"] not in kinds:
+        known = ", ".join(f"seqid/{kind}" for kind in kinds)
+        message = f"is a {name['kind']} file ({name[0]}); what can be read here: {known}"
+        hint = f"Give the parameters that the {name['kind']} used."
+        raise ConfigError(message, where=where, hint=hint if len(kinds) == 1 else "Leave it out.")
+    return name[0], name["kind"], int(name["version"])
 
 
 def check_robot(file: ParameterFile, robot: "Robot", *, where: str = "") -> tuple[str, ...]:
@@ -203,6 +209,7 @@ def _opened(path: Path, hint: str) -> tuple[bytes, Json]:
 
 
 def _syntax(error: Exception, data: bytes) -> str:
+    """What is wrong with a JSON text, with its line and column where that is known."""
     if isinstance(error, UnicodeDecodeError):
         return "it is not UTF-8 text"
     if isinstance(error, RecursionError):
@@ -213,24 +220,3 @@ def _syntax(error: Exception, data: bytes) -> str:
     line = data.count(b"\n", 0, end) + 1
     column = end - (data.rfind(b"\n", 0, end) + 1) + 1
     return f"{_BYTE.sub('', text).strip()} at line {line}, column {column}"
-
-
-def _schema_of(document: Json, what: str, where: str, hint: str) -> re.Match[str]:
-    name = document.get("schema")
-    match = _NAME.fullmatch(name) if isinstance(name, str) else None
-    if match is None:
-        found = "missing" if name is None else repr(name)[:60]
-        raise ConfigError(f"is {what}: `schema` is {found}", where=where, hint=hint)
-    return match
-
-
-def _decoded(data: bytes, form: type[T], kind: str, where: str) -> T:
-    """Decode a document that is of a known kind."""
-    try:
-        return msgspec.json.decode(data, type=form)
-    except (msgspec.ValidationError, RecursionError) as error:
-        match = _PLACE.match(str(error))
-        text = f"{match['key']}: {match['what']}" if match else str(error)
-        message = "is nested too deeply" if isinstance(error, RecursionError) else text
-        hint = f"The file was edited or damaged: run the command that wrote the {kind} again."
-        raise ConfigError(message, where=where, hint=hint) from error

@@ -237,21 +237,13 @@ def _random_regressors(robot: Robot) -> tuple[Array, Array]:
 
 def _independent(W: Array, order: Sequence[int], *, floor: float, given: int = 0) -> list[int]:
     """Choose columns of W, in `order`, independent of those before; the first `given` are taken."""
-    # Columns whose norm is below `floor` are rounding, not torque.
+    # Columns whose norm is below `floor` are rounding, not torque. The diagonal of R holds what
+    # each column has outside the span of those before.
     size = np.linalg.norm(W, axis=0)
-    Q = np.empty((len(W), 0))
-    kept: list[int] = []
-    for place, column in enumerate(order):
-        if size[column] <= floor:
-            continue
-        v = W[:, column] / size[column]
-        for _ in range(2):  # once more: the first pass leaves rounding of the large parts
-            v = v - Q @ (Q.T @ v)
-        left = float(np.linalg.norm(v))
-        if place < given or left > _DEPENDENT:
-            kept.append(column)
-            Q = np.column_stack((Q, v / left))
-    return kept
+    columns = [c for c in order if size[c] > floor]
+    R = np.linalg.qr(W[:, columns] / size[columns], mode="r")
+    outside = np.abs(np.diag(R))
+    return [c for k, c in enumerate(columns) if k < given or outside[k] > _DEPENDENT]
 
 
 def _regrouping(W: Array, kept: Sequence[int], used: Sequence[int], *, floor: float) -> Array:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 from msgspec.structs import astuple
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.robot.toml.read import ReadRobotFile, read_robot_file
-from seqid_cli.robot.urdf.text import UrdfText, chains, check_names, read_urdf_text
+from seqid_cli.robot.toml.read import read_robot_file
+from seqid_cli.robot.toml.schema import RobotFile
+from seqid_cli.robot.urdf.text import UrdfText, check_names, read_urdf_text
 
 if TYPE_CHECKING:
     from seqid_cli.robot.toml.schema import ImuEntry
@@ -23,8 +24,8 @@ def load_robot(path: Path) -> "Robot":
 
     Raises ConfigError naming the file, the key's full path, the value and the remedy.
     """
-    read = read_robot_file(path)
-    content, urdf = read.content, None
+    raw, content, formulas = read_robot_file(path)
+    urdf = None
     names = tuple(joint.name for joint in content.joint)
     if content.urdf is not None:
         urdf = read_urdf_text(path.parent / content.urdf)
@@ -33,7 +34,7 @@ def load_robot(path: Path) -> "Robot":
 
     from seqid_cli.robot.types import Joint, OwnEffect, Robot
 
-    chain, nominal = _chain_of(read, urdf, names)
+    chain, nominal = _chain_of(path, content, urdf)
     if content.channels.effort == "gravity_compensated" and nominal is None:
         raise ConfigError(
             "channels.effort is 'gravity_compensated', but the gravity that the driver subtracts "
@@ -41,7 +42,7 @@ def load_robot(path: Path) -> "Robot":
             where=str(path),
             hint="Name a urdf with <inertial> that the driver uses, or log the torque as it is.",
         )
-    known = {joint.name: joint for path in chains(urdf) for joint in path} if urdf else {}
+    known = urdf.joints if urdf else {}
     joints = []
     for entry, slides in zip(content.joint, chain.prismatic, strict=True):
         given = {key: getattr(entry, key) for key in entry.__struct_fields__ if key != "dh"}
@@ -53,14 +54,14 @@ def load_robot(path: Path) -> "Robot":
             formula=formula,
             settings=entry.settings,
         )
-        for entry, formula in zip(content.effect, read.formulas, strict=True)
+        for entry, formula in zip(content.effect, formulas, strict=True)
     ]
     return Robot(
         name=content.name,
         joints=tuple(joints),
         chain=chain,
         gravity=np.array(content.gravity, dtype=float),
-        sha256=hashlib.sha256(read.raw + (urdf.raw if urdf else b"")).hexdigest(),
+        sha256=hashlib.sha256(raw + (urdf.raw if urdf else b"")).hexdigest(),
         source=path,
         imus=tuple(_imu(entry, names) for entry in content.imu),
         channels=content.channels,
@@ -71,26 +72,28 @@ def load_robot(path: Path) -> "Robot":
 
 
 def _chain_of(
-    read: ReadRobotFile, urdf: UrdfText | None, names: tuple[str, ...]
+    path: Path, content: RobotFile, urdf: UrdfText | None
 ) -> "tuple[Chain, Array | None]":
+    """The geometry by DH parameters or URDF, and the inertials that the URDF has."""
     if urdf is None:
         from seqid_cli.robot.kinematics import chain_from_dh
 
-        rows = [astuple(joint.dh) for joint in read.content.joint if joint.dh]
-        sliding = [k for k, joint in enumerate(read.content.joint) if joint.prismatic]
+        rows = [astuple(joint.dh) for joint in content.joint if joint.dh]
+        sliding = [k for k, joint in enumerate(content.joint) if joint.prismatic]
         return chain_from_dh(rows, sliding), None
     from seqid_cli.robot.urdf.model import chain_from_urdf
 
-    chain, nominal = chain_from_urdf(urdf, names, read.path)
-    for k, joint in enumerate(read.content.joint):
-        if joint.prismatic and not chain.prismatic[k]:
+    names = tuple(joint.name for joint in content.joint)
+    for k, joint in enumerate(content.joint):
+        kind = urdf.joints[joint.name].kind
+        if joint.prismatic and kind != "prismatic":
+            message = f"joint[{k}].prismatic (joint {joint.name!r}) is true, but {urdf.path.name} "
             raise ConfigError(
-                f"joint[{k}].prismatic (joint {joint.name!r}) is true, but {urdf.path.name} has a "
-                f"{urdf.types[joint.name]} joint",
-                where=str(read.path),
+                f"{message}has a {kind} joint",
+                where=str(path),
                 hint="Leave prismatic out: with a URDF it is the URDF that says so.",
             )
-    return chain, nominal
+    return chain_from_urdf(urdf, names, path)
 
 
 def _imu(entry: "ImuEntry", joints: tuple[str, ...]) -> "Imu":

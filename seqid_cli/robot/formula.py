@@ -36,13 +36,6 @@ _SYMBOL = re.compile(rf"({'|'.join(SYMBOLS)})(?:_([1-9][0-9]{{0,2}}))?")
 class FormulaError(ValueError):
     """A formula that cannot be used: why, and at which column of its text, from 1."""
 
-    def __init__(self, reason: str, column: int | None = None) -> None:
-        super().__init__(reason)
-        self.reason, self.column = reason, column
-
-    def __str__(self) -> str:
-        return self.reason if self.column is None else f"{self.reason} (column {self.column})"
-
 
 @dataclass(frozen=True)
 class Symbol:
@@ -85,17 +78,17 @@ def parse_formula(text: str, joints: int, settings: Collection[str] = ()) -> For
 
 
 def _tree(text: str, before: int) -> ast.expr:
-    for k, sign in enumerate(text):
+    for k, sign in enumerate(text, before + 1):
         if not " " <= sign <= "~":
-            raise FormulaError(f"cannot be read: has {sign!a}", before + k + 1)
+            raise FormulaError(f"cannot be read: has {sign!a} (column {k})")
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # Python's advice on text that is refused anyway
             return ast.parse(text, mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as problem:
         reason = getattr(problem, "msg", None) or str(problem) or "too deep"
-        column = getattr(problem, "offset", 0) or len(text) + 1  # 0: it ends too early
-        raise FormulaError(f"cannot be read: {reason}", before + column) from None
+        column = before + (getattr(problem, "offset", 0) or len(text) + 1)  # 0: it ends too early
+        raise FormulaError(f"cannot be read: {reason} (column {column})") from None
 
 
 def symbol_of(name: str) -> Symbol | None:
@@ -122,37 +115,43 @@ class _Reader:
 
     def linear(self, node: ast.expr, depth: int) -> bool:
         """Whether it holds coefficients; raises where it is neither linear in nor free of them."""
-        if depth > DEEPEST:
-            raise FormulaError(f"is nested more than {DEEPEST} deep")
-        try:
-            return self._linear(node, depth)
-        except FormulaError as problem:
-            if problem.column is None:
-                problem.column = self.before + node.col_offset + 1
-            raise
-
-    def _linear(self, node: ast.expr, depth: int) -> bool:
+        deeper = depth + 1
         match node:
+            case _ if depth > DEEPEST:
+                raise self._refused(node, f"is nested more than {DEEPEST} deep")
             case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
                 if not abs(value) <= sys.float_info.max:
-                    raise FormulaError("has a number that is too large")
+                    raise self._refused(node, "has a number that is too large")
                 return False
             case ast.Name(id=name):
-                return self._name(name)
+                return self._name(node, name)
             case ast.UnaryOp(op=ast.USub() | ast.UAdd(), operand=inner):
-                return self.linear(inner, depth + 1)
+                return self.linear(inner, deeper)
             case ast.BinOp(left=left, op=op, right=right):
-                sides = self.linear(left, depth + 1), self.linear(right, depth + 1)
-                return _combined(op, *sides)
+                return self._combined(
+                    node, op, self.linear(left, deeper), self.linear(right, deeper)
+                )
             case ast.Call(func=ast.Name(id=name), args=arguments, keywords=[]):
-                return self._call(name, arguments, depth)
-        raise FormulaError(f"has {ast.unparse(node)!r}, which no formula may have")
+                wanted = 2 if name in {"min", "max"} else 1
+                reason = f"has a coefficient inside {name}(): terms must be linear in them"
+                if name not in FUNCTIONS:
+                    reason = f"calls {name!r}; it may call {', '.join(FUNCTIONS)}"
+                elif len(arguments) != wanted:
+                    reason = f"calls {name} with {len(arguments)} arguments, it takes {wanted}"
+                elif not any(self.linear(argument, deeper) for argument in arguments):
+                    return False
+                raise self._refused(node, reason)
+        raise self._refused(node, f"has {ast.unparse(node)!r}, which no formula may have")
 
-    def _name(self, name: str) -> bool:
+    def _refused(self, node: ast.expr, reason: str) -> FormulaError:
+        return FormulaError(f"{reason} (column {self.before + node.col_offset + 1})")
+
+    def _name(self, node: ast.expr, name: str) -> bool:
         symbol = symbol_of(name)
         if symbol is not None:
             if symbol.joint is not None and symbol.joint >= self.joints:
-                raise FormulaError(f"names {name!r}, but the robot has {self.joints} joints")
+                reason = f"names {name!r}, but the robot has {self.joints} joints"
+                raise self._refused(node, reason)
             self.symbols.add(symbol)
         elif name in self.settings:
             self.used.add(name)
@@ -162,36 +161,25 @@ class _Reader:
         else:
             known = [*SYMBOLS, *FUNCTIONS, *self.settings]
             near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-            offer = f"; did you mean {near[0]!r}?" if near else f"; it may have {', '.join(known)}"
-            raise FormulaError(f"has {name!r}{offer}")
+            offer = f"did you mean {near[0]!r}?" if near else f"it may have {', '.join(known)}"
+            raise self._refused(node, f"has {name!r}; {offer}")
         return False
 
-    def _call(self, name: str, arguments: list[ast.expr], depth: int) -> bool:
-        if name not in FUNCTIONS:
-            raise FormulaError(f"calls {name!r}; it may call {', '.join(FUNCTIONS)}")
-        wanted = 2 if name in {"min", "max"} else 1
-        if len(arguments) != wanted:
-            raise FormulaError(f"calls {name} with {len(arguments)} arguments, it takes {wanted}")
-        if any(self.linear(argument, depth + 1) for argument in arguments):
-            raise FormulaError(f"has a coefficient inside {name}(): terms must be linear in them")
-        return False
-
-
-def _combined(op: ast.operator, left: bool, right: bool) -> bool:
-    """Whether two sides together hold coefficients, linearly."""
-    match op:
-        case ast.Add() | ast.Sub():
-            if left != right:
-                raise FormulaError("has a term without a coefficient beside one that has it")
-            return left
-        case ast.Mult():
-            if left and right:
-                raise FormulaError("multiplies coefficients: terms must be linear in one each")
-            return left or right
-        case ast.Div() if not right:
-            return left
-        case ast.Pow() if not (left or right):
-            return False
-        case ast.Div() | ast.Pow():
-            raise FormulaError("divides by a coefficient, or has a power of or with one")
-    raise FormulaError("has an operator other than + - * / **")
+    def _combined(self, node: ast.expr, op: ast.operator, left: bool, right: bool) -> bool:
+        """Whether two sides together hold coefficients, linearly."""
+        match op:
+            case ast.Add() | ast.Sub() if left == right:
+                return left
+            case ast.Add() | ast.Sub():
+                reason = "has a term without a coefficient beside one that has it"
+            case ast.Mult() if not (left and right):
+                return left or right
+            case ast.Mult():
+                reason = "multiplies coefficients: terms must be linear in one each"
+            case ast.Div() | ast.Pow() if not right and not (left and isinstance(op, ast.Pow)):
+                return left
+            case ast.Div() | ast.Pow():
+                reason = "divides by a coefficient, or has a power of or with one"
+            case _:
+                reason = "has an operator other than + - * / **"
+        raise self._refused(node, reason)

@@ -56,11 +56,6 @@ class Demand:
     values: Array
     whitening: Array
 
-    @property
-    def size(self) -> int:
-        """Number of base parameters b."""
-        return len(self.values)
-
 
 @dataclass(frozen=True)
 class Consistent:
@@ -155,7 +150,7 @@ class _Problem:
                 unit = np.zeros((4, 4))
                 unit[a, b] = unit[b, a] = 1.0
                 T[10 * i : 10 * i + 10, 10 * i + c] = standard_of(L @ unit @ L.T)
-        B = np.zeros((demand.size, _PER_LINK * n + len(rotors)))
+        B = np.zeros((len(demand.values), _PER_LINK * n + len(rotors)))
         B[:, : _ENTRIES * n] = demand.E @ T
         B[:, _PER_LINK * n :] = demand.G * rotors
         size = np.linalg.norm(B, axis=1)

@@ -5,7 +5,7 @@ combinations of inertial parameters open; there the links stay as near as possib
 ones: the CAD's, or a guess from the arm's geometry.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,30 +16,13 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.model.bodies.consistent import Demand, consistent_links
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia, standard_of
 from seqid_cli.model.torque import known_rotors, standard_parameters
+from seqid_cli.params.results.export import ExportedParameter
 from seqid_cli.params.schema import Parameter, Stages
 from seqid_cli.robot.base_parameters import Basis, free_basis, gear_ratios
 from seqid_cli.robot.regressor import PER_LINK
 from seqid_cli.robot.types import Array, Chain, Robot
 
 _LEAST_ERROR = 1e-9  # of a parameter's scale; data without noise give no errors to weigh by
-
-
-@dataclass(frozen=True)
-class Deviation:
-    """A base parameter that no body can have as identified, and what is exported instead."""
-
-    name: str
-    unit: str
-    identified: float
-    exported: float
-    std_error: float
-
-    @property
-    def std_errors(self) -> float | None:
-        """The difference in standard errors; None where the file gives no error."""
-        if self.std_error <= 0.0:
-            return None
-        return (self.exported - self.identified) / self.std_error
 
 
 @dataclass(frozen=True)
@@ -67,34 +50,21 @@ class Identified:
         return np.asarray(self.covariance - self.moves.T @ self.moves)
 
     @property
-    def demand(self) -> Demand:
-        """The same for the solver."""
-        links = PER_LINK * len(self.known)
-        E = self.basis.expression[list(self.rows)]
-        scale = np.abs(self.values).max(initial=0.0) + np.abs(self.errors).max(initial=0.0)
-        rotors = [links + j for j in self.free]
-        return Demand(
-            E[:, :links],
-            E[:, rotors],
-            self.values,
-            whitening(self.covariance, _LEAST_ERROR * max(scale, 1e-12)),
-        )
-
-    @property
     def open(self) -> tuple[str, ...]:
         """Expressions of the base parameters that the logs did not determine."""
         every = range(self.basis.size)
         return tuple(self.basis.expression_text(k) for k in every if k not in self.rows)
 
-    def deviations(self, phi: Array, rotor: Array) -> tuple[Deviation, ...]:
+    def deviations(self, phi: Array, rotor: Array) -> tuple[ExportedParameter, ...]:
         """Compare with links (n, 10) and rotors (n,), the identified ones in `free`."""
-        E = self.basis.expression[list(self.rows)]
-        exported = E @ np.concatenate([phi.ravel(), rotor])
-        numbers = (x.tolist() for x in (self.values, exported, self.errors))
-        return tuple(
-            Deviation(self.basis.names[k], self.basis.unit(k), *own)
-            for k, *own in zip(self.rows, *numbers, strict=True)
-        )
+        exported = self.basis.expression[list(self.rows)] @ np.concatenate([phi.ravel(), rotor])
+        found = []
+        for k, old, new, error in zip(self.rows, self.values, exported, self.errors, strict=True):
+            off = float((new - old) / error) if error > 0.0 else None
+            numbers = {"identified": float(old), "exported": float(new), "std_error": float(error)}
+            name, unit = self.basis.names[k], self.basis.unit(k)
+            found.append(ExportedParameter(name=name, unit=unit, **numbers, std_errors=off))
+        return tuple(found)
 
 
 def identified(
@@ -178,18 +148,10 @@ def whitening(covariance: Array, least: float, *, min_variance: float = 1e-10) -
     return np.asarray((axes / np.sqrt(np.maximum(variances, min_variance))).T / errors)
 
 
-@dataclass(frozen=True)
-class Expected:
-    """Expected pseudo-inertia `J` (n, 4, 4) of the links, positive definite; whether from CAD."""
-
-    J: Array
-    from_cad: tuple[bool, ...]
-
-
 def expected_links(
     robot: Robot, kept: Array, E: Array, values: Array, G: Array, *, min_mass: float = 1e-6
-) -> Expected:
-    """Return the expected inertials of each link.
+) -> tuple[Array, tuple[bool, ...]]:
+    """Return the expected pseudo-inertias (n, 4, 4), positive definite; which of them are CAD's.
 
     `robot`: with `nominal` where its URDF has inertials. `kept` (n, 10): parts of the bodies that
     stay as they are; not part of the links. `E` (b, 10 n): identified combinations of link
@@ -206,7 +168,7 @@ def expected_links(
             for i in range(robot.n)
         ]
     )
-    return Expected(J, tuple(bool(x) for x in given))
+    return J, tuple(bool(x) for x in given)
 
 
 def _shapes(
@@ -280,13 +242,13 @@ def _solid(J: Array, length: float, *, thinnest: float = 0.02) -> Array:
 class NearestBodies:
     """Links (n, 10) and rotors (n,) that can exist, whether they meet the identified model.
 
-    `expected` is what stood in where the torque says nothing.
+    `from_cad` (n,): whether what the torque does not show of a link is the URDF's, or guessed.
     """
 
     links: Array
     rotor: Array
     exact: bool
-    expected: Expected
+    from_cad: tuple[bool, ...]
 
 
 def nearest_bodies(robot: Robot, found: Identified, kept: Array | None = None) -> NearestBodies:
@@ -296,14 +258,17 @@ def nearest_bodies(robot: Robot, found: Identified, kept: Array | None = None) -
     itself. Returns: its links are without `kept`. Raises QualityError if no physically consistent
     parameters are found.
     """
-    demand = found.demand
+    first, free = PER_LINK * robot.n, list(found.free)
     kept = np.zeros((robot.n, 10)) if kept is None else kept
-    own = replace(demand, values=demand.values - demand.E @ kept.ravel())
-    expected = expected_links(robot, kept, own.E, own.values, own.G)
-    ratio = gear_ratios(robot)
-    turning = expected.J[:, :3, :3].trace(axis1=1, axis2=2)  # sizes of the links' inertias, kg m^2
-    sizes = np.array([turning[j] / ratio[j] ** 2 for j in found.free])
-    bodies = consistent_links(expected.J, sizes, own)
+    every = found.basis.expression[list(found.rows)]
+    E, G = every[:, :first], every[:, first:][:, free]
+    scale = np.abs(found.values).max(initial=0.0) + np.abs(found.errors).max(initial=0.0)
+    W = whitening(found.covariance, _LEAST_ERROR * max(scale, 1e-12))
+    own = Demand(E, G, found.values - E @ kept.ravel(), W)
+    J, from_cad = expected_links(robot, kept, E, own.values, G)
+    turning = J[:, :3, :3].trace(axis1=1, axis2=2)  # sizes of the links' inertias, kg m^2
+    sizes = (turning / gear_ratios(robot) ** 2)[free]
+    bodies = consistent_links(J, sizes, own)
     rotor = found.known.copy()
-    rotor[list(found.free)] = bodies.rotors
-    return NearestBodies(bodies.phi, rotor, bodies.exact, expected)
+    rotor[free] = bodies.rotors
+    return NearestBodies(bodies.phi, rotor, bodies.exact, from_cad)

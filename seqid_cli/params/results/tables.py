@@ -1,6 +1,5 @@
 """Results as tables of values: the screen and the report write them with the same heads."""
 
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,8 +12,6 @@ from seqid_cli.params.results.trend import ChangeEntry
 from seqid_cli.params.schema import ClosedLoop, RobotId
 
 _WORDS = ("text", "effect", "path", "unit")
-_HEAD = re.compile(r"(?P<title>.*?)(?: \[(?P<unit>.*)\])?")
-_KIND = re.compile(r"(?P<kind>[a-z]+)(?P<digits>[0-9]*)")
 
 
 @dataclass(frozen=True)
@@ -56,12 +53,13 @@ class Values:
                 return number(None, head.digits)
             if head.kind in words:
                 return words[head.kind](value)
-            if isinstance(value, str) or head.kind in ("text", "count"):
-                return value if isinstance(value, str) else str(value)
+            if isinstance(value, str):
+                return value  # as it is: it may be marked up
+            if head.kind in ("text", "count"):
+                return str(value)
             write = percent if head.kind.startswith("share") else lambda x: number(x, head.digits)
-            if head.kind.endswith("s"):
-                return " to ".join(map(write, value)) or number(None, head.digits)
-            return write(value)
+            ends = value if head.kind.endswith("s") else [value]
+            return " to ".join(map(write, ends)) or number(None, head.digits)
 
         pairs = (zip(self.heads, row, strict=True) for row in self.rows)
         return [tuple(cell(head, value) for head, value in row) for row in pairs]
@@ -75,11 +73,10 @@ def heads(titles: str, kinds: str, **names: str) -> list[Head]:
     """
     found = []
     for title, kind in zip(titles.split(" | "), kinds.split(), strict=True):
-        head, form = _HEAD.fullmatch(title), _KIND.fullmatch(kind)
-        assert head is not None
-        assert form is not None
-        name, unit = (text.format(**names) for text in (head["title"], head["unit"] or ""))
-        found.append(Head(name, form["kind"], unit, int(form["digits"] or 3)))
+        name, _, unit = title.removesuffix("]").partition(" [")
+        form = kind.rstrip("0123456789")
+        digits = int(kind.removeprefix(form) or 3)
+        found.append(Head(name.format(**names), form, unit.format(**names), digits))
     return found
 
 

@@ -3,9 +3,9 @@
 Imports neither numpy nor Pinocchio, so that a wrong file is reported at once.
 """
 
+import glob
 import re
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -33,32 +33,20 @@ _PART = r"(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')"
 _DEEP_KEY = re.compile(rf"(?<![\w\-\"'.]){_PART}(?:[ \t]*\.[ \t]*{_PART}){{{MOST_PARTS}}}")
 
 
-@dataclass(frozen=True)
-class ReadRobotFile:
-    """A robot file that passed its checks: `content` typed, `raw` as it lies on the disk.
-
-    `formulas` are those of its effects.
-    """
-
-    path: Path
-    raw: bytes
-    content: RobotFile
-    formulas: tuple[Formula | None, ...]
-
-
-def read_robot_file(path: Path) -> ReadRobotFile:
+def read_robot_file(path: Path) -> tuple[bytes, RobotFile, tuple[Formula | None, ...]]:
     """Read and check a robot file, apart from checks that need its URDF.
 
-    Raises ConfigError naming the file and the key's full path.
+    Returns the file as it lies on the disk, its content, and the formula of each effect. Raises
+    ConfigError naming the file and the key's full path.
     """
     raw = read_limited(path, "robot file", SIZE_LIMIT)
     document = _parse(path, raw)
     schema, hint = document.get("schema"), f'Write schema = "{SCHEMA}" in the first line.'
-    if schema is None:
-        raise ConfigError("the key 'schema' is missing", where=str(path), hint=hint)
     match = re.fullmatch(r"seqid/robot@([1-9][0-9]{0,5})", str(schema))
     if match is None:
-        raise ConfigError(f"schema is {schema!r}, not {SCHEMA!r}", where=str(path), hint=hint)
+        message = f"schema is {schema!r}, not {SCHEMA!r}"
+        message = "the key 'schema' is missing" if schema is None else message
+        raise ConfigError(message, where=str(path), hint=hint)
     if int(match[1]) > SCHEMA_VERSION:
         message = f"schema {schema!r} is newer than this seqid knows ({SCHEMA!r})"
         raise ConfigError(message, where=str(path), hint="Update seqid.")
@@ -67,9 +55,9 @@ def read_robot_file(path: Path) -> ReadRobotFile:
     except msgspec.ValidationError as problem:
         raise _explained(path, document, problem) from None
     except (OverflowError, RecursionError):
-        message = "a number is too large or the nesting too deep"
-        raise ConfigError(message, where=str(path)) from None
-    return ReadRobotFile(path, raw, content, check_content(path, content))
+        message, hint = "a number is too large or the nesting too deep", "Correct the value."
+        raise ConfigError(message, where=str(path), hint=hint) from None
+    return raw, content, check_content(path, content)
 
 
 def read_limited(path: Path, what: str, limit: int) -> bytes:
@@ -86,7 +74,8 @@ def read_limited(path: Path, what: str, limit: int) -> bytes:
         with path.open("rb") as file:
             raw = file.read(limit + 1)
     except FileNotFoundError:
-        hint = f"In {path.parent} there is: {_beside(path)}."
+        names = sorted(other.name for other in path.parent.glob(f"*{glob.escape(path.suffix)}"))
+        hint = f"In {path.parent} there is: {', '.join(names[:10]) or f'no *{path.suffix} file'}."
         raise ConfigError(f"{what} not found", where=where, hint=hint) from None
     except (OSError, ValueError) as problem:
         raise ConfigError(f"the {what} cannot be read: {problem}", where=where) from None
@@ -96,33 +85,21 @@ def read_limited(path: Path, what: str, limit: int) -> bytes:
     return raw
 
 
-def _beside(path: Path) -> str:
-    try:
-        names = sorted(p.name for p in path.parent.iterdir() if p.suffix == path.suffix)
-    except OSError:
-        return "nothing, the folder does not exist"
-    return ", ".join(names[:10]) or f"no *{path.suffix} file"
-
-
 def _parse(path: Path, raw: bytes) -> dict[str, object]:
     try:
         text = raw.decode("utf-8")
-        if _DEEP_KEY.search(text):  # each part is a table, and the parser keeps the way to each
-            message = f"a key has more than {MOST_PARTS} parts"
-            raise ConfigError(message, where=str(path), hint="Write tables by their names.")
-        return tomllib.loads(text)
+        if not _DEEP_KEY.search(text):  # each part is a table, and the parser keeps the way to each
+            return tomllib.loads(text)
+        message, hint = f"a key has more than {MOST_PARTS} parts", "Write tables by their names."
     except UnicodeDecodeError as problem:
         line = raw.count(b"\n", 0, problem.start) + 1
         message = f"line {line} is not UTF-8 text"
         hint = "A robot file is plain text in UTF-8; save it so."
-    except tomllib.TOMLDecodeError as problem:
+    except (RecursionError, ValueError) as problem:
+        message, hint = f"not valid TOML: {problem}", "Correct that line, nesting or number."
         if raw.lstrip().startswith(b"<"):
             message = "this is XML, as a URDF is, not a robot file"
             hint = f"Make one that names it: seqid init LOG --urdf {path} -o robot.toml"
-            raise ConfigError(message, where=str(path), hint=hint) from None
-        message, hint = f"not valid TOML: {problem}", "Correct that line."
-    except (RecursionError, ValueError) as problem:
-        message, hint = f"not valid TOML: {problem}", "Nesting or number out of range."
     raise ConfigError(message, where=str(path), hint=hint)
 
 

@@ -57,7 +57,7 @@ def geometry_of(
     """
     if robot.urdf is None:
         return None
-    xml = readable(read_urdf_text(robot.urdf)).decode("utf-8")
+    xml = readable(read_urdf_text(robot.urdf))
     whole = pin.buildModelFromXML(xml)
     folders = [str(folder) for folder in robot.urdf.resolve().parents]
     folders += os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)

@@ -236,4 +236,4 @@ def test_what_torque_does_not_show_stays_as_in_the_cad(tmp_path: Path) -> None:
     stages = stages_of(robot, robot.nominal)
     model = export(robot, stages, kind="URDF").model
     np.testing.assert_allclose(model.bodies, robot.nominal, atol=1e-3 * robot.nominal.max())
-    assert all(model.nearest.expected.from_cad)
+    assert all(model.nearest.from_cad)

@@ -42,7 +42,7 @@ def test_inertia_that_may_be_a_rotors_makes_no_link_heavy(rotor: bool) -> None:
     E[0, 9] = E[1, 19] = 1.0  # Izz of both
     G = np.array([[1.0], [0.0]]) if rotor else np.zeros((2, 0))
     robot = make_robot(["first", "second"])
-    J = expected_links(robot, np.zeros((2, 10)), E, np.array([0.7, 0.01]), G).J
+    J = expected_links(robot, np.zeros((2, 10)), E, np.array([0.7, 0.01]), G)[0]
     first, second = J[:, 3, 3]
     assert (first == pytest.approx(second)) == rotor
 

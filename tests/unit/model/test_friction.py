@@ -8,7 +8,6 @@ from numpy.polynomial.chebyshev import chebval2d, chebvander
 
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling, tensor
-from seqid_cli.params.schema import FrictionJoint, Parameter
 from tests import Array
 from tests.plants.robots.made import friction_joint
 
@@ -103,13 +102,6 @@ def test_the_slope_beyond_the_fastest_speed_is_never_negative() -> None:
         assert (np.diff(errors) > 0.03).all()
 
 
-def test_below_the_slowest_speed_its_value_holds(any_surface: FrictionSurface) -> None:
-    q = np.array([-1.0, 0.0, 2.0])
-    slowest = any_surface.scaling.speed[0]
-    slower, slow = (any_surface.torque(q, np.full(3, v)) for v in (0.7 * slowest, slowest))
-    np.testing.assert_allclose(slower, slow, rtol=1e-5)
-
-
 def test_the_error_grows_outside(any_surface: FrictionSurface) -> None:
     """Inside the covariance is the file's; outside what is not known comes on top."""
     count = any_surface.entries
@@ -140,44 +132,33 @@ def test_outside_is_said(any_surface: FrictionSurface) -> None:
     assert not any_surface.outside(middle, np.array([0.0])).any()
 
 
-def test_the_torque_does_not_jump_at_rest(any_surface: FrictionSurface) -> None:
-    q = np.array([-1.0, 0.3, 2.0])
-    tiny = 1e-9
-    off = any_surface.torque(q, np.full(3, tiny)) - any_surface.torque(q, np.full(3, -tiny))
-    assert np.abs(off).max() < 1e-5
-    rest = any_surface.torque(q, np.zeros(3))
-    np.testing.assert_allclose(rest, any_surface.torque(q, np.full(3, tiny)), atol=1e-5)
-
-
 def test_columns_are_the_gradient(any_surface: FrictionSurface) -> None:
-    """Central differences in every entry that the covariance is of."""
+    """Differences in every entry that the covariance is of: the torque is linear in them."""
     q, v = states(25)
     q[:10], v[:10] = 3.0 * q[:10], 1.0 + np.abs(3.0 * v[:10])  # outside as well
-    columns = any_surface.columns(q, v)
-    count = any_surface.positive.size
-    step = 1e-4
-    for k in range(any_surface.entries):
-        sides = []
-        for sign in (1, -1):
-            positive, negative = any_surface.positive.copy(), any_surface.negative.copy()
-            if k < count:
-                positive.ravel()[k] += sign * step
-            if not any_surface.directional:
-                negative = positive
-            elif k >= count:
-                negative.ravel()[k - count] += sign * step
-            sides.append(replace(any_surface, positive=positive, negative=negative).torque(q, v))
-        slope = (sides[0] - sides[1]) / (2 * step)
-        np.testing.assert_allclose(columns[:, k], slope, atol=1e-9)
+    columns, shape = any_surface.columns(q, v), any_surface.positive.shape
+    sides = (any_surface.positive, any_surface.negative)[: 1 + any_surface.directional]
+    for k, unit in enumerate(1e-4 * np.eye(any_surface.entries)):
+        positive, *other = (
+            side + step for side, step in zip(sides, unit.reshape(-1, *shape), strict=True)
+        )
+        moved = replace(any_surface, positive=positive, negative=[positive, *other][-1])
+        slope = (moved.torque(q, v) - any_surface.torque(q, v)) / 1e-4
+        np.testing.assert_allclose(columns[:, k], slope, atol=1e-8)
 
 
-def test_the_band_at_rest_is_what_the_slowest_speed_has(any_surface: FrictionSurface) -> None:
+def test_slow_motion_has_the_friction_of_the_slowest_speed(any_surface: FrictionSurface) -> None:
+    """It holds below that speed, bounds friction at rest, and does not jump where a joint turns."""
     q = np.linspace(*POSITION, 20)
-    low, high = any_surface.at_rest(q)
     v = np.full(20, any_surface.scaling.speed[0])
+    np.testing.assert_allclose(any_surface.torque(q, 0.7 * v), any_surface.torque(q, v), rtol=1e-5)
+    low, high = any_surface.at_rest(q)
     np.testing.assert_allclose(high, formula(any_surface, q, v), rtol=1e-4)
     np.testing.assert_allclose(low, formula(any_surface, q, -v), rtol=1e-4)
     assert (low < high).all()
+    rest = any_surface.torque(q, 0.0 * v)
+    for tiny in (1e-8 * v, -1e-8 * v):
+        np.testing.assert_allclose(any_surface.torque(q, tiny), rest, atol=1e-5)
 
 
 @pytest.mark.parametrize("logarithmic", [False, True])
@@ -196,25 +177,6 @@ def test_the_papers_orders_are_well_conditioned(logarithmic: bool) -> None:
         len(q), -1
     )
     assert np.linalg.cond(raw) > 1e12
-
-
-def test_from_the_parameter_file_and_back(any_surface: FrictionSurface) -> None:
-    low, high = any_surface.scaling.position
-    joint = friction_joint(
-        any_surface.positive,
-        any_surface.negative,
-        position_range=[low, high],
-        speed_range=list(any_surface.scaling.speed),
-        speed_scale="log" if any_surface.scaling.logarithmic else "linear",
-        sign_width=any_surface.sign_width,
-        directional=any_surface.directional,
-        covariance=any_surface.covariance.tolist(),
-    )
-    back = FrictionSurface.from_stage(joint)
-    assert back.scaling == any_surface.scaling
-    np.testing.assert_array_equal(back.covariance, any_surface.covariance)
-    q, v = states()
-    np.testing.assert_array_equal(back.torque(q, v), any_surface.torque(q, v))
 
 
 @pytest.mark.parametrize("directional", [False, True])
@@ -236,29 +198,19 @@ def test_a_corner_that_no_trial_has_been_in_is_vague(directional: bool) -> None:
     assert not own.vague(np.array([middle + 0.98 * half]), np.array([0.5 * WIDTH])).any()
 
 
-def law(coulomb: float, viscous: float, fast: float) -> FrictionJoint:
-    """Coulomb and viscous friction as a simultaneous fit writes it."""
-    half = 0.5 * viscous * fast
-    known = [
-        Parameter(name=name, value=value, std_error=0.01, unit=unit)
-        for name, value, unit in (("coulomb", coulomb, "N m"), ("viscous", viscous, "N m s/rad"))
-    ]
-    return friction_joint(
+def test_coulomb_and_viscous_friction_of_a_file_goes_on_beyond_the_fastest_speed() -> None:
+    """As it is; that it was not seen there is said all the same."""
+    coulomb, half = 2.0, 0.5 * 0.7 * 1.5
+    joint = friction_joint(
         [[coulomb + half, half]],
-        rmse=0.1,
         position_range=list(POSITION),
-        speed_range=[0.0, fast],
+        speed_range=[0.0, 1.5],
         sign_width=WIDTH,
         covariance=[[1e-4, 0.0], [0.0, 1e-4]],
-        parameters=known,
     )
-
-
-def test_coulomb_and_viscous_friction_goes_on_beyond_the_fastest_speed() -> None:
-    """As it is; that it was not seen there is said all the same."""
-    own = FrictionSurface.from_stage(law(2.0, 0.7, fast=1.5))
+    own = FrictionSurface.from_stage(joint)
     v = np.array([0.3, -1.2, 1.5, 3.0, -4.0])
     q = np.zeros(len(v))
-    np.testing.assert_allclose(own.torque(q, v), 2.0 * np.sign(v) + 0.7 * v, rtol=1e-9)
+    np.testing.assert_allclose(own.torque(q, v), coulomb * np.sign(v) + 0.7 * v, rtol=1e-9)
     assert own.outside(q, v).tolist() == [False, False, False, True, True]
     assert not own.vague(q, v).any()

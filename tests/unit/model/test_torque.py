@@ -45,19 +45,11 @@ def motion() -> Motion:
     return made_motion(q, dq, ddq, lowpass, tau=tau, usable=usable)
 
 
-def representative(phi: Array, rotor: Array) -> dict[str, float]:
-    names = standard_names(len(rotor))
-    return dict(zip(names, [float(x) for x in np.concatenate([phi.ravel(), rotor])], strict=True))
-
-
 def rigid_stage(phi: Array, rotor: Array, coupling: str = "diagonal") -> RigidStage:
-    return RigidStage(
-        parameters=[],
-        condition=1.0,
-        rank=36,
-        representative=representative(phi, rotor),
-        rotor_coupling=coupling,
-    )
+    values = np.concatenate([phi.ravel(), rotor]).tolist()
+    known = dict(zip(standard_names(len(rotor)), values, strict=True))
+    size = {"parameters": [], "condition": 1.0, "rank": 36}
+    return RigidStage(**size, representative=known, rotor_coupling=coupling)
 
 
 def stages(robot: Robot, coupling: str = "diagonal") -> Stages:
@@ -98,16 +90,7 @@ def test_prediction_is_the_regressor_times_the_parameters(
     np.testing.assert_allclose(model.predict(motion), expected, atol=1e-8)
 
 
-def test_a_joint_without_friction_has_none(robot: Robot, motion: Motion) -> None:
-    own = stages(robot)
-    del own.friction.joints["joint_3"]
-    model = TorqueModel.from_stages(own, robot)
-    assert model.surfaces[2] is None
-    assert not model.friction(motion.q, motion.dq)[:, 2].any()
-    assert not model.outside(motion)[:, 2].any()
-
-
-def test_gravity_alone_and_friction_alone_are_models_too(robot: Robot, motion: Motion) -> None:
+def test_parts_are_models_too(robot: Robot, motion: Motion) -> None:
     arm = six_joint().arm
     gravity = rigid_stage(arm.phi, np.zeros(6))
     alone = TorqueModel.from_stages(Stages(gravity=gravity), robot)
@@ -115,7 +98,11 @@ def test_gravity_alone_and_friction_alone_are_models_too(robot: Robot, motion: M
     rigid = Rigid(arm)
     expected = [rigid.gravity_torque(q) for q in motion.q[:10]]
     np.testing.assert_allclose(alone.rigid(motion.q, still, still)[:10], expected, atol=1e-9)
-    rubbing = TorqueModel.from_stages(Stages(friction=stages(robot).friction), robot)
+    friction = stages(robot).friction
+    del friction.joints["joint_3"]
+    rubbing = TorqueModel.from_stages(Stages(friction=friction), robot)
+    assert not rubbing.friction(motion.q, motion.dq)[:, 2].any()
+    assert not rubbing.outside(motion)[:, 2].any()
     assert not rubbing.rigid(motion.q, motion.dq, motion.ddq).any()
     np.testing.assert_allclose(
         rubbing.predict(motion),

@@ -10,14 +10,6 @@ from seqid_cli.params import files
 from seqid_cli.params.files import check_output, write_text_atomic
 
 
-def test_a_new_file_has_the_usual_rights(tmp_path: Path) -> None:
-    plain = tmp_path / "plain"
-    plain.write_text("x")
-    write_text_atomic(tmp_path / "out.json", "new")
-    assert (tmp_path / "out.json").read_text() == "new"
-    assert (tmp_path / "out.json").stat().st_mode == plain.stat().st_mode
-
-
 def test_two_writers_never_tear_a_file(tmp_path: Path) -> None:
     path = tmp_path / "out.json"
     path.write_text("a" * 100_000)
@@ -37,17 +29,18 @@ def test_two_writers_never_tear_a_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_link_stays_a_link(tmp_path: Path) -> None:
-    (tmp_path / "real.json").write_text("old")
+def test_a_new_file_has_the_usual_rights_and_a_link_stays_a_link(tmp_path: Path) -> None:
+    (tmp_path / "real.json").touch()
     (tmp_path / "link.json").symlink_to(tmp_path / "real.json")
-    write_text_atomic(tmp_path / "link.json", "new")
+    for name in ("out.json", "link.json"):
+        write_text_atomic(tmp_path / name, "new")
     assert (tmp_path / "link.json").is_symlink()
     assert (tmp_path / "real.json").read_text() == "new"
-
-
-def test_a_device_is_written_and_not_replaced() -> None:
+    plain = tmp_path / "plain"
+    plain.touch()
+    assert (tmp_path / "out.json").stat().st_mode == plain.stat().st_mode
     write_text_atomic(Path(os.devnull), "x")
-    assert not Path(os.devnull).is_file()
+    assert not Path(os.devnull).is_file()  # a device is written, not replaced
 
 
 def test_an_input_is_never_overwritten(tmp_path: Path) -> None:
@@ -60,15 +53,24 @@ def test_an_input_is_never_overwritten(tmp_path: Path) -> None:
     assert source.read_text() == "precious"
 
 
-def test_outputs_that_cannot_be_written(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="folder does not exist") as missing:
-        check_output(tmp_path / "no" / "out.json")
-    assert missing.value.hint == f"Make it: mkdir -p {tmp_path / 'no'}"
-    with pytest.raises(UsageError, match="is a folder"):
-        check_output(tmp_path)
-    for stream in ("-", "/dev/stdout", "/dev/fd/1", "/proc/self/fd/2"):
-        with pytest.raises(UsageError, match="must be a file"):
-            check_output(Path(stream))
+@pytest.mark.parametrize(
+    ("path", "message"),
+    [
+        ("no/out.json", "folder does not exist"),
+        (".", "is a folder"),
+        ("n" * 256, "cannot be written: File name too long"),
+        ("/proc/out.json", "writ"),
+        *((stream, "must be a file") for stream in ("-", "/dev/stdout", "/proc/self/fd/2")),
+    ],
+)
+def test_what_cannot_be_written_is_said_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, path: str, message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match=message) as caught:
+        check_output(Path(path))
+    assert caught.value.hint
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("length", [200, 249, 255])
@@ -79,14 +81,6 @@ def test_every_name_that_the_file_system_takes_is_written(length: int, tmp_path:
     write_text_atomic(path, "new")
     assert path.read_text() == "new"
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_what_cannot_be_written_is_said_before_any_work(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="cannot be written: File name too long"):
-        check_output(tmp_path / ("n" * 256))
-    with pytest.raises(UsageError, match="writ"):
-        check_output(Path("/proc/out.json"))
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_link_to_itself_is_replaced(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from seqid_cli.robot.base_parameters import (
 )
 from seqid_cli.robot.kinematics import chain_from_dh
 from seqid_cli.robot.regressor import gravity_regressor
-from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.types import Robot
 from tests.plants.robots.small import (
     HALF,
     arm_6r,
@@ -54,13 +54,6 @@ ROBOTS = {
 }
 
 
-def _phi(robot: Robot, rotor: list[int], rng: np.random.Generator) -> Array:
-    phi = rng.normal(size=11 * robot.n)
-    unknown = np.isin(np.arange(robot.n), rotor)
-    phi[10 * robot.n :] *= unknown
-    return phi
-
-
 @pytest.mark.parametrize("rotors", ["none", "all", "last"])
 @pytest.mark.parametrize("name", ROBOTS)
 def test_base_parameters_say_all_and_nothing_twice(name: str, rotors: str) -> None:
@@ -69,7 +62,8 @@ def test_base_parameters_say_all_and_nothing_twice(name: str, rotors: str) -> No
     rng = np.random.default_rng(11)
     basis = base_parameters(robot, rotor=rotor)
     q, dq, ddq = states(rng, 200, robot.n)
-    phi = _phi(robot, rotor, rng)
+    phi = rng.normal(size=11 * robot.n)
+    phi[10 * robot.n :] *= np.isin(np.arange(robot.n), rotor)
     tau = standard_regressor(robot, q, dq, ddq, coupling="diagonal") @ phi
     H = base_regressor(robot, basis, q, dq, ddq)
     np.testing.assert_allclose(H @ (basis.expression @ phi), tau, atol=1e-10 * abs(tau).max())
@@ -110,19 +104,11 @@ def test_planar_arm_has_the_papers_five_parameters() -> None:
     assert basis.expression_text(0) == "Izz_1 + 0.09*m_2 + 36*Ia_1"
 
 
-def test_expressions_are_tidy_and_agree_with_the_matrix() -> None:
+def test_expressions_are_tidy() -> None:
     basis = base_parameters(arm_6r(gear_ratio=101.0), rotor=range(6))
-    names = standard_names(6)
-    for k in range(basis.size):
-        terms = basis.terms(k)
-        assert next(iter(terms)) == basis.names[k]
-        row = np.zeros(66)
-        for name, factor in terms.items():
-            row[names.index(name)] = factor
-        np.testing.assert_allclose(row, basis.expression[k], atol=1e-9)
-        assert "1*" not in basis.expression_text(k).replace(".", "").split(" ")[0]
     elbow = basis.names.index("mx_3")
     assert basis.expression_text(elbow) == "mx_3 - 0.3922*m_4 - 0.3922*m_5 - 0.3922*m_6"
+    assert list(basis.terms(elbow)) == ["mx_3", "m_4", "m_5", "m_6"]
 
 
 def test_loaded_columns_are_all_that_differ_from_zero() -> None:

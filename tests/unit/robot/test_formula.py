@@ -23,17 +23,10 @@ joint = [
 REFUSED = {
     "c * __import__('os').system('true')": "may have",
     "c * exec(q)": "calls",
-    "c * (lambda: 1)()": "may have",
     "c * q.real": "may have",
     "c * q[0]": "may have",
-    "c * [1, 2]": "may have",
-    "c * 'a'": "may have",
-    "c * True": "may have",
     "c * 1j": "may have",
-    "c if q else c1": "may have",
-    "c * (q := 1)": "may have",
     "c * q // 2": "operator",
-    "c * q @ q": "operator",
     "q * dq": "no coefficient",
     "c1 * c2 * q": "multiplies coefficients",
     "c1 * q + 3": "without a coefficient",
@@ -42,16 +35,12 @@ REFUSED = {
     "sin(c1 * q)": "inside sin()",
     "c * dp": "did you mean",
     "c * min(q)": "takes 2",
-    "c * abs(q, dq)": "takes 1",
     "c * dq_3": "has 2 joints",
     "c * q +": "cannot be read",
-    "": "cannot be read",
     "c * q\0": "cannot be read",
     "c * " + "(" * 300 + "q" + ")" * 300: "long",
     "c * " + "-" * 100 + "q": "deep",
-    "c * width": "'width'",
     "c * 1" + "0" * 400: "too large",
-    "c * 1e999 * q": "too large",
     "c * '\\d'": "may have",
     "c * 2\u03b8": "cannot be read",
 }
@@ -79,10 +68,7 @@ def test_coefficients_and_symbols_are_found() -> None:
     )
     assert found.coefficients == ("c", "c2", "c10")
     assert found.symbols == {Symbol("dq"), Symbol("load"), Symbol("q", 1)}
-
-
-def test_a_setting_must_be_used() -> None:
-    with pytest.raises(FormulaError, match="width"):
+    with pytest.raises(FormulaError, match="width"):  # a setting must be used
         parse_formula("c * q", 2, ["width"])
 
 
@@ -118,7 +104,6 @@ def test_a_robot_file_has_its_effects(tmp_path: Path) -> None:
         ('name = "cable"\ntorque = "c * exp(c)"', "effect[0].torque"),
         ('name = "cable"\ntorque = "c * q"\nsettings = { dq = [1, 2] }', "effect[0].settings.dq"),
         ('name = "cable"\ntorque = "c * w"\nsettings = { w = [2, 1] }', "effect[0].settings.w"),
-        ('name = "cable"\ntorque = "c * w"\nsettings = { w = [nan, 1] }', "effect[0].settings.w"),
         ('name = "cable"\nformula = "c * q"', "effect[0].formula"),
         ('name = "cable"\n[[effect]]\nname = "cable"', "cable"),
     ],

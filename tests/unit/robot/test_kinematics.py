@@ -20,32 +20,20 @@ from tests.plants.robots.small import random_model, states
 MIXED = [False, True, False, False]
 
 
-def test_frames_are_pinocchios() -> None:
-    rng = np.random.default_rng(0)
-    model, chain = random_model(rng, MIXED)
-    q, _, _ = states(rng, 5, 4)
-    frames = forward(chain, q)
-    data = model.createData()
+def test_frames_and_angular_motion_are_pinocchios() -> None:
+    model, chain = random_model(np.random.default_rng(0), MIXED)
+    q, dq, ddq = states(np.random.default_rng(1), 5, 4)
+    frames, data = forward(chain, q), model.createData()
+    turns = [link_angular_motion(chain, q, dq, ddq, link) for link in range(4)]
     for k in range(5):
-        pin.forwardKinematics(model, data, q[k])
-        for i in range(4):
+        pin.forwardKinematics(model, data, q[k], dq[k], ddq[k])
+        for i, (w, dw) in enumerate(turns):
             placement = data.oMi[i + 1]
             np.testing.assert_allclose(frames.R[k, i], placement.rotation, atol=1e-12)
             np.testing.assert_allclose(frames.p[k, i], placement.translation, atol=1e-12)
             np.testing.assert_allclose(frames.z[k, i], placement.rotation @ chain.axis[i])
-
-
-def test_angular_motion_is_pinocchios() -> None:
-    rng = np.random.default_rng(1)
-    model, chain = random_model(rng, MIXED)
-    q, dq, ddq = states(rng, 5, 4)
-    data = model.createData()
-    for link in range(4):
-        w, dw = link_angular_motion(chain, q, dq, ddq, link)
-        for k in range(5):
-            pin.forwardKinematics(model, data, q[k], dq[k], ddq[k])
-            np.testing.assert_allclose(w[k], data.v[link + 1].angular, atol=1e-12)
-            np.testing.assert_allclose(dw[k], data.a[link + 1].angular, atol=1e-12)
+            np.testing.assert_allclose(w[k], data.v[i + 1].angular, atol=1e-12)
+            np.testing.assert_allclose(dw[k], data.a[i + 1].angular, atol=1e-12)
 
 
 def test_dh_frames_are_products_of_the_four_moves() -> None:

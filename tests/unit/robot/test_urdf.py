@@ -123,15 +123,21 @@ def test_rounded_angles_are_tidied(tmp_path: Path) -> None:
         ("<sdf/>", "outermost element is <sdf>"),
         ('<!DOCTYPE r [<!ENTITY a "b">]><robot name="r"/>', "declares XML entities"),
         (urdf('<xacro:include filename="a"/>'), "xacro file"),
-        (urdf(link("a"), link("b"), joint("turn", "a", "c")), "not a usable URDF|is no joint"),
+        (urdf(link("a"), link("b"), joint("turn", "a", "c")), "child link 'c' is not in the URDF"),
         (
             urdf(link("a"), link("b"), joint("turn", "a", "b"), joint("turn", "a", "b")),
-            "two joints named 'turn'",
+            "two joints are named 'turn'",
         ),
-        (urdf(link("a"), link("b"), joint("turn", "a", "b", xyz="0 nan 0")), "finite|usable"),
-        (urdf(link("a"), link("b"), joint("turn", "a", "b", axis="0 0 0")), "finite|usable"),
-        (urdf(link("a"), link("b"), joint("turn", "a", "b", xyz="0 x 0")), "has xyz=.0 x 0."),
-        (urdf(link("a"), link("b"), link("c"), joint("turn", "a", "b")), "not a usable URDF"),
+        (urdf(link("a"), link("b"), joint("turn", "a", "b", xyz="0 nan 0")), "finite"),
+        (urdf(link("a"), link("b"), joint("turn", "a", "b", axis="0 0 0")), "no direction"),
+        (urdf(link("a"), link("b"), joint("turn", "a", "b", xyz="0 x 0")), "xyz='0 x 0'"),
+        (urdf(link("a"), link("b"), joint("turn", "a", "b", xyz="0 0")), "'turn': <origin xyz"),
+        (urdf(link("a"), link("b"), joint("turn", "a", "b", rpy="0 0 1e300")), "rpy='0 0 1e300'"),
+        (
+            urdf(link("a"), link("b", mass=-3.7), joint("turn", "a", "b")),
+            "link 'b': .*value='-3.7'",
+        ),
+        (urdf(link("a"), link("b"), link("c"), joint("turn", "a", "b")), "2 root links"),
         (urdf(link("a"), link("b"), joint("turn", "a", "b", kind="planar")), "planar joint"),
     ],
 )
@@ -140,31 +146,12 @@ def test_damaged_urdf_is_a_message(tmp_path: Path, text: str, message: str) -> N
         save_robot(tmp_path, text, ("turn",))
 
 
-@pytest.mark.parametrize(
-    ("right", "wrong", "said"),
-    [
-        ('mass value="3.7"', 'mass value="-3.7"', "has a mass of '-3.7'"),
-        ('xyz="0 0 0.1625"', 'xyz="0 0"', "has xyz='0 0'"),
-        ('xyz="0 0 0.1625"', 'xyz="0 0 1e300"', "beyond 1e"),
-    ],
-)
-def test_numbers_that_the_parser_takes(
-    tmp_path: Path, right: str, wrong: str, said: str, capfd: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("attribute", ['iyz="x"', 'iyz="0.003" ixx="a\u202e"'])
+def test_what_the_parser_of_the_library_prints_is_not_heard(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], attribute: str
 ) -> None:
-    axis = joint("axis", "base", "arm", xyz="0 0 0.1625")
-    text = urdf(link("base"), link("arm", mass=3.7), axis).replace(right, wrong)
-    assert wrong in text
-    with pytest.raises(ConfigError, match=said) as caught:
-        save_robot(tmp_path, text, ("axis",))
+    text = urdf(link("base"), link("arm", mass=1.0), joint("axis", "base", "arm"))
+    with pytest.raises(ConfigError) as caught:
+        save_robot(tmp_path, text.replace('iyz="0.003"', attribute), ("axis",))
     assert caught.value.where == str(tmp_path / "arm.urdf")
-    assert not capfd.readouterr().err
-
-
-def test_what_the_parser_prints_is_not_heard(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    twice = (link("base"), link("arm\u202e"), link("arm\u202e"))
-    text = urdf(*twice, joint("axis", "base", "arm\u202e"))
-    with pytest.raises(ConfigError, match="not a usable URDF"):
-        save_robot(tmp_path, text, ("axis",))
     assert not capfd.readouterr().err

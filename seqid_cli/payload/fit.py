@@ -15,20 +15,20 @@ model without it, from friction that may have changed, and from the torque const
 the payload as they scale the model.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.predict import predicted, slides_from
+from seqid_cli.identify.prediction.predict import Predictor
 from seqid_cli.identify.regression.equations import blocks, filtered_regressor
 from seqid_cli.identify.regression.least_squares import Accumulator, Prior, Solution, solve
 from seqid_cli.identify.rigid.posterior import constant_moves, moves_covariance
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.bodies.nearest import identified
-from seqid_cli.model.effects.fitted import Fitted, fitted_effects
+from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel, sampled_friction
 from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import Motion
@@ -82,9 +82,9 @@ def fit_payload(
         torque_of(log)  # there, before the motion is worked out
         motion = log_motion(log, robot, options.motion, imu=stages.imu, source=options.source)
         logs.append((log, motion))
-    model = TorqueModel.from_stages(stages, robot)
-    effects = tuple(fitted_effects(stages, robot))
-    first = rows = PayloadRows(model, effects, options, logs)
+    model, effects = TorqueModel.from_stages(stages, robot), fitted_effects(stages, robot)
+    bare = Predictor(model, stages, options, effects)
+    first = rows = PayloadRows(bare, logs)
     if not rows.samples.any():
         hint = "Record moves of every joint with the load."
         raise QualityError("no joint slides in these logs", hint=hint)
@@ -93,7 +93,7 @@ def fit_payload(
     for _ in range(rounds - 1 if effects else 0):
         assert model.phi is not None
         loaded = replace(model, phi=np.vstack([model.phi[:-1], model.phi[-1] + phi]))
-        rows = PayloadRows(loaded, effects, options, logs)
+        rows = PayloadRows(replace(bare, model=loaded), logs)
         solution = rows.solved(friction_change)
         phi = phi + solution.theta[:PER_LINK]
     left = [own.residual_rms(solution.theta) if own.samples else 0.0 for own in rows.joints]
@@ -120,14 +120,11 @@ class PayloadRows:
 
     def __init__(
         self,
-        model: TorqueModel,
-        effects: Sequence[Fitted],
-        options: InertiaOptions,
+        predictor: Predictor,
         logs: Iterable[tuple[Recording, Motion]],
     ) -> None:
-        self.model, self.effects, self.options = model, effects, options
-        self.basis = free_basis(model.robot)
-        n = model.robot.n
+        self.predictor, self.robot = predictor, predictor.model.robot
+        self.basis, n = free_basis(self.robot), self.robot.n
         size = PER_LINK + FRICTION_TERMS * n
         self.joints = [Accumulator(size) for _ in range(n)]
         self.cross, self.scaled = np.zeros((n, size, self.basis.size)), np.zeros((n, size))
@@ -136,14 +133,13 @@ class PayloadRows:
             self._add(recording, motion)
 
     def _add(self, recording: Recording, motion: Motion) -> None:
-        slowest = slides_from(self.model, self.options)
-        log = predicted(self.model, self.effects, slowest, motion, recording, slice(None))
-        friction = motion.filtered(sampled_friction(self.model.surfaces, motion), times=2)
+        log = self.predictor.part(motion, recording, slice(None))
+        friction = motion.filtered(sampled_friction(self.predictor.model.surfaces, motion), times=2)
         speed = np.abs(motion.dq) / np.maximum(np.abs(motion.dq).max(axis=0), 1e-12)
         tables = log.residual, log.tau, friction, speed
-        kept_hz = self.options.motion.samples_per_cutoff * motion.cutoff.hz
+        kept_hz = self.predictor.options.motion.samples_per_cutoff * motion.cutoff.hz
         every = max(1, int(motion.rate_hz / kept_hz))
-        for chunk, H in filtered_regressor(motion, self.model.robot, self.basis):
+        for chunk, H in filtered_regressor(motion, self.robot, self.basis):
             for block in blocks(len(H), motion.rate_hz):
                 part = slice(chunk.start + block.start, chunk.start + block.stop, every)
                 columns = H[block.start : block.stop : every]

@@ -17,7 +17,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from seqid_cli.errors import UsageError
 from seqid_cli.identify.prediction.predict import LogPrediction
-from seqid_cli.identify.prediction.torques_mcap import TOPICS, McapTorqueWriter
+from seqid_cli.identify.prediction.torques_mcap import TOPICS, mcap_writer
 from tests import ROOT
 from tests.plants.robots.made import made_prediction
 
@@ -58,9 +58,9 @@ def messages(path: Path) -> Iterator[Read]:
 
 
 def save(path: Path, *logs: LogPrediction) -> None:
-    with McapTorqueWriter.open(path, JOINTS) as writer:
+    with mcap_writer(path, JOINTS) as write:
         for log in logs:
-            writer.write(log)
+            write(log)
 
 
 @pytest.mark.parametrize("name", ["a", "logs/move.parquet"])
@@ -125,7 +125,7 @@ def test_a_clock_that_no_stamp_holds_starts_from_zero(tmp_path: Path, start: flo
 
 
 def test_a_folder_that_is_not_there_is_a_message(tmp_path: Path) -> None:
-    with pytest.raises(UsageError), McapTorqueWriter.open(tmp_path / "no" / "out.mcap", JOINTS):
+    with pytest.raises(UsageError), mcap_writer(tmp_path / "no" / "out.mcap", JOINTS):
         pass
 
 

@@ -281,28 +281,20 @@ def verdict_of(
     It is known to better than `max_deg` degrees, and a log that is left out is predicted to
     `max_holdout` times the noise.
     """
-    worst = calibration.std_error_deg
-    reason = f"mounting known to {worst:.3g} degrees from {calibration.configurations} trials"
+    worst, left, bends = calibration.std_error_deg, calibration.holdout, deflecting(calibration)
     angle = [text for text in calibration.not_determined if text.startswith("the angle")]
-    good = worst < max_deg
-    if angle:
-        reason += "; " + "; ".join(angle)
-        # Whether all joints up to the IMU turn about parallel axes, whatever their angles.
-        q = np.random.default_rng(0).uniform(-3.0, 3.0, (8, robot.n))
-        turning = ~robot.chain.prismatic[: imu.after_joint + 1]
-        axes = axes_in_link(robot, q, imu.after_joint)[:, turning]
-        if (np.abs(axes @ robot.chain.axis[imu.after_joint]) > 1 - 1e-9).all():
-            reason += ", and does not matter: every joint before the IMU turns about that axis"
-        else:
-            good = False
+    matters = bool(angle) and not _turns_about_one_axis(robot, imu)
+    reason = f"mounting known to {worst:.3g} degrees from {calibration.configurations} trials"
+    reason += "".join(f"; {text}" for text in angle)
+    if angle and not matters:
+        reason += ", and does not matter: every joint before the IMU turns about that axis"
     if not converged:
-        good, reason = False, reason + "; the fit has not settled"
-    if calibration.holdout is not None and calibration.holdout > max_holdout:
-        good = False
-        reason += f"; a log left out is predicted to {calibration.holdout:.2g} times the noise"
-    bends = deflecting(calibration)
+        reason += "; the fit has not settled"
+    unlike = left is not None and left > max_holdout
+    if unlike:
+        reason += f"; a log left out is predicted to {left:.2g} times the noise"
     if bends is not None:
-        good, unit = False, robot.joints[robot.joint_names.index(bends.joint)].unit("rad/s^2")
+        unit = robot.joints[robot.joint_names.index(bends.joint)].unit("rad/s^2")
         reason += (
             f"; the link after {bends.joint} accelerates {bends.acceleration:.2g} "
             f"{unit} (RMS) beyond what its encoder tells: the joint is "
@@ -311,7 +303,16 @@ def verdict_of(
         )
     if not layout(imu).acceleration and not calibration.gyro_axes:
         reason += "; without a gyro this layout does not see angular acceleration"
+    good = worst < max_deg and converged and not (matters or unlike or bends)
     return Verdict(joint=imu.name, good=good, reason=reason)
+
+
+def _turns_about_one_axis(robot: Robot, imu: Imu) -> bool:
+    """Whether all joints up to the IMU turn about parallel axes, whatever their angles."""
+    q = np.random.default_rng(0).uniform(-3.0, 3.0, (8, robot.n))
+    turning = ~robot.chain.prismatic[: imu.after_joint + 1]
+    axes = axes_in_link(robot, q, imu.after_joint)[:, turning]
+    return bool((np.abs(axes @ robot.chain.axis[imu.after_joint]) > 1 - 1e-9).all())
 
 
 def deflecting(calibration: ImuCalibration) -> JointDeflection | None:

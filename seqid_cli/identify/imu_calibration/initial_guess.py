@@ -134,7 +134,12 @@ def fit_rotation(pairs: list[Pair]) -> Array:
     """
     B, M = (np.array([getattr(p, side) for p in pairs]) for side in ("imu", "link"))
     if np.linalg.matrix_rank(B, tol=1e-2) == 1:
-        return np.asarray(Rotation.align_vectors(M[0], B[0])[0].as_matrix())
+        b, m = B[0], M[0]
+        c = float(b @ m)
+        if c < -1 + 1e-12:
+            return np.asarray(Rotation.align_vectors(m, b)[0].as_matrix())
+        K = np.cross(np.eye(3), np.cross(b, m))
+        return np.asarray(np.eye(3) + K + K @ K / (1 + c))
     U, _, Vt = np.linalg.svd((M.T * np.array([p.sigma for p in pairs]) ** -2.0) @ B)
     proper = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
     return np.asarray(U @ proper @ Vt)

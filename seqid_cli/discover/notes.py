@@ -13,7 +13,7 @@ from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.select.terms import smooth_terms
 from seqid_cli.discover.survey.rows import extrapolated
-from seqid_cli.identify.imu_calibration.result import deflecting
+from seqid_cli.identify.imu_calibration.calibrate import deflecting
 from seqid_cli.identify.prediction.predict import OUTSIDE_NOTE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot

@@ -1,5 +1,14 @@
 """From the fit of a payload to the document: numbers where the logs give them, and a verdict.
 
+The estimate need not belong to a body: noise makes an inertia negative, and what the logs do not
+excite is whatever the least squares left. The body that is given is the one with a positive
+semidefinite pseudo-inertia J nearest to the estimate in its own errors,
+
+    min over J >= 0 of  (phi(J) - phi)' C^-1 (phi(J) - phi),
+
+a conic problem (Wensing, Kim, Slotine, "Linear matrix inequalities for physically consistent
+inertial parameter identification", RA-L 2018). Where the estimate is a body, the two are the same.
+
 The body also stands there in the words of robot controllers. Universal Robots:
 `set_target_payload(m, cog, inertia)` of URScript, inertia about the centre of mass as [Ixx, Iyy,
 Izz, Ixy, Ixz, Iyz]; `set_payload(m, cog)` before software 5.10. Franka Robotics:
@@ -15,6 +24,9 @@ from seqid_cli.identify.common_cutoff import inherited
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.model.bodies.consistent import nearest_body
+from seqid_cli.model.bodies.nearest import whitening
+from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.params.document import now, robot_id, tool
 from seqid_cli.params.results.payload import (
     PAYLOAD_SCHEMA,
@@ -23,29 +35,21 @@ from seqid_cli.params.results.payload import (
     Measured,
     PayloadFile,
 )
-from seqid_cli.params.schema import Parameter, Verdict
-from seqid_cli.payload.body import body_of
+from seqid_cli.params.schema import Matrix, Parameter, Verdict
 from seqid_cli.payload.fit import PayloadFit, fit_payload
-from seqid_cli.payload.options import PayloadOptions
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.shares import percent
-
-MASS, FIRST_MOMENT = 0, slice(1, 4)
-Inertia = Sequence[Sequence[float]] | None
+from seqid_cli.typing import Array
 
 
-def payload_file(inputs: Inputs, options: PayloadOptions) -> PayloadFile:
-    """Read the logs, fit, and describe the result."""
-    rigid = InertiaOptions(inherited(inputs.stages, options.cutoff_hz), options.source)
-    given = LogSet.of(inputs)
-    fit = fit_payload(
-        given,
-        inputs.robot,
-        inputs.stages,
-        options=rigid,
-        friction_change=options.friction_change,
-    )
-    names = inputs.robot.joint_names
+def payload_file(inputs: Inputs, *, source: str, change: float, good: float) -> PayloadFile:
+    """Read the logs, fit, and describe the result.
+
+    `source`, `change`, `good`: see `PayloadOptions`.
+    """
+    rigid = InertiaOptions(inherited(inputs.stages, inputs.options.cutoff_hz), source)
+    given, names = LogSet.of(inputs), inputs.robot.joint_names
+    fit = fit_payload(given, inputs.robot, inputs.stages, options=rigid, friction_change=change)
     entry, settings = _entry(fit, names[-1])
     errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     return PayloadFile(
@@ -71,52 +75,71 @@ def payload_file(inputs: Inputs, options: PayloadOptions) -> PayloadFile:
         settings=settings,
         joints={name: _joint(fit, j) for j, name in enumerate(names)},
         cutoff_origin=rigid.motion.origin,
-        verdicts=[*given.verdicts(), *_verdicts(fit, entry, names, options.good_error)],
+        verdicts=[*given.verdicts(), *_verdicts(fit, entry, names, good)],
         notes=[*given.notes(), *_notes(fit, entry, names)],
     )
 
 
 def _entry(fit: PayloadFit, joint: str) -> tuple[CarriedBodyEntry, dict[str, str]]:
     """The body, and how controllers take it where it has a mass and a centre."""
-    frame = f"of joint {joint}"
-    error = float(np.sqrt(max(fit.covariance[MASS, MASS], 0.0)))
-    known = bool(fit.determined[MASS])
-    nothing = Measured(value=None, std_error=None, unit="m")
-    mass = Measured(
-        value=float(fit.phi[MASS]) if known else None,
-        std_error=error if known else None,
-        unit="kg",
+    known, whole = fit.determined[:4].copy(), bool(fit.determined.all())
+    if known[0] and fit.phi[0] > 0.0:
+        values, errors, distance = carried(fit.phi, fit.covariance, whole=whole)
+    else:
+        values, errors, distance = fit.phi, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), 0.0
+        known[1:] = whole = False
+    mass, *center = (
+        Measured(
+            value=float(values[k]) if there else None,
+            std_error=float(errors[k]) if there else None,
+            unit="m" if k else "kg",
+        )
+        for k, there in enumerate(known)
     )
-    if not known or fit.phi[MASS] <= 0.0:
-        return CarriedBodyEntry(frame=frame, mass=mass, center_of_mass=[nothing] * 3), {}
-    whole = bool(fit.determined.all())
-    body = body_of(fit.phi, fit.covariance, whole=whole)
-    there = fit.determined[FIRST_MOMENT]
-    center = [
-        Measured(value=float(x), std_error=float(e), unit="m") if t else nothing
-        for x, e, t in zip(body.center, body.center_error, there, strict=True)
-    ]
-    inertia = body.inertia.tolist() if body.inertia is not None else []
     entry = CarriedBodyEntry(
-        frame=frame,
-        mass=Measured(value=body.mass, std_error=body.mass_error, unit="kg"),
+        frame=f"of joint {joint}",
+        mass=mass,
         center_of_mass=center,
-        inertia=inertia,
-        inertia_std_errors=body.inertia_error.tolist() if inertia else [],
-        distance=body.distance,
+        inertia=values[4:].reshape(3, 3).tolist() if whole else [],
+        inertia_std_errors=errors[4:].reshape(3, 3).tolist() if whole else [],
+        distance=distance,
     )
-    if not there.all():
-        return entry, {}
-    return entry, settings_of(body.mass, body.center.tolist(), inertia or None)
+    settings = settings_of(values[0], values[1:4], entry.inertia) if known.all() else {}
+    return entry, settings
+
+
+def carried(phi: Array, covariance: Array, *, whole: bool = True) -> tuple[Array, Array, float]:
+    """Mass, centre, inertia about it (13,) of the body nearest to an estimate; their errors.
+
+    `phi` (10,): standard parameters of positive mass, inertia about the frame's origin.
+    `covariance` (10, 10). `whole`: whether the inertia is known as well. The distance between the
+    estimate and the body comes last, in standard errors (chi); zero where it is one.
+    """
+    distance = 0.0
+    if whole and np.linalg.eigvalsh(pseudo_inertia(phi))[0] < 0.0:
+        phi, distance = nearest_body(phi, whitening(covariance, 1e-9 * float(np.abs(phi).max())))
+    step = 1e-6 * np.maximum(np.abs(phi), 1e-3 * np.abs(phi).max())
+    moved = _moments(phi + np.diag(step)) - _moments(phi - np.diag(step))
+    slopes = moved.T / (2.0 * step)
+    variances = np.einsum("ik,kl,il->i", slopes, covariance, slopes)
+    return _moments(phi), np.sqrt(np.maximum(variances, 0.0)), distance
+
+
+def _moments(phi: Array) -> Array:
+    """Mass, centre of mass and inertia about it (..., 13) of standard parameters (..., 10)."""
+    J = pseudo_inertia(phi)
+    mass, h = J[..., 3:, 3], J[..., :3, 3]
+    S = J[..., :3, :3] - h[..., :, None] * h[..., None, :] / mass[..., None]
+    inertia = np.trace(S, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - S
+    return np.concatenate([mass, h / mass, inertia.reshape(*mass.shape[:-1], 9)], axis=-1)
 
 
 def _joint(fit: PayloadFit, j: int) -> JointWithPayload:
-    seen = bool(fit.samples[j])
-    torque = max(float(fit.measured[j]), 1e-300)
+    seen, after = bool(fit.samples[j]), float(fit.after[j])
     return JointWithPayload(
         before=float(fit.before[j]) if seen else None,
-        after=float(fit.after[j]) if seen else None,
-        relative=float(fit.after[j]) / torque if seen else None,
+        after=after if seen else None,
+        relative=after / max(float(fit.measured[j]), 1e-300) if seen else None,
         samples=int(fit.samples[j]),
         friction_change=float(fit.friction_change[j]),
     )
@@ -139,28 +162,25 @@ def _verdicts(
         )
         yield Verdict(good=False, reason=reason)
         return
+    limit = percent(good_error)
+    faults = {
+        f", above {limit} of it: record more moves with more of the arm": (
+            not error < good_error * abs(mass)
+        ),
+        "; the model holds a body that these logs do not carry: swap the two": (
+            mass < -negative * error
+        ),
+        f"; the estimate is {entry.distance:.2g} standard errors from any body that can exist: "
+        "what is left is not of the payload alone": entry.distance > far,
+    }
     reason = f"mass {mass:.4g} kg, standard error {error:.2g} kg"
-    good = error < good_error * abs(mass)
-    if not good:
-        reason += f", above {percent(good_error)} of it: record more moves with more of the arm"
-    if mass < -negative * error:
-        good = False
-        reason += "; the model holds a body that these logs do not carry: swap the two"
-    if entry.distance > far:
-        good = False
-        reason += (
-            f"; the estimate is {entry.distance:.2g} standard errors from any body that can exist: "
-            "what is left is not of the payload alone"
-        )
-    yield Verdict(good=good, reason=reason)
+    found = [text for text, holds in faults.items() if holds]
+    yield Verdict(good=not found, reason=reason + "".join(found))
     for j, name in enumerate(names):
-        left = float(fit.after[j]) / max(float(fit.measured[j]), 1e-300)
-        if fit.samples[j] and left > poor_left:
-            yield Verdict(
-                joint=name,
-                good=False,
-                reason=f"{percent(left)} of the torque is left with the body in the model",
-            )
+        left = _joint(fit, j).relative
+        if left is not None and left > poor_left:
+            reason = f"{percent(left)} of the torque is left with the body in the model"
+            yield Verdict(joint=name, good=False, reason=reason)
 
 
 def _notes(fit: PayloadFit, entry: CarriedBodyEntry, names: tuple[str, ...]) -> Iterator[str]:
@@ -172,35 +192,31 @@ def _notes(fit: PayloadFit, entry: CarriedBodyEntry, names: tuple[str, ...]) -> 
             "the least-squares estimate is no body; the nearest one is given, "
             f"{entry.distance:.2g} standard errors away"
         )
-    changed = [
-        f"{name} {percent(float(change))}"
-        for name, change in zip(names, fit.friction_change, strict=True)
-        if abs(change) > 0.05
-    ]
+    changes = zip(names, fit.friction_change.tolist(), strict=True)
+    changed = [f"{name} {percent(change)}" for name, change in changes if abs(change) > 0.05]
     if changed:
         yield f"friction differs from the model's: {', '.join(changed)}"
 
 
-def settings_of(mass: float, center: Sequence[float], inertia: Inertia) -> dict[str, str]:
+def settings_of(mass: float, center: Sequence[float] | Array, inertia: Matrix) -> dict[str, str]:
     """Write a payload as controllers take it.
 
     `mass`: kg. `center` (3,): centre of mass in the flange's frame, m. `inertia` (3, 3): about the
-    centre of mass, in the axes of the flange's frame, kg m^2; zeros if not known.
+    centre of mass, in the axes of the flange's frame, kg m^2; empty if not known.
     """
-    m, c = _number(mass), [_number(x) for x in center]
-    rows = inertia or [[0.0] * 3] * 3
-    names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    six = {name: _number(rows["xyz".index(name[1])]["xyz".index(name[2])]) for name in names}
-    column = [_number(rows[i][k]) for k in range(3) for i in range(3)]
-    at, numbers = ", ".join(c), ", ".join(six.values())
-    script = f"set_target_payload({m}, [{at}], [{numbers}])"
-    found = {
-        "urscript": script if inertia else f"set_payload({m}, [{at}])",
-        "libfranka": f"robot.setLoad({m}, {{{at}}}, {{{', '.join(column)}}});",
+    m, (x, y, z) = _number(mass), map(_number, center)
+    I = [[_number(value) for value in row] for row in inertia or [[0.0] * 3] * 3]
+    six = ", ".join([*(I[k][k] for k in range(3)), I[0][1], I[0][2], I[1][2]])
+    by_column = ", ".join(I[i][k] for k in range(3) for i in range(3))
+    upper = [(i, k) for i in range(3) for k in range(i, 3)]
+    named = ", ".join(f"i{'xyz'[i]}{'xyz'[k]}: {I[i][k]}" for i, k in upper)
+    at = f"{x}, {y}, {z}"
+    script = f"set_target_payload({m}, [{at}], [{six}])" if inertia else f"set_payload({m}, [{at}])"
+    return {
+        "urscript": script,
+        "libfranka": f"robot.setLoad({m}, {{{at}}}, {{{by_column}}});",
+        "ros2": f"{{m: {m}, com: {{x: {x}, y: {y}, z: {z}}}, {named}}}",
     }
-    parts = "".join(f", {name}: {six[name]}" for name in sorted(names))
-    found["ros2"] = f"{{m: {m}, com: {{x: {c[0]}, y: {c[1]}, z: {c[2]}}}{parts}}}"
-    return found
 
 
 def _number(value: float) -> str:

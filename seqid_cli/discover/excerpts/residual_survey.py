@@ -16,7 +16,7 @@ from seqid_cli.discover.survey.event_windows import Track, joined, windows_of
 from seqid_cli.discover.survey.events import LENGTHS_S, Interval, standing_out
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction, predict
+from seqid_cli.identify.prediction.predict import LogPrediction, Predictor, predict
 from seqid_cli.logs.pieces import whole_of
 from seqid_cli.logs.recording import Recording, Whole
 from seqid_cli.model.effects.fitted import fitted_effects
@@ -142,7 +142,7 @@ def _parts(
     if not isinstance(log, SurveyedLog):
         return predict([log], robot, stages, options=options, unexplained=True)
     effects = [x for x in fitted_effects(stages, robot, unexplained=True) if x.local]
-    return LongPrediction.of(log, model, stages, options, effects)
+    return Predictor(model, stages, options, effects)(log, 0)
 
 
 def _block_sums(part: LogPrediction, left: Array, counts: Mask, step: float) -> tuple[Index, Array]:

@@ -17,30 +17,40 @@ from typing import Any
 import numpy as np
 
 from seqid_cli.errors import QualityError, UsageError
+from seqid_cli.identify.imu_calibration import sensor_model
+from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT
 from seqid_cli.identify.imu_calibration.initial_guess import (
     Pair,
     axis_pairs,
     fit_rotation,
     starting_constants,
 )
-from seqid_cli.identify.imu_calibration.result import calibration_of, verdict_of
 from seqid_cli.identify.imu_calibration.segments import (
     Segment,
     calibration_cutoff,
     segments_of,
     thinned,
 )
-from seqid_cli.identify.imu_calibration.solve import fit_constants
+from seqid_cli.identify.imu_calibration.solve import Fit, fit_constants
 from seqid_cli.identify.log_set import reduced
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.imu.array import layout
+from seqid_cli.motion.imu.link_acceleration import axes_in_link
+from seqid_cli.motion.imu.sensor import MOTION
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import ImuStage, Verdict
-from seqid_cli.robot.types import Robot
+from seqid_cli.params.schema import (
+    AxisReference,
+    ImuCalibration,
+    ImuStage,
+    JointDeflection,
+    Verdict,
+)
+from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.typing import Array, Mask
 
-Gathered = tuple[list[Segment], list[Pair], list[float]]  # of one IMU; [rad/s^2/sqrt(Hz)]
-Found = tuple[dict[str, Gathered], list[float]]  # of every IMU; cut-off [Hz] of each log
+# What a log holds of every IMU that it records: [rad/s^2/sqrt(Hz)] last; and its cut-off [Hz].
+Held = tuple[dict[str, tuple[list[Segment], list[Pair], float]], float]
 
 
 def calibrate_imus(
@@ -56,54 +66,256 @@ def calibrate_imus(
         raise UsageError(
             "the robot file has no [[imu]]", hint="describe the IMU in it", where=str(robot.source)
         )
-    found, cutoffs = reduced(recordings, partial(_gathered, robot, options), _both) or ({}, [])
-    moved = [name for name, own in found.items() if any(s.moving for s in own[0])]
-    if not moved:
-        message = "no log moves a joint before an IMU with its readings recorded"
-        hint = "rotate the first joint back and forth with the others locked in several postures"
-        raise QualityError(message, hint=hint)
+    logs = reduced(recordings, partial(_held, robot, options), operator.add) or []
     imus, verdicts, notes = {}, [], []
     for imu in robot.imus:
-        if imu.name not in moved:
+        own = [held[imu.name] for held, _ in logs if imu.name in held]
+        if not any(segment.moving for segments, *_ in own for segment in segments):
             reason = "no log moves a joint before this IMU with its readings recorded"
             verdicts.append(Verdict(joint=imu.name, good=False, reason=reason))
             continue
-        every, pairs, densities = found[imu.name]
-        most = max(segment.channels for segment in every)
-        segments = thinned([s for s in every if s.channels == most])
-        seen = replace(imu, gyro=most > len(imu.axes))
-        guess = fit_rotation(pairs) if pairs else np.eye(3)
-        fit = fit_constants(segments, robot, seen, starting_constants(segments, robot, seen, guess))
-        density = float(np.median(densities)) if densities else None
-        calibration = calibration_of(robot, seen, fit, segments, pairs, density)
-        imus[imu.name] = calibration
-        notes += [f"{imu.name}: {text}" for text in calibration.not_determined]
-        verdicts.append(verdict_of(robot, imu, calibration, converged=fit.converged))
-    cutoff = float(np.median(cutoffs))
+        imus[imu.name], converged = _calibrated(robot, imu, own)
+        notes += [f"{imu.name}: {text}" for text in imus[imu.name].not_determined]
+        verdicts.append(verdict_of(robot, imu, imus[imu.name], converged=converged))
+    if not imus:
+        message = "no log moves a joint before an IMU with its readings recorded"
+        hint = "rotate the first joint back and forth with the others locked in several postures"
+        raise QualityError(message, hint=hint)
+    cutoff = float(np.median([hz for _, hz in logs]))
     return ImuStage(imus=imus, cutoff_hz=cutoff, verdicts=verdicts, notes=notes)
 
 
-def _both(first: Found, second: Found) -> Found:
-    """What two parts of the logs hold."""
-    own: dict[str, Any] = {
-        name: tuple(map(operator.add, mine, second[0][name])) for name, mine in first[0].items()
-    }
-    return own, first[1] + second[1]
-
-
-def _gathered(robot: Robot, options: MotionOptions, recording: Recording, number: int) -> Found:
-    """What one log holds of every IMU."""
-    found: dict[str, Gathered] = {imu.name: ([], [], []) for imu in robot.imus}
-    motion = estimate_motion(recording, robot, options)
+def _held(robot: Robot, options: MotionOptions, recording: Recording, number: int) -> list[Held]:
+    motion, found = estimate_motion(recording, robot, options), {}
     cutoff_hz = calibration_cutoff(motion, options.cutoff_hz)
     for imu in robot.imus:
-        if imu.name not in recording.accelerometers:
-            continue
-        seen = replace(imu, gyro=imu.gyro and imu.name in recording.gyros)
-        own = segments_of(recording, robot, seen, motion, log=number, cutoff_hz=cutoff_hz)
-        pairs: list[Pair] = []
-        density = 0.0
-        if layout(seen).acceleration or seen.gyro:
-            pairs, density = axis_pairs(recording, robot, seen, motion)
-        found[imu.name] = own, pairs, [density] if pairs else []
-    return found, [cutoff_hz]
+        if imu.name in recording.accelerometers:
+            seen = replace(imu, gyro=imu.gyro and imu.name in recording.gyros)
+            own = segments_of(recording, robot, seen, motion, log=number, cutoff_hz=cutoff_hz)
+            turns = layout(seen).acceleration or seen.gyro
+            pairs, density = axis_pairs(recording, robot, seen, motion) if turns else ([], 0.0)
+            found[imu.name] = own, pairs, density
+    return [(found, cutoff_hz)]
+
+
+def _calibrated(
+    robot: Robot, imu: Imu, own: list[tuple[list[Segment], list[Pair], float]]
+) -> tuple[ImuCalibration, bool]:
+    """The calibration of an IMU by what logs hold of it, and whether its fit has converged."""
+    every = [segment for segments, *_ in own for segment in segments]
+    pairs = [pair for _, found, _ in own for pair in found]
+    densities = [density for _, found, density in own if found]
+    most = max(segment.channels for segment in every)
+    segments = thinned([segment for segment in every if segment.channels == most])
+    seen = replace(imu, gyro=most > len(imu.axes))
+    guess = fit_rotation(pairs) if pairs else np.eye(3)
+    fit = fit_constants(segments, robot, seen, starting_constants(segments, robot, seen, guess))
+    density = float(np.median(densities)) if densities else None
+    return calibration_of(robot, seen, fit, segments, pairs, density), fit.converged
+
+
+def calibration_of(
+    robot: Robot,
+    imu: Imu,
+    fit: Fit,
+    segments: list[Segment],
+    pairs: list[Pair],
+    density: float | None,
+    *,
+    max_delay_error_s: float = 0.005,
+    sampling: float = 0.01,
+) -> ImuCalibration:
+    """Calibration of one IMU as the parameter file has it.
+
+    A clock offset with a larger standard error than `max_delay_error_s` is not determined. Jolts
+    between two samples shift a clock by `sampling` of their period.
+    """
+    constants, sigma = fit.constants, np.sqrt(np.diag(fit.covariance))
+    worst, lever, missing = _of_mounting(fit.covariance)
+    delay_error = float(np.hypot(sigma[6], sampling * segments[0].readings.period))
+    delay_known = delay_error < max_delay_error_s
+    fields, open_channels = _of_sensors(imu, fit)
+    # One-sided noise densities from the raw readings' white noise per sample.
+    found = [s.readings.noise * np.sqrt(2 * s.readings.period) for s in segments]
+    noise, k = np.median(found, axis=0).tolist(), len(imu.axes)
+    missing += open_channels
+    if not delay_known:
+        missing.append("the clock offset to the encoders is not determined")
+    off = np.array([np.linalg.norm(constants.R @ p.imu - p.link) for p in pairs])
+    return ImuCalibration(
+        rotation=constants.R.tolist(),
+        std_error_deg=worst,
+        std_errors_deg=np.degrees(np.minimum(sigma[:3], np.pi)).tolist(),
+        configurations=len(pairs) or len({s.log for s in segments if s.moving}),
+        condition=_condition(pairs) if pairs else 0.0,
+        references=_references(pairs, robot.joint_names),
+        not_determined=missing,
+        axis_rmse_deg=float(np.degrees(np.sqrt(np.mean(off**2)))) if pairs else None,
+        noise_density=density,
+        time_offset_s=constants.delay if delay_known else 0.0,
+        time_offset_std_error_s=delay_error if delay_known else None,
+        acceleration_std_error=_acceleration_error(robot, imu, fit),
+        lever=_listed(constants.lever, lever),
+        lever_std_errors=_listed(sigma[3:6], lever),
+        accelerometer_noise=noise[:k],
+        gyro_noise=noise[k:],
+        samples=fit.kept,
+        outliers=fit.outliers,
+        holdout=fit.holdout,
+        deflections=fit.deflections,
+        **fields,
+    )
+
+
+def _of_sensors(
+    imu: Imu,
+    fit: Fit,
+    *,
+    max_bias: float = 0.2,
+    max_rate: float = 0.02,
+    max_gain: float = 0.005,
+    max_tilt_deg: float = 0.25,
+    max_share: float = 0.5,
+) -> tuple[dict[str, Any], list[str]]:
+    """Entries of a calibration about its channels, and in words what is left open.
+
+    Known is what has a standard error of up to so many m/s^2, rad/s, 1 and degrees, and of gains
+    and axes less than a prior of fixed width; widths of many sensors are found.
+    """
+    constants, k, c = fit.constants, len(imu.axes), len(fit.constants.bias)
+    bias, gain, tilt = np.split(np.sqrt(np.diag(fit.covariance))[7:], [c, 2 * c])
+    tilt = np.degrees(np.sqrt(np.mean(tilt.reshape(c, 2) ** 2, axis=1)))
+    _, gain_prior, tilt_prior = np.split(fit.prior[7:], [c, 2 * c])
+    accelerometers = np.arange(c) < k
+    free = accelerometers & (k >= sensor_model.FEW)
+    bias_known = bias < np.where(accelerometers, max_bias, max_rate)
+    gain_known = (gain < max_gain) & (free | (gain < max_share * gain_prior))
+    tilt_limit = max_share * np.degrees(tilt_prior[::2])
+    tilt_known = (tilt < max_tilt_deg) & (free | (tilt < tilt_limit))
+    nominal = sensor_model.nominal_axes(imu)
+    axes = sensor_model.tilted(nominal, constants.tilt)
+    axes = np.where(tilt_known[:, None], axes, nominal)
+    fields: dict[str, Any] = {}
+    missing = []
+    for sensor, own in (("accelerometer", slice(k)), ("gyro", slice(k, None))):
+        fields[f"{sensor}_axes"] = axes[own].tolist()
+        for kind, values, name, error, known in (
+            ("bias", constants.bias, "bias_std_errors", bias, bias_known),
+            ("scale", np.exp(constants.log_gain), "scale_std_errors", gain, gain_known),
+            ("axis", None, "tilt_std_errors_deg", tilt, tilt_known),
+        ):
+            fields[f"{sensor}_{name}"] = _listed(error[own], known[own])
+            if values is not None:
+                fields[f"{sensor}_{kind}"] = _listed(values[own], known[own])
+            count = int((~known[own]).sum())
+            if count:
+                missing.append(f"the {kind} of {count} {sensor} channel(s) is not determined")
+    return fields, missing
+
+
+def _condition(pairs: list[Pair]) -> float:
+    """Condition of the directions B of Eq. 37; 0 where they do not span space."""
+    s = np.linalg.svd(np.array([p.imu for p in pairs]), compute_uv=False)
+    return float(s[0] / s[-1]) if len(s) == 3 and s[-1] > 1e-3 * s[0] else 0.0
+
+
+def _references(pairs: list[Pair], names: tuple[str, ...]) -> dict[str, AxisReference]:
+    """The most certain reference of Eq. 30 and 31 for each joint."""
+    known = [(p.joint, p.reference) for p in pairs if p.reference]
+    found = {name: [reference for joint, reference in known if joint == name] for name in names}
+    return {name: min(own, key=lambda r: r.gain_std_error) for name, own in found.items() if own}
+
+
+def _acceleration_error(robot: Robot, imu: Imu, fit: Fit) -> float:
+    """Relative standard error of the accelerations that the readings give of the last joint."""
+    # That joint's unit acceleration reads a (C,) at accelerometers; with da = D dc of the
+    # constants, all channels together take it by a'da / a'a too large.
+    axis = robot.chain.axis[imu.after_joint]
+    x = np.zeros((1, MOTION))
+    if robot.chain.prismatic[imu.after_joint]:
+        x[0, :3] = axis
+    else:
+        x[0, 3:12] = np.cross(np.eye(3), axis).ravel()  # rows of the matrix dw x
+    constants, k, c = fit.constants, len(imu.axes), len(fit.constants.bias)
+    a = (sensor_model.mounted(imu, constants).matrix @ x[0])[:k]
+    slope = a @ sensor_model.design(imu, constants, x, np.zeros((1, c)))[0, :k]
+    slope[7 : 7 + c] = 0.0  # a bias is no acceleration
+    slope /= max(float(a @ a), 1e-300)
+    return float(np.sqrt(slope @ fit.covariance @ slope))
+
+
+def _of_mounting(
+    covariance: Array, *, max_deg: float = 5.0, max_error_m: float = 0.02
+) -> tuple[float, Mask, list[str]]:
+    """Standard error in degrees, known components of the lever, and in words what is left open."""
+    value, vector = np.linalg.eigh(covariance[:3, :3])
+    worst = np.degrees(np.sqrt(value))
+    known: Mask = np.sqrt(np.diag(covariance)[3:6]) < max_error_m
+    missing, is_open = [], bool(worst[2] > max_deg)
+    if is_open:  # where the angle about an axis is open, so is where the IMU sits around it
+        about = vector[:, 2] * np.sign(vector[np.argmax(np.abs(vector[:, 2])), 2])
+        known &= np.linalg.norm(np.cross(np.eye(3), about), axis=1) < 0.1
+        axis = ", ".join(f"{abs(x) if abs(x) < 5e-3 else x:.2f}" for x in about)
+        missing.append(f"the angle about the link's axis ({axis}) is not determined")
+    if not known.all():
+        names = " and ".join(n for n, there in zip("xyz", known, strict=True) if not there)
+        missing.append(f"the lever along the link's {names} is not determined")
+    return float(worst[1 if is_open else 2]), known, missing
+
+
+def _listed(values: Array, known: Mask) -> list[float | None]:
+    return [float(v) if k else None for v, k in zip(values, known, strict=True)]
+
+
+def verdict_of(
+    robot: Robot,
+    imu: Imu,
+    calibration: ImuCalibration,
+    *,
+    converged: bool,
+    max_deg: float = 0.5,
+    max_holdout: float = 1.5,
+) -> Verdict:
+    """Whether the mounting can be trusted, and why not.
+
+    It is known to better than `max_deg` degrees, and a log that is left out is predicted to
+    `max_holdout` times the noise.
+    """
+    worst, left, bends = calibration.std_error_deg, calibration.holdout, deflecting(calibration)
+    angle = [text for text in calibration.not_determined if text.startswith("the angle")]
+    matters = bool(angle) and not _turns_about_one_axis(robot, imu)
+    reason = f"mounting known to {worst:.3g} degrees from {calibration.configurations} trials"
+    reason += "".join(f"; {text}" for text in angle)
+    if angle and not matters:
+        reason += ", and does not matter: every joint before the IMU turns about that axis"
+    if not converged:
+        reason += "; the fit has not settled"
+    unlike = left is not None and left > max_holdout
+    if unlike:
+        reason += f"; a log left out is predicted to {left:.2g} times the noise"
+    if bends is not None:
+        unit = robot.joints[robot.joint_names.index(bends.joint)].unit("rad/s^2")
+        reason += (
+            f"; the link after {bends.joint} accelerates {bends.acceleration:.2g} "
+            f"{unit} (RMS) beyond what its encoder tells: the joint is "
+            "elastic or has backlash, or the clocks of IMU and encoders drift apart; errors are "
+            "widened: record slower, smoother swings, and run seqid diagnose"
+        )
+    if not layout(imu).acceleration and not calibration.gyro_axes:
+        reason += "; without a gyro this layout does not see angular acceleration"
+    good = worst < max_deg and converged and not (matters or unlike or bends)
+    return Verdict(joint=imu.name, good=good, reason=reason)
+
+
+def _turns_about_one_axis(robot: Robot, imu: Imu) -> bool:
+    """Whether all joints up to the IMU turn about parallel axes, whatever their angles."""
+    q = np.random.default_rng(0).uniform(-3.0, 3.0, (8, robot.n))
+    turning = ~robot.chain.prismatic[: imu.after_joint + 1]
+    axes = axes_in_link(robot, q, imu.after_joint)[:, turning]
+    return bool((np.abs(axes @ robot.chain.axis[imu.after_joint]) > 1 - 1e-9).all())
+
+
+def deflecting(calibration: ImuCalibration) -> JointDeflection | None:
+    """Return the joint that deflects by most, where one does significantly."""
+    sure = [d for d in calibration.deflections if d.significance > SIGNIFICANT]
+    return max(sure, key=lambda d: d.significance, default=None)

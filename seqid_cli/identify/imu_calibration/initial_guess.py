@@ -15,8 +15,10 @@ can be judged by, so that many starts cost little.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -130,15 +132,15 @@ def fit_rotation(pairs: list[Pair]) -> Array:
 
     That by the smallest angle where all pairs are of one axis.
     """
-    B, M = (np.array([getattr(p, side) for p in pairs]).T for side in ("imu", "link"))
+    B, M = (np.array([getattr(p, side) for p in pairs]) for side in ("imu", "link"))
     if np.linalg.matrix_rank(B, tol=1e-2) == 1:
-        b, m = B[:, 0], M[:, 0]
+        b, m = B[0], M[0]
         c = float(b @ m)
         if c < -1 + 1e-12:
             return np.asarray(Rotation.align_vectors(m, b)[0].as_matrix())
         K = np.cross(np.eye(3), np.cross(b, m))
         return np.asarray(np.eye(3) + K + K @ K / (1 + c))
-    U, _, Vt = np.linalg.svd((M * np.array([p.sigma for p in pairs]) ** -2.0) @ B.T)
+    U, _, Vt = np.linalg.svd((M.T * np.array([p.sigma for p in pairs]) ** -2.0) @ B)
     proper = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
     return np.asarray(U @ proper @ Vt)
 
@@ -181,22 +183,24 @@ def _delay(
     better: float = 0.7,
 ) -> float:
     """Clock offset [s] with the least misfit: coarsely over all, then finely about the best."""
+
     # No shift is believed that leaves more than the share `better` of the misfit without one.
+    def misfits(delays: NDArray[Any]) -> Array:
+        return np.array([_misfit(segments, tables, float(delay)) for delay in delays])
+
     fine = max(segment.spacing for segment in segments)
     longest = min(segment.samples * segment.spacing for segment in segments)
     coarse = fine * max(1, round(coarse_s / fine))
     count = int(min(largest_s, longest / 4) / coarse)
     delays = np.arange(-count, count + 1) * coarse
-    misfits = np.array([_misfit(segments, tables, delay) for delay in delays])
-    best = int(np.argmin(misfits))
-    if misfits[best] > better * misfits[count]:
-        best = count
-    delays = delays[best] + np.arange(-coarse, coarse + 0.5 * fine, fine)
-    misfits = np.array([_misfit(segments, tables, delay) for delay in delays])
-    best = int(np.argmin(misfits))
+    left = misfits(delays)
+    middle = float(delays[np.argmin(left)]) if left.min() <= better * left[count] else 0.0
+    delays = np.arange(-coarse, coarse + 0.5 * fine, fine) + middle
+    left = misfits(delays)
+    best = int(np.argmin(left))
     if not 0 < best < len(delays) - 1:
         return float(delays[best])
-    a, b, c = misfits[best - 1 : best + 2]  # of a parabola
+    a, b, c = left[best - 1 : best + 2]  # of a parabola
     bend = a - 2 * b + c
     shift = 0.5 * (a - c) / bend if bend > 0 else 0.0
     return float(delays[best] + np.clip(shift, -1, 1) * (delays[1] - delays[0]))

@@ -90,16 +90,24 @@ class Linearised:
 
 @dataclass(frozen=True)
 class Reduced:
-    """Normal equations `S` (b, b), `g` (b,) after elimination, and the way back.
+    """What a segment says of the constants (p,), its trajectory and its own border eliminated.
 
-    The trajectory moves by `back` (cells, b) with the border, by `free` (cells,) with it at rest.
+    `g` (b,) is the gradient in the border without priors, `gradient` and `information` those in the
+    constants. The trajectory moves by `back` (cells, b) with the border, by `free` (cells,) with it
+    at rest; own = `own_free` - `follow` @ step, with the `covariance` of that and the `precision`
+    of the priors on it.
     """
 
     linear: Linearised
-    S: Array
     g: Array
     back: Array
     free: Array
+    own_free: Array
+    follow: Array
+    covariance: Array
+    precision: Array
+    gradient: Array
+    information: Array
 
     def followed(self, moves: Array) -> Array:
         """What moves (cells, k) of the trajectory make of the readings, (N, C, k)."""
@@ -108,6 +116,22 @@ class Reduced:
         flat = _at_samples(segment, moves.reshape(shape))
         flat = flat.reshape(segment.samples, 3 * shape[1], shape[2])
         return np.asarray(linear.J.reshape(*linear.r.shape, 3 * shape[1]) @ flat)
+
+    def through(self, columns: Array) -> Array:
+        """Columns (..., b) of the border in the constants alone, (..., p)."""
+        p = self.follow.shape[1]
+        return np.asarray(columns[..., :p] - columns[..., p:] @ self.follow)
+
+    def readings(self) -> Array:
+        """Columns (N, C, p) of the readings in the constants, all else following them."""
+        return self.through(self.linear.G - self.followed(self.back))
+
+    def moved(self, local: Local, step: Array, share: float) -> Local:
+        """What is the segment's own after a step of the constants."""
+        change = share * self.own_free - self.follow @ step
+        moved = share * self.free - self.back @ np.concatenate([step, change])
+        trajectory = local.trajectory + moved.reshape(local.trajectory.shape)
+        return Local(trajectory, local.own + change)
 
 
 def _stencils(segment: Segment) -> Array:
@@ -154,22 +178,21 @@ def linearise(
     of raw readings, and joints are moved by jolts alone.
     """
     r, good, motion, x = residual(segment, robot, imu, constants, local)
-    place = mounted(imu, constants)
+    place, count = mounted(imu, constants), r.shape[1]
     slopes = place.by_motion(x, link_slopes(robot, imu.after_joint, motion))
     J = slopes[..., list(segment.moving)]
     dy = np.gradient(x @ place.matrix.T, segment.spacing, axis=0)
-    bias = np.broadcast_to(np.eye(r.shape[1]), (*r.shape, r.shape[1]))
+    bias = np.broadcast_to(np.eye(count), (*r.shape, count))
     offsets = slopes[:, :, 0, list(segment.locked)]
     G = np.concatenate([design(imu, constants, x, dy), bias, offsets], axis=2)
     u = r / (ROBUST * sigma)
-    outliers = good & (np.abs(u) >= 1.0)
     if weights is None:
         weights = np.maximum(1.0 - u**2, 0.0) ** 2
     weights = np.where(good, weights, 0.0)
     # As much as all the raw samples that a node stands for.
     plain = np.sqrt(weights * segment.share / np.maximum(segment.readings.noise, 1e-6) ** 2)
     by_ddq = plain[:, :, None] * slopes[:, :, 2]
-    kinds = kinds_of(imu, r.shape[1])
+    kinds = np.asarray(np.arange(count) >= len(imu.axes), dtype=np.intp)  # 1 of the gyro
     if sizes is None:  # jolts alone, rad/s^2 of a node, alike at all joints
         power = float(np.mean(np.sum(J[:, :, 2] ** 2, axis=(1, 2)))) if J.size else 0.0
         jolt = segment.readings.jolts / power / segment.share if power > 0.0 else 0.0
@@ -180,25 +203,20 @@ def linearise(
     whiten = _whitener(root, scaled)
     rough = segment.readings.rough_at(segment.t + constants.delay) / np.sqrt(segment.share)
     known = np.isfinite(rough)
-    counts = np.where(plain > 0.0, WEIGHED, 0.0), np.where(known, weights, 0.0)
-    raw = by_ddq * known[:, :, None], np.where(known, plain * rough, 0.0)
+    jolted = np.where(known, plain * rough, 0.0), np.where(known, weights, 0.0)
     band = band_share(segment.cutoff_hz, segment.share, segment.spacing)
+    weighed = np.where(plain > 0.0, WEIGHED, 0.0)
     return Linearised(
         segment=segment,
         r=whiten(r[:, :, None])[:, :, 0],
         J=whiten(J.reshape(*r.shape, 3 * J.shape[3])).reshape(J.shape),
         G=whiten(G),
         off=segment.value - segment.rows @ local.trajectory.ravel(),
-        outliers=outliers,
+        outliers=good & (np.abs(u) >= 1.0),
         weights=weights,
-        deflection=_rows(by_ddq, plain * r, counts[0], kinds, band),
-        jolts=_rows(*raw, counts[1], kinds, 1.0),
+        deflection=_rows(by_ddq, plain * r, weighed, kinds, band),
+        jolts=_rows(by_ddq * known[:, :, None], *jolted, kinds, 1.0),
     )
-
-
-def kinds_of(imu: Imu, channels: int) -> Index:
-    """Kind (C,) of every channel's sensor: 0 for accelerometers, 1 for the gyro."""
-    return np.asarray(np.arange(channels) >= len(imu.axes), dtype=np.intp)
 
 
 @lru_cache(maxsize=64)
@@ -240,46 +258,66 @@ def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
     return whiten
 
 
-def reduced(linear: Linearised) -> Reduced:
-    """Eliminate the trajectory."""
-    segment, J, G = linear.segment, linear.J, linear.G
-    m, b = len(segment.moving), G.shape[2]
-    rows = G.reshape(-1, b)
+def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
+    """Eliminate the trajectory, then what is the segment's own, priors on it included.
+
+    `drift` (C,): standard deviations of the priors on the changes of biases.
+    """
+    segment, G = linear.segment, linear.G
+    rows = G.reshape(-1, G.shape[2])
     S, g = rows.T @ rows, rows.T @ linear.r.ravel()
-    if not m:
-        return Reduced(linear, S, g, np.zeros((0, b)), np.zeros(0))
+    solved = np.zeros((0, len(g) + 1))
+    if segment.moving:
+        right = _right_sides(linear)
+        factor = cholesky_banded(_band(linear), lower=True, check_finite=False)
+        solved = cho_solve_banded((factor, True), right, check_finite=False)
+        both = right[:, :-1].T @ solved
+        S, g = S - both[:, :-1], g - both[:, -1]
+    p = 7 + 4 * len(drift)
+    precision = np.concatenate([drift, segment.offset_sigma]) ** -2.0
+    covariance = np.asarray(np.linalg.inv(S[p:, p:] + np.diag(precision)), dtype=np.float64)
+    pull, follow = g[p:] - precision * local.own, covariance @ S[p:, :p]
+    return Reduced(
+        linear,
+        g,
+        solved[:, :-1],
+        solved[:, -1],
+        covariance @ pull,
+        follow,
+        covariance,
+        precision,
+        g[:p] - follow.T @ pull,
+        S[:p, :p] - S[:p, p:] @ follow,
+    )
+
+
+def _right_sides(linear: Linearised) -> Array:
+    """What the border and the residual pull at the trajectory with, (cells, b + 1)."""
+    segment, J, G = linear.segment, linear.J, linear.G
     J3 = np.moveaxis(J.reshape(*J.shape[:2], -1), 1, 2)  # (N, 3 m, C)
     cross = J3 @ np.concatenate([G, linear.r[:, :, None]], axis=2)
     # Transpose of `_at_samples`: (N, 3, ...) to (N + 2 REACH, ...).
-    values = cross.reshape(len(G), 3, m, b + 1)
-    out = np.zeros((segment.samples + 2 * REACH, m, b + 1))
+    values = cross.reshape(len(G), 3, J.shape[3], -1)
+    out = np.zeros((segment.samples + 2 * REACH, *values.shape[2:]))
     weights = _stencils(segment)
     for kind, o in zip(*np.nonzero(weights), strict=True):
         out[o : o + segment.samples] += weights[kind, o] * values[:, kind]
-    right = out.reshape(-1, b + 1)
-    right[:, b] += segment.rows.T @ (segment.information * linear.off)
-    factor = cholesky_banded(_band(linear), lower=True, check_finite=False)
-    solved = cho_solve_banded((factor, True), right, check_finite=False)
-    both = right[:, :b].T @ solved
-    return Reduced(linear, S - both[:, :b], g - both[:, b], solved[:, :b], solved[:, b])
+    right = out.reshape(-1, values.shape[-1])
+    right[:, -1] += segment.rows.T @ (segment.information * linear.off)
+    return right
 
 
 def _band(linear: Linearised) -> Array:
     """Lower band of the trajectory's normal equations, joints interleaved."""
     segment, J = linear.segment, linear.J
-    m, n = len(segment.moving), segment.samples
+    m, n, weights = len(segment.moving), segment.samples, _stencils(segment)
     JJ = np.einsum("ncdi,ncej->nijde", J, J, optimize=True)
-    weights = _stencils(segment)
     both = np.einsum("do,ep->deop", weights, weights).reshape(-1, WIDTH * WIDTH)
     blocks = (JJ.reshape(-1, len(both)) @ both).reshape(n, m, m, WIDTH, WIDTH)
-    band = np.zeros((WIDTH * m, (n + 2 * REACH) * m))
-    for o in range(WIDTH):
-        for p in range(o + 1):
-            block = blocks[..., o, p]
-            for i in range(m):
-                for j in range(m):
-                    row = (o - p) * m + i - j
-                    if row >= 0:
-                        band[row, p * m + j : (p + n) * m + j : m] += block[:, i, j]
-    band[: 4 * m] += segment.band
-    return band
+    H = blocks.transpose(0, 3, 1, 4, 2).reshape(n, WIDTH * m, WIDTH * m)
+    band = np.zeros((n + 2 * REACH, m, WIDTH * m))
+    for k in range(WIDTH * m):  # LAPACK's: entry r of cell k is of it and of k + r
+        band[k // m : k // m + n, k % m, : WIDTH * m - k] += H[:, k:, k]
+    lower = band.reshape(-1, WIDTH * m).T
+    lower[: 4 * m] += segment.band
+    return lower

@@ -22,7 +22,7 @@ from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import SIDE, differentiate, runs, shrink
 from seqid_cli.motion.motion import Motion, encoder_resolution
-from seqid_cli.motion.smoother.chunk import EncoderView, bridged, encoder_view
+from seqid_cli.motion.smoother.chunk import JERK, EncoderView, bridged, encoder_view
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough, white_noise
 from seqid_cli.typing import Array, Index, Mask
@@ -82,18 +82,12 @@ def readings_of(recording: Recording, imu: Imu, lowpass: Lowpass) -> Readings:
     curve = make_interp_spline(recording.t, smooth, k=3)
     # Jolts are in most channels at once; what jumps in one by itself is bridged.
     together = (bad.mean(axis=1) > 0.5)[:, None] & np.isfinite(raw)
-    own = roughness(np.where(together, raw, values), recording.valid)
-    return Readings(recording.t, smooth, ~spread, white_noise(values), own, curve)
-
-
-def roughness(values: Array, valid: Mask) -> Array:
-    """Noise and jolts of raw readings (N, C) without the motion, as large as in the readings."""
-    out = np.full(values.shape, np.nan)
+    own, half = np.full(values.shape, np.nan), DIFFERENCES // 2
     if len(values) > DIFFERENCES:
-        half = DIFFERENCES // 2
-        whole = np.lib.stride_tricks.sliding_window_view(valid, DIFFERENCES + 1).all(axis=1)
-        out[half:-half] = np.where(np.asarray(whole)[:, None], rough(values), np.nan)
-    return out
+        known = np.lib.stride_tricks.sliding_window_view(recording.valid, DIFFERENCES + 1)
+        jolted = rough(np.where(together, raw, values))
+        own[half:-half] = np.where(np.all(known, axis=1, keepdims=True), jolted, np.nan)
+    return Readings(recording.t, smooth, ~spread, white_noise(values), own, curve)
 
 
 def cleaned(values: Array, valid: Mask, *, min_spike: float = 8.0) -> tuple[Array, Mask]:
@@ -130,7 +124,6 @@ def _saturated(values: Array, noise: Array, *, min_run: int = 4) -> Mask:
 
 REACH = SIDE  # nodes that a derivative takes
 NODES_PER_CUTOFF = 6.0
-THIRD = np.array([-1.0, 3.0, -3.0, 1.0])
 
 Measured = tuple[Index, Array, Array, Array]  # first of four nodes, weights, value, information
 
@@ -251,8 +244,14 @@ class _Log:
         """Their rate of change (N, n)."""
         return differentiate(self.smooth, self.recording.rate_hz, self.recording.valid)[0]
 
-    def segment(self, own: slice, *, min_offset: float = 1e-4) -> Segment | None:
-        """One stretch; offsets of locked joints below `min_offset` rad are worth no unknown."""
+    def segment(
+        self, own: slice, *, min_offset: float = 1e-4, slack: float = 3.0
+    ) -> Segment | None:
+        """One stretch; offsets of locked joints below `min_offset` rad are worth no unknown.
+
+        Moving joints are given jerks of `slack` times the largest RMS, all alike: joints push each
+        other, and one that hunts within a few counts jerks whatever its encoder shows of it.
+        """
         rate, views = self.recording.rate_hz, self.views
         every = max(1, int(rate / (NODES_PER_CUTOFF * self.lowpass.cutoff_hz)))
         nodes = np.arange(own.start + REACH * every, own.stop - REACH * every, every)
@@ -270,7 +269,8 @@ class _Log:
             motion[:, j] = self._at_rest(j)[:, nodes]
         off = {j: float(np.sqrt(views[j].step ** 2 / 12 + views[j].white)) for j in resting}
         locked = tuple(j for j in resting if off[j] > min_offset)
-        jerk, third = _jerk(self.motion.ddq[own], rate), THIRD * (rate / every) ** 3
+        jerks = np.sqrt(np.mean((np.diff(self.motion.ddq[own], axis=0) * rate) ** 2, axis=0))
+        jerk, third = max(slack * float(np.max(jerks)), 1.0), JERK * (rate / every) ** 3
         at = np.arange(len(wide) - 3)
         smooth = at, np.tile(third, (len(at), 1)), np.zeros(len(at)), np.full(len(at), jerk**-2)
         parts: list[Measured] = [
@@ -341,14 +341,6 @@ def _stacked(parts: list[Measured], nodes: int, m: int) -> tuple[csr_array, Arra
     place = np.repeat(np.arange(len(at)), 4), columns.ravel()
     rows = csr_array(coo_array((weights.ravel(), place), shape=(len(at), nodes * m)))
     return rows, value, information, np.clip(at + 1 - REACH, 0, nodes - 2 * REACH - 1)
-
-
-def _jerk(ddq: Array, rate_hz: float, *, slack: float = 3.0) -> float:
-    """Standard deviation that moving joints' jerks are given, rad/s^3."""
-    # Joints push each other: one that hunts within a few counts jerks as the others do, whatever
-    # its encoder shows of it.
-    rms = np.sqrt(np.mean((np.diff(ddq, axis=0) * rate_hz) ** 2, axis=0))
-    return max(slack * float(np.max(rms)), 1.0)
 
 
 def _still_hz(

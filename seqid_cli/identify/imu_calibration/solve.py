@@ -20,7 +20,6 @@ from seqid_cli.identify.imu_calibration.normal_equations import (
     Local,
     Reduced,
     Sizes,
-    kinds_of,
     linearise,
     reduced,
     residual,
@@ -56,7 +55,7 @@ class Fit:
     outliers: int
     converged: bool
     holdout: float | None
-    deflections: Sequence[JointDeflection] = ()
+    deflections: list[JointDeflection]
 
 
 @dataclass(frozen=True)
@@ -94,15 +93,24 @@ class _State:
     def reductions(
         self, sigma: Array, sizes: Sizes | None, weights: Sequence[Array] | None
     ) -> list[Reduced]:
-        """The linear equations of each segment with its trajectory taken out."""
-        own_weights: Sequence[Array | None] = weights or [None] * len(self.segments)
-        return [
-            reduced(linearise(s, self.robot, self.imu, self.constants, own, sigma, sizes, w))
-            for s, own, w in zip(self.segments, self.locals_, own_weights, strict=True)
-        ]
+        """The linear equations of each segment in the constants alone."""
+        found = []
+        for k, (segment, local) in enumerate(zip(self.segments, self.locals_, strict=True)):
+            at = segment, self.robot, self.imu, self.constants, local
+            linear = linearise(*at, sigma, sizes, weights[k] if weights else None)
+            found.append(reduced(linear, local, self.widths.drift))
+        return found
+
+    def solved(self, reductions: list[Reduced]) -> tuple[Array, Array]:
+        """Step (p,) of the constants and their information (p, p)."""
+        first = -self.constants.values / prior_of(self.widths) ** 2
+        gradient = sum((r.gradient for r in reductions), first)
+        information = sum((r.information for r in reductions), self.prior)
+        information = 0.5 * (information + information.T)
+        return np.asarray(np.linalg.solve(information, gradient), dtype=np.float64), information
 
     def moved(
-        self, step: Array, share: float, inner: "list[_Inner]", *, max_factor: float = 10.0
+        self, step: Array, share: float, found: list[Reduced], *, max_factor: float = 10.0
     ) -> "_State":
         """The state after a step of the constants.
 
@@ -116,7 +124,8 @@ class _State:
                 "the order of the joints (seqid inspect LOG... -r ROBOT).",
                 where=self.imu.name,
             )
-        locals_ = [i.moved(own, step, share) for own, i in zip(self.locals_, inner, strict=True)]
+        pairs = zip(found, self.locals_, strict=True)
+        locals_ = [r.moved(local, step, share) for r, local in pairs]
         return replace(self, constants=constants, locals_=locals_)
 
 
@@ -156,88 +165,31 @@ def _fitted(
         reductions = state.reductions(robust, sizes, fixed)
         if number == freeze:  # weights that jump to and fro would keep the fit from settling
             fixed = [r.linear.weights for r in reductions]
-        step, information, inner = _solve(reductions, state)
+        step, information = state.solved(reductions)
         covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
         change = float(np.max(np.abs(step) / np.sqrt(np.diag(covariance))))
         share = 1.0 if sizes is None or number < freeze else 0.5  # whole ones may jump to and fro
         limit = min(1.0, max_turn / max(float(np.linalg.norm(step[:3])), 1e-12))
-        state = state.moved(share * limit * step, share, inner)
-        state = replace(state, widths=_renewed(state, covariance, inner))
+        state = state.moved(share * limit * step, share, reductions)
+        state = replace(state, widths=_renewed(state, covariance, reductions))
         if sizes is not None:
             sizes = renewed([r.linear for r in reductions], sizes)
         if number > freeze and change < settled:
             break
     reductions = state.reductions(state.noise_scale(), sizes, None)
     linear = [r.linear for r in reductions]
-    kinds = kinds_of(state.imu, len(state.constants.bias)).max() + 1
-    first = Sizes(np.ones(kinds), np.full(state.imu.after_joint + 1, first_size))
+    first = Sizes(np.ones(1 + state.imu.gyro), np.full(state.imu.after_joint + 1, first_size))
     sizes = renewed(linear, sizes or first)
-    fit = _finished(reductions, state, converged=change < settled)
-    return replace(fit, deflections=deflections(linear, sizes, state.robot.joint_names)), sizes
+    found = deflections(linear, sizes, state.robot.joint_names)
+    return _finished(reductions, state, found, converged=change < settled), sizes
 
 
-@dataclass(frozen=True)
-class _Inner:
-    """How a segment's own border follows the constants: own = free - follow @ step."""
-
-    reduced: Reduced
-    free: Array
-    follow: Array
-    covariance: Array
-    precision: Array  # of the priors on it
-
-    @classmethod
-    def of(cls, r: Reduced, own: Local, widths: Widths) -> "_Inner":
-        p = 7 + 4 * len(widths.drift)
-        precision = np.concatenate([widths.drift, r.linear.segment.offset_sigma]) ** -2.0
-        cover = np.asarray(np.linalg.inv(r.S[p:, p:] + np.diag(precision)), dtype=np.float64)
-        free = cover @ (r.g[p:] - precision * own.own)
-        return cls(r, free, cover @ r.S[p:, :p], cover, precision)
-
-    def through(self, columns: Array) -> Array:
-        """Columns (..., b) of the border in the constants alone, (..., p)."""
-        p = self.follow.shape[1]
-        return np.asarray(columns[..., :p] - columns[..., p:] @ self.follow)
-
-    @property
-    def information(self) -> Array:
-        """What the segment says of the constants, (p, p)."""
-        return self.through(self.reduced.S[: self.follow.shape[1]])
-
-    def readings(self) -> Array:
-        """Columns (N, C, p) of the readings in the constants, all else following them."""
-        r = self.reduced
-        return self.through(r.linear.G - r.followed(r.back))
-
-    def moved(self, own: Local, step: Array, share: float) -> Local:
-        """What is the segment's own after a step of the constants."""
-        change = share * self.free - self.follow @ step
-        moved = share * self.reduced.free - self.reduced.back @ np.concatenate([step, change])
-        return Local(own.trajectory + moved.reshape(own.trajectory.shape), own.own + change)
-
-
-def _solve(reductions: list[Reduced], state: _State) -> tuple[Array, Array, list[_Inner]]:
-    """Step (p,), information (p, p), and the segments' own borders."""
-    information = state.prior
-    gradient = -state.constants.values / prior_of(state.widths) ** 2
-    inner = []
-    for r, own in zip(reductions, state.locals_, strict=True):
-        inner.append(_Inner.of(r, own, state.widths))
-        information = information + inner[-1].information
-        p = len(gradient)
-        gl = r.g[p:] - inner[-1].precision * own.own
-        gradient = gradient + r.g[:p] - inner[-1].follow.T @ gl
-    information = 0.5 * (information + information.T)
-    step = np.asarray(np.linalg.solve(information, gradient), dtype=np.float64)
-    return step, information, inner
-
-
-def _renewed(state: _State, covariance: Array, inner: list[_Inner]) -> Widths:
+def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Widths:
     """Widths of the priors, per kind of sensor."""
     constants, widths, c = state.constants, state.widths, len(state.constants.bias)
     gain_open, tilt_open = np.split(np.diag(covariance)[7 + c :], [c])
     drift = np.array([own.own[:c] for own in state.locals_])
-    drift_open = np.array([np.diag(i.covariance)[:c] for i in inner])
+    drift_open = np.array([np.diag(r.covariance)[:c] for r in reductions])
     for own in (slice(0, len(state.imu.axes)), slice(len(state.imu.axes), c)):
         size = len(constants.bias[own])
         if size >= FEW:
@@ -250,10 +202,16 @@ def _renewed(state: _State, covariance: Array, inner: list[_Inner]) -> Widths:
     return widths
 
 
-def _finished(reductions: list[Reduced], state: _State, *, converged: bool) -> Fit:
-    _, information, inner = _solve(reductions, state)
-    own = sum((i.follow.T * i.precision) @ i.follow for i in inner)
-    scores = np.concatenate([_scores(i) for i in inner])
+def _finished(
+    reductions: list[Reduced],
+    state: _State,
+    found: list[JointDeflection],
+    *,
+    converged: bool,
+) -> Fit:
+    _, information = state.solved(reductions)
+    own = sum((r.follow.T * r.precision) @ r.follow for r in reductions)
+    scores = np.concatenate([_scores(r) for r in reductions])
     # The model's covariance, each standard error at least that of the scores' own variance.
     model, count = np.asarray(np.linalg.inv(information)), len(scores)
     share = count / max(count - 5.0, 0.5 * count)
@@ -266,41 +224,41 @@ def _finished(reductions: list[Reduced], state: _State, *, converged: bool) -> F
         kept=sum(int((r.linear.weights > 0).sum()) for r in reductions),
         outliers=sum(int(r.linear.outliers.sum()) for r in reductions),
         converged=converged,
-        holdout=_left_out(inner, information),
+        holdout=_left_out(reductions, information),
+        deflections=found,
     )
 
 
-def _scores(inner: _Inner, *, block_s: float = 0.25, block_periods: float = 4.0) -> Array:
+def _scores(of: Reduced, *, block_s: float = 0.25, block_periods: float = 4.0) -> Array:
     """Scores (blocks, p) of a segment."""
-    linear, segment = inner.reduced.linear, inner.reduced.linear.segment
+    linear, segment = of.linear, of.linear.segment
     length = max(block_s, block_periods / segment.cutoff_hz)
     block = (np.arange(segment.samples) * segment.spacing / length).astype(int)
-    out = np.zeros((block[-1] + 1, inner.follow.shape[1]))
-    np.add.at(out, block, np.einsum("nc,ncp->np", linear.r, inner.readings()))
-    rows = inner.through(-(segment.rows @ inner.reduced.back))
+    out = np.zeros((block[-1] + 1, of.follow.shape[1]))
+    np.add.at(out, block, np.einsum("nc,ncp->np", linear.r, of.readings()))
+    rows = of.through(-(segment.rows @ of.back))
     np.add.at(out, block[segment.at], (segment.information * linear.off)[:, None] * rows)
     return out
 
 
-def _left_out(inner: list[_Inner], information: Array) -> float | None:
+def _left_out(reductions: list[Reduced], information: Array) -> float | None:
     """RMS of what each log reads beyond the prediction by all the others, over the fit's own."""
     # Both are whitened residuals after each log's own trajectory; one means that the constants
     # carry over to a log that they have not seen. What only one log shows cannot be predicted by
     # the others and does not count.
-    logs = sorted({i.reduced.linear.segment.log for i in inner})
+    logs = sorted({r.linear.segment.log for r in reductions})
     if len(logs) < 2:
         return None
     p, total, before = len(information), 0.0, 0.0
     for log in logs:
-        members = [i for i in inner if i.reduced.linear.segment.log == log]
-        S = sum((i.information for i in members), np.zeros((p, p)))
-        g = sum((i.reduced.g[:p] - i.follow.T @ i.reduced.g[p:] for i in members), np.zeros(p))
+        members = [r for r in reductions if r.linear.segment.log == log]
+        S = sum((r.information for r in members), np.zeros((p, p)))
+        g = sum((r.g[:p] - r.follow.T @ r.g[p:] for r in members), np.zeros(p))
         step = -without(information, S, g)
-        for i in members:
+        for r in members:
             # What the trajectory still moves at rest constants is nothing at the minimum.
-            r = i.reduced
             settled = r.linear.r - r.followed(r.free[:, None])[..., 0]
-            total += float(np.sum((settled - i.readings() @ step) ** 2))
+            total += float(np.sum((settled - r.readings() @ step) ** 2))
             before += float(np.sum(settled**2))
     return float(np.sqrt(total / max(before, 1e-12)))
 

@@ -1,8 +1,8 @@
 """Predicted torques as a document: errors added up log by log, with a verdict for each joint."""
 
-import contextlib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +10,11 @@ import numpy as np
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.judging import as_a_whole, physics_verdicts
 from seqid_cli.identify.log_set import LogSet
-from seqid_cli.identify.prediction.predict import LogPrediction, lacking
-from seqid_cli.identify.prediction.torques_mcap import McapTorqueWriter
-from seqid_cli.identify.prediction.torques_parquet import TorqueWriter
+from seqid_cli.identify.prediction.predict import LogPrediction
+from seqid_cli.identify.prediction.torques_mcap import mcap_writer
+from seqid_cli.identify.prediction.torques_parquet import parquet_writer
 from seqid_cli.model.effects.fitted import effect_notes
+from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.document import now, present, robot_id, tool
 from seqid_cli.params.results.prediction import (
     PREDICTION_SCHEMA,
@@ -21,28 +22,11 @@ from seqid_cli.params.results.prediction import (
     LogPredictionError,
     PredictionFile,
 )
-from seqid_cli.params.schema import Verdict
+from seqid_cli.params.schema import Stages, Verdict
+from seqid_cli.robot.base_parameters import free_basis
+from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
-
-
-def _sums(log: LogPrediction) -> Array:
-    """Sums (2, 4, n) over one log: samples, squared errors and torques, and the largest error."""
-    # Over all samples that count, then over those that slide: at rest friction takes any value up
-    # to its limit, and the error is the distance to that interval.
-    used = np.broadcast_to(log.used[:, None], log.tau.shape)
-    found = []
-    for counts, left in ((used, log.beyond), (log.sliding, log.residual)):
-        error, torque = (np.where(counts, values, 0.0) for values in (left, log.tau))
-        sums = [values.sum(axis=0) for values in (counts, np.square(error), np.square(torque))]
-        found.append([*sums, np.abs(error).max(axis=0, initial=0.0)])
-    return np.array(found)
-
-
-def _both(first: Array, second: Array) -> Array:
-    """Sums over two logs."""
-    sums, largest = first[:, :3] + second[:, :3], np.maximum(first[:, 3:], second[:, 3:])
-    return np.concatenate([sums, largest], axis=1)
 
 
 def prediction_file(
@@ -66,17 +50,10 @@ def prediction_file(
     overall = own = none = np.zeros((2, 4, len(names)))
     errors = []
     effects = effect_notes(stages, robot, unexplained=unexplained)
-    with contextlib.ExitStack() as stack:
-        writer: McapTorqueWriter | TorqueWriter | None = None
-        if torques is not None and torques.suffix.lower() == ".mcap":
-            writer = stack.enter_context(McapTorqueWriter.open(torques, names))
-        elif torques is not None:
-            ids = [item.sha256 for item in inputs.ids()]
-            writer = stack.enter_context(TorqueWriter.open(torques, names, ids))
+    with _writer(torques, inputs) as write:
         for log in predictions:
             own = _both(own, _sums(log))
-            if writer is not None:
-                writer.write(log)
+            write(log)
             if log.last:
                 errors.append(
                     LogPredictionError(
@@ -90,8 +67,7 @@ def prediction_file(
                     )
                 )
                 overall, own = _both(overall, own), none
-    joints, lacks = _joints(overall, names), lacking(stages, robot)
-    verdicts = [_verdict(n, e, lacks.get(n, ())) for n, e in joints.items() if e.samples]
+    joints = _joints(overall, names)
     still = ", ".join(name for name, error in joints.items() if not error.samples)
     notes = [f"never slides in these logs and is not judged: {still}"] if still else []
     return PredictionFile(
@@ -105,39 +81,86 @@ def prediction_file(
         joints=joints,
         logs=errors,
         cutoff_origin=cutoff_origin or "chosen per log",
-        verdicts=as_a_whole([*verdicts, *physics_verdicts(stages, robot), *logs.verdicts()]),
+        verdicts=as_a_whole(
+            [
+                *_verdicts(joints, stages, robot),
+                *physics_verdicts(stages, robot),
+                *logs.verdicts(),
+            ]
+        ),
         notes=[*effects, *notes, *logs.notes()],
     )
 
 
+def _writer(
+    torques: Path | None, inputs: Inputs
+) -> AbstractContextManager[Callable[[LogPrediction], object]]:
+    names = inputs.robot.joint_names
+    if torques is None:
+        return nullcontext(lambda _: None)
+    if torques.suffix.lower() == ".mcap":
+        return mcap_writer(torques, names)
+    return parquet_writer(torques, names, [item.sha256 for item in inputs.ids()])
+
+
+def _sums(log: LogPrediction) -> Array:
+    """Sums (2, 4, n) over one log: samples, squared errors and torques, and the largest error."""
+    # Over all samples that count, then over those that slide: at rest friction takes any value up
+    # to its limit, and the error is the distance to that interval.
+    used = np.broadcast_to(log.used[:, None], log.tau.shape)
+    found = []
+    for counts, left in ((used, log.beyond), (log.sliding, log.residual)):
+        error, torque = (np.where(counts, values, 0.0) for values in (left, log.tau))
+        sums = [values.sum(axis=0) for values in (counts, np.square(error), np.square(torque))]
+        found.append([*sums, np.abs(error).max(axis=0, initial=0.0)])
+    return np.array(found)
+
+
+def _both(first: Array, second: Array) -> Array:
+    """Sums over two logs."""
+    both = first + second
+    both[:, 3] = np.maximum(first[:, 3], second[:, 3])
+    return both
+
+
 def _joints(sums: Array, names: tuple[str, ...]) -> dict[str, JointError]:
+    def root(squares: float, over: float) -> float | None:
+        return math.sqrt(squares / over) if over else None
+
     found = {}
-    for name, (every, squares, _, _), own in zip(names, *sums.transpose(0, 2, 1), strict=True):
-        count, squared_error, squared_torque, largest = own
+    for j, name in enumerate(names):
+        (every, squares, *_), (count, error, torque, largest) = sums[:, :, j].tolist()
         found[name] = JointError(
-            rmse=_root(squared_error, count),
-            relative_rmse=_root(squared_error, squared_torque),
-            max_abs=float(largest) if count else None,
+            rmse=root(error, count),
+            relative_rmse=root(error, torque),
+            max_abs=largest if count else None,
             samples=int(count),
-            rmse_all=_root(squares, every),
+            rmse_all=root(squares, every),
             samples_all=int(every),
-            share_sliding=float(count / every) if every else None,
+            share_sliding=count / every if every else None,
         )
     return found
 
 
-def _root(squares: float, over: float) -> float | None:
-    return math.sqrt(squares / over) if over else None
-
-
-def _verdict(
-    name: str, error: JointError, lacks: Sequence[str], *, max_relative_rmse: float = 0.3
-) -> Verdict:
+def _verdicts(
+    joints: dict[str, JointError], stages: Stages, robot: Robot, *, max_relative_rmse: float = 0.3
+) -> Iterator[Verdict]:
     """A joint is poor where the model lacks something of it, or its error is too large."""
     # A user should not rely on a prediction whose error is above `max_relative_rmse` of the RMS of
     # the measured torque.
-    share, reasons = error.relative_rmse, list(lacks)
-    if share is None or share > max_relative_rmse:
-        limit, left = percent(max_relative_rmse), "-" if share is None else percent(share)
-        reasons.append(f"the error is {left} of the torque's RMS, above {limit}")
-    return Verdict(joint=name, good=not reasons, reason="; ".join(reasons))
+    bare = stages.inertia is None and not free_basis(robot).gravity.all()
+    for (name, error), surface in zip(
+        joints.items(), friction_surfaces(stages, robot), strict=True
+    ):
+        share = error.relative_rmse
+        left, limit = "-" if share is None else percent(share), percent(max_relative_rmse)
+        faults = {
+            "the file holds no friction of this joint": surface is None,
+            "the file holds no inertia stage": bare,
+            f"the error is {left} of the torque's RMS, above {limit}": (
+                share is None or share > max_relative_rmse
+            ),
+        }
+        reason = "; ".join(text for text, holds in faults.items() if holds)
+        if error.samples:
+            yield Verdict(joint=name, good=not reason, reason=reason)

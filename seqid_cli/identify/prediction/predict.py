@@ -6,14 +6,12 @@ so that the parts together are what the log as a whole gives.
 """
 
 import contextlib
-import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
-from scipy.special import beta
 
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
@@ -29,19 +27,15 @@ from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
-from seqid_cli.model.torque import Predicted, TorqueModel, friction_surfaces, sliding
+from seqid_cli.model.torque import Predicted, TorqueModel, sliding
 from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, motion_blocks, overlapping
 from seqid_cli.motion.motion import Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
-from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
 
 OUTSIDE_NOTE = 0.01  # share of samples outside the identified friction worth a note
-# Twice low-passed noise of the acceleration over that below the cut-off: 5 times the integral of
-# x^4 / (1 + x^8)^4.
-PASSED = math.sqrt(0.625 * beta(0.625, 3.375))
 
 
 @dataclass(frozen=True)
@@ -100,74 +94,6 @@ def slides_from(model: TorqueModel, options: InertiaOptions) -> Array:
     return slowest_speeds(model.surfaces)
 
 
-def lacking(stages: Stages, robot: Robot) -> dict[str, list[str]]:
-    """What the file does not hold of each joint's torque, though there is something to identify."""
-    without_inertia = stages.inertia is None and not free_basis(robot).gravity.all()
-    surfaces = friction_surfaces(stages, robot)
-    return {
-        name: ["the file holds no friction of this joint"] * (surface is None)
-        + ["the file holds no inertia stage"] * without_inertia
-        for name, surface in zip(robot.joint_names, surfaces, strict=True)
-    }
-
-
-def encoder_notes(
-    model: TorqueModel,
-    motion: Motion,
-    log: "LogPrediction",
-    *,
-    min_share: float = 0.5,
-    places: int = 50,
-) -> Iterator[str]:
-    """Say where noise of differentiated encoders makes `min_share` or more of the squared error.
-
-    Torque that noise of the acceleration makes is taken at so many `places` of the log.
-    """
-    if motion.source != "encoder" or not motion.cutoff.above_own:
-        return
-    q = motion.q[:: max(1, motion.samples // places)]
-    still = np.zeros_like(q)
-    rest, square = model.rigid(q, still, still), np.zeros_like(q)
-    for j, error in enumerate(motion.acceleration_error):
-        shaken = still.copy()
-        shaken[:, j] = error
-        square += (model.rigid(q, still, shaken) - rest) ** 2
-    noise, slides = PASSED * np.sqrt(square.mean(axis=0)), log.sliding
-    counts = np.maximum(slides.sum(axis=0), 1)
-    left = np.sqrt(np.sum(np.where(slides, log.residual, 0.0) ** 2, axis=0) / counts)
-    loud = [
-        f"{joint.name} ({whole:.2g} {joint.unit('N m')})"
-        for joint, made, whole in zip(model.robot.joints, noise, left, strict=True)
-        if made**2 > min_share * whole**2 > 0.0
-    ]
-    if loud:
-        yield (
-            f"at {motion.cutoff.hz:.3g} Hz noise of the encoders makes the error of "
-            f"{', '.join(loud)}, for which no model is to blame: "
-            f"--cutoff {motion.cutoff.alone_hz:.3g} suits them"
-        )
-
-
-def notes_on(model: TorqueModel, stages: Stages, outside: Array, slower: Array) -> Iterator[str]:
-    """Say what a prediction lacks; shares (n,) of sliding samples `outside` friction, `slower`."""
-    names = model.robot.joint_names
-    if stages.inertia is None:
-        yield "no inertia stage in the parameter file: inertial torque is taken as zero"
-    unknown = [n for n, s in zip(names, model.surfaces, strict=True) if s is None]
-    if unknown:
-        yield f"no friction in the parameter file, taken as zero: {', '.join(unknown)}"
-    far = [
-        f"{name} {percent(part, 0)}" + " (slower than its trials)" * bool(2.0 * slow > part)
-        for name, part, slow in zip(names, outside, slower, strict=True)
-        if part > OUTSIDE_NOTE
-    ]
-    if far:
-        yield (
-            "outside the speeds or positions at which friction was identified, so that it is "
-            f"extrapolated: {', '.join(far)} of the samples"
-        )
-
-
 def predict(
     recordings: Iterable[Recording],
     robot: Robot,
@@ -181,16 +107,16 @@ def predict(
 
     What has not been identified is taken as zero and noted. `unexplained`: whether smooth terms of
     no known cause count as well. `sliding_only`: whether only samples count at which a joint
-    slides: of logs that are held no interval is worked out at rest, no friction of a joint that
-    stays there, and no note on the encoders. Yields one per log; of a long one that is passed over,
-    its parts one after the other. Raises InputError if a log carries neither torque nor current,
-    ConfigError if an effect is not known to this version, or is not what it should be.
+    slides: no interval is worked out at rest, and no friction of a joint that stays there. Yields
+    one per log; of a long one that is passed over, its parts one after the other. Raises InputError
+    if a log carries neither torque nor current, ConfigError if an effect is not known to this
+    version, or is not what it should be.
     """
     model = TorqueModel.from_stages(stages, robot)
     effects = tuple(fitted_effects(stages, robot, unexplained=unexplained))
-    whole = not (streams(stages, options) and local_effects(model, effects))
-    part = _Predictor(model, stages, options, effects, sliding_only)
-    for found in mapped(recordings, part, None if whole else open_if_long):
+    long = streams(stages, options) and local_effects(model, effects)
+    one = Predictor(model, stages, options, effects, sliding_only)
+    for found in mapped(recordings, one, open_if_long if long else None):
         yield from found
 
 
@@ -204,38 +130,71 @@ def local_effects(model: TorqueModel, effects: Sequence[Fitted]) -> bool:
 
 
 @dataclass(frozen=True)
-class _Predictor:
-    """Predicts one log; parts of a long one follow as they are asked for."""
+class Predictor:
+    """Predicts one log; parts of a long one follow as they are asked for.
+
+    A long log's `effects` must be `local_effects`. `sliding_only`: whether other samples do not
+    count.
+    """
 
     model: TorqueModel
     stages: Stages
     options: InertiaOptions
-    effects: tuple[Fitted, ...]
+    effects: Sequence[Fitted] = ()
     sliding_only: bool = False
 
     def __call__(self, log: Recording | SurveyedLog, _: int) -> Iterable[LogPrediction]:
+        """Predict a log, by whatever number."""
+        robot, filtering = self.model.robot, self.options.motion
         if isinstance(log, SurveyedLog):
-            return LongPrediction.of(log, self.model, self.stages, self.options, self.effects)
-        every = replace(self.options.motion, samples_per_cutoff=float("inf"))
+            cutoff, step = chosen_cutoff(log, robot, filtering)
+            plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=float("inf"))
+            return LongPrediction(replace(log, survey=None), plan, self)
+        every = replace(filtering, samples_per_cutoff=float("inf"))
         imu, source = self.stages.imu, self.options.source
-        motion = torque_motion(log, self.model.robot, every, imu=imu, source=source)
-        part = self.part(motion, log, slice(None))
-        noise = () if self.sliding_only else tuple(encoder_notes(self.model, motion, part))
-        found = self.described([(part, motion)])
-        return [replace(one, notes=(*one.notes, *noise)) for one in found]
+        motion = torque_motion(log, robot, every, imu=imu, source=source)
+        return list(self.described([(self.part(motion, log, slice(None)), motion)]))
 
     def part(self, motion: Motion, log: Recording, inner: slice) -> LogPrediction:
         """Predict the inner samples of a motion."""
-        slowest = slides_from(self.model, self.options)
-        given = self.model, self.effects, slowest, motion, log, inner
-        return predicted(*given, sliding_only=self.sliding_only)
+        model, slowest = self.model, slides_from(self.model, self.options)
+        slides, added = sliding(motion, slowest), None
+        if self.effects:
+            scene = scene_of_log(log, model.robot, model, motion)
+            added = added_torque(scene, log, self.effects, slowest)
+        if self.sliding_only:
+            known = [own if slides[:, j].any() else None for j, own in enumerate(model.surfaces)]
+            model = replace(model, surfaces=known)
+            value = model.predict(motion) + (0.0 if added is None else added.value)
+            allowed = Predicted(value, value, value)
+        else:
+            allowed = model.predict_set(motion, slides, added)
+        own = motion.part(inner)
+        assert own.tau is not None
+        return LogPrediction(
+            path=log.path,
+            sha256=log.sha256,
+            samples=motion.samples,
+            cutoff_hz=motion.cutoff.hz,
+            t=own.t,
+            tau=own.tau,
+            predicted=allowed.value[inner],
+            low=allowed.low[inner],
+            high=allowed.high[inner],
+            used=own.usable,
+            sliding=slides[inner],
+            q=own.q,
+            dq=own.dq,
+            ddq=own.ddq,
+            start=log.start,
+            outside=model.outside(own) & slides[inner],
+        )
 
     def described(self, parts: Iterable[tuple[LogPrediction, Motion]]) -> Iterator[LogPrediction]:
         """The parts of a log, the last with its notes and where its motion is from."""
-        model = self.model
-        counts, used = np.zeros((3, model.robot.n)), False
-        moving = np.zeros(model.robot.n, dtype=bool)
-        slowest = np.array([0.0 if own is None else own.scaling.speed[0] for own in model.surfaces])
+        surfaces, robot = self.model.surfaces, self.model.robot
+        slowest = np.array([0.0 if own is None else own.scaling.speed[0] for own in surfaces])
+        counts, moving, used = np.zeros((3, robot.n)), np.zeros(robot.n, dtype=bool), False
         for part, motion in parts:
             slower = part.outside & (np.abs(part.dq) < slowest)
             counts += [mask.sum(axis=0) for mask in (part.sliding, part.outside, slower)]
@@ -247,9 +206,8 @@ class _Predictor:
             if not used:
                 raise too_short(part.path, part.cutoff_hz)
             shares = counts[1:] / np.maximum(counts[0], 1.0)
-            use = motion_use(part.path, model.robot, replace(motion, moving=moving[None]))
-            notes = tuple(notes_on(model, self.stages, *shares))
-            yield replace(part, notes=notes, motion=use)
+            use = motion_use(part.path, robot, replace(motion, moving=moving[None]))
+            yield replace(part, notes=tuple(notes_on(self.model, self.stages, *shares)), motion=use)
 
 
 @dataclass(frozen=True)
@@ -263,22 +221,7 @@ class LongPrediction:
 
     log: SurveyedLog
     plan: Plan
-    predictor: _Predictor
-
-    @classmethod
-    def of(
-        cls,
-        log: SurveyedLog,
-        model: TorqueModel,
-        stages: Stages,
-        options: InertiaOptions,
-        effects: Sequence[Fitted] = (),
-    ) -> "LongPrediction":
-        """Choose how the log is filtered; the effects must be `local_effects`."""
-        cutoff, step = chosen_cutoff(log, model.robot, options.motion)
-        plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=float("inf"))
-        predictor = _Predictor(model, stages, options, tuple(effects))
-        return cls(replace(log, survey=None), plan, predictor)
+    predictor: Predictor
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the temporary file, which is of this process."""
@@ -292,7 +235,7 @@ class LongPrediction:
         """
         return self.predictor.described(self._parts())
 
-    def _parts(self) -> "Iterator[tuple[LogPrediction, Motion]]":
+    def _parts(self) -> Iterator[tuple[LogPrediction, Motion]]:
         lowpass, log = self.plan.lowpass, self.log
         margin = 2 * (lowpass.memory + lowpass.settling)
         with contextlib.ExitStack() as stack:
@@ -317,48 +260,21 @@ class LongPrediction:
                 yield replace(part, samples=log.samples, part=number, last=ends), motion
 
 
-def predicted(
-    model: TorqueModel,
-    effects: Sequence[Fitted],
-    slowest: Array,
-    motion: Motion,
-    log: Recording,
-    inner: slice,
-    *,
-    sliding_only: bool = False,
-) -> LogPrediction:
-    """Predict the inner samples of a motion.
-
-    `slowest` (n,): speeds [rad/s; m/s where prismatic] from which joints certainly slide.
-    `sliding_only`: whether other samples do not count.
-    """
-    slides, added = sliding(motion, slowest), None
-    if effects:
-        added = added_torque(scene_of_log(log, model.robot, model, motion), log, effects, slowest)
-    if sliding_only:
-        known = [own if slides[:, j].any() else None for j, own in enumerate(model.surfaces)]
-        model = replace(model, surfaces=known)
-        value = model.predict(motion) + (0.0 if added is None else added.value)
-        allowed = Predicted(value, value, value)
-    else:
-        allowed = model.predict_set(motion, slides, added)
-    own = motion.part(inner)
-    assert own.tau is not None
-    return LogPrediction(
-        path=log.path,
-        sha256=log.sha256,
-        samples=motion.samples,
-        cutoff_hz=motion.cutoff.hz,
-        t=own.t,
-        tau=own.tau,
-        predicted=allowed.value[inner],
-        low=allowed.low[inner],
-        high=allowed.high[inner],
-        used=own.usable,
-        sliding=slides[inner],
-        q=own.q,
-        dq=own.dq,
-        ddq=own.ddq,
-        start=log.start,
-        outside=model.outside(own) & slides[inner],
-    )
+def notes_on(model: TorqueModel, stages: Stages, outside: Array, slower: Array) -> Iterator[str]:
+    """Say what a prediction lacks; shares (n,) of sliding samples `outside` friction, `slower`."""
+    names = model.robot.joint_names
+    if stages.inertia is None:
+        yield "no inertia stage in the parameter file: inertial torque is taken as zero"
+    unknown = [n for n, s in zip(names, model.surfaces, strict=True) if s is None]
+    if unknown:
+        yield f"no friction in the parameter file, taken as zero: {', '.join(unknown)}"
+    far = [
+        f"{name} {percent(part, 0)}" + " (slower than its trials)" * bool(2.0 * slow > part)
+        for name, part, slow in zip(names, outside, slower, strict=True)
+        if part > OUTSIDE_NOTE
+    ]
+    if far:
+        yield (
+            "outside the speeds or positions at which friction was identified, so that it is "
+            f"extrapolated: {', '.join(far)} of the samples"
+        )

@@ -1,7 +1,7 @@
 """Measured, predicted and residual torque as Parquet, with position and velocity."""
 
 import contextlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pyarrow as pa
@@ -11,60 +11,57 @@ from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.params.files import replacing, writing
 
 PARAMETERS = "seqid.parameters"  # of the metadata
-_KINDS = ("torque", "predicted", "residual")
-_REST = ("low", "high")
-_MOTION = ("position", "velocity")
+# Columns of a joint and what they are of a `LogPrediction`; bounds are null where it slides.
+_TORQUES = {
+    "torque": "tau",
+    "predicted": "predicted",
+    "residual": "residual",
+    "sliding": "sliding",
+    "low": "low",
+    "high": "high",
+}
+_MOTION = {"position": "q", "velocity": "dq"}
 
 
-class TorqueWriter:
-    """Writes `t`, `log`, torques of each joint, then position and velocity.
+@contextlib.contextmanager
+def parquet_writer(
+    path: Path, joints: Sequence[str], parameters: Sequence[str] = ()
+) -> Iterator[Callable[[LogPrediction], None]]:
+    """Write torques to `path` in one step: an interrupted run leaves the old file or none.
 
-    Of a joint: measured, predicted and residual torque, whether it slides, and at rest (else null)
-    the bounds of what the model allows. Then `used` (whether the errors count the sample), and
-    position and velocity of each joint.
+    The columns are `t`, `log`, torques of each joint, `used` (whether the errors count the sample),
+    then position and velocity of each joint. `parameters`: the SHA-256 of the files that the model
+    is from, kept as metadata. Yields: appends a log, or the next part of one, all its samples.
     """
+    kinds = {"t": pa.float64(), "log": pa.string()}
+    kinds |= {f"{name}.{kind}": pa.float64() for name in joints for kind in _TORQUES}
+    kinds |= {f"{name}.sliding": pa.bool_() for name in joints}
+    kinds |= {"used": pa.bool_()}
+    kinds |= {f"{name}.{kind}": pa.float64() for name in joints for kind in _MOTION}
+    schema = pa.schema(kinds.items(), {PARAMETERS: " ".join(parameters)} if parameters else None)
+    with replacing(path) as temporary:
+        with writing(path):
+            # Torques hardly repeat: a dictionary of them takes most of the time for nothing.
+            writer = pq.ParquetWriter(temporary, schema, use_dictionary=["log"])
 
-    def __init__(self, path: Path, writer: pq.ParquetWriter, schema: pa.Schema) -> None:
-        self._path = path
-        self._writer = writer
-        self._schema = schema
-
-    @classmethod
-    @contextlib.contextmanager
-    def open(
-        cls, path: Path, joints: Sequence[str], parameters: Sequence[str] = ()
-    ) -> "Iterator[TorqueWriter]":
-        """Write to `path` in one step: an interrupted run leaves the old file or none.
-
-        `parameters`: the SHA-256 of the files that the model is from, kept as metadata.
-        """
-        fields = [("t", pa.float64()), ("log", pa.string())]
-        for name in joints:
-            fields += [(f"{name}.{kind}", pa.float64()) for kind in _KINDS]
-            fields += [(f"{name}.sliding", pa.bool_())]
-            fields += [(f"{name}.{kind}", pa.float64()) for kind in _REST]
-        fields += [("used", pa.bool_())]
-        fields += [(f"{name}.{kind}", pa.float64()) for name in joints for kind in _MOTION]
-        schema = pa.schema(fields, {PARAMETERS: " ".join(parameters)} if parameters else None)
-        with replacing(path) as temporary:
+        def write(log: LogPrediction, *, rows: int = 65536) -> None:
             with writing(path):
-                # Torques hardly repeat: a dictionary of them takes most of the time for nothing.
-                writer = pq.ParquetWriter(temporary, schema, use_dictionary=["log"])
-            yield cls(path, writer, schema)
-            with writing(path):
-                writer.close()
+                table = pa.table(_columns(log), schema=schema)
+                writer.write_table(table, row_group_size=rows)
 
-    def write(self, log: LogPrediction, *, rows: int = 65536) -> None:
-        """Append a log, or the next part of one, all its samples."""
-        columns = [pa.array(log.t), pa.array([str(log.path)] * len(log.t), pa.string())]
-        for j in range(log.tau.shape[1]):
-            columns += [pa.array(x[:, j]) for x in (log.tau, log.predicted, log.residual)]
-            columns.append(pa.array(log.sliding[:, j]))
-            columns += [pa.array(x[:, j], mask=log.sliding[:, j]) for x in (log.low, log.high)]
-        columns.append(pa.array(log.used))
-        for joint in range(log.tau.shape[1]):
-            for values in (log.q, log.dq):
-                columns.append(pa.array(values[:, joint], from_pandas=True))  # NaN is null
-        with writing(self._path):
-            table = pa.table(columns, schema=self._schema)
-            self._writer.write_table(table, row_group_size=rows)
+        yield write
+        with writing(path):
+            writer.close()
+
+
+def _columns(log: LogPrediction) -> list[pa.Array]:
+    torques = {kind: getattr(log, field) for kind, field in _TORQUES.items()}
+    columns = [pa.array(log.t), pa.array([str(log.path)] * len(log.t), pa.string())]
+    for j, slides in enumerate(log.sliding.T):
+        for kind, values in torques.items():
+            columns.append(pa.array(values[:, j], mask=slides if kind in ("low", "high") else None))
+    columns.append(pa.array(log.used))
+    for j in range(len(log.sliding.T)):
+        for field in _MOTION.values():
+            columns.append(pa.array(getattr(log, field)[:, j], from_pandas=True))  # NaN is null
+    return columns

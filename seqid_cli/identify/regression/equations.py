@@ -19,10 +19,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.motion.blocks import (
-    SurveyedLog,
-    open_surveyed,
-)
+from seqid_cli.motion.blocks import SurveyedLog, open_surveyed
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.survey import Survey
 from seqid_cli.motion.imu.link_acceleration import log_motion
@@ -34,6 +31,7 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
 LONG = 200_000  # samples from which on a log is better passed over than held
+CHUNK = 4096  # samples whose regressor is made at once
 
 
 def streams(stages: Stages, options: InertiaOptions) -> bool:
@@ -70,9 +68,6 @@ def chosen_cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tup
     resolution, survey = encoder_resolution(robot), survey_of(log)
     cutoff = as_asked(survey.cutoff(resolution), log.path, log.rate_hz, options)
     return cutoff, survey.noise_step(resolution)
-
-
-CHUNK = 4096
 
 
 def torque_motion(

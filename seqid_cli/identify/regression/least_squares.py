@@ -68,11 +68,12 @@ class Accumulator:
                 self.blocks[-1] = triangular(np.vstack([self.blocks[-1], factor]))
             self.rows[-1] += count
             self.filled += 1
-            return
-        self.blocks.append(factor)
-        self.rows.append(count)
-        self.filled = 1
-        self._bound()
+        else:
+            self.blocks.append(factor)
+            self.rows.append(count)
+            self.filled = 1
+        while len(self.blocks) > MOST_BLOCKS:
+            self._halve()
 
     def __add__(self, other: "Accumulator") -> "Accumulator":
         first, second = copy(self), copy(other)
@@ -81,12 +82,9 @@ class Accumulator:
                 own._halve()
         blocks, rows = first.blocks + second.blocks, first.rows + second.rows
         both = Accumulator(self.size, blocks, rows, first.span, first.span)
-        both._bound()
+        while len(both.blocks) > MOST_BLOCKS:
+            both._halve()
         return both
-
-    def _bound(self) -> None:
-        while len(self.blocks) > MOST_BLOCKS:
-            self._halve()
 
     def _halve(self) -> None:
         """Merge each two neighbouring blocks; one without a partner stays."""
@@ -111,27 +109,20 @@ class Accumulator:
 
     def with_fixed(self, column: int, value: float) -> "Accumulator":
         """The same rows with one parameter held at a value and taken out."""
-        total = _without(self.total[None], column, value)[0]
-        blocks = list(_without(np.stack(self.blocks), column, value)) if self.blocks else []
-        rows = list(self.rows)
-        return Accumulator(self.size - 1, blocks, rows, self.span, self.filled, total)
+        factors = np.stack([self.total, *self.blocks])
+        fewer = np.delete(factors, column, axis=2)
+        fewer[:, :, -1] -= value * factors[:, :, column]
+        # The rows above the column are as they should be.
+        below = np.asarray(np.linalg.qr(fewer[:, column:, column:], mode="r"), dtype=np.float64)
+        negative = np.diagonal(below, axis1=1, axis2=2) < 0
+        fewer[:, column:-1, column:] = below * np.where(negative, -1.0, 1.0)[:, :, None]
+        total, *blocks = fewer[:, :-1].copy()
+        return Accumulator(self.size - 1, blocks, list(self.rows), self.span, self.filled, total)
 
     def residual_rms(self, theta: Array, fitted: int = 0) -> float:
         """RMS of H theta - y over all rows, but for so many that were `fitted`."""
         left = np.linalg.norm(self.total @ np.append(theta, -1.0))
         return float(left / np.sqrt(max(self.samples - fitted, 1)))
-
-
-def _without(factors: Array, column: int, value: float) -> Array:
-    """Factors (G, p + 1, p + 1) with one column, times a value, taken to the right side."""
-    right = factors[:, :, -1] - value * factors[:, :, column]
-    fewer = np.delete(factors, column, axis=2)
-    fewer[:, :, -1] = right
-    # The rows above the column are as they should be.
-    below = np.asarray(np.linalg.qr(fewer[:, column:, column:], mode="r"), dtype=np.float64)
-    diagonal = np.diagonal(below, axis1=1, axis2=2)
-    fewer[:, column:-1, column:] = below * np.where(diagonal < 0, -1.0, 1.0)[:, :, None]
-    return np.asarray(fewer[:, :-1].copy())
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,6 @@ of inter-block information when block sizes are unequal", Biometrika 58(3), 1971
 parameters take away is allowed for. Rows divided by V's root are generalised least squares.
 """
 
-import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -49,11 +48,12 @@ class Rows:
     log: Index
 
 
-def whitener_of(rows: Rows) -> Callable[[Array], Array]:
+def whitener_of(rows: Rows, *, least: float = 1e-6) -> Callable[[Array], Array]:
     """Fit the strengths of the noise of one joint's rows.
 
-    `rows`: the parameters' columns are taken out of the errors; more rows than columns. Returns:
-    makes rows (N, ...) of such whose errors are independent and of unit variance.
+    `rows`: the parameters' columns are taken out of the errors; more rows than columns. `least`:
+    strength of a part against white noise, from which on it counts. Returns: makes rows (N, ...) of
+    such whose errors are independent and of unit variance.
     """
     order = np.lexsort((rows.t, rows.log))  # of each log, in time order
     logs = np.split(order, np.flatnonzero(np.diff(rows.log[order])) + 1)
@@ -65,36 +65,29 @@ def whitener_of(rows: Rows) -> Callable[[Array], Array]:
     white = max(float(left @ left) / max(len(y) - A.shape[1], 1), 1e-300)
     typical = white / float(np.median(rows.weight))
 
-    def strengths_of(logs: Array, *, least: float = 1e-06) -> Array:
-        """Strengths of white, common and slow noise from their logarithms against white noise."""
-        w, t, f = np.exp(np.clip(logs, np.log(least), -np.log(least)))
-        return np.array([w * white, t * typical, f * typical])
+    def roots(logarithms: Array) -> list[Array]:
+        parts = np.exp(np.clip(logarithms, np.log(least), -np.log(least)))
+        return [_root(shape, parts * (white, typical, typical)) for shape in shapes]
 
-    def cost(logs: Array) -> float:
-        return _restricted(rows, shapes, strengths_of(logs))
+    def cost(logarithms: Array) -> float:
+        return _restricted(rows, logs, roots(logarithms))
 
     found = [
-        minimize(
-            cost, np.array(start), method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.02}
-        )
-        for start in STARTS
+        minimize(cost, at, method="Nelder-Mead", options={"xatol": 0.05, "fatol": 0.02})
+        for at in np.array(STARTS)
     ]
-    strengths = strengths_of(min(found, key=lambda one: float(one.fun)).x)
-    roots = [(at, _root(shape, strengths)) for at, *shape in shapes]
+    best = roots(min(found, key=lambda one: float(one.fun)).x)
 
     def white_rows(values: Array) -> Array:
         white = np.empty_like(values)
-        for own, root in roots:
+        for own, root in zip(logs, best, strict=True):
             white[own] = solve_triangular(root, values[own], lower=True)
         return white
 
     return white_rows
 
 
-_Shape = tuple[Index, Array, Array, Array]
-
-
-def _shapes(rows: Rows, at: Index, *, lengths: float = 4.0) -> _Shape:
+def _shapes(rows: Rows, at: Index, *, lengths: float = 4.0) -> tuple[Array, Array, Array]:
     """W's diagonal, T and F of the rows of one log."""
     # The lowest frequency of 1/f noise is one over so many `lengths` of the log.
     t, trial = rows.t[at], rows.trial[at]
@@ -108,47 +101,31 @@ def _shapes(rows: Rows, at: Index, *, lengths: float = 4.0) -> _Shape:
     at_once = lag * upper < 1e-6
     safe = np.where(at_once, 1.0, lag)
     slow = np.where(at_once, np.log(upper / low), sici(safe * upper)[1] - sici(safe * low)[1])
-    return at, 1.0 / rows.weight[at], common, slow
+    return 1.0 / rows.weight[at], common, slow
 
 
-def _root(
-    shape: Sequence[Array],
-    strengths: Array,
-    *,
-    stiffness: tuple[float, ...] = (1e-09, 1e-07, 1e-05),
-) -> Array:
+def _root(shape: tuple[Array, Array, Array], strengths: Array, *, stiffness: float = 1e-9) -> Array:
+    """Cholesky factor of one log's covariance."""
     white, common, slow = shape
     V = strengths[1] * common + strengths[2] * slow
     V[np.diag_indices_from(V)] += strengths[0] * white
-    mean = float(np.trace(V)) / len(V)
-    for share in stiffness:  # rows at nearly the same time leave V as good as singular
-        with contextlib.suppress(np.linalg.LinAlgError):
-            own = V + share * mean * np.eye(len(V))
-            return np.asarray(cholesky(own, lower=True, check_finite=False))
-    return np.asarray(np.diag(np.sqrt(np.diag(V))))
+    # Rows at nearly the same time leave V as good as singular.
+    V[np.diag_indices_from(V)] += stiffness * float(np.trace(V)) / len(V)
+    return np.asarray(cholesky(V, lower=True, check_finite=False))
 
 
-def _restricted(rows: Rows, shapes: Sequence[_Shape], strengths: Array) -> float:
+def _restricted(rows: Rows, logs: Sequence[Index], roots: Sequence[Array]) -> float:
     """Twice the negative logarithm of the restricted likelihood, but for a constant."""
-    p = rows.H.shape[1]
-    normal, right, rest, size = np.zeros((p, p)), np.zeros(p), 0.0, 0.0
-    for at, *shape in shapes:
-        root = _root(shape, strengths)
-        white = solve_triangular(
-            root, np.column_stack([rows.H[at], rows.y[at]]), lower=True, check_finite=False
-        )
-        A, y = white[:, :-1], white[:, -1]
-        normal += A.T @ A
-        right += A.T @ y
-        rest += float(y @ y)
+    table, size = np.column_stack([rows.H, rows.y]), 0.0
+    normal = np.zeros((table.shape[1], table.shape[1]))
+    for at, root in zip(logs, roots, strict=True):
+        white = solve_triangular(root, table[at], lower=True, check_finite=False)
+        normal += white.T @ white
         size += 2.0 * float(np.log(np.diag(root)).sum())
-    alive = np.diag(normal) > 0
-    if alive.any():
-        scale = np.sqrt(np.diag(normal)[alive])
-        inner = normal[np.ix_(alive, alive)] / np.outer(scale, scale)
-        value, vector = np.linalg.eigh(inner)
-        kept = value > 1e-10 * value.max()
-        fitted = (vector.T @ (right[alive] / scale))[kept]
-        rest -= float(np.sum(fitted**2 / value[kept]))
-        size += float(np.log(value[kept]).sum()) + 2.0 * float(np.log(scale).sum())
-    return size + rest
+    A, right = normal[:-1, :-1], normal[:-1, -1]
+    scale = np.sqrt(np.where(np.diag(A) > 0.0, np.diag(A), 1.0))
+    value, vector = np.linalg.eigh(A / np.outer(scale, scale))
+    kept = value > 1e-10 * value.max(initial=0.0)
+    fitted = (vector.T @ (right / scale))[kept]
+    rest = float(normal[-1, -1]) - float(np.sum(fitted**2 / value[kept]))
+    return size + rest + float(np.log(value[kept]).sum() + 2.0 * np.log(scale).sum())

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.prediction.predict import LogPrediction
-from seqid_cli.identify.prediction.torques_parquet import TorqueWriter
+from seqid_cli.identify.prediction.torques_parquet import parquet_writer
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.encode import encode
 from seqid_cli.params.io import Document, Source
@@ -225,13 +225,13 @@ def write_torques(
     drop: float = 0.0,
 ) -> Path:
     """Write a torque file of a model that predicts the share `drop` too little."""
-    with TorqueWriter.open(path, joints, parameters) as writer:
+    with parquet_writer(path, joints, parameters) as write:
         for seed, name in enumerate(logs):
             made = predicted_log(name, seed)
             less = (1.0 - drop) * made.predicted
             made = replace(made, predicted=less, low=less, high=less)
             none = np.full(made.tau.shape, np.nan)
-            writer.write(made if motion else replace(made, q=none, dq=none))
+            write(made if motion else replace(made, q=none, dq=none))
     return path
 
 

@@ -41,25 +41,18 @@ def degrees_between(A: Array, B: Array) -> float:
     return float(np.degrees(np.linalg.norm(Rotation.from_matrix(A @ B.T).as_rotvec())))
 
 
-@pytest.mark.parametrize("count", [2, 3, 8])
-def test_exact_pairs_give_the_rotation(count: int) -> None:
-    rng = np.random.default_rng(count)
-    R = Rotation.random(random_state=count).as_matrix()
-    got = fit_rotation(pairs_of(R, unit(rng, count), rng, np.full(count, 1e-12)))
-    np.testing.assert_allclose(got, R, atol=1e-9)
-    assert np.linalg.det(got) == pytest.approx(1.0)
-
-
-def test_it_minimises_the_weighted_sum_of_squares() -> None:
+@pytest.mark.parametrize("count", [2, 5])
+def test_the_rotation_minimises_the_weighted_sum_of_squares(count: int) -> None:
     rng = np.random.default_rng(1)
     R = Rotation.random(random_state=1).as_matrix()
-    sigma = np.array([0.02, 0.1, 0.03, 0.3, 0.05])
-    pairs = pairs_of(R, unit(rng, 5), rng, sigma)
+    sigma = np.array([0.02, 0.1, 0.03, 0.3, 0.05])[:count]
+    pairs = pairs_of(R, unit(rng, count), rng, sigma)
 
     def cost(candidate: Array) -> float:
         return sum(float(np.sum((candidate @ p.imu - p.link) ** 2)) / p.sigma**2 for p in pairs)
 
     best = fit_rotation(pairs)
+    assert np.linalg.det(best) == pytest.approx(1.0)
     for _ in range(50):
         turned = Rotation.from_rotvec(1e-3 * rng.standard_normal(3)).as_matrix() @ best
         assert cost(turned) > cost(best)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.notes import deflection_notes
+from seqid_cli.identify.imu_calibration.calibrate import deflecting, verdict_of
 from seqid_cli.identify.imu_calibration.deflection import likeliest
 from seqid_cli.identify.imu_calibration.normal_equations import Rows, Sizes
-from seqid_cli.identify.imu_calibration.result import deflecting, verdict_of
 from seqid_cli.params.schema import EffectOfJoint, ImuStage, Stages
 from tests import Array
 from tests.plants.instruments import (

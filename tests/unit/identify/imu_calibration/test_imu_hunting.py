@@ -13,7 +13,6 @@ from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robot.file import load_robot
-from tests.plants.sensors import AccelerometerArray
 from tests.studies.coverage.cases import case_of, draw, record
 
 CASE = case_of("planar", 10039)  # joint 2 hunts in some swings of joint 1
@@ -43,10 +42,6 @@ def segment(folder: Path, name: str) -> Segment:
     return found
 
 
-def array() -> AccelerometerArray:
-    return next(x for x in draw(CASE).plant.imus if x.name == "imu_b")
-
-
 @pytest.mark.slow
 def test_a_joint_that_hunts_is_an_unknown_and_one_that_stands_is_locked(folder: Path) -> None:
     assert segment(folder, HUNTING).moving == (0, 1)
@@ -55,19 +50,16 @@ def test_a_joint_that_hunts_is_an_unknown_and_one_that_stands_is_locked(folder: 
 
 
 @pytest.mark.slow
-def test_the_lever_and_the_scales_hold(calibration: ImuCalibration) -> None:
-    """With joint 2 taken for locked the scales are 0.1 % off."""
+def test_lever_scales_and_the_error_of_accelerations_hold(calibration: ImuCalibration) -> None:
+    """With joint 2 taken for locked the scales are 0.1 % off.
+
+    Perfect sensors: acceleration by the whole array goes with its lever about the joint.
+    """
     lever = np.array(calibration.lever[:2], dtype=float)
     errors = np.array(calibration.lever_std_errors[:2], dtype=float)
-    assert np.all(np.abs(lever - array().lever[:2]) < 3.0 * errors)
+    (true,) = (imu.lever[:2] for imu in draw(CASE).plant.imus if imu.name == "imu_b")
+    assert np.all(np.abs(lever - true) < 3.0 * errors)
     scales = np.array(calibration.accelerometer_scale, dtype=float)
     assert np.abs(scales - 1.0).max() < 5e-4
-
-
-@pytest.mark.slow
-def test_the_error_of_accelerations_is_that_of_the_lever(calibration: ImuCalibration) -> None:
-    """Perfect sensors: acceleration by the whole array goes with its lever about the joint."""
-    lever = np.array(calibration.lever[:2], dtype=float)
-    errors = np.array(calibration.lever_std_errors[:2], dtype=float)
     by_lever = float(np.hypot(*(lever * errors)) / np.sum(lever**2))
     assert 0.4 * by_lever < calibration.acceleration_std_error < 1.2 * by_lever

@@ -1,7 +1,7 @@
 """Predictions: long logs as held ones, blind to the measured torque, at rest what effects allow."""
 
 import pickle
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction, predict
+from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction, Predictor, predict
 from seqid_cli.logs.read import read_recording
 from seqid_cli.model.effects.apply import scene_of_log
 from seqid_cli.model.effects.fitted import FittedEffect, as_stage, fitted_effects
@@ -72,11 +72,13 @@ def _many_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(blocks, "LEAST_BLOCK", 9_000)
 
 
-def long_of(path: Path, robot: Robot, stages: Stages, options: InertiaOptions) -> LongPrediction:
+def long_of(
+    path: Path, robot: Robot, stages: Stages, options: InertiaOptions
+) -> Iterable[LogPrediction]:
     log = open_surveyed(path, robot)
     assert log is not None
     model, effects = TorqueModel.from_stages(stages, robot), fitted_effects(stages, robot)
-    return LongPrediction.of(log, model, stages, options, effects)
+    return Predictor(model, stages, options, effects)(log, 0)
 
 
 def held_of(path: Path, robot: Robot, stages: Stages, options: InertiaOptions) -> LogPrediction:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,11 +12,10 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
-from rosbags.typesys import Stores, get_typestore
 
 from seqid_cli.errors import UsageError
 from seqid_cli.identify.prediction.predict import LogPrediction
-from seqid_cli.identify.prediction.torques_mcap import TOPICS, McapTorqueWriter
+from seqid_cli.identify.prediction.torques_mcap import TOPICS, mcap_writer
 from tests import ROOT
 from tests.plants.robots.made import made_prediction
 
@@ -29,38 +27,22 @@ SAMPLES = 40
 def prediction(name: str, start: float, *, seed: int = 0) -> LogPrediction:
     rng = np.random.default_rng(seed)
     tau, predicted, q, dq = rng.normal(size=(4, SAMPLES, len(JOINTS)))
-    return made_prediction(
-        name,
-        tau,
-        predicted,
-        low=predicted - 0.5,
-        high=predicted + 0.5,
-        q=q,
-        dq=dq,
-        start=start,
-    )
+    bounds = {"low": predicted - 0.5, "high": predicted + 0.5}
+    return made_prediction(name, tau, predicted, **bounds, q=q, dq=dq, start=start)
 
 
-@dataclass(frozen=True)
-class Read:
-    """One message, decoded by mcap-ros2-support."""
-
-    topic: str
-    log_time_ns: int
-    state: Any
-
-
-def messages(path: Path) -> Iterator[Read]:
+def messages(path: Path) -> Iterator[tuple[str, int, Any]]:
+    """Topic, log time [ns] and state of each message, decoded by mcap-ros2-support."""
     with path.open("rb") as stream:
         reader = make_reader(stream, decoder_factories=[DecoderFactory()])
         for _, channel, message, state in reader.iter_decoded_messages():
-            yield Read(channel.topic, message.log_time, state)
+            yield channel.topic, message.log_time, state
 
 
 def save(path: Path, *logs: LogPrediction) -> None:
-    with McapTorqueWriter.open(path, JOINTS) as writer:
+    with mcap_writer(path, JOINTS) as write:
         for log in logs:
-            writer.write(log)
+            write(log)
 
 
 @pytest.mark.parametrize("name", ["a", "logs/move.parquet"])
@@ -70,8 +52,7 @@ def test_torques_read_back(tmp_path: Path, name: str) -> None:
     torques = (log.tau, log.predicted, log.tau - log.predicted, log.low, log.high)
     expected = dict(zip(TOPICS, torques, strict=True))
     seen = dict.fromkeys(TOPICS, 0)
-    for message in messages(tmp_path / "out.mcap"):
-        topic, state = message.topic, message.state
+    for topic, log_time_ns, state in messages(tmp_path / "out.mcap"):
         k = seen[topic]
         seen[topic] += 1
         assert tuple(state.name) == JOINTS
@@ -80,30 +61,16 @@ def test_torques_read_back(tmp_path: Path, name: str) -> None:
         np.testing.assert_array_equal(state.position, log.q[k])
         np.testing.assert_array_equal(state.velocity, log.dq[k])
         stamp = state.header.stamp.sec * 10**9 + state.header.stamp.nanosec
-        assert stamp == message.log_time_ns
+        assert stamp == log_time_ns
         assert abs(stamp - (1_700_000_000_250_000_000 + k * 4_000_000)) < 1000
     assert set(seen.values()) == {SAMPLES}
-
-
-def test_another_implementation_of_cdr_reads_the_same(tmp_path: Path) -> None:
-    log = prediction("a", 0.0)
-    save(tmp_path / "out.mcap", log)
-    types = get_typestore(Stores.ROS2_HUMBLE)
-    rows = []
-    with (tmp_path / "out.mcap").open("rb") as stream:
-        for schema, channel, message in make_reader(stream).iter_messages(topics=[TOPICS[0]]):
-            assert (schema.name, schema.encoding) == ("sensor_msgs/msg/JointState", "ros2msg")
-            assert channel.message_encoding == "cdr"
-            state = types.deserialize_cdr(message.data, schema.name)
-            rows.append(state.effort)  # type: ignore[attr-defined]
-    np.testing.assert_array_equal(rows, log.tau)
 
 
 def times(path: Path) -> dict[str, tuple[float, float]]:
     """First and last time of each log, s."""
     found: dict[str, list[float]] = {}
-    for message in messages(path):
-        found.setdefault(message.state.header.frame_id, []).append(message.log_time_ns * 1e-9)
+    for _, log_time_ns, state in messages(path):
+        found.setdefault(state.header.frame_id, []).append(log_time_ns * 1e-9)
     return {name: (min(stamps), max(stamps)) for name, stamps in found.items()}
 
 
@@ -118,14 +85,14 @@ def test_logs_without_a_clock_follow_each_other(tmp_path: Path) -> None:
     assert records["seqid.logs"]["2"].startswith("b: 1.156000 to ")
 
 
-@pytest.mark.parametrize("start", [float("nan"), float("inf"), 1e30])
+@pytest.mark.parametrize("start", [float("nan"), 1e30])
 def test_a_clock_that_no_stamp_holds_starts_from_zero(tmp_path: Path, start: float) -> None:
     save(tmp_path / "out.mcap", prediction("a", start))
     assert times(tmp_path / "out.mcap")["a"][0] == 0.0
 
 
 def test_a_folder_that_is_not_there_is_a_message(tmp_path: Path) -> None:
-    with pytest.raises(UsageError), McapTorqueWriter.open(tmp_path / "no" / "out.mcap", JOINTS):
+    with pytest.raises(UsageError), mcap_writer(tmp_path / "no" / "out.mcap", JOINTS):
         pass
 
 

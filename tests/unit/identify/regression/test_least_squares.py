@@ -8,7 +8,6 @@ from seqid_cli.identify.regression.least_squares import (
     Accumulator,
     Prior,
     solve,
-    triangular,
     whitened,
 )
 from tests import Array
@@ -47,10 +46,15 @@ def stacked(joints: list[Rows], sigma: Array, prior: Prior | None = None) -> Arr
     return np.linalg.lstsq(np.vstack(rows), np.concatenate(right), rcond=None)[0]
 
 
-def test_the_solution_is_that_of_the_stacked_weighted_rows() -> None:
-    joints = make(np.random.default_rng(0))
-    got = solve([accumulated(*j) for j in joints], iterations=20)
-    np.testing.assert_allclose(got.theta, stacked(joints, got.sigma), rtol=1e-9, atol=1e-12)
+@pytest.mark.parametrize("known", [False, True])
+def test_the_solution_is_that_of_the_stacked_weighted_rows(*, known: bool) -> None:
+    rng = np.random.default_rng(11)
+    joints = make(rng, rows=40 if known else 480)
+    A = rng.standard_normal((3, P)) / SCALES * 4
+    prior = Prior(A, A @ THETA + rng.standard_normal(3)) if known else None
+    got = solve([accumulated(*j, rows=10) for j in joints], prior=prior, iterations=20)
+    rtol, atol = (1e-7, 1e-9) if known else (1e-9, 1e-12)
+    np.testing.assert_allclose(got.theta, stacked(joints, got.sigma, prior), rtol=rtol, atol=atol)
     for (H, y), sigma in zip(joints, got.sigma, strict=True):
         assert sigma == pytest.approx(np.sqrt(np.mean((y - H @ got.theta) ** 2)), rel=1e-9)
     assert got.rank == P
@@ -120,15 +124,6 @@ def test_no_rows_determine_nothing() -> None:
     assert not got.theta.any()
 
 
-def test_a_prior_is_more_rows() -> None:
-    rng = np.random.default_rng(11)
-    joints = make(rng, rows=40)
-    A = rng.standard_normal((3, P)) / SCALES * 4
-    prior = Prior(A, A @ THETA + rng.standard_normal(3))
-    got = solve([accumulated(*j, rows=10) for j in joints], prior=prior, iterations=20)
-    np.testing.assert_allclose(got.theta, stacked(joints, got.sigma, prior), rtol=1e-7, atol=1e-9)
-
-
 def test_a_prior_determines_what_the_rows_do_not() -> None:
     rng = np.random.default_rng(12)
     H = rng.standard_normal((300, 3))
@@ -175,13 +170,6 @@ def test_more_samples_of_the_same_do_not_outweigh_the_prior() -> None:
     assert abs(heavier.theta[0] - expected.theta[0]) > 1e-3
 
 
-def conditioned(rng: np.random.Generator, condition: float) -> Array:
-    """Rows whose columns depend on each other so far."""
-    spread = np.logspace(0, -np.log10(condition), WIDTH)
-    mixing = np.linalg.qr(rng.normal(size=(WIDTH, WIDTH)))[0]
-    return np.asarray(rng.normal(size=(ROWS * BLOCKS, WIDTH)) * spread @ mixing)
-
-
 def solved(R: Array) -> Array:
     return np.asarray(np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=None)[0])
 
@@ -194,52 +182,38 @@ def off(R: Array, rows: Array) -> float:
     return float(np.abs(R.T @ R - rows.T @ rows).max())
 
 
-@pytest.mark.parametrize("power", range(0, 13, 2))
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
-def test_the_solution_is_as_good_as_lstsqs(power: int, noise: float) -> None:
+@pytest.mark.parametrize("power", range(0, 13, 3))
+def test_the_solution_is_as_good_as_lstsqs(power: int) -> None:
+    """Of columns that depend on each other so far."""
     rng = np.random.default_rng(power)
-    H = conditioned(rng, 10.0**power)
+    mixing = np.linalg.qr(rng.normal(size=(WIDTH, WIDTH)))[0]
+    H = rng.normal(size=(ROWS * BLOCKS, WIDTH)) * np.logspace(0, -power, WIDTH) @ mixing
     theta = rng.normal(size=WIDTH)
-    y = H @ theta + noise * rng.normal(size=len(H))
-    found = accumulated(H, y, ROWS).total
-    exact = np.linalg.lstsq(H, y, rcond=1e-15)[0]
-    rows = np.column_stack([H, y])
-    by_qr, back = (solved(triangular(each)) for each in (rows, rows[::-1]))
-    size = np.linalg.norm(theta)
-    if noise == 0.0:
-        limit = max(10.0 * np.linalg.norm(exact - theta), 10.0**power * 1e-15 * size)
-        assert np.linalg.norm(solved(found) - theta) <= limit
-    else:  # what is left of differences between good methods is small against the noise's effect
-        apart = max(np.linalg.norm(H @ (exact - each)) for each in (by_qr, back))
-        limit = max(3.0 * apart, 1e-9 * noise * np.sqrt(len(H)))
-        assert np.linalg.norm(H @ (solved(found) - by_qr)) <= limit
-    assert off(found, rows) < 1e-11
+    found = accumulated(H, H @ theta, ROWS).total
+    exact = np.linalg.lstsq(H, H @ theta, rcond=1e-15)[0]
+    rounding = 10.0**power * 1e-15 * np.linalg.norm(theta)
+    limit = max(10.0 * np.linalg.norm(exact - theta), rounding)
+    assert np.linalg.norm(solved(found) - theta) <= limit
+    assert off(found, np.column_stack([H, H @ theta])) < 1e-11
 
 
-@pytest.mark.parametrize("what", ["zero", "same", "sum", "late", "now and then", "nearly"])
+@pytest.mark.parametrize("what", ["zero", "sum", "now and then", "nearly"])
 def test_columns_that_tell_nothing_new(what: str) -> None:
     rng = np.random.default_rng(4)
     H = rng.normal(size=(ROWS * BLOCKS, WIDTH))
     if what == "zero":
         H[:, [0, 7, WIDTH - 1]] = 0.0
-    elif what == "same":
-        H[:, 9] = H[:, 4]
-    elif what == "sum":
-        H[:, 5] = H[:, 1] - 2.0 * H[:, 3]
-    elif what == "nearly":
-        H[:, 5] = H[:, 1] + 1e-9 * H[:, 5]
-    elif what == "late":
-        H[: 5 * ROWS, [2, 11]] = 0.0
-    else:
+    elif what == "now and then":
         H[np.arange(len(H)) // ROWS % 3 == 1, 6] = 0.0
+    else:
+        H[:, 5] = H[:, 1] + (-2.0 * H[:, 3] if what == "sum" else 1e-9 * H[:, 5])
     y = H @ np.ones(WIDTH) + 1e-3 * rng.normal(size=len(H))
     joint = accumulated(H, y, ROWS)
     assert off(joint.total, np.column_stack([H, y])) < 1e-12
     for k, block in enumerate(joint.blocks):
         rows = slice(k * ROWS, (k + 1) * ROWS)
         assert off(block, np.column_stack([H[rows], y[rows]])) < 1e-11
-        dead = ~H[rows].any(axis=0)
-        assert not block[:, :-1][:, dead].any()
+        assert not block[:, :-1][:, ~H[rows].any(axis=0)].any()
         assert not np.tril(block, -1).any()
         assert (np.diag(block) >= 0.0).all()
     expected = np.linalg.lstsq(H, y, rcond=1e-12)[0]
@@ -247,18 +221,15 @@ def test_columns_that_tell_nothing_new(what: str) -> None:
     assert left[0] == pytest.approx(left[1], rel=1e-9)
 
 
-@pytest.mark.parametrize("size", [1e3, 1e6, 1e10])
-def test_a_huge_row_hides_no_others(size: float) -> None:
+@pytest.mark.parametrize("size", [1e3, 1e10, np.nan])
+def test_a_huge_row_hides_no_others_and_what_is_no_number_shows(size: float) -> None:
     rng = np.random.default_rng(5)
     H = rng.normal(size=(ROWS * BLOCKS, WIDTH))
     H[5 * ROWS + 17] *= size
     y = H @ np.ones(WIDTH) + 1e-3 * rng.normal(size=len(H))
-    found, expected = solved(accumulated(H, y, ROWS).total), np.linalg.lstsq(H, y, rcond=None)[0]
+    joint = accumulated(H, y, ROWS)
+    if np.isnan(size):
+        assert np.isnan(joint.blocks[5]).any()
+        return
+    found, expected = solved(joint.total), np.linalg.lstsq(H, y, rcond=None)[0]
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-15 * size + 1e-12)
-
-
-def test_what_is_not_a_number_does_not_go_unseen() -> None:
-    rng = np.random.default_rng(9)
-    H, y = rng.normal(size=(ROWS * 3, WIDTH)), rng.normal(size=ROWS * 3)
-    H[ROWS + 5, 3] = np.nan
-    assert np.isnan(accumulated(H, y, ROWS).blocks[1]).any()

@@ -8,7 +8,7 @@ import json
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import typer
 from typer._click import Command, Context, HelpFormatter, Parameter
@@ -16,13 +16,9 @@ from typer._click.exceptions import ClickException, NoArgsIsHelpError
 from typer.core import TyperGroup, TyperOption
 
 from seqid_cli import __version__
-from seqid_cli.commands.options import screen_options
 from seqid_cli.commands.screen.layout import shortened, visible
 from seqid_cli.commands.screen.streams import cannot_be_written, give_up_output
 from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
-
-if TYPE_CHECKING:
-    from seqid_cli.commands.screen.render import Screen
 
 EXIT_BUG = 70
 _NO_ROOM = ("cannot allocate memory", "failed to map segment")
@@ -42,21 +38,21 @@ class Entry(NamedTuple):
 COMMANDS: Mapping[str, Entry] = {
     "init": Entry("init", "Write a robot file from a log and a URDF, to be completed."),
     "inspect": Entry("inspect", "Look through logs: what is in them and what is wrong."),
-    "run": Entry("run_all", "Run every stage on a folder of logs, then predict and report."),
-    "friction": Entry("friction", "Identify joint friction from constant-velocity moves."),
-    "gravity": Entry("gravity", "Identify the gravity parameters, given the friction."),
-    "imu-calib": Entry("imu_calib", "Find how accelerometers and IMUs are mounted on the links."),
-    "inertia": Entry("inertia", "Identify the inertia parameters, given friction and gravity."),
-    "predict": Entry("predict", "Predict joint torques and compare them with the measured ones."),
-    "diagnose": Entry("diagnose", "Find out which physical effects a model lacks."),
-    "refine": Entry("refine", "Add the effects that a model lacks, checked on held-out logs."),
-    "simultaneous": Entry("simultaneous", "Identify everything in one classical least squares."),
+    "run": Entry("run", "Run every stage on a folder of logs, then predict and report."),
+    "friction": Entry("stages", "Identify joint friction from constant-velocity moves."),
+    "gravity": Entry("stages", "Identify the gravity parameters, given the friction."),
+    "imu-calib": Entry("stages", "Find how accelerometers and IMUs are mounted on the links."),
+    "inertia": Entry("stages", "Identify the inertia parameters, given friction and gravity."),
+    "predict": Entry("models", "Predict joint torques and compare them with the measured ones."),
+    "diagnose": Entry("models", "Find out which physical effects a model lacks."),
+    "refine": Entry("models", "Add the effects that a model lacks, checked on held-out logs."),
+    "simultaneous": Entry("stages", "Identify everything in one classical least squares."),
     "plan": Entry("plan", "Plan what to record next, and the errors that it will give."),
-    "payload": Entry("payload", "Identify the mass, centre and inertia that the flange carries."),
-    "trend": Entry("trend", "Find what changed over dates, beyond its error."),
-    "report": Entry("report", "Write the results as one HTML page, the verdict first."),
-    "export": Entry("export", "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."),
-    "compare": Entry("compare", "Compare two results against their standard errors."),
+    "payload": Entry("models", "Identify the mass, centre and inertia that the flange carries."),
+    "trend": Entry("files", "Find what changed over dates, beyond its error."),
+    "report": Entry("files", "Write the results as one HTML page, the verdict first."),
+    "export": Entry("files", "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."),
+    "compare": Entry("files", "Compare two results against their standard errors."),
     "completion": Entry("completion", "Print the completion script of a shell."),
 }
 
@@ -95,22 +91,13 @@ class LazyGroup(TyperGroup):
 
 
 def load_command(name: str) -> Command:
-    """Build the parser of one command: its own parameters and those that every command has."""
+    """Build the parser of one command."""
     module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
-    examples = "\n".join(f"  {example}" for example in module.EXAMPLES)
+    function = getattr(module, name.replace("-", "_"))
+    examples = "\n".join(f"  {example}" for example in function.examples)
     app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    app.command(name, context_settings=_SETTINGS, epilog=f"\b\nExamples:\n{examples}")(module.run)
-    command = typer.main.get_command(app)
-    command.params.extend(screen_options())
-    return command
-
-
-def call(name: str, screen: Screen, **arguments: Any) -> int:
-    """Run a command's own function on a caller's screen; errors are raised as they are."""
-    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
-    context = typer.Context(load_command(name), info_name=name, obj=screen)
-    context.params = arguments
-    return int(module.run(context, **arguments))
+    app.command(name, context_settings=_SETTINGS, epilog=f"\b\nExamples:\n{examples}")(function)
+    return typer.main.get_command(app)
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -131,7 +118,7 @@ def run(arguments: Sequence[str]) -> int:
 def _guarded(arguments: Sequence[str]) -> int:
     name = f"seqid {arguments[0]}" if arguments and arguments[0] in COMMANDS else "seqid"
     try:
-        return _invoke(arguments)
+        return invoke(arguments)
     except NoArgsIsHelpError as error:
         error.show()
         return error.exit_code
@@ -157,7 +144,8 @@ def _guarded(arguments: Sequence[str]) -> int:
         return _report(name, problem, arguments, code=EXIT_BUG)
 
 
-def _invoke(arguments: Sequence[str]) -> int:
+def invoke(arguments: Sequence[str]) -> int:
+    """Run a command line; errors are raised as they are."""
     group = LazyGroup(
         name="seqid",
         help=_HELP,

@@ -7,15 +7,9 @@ from functools import partial
 from typing import Annotated, Literal, NamedTuple
 
 import typer
+from typer.core import TyperArgument, TyperOption
 
-EXAMPLES = (
-    "seqid completion bash > ~/.local/share/bash-completion/completions/seqid",
-    "seqid completion fish > ~/.config/fish/completions/seqid.fish",
-)
-
-Shell = Annotated[
-    Literal["bash", "zsh", "fish"], typer.Argument(metavar="bash|zsh|fish", help="Which shell.")
-]
+from seqid_cli.commands.options import command
 
 
 class Flag(NamedTuple):
@@ -40,7 +34,17 @@ class Words(NamedTuple):
     choices: tuple[str, ...]  # of its first argument, if it takes no files
 
 
-def run(shell: Shell) -> int:
+@command(
+    "shell",
+    "seqid completion bash > ~/.local/share/bash-completion/completions/seqid",
+    "seqid completion fish > ~/.config/fish/completions/seqid.fish",
+)
+def completion(
+    context: typer.Context,
+    shell: Annotated[
+        Literal["bash", "zsh", "fish"], typer.Argument(metavar="bash|zsh|fish", help="Which shell.")
+    ],
+) -> int:
     """Print the completion script of a shell."""
     sys.stdout.write(script(shell, all_words()))
     return 0
@@ -52,20 +56,16 @@ def all_words() -> dict[str, Words]:
 
     words = {}
     for name, entry in COMMANDS.items():
-        params = load_command(name).params
-        flags = [
-            Flag(tuple(param.opts), param.help or "", not param.is_flag, _choices(param))
-            for param in params
-            if isinstance(param, typer.core.TyperOption)
-        ]
+        flags, firsts = [], []
+        for param in load_command(name).params:
+            choices = tuple(getattr(param.type, "choices", ()))
+            if isinstance(param, TyperOption):
+                flags.append(Flag(tuple(param.opts), param.help or "", not param.is_flag, choices))
+            elif isinstance(param, TyperArgument):
+                firsts.append(choices)
         flags.append(Flag(("-h", "--help"), "Show the help."))
-        arguments = (p for p in params if isinstance(p, typer.core.TyperArgument))
-        words[name] = Words(entry.help, tuple(flags), _choices(next(arguments, None)))
+        words[name] = Words(entry.help, tuple(flags), firsts[0])
     return words
-
-
-def _choices(param: typer.core.TyperOption | typer.core.TyperArgument | None) -> tuple[str, ...]:
-    return tuple(getattr(param.type, "choices", ())) if param else ()
 
 
 def script(shell: str, words: Mapping[str, Words]) -> str:

@@ -7,48 +7,43 @@ from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.options import Logs, option
+from seqid_cli.commands.options import SIX, Logs, command, option
 from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.robot.urdf.text import read_urdf_text
 
-EXAMPLES = (
-    "seqid init sample_logs/six_joint/friction --urdf sample_logs/six_joint/six_joint.urdf"
-    " -o robot.toml",
+
+@command(
+    "logs urdf output name torque_constant gear_ratio force",
+    f"seqid init {SIX}/friction --urdf {SIX}/six_joint.urdf -o robot.toml",
     "seqid init sample_logs/two_joint/imu/joint_2.mcap --name two_joint",
 )
-
-UrdfPath = Annotated[
-    Path | None, option("--urdf FILE", "URDF of the robot; without it a DH stub is made.")
-]
-TomlOutput = Annotated[
-    Path | None, option("-o --output FILE", "Where the robot file goes; else printed.")
-]
-Name = Annotated[str | None, option("--name NAME", "The robot's name; else the URDF's.")]
-Constants = Annotated[
-    str | None,
-    option("--torque-constant K[,K...]", "N m/A, motor side: one for all joints, or one for each."),
-]
-Ratios = Annotated[
-    str | None,
-    option(
-        "--gear-ratio N[,N...]", "Motor turns per joint turn: one for all joints, or one for each."
-    ),
-]
-Force = Annotated[bool, option("--force", "Overwrite a robot file that exists.")]
-
-
-def run(
+def init(
     context: typer.Context,
     logs: Logs,
-    urdf: UrdfPath = None,
-    output: TomlOutput = None,
-    name: Name = None,
-    torque_constant: Constants = None,
-    gear_ratio: Ratios = None,
-    force: Force = False,
+    urdf: Annotated[
+        Path | None, option("--urdf FILE", "URDF of the robot; without it a DH stub is made.")
+    ] = None,
+    output: Annotated[
+        Path | None, option("-o --output FILE", "Where the robot file goes; else printed.")
+    ] = None,
+    name: Annotated[str | None, option("--name NAME", "The robot's name; else the URDF's.")] = None,
+    torque_constant: Annotated[
+        str | None,
+        option(
+            "--torque-constant K[,K...]", "N m/A, motor side: one for all joints, or one for each."
+        ),
+    ] = None,
+    gear_ratio: Annotated[
+        str | None,
+        option(
+            "--gear-ratio N[,N...]",
+            "Motor turns per joint turn: one for all joints, or one for each.",
+        ),
+    ] = None,
+    force: Annotated[bool, option("--force", "Overwrite a robot file that exists.")] = False,
 ) -> int:
     """Write a commented robot file: joints, limits, encoder steps, channels, IMUs as far as known.
 
@@ -119,8 +114,7 @@ def _beside(urdf: Path | None, output: Path | None) -> str | None:
     """Return the URDF's path as seen from the robot file."""
     if urdf is None:
         return None
-    folder = output.parent if output is not None else Path()
     try:
-        return Path(os.path.relpath(urdf, folder)).as_posix()
+        return Path(os.path.relpath(urdf, output.parent if output else ".")).as_posix()
     except ValueError:  # on another drive
         return str(urdf.resolve())

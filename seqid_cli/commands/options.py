@@ -1,17 +1,42 @@
-"""Arguments and options that commands share, spelled once."""
+"""How a command is declared, and the arguments and options that commands share."""
 
+import functools
 import inspect
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import typer
-from typer.core import TyperOption
 from typer.models import OptionInfo
 
-TimeSource = Literal["header", "log"]
-F = TypeVar("F", bound=Callable[..., int])
+Run = Callable[..., int]
+SIX = "sample_logs/six_joint"  # in examples
+
+
+def command(names: str, *examples: str) -> Callable[[Run], Run]:
+    """Make a function a command with examples that its help shows.
+
+    `names` are its arguments in this order, its own and those of `_shared`; the latter reach it in
+    `context.params` alone, where all are.
+    """
+
+    def decorate(run: Run) -> Run:
+        own = inspect.signature(run, eval_str=True).parameters
+        known = {**inspect.signature(_shared).parameters, **own}
+        asked = [known[name].replace(kind=inspect.Parameter.KEYWORD_ONLY) for name in names.split()]
+        screen = inspect.signature(_of_the_screen).parameters.values()
+
+        @functools.wraps(run)
+        def decorated(context: typer.Context, **given: Any) -> int:
+            context.params = given
+            return run(context, **{name: given[name] for name in given if name in own})
+
+        signature = inspect.Signature([own["context"], *asked, *screen])
+        vars(decorated).update(__signature__=signature, examples=examples)
+        return decorated
+
+    return decorate
 
 
 def only(
@@ -60,24 +85,6 @@ OptionalParameters = Annotated[
     ),
 ]
 Output = Annotated[Path | None, option("-o --output FILE", "Where the result goes, as JSON.")]
-Cutoff = Annotated[
-    float | None,
-    option(
-        "--cutoff HZ",
-        "Low-pass cut-off frequency; that of the model, or chosen from the logs, if left out.",
-        only("a positive number"),
-    ),
-]
-Clock = Annotated[TimeSource, option("--time", "Which time stamps of an MCAP log count.")]
-MotionSource = Annotated[
-    Literal["auto", "encoder", "imu", "fused"],
-    option(
-        "--motion",
-        "Where joint motion comes from: encoders, accelerations by IMUs (Eq. 30, 42), or both"
-        " in one smoother; auto is fused where a log has a calibrated IMU (to look for effects: and"
-        " where encoders are much the worse), else encoder.",
-    ),
-]
 Jobs = Annotated[
     int | None,
     option(
@@ -86,23 +93,6 @@ Jobs = Annotated[
         min=1,
     ),
 ]
-Engine = Annotated[
-    Literal["local", "dask"],
-    option("--engine", "Who reads the logs: processes here, or Dask (seqid[dask])."),
-]
-Scheduler = Annotated[str | None, option("--scheduler ADDRESS", "Of a running Dask scheduler.")]
-SkipFailed = Annotated[
-    bool, option("--skip-failed", "Go on without logs that cannot be used; exits with 3.")
-]
-Consistent = Annotated[
-    bool,
-    option(
-        "--consistent",
-        "Allow only parameters that bodies with positive density and rotors of positive"
-        " inertia can have; says what moved, in standard errors.",
-    ),
-]
-Strict = Annotated[bool, option("--strict", "Exit with 1 when a verdict is poor.")]
 
 
 def _shared(
@@ -110,64 +100,60 @@ def _shared(
     robot: RobotPath,
     parameters: Parameters,
     output: Output = None,
-    source: MotionSource = "auto",
-    cutoff_hz: Cutoff = None,
-    time_source: Clock = "header",
+    source: Annotated[
+        Literal["auto", "encoder", "imu", "fused"],
+        option(
+            "--motion",
+            "Where joint motion comes from: encoders, accelerations by IMUs (Eq. 30, 42), or both"
+            " in one smoother; auto is fused where a log has a calibrated IMU (to look for effects:"
+            " and where encoders are much the worse), else encoder.",
+        ),
+    ] = "auto",
+    cutoff_hz: Annotated[
+        float | None,
+        option(
+            "--cutoff HZ",
+            "Low-pass cut-off frequency; that of the model, or chosen from the logs, if left out.",
+            only("a positive number"),
+        ),
+    ] = None,
+    time_source: Annotated[
+        Literal["header", "log"], option("--time", "Which time stamps of an MCAP log count.")
+    ] = "header",
     jobs: Jobs = None,
-    engine: Engine = "local",
-    scheduler: Scheduler = None,
-    skip_failed: SkipFailed = False,
-    consistent: Consistent = False,
-    strict: Strict = False,
+    engine: Annotated[
+        Literal["local", "dask"],
+        option("--engine", "Who reads the logs: processes here, or Dask (seqid[dask])."),
+    ] = "local",
+    scheduler: Annotated[
+        str | None, option("--scheduler ADDRESS", "Of a running Dask scheduler.")
+    ] = None,
+    skip_failed: Annotated[
+        bool, option("--skip-failed", "Go on without logs that cannot be used; exits with 3.")
+    ] = False,
+    consistent: Annotated[
+        bool,
+        option(
+            "--consistent",
+            "Allow only parameters that bodies with positive density and rotors of positive"
+            " inertia can have; says what moved, in standard errors.",
+        ),
+    ] = False,
+    strict: Annotated[bool, option("--strict", "Exit with 1 when a verdict is poor.")] = False,
 ) -> None:
     """Arguments that commands share, with their defaults."""
 
 
-def takes(names: str) -> Callable[[F], F]:
-    """Give a command the arguments `names`, in this order: its own ones, and shared ones.
-
-    Shared ones reach it as `**shared`; all of them are in `context.params`.
-    """
-
-    def decorate(run: F) -> F:
-        own = inspect.signature(run).parameters
-        known = {**inspect.signature(_shared).parameters, **own}
-        told = [known[name].replace(kind=inspect.Parameter.KEYWORD_ONLY) for name in names.split()]
-        run.__signature__ = inspect.Signature([own["context"], *told])  # type: ignore[attr-defined]
-        return run
-
-    return decorate
-
-
-_SCREEN_FLAGS = (
-    ("quiet", ["-q", "--quiet"], "No progress and no advice, only results and warnings."),
-    ("verbose", ["-v", "--verbose"], "Say more about each log."),
-    ("json", ["--json"], "Print the result as one JSON document."),
-    ("no_color", ["--no-color"], "No colours, whatever the terminal can do."),
-    ("debug", ["--debug"], "Show the traceback of an error."),
-)
-_META = "seqid.screen."
-
-
-def screen_options() -> list[TyperOption]:
-    """Return new parser entries of the flags that every command takes; see `screen_flag`."""
-    return [
-        TyperOption(
-            param_decls=[name, *spellings],
-            is_flag=True,
-            default=False,
-            expose_value=False,
-            callback=_remember,
-            help=text,
-        )
-        for name, spellings, text in _SCREEN_FLAGS
-    ]
-
-
-def screen_flag(context: typer.Context, name: str) -> bool:
-    """Return whether one of the `screen_options` was given."""
-    return bool(context.meta.get(_META + name, False))
-
-
-def _remember(context: typer.Context, param: typer.CallbackParam, value: bool) -> None:
-    context.meta[_META + str(param.name)] = value
+def _of_the_screen(
+    *,
+    quiet: Annotated[
+        bool, option("-q --quiet", "No progress and no advice, only results and warnings.")
+    ] = False,
+    verbose: Annotated[bool, option("-v --verbose", "Say more about each log.")] = False,
+    json: Annotated[bool, option("--json", "Print the result as one JSON document.")] = False,
+    no_color: Annotated[
+        bool, option("--no-color", "No colours, whatever the terminal can do.")
+    ] = False,
+    debug: Annotated[bool, option("--debug", "Show the traceback of an error.")] = False,
+) -> None:
+    """Options that every command has."""

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,11 +19,14 @@ from tests import ROOT
 from tests.commands.conftest import Rig
 
 SAMPLES = ROOT / "sample_logs"
-EXAMPLES = [
-    (name, example)
-    for name, entry in COMMANDS.items()
-    for example in importlib.import_module(f"seqid_cli.commands.{entry.module}").EXAMPLES
-]
+
+
+def function_of(name: str) -> Any:
+    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
+    return getattr(module, name.replace("-", "_"))
+
+
+EXAMPLES = [(name, example) for name in COMMANDS for example in function_of(name).examples]
 
 
 def test_the_overview_lists_every_command(rig: Rig) -> None:

@@ -23,6 +23,7 @@ from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
 EXIT_BUG = 70
 _NO_ROOM = ("cannot allocate memory", "failed to map segment")
 _BUG = "this is a bug in seqid"
+_REPORT_IT = "Report it with the command line and the output of the same command with --debug."
 _LONGEST = 4000  # letters of a message: names from files have any length
 _HELP = "From recorded robot logs to a dynamic model that an engineer trusts."
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -59,16 +60,6 @@ COMMANDS: Mapping[str, Entry] = {
 
 class LazyGroup(TyperGroup):
     """The group `seqid`, which knows its commands by name and imports only the one that runs."""
-
-    def list_commands(self, ctx: Context) -> list[str]:
-        """Return the names in the order of the work."""
-        return list(COMMANDS)
-
-    def get_command(self, ctx: Context, cmd_name: str) -> Command | None:
-        """Import a command and build its parser."""
-        if cmd_name not in COMMANDS:
-            return None
-        return load_command(cmd_name)
 
     def resolve_command(
         self, ctx: Context, args: list[str]
@@ -117,39 +108,45 @@ def run(arguments: Sequence[str]) -> int:
 
 def _guarded(arguments: Sequence[str]) -> int:
     name = f"seqid {arguments[0]}" if arguments and arguments[0] in COMMANDS else "seqid"
+    problem: SeqidError
     try:
         return invoke(arguments)
     except NoArgsIsHelpError as error:
         error.show()
         return error.exit_code
-    except ClickException as error:
-        problem: SeqidError = UsageError(error.format_message(), hint=f"See {name} --help.")
-        return _report(name, problem, arguments)
-    except SeqidError as error:
-        return _report(name, error, arguments)
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write(f"{name}: interrupted\n")
         return EXIT_INTERRUPTED
+    except ClickException as error:
+        problem = UsageError(error.format_message(), hint=f"See {name} --help.")
+    except SeqidError as error:
+        problem = error
     except Exception as error:  # the last resort: a bug must not look like a verdict
         if isinstance(error, OSError) and cannot_be_written(error):
             raise
-        text = str(error).lower()
-        if isinstance(error, MemoryError) or any(sign in text for sign in _NO_ROOM):
+        if isinstance(error, MemoryError) or any(x in str(error).lower() for x in _NO_ROOM):
             hint = "Give the process more of it, or fewer logs and --jobs 1."
             problem = UsageError(f"there is too little memory ({error})", hint=hint)
-            return _report(name, problem, arguments)
-        hint = "Report it with the command line and the output of the same command with --debug."
-        problem = SeqidError(f"{_BUG}: {type(error).__name__}: {error}", hint=hint)
-        problem.__cause__ = error
-        return _report(name, problem, arguments, code=EXIT_BUG)
+        else:
+            problem = SeqidError(f"{_BUG}: {type(error).__name__}: {error}", hint=_REPORT_IT)
+            problem.__cause__, problem.exit_code = error, EXIT_BUG
+    return _report(name, problem, arguments)
 
 
 def invoke(arguments: Sequence[str]) -> int:
     """Run a command line; errors are raised as they are."""
+    version = TyperOption(
+        param_decls=["version", "--version"],
+        is_flag=True,
+        is_eager=True,
+        expose_value=False,
+        callback=_show_version,
+        help="Show the version.",
+    )
     group = LazyGroup(
         name="seqid",
         help=_HELP,
-        params=[_version_option()],
+        params=[version],
         context_settings=_SETTINGS,
         rich_markup_mode=None,
         no_args_is_help=True,
@@ -161,33 +158,18 @@ def invoke(arguments: Sequence[str]) -> int:
         return request.exit_code
 
 
-def _report(
-    name: str, problem: SeqidError, arguments: Sequence[str], *, code: int | None = None
-) -> int:
+def _report(name: str, problem: SeqidError, arguments: Sequence[str]) -> int:
     """Write an error as a message; returns its exit code."""
     if "--debug" in arguments:
         traceback.print_exception(problem)
-    code = problem.exit_code if code is None else code
     message, hint = (shortened(text, _LONGEST) for text in (str(problem), problem.hint))
-    sys.stderr.write(visible(f"{name}: error: {message}\n"))
-    if hint:
-        sys.stderr.write(visible(f"  hint: {hint}\n"))
+    text = f"{name}: error: {message}\n" + (f"  hint: {hint}\n" if hint else "")
+    sys.stderr.write(visible(text))
     if "--json" in arguments:
-        where = {"hint": problem.hint, "where": problem.where}
-        error = {"code": code, "message": problem.message, **where}
+        error = {"code": problem.exit_code, "message": problem.message}
+        error |= {"hint": problem.hint, "where": problem.where}
         sys.stdout.write(json.dumps({"error": error}, indent=2) + "\n")
-    return code
-
-
-def _version_option() -> TyperOption:
-    return TyperOption(
-        param_decls=["version", "--version"],
-        is_flag=True,
-        is_eager=True,
-        expose_value=False,
-        callback=_show_version,
-        help="Show the version.",
-    )
+    return problem.exit_code
 
 
 def _show_version(context: Context, param: Parameter, value: bool) -> None:

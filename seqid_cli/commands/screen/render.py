@@ -39,8 +39,8 @@ class Screen:
         if self.json or not rows:
             return
         cells = [[visible_cell(cell) for cell in row] for row in rows]
-        style = _style if self.color else None
-        sys.stdout.write(format_table(columns, cells, width=width_of(sys.stdout), style=style))
+        width = width_of(sys.stdout)
+        sys.stdout.write(format_table(columns, cells, width=width, color=self.color))
 
     def values(self, found: Values) -> None:
         """Print values under their heads."""
@@ -103,10 +103,3 @@ def number(value: float | None, digits: int = 3) -> str:
 def percent(share: float | None) -> str:
     """Return a share in percent."""
     return "-" if share is None else shares.percent(share)
-
-
-def _style(cell: str, head: bool) -> str:
-    """The code that colours a cell; a table is laid out alike without it."""
-    if head:
-        return "\x1b[1m"
-    return "\x1b[32m" if cell == "good" else "\x1b[33m" * cell.startswith("poor")

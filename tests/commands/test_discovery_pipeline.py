@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import jsonschema
-import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.__main__ import main
@@ -64,19 +63,6 @@ def test_a_prediction_says_what_encoders_make_of_its_error(
     told = [note for note in document["logs"][0]["notes"] if "noise of the encoders" in note]
     assert bool(told) == noisy
     assert (document["joints"]["joint_1"]["relative_rmse"] > 0.3) == noisy
-
-
-def test_a_log_without_torque_is_refused(
-    tmp_path: Path, parameters: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    table = pq.read_table(HELD_OUT)
-    kept = [name for name in table.column_names if not name.endswith(("current", "torque"))]
-    pq.write_table(table.select(kept), tmp_path / "bare.parquet")
-    command = ["diagnose", str(tmp_path / "bare.parquet"), *ROBOT, "-p", str(parameters)]
-    assert main(command) == 2
-    error = capsys.readouterr().err
-    assert "bare.parquet: the log has neither joint torque nor motor current" in error
-    assert "Traceback" not in error
 
 
 def test_a_refinement_of_real_logs(

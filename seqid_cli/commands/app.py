@@ -37,8 +37,8 @@ class Entry(NamedTuple):
 
 
 COMMANDS: Mapping[str, Entry] = {
-    "init": Entry("init", "Write a robot file from a log and a URDF, to be completed."),
-    "inspect": Entry("inspect", "Look through logs: what is in them and what is wrong."),
+    "init": Entry("logs", "Write a robot file from a log and a URDF, to be completed."),
+    "inspect": Entry("logs", "Look through logs: what is in them and what is wrong."),
     "run": Entry("run", "Run every stage on a folder of logs, then predict and report."),
     "friction": Entry("stages", "Identify joint friction from constant-velocity moves."),
     "gravity": Entry("stages", "Identify the gravity parameters, given the friction."),

@@ -2,36 +2,14 @@
 
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import typer
-from typer.core import TyperArgument, TyperOption
+from typer.core import TyperOption
 
 from seqid_cli.commands.options import command
-
-
-class Flag(NamedTuple):
-    """One option: all its spellings, its help, the words it takes (none: any file)."""
-
-    spellings: tuple[str, ...]
-    help: str
-    takes_value: bool = False
-    choices: tuple[str, ...] = ()
-
-    @property
-    def spelled(self) -> str:
-        """All spellings as words."""
-        return " ".join(self.spellings)
-
-
-class Words(NamedTuple):
-    """What can follow a command's name."""
-
-    help: str
-    flags: tuple[Flag, ...]
-    choices: tuple[str, ...]  # of its first argument, if it takes no files
 
 
 @command(
@@ -50,8 +28,12 @@ def completion(
     return 0
 
 
-def all_words() -> dict[str, Words]:
-    """Return what every command offers, asked of its parser."""
+def all_words() -> dict[str, dict[str, Any]]:
+    """Return what every command offers, asked of its parser.
+
+    For each command its help, its flags (spellings, help, whether they take a value, and which: any
+    file where there are no choices), and the choices of its first argument.
+    """
     from seqid_cli.commands.app import COMMANDS, load_command
 
     words = {}
@@ -60,21 +42,27 @@ def all_words() -> dict[str, Words]:
         for param in load_command(name).params:
             choices = tuple(getattr(param.type, "choices", ()))
             if isinstance(param, TyperOption):
-                flags.append(Flag(tuple(param.opts), param.help or "", not param.is_flag, choices))
-            elif isinstance(param, TyperArgument):
+                flags.append(_flag(param.opts, param.help or "", not param.is_flag, choices))
+            else:
                 firsts.append(choices)
-        flags.append(Flag(("-h", "--help"), "Show the help."))
-        words[name] = Words(entry.help, tuple(flags), firsts[0])
+        flags.append(_flag(["-h", "--help"], "Show the help."))
+        words[name] = {"help": entry.help, "flags": flags, "choices": firsts[0]}
     return words
 
 
-def script(shell: str, words: Mapping[str, Words]) -> str:
+def _flag(
+    spellings: Sequence[str], text: str, takes_value: bool = False, choices: Sequence[str] = ()
+) -> dict[str, Any]:
+    return {"spellings": spellings, "help": text, "takes_value": takes_value, "choices": choices}
+
+
+def script(shell: str, words: Mapping[str, Mapping[str, Any]]) -> str:
     """Return a script for a shell, of what every command offers."""
     from seqid_cli.templates import filled
 
-    valued = [flag for own in words.values() for flag in own.flags if flag.takes_value]
-    unique = {flag.spellings: flag for flag in valued}.values()
-    content = {"commands": words, "valued": list(unique)}
+    flags = [flag for own in words.values() for flag in own["flags"] if flag["takes_value"]]
+    unique = {tuple(flag["spellings"]): flag for flag in flags}
+    content = {"commands": words, "valued": list(unique.values())}
     filters = {
         "quoted": lambda text: "'" + text.replace("'", "'\\''") + "'",
         "zsh_text": partial(re.sub, r"([\[\]:\\])", r"\\\1"),

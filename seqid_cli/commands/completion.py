@@ -4,7 +4,7 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import typer
 from typer.core import TyperOption
@@ -19,9 +19,9 @@ from seqid_cli.commands.options import command
 )
 def completion(
     context: typer.Context,
-    shell: Annotated[
-        Literal["bash", "zsh", "fish"], typer.Argument(metavar="bash|zsh|fish", help="Which shell.")
-    ],
+    shell: Literal["bash", "zsh", "fish"] = typer.Argument(
+        ..., metavar="bash|zsh|fish", help="Which shell."
+    ),
 ) -> int:
     """Print the completion script of a shell."""
     sys.stdout.write(script(shell, all_words()))

@@ -1,12 +1,12 @@
 """The commands that read results alone: report, export, compare and trend."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED, called
-from seqid_cli.commands.options import Output, RobotPath, command, only, option
+from seqid_cli.commands.options import OUTPUT, ROBOT, command, only, option
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.export.formats import FORMATS
 from seqid_cli.params.files import By
@@ -33,25 +33,21 @@ _share = only("between 0 and 1", lambda x: 0.0 < x < 1.0)
 )
 def report(
     context: typer.Context,
-    files: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="FILE...", help="JSON files that seqid wrote, and the torques of seqid predict."
-        ),
-    ],
-    output: Annotated[Path, option("-o --output FILE", "Where the page goes, as HTML.")],
-    torques: Annotated[
-        Path | None,
-        option(
-            "--torques FILE",
-            "What seqid predict wrote with --torques; found beside the prediction if left out.",
-        ),
-    ] = None,
-    title: Annotated[str, option("--title TEXT", "Title, instead of the robot's name.")] = "",
-    by: Annotated[
-        By | None,
-        option("--by", "A page about many robots, told apart by their names or by folders."),
-    ] = None,
+    files: list[Path] = typer.Argument(
+        ...,
+        metavar="FILE...",
+        help="JSON files that seqid wrote, and the torques of seqid predict.",
+    ),
+    output: Path = option(..., "-o --output FILE", "Where the page goes, as HTML."),
+    torques: Path | None = option(
+        None,
+        "--torques FILE",
+        "What seqid predict wrote with --torques; found beside the prediction if left out.",
+    ),
+    title: str = option("", "--title TEXT", "Title, instead of the robot's name."),
+    by: By | None = option(
+        None, "--by", "A page about many robots, told apart by their names or by folders."
+    ),
 ) -> int:
     """Write one self-contained HTML page about a robot's model: the verdict first.
 
@@ -83,11 +79,11 @@ def _show_report(screen: Screen, report: ReportFile) -> None:
 )
 def export(
     context: typer.Context,
-    parameters: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="Parameter file; several are joined.")
-    ],
-    robot: RobotPath,
-    output: Annotated[Path, option("-o --output FILE", f"Where it goes; by suffix: {_SUFFIXES}.")],
+    parameters: list[Path] = typer.Argument(
+        ..., metavar="FILE...", help="Parameter file; several are joined."
+    ),
+    robot: Path = ROBOT,
+    output: Path = option(..., "-o --output FILE", f"Where it goes; by suffix: {_SUFFIXES}."),
 ) -> int:
     """Write an identified arm as URDF, MJCF, ROS 2 parameters or C.
 
@@ -144,28 +140,23 @@ def _show_deviations(screen: Screen, file: ExportFile) -> None:
 )
 def compare(
     context: typer.Context,
-    first: Annotated[Path, typer.Argument(metavar="A.json", help="What was, or what should be.")],
-    second: Annotated[Path, typer.Argument(metavar="B.json", help="What is now.")],
-    rtol: Annotated[
-        float | None,
-        option(
-            "--rtol X",
-            "Share of a number's size beyond which it has changed; alone it decides.",
-            _limit,
-        ),
-    ] = None,
-    sigma: Annotated[
-        float | None,
-        option(
-            "--sigma S",
-            "Combined standard errors beyond which it has changed; alone it decides.",
-            _limit,
-        ),
-    ] = None,
-    form: Annotated[
-        Literal["text", "json", "github"],
-        option("--format", "A table, JSON, or annotations of GitHub Actions."),
-    ] = "text",
+    first: Path = typer.Argument(..., metavar="A.json", help="What was, or what should be."),
+    second: Path = typer.Argument(..., metavar="B.json", help="What is now."),
+    rtol: float | None = option(
+        None,
+        "--rtol X",
+        "Share of a number's size beyond which it has changed; alone it decides.",
+        _limit,
+    ),
+    sigma: float | None = option(
+        None,
+        "--sigma S",
+        "Combined standard errors beyond which it has changed; alone it decides.",
+        _limit,
+    ),
+    form: Literal["text", "json", "github"] = option(
+        "text", "--format", "A table, JSON, or annotations of GitHub Actions."
+    ),
 ) -> int:
     """Compare two parameter, prediction or diagnosis files of one robot.
 
@@ -234,26 +225,20 @@ def _escaped(text: str, more: str = "") -> str:
 )
 def trend(
     context: typer.Context,
-    parameters: Annotated[
-        list[Path],
-        typer.Argument(metavar="PARAMS.json...", help="Parameter files of several dates."),
-    ],
-    output: Output = None,
-    table: Annotated[
-        Path | None, option("--table FILE", "Where all values go, as Parquet.")
-    ] = None,
-    by: Annotated[
-        By, option("--by", "What tells robots apart: the name in their files, or folders.")
-    ] = "name",
-    alpha: Annotated[
-        float,
-        option(
-            "--alpha P", "Probability that anything of healthy robots is said to change.", _share
-        ),
-    ] = 0.01,
-    rtol: Annotated[
-        float, option("--rtol X", "Least change of a quantity, as a share of its size.", _share)
-    ] = 0.01,
+    parameters: list[Path] = typer.Argument(
+        ..., metavar="PARAMS.json...", help="Parameter files of several dates."
+    ),
+    output: Path | None = OUTPUT,
+    table: Path | None = option(None, "--table FILE", "Where all values go, as Parquet."),
+    by: By = option(
+        "name", "--by", "What tells robots apart: the name in their files, or folders."
+    ),
+    alpha: float = option(
+        0.01, "--alpha P", "Probability that anything of healthy robots is said to change.", _share
+    ),
+    rtol: float = option(
+        0.01, "--rtol X", "Least change of a quantity, as a share of its size.", _share
+    ),
 ) -> int:
     """Find out what changed on one or more robots over time, beyond its error.
 

@@ -3,12 +3,11 @@
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED, called
-from seqid_cli.commands.options import SIX, Logs, Output, command, option
+from seqid_cli.commands.options import LOGS, OUTPUT, SIX, command, option
 from seqid_cli.commands.screen.layout import visible
 from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.commands.screen.show_inspection import show_inspection
@@ -27,16 +26,14 @@ EXIT_UNREADABLE = 2
 )
 def inspect(
     context: typer.Context,
-    robot: Annotated[
-        Path | None, option("-r --robot FILE", "Robot file; guessed when left out.")
-    ] = None,
-    plan: Annotated[
-        Path | None, option("--plan FILE", "A plan: say which of its moves these logs hold.")
-    ] = None,
-    output: Output = None,
-    strict: Annotated[
-        bool, option("--strict", "Exit with 1 on warnings and unrecorded moves as well.")
-    ] = False,
+    robot: Path | None = option(None, "-r --robot FILE", "Robot file; guessed when left out."),
+    plan: Path | None = option(
+        None, "--plan FILE", "A plan: say which of its moves these logs hold."
+    ),
+    output: Path | None = OUTPUT,
+    strict: bool = option(
+        False, "--strict", "Exit with 1 on warnings and unrecorded moves as well."
+    ),
 ) -> int:
     """Look through logs: channels, rates, clocks, units, joints that move, and what is wrong.
 
@@ -66,28 +63,25 @@ def inspect(
 )
 def init(
     context: typer.Context,
-    logs: Logs,
-    urdf: Annotated[
-        Path | None, option("--urdf FILE", "URDF of the robot; without it a DH stub is made.")
-    ] = None,
-    output: Annotated[
-        Path | None, option("-o --output FILE", "Where the robot file goes; else printed.")
-    ] = None,
-    name: Annotated[str | None, option("--name NAME", "The robot's name; else the URDF's.")] = None,
-    torque_constant: Annotated[
-        str | None,
-        option(
-            "--torque-constant K[,K...]", "N m/A, motor side: one for all joints, or one for each."
-        ),
-    ] = None,
-    gear_ratio: Annotated[
-        str | None,
-        option(
-            "--gear-ratio N[,N...]",
-            "Motor turns per joint turn: one for all joints, or one for each.",
-        ),
-    ] = None,
-    force: Annotated[bool, option("--force", "Overwrite a robot file that exists.")] = False,
+    logs: list[str] = LOGS,
+    urdf: Path | None = option(
+        None, "--urdf FILE", "URDF of the robot; without it a DH stub is made."
+    ),
+    output: Path | None = option(
+        None, "-o --output FILE", "Where the robot file goes; else printed."
+    ),
+    name: str | None = option(None, "--name NAME", "The robot's name; else the URDF's."),
+    torque_constant: str | None = option(
+        None,
+        "--torque-constant K[,K...]",
+        "N m/A, motor side: one for all joints, or one for each.",
+    ),
+    gear_ratio: str | None = option(
+        None,
+        "--gear-ratio N[,N...]",
+        "Motor turns per joint turn: one for all joints, or one for each.",
+    ),
+    force: bool = option(False, "--force", "Overwrite a robot file that exists."),
 ) -> int:
     """Write a commented robot file: joints, limits, encoder steps, channels, IMUs as far as known.
 

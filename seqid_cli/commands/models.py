@@ -1,12 +1,11 @@
 """The commands that judge a model by logs: predict, diagnose, refine, and payload."""
 
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from seqid_cli.commands.job import called
-from seqid_cli.commands.options import SIX, Parameters, RobotPath, command, only, option
+from seqid_cli.commands.options import MODEL, ROBOT, SIX, command, only, option
 from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.commands.screen.show import show_motion, show_poor, show_verdicts, verdict_text
 from seqid_cli.commands.screen.show_diagnosis import show_diagnosis, show_refinement
@@ -27,13 +26,12 @@ _VALIDATION = f"{SIX}/validation -r {SIX}/robot.toml -p inertia.json"
 )
 def predict(
     context: typer.Context,
-    torques: Annotated[
-        Path | None,
-        option("--torques FILE", "Where the torques go: as MCAP if it ends so, else Parquet."),
-    ] = None,
-    with_unexplained: Annotated[
-        bool, option("--with-unexplained", "Add the smooth terms that no known effect explains.")
-    ] = False,
+    torques: Path | None = option(
+        None, "--torques FILE", "Where the torques go: as MCAP if it ends so, else Parquet."
+    ),
+    with_unexplained: bool = option(
+        False, "--with-unexplained", "Add the smooth terms that no known effect explains."
+    ),
 ) -> int:
     """Predict the joint torques of any logs and compare them with the measured ones.
 
@@ -76,15 +74,13 @@ def _show_prediction(screen: Screen, file: PredictionFile) -> None:
 )
 def diagnose(
     context: typer.Context,
-    robot: RobotPath,
-    parameters: Parameters,
-    explain: Annotated[
-        str | None,
-        option(
-            "--explain JOINT",
-            "Tell of one joint what was tried there, what was taken and what was not, and why.",
-        ),
-    ] = None,
+    robot: Path = ROBOT,
+    parameters: list[Path] = MODEL,
+    explain: str | None = option(
+        None,
+        "--explain JOINT",
+        "Tell of one joint what was tried there, what was taken and what was not, and why.",
+    ),
 ) -> int:
     """Find out which physical effects a model lacks; any logs will do, nothing is changed.
 
@@ -123,18 +119,16 @@ _HELD_OUT = f"--holdout {SIX}/changed/held_out.parquet -r {SIX}/robot.toml -p in
 )
 def refine(
     context: typer.Context,
-    holdout: Annotated[
-        list[str],
-        option(
-            "--holdout LOG",
-            "Log, folder or glob that is opened after the last decision, and only reported on;"
-            " repeat it for several.",
-        ),
-    ],
-    rounds: Annotated[int, option("--rounds N", "At most this many effects.", min=1, max=100)] = 4,
-    with_unexplained: Annotated[
-        bool, option("--with-unexplained", "Add a smooth term where no known effect explains.")
-    ] = False,
+    holdout: list[str] = option(
+        ...,
+        "--holdout LOG",
+        "Log, folder or glob that is opened after the last decision, and only reported on;"
+        " repeat it for several.",
+    ),
+    rounds: int = option(4, "--rounds N", "At most this many effects.", min=1, max=100),
+    with_unexplained: bool = option(
+        False, "--with-unexplained", "Add a smooth term where no known effect explains."
+    ),
 ) -> int:
     """Add the effects that a model lacks, as long as left-out blocks are predicted better.
 
@@ -156,14 +150,12 @@ def refine(
 )
 def payload(
     context: typer.Context,
-    friction_change: Annotated[
-        float,
-        option(
-            "--friction-change SHARE",
-            "Standard deviation by which friction may differ from the model's, as a share of it.",
-            only("a positive number"),
-        ),
-    ] = 0.2,
+    friction_change: float = option(
+        0.2,
+        "--friction-change SHARE",
+        "Standard deviation by which friction may differ from the model's, as a share of it.",
+        only("a positive number"),
+    ),
 ) -> int:
     """Identify the mass, centre of mass and inertia of what the flange carries.
 

@@ -5,10 +5,9 @@ import inspect
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import typer
-from typer.models import OptionInfo
 
 Run = Callable[..., int]
 SIX = "sample_logs/six_joint"  # in examples
@@ -54,106 +53,85 @@ def only(
 
 
 def option(
-    spelled: str, text: str, check: Callable[[Any], Any] | None = None, **more: Any
-) -> OptionInfo:
+    default: Any, spelled: str, text: str, check: Callable[[Any], Any] | None = None, **more: Any
+) -> Any:
     """Return an option as it is typed, "-o --output FILE": spellings, and what it takes if it does.
 
-    `text` is its help, `check` a callback that refuses values; `more` is as Typer has it.
+    `default` is ... where it must be given, `text` its help, `check` a callback that refuses
+    values; `more` is as Typer has it.
     """
     words = spelled.split()
     metavar = None if words[-1].startswith("-") else words.pop()
-    made = typer.Option(*words, metavar=metavar, callback=check, help=text, **more)
-    assert isinstance(made, OptionInfo)
-    return made
+    return typer.Option(default, *words, metavar=metavar, callback=check, help=text, **more)
 
 
-Logs = Annotated[
-    list[str],
-    typer.Argument(metavar="LOG...", help="Files, folders or globs; Parquet and MCAP mixed."),
-]
-RobotPath = Annotated[Path, option("-r --robot FILE", "Robot file (robot.toml).")]
-Parameters = Annotated[
-    list[Path],
-    option(
-        "-p --parameters FILE", "Parameter file of the stages before; repeat it to join several."
-    ),
-]
-OptionalParameters = Annotated[
-    list[Path] | None,
-    option(
-        "-p --parameters FILE", "Parameter file to add the result to; repeat it to join several."
-    ),
-]
-Output = Annotated[Path | None, option("-o --output FILE", "Where the result goes, as JSON.")]
-Jobs = Annotated[
-    int | None,
-    option(
-        "--jobs N",
-        "Processes to read logs with; by default all cores where the logs are large enough.",
-        min=1,
-    ),
-]
+LOGS = typer.Argument(
+    ..., metavar="LOG...", help="Files, folders or globs; Parquet and MCAP mixed."
+)
+ROBOT = option(..., "-r --robot FILE", "Robot file (robot.toml).")
+MODEL = option(
+    ..., "-p --parameters FILE", "Parameter file of the stages before; repeat it to join several."
+)
+ADDED_TO = option(
+    None, "-p --parameters FILE", "Parameter file to add the result to; repeat it to join several."
+)
+OUTPUT = option(None, "-o --output FILE", "Where the result goes, as JSON.")
+JOBS = option(
+    None,
+    "--jobs N",
+    "Processes to read logs with; by default all cores where the logs are large enough.",
+    min=1,
+)
 
 
 def _shared(
-    logs: Logs,
-    robot: RobotPath,
-    parameters: Parameters,
-    output: Output = None,
-    source: Annotated[
-        Literal["auto", "encoder", "imu", "fused"],
-        option(
-            "--motion",
-            "Where joint motion comes from: encoders, accelerations by IMUs (Eq. 30, 42), or both"
-            " in one smoother; auto is fused where a log has a calibrated IMU (to look for effects:"
-            " and where encoders are much the worse), else encoder.",
-        ),
-    ] = "auto",
-    cutoff_hz: Annotated[
-        float | None,
-        option(
-            "--cutoff HZ",
-            "Low-pass cut-off frequency; that of the model, or chosen from the logs, if left out.",
-            only("a positive number"),
-        ),
-    ] = None,
-    time_source: Annotated[
-        Literal["header", "log"], option("--time", "Which time stamps of an MCAP log count.")
-    ] = "header",
-    jobs: Jobs = None,
-    engine: Annotated[
-        Literal["local", "dask"],
-        option("--engine", "Who reads the logs: processes here, or Dask (seqid[dask])."),
-    ] = "local",
-    scheduler: Annotated[
-        str | None, option("--scheduler ADDRESS", "Of a running Dask scheduler.")
-    ] = None,
-    skip_failed: Annotated[
-        bool, option("--skip-failed", "Go on without logs that cannot be used; exits with 3.")
-    ] = False,
-    consistent: Annotated[
-        bool,
-        option(
-            "--consistent",
-            "Allow only parameters that bodies with positive density and rotors of positive"
-            " inertia can have; says what moved, in standard errors.",
-        ),
-    ] = False,
-    strict: Annotated[bool, option("--strict", "Exit with 1 when a verdict is poor.")] = False,
+    logs: list[str] = LOGS,
+    robot: Path = ROBOT,
+    parameters: list[Path] = MODEL,
+    output: Path | None = OUTPUT,
+    source: Literal["auto", "encoder", "imu", "fused"] = option(
+        "auto",
+        "--motion",
+        "Where joint motion comes from: encoders, accelerations by IMUs (Eq. 30, 42), or both"
+        " in one smoother; auto is fused where a log has a calibrated IMU (to look for effects:"
+        " and where encoders are much the worse), else encoder.",
+    ),
+    cutoff_hz: float | None = option(
+        None,
+        "--cutoff HZ",
+        "Low-pass cut-off frequency; that of the model, or chosen from the logs, if left out.",
+        only("a positive number"),
+    ),
+    time_source: Literal["header", "log"] = option(
+        "header", "--time", "Which time stamps of an MCAP log count."
+    ),
+    jobs: int | None = JOBS,
+    engine: Literal["local", "dask"] = option(
+        "local", "--engine", "Who reads the logs: processes here, or Dask (seqid[dask])."
+    ),
+    scheduler: str | None = option(None, "--scheduler ADDRESS", "Of a running Dask scheduler."),
+    skip_failed: bool = option(
+        False, "--skip-failed", "Go on without logs that cannot be used; exits with 3."
+    ),
+    consistent: bool = option(
+        False,
+        "--consistent",
+        "Allow only parameters that bodies with positive density and rotors of positive"
+        " inertia can have; says what moved, in standard errors.",
+    ),
+    strict: bool = option(False, "--strict", "Exit with 1 when a verdict is poor."),
 ) -> None:
     """Arguments that commands share, with their defaults."""
 
 
 def _of_the_screen(
     *,
-    quiet: Annotated[
-        bool, option("-q --quiet", "No progress and no advice, only results and warnings.")
-    ] = False,
-    verbose: Annotated[bool, option("-v --verbose", "Say more about each log.")] = False,
-    json: Annotated[bool, option("--json", "Print the result as one JSON document.")] = False,
-    no_color: Annotated[
-        bool, option("--no-color", "No colours, whatever the terminal can do.")
-    ] = False,
-    debug: Annotated[bool, option("--debug", "Show the traceback of an error.")] = False,
+    quiet: bool = option(
+        False, "-q --quiet", "No progress and no advice, only results and warnings."
+    ),
+    verbose: bool = option(False, "-v --verbose", "Say more about each log."),
+    json: bool = option(False, "--json", "Print the result as one JSON document."),
+    no_color: bool = option(False, "--no-color", "No colours, whatever the terminal can do."),
+    debug: bool = option(False, "--debug", "Show the traceback of an error."),
 ) -> None:
     """Options that every command has."""

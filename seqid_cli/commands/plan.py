@@ -2,12 +2,11 @@
 
 from math import isfinite
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from seqid_cli.commands.job import any_poor, called
-from seqid_cli.commands.options import SIX, Output, RobotPath, command, only, option
+from seqid_cli.commands.options import OUTPUT, ROBOT, SIX, command, only, option
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.plan import EffectSeparation, PlanFile
@@ -30,80 +29,66 @@ _share = only("above 0 and at most 1", lambda x: 0.0 < x <= 1.0)
 )
 def plan(
     context: typer.Context,
-    what: Annotated[
-        What,
-        typer.Argument(
-            help="The stage to record for, a whole session, or two effects to tell apart."
-        ),
-    ],
-    robot: RobotPath,
-    parameters: Annotated[
-        list[Path] | None,
-        option(
-            "-p --parameters FILE",
-            "What is identified already: torque and noise are taken from it; repeat it to join.",
-        ),
-    ] = None,
-    have: Annotated[
-        list[str] | None,
-        option(
-            "--have LOG",
-            "Logs that inertia or the diagnosis gets as well; repeat it per path, folder or glob.",
-        ),
-    ] = None,
-    output: Output = None,
-    trajectories: Annotated[
-        Path | None,
-        option("--trajectories FOLDER", "Where the moves go as CSV, ROS 2 and UR files."),
-    ] = None,
-    duration_s: Annotated[
-        float, option("--duration S", "Time that the inertia moves may take.", _seconds)
-    ] = PlanOptions.duration_s,
-    move_s: Annotated[
-        float | None,
-        option(
-            "--move-duration S", "Length of each of these moves; 20 ramps by default.", _seconds
-        ),
-    ] = None,
-    together: Annotated[
-        bool, option("--together", "Move all joints at once instead of two at a time.")
-    ] = False,
-    ramp_s: Annotated[
-        float,
-        option(
-            "--ramp S",
-            "Time from rest to the largest speed: what limits the acceleration.",
-            _seconds,
-        ),
-    ] = PlanOptions.ramp_s,
-    share: Annotated[
-        float, option("--share X", "Share of all limits to use.", _share)
-    ] = PlanOptions.share,
-    locked: Annotated[
-        list[str] | None, option("--lock JOINT", "Keep a joint still; repeat it for several.")
-    ] = None,
-    speed_scale: Annotated[
-        float,
-        option("--speed-scale X", "Slow the files down, for the first run on the robot.", _share),
-    ] = PlanOptions.speed_scale,
-    between: Annotated[
-        str | None,
-        option("--between EFFECT,EFFECT", "Of discriminate: the two effects to tell apart."),
-    ] = None,
-    joint: Annotated[
-        str | None, option("--joint JOINT", "Of discriminate: where they are.")
-    ] = None,
-    load_kg: Annotated[
-        float, option("--load KG", "Of payload: the heaviest, for the torque limits.", min=0.0)
-    ] = PlanOptions.load_kg,
-    keep_out: Annotated[
-        list[str] | None,
-        option("--keep-out BOX", "Box that no link enters: x,y,z,x,y,z in m; repeat it."),
-    ] = None,
-    workspace: Annotated[
-        str | None, option("--workspace BOX", "Box that no link leaves: x,y,z,x,y,z in m.")
-    ] = None,
-    seed: Annotated[int, option("--seed N", "Of the moves that are drawn.", min=0)] = 0,
+    what: What = typer.Argument(
+        ..., help="The stage to record for, a whole session, or two effects to tell apart."
+    ),
+    robot: Path = ROBOT,
+    parameters: list[Path] | None = option(
+        None,
+        "-p --parameters FILE",
+        "What is identified already: torque and noise are taken from it; repeat it to join.",
+    ),
+    have: list[str] | None = option(
+        None,
+        "--have LOG",
+        "Logs that inertia or the diagnosis gets as well; repeat it per path, folder or glob.",
+    ),
+    output: Path | None = OUTPUT,
+    trajectories: Path | None = option(
+        None, "--trajectories FOLDER", "Where the moves go as CSV, ROS 2 and UR files."
+    ),
+    duration_s: float = option(
+        PlanOptions.duration_s, "--duration S", "Time that the inertia moves may take.", _seconds
+    ),
+    move_s: float | None = option(
+        None, "--move-duration S", "Length of each of these moves; 20 ramps by default.", _seconds
+    ),
+    together: bool = option(
+        False, "--together", "Move all joints at once instead of two at a time."
+    ),
+    ramp_s: float = option(
+        PlanOptions.ramp_s,
+        "--ramp S",
+        "Time from rest to the largest speed: what limits the acceleration.",
+        _seconds,
+    ),
+    share: float = option(PlanOptions.share, "--share X", "Share of all limits to use.", _share),
+    locked: list[str] | None = option(
+        None, "--lock JOINT", "Keep a joint still; repeat it for several."
+    ),
+    speed_scale: float = option(
+        PlanOptions.speed_scale,
+        "--speed-scale X",
+        "Slow the files down, for the first run on the robot.",
+        _share,
+    ),
+    between: str | None = option(
+        None, "--between EFFECT,EFFECT", "Of discriminate: the two effects to tell apart."
+    ),
+    joint: str | None = option(None, "--joint JOINT", "Of discriminate: where they are."),
+    load_kg: float = option(
+        PlanOptions.load_kg,
+        "--load KG",
+        "Of payload: the heaviest, for the torque limits.",
+        min=0.0,
+    ),
+    keep_out: list[str] | None = option(
+        None, "--keep-out BOX", "Box that no link enters: x,y,z,x,y,z in m; repeat it."
+    ),
+    workspace: str | None = option(
+        None, "--workspace BOX", "Box that no link leaves: x,y,z,x,y,z in m."
+    ),
+    seed: int = option(0, "--seed N", "Of the moves that are drawn.", min=0),
 ) -> int:
     """Plan the moves to record next, within the limits, and the standard errors they will give.
 

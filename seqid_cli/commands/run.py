@@ -6,12 +6,12 @@ import contextlib
 import io
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
 
 from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED
-from seqid_cli.commands.options import Jobs, RobotPath, command, option
+from seqid_cli.commands.options import JOBS, ROBOT, command, option
 from seqid_cli.commands.screen.render import screen_of
 from seqid_cli.errors import InputError, UsageError
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 STAGES = {"friction": "friction", "gravity": "gravity", "imu-calib": "imu", "inertia": "inertia"}
 FOLDERS = (*STAGES.values(), "validation")
+_NAMED = ", ".join(f"{name}/" for name in FOLDERS)
 
 
 class Step(NamedTuple):
@@ -48,23 +49,16 @@ class Step(NamedTuple):
 )
 def run(
     context: typer.Context,
-    folder: Annotated[
-        Path,
-        typer.Argument(
-            metavar="FOLDER",
-            help=f"Folder of logs with {', '.join(f'{name}/' for name in FOLDERS)} in it; those "
-            "that are there are used.",
-        ),
-    ],
-    robot: RobotPath,
-    output: Annotated[Path, option("-o --output FOLDER", "Folder where all results go.")],
-    jobs: Jobs = None,
-    keep_going: Annotated[
-        bool, option("--keep-going", "Go on after a stage whose verdict is poor.")
-    ] = False,
-    force: Annotated[
-        bool, option("--force", "Do everything anew, also what is newer than its logs.")
-    ] = False,
+    folder: Path = typer.Argument(
+        ...,
+        metavar="FOLDER",
+        help=f"Folder of logs with {_NAMED} in it; those that are there are used.",
+    ),
+    robot: Path = ROBOT,
+    output: Path = option(..., "-o --output FOLDER", "Folder where all results go."),
+    jobs: int | None = JOBS,
+    keep_going: bool = option(False, "--keep-going", "Go on after a stage whose verdict is poor."),
+    force: bool = option(False, "--force", "Do everything anew, also what is newer than its logs."),
 ) -> int:
     """Run every stage on a folder of logs, then predict, diagnose and report.
 
@@ -122,8 +116,8 @@ def _steps(folder: Path, path: Path, robot: Robot, out: Path, jobs: int | None) 
         raise InputError(
             f"{wrong}; a run starts with friction trials",
             where=str(folder),
-            hint="Sort the logs into " + ", ".join(f"{name}/" for name in FOLDERS) + "; without "
-            "trials of single joints use seqid simultaneous.",
+            hint=f"Sort the logs into {_NAMED}; without trials of single joints use seqid"
+            " simultaneous.",
         )
     if not robot.imus:
         there.pop("imu", None)

@@ -1,12 +1,12 @@
 """The commands that identify a stage: friction, gravity, IMUs, inertia, or all at once."""
 
 from collections.abc import Sequence
-from typing import Annotated
+from pathlib import Path
 
 import typer
 
 from seqid_cli.commands.job import any_poor, called
-from seqid_cli.commands.options import SIX, OptionalParameters, command, option
+from seqid_cli.commands.options import ADDED_TO, SIX, command, option
 from seqid_cli.commands.screen.show import show_stages
 from seqid_cli.params.schema import Stages
 
@@ -23,23 +23,19 @@ _NEXT_PREDICT = "seqid predict LOG... -r {robot} -p {output} -o prediction.json"
 )
 def friction(
     context: typer.Context,
-    position_order: Annotated[
-        int | None,
-        option("--position-order N", "Order in position; found when left out.", min=0, max=30),
-    ] = None,
-    velocity_order: Annotated[
-        int | None,
-        option("--velocity-order N", "Order in velocity; found when left out.", min=0, max=30),
-    ] = None,
-    beta: Annotated[
-        float | None,
-        option(
-            "--beta SHARE",
-            "End the search for orders as soon as Eq. 11 holds at this threshold.",
-            min=0.0,
-            max=1.0,
-        ),
-    ] = None,
+    position_order: int | None = option(
+        None, "--position-order N", "Order in position; found when left out.", min=0, max=30
+    ),
+    velocity_order: int | None = option(
+        None, "--velocity-order N", "Order in velocity; found when left out.", min=0, max=30
+    ),
+    beta: float | None = option(
+        None,
+        "--beta SHARE",
+        "End the search for orders as soon as Eq. 11 holds at this threshold.",
+        min=0.0,
+        max=1.0,
+    ),
 ) -> int:
     """Identify joint friction over position and velocity.
 
@@ -71,7 +67,7 @@ def gravity(context: typer.Context) -> int:
     f"seqid imu-calib {SIX}/imu -r {SIX}/robot.toml -p gravity.json -o imu.json",
     f"seqid imu-calib {SIX}/imu -r {SIX}/robot.toml --json",
 )
-def imu_calib(context: typer.Context, parameters: OptionalParameters = None) -> int:
+def imu_calib(context: typer.Context, parameters: list[Path] | None = ADDED_TO) -> int:
     """Find how accelerometers and IMUs are mounted on the links, and what they are like.
 
     The logs hold rotations of the first joint with the other joints locked in several
@@ -100,10 +96,10 @@ def inertia(context: typer.Context) -> int:
 )
 def simultaneous(
     context: typer.Context,
-    parameters: OptionalParameters = None,
-    offset: Annotated[
-        bool, option("--offset/--no-offset", "Give each joint a constant torque besides friction.")
-    ] = True,
+    parameters: list[Path] | None = ADDED_TO,
+    offset: bool = option(
+        True, "--offset/--no-offset", "Give each joint a constant torque besides friction."
+    ),
 ) -> int:
     """Identify all parameters at once, with Coulomb and viscous friction (Eq. 5-6).
 

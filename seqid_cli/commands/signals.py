@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # typing itself takes milliseconds in which a signal may come
@@ -10,6 +11,7 @@ if TYPE_CHECKING:  # typing itself takes milliseconds in which a signal may come
     from typing import NoReturn
 
 ENDING = ("SIGINT", "SIGTERM", "SIGHUP")  # there is no SIGHUP on Windows
+AGAIN_S = 0.01  # until an interrupt that a finalizer has swallowed is raised again
 
 
 class Interrupted(KeyboardInterrupt):
@@ -27,8 +29,18 @@ def answer_signals() -> None:
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _interrupt)
+    sys.unraisablehook = _swallowed
 
 
 def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     del number, frame
     raise Interrupted
+
+
+def _swallowed(found: sys.UnraisableHookArgs) -> None:
+    """Raise an interrupt again that came during a finalizer, out of which no exception gets."""
+    if isinstance(found.exc_value, Interrupted) and hasattr(signal, "setitimer"):
+        signal.signal(signal.SIGALRM, _interrupt)
+        signal.setitimer(signal.ITIMER_REAL, AGAIN_S)
+    else:
+        sys.__unraisablehook__(found)

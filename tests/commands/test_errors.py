@@ -2,6 +2,7 @@
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -88,13 +89,23 @@ def test_a_signal_during_an_import_exits_with_130(name: str, tmp_path: Path) -> 
     assert done.stderr == b"seqid completion: interrupted\n"
 
 
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="this system has no interval timer")
+def test_a_signal_during_a_finalizer_is_not_lost(tmp_path: Path) -> None:
+    """No exception gets out of a finalizer: Python reports and forgets it."""
+    ending = "weakref.finalize(completion, signal.raise_signal, signal.SIGTERM)()"
+    during = f"import time, weakref; {ending}; time.sleep(20)"
+    done = _ran_with_a_signal(tmp_path, "SIGTERM", during=during)
+    assert done.returncode == 130
+    assert done.stderr == b"seqid completion: interrupted\n"
+
+
 def test_a_signal_that_the_caller_ignores_stays_ignored(tmp_path: Path) -> None:
     done = _ran_with_a_signal(tmp_path, "SIGHUP", "signal.signal(signal.SIGHUP, signal.SIG_IGN)")
     assert (done.returncode, done.stderr) == (0, b"")
 
 
 def _ran_with_a_signal(
-    folder: Path, name: str, before: str = ""
+    folder: Path, name: str, before: str = "", during: str = ""
 ) -> subprocess.CompletedProcess[bytes]:
     (folder / "program.py").write_text(f"""
 import signal, sys
@@ -103,7 +114,7 @@ signal.signal(signal.{name}, signal.SIG_DFL)  # tests that run in the background
 {before}
 words = completion.all_words()
 def interrupted():
-    exec("import signal; signal.raise_signal(signal.{name})")
+    {during or f'exec("import signal; signal.raise_signal(signal.{name})")'}
     return words
 completion.all_words = interrupted
 sys.argv = ["seqid", "completion", "bash"]

@@ -1,5 +1,6 @@
 """Entry point of `seqid` and of `python -m seqid_cli`."""
 
+import contextlib
 import os
 import sys
 from collections.abc import Sequence
@@ -22,9 +23,17 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(argv: Sequence[str] | None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     if argv is None:
-        _prepare_process()
+        from seqid_cli.commands.signals import answer_signals
+
+        answer_signals()  # first: from here on an interrupt is answered
+        from seqid_cli.commands.screen.streams import prepare_streams
+
+        prepare_streams()
     if arguments == ["--version"]:  # before Typer is imported: three times as fast
-        return _version()
+        with contextlib.suppress(OSError):  # which the command group answers
+            sys.stdout.write(f"seqid {__version__}\n")
+            sys.stdout.flush()
+            return 0
     # Small matrices: a second BLAS thread costs many times what it gains, and changes last digits.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     # Arrow's own pool reserves a gibibyte of address space, which `ulimit -v` counts.
@@ -33,26 +42,6 @@ def _run(argv: Sequence[str] | None) -> int:
     from seqid_cli.commands.app import run
 
     return run(arguments)
-
-
-def _prepare_process() -> None:
-    from seqid_cli.commands.signals import answer_signals
-
-    answer_signals()  # first: from here on an interrupt is answered
-    from seqid_cli.commands.screen.streams import prepare_streams
-
-    prepare_streams()
-
-
-def _version() -> int:
-    try:
-        sys.stdout.write(f"seqid {__version__}\n")
-        sys.stdout.flush()
-    except OSError:
-        from seqid_cli.commands.app import run
-
-        return run(["--version"])  # which knows what to do
-    return 0
 
 
 if __name__ == "__main__":

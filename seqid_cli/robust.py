@@ -1,10 +1,8 @@
 """Standard deviations that a few large values do not move."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 PER_MEDIAN = 1.4826  # standard deviation of Gaussian values per median of their magnitudes
 DIFFERENCES = 4

@@ -8,7 +8,7 @@ import json
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import typer
 from typer._click import Command, Context, HelpFormatter, Parameter
@@ -16,17 +16,14 @@ from typer._click.exceptions import ClickException, NoArgsIsHelpError
 from typer.core import TyperGroup, TyperOption
 
 from seqid_cli import __version__
-from seqid_cli.commands.options import screen_options
 from seqid_cli.commands.screen.layout import shortened, visible
 from seqid_cli.commands.screen.streams import cannot_be_written, give_up_output
 from seqid_cli.errors import EXIT_INTERRUPTED, SeqidError, UsageError
 
-if TYPE_CHECKING:
-    from seqid_cli.commands.screen.render import Screen
-
 EXIT_BUG = 70
 _NO_ROOM = ("cannot allocate memory", "failed to map segment")
 _BUG = "this is a bug in seqid"
+_REPORT_IT = "Report it with the command line and the output of the same command with --debug."
 _LONGEST = 4000  # letters of a message: names from files have any length
 _HELP = "From recorded robot logs to a dynamic model that an engineer trusts."
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
@@ -40,39 +37,29 @@ class Entry(NamedTuple):
 
 
 COMMANDS: Mapping[str, Entry] = {
-    "init": Entry("init", "Write a robot file from a log and a URDF, to be completed."),
-    "inspect": Entry("inspect", "Look through logs: what is in them and what is wrong."),
-    "run": Entry("run_all", "Run every stage on a folder of logs, then predict and report."),
-    "friction": Entry("friction", "Identify joint friction from constant-velocity moves."),
-    "gravity": Entry("gravity", "Identify the gravity parameters, given the friction."),
-    "imu-calib": Entry("imu_calib", "Find how accelerometers and IMUs are mounted on the links."),
-    "inertia": Entry("inertia", "Identify the inertia parameters, given friction and gravity."),
-    "predict": Entry("predict", "Predict joint torques and compare them with the measured ones."),
-    "diagnose": Entry("diagnose", "Find out which physical effects a model lacks."),
-    "refine": Entry("refine", "Add the effects that a model lacks, checked on held-out logs."),
-    "simultaneous": Entry("simultaneous", "Identify everything in one classical least squares."),
+    "init": Entry("logs", "Write a robot file from a log and a URDF, to be completed."),
+    "inspect": Entry("logs", "Look through logs: what is in them and what is wrong."),
+    "run": Entry("run", "Run every stage on a folder of logs, then predict and report."),
+    "friction": Entry("stages", "Identify joint friction from constant-velocity moves."),
+    "gravity": Entry("stages", "Identify the gravity parameters, given the friction."),
+    "imu-calib": Entry("stages", "Find how accelerometers and IMUs are mounted on the links."),
+    "inertia": Entry("stages", "Identify the inertia parameters, given friction and gravity."),
+    "predict": Entry("models", "Predict joint torques and compare them with the measured ones."),
+    "diagnose": Entry("models", "Find out which physical effects a model lacks."),
+    "refine": Entry("models", "Add the effects that a model lacks, checked on held-out logs."),
+    "simultaneous": Entry("stages", "Identify everything in one classical least squares."),
     "plan": Entry("plan", "Plan what to record next, and the errors that it will give."),
-    "payload": Entry("payload", "Identify the mass, centre and inertia that the flange carries."),
-    "trend": Entry("trend", "Find what changed over dates, beyond its error."),
-    "report": Entry("report", "Write the results as one HTML page, the verdict first."),
-    "export": Entry("export", "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."),
-    "compare": Entry("compare", "Compare two results against their standard errors."),
+    "payload": Entry("models", "Identify the mass, centre and inertia that the flange carries."),
+    "trend": Entry("files", "Find what changed over dates, beyond its error."),
+    "report": Entry("files", "Write the results as one HTML page, the verdict first."),
+    "export": Entry("files", "Write an identified arm as URDF, MJCF, ROS 2 YAML or C."),
+    "compare": Entry("files", "Compare two results against their standard errors."),
     "completion": Entry("completion", "Print the completion script of a shell."),
 }
 
 
 class LazyGroup(TyperGroup):
     """The group `seqid`, which knows its commands by name and imports only the one that runs."""
-
-    def list_commands(self, ctx: Context) -> list[str]:
-        """Return the names in the order of the work."""
-        return list(COMMANDS)
-
-    def get_command(self, ctx: Context, cmd_name: str) -> Command | None:
-        """Import a command and build its parser."""
-        if cmd_name not in COMMANDS:
-            return None
-        return load_command(cmd_name)
 
     def resolve_command(
         self, ctx: Context, args: list[str]
@@ -95,22 +82,13 @@ class LazyGroup(TyperGroup):
 
 
 def load_command(name: str) -> Command:
-    """Build the parser of one command: its own parameters and those that every command has."""
+    """Build the parser of one command."""
     module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
-    examples = "\n".join(f"  {example}" for example in module.EXAMPLES)
+    function = getattr(module, name.replace("-", "_"))
+    examples = "\n".join(f"  {example}" for example in function.examples)
     app = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
-    app.command(name, context_settings=_SETTINGS, epilog=f"\b\nExamples:\n{examples}")(module.run)
-    command = typer.main.get_command(app)
-    command.params.extend(screen_options())
-    return command
-
-
-def call(name: str, screen: Screen, **arguments: Any) -> int:
-    """Run a command's own function on a caller's screen; errors are raised as they are."""
-    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
-    context = typer.Context(load_command(name), info_name=name, obj=screen)
-    context.params = arguments
-    return int(module.run(context, **arguments))
+    app.command(name, context_settings=_SETTINGS, epilog=f"\b\nExamples:\n{examples}")(function)
+    return typer.main.get_command(app)
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -130,38 +108,45 @@ def run(arguments: Sequence[str]) -> int:
 
 def _guarded(arguments: Sequence[str]) -> int:
     name = f"seqid {arguments[0]}" if arguments and arguments[0] in COMMANDS else "seqid"
+    problem: SeqidError
     try:
-        return _invoke(arguments)
+        return invoke(arguments)
     except NoArgsIsHelpError as error:
         error.show()
         return error.exit_code
-    except ClickException as error:
-        problem: SeqidError = UsageError(error.format_message(), hint=f"See {name} --help.")
-        return _report(name, problem, arguments)
-    except SeqidError as error:
-        return _report(name, error, arguments)
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write(f"{name}: interrupted\n")
         return EXIT_INTERRUPTED
+    except ClickException as error:
+        problem = UsageError(error.format_message(), hint=f"See {name} --help.")
+    except SeqidError as error:
+        problem = error
     except Exception as error:  # the last resort: a bug must not look like a verdict
         if isinstance(error, OSError) and cannot_be_written(error):
             raise
-        text = str(error).lower()
-        if isinstance(error, MemoryError) or any(sign in text for sign in _NO_ROOM):
+        if isinstance(error, MemoryError) or any(x in str(error).lower() for x in _NO_ROOM):
             hint = "Give the process more of it, or fewer logs and --jobs 1."
             problem = UsageError(f"there is too little memory ({error})", hint=hint)
-            return _report(name, problem, arguments)
-        hint = "Report it with the command line and the output of the same command with --debug."
-        problem = SeqidError(f"{_BUG}: {type(error).__name__}: {error}", hint=hint)
-        problem.__cause__ = error
-        return _report(name, problem, arguments, code=EXIT_BUG)
+        else:
+            problem = SeqidError(f"{_BUG}: {type(error).__name__}: {error}", hint=_REPORT_IT)
+            problem.__cause__, problem.exit_code = error, EXIT_BUG
+    return _report(name, problem, arguments)
 
 
-def _invoke(arguments: Sequence[str]) -> int:
+def invoke(arguments: Sequence[str]) -> int:
+    """Run a command line; errors are raised as they are."""
+    version = TyperOption(
+        param_decls=["version", "--version"],
+        is_flag=True,
+        is_eager=True,
+        expose_value=False,
+        callback=_show_version,
+        help="Show the version.",
+    )
     group = LazyGroup(
         name="seqid",
         help=_HELP,
-        params=[_version_option()],
+        params=[version],
         context_settings=_SETTINGS,
         rich_markup_mode=None,
         no_args_is_help=True,
@@ -173,33 +158,18 @@ def _invoke(arguments: Sequence[str]) -> int:
         return request.exit_code
 
 
-def _report(
-    name: str, problem: SeqidError, arguments: Sequence[str], *, code: int | None = None
-) -> int:
+def _report(name: str, problem: SeqidError, arguments: Sequence[str]) -> int:
     """Write an error as a message; returns its exit code."""
     if "--debug" in arguments:
         traceback.print_exception(problem)
-    code = problem.exit_code if code is None else code
     message, hint = (shortened(text, _LONGEST) for text in (str(problem), problem.hint))
-    sys.stderr.write(visible(f"{name}: error: {message}\n"))
-    if hint:
-        sys.stderr.write(visible(f"  hint: {hint}\n"))
+    text = f"{name}: error: {message}\n" + (f"  hint: {hint}\n" if hint else "")
+    sys.stderr.write(visible(text))
     if "--json" in arguments:
-        where = {"hint": problem.hint, "where": problem.where}
-        error = {"code": code, "message": problem.message, **where}
+        error = {"code": problem.exit_code, "message": problem.message}
+        error |= {"hint": problem.hint, "where": problem.where}
         sys.stdout.write(json.dumps({"error": error}, indent=2) + "\n")
-    return code
-
-
-def _version_option() -> TyperOption:
-    return TyperOption(
-        param_decls=["version", "--version"],
-        is_flag=True,
-        is_eager=True,
-        expose_value=False,
-        callback=_show_version,
-        help="Show the version.",
-    )
+    return problem.exit_code
 
 
 def _show_version(context: Context, param: Parameter, value: bool) -> None:

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import inspect
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from seqid_cli.commands.screen.progress import ProgressLine
 from seqid_cli.commands.screen.render import Screen, screen_of
-from seqid_cli.commands.screen.show import show_stages
 from seqid_cli.errors import SeqidError, SeqidWarning, UsageError
-from seqid_cli.params.schema import ParameterFile, Stages, Verdict
+from seqid_cli.params.schema import Verdict
 from seqid_cli.working import heard_by
 
 if TYPE_CHECKING:
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     from seqid_cli.inspect.progress import Progress
     from seqid_cli.params.results.inspection import InspectionFinding
 
-T = TypeVar("T")
-_INPUTS = ("logs", "holdout", "robot", "parameters", "output", "torques")
 EXIT_DONE, EXIT_UNTRUSTED, EXIT_PARTIAL = 0, 1, 3
 # Below this many bytes of logs one process is done before others have imported what they need.
 WORTH_BYTES = 32_000_000
@@ -37,33 +36,14 @@ class Told:
     """Shows on a screen what a function tells and warns of, and keeps what decides its exit code.
 
     `given` are the arguments and options of the command, `findings` those of all logs; `partial`
-    and `left_out` name logs that were read in part or not at all.
+    says that logs were read in part or not at all.
     """
 
     screen: Screen
     line: ProgressLine
-    given: Mapping[str, Any]  # on the command line
+    given: Mapping[str, Any]
     findings: list[InspectionFinding] = field(default_factory=list)
-    partial: list[str] = field(default_factory=list)
-    left_out: list[str] = field(default_factory=list)
-
-    def options(self, form: type[T]) -> T:
-        """Return the options of a function, fields of `form`, as the command line has them."""
-        names = {field.name for field in fields(form)}  # type: ignore[arg-type]
-        return form(**{name: value for name, value in self.given.items() if name in names})
-
-    def call(self, function: Callable[..., T], form: type) -> T:
-        """Call a function of the package with the command line; `form` is the type of its options.
-
-        A command with --jobs lends it whoever is to read the logs.
-        """
-        given = {name: self.given[name] for name in _INPUTS if self.given.get(name) is not None}
-        options = {"options": self.options(form), "on_progress": self}
-        if "jobs" not in self.given:
-            return function(**given, **options)
-        who = {name: self.given[name] for name in ("engine", "scheduler") if name in self.given}
-        with workers(given["logs"], self.given["jobs"], **who) as executor:
-            return function(**given, **options, executor=executor)
+    partial: bool = False
 
     def __call__(self, progress: Progress) -> None:
         """Take what is told."""
@@ -73,13 +53,13 @@ class Told:
             elif progress.state == "detail":
                 self.screen.detail(progress.text)
             elif progress.state == "failed":
-                self.left_out.append(progress.log)
+                self.partial = True
             elif (log := progress.note) is not None:
                 path = str(log.path)
                 self.screen.detail(f"{path}: {log.samples} samples at {log.rate_hz:.6g} Hz")
-                self.screen.knows(f"{path}: {text}" for text in log.mended)
+                self.screen.said.update(f"{path}: {text}" for text in log.mended)
                 self.findings += log.findings
-                self.partial += [path] if log.partial else []
+                self.partial |= bool(log.partial)
         self.line.show(progress.done, progress.total, Path(progress.log).name)
 
     def warn(self, message: Warning | str, category: type[Warning], *more: Any) -> None:
@@ -116,44 +96,59 @@ class Told:
             )
         if (poor or untrusted) and self.given.get("strict"):
             return EXIT_UNTRUSTED
-        return EXIT_PARTIAL if self.partial or self.left_out else EXIT_DONE
+        return EXIT_PARTIAL if self.partial else EXIT_DONE
 
 
-@contextlib.contextmanager
-def listening(context: typer.Context) -> Iterator[Told]:
-    """Show progress and warnings of what is called in the block."""
-    screen = screen_of(context)
-    told = Told(screen, ProgressLine(sys.stderr, enabled=not screen.quiet), context.params)
-    with warnings.catch_warnings():
+def called(context: typer.Context, name: str) -> tuple[Told, Any]:
+    """Call the function of the package that a command is for, "identify.friction".
+
+    It gets what the command line gives, its progress and warnings are shown, and what it returns is
+    printed where the command is asked for JSON.
+    """
+    package, function = name.split(".")
+    given, screen = context.params, screen_of(context)
+    told = Told(screen, ProgressLine(sys.stderr, enabled=not screen.quiet), given)
+    with warnings.catch_warnings(), contextlib.closing(told.line), heard_by(told.line.show):
         warnings.simplefilter("always", SeqidWarning)
         warnings.showwarning = told.warn  # type: ignore[assignment]
-        try:
-            with heard_by(told.line.show):
-                yield told
-        finally:
-            told.line.close()
+        call = getattr(import_module(f"seqid_cli.{package}"), function)
+        with _workers(given) as executor:
+            result = call(**_arguments(call, told), **executor)
+    screen.document(result)
+    return told, result
+
+
+def _arguments(function: Callable[..., object], told: Told) -> dict[str, Any]:
+    """Return what a function takes of the command line, and the listener where it reads logs."""
+    taken = inspect.signature(function).parameters
+    wanted = [*taken, "output"]
+    found = {name: told.given[name] for name in wanted if told.given.get(name) is not None}
+    if "options" in taken:
+        form = type(taken["options"].default)
+        names = {field.name for field in fields(form)} & told.given.keys()
+        found["options"] = form(**{name: told.given[name] for name in names})
+    return found | ({"on_progress": told} if "logs" in told.given else {})
 
 
 @contextlib.contextmanager
-def workers(
-    logs: Sequence[str], jobs: int | None, engine: str = "local", scheduler: str | None = None
-) -> Iterator[Executor | None]:
-    """Whoever is to read the logs: processes, a Dask cluster, or None for this process.
+def _workers(given: Mapping[str, Any]) -> Iterator[dict[str, Executor]]:
+    """Whoever is to read the logs of a command with --jobs, as an argument of its function.
 
     Raises UsageError: a scheduler is given without Dask, Dask is not installed or no scheduler
     answers.
     """
-    if scheduler is not None and engine != "dask":
+    dask, scheduler = given.get("engine") == "dask", given.get("scheduler")
+    if scheduler is not None and not dask:
         hint = "Add --engine dask, or leave out --scheduler."
         raise UsageError("a scheduler is of use to Dask only", hint=hint)
-    count = 1 if engine == "dask" else processes_for(logs, jobs)
-    if engine != "dask" and count == 1:
-        yield None
+    count = processes_for(given["logs"], given["jobs"]) if "jobs" in given and not dask else 1
+    if count == 1 and not dask:
+        yield {}
         return
     from seqid_cli.scale.executors import dask_cluster, processes
 
-    with dask_cluster(scheduler, jobs) if engine == "dask" else processes(count) as executor:
-        yield executor
+    with dask_cluster(scheduler, given["jobs"]) if dask else processes(count) as executor:
+        yield {"executor": executor}
 
 
 def processes_for(logs: Sequence[str], jobs: int | None) -> int:
@@ -178,18 +173,3 @@ def processes_for(logs: Sequence[str], jobs: int | None) -> int:
 def any_poor(verdicts: Sequence[Verdict]) -> bool:
     """Whether a verdict is not good."""
     return any(not verdict.good for verdict in verdicts)
-
-
-def show_stage(told: Told, file: ParameterFile, names: Sequence[str], following: str) -> int:
-    """Show new stages of a file; returns the exit code.
-
-    `told`: what listened to their identification. `names`: the new stages. `following`: the command
-    that comes next, with `{output}` and `{robot}` to fill in; it is not proposed after a poor
-    verdict.
-    """
-    stages = Stages(**{name: getattr(file.stages, name) for name in names})
-    told.screen.document(file)
-    show_stages(told.screen, stages, file.robot)
-    verdicts = [verdict for name in names for verdict in getattr(stages, name).verdicts]
-    told.tell_output("" if any_poor(verdicts) else following)
-    return told.ended(verdicts)

@@ -1,17 +1,41 @@
-"""Arguments and options that commands share, spelled once."""
+"""How a command is declared, and the arguments and options that commands share."""
 
+import functools
 import inspect
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, Literal
 
 import typer
-from typer.core import TyperOption
-from typer.models import OptionInfo
 
-TimeSource = Literal["header", "log"]
-F = TypeVar("F", bound=Callable[..., int])
+Run = Callable[..., int]
+SIX = "sample_logs/six_joint"  # in examples
+
+
+def command(names: str, *examples: str) -> Callable[[Run], Run]:
+    """Make a function a command with examples that its help shows.
+
+    `names` are its arguments in this order, its own and those of `_shared`; the latter reach it in
+    `context.params` alone, where all are.
+    """
+
+    def decorate(run: Run) -> Run:
+        own = inspect.signature(run, eval_str=True).parameters
+        known = {**inspect.signature(_shared).parameters, **own}
+        asked = [known[name].replace(kind=inspect.Parameter.KEYWORD_ONLY) for name in names.split()]
+        screen = inspect.signature(_of_the_screen).parameters.values()
+
+        @functools.wraps(run)
+        def decorated(context: typer.Context, **given: Any) -> int:
+            context.params = given
+            return run(context, **{name: given[name] for name in given if name in own})
+
+        signature = inspect.Signature([own["context"], *asked, *screen])
+        vars(decorated).update(__signature__=signature, examples=examples)
+        return decorated
+
+    return decorate
 
 
 def only(
@@ -29,145 +53,85 @@ def only(
 
 
 def option(
-    spelled: str, text: str, check: Callable[[Any], Any] | None = None, **more: Any
-) -> OptionInfo:
+    default: Any, spelled: str, text: str, check: Callable[[Any], Any] | None = None, **more: Any
+) -> Any:
     """Return an option as it is typed, "-o --output FILE": spellings, and what it takes if it does.
 
-    `text` is its help, `check` a callback that refuses values; `more` is as Typer has it.
+    `default` is ... where it must be given, `text` its help, `check` a callback that refuses
+    values; `more` is as Typer has it.
     """
     words = spelled.split()
     metavar = None if words[-1].startswith("-") else words.pop()
-    made = typer.Option(*words, metavar=metavar, callback=check, help=text, **more)
-    assert isinstance(made, OptionInfo)
-    return made
+    return typer.Option(default, *words, metavar=metavar, callback=check, help=text, **more)
 
 
-Logs = Annotated[
-    list[str],
-    typer.Argument(metavar="LOG...", help="Files, folders or globs; Parquet and MCAP mixed."),
-]
-RobotPath = Annotated[Path, option("-r --robot FILE", "Robot file (robot.toml).")]
-Parameters = Annotated[
-    list[Path],
-    option(
-        "-p --parameters FILE", "Parameter file of the stages before; repeat it to join several."
+LOGS = typer.Argument(
+    ..., metavar="LOG...", help="Files, folders or globs; Parquet and MCAP mixed."
+)
+ROBOT = option(..., "-r --robot FILE", "Robot file (robot.toml).")
+MODEL = option(
+    ..., "-p --parameters FILE", "Parameter file of the stages before; repeat it to join several."
+)
+ADDED_TO = option(
+    None, "-p --parameters FILE", "Parameter file to add the result to; repeat it to join several."
+)
+OUTPUT = option(None, "-o --output FILE", "Where the result goes, as JSON.")
+JOBS = option(
+    None,
+    "--jobs N",
+    "Processes to read logs with; by default all cores where the logs are large enough.",
+    min=1,
+)
+
+
+def _shared(
+    logs: list[str] = LOGS,
+    robot: Path = ROBOT,
+    parameters: list[Path] = MODEL,
+    output: Path | None = OUTPUT,
+    source: Literal["auto", "encoder", "imu", "fused"] = option(
+        "auto",
+        "--motion",
+        "Where joint motion comes from: encoders, accelerations by IMUs (Eq. 30, 42), or both"
+        " in one smoother; auto is fused where a log has a calibrated IMU (to look for effects:"
+        " and where encoders are much the worse), else encoder.",
     ),
-]
-OptionalParameters = Annotated[
-    list[Path] | None,
-    option(
-        "-p --parameters FILE", "Parameter file to add the result to; repeat it to join several."
-    ),
-]
-Output = Annotated[Path | None, option("-o --output FILE", "Where the result goes, as JSON.")]
-Cutoff = Annotated[
-    float | None,
-    option(
+    cutoff_hz: float | None = option(
+        None,
         "--cutoff HZ",
         "Low-pass cut-off frequency; that of the model, or chosen from the logs, if left out.",
         only("a positive number"),
     ),
-]
-Clock = Annotated[TimeSource, option("--time", "Which time stamps of an MCAP log count.")]
-MotionSource = Annotated[
-    Literal["auto", "encoder", "imu", "fused"],
-    option(
-        "--motion",
-        "Where joint motion comes from: encoders, accelerations by IMUs (Eq. 30, 42), or both"
-        " in one smoother; auto is fused where a log has a calibrated IMU (to look for effects: and"
-        " where encoders are much the worse), else encoder.",
+    time_source: Literal["header", "log"] = option(
+        "header", "--time", "Which time stamps of an MCAP log count."
     ),
-]
-Jobs = Annotated[
-    int | None,
-    option(
-        "--jobs N",
-        "Processes to read logs with; by default all cores where the logs are large enough.",
-        min=1,
+    jobs: int | None = JOBS,
+    engine: Literal["local", "dask"] = option(
+        "local", "--engine", "Who reads the logs: processes here, or Dask (seqid[dask])."
     ),
-]
-Engine = Annotated[
-    Literal["local", "dask"],
-    option("--engine", "Who reads the logs: processes here, or Dask (seqid[dask])."),
-]
-Scheduler = Annotated[str | None, option("--scheduler ADDRESS", "Of a running Dask scheduler.")]
-SkipFailed = Annotated[
-    bool, option("--skip-failed", "Go on without logs that cannot be used; exits with 3.")
-]
-Consistent = Annotated[
-    bool,
-    option(
+    scheduler: str | None = option(None, "--scheduler ADDRESS", "Of a running Dask scheduler."),
+    skip_failed: bool = option(
+        False, "--skip-failed", "Go on without logs that cannot be used; exits with 3."
+    ),
+    consistent: bool = option(
+        False,
         "--consistent",
         "Allow only parameters that bodies with positive density and rotors of positive"
         " inertia can have; says what moved, in standard errors.",
     ),
-]
-Strict = Annotated[bool, option("--strict", "Exit with 1 when a verdict is poor.")]
-
-
-def _shared(
-    logs: Logs,
-    robot: RobotPath,
-    parameters: Parameters,
-    output: Output = None,
-    source: MotionSource = "auto",
-    cutoff_hz: Cutoff = None,
-    time_source: Clock = "header",
-    jobs: Jobs = None,
-    engine: Engine = "local",
-    scheduler: Scheduler = None,
-    skip_failed: SkipFailed = False,
-    consistent: Consistent = False,
-    strict: Strict = False,
+    strict: bool = option(False, "--strict", "Exit with 1 when a verdict is poor."),
 ) -> None:
     """Arguments that commands share, with their defaults."""
 
 
-def takes(names: str) -> Callable[[F], F]:
-    """Give a command the arguments `names`, in this order: its own ones, and shared ones.
-
-    Shared ones reach it as `**shared`; all of them are in `context.params`.
-    """
-
-    def decorate(run: F) -> F:
-        own = inspect.signature(run).parameters
-        known = {**inspect.signature(_shared).parameters, **own}
-        told = [known[name].replace(kind=inspect.Parameter.KEYWORD_ONLY) for name in names.split()]
-        run.__signature__ = inspect.Signature([own["context"], *told])  # type: ignore[attr-defined]
-        return run
-
-    return decorate
-
-
-_SCREEN_FLAGS = (
-    ("quiet", ["-q", "--quiet"], "No progress and no advice, only results and warnings."),
-    ("verbose", ["-v", "--verbose"], "Say more about each log."),
-    ("json", ["--json"], "Print the result as one JSON document."),
-    ("no_color", ["--no-color"], "No colours, whatever the terminal can do."),
-    ("debug", ["--debug"], "Show the traceback of an error."),
-)
-_META = "seqid.screen."
-
-
-def screen_options() -> list[TyperOption]:
-    """Return new parser entries of the flags that every command takes; see `screen_flag`."""
-    return [
-        TyperOption(
-            param_decls=[name, *spellings],
-            is_flag=True,
-            default=False,
-            expose_value=False,
-            callback=_remember,
-            help=text,
-        )
-        for name, spellings, text in _SCREEN_FLAGS
-    ]
-
-
-def screen_flag(context: typer.Context, name: str) -> bool:
-    """Return whether one of the `screen_options` was given."""
-    return bool(context.meta.get(_META + name, False))
-
-
-def _remember(context: typer.Context, param: typer.CallbackParam, value: bool) -> None:
-    context.meta[_META + str(param.name)] = value
+def _of_the_screen(
+    *,
+    quiet: bool = option(
+        False, "-q --quiet", "No progress and no advice, only results and warnings."
+    ),
+    verbose: bool = option(False, "-v --verbose", "Say more about each log."),
+    json: bool = option(False, "--json", "Print the result as one JSON document."),
+    no_color: bool = option(False, "--no-color", "No colours, whatever the terminal can do."),
+    debug: bool = option(False, "--debug", "Show the traceback of an error."),
+) -> None:
+    """Options that every command has."""

@@ -1,28 +1,111 @@
 """`seqid plan`: the experiment to run next, and the errors that it will give."""
 
-from dataclasses import replace
 from math import isfinite
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.job import any_poor, listening
-from seqid_cli.commands.options import Output, RobotPath, Strict, only, option
+from seqid_cli.commands.job import any_poor, called
+from seqid_cli.commands.options import OUTPUT, ROBOT, SIX, command, only, option
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.plan import EffectSeparation, PlanFile
 from seqid_cli.params.schema import RobotId
 from seqid_cli.plan.options import PlanOptions, What
 
-EXAMPLES = (
-    "seqid plan all -r sample_logs/six_joint/robot.toml -o plan.json --trajectories moves",
-    "seqid plan inertia -r sample_logs/six_joint/robot.toml -p gravity.json -o plan.json",
+_seconds = only("a positive time")
+_share = only("above 0 and at most 1", lambda x: 0.0 < x <= 1.0)
+
+
+@command(
+    "what robot parameters have output trajectories duration_s move_s together ramp_s share locked"
+    " speed_scale between joint load_kg keep_out workspace seed strict",
+    f"seqid plan all -r {SIX}/robot.toml -o plan.json --trajectories moves",
+    f"seqid plan inertia -r {SIX}/robot.toml -p gravity.json -o plan.json",
     "seqid plan inertia -r sample_logs/two_joint/robot.toml --together --duration 60"
     " --trajectories moves",
-    "seqid plan discriminate -r sample_logs/six_joint/robot.toml -p inertia.json --joint elbow"
+    f"seqid plan discriminate -r {SIX}/robot.toml -p inertia.json --joint elbow"
     " --between load_dependent_friction,gear_efficiency",
 )
+def plan(
+    context: typer.Context,
+    what: What = typer.Argument(
+        ..., help="The stage to record for, a whole session, or two effects to tell apart."
+    ),
+    robot: Path = ROBOT,
+    parameters: list[Path] | None = option(
+        None,
+        "-p --parameters FILE",
+        "What is identified already: torque and noise are taken from it; repeat it to join.",
+    ),
+    have: list[str] | None = option(
+        None,
+        "--have LOG",
+        "Logs that inertia or the diagnosis gets as well; repeat it per path, folder or glob.",
+    ),
+    output: Path | None = OUTPUT,
+    trajectories: Path | None = option(
+        None, "--trajectories FOLDER", "Where the moves go as CSV, ROS 2 and UR files."
+    ),
+    duration_s: float = option(
+        PlanOptions.duration_s, "--duration S", "Time that the inertia moves may take.", _seconds
+    ),
+    move_s: float | None = option(
+        None, "--move-duration S", "Length of each of these moves; 20 ramps by default.", _seconds
+    ),
+    together: bool = option(
+        False, "--together", "Move all joints at once instead of two at a time."
+    ),
+    ramp_s: float = option(
+        PlanOptions.ramp_s,
+        "--ramp S",
+        "Time from rest to the largest speed: what limits the acceleration.",
+        _seconds,
+    ),
+    share: float = option(PlanOptions.share, "--share X", "Share of all limits to use.", _share),
+    locked: list[str] | None = option(
+        None, "--lock JOINT", "Keep a joint still; repeat it for several."
+    ),
+    speed_scale: float = option(
+        PlanOptions.speed_scale,
+        "--speed-scale X",
+        "Slow the files down, for the first run on the robot.",
+        _share,
+    ),
+    between: str | None = option(
+        None, "--between EFFECT,EFFECT", "Of discriminate: the two effects to tell apart."
+    ),
+    joint: str | None = option(None, "--joint JOINT", "Of discriminate: where they are."),
+    load_kg: float = option(
+        PlanOptions.load_kg,
+        "--load KG",
+        "Of payload: the heaviest, for the torque limits.",
+        min=0.0,
+    ),
+    keep_out: list[str] | None = option(
+        None, "--keep-out BOX", "Box that no link enters: x,y,z,x,y,z in m; repeat it."
+    ),
+    workspace: str | None = option(
+        None, "--workspace BOX", "Box that no link leaves: x,y,z,x,y,z in m."
+    ),
+    seed: int = option(0, "--seed N", "Of the moves that are drawn.", min=0),
+) -> int:
+    """Plan the moves to record next, within the limits, and the standard errors they will give.
+
+    Limits are the tighter of the robot file's and the URDF's. Nothing is sent to a robot.
+    """
+    context.params |= {
+        "locked": tuple(locked or ()),
+        "between": tuple(between.split(",")) if between else (),
+        "keep_out": tuple(_box(text) for text in keep_out or ()),
+        "workspace": None if workspace is None else _box(workspace),
+    }
+    told, file = called(context, "plan.plan")
+    _show(told.screen, file)
+    for path in (trajectories, output):
+        if path is not None:
+            told.screen.note(f"written: {path}")
+    return told.ended(untrusted=any_poor(file.verdicts))
 
 
 def _box(text: str) -> tuple[float, ...]:
@@ -34,125 +117,6 @@ def _box(text: str) -> tuple[float, ...]:
         message = f"{text!r} is not six numbers x,y,z,x,y,z"
         raise typer.BadParameter(message)
     return corners
-
-
-_seconds = only("a positive time")
-_share = only("above 0 and at most 1", lambda x: 0.0 < x <= 1.0)
-
-Chosen = Annotated[
-    What,
-    typer.Argument(help="The stage to record for, a whole session, or two effects to tell apart."),
-]
-PlanParameters = Annotated[
-    list[Path] | None,
-    option(
-        "-p --parameters FILE",
-        "What is identified already: torque and noise are taken from it; repeat it to join.",
-    ),
-]
-Have = Annotated[
-    list[str] | None,
-    option(
-        "--have LOG",
-        "Logs that inertia or the diagnosis gets as well; repeat it per path, folder or glob.",
-    ),
-]
-Trajectories = Annotated[
-    Path | None, option("--trajectories FOLDER", "Where the moves go as CSV, ROS 2 and UR files.")
-]
-Duration = Annotated[
-    float, option("--duration S", "Time that the inertia moves may take.", _seconds)
-]
-MoveDuration = Annotated[
-    float | None,
-    option("--move-duration S", "Length of each of these moves; 20 ramps by default.", _seconds),
-]
-Together = Annotated[
-    bool, option("--together", "Move all joints at once instead of two at a time.")
-]
-Ramp = Annotated[
-    float,
-    option(
-        "--ramp S", "Time from rest to the largest speed: what limits the acceleration.", _seconds
-    ),
-]
-LimitShare = Annotated[float, option("--share X", "Share of all limits to use.", _share)]
-Lock = Annotated[
-    list[str] | None, option("--lock JOINT", "Keep a joint still; repeat it for several.")
-]
-SpeedScale = Annotated[
-    float, option("--speed-scale X", "Slow the files down, for the first run on the robot.", _share)
-]
-Between = Annotated[
-    str | None, option("--between EFFECT,EFFECT", "Of discriminate: the two effects to tell apart.")
-]
-OfJoint = Annotated[str | None, option("--joint JOINT", "Of discriminate: where they are.")]
-Load = Annotated[
-    float, option("--load KG", "Of payload: the heaviest, for the torque limits.", min=0.0)
-]
-KeepOut = Annotated[
-    list[str] | None,
-    option("--keep-out BOX", "Box that no link enters: x,y,z,x,y,z in m; repeat it."),
-]
-Workspace = Annotated[
-    str | None, option("--workspace BOX", "Box that no link leaves: x,y,z,x,y,z in m.")
-]
-Seed = Annotated[int, option("--seed N", "Of the moves that are drawn.", min=0)]
-
-
-def run(
-    context: typer.Context,
-    what: Chosen,
-    robot: RobotPath,
-    parameters: PlanParameters = None,
-    have: Have = None,
-    output: Output = None,
-    trajectories: Trajectories = None,
-    duration_s: Duration = PlanOptions.duration_s,
-    move_s: MoveDuration = None,
-    together: Together = False,
-    ramp_s: Ramp = PlanOptions.ramp_s,
-    share: LimitShare = PlanOptions.share,
-    lock: Lock = None,
-    speed_scale: SpeedScale = PlanOptions.speed_scale,
-    between: Between = None,
-    joint: OfJoint = None,
-    load_kg: Load = PlanOptions.load_kg,
-    keep_out: KeepOut = None,
-    workspace: Workspace = None,
-    seed: Seed = PlanOptions.seed,
-    strict: Strict = False,
-) -> int:
-    """Plan the moves to record next, within the limits, and the standard errors they will give.
-
-    Limits are the tighter of the robot file's and the URDF's. Nothing is sent to a robot.
-    """
-    with listening(context) as told:
-        from seqid_cli import plan
-
-        options = replace(
-            told.options(plan.PlanOptions),
-            locked=tuple(lock or ()),
-            between=tuple(between.split(",")) if between else (),
-            keep_out=tuple(_box(text) for text in keep_out or ()),
-            workspace=None if workspace is None else _box(workspace),
-        )
-        file = plan.plan(
-            what,
-            robot,
-            parameters or (),
-            options,
-            have=have or (),
-            output=output,
-            trajectories=trajectories,
-        )
-    screen = told.screen
-    screen.document(file)
-    _show(screen, file)
-    for path in (trajectories, output):
-        if path is not None:
-            screen.note(f"written: {path}")
-    return told.ended(untrusted=any_poor(file.verdicts))
 
 
 def _show(screen: Screen, plan: PlanFile) -> None:

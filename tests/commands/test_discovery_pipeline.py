@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import jsonschema
-import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.__main__ import main

@@ -81,13 +81,6 @@ def test_a_number_that_is_not_finite_is_a_bug_and_not_a_result(
     assert not (rig.folder / "out.json").exists()
 
 
-def test_an_interruption(rig: Rig, reader: Reader, identified: Replace) -> None:
-    identified("friction_surface.stage", "identify_friction", KeyboardInterrupt())
-    done = rig.run(*FRICTION)
-    assert (done.code, done.err) == (130, "seqid friction: interrupted\n")
-    assert not (rig.folder / "out.json").exists()
-
-
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_signal_during_an_import_exits_with_130(name: str, tmp_path: Path) -> None:
     """Imports run texts by `exec`, to make dataclasses; Python remembers an interrupt in those."""

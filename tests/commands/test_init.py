@@ -14,7 +14,6 @@ import pytest
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.inspect.guess import guess_channels
-from seqid_cli.inspect.propose import match_names
 from seqid_cli.logs.read import read_recording
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.toml.schema import Columns
@@ -233,17 +232,6 @@ def test_a_bag_needs_no_names_of_columns(start: Start, write: Write) -> None:
     assert start.document["channels"] == {}
 
 
-def test_match_names_pairs_the_nearest_one_to_one() -> None:
-    urdf = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "joint_1", "joint_2"]
-    log = ["ShoulderPan", "elbow", "shoulder_lift", "Joint2"]
-    assert match_names(log, urdf) == {
-        "ShoulderPan": "shoulder_pan_joint",
-        "elbow": "elbow_joint",
-        "shoulder_lift": "shoulder_lift_joint",
-        "Joint2": "joint_2",
-    }
-
-
 @pytest.mark.parametrize(
     ("columns", "patterns", "joints"),
     [
@@ -270,9 +258,6 @@ def test_match_names_pairs_the_nearest_one_to_one() -> None:
             2,
         ),
         (["time", "voltage", "status_1"], {}, 0),
-        (["time", "q1", "q2", "i1", "i2"], {"position": "q{index}", "current": "i{index}"}, 2),
-        (["Zeit [s]", "Winkel Achse 1 [°]", "Winkel Achse 2 [°]", "Strom 1 [A]", "Strom 2 [A]"],
-         {"position": "Winkel Achse {index} [°]", "current": "Strom {index} [A]"}, 2),
         (["Zeit [ms]", *(f"{w} A{k} [x]" for w in ("Istposition", "Sollposition", "Istdrehzahl",
              "Motorstrom") for k in (1, 2))],
          {"position": "Istposition A{index} [x]", "velocity": "Istdrehzahl A{index} [x]",
@@ -280,8 +265,6 @@ def test_match_names_pairs_the_nearest_one_to_one() -> None:
         (["time", "q2", "i2"], {"position": "q2", "current": "i2"}, 1),
         (["time", "q2", "q3", "i1", "i2", "i3"],
          {"position": ("q2", "q3"), "current": ("i2", "i3")}, 2),
-        (["time [s]", "a1 position [rad]", "a2 position [rad]"],
-         {"position": "a{index} position [rad]"}, 2),
         (["Zeit [s]", "Position A1 [°]", "Position A2 [mm]", "Strom A1 [A]", "Strom A2 [A]"],
          {"position": ("Position A1 [°]", "Position A2 [mm]"), "current": "Strom A{index} [A]"}, 2),
         (["time", "q_des", "q_act", "tau"], {"position": "q_act", "torque": "tau"}, 1),

@@ -90,19 +90,3 @@ def test_a_plug_in_loads_only_when_it_is_named(
         robot.write_text(given + more)
         main(["diagnose", log, "-r", str(robot), *model])
         assert ("was loaded" in capsys.readouterr().err) == loaded
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("inspect", str(SAMPLES / "validation")),
-        ("compare", str(SAMPLES / "golden.json"), str(SAMPLES / "golden.json")),
-        ("init", str(SAMPLES / "friction")),
-    ],
-    ids=lambda arguments: arguments[0],
-)
-def test_so_do_the_others(arguments: tuple[str, ...]) -> None:
-    done = watched(*arguments)
-    assert done.returncode in (0, 1, 2), done.stderr
-    assert "FORBIDDEN" not in done.stderr

@@ -15,11 +15,13 @@ from seqid_cli.__main__ import main
 from seqid_cli.discover.excerpts import excerpts
 from seqid_cli.logs import pieces, read
 from tests import ROOT
+from tests.commands.conftest import Rig
 from tests.commands.torment import COMMANDS, torment
 from tests.studies.soak import write_log
 
 SAMPLES = ROOT / "sample_logs" / "one_joint"
 ROBOT = ("-r", str(SAMPLES / "robot.toml"))
+MODEL = ("-p", str(SAMPLES / "golden.json"))
 
 
 def cut(path: Path) -> None:
@@ -36,13 +38,9 @@ def grow(path: Path) -> None:
     [(cut, "changed while"), (grow, "changed while"), (Path.unlink, "cannot be read")],
 )
 def test_a_log_that_changes_is_refused(
-    change: Callable[[Path], None],
-    said: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    change: Callable[[Path], None], said: str, rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    log, own = tmp_path / "log.parquet", read.read_whole
+    log, own = rig.folder / "log.parquet", read.read_whole
     shutil.copy(SAMPLES / "validation" / "point_to_point.parquet", log)
 
     def changing(*arguments: object) -> object:
@@ -51,24 +49,20 @@ def test_a_log_that_changes_is_refused(
         return raw
 
     monkeypatch.setattr(read, "read_whole", changing)
-    model = ("-p", str(SAMPLES / "golden.json"))
-    assert main(["predict", str(log), *ROBOT, *model, "-o", str(tmp_path / "p.json")]) == 2
-    assert said in capsys.readouterr().err
-    assert not (tmp_path / "p.json").exists()
+    done = rig.run("predict", "log.parquet", *ROBOT, *MODEL, "-o", "p.json")
+    assert done.code == 2
+    assert said in done.err
+    assert not (rig.folder / "p.json").exists()
 
 
-def test_too_little_memory_is_no_bug(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_too_little_memory_is_no_bug(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object) -> None:
         raise MemoryError("Unable to allocate 8 GiB")
 
     monkeypatch.setattr(read, "read_whole", full)
-    assert (
-        main(["predict", str(SAMPLES / "validation"), *ROBOT, "-p", str(SAMPLES / "golden.json")])
-        == 2
-    )
-    assert "there is too little memory (Unable to allocate 8 GiB)" in capsys.readouterr().err
+    done = rig.run("predict", str(SAMPLES / "validation"), *ROBOT, *MODEL)
+    assert done.code == 2
+    assert "there is too little memory (Unable to allocate 8 GiB)" in done.err
 
 
 @pytest.mark.slow
@@ -101,7 +95,7 @@ def test_memory_does_not_grow_with_the_log(
     monkeypatch.setitem(parts, "most_values", 300_000)
     monkeypatch.setitem(taken, "most_values", 120_000)
     monkeypatch.setattr(excerpts, "PASSED_OVER", 1000)
-    model = () if command == "inspect" else ("-p", str(SAMPLES / "golden.json"))
+    model = () if command == "inspect" else MODEL
 
     def lines(minutes: float) -> list[str]:
         log, out = tmp_path / f"{minutes}.parquet", tmp_path / "out.json"

@@ -41,18 +41,6 @@ def test_a_plan_is_written_with_its_trajectories(rig: Rig) -> None:
         assert np.abs(speed - rows[:, 3]).max() < 0.02 * np.abs(rows[:, 3]).max() + 1e-6
 
 
-def test_the_dry_run_is_slower(rig: Rig) -> None:
-    for name, more in (("full", ()), ("slow", ("--speed-scale", "0.5"))):
-        done = rig.run("plan", "inertia", "-r", TWO, "--trajectories", name, *SHORT, *more)
-        assert done.code == 0, done.err
-    name = next((rig.folder / "full").glob("*.csv")).name
-    full, slow = (rows_of(rig.folder / folder / name)[1] for folder in ("full", "slow"))
-    assert slow[:, 0] == pytest.approx(2 * full[:, 0])
-    assert slow[:, 1:3] == pytest.approx(full[:, 1:3])
-    assert slow[:, 3:5] == pytest.approx(full[:, 3:5] / 2, abs=1e-6)  # six decimals
-    assert slow[:, 5:] == pytest.approx(full[:, 5:] / 4, abs=1e-6)  # six decimals
-
-
 def test_mistakes_are_told(rig: Rig) -> None:
     shutil.copy(TWO, rig.folder / "two.toml")
     check_transcript(rig, "plan")

@@ -147,14 +147,6 @@ def test_the_document(rig: Rig, library: Library) -> None:
     ]
 
 
-def test_a_refined_file_is_taken_wherever_an_inertia_file_is(rig: Rig, library: Library) -> None:
-    assert rig.run(*BASE, "-o", "out.json").code == 0
-    again = [*BASE[:-1], "out.json", "-o", "again.json"]
-    assert rig.run(*again).code == 0
-    assert read_parameters(rig.folder / "again.json").stages.effects == [EFFECT]
-    assert library.earlier == {"effects": ["a.parquet"]}
-
-
 DOUBTFUL = structs.replace(
     LOOP.rounds[0], held_out_gain=0.02, interval=[-0.3, 0.34], confirmed=False
 )

@@ -4,13 +4,11 @@ import io
 import json
 import re
 import shutil
-from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from seqid_cli.__main__ import main
 from seqid_cli.commands.screen.layout import format_table, visible, visible_cell
 from seqid_cli.commands.screen.progress import ProgressLine
 from seqid_cli.commands.screen.render import Screen
@@ -18,6 +16,7 @@ from seqid_cli.commands.screen.show import show_stages, verdict_text
 from seqid_cli.commands.screen.show_diagnosis import parameters_text
 from seqid_cli.params.schema import EffectOfJoint, Parameter, Verdict
 from tests import ROOT
+from tests.commands.conftest import Rig
 from tests.unit.logs.writers import write_raw
 from tests.unit.params.documents import inertia_file, robot
 
@@ -26,14 +25,10 @@ EVIL = "a\x1b]0;owned\x07\x9b2J\u202etxt\x00b"
 STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e]")
 
 
-def test_they_are_escaped_as_json_does() -> None:
-    assert visible("a\x1b[2Jb\tc\n") == "a\\u001b[2Jb\tc\n"
-    assert visible_cell("a\tb\nc") == "a\\tb\\nc"
-    assert visible("Gelenk ö, 关节") == "Gelenk ö, 关节"
-
-
 @given(st.text())
 def test_nothing_that_steers_is_left(text: str) -> None:
+    assert visible("a\x1b[2Jb\tc\n") == "a\\u001b[2Jb\tc\n"
+    assert visible_cell("Gelenk ö\tb\nc") == "Gelenk ö\\tb\\nc"
     shown = visible(text)
     assert not STEERING.search(shown)
     shown.encode("utf-8")
@@ -61,40 +56,25 @@ def test_json_stays_json(capsys: pytest.CaptureFixture[str]) -> None:
     assert json.loads(text) == {"name": EVIL}
 
 
-def test_a_file_s_name_does_not_reach_the_terminal(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = tmp_path / f"{EVIL.replace(chr(0), '')}.parquet"
+def test_names_of_files_and_topics_do_not_reach_the_terminal(rig: Rig) -> None:
+    log = str(rig.folder / f"{EVIL.replace(chr(0), '')}.parquet")
     shutil.copy(next((SAMPLES / "friction").iterdir()), log)
-    for arguments in (["inspect", str(log)], ["inspect", str(log), "--json"]):
-        assert main(arguments) == 0
-        shown = capsys.readouterr()
-        assert not STEERING.search(shown.out + shown.err)
-    assert main(["friction", str(log) + "x", "-r", str(SAMPLES / "robot.toml")]) == 2
-    assert not STEERING.search(capsys.readouterr().err)
-
-
-def test_a_topic_s_name_does_not_reach_the_terminal(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
     topics = {f"/{EVIL}": ("cdr", EVIL, "ros2msg", b"float64 x")}
-    log = write_raw(tmp_path / "log.mcap", topics, [(f"/{EVIL}", 0, b"")])
-    for more in ([], ["--json"], ["-r", str(SAMPLES / "robot.toml")]):
-        assert main(["inspect", str(log), *more]) == 2
-        shown = capsys.readouterr()
-        assert "owned" in shown.err
-        assert not STEERING.search(shown.out + shown.err)
+    bag = str(write_raw(rig.folder / "log.mcap", topics, [(f"/{EVIL}", 0, b"")]))
+    refused = (["friction", f"{log}x", "-r", "robot.toml"], ["inspect", bag])
+    for arguments in (["inspect", log], *refused):
+        for more in ([], ["--json"]):
+            done = rig.run(*arguments, *more)
+            assert done.code == (2 if arguments in refused else 0)
+            assert "owned" in done.out + done.err
+            assert not STEERING.search(done.out + done.err)
 
 
-def test_a_long_name_does_not_fill_the_screen(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["inspect", "x" * 100_000]) == 2
-    said = capsys.readouterr().err
-    assert len(said) < 10_000
-    assert "error" in said
-
-
-COLUMNS = ("joint", "error", "verdict")
-ROWS = [("elbow", "0.125", "good"), ("wrist_1", "12", "poor: noisy [a]"), ("w", "-", "-")]
+def test_a_long_name_does_not_fill_the_screen(rig: Rig) -> None:
+    done = rig.run("inspect", "x" * 100_000)
+    assert done.code == 2
+    assert "error" in done.err
+    assert len(done.err) < 10_000
 
 
 def test_a_table_fits_the_screen_and_no_number_is_cut() -> None:
@@ -180,23 +160,17 @@ ONE, TWO, SIX = (ROOT / "sample_logs" / name for name in ("one_joint", "two_join
     ids=lambda words: words[0],
 )  # fmt: skip
 def test_screens_of_80_columns_hold_every_number(
-    words: tuple[str, ...],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    words: tuple[str, ...], rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.delenv("COLUMNS", raising=False)
-    assert main([*words]) == 0
-    wide = capsys.readouterr().out
+    wide = rig.run(*words)
     for name, value in (("COLUMNS", "80"), ("NO_COLOR", "1")):
         monkeypatch.setenv(name, value)
-    assert main([*words]) == 0
-    narrow = capsys.readouterr().out
-    assert max(len(line) for line in narrow.splitlines() if " " in line.strip()) <= 80
-    numbers = {word for word in wide.split() if re.fullmatch(r"-?\d[\d.]*(e[-+]\d+)?", word)}
+    narrow = rig.run(*words)
+    assert (wide.code, narrow.code) == (0, 0)
+    assert max(len(line) for line in narrow.out.splitlines() if " " in line.strip()) <= 80
+    numbers = {word for word in wide.out.split() if re.fullmatch(r"-?\d[\d.]*(e[-+]\d+)?", word)}
     assert len(numbers) > 3
-    assert numbers <= set(narrow.split())
+    assert numbers <= set(narrow.out.split())
 
 
 def test_a_smooth_term_is_shown_by_what_it_depends_on() -> None:

@@ -27,38 +27,16 @@ from tests.studies.fuzz.answers import answer
 SAMPLE = ROOT / "sample_logs" / "one_joint"
 AFTER = 2  # calls and returns after a file has its name, in which it may be killed as well
 OLD = b"what was there before\n"
-_R = ("-r", str(SAMPLE / "robot.toml"))
 _GOLDEN = str(SAMPLE / "golden.json")
-_RP = (*_R, "-p", _GOLDEN)
-_LOGS = {path.name: str(path) for path in SAMPLE.iterdir() if path.is_dir()}
-_CHANGED = tuple(str(SAMPLE / "changed" / f"{name}.parquet") for name in ("fourier", "held_out"))
-_A = ("-o", "{}/a.json")
-_APART = ("--between", "stribeck,quadratic_drag", "--joint", "joint_1")
+_R = ("-r", str(SAMPLE / "robot.toml"))
+_PREDICT = ("predict", str(SAMPLE / "validation"), *_R, "-p", _GOLDEN, "-o", "{}/a.json")
 Line = tuple[str, ...]
 COMMANDS: dict[str, Line] = {  # {} is the folder for the output
-    "init": ("init", _LOGS["friction"], "--force", "-o", "{}/a.toml"),
-    "inspect": ("inspect", _LOGS["validation"], *_R, *_A),
-    "friction": ("friction", _LOGS["friction"], *_R, *_A),
-    "gravity": ("gravity", _LOGS["gravity"], *_RP, *_A),
-    "imu-calib": ("imu-calib", _LOGS["imu"], *_RP, *_A),
-    "inertia": ("inertia", _LOGS["inertia"], *_RP, *_A),
-    "simultaneous": ("simultaneous", _LOGS["inertia"], *_R, *_A),
-    "predict": ("predict", _LOGS["validation"], *_RP, *_A, "--torques", "{}/t.parquet"),
-    "predict, MCAP": ("predict", _LOGS["validation"], *_RP, *_A, "--torques", "{}/t.mcap"),
-    "diagnose": ("diagnose", _LOGS["validation"], *_RP, *_A),
-    "refine": ("refine", _CHANGED[0], "--holdout", _CHANGED[1], *_RP, *_A),
-    "payload": ("payload", _LOGS["validation"], *_RP, *_A),
-    "plan": ("plan", "friction", *_R, *_A, "--trajectories", "{}/moves"),
-    "plan discriminate": ("plan", "discriminate", *_APART, *_RP, *_A),
-    "trend": ("trend", _GOLDEN, "{}/../later.json", *_A, "--table", "{}/t.parquet"),
+    "friction": ("friction", str(SAMPLE / "friction"), *_R, "-o", "{}/a.json"),
+    "predict": (*_PREDICT, "--torques", "{}/t.parquet"),
+    "predict, MCAP": (*_PREDICT, "--torques", "{}/t.mcap"),
+    "trend": ("trend", _GOLDEN, "{}/../later.json", "-o", "{}/a.json", "--table", "{}/t.parquet"),
     "report": ("report", _GOLDEN, "-o", "{}/a.html"),
-    "report, a fleet": ("report", _GOLDEN, "{}/../later.json", "--by", "name", "-o", "{}/a.html"),
-    "export, URDF": ("export", _GOLDEN, *_R, "-o", "{}/a.urdf"),
-    "export, MJCF": ("export", _GOLDEN, *_R, "-o", "{}/a.xml"),
-    "export, ROS 2": ("export", _GOLDEN, *_R, "-o", "{}/a.yaml"),
-    "export, C": ("export", _GOLDEN, *_R, "-o", "{}/a.h"),
-    "export, Python": ("export", _GOLDEN, *_R, "-o", "{}/a.py"),
-    "run": ("run", str(SAMPLE), *_R, "-o", "{}"),
 }
 
 
@@ -161,17 +139,7 @@ def _die_at(last: int) -> None:
 
 
 def torment(line: Line, work: Path, *, kills: int, points: int) -> Forks:
-    """Run a command, forked before each file that it writes.
-
-    Parameters
-    ----------
-    line : tuple of str
-        The command with {} for the folder that it writes to.
-    work : Path
-        An empty folder.
-    kills, points : int
-        Forks that are killed, and forks whose disk is full, in all.
-    """
+    """Run a command in an empty folder, with so many `kills` and full disks (`points`) in all."""
     folder, parent = work / "out", os.getpid()
     later = json.loads(Path(_GOLDEN).read_text()) | {"created": "2031-01-01T00:00:00Z"}
     (work / "later.json").write_text(json.dumps(later))

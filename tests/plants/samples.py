@@ -66,32 +66,43 @@ def changed_trials(
     ]
 
 
-def one_joint_recipe() -> Recipe:
-    """Sec. 4.1 at 1 kHz, all Parquet; then a hose pulls at the link."""
-    plant, rng, home = one_joint(), np.random.default_rng(SEED), [np.zeros(1)]
-    trials = [
+def one_joint_trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
+    """All logs of the one-joint rig."""
+    home = [np.zeros(1)]
+    return [
         *friction_trials(plant, home),
         *gravity_trials(plant, home, speeds=(0.1, 0.2)),
         *imu_trials(plant, home),
         *inertia_trials(plant, home, rng, seconds=12.0),
         *validation_trials(plant, rng, runs=1, seconds=12.0),
     ]
+
+
+def one_joint_recipe() -> Recipe:
+    """Sec. 4.1 at 1 kHz, all Parquet; then a hose pulls at the link."""
+    plant = one_joint()
+    trials = one_joint_trials(plant, np.random.default_rng(SEED))
     base = {"mx_1": float(plant.arm.phi[0, 1]), "my_1": 0.0, "Izz_1": float(plant.arm.phi[0, 9])}
     later = changed_trials(plant, np.random.default_rng([SEED, 1]), seconds=35.0, imus=True)
     change = inject("spring", plant, 0)
     return Recipe(plant, trials, change, later, 4, 1, {}, base=base)
 
 
-def two_joint_recipe() -> Recipe:
-    """Sec. 4.2 at 250 Hz, the IMU rotations as JSON MCAP; then the elbow's gear has worn."""
-    plant, rng = two_joint(), np.random.default_rng(SEED + 1)
+def two_joint_trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
+    """All logs of the planar rig; there is no gravity to identify."""
     postures = [np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9)]
-    trials = [
+    return [
         *friction_trials(plant, postures[:1]),
         *imu_trials(plant, postures, turns=1),
         *inertia_trials(plant, postures[1:], rng, pairs=[(0, 1), (0, 1)], seconds=8.0),
         *validation_trials(plant, rng, runs=1, seconds=12.0, points=6),
     ]
+
+
+def two_joint_recipe() -> Recipe:
+    """Sec. 4.2 at 250 Hz, the IMU rotations as JSON MCAP; then the elbow's gear has worn."""
+    plant = two_joint()
+    trials = two_joint_trials(plant, np.random.default_rng(SEED + 1))
     phi, length = plant.arm.phi, float(plant.arm.dh[1, 1])
     pi_1 = phi[0, 9] + plant.arm.reflected[0] + phi[1, 0] * length**2
     base = {
@@ -118,19 +129,25 @@ SIX_POSTURES = np.array(
 )
 
 
-def six_joint_recipe() -> Recipe:
-    """Build the UR5e-sized arm's logs at 250 Hz; some two-joint moves as CDR MCAP.
-
-    Then a hose has been laid over its elbow.
-    """
-    plant, rng, postures = six_joint(), np.random.default_rng(SEED + 2), list(SIX_POSTURES)
-    trials = [
+def six_joint_trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
+    """All logs of the UR5e-sized arm."""
+    postures = list(SIX_POSTURES)
+    return [
         *friction_trials(plant, postures[:1], lowest=0.08),
         *gravity_trials(plant, postures[:5], speeds=(0.3,)),
         *imu_trials(plant, postures, turns=2),
         *inertia_trials(plant, postures, rng, seconds=5.0),
         *validation_trials(plant, rng, runs=1, seconds=15.0, points=6),
     ]
+
+
+def six_joint_recipe() -> Recipe:
+    """Build the UR5e-sized arm's logs at 250 Hz; some two-joint moves as CDR MCAP.
+
+    Then a hose has been laid over its elbow.
+    """
+    plant = six_joint()
+    trials = six_joint_trials(plant, np.random.default_rng(SEED + 2))
     shoulder = [f"inertia/{trial.name}" for trial in trials if trial.stage == "inertia"][:3]
     later = changed_trials(plant, np.random.default_rng([SEED + 2, 1]), seconds=27.0, imus=False)
     change = inject("spring", plant, 2)

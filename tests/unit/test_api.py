@@ -31,9 +31,9 @@ GOLDEN = SAMPLES / "golden.json"
 ORDERS = identify.FrictionOptions(position_order=2, velocity_order=3)
 ENCODER = identify.PredictOptions(source="encoder")
 ON_SCREEN_ONLY = {"context", "strict", "form", "explain"}
+ON_SCREEN_ONLY |= {"quiet", "verbose", "json", "no_color", "debug"}
 OTHERWISE = {"jobs", "engine", "scheduler"}  # an executor
 WITHOUT = {"completion", "init", "run"}  # a shell's script, a template, and the others in a row
-RENAMED = {"lock": "locked", "files": "parameters"}
 
 
 def function_of(name: str) -> Callable[..., object]:
@@ -46,13 +46,14 @@ def function_of(name: str) -> Callable[..., object]:
 
 @pytest.mark.parametrize("name", sorted(set(COMMANDS) - WITHOUT))
 def test_functions_take_what_commands_take(name: str) -> None:
-    command = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
-    asked = set(signatures.signature(command.run).parameters) - ON_SCREEN_ONLY - OTHERWISE
-    function = function_of(COMMANDS[name].module)
+    python_name = name.replace("-", "_")
+    module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
+    command, function = getattr(module, python_name), function_of(python_name)
+    asked = set(signatures.signature(command).parameters) - ON_SCREEN_ONLY - OTHERWISE
     taken = signatures.signature(function).parameters
     options = taken["options"].default if "options" in taken else None
     known = set(taken) | set(getattr(options, "__dataclass_fields__", ()))
-    assert {n for n in asked if n not in known and RENAMED.get(n) not in known} == set()
+    assert {n for n in asked if n not in known} == set()
     assert function.__doc__
     assert issubclass(_result(function), msgspec.Struct)
 

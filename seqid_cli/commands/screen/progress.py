@@ -8,7 +8,7 @@ from typing import TextIO
 
 from seqid_cli.commands.screen.layout import shortened
 
-_PATIENCE_S, _TICK_S = 0.5, 0.5
+_PATIENCE_S = _TICK_S = 0.5
 _CELLS, _TEXT = 16, 30
 _CLEAR = "\r\x1b[2K"
 
@@ -22,16 +22,12 @@ class ProgressLine:
     def __init__(
         self, stream: TextIO, *, enabled: bool, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._stream = stream
+        self._stream, self._clock = stream, clock
         self._enabled = enabled and stream.isatty()
-        self._clock = clock
-        self._start = clock()
         self._state: tuple[int, int, str] = (0, 0, "starting")
-        self._began = self._start  # the work of which `done` parts are finished
-        self._told = self._start  # the last part
+        self._start = self._began = self._told = clock()  # of all, of these parts, of the last
         self._drawn = False
-        self._lock = threading.RLock()
-        self._closed = threading.Event()
+        self._lock, self._closed = threading.RLock(), threading.Event()
         if self._enabled:
             threading.Thread(target=self._tick, daemon=True).start()
 
@@ -57,7 +53,7 @@ class ProgressLine:
         """Remove the line for good."""
         self._closed.set()
         with self.hidden():
-            pass
+            self._enabled = False
 
     def _tick(self) -> None:
         while not self._closed.wait(_TICK_S):
@@ -66,7 +62,7 @@ class ProgressLine:
     def _draw(self) -> None:
         now = self._clock()
         with self._lock:
-            if not self._enabled or self._closed.is_set() or now - self._start < _PATIENCE_S:
+            if not self._enabled or now - self._start < _PATIENCE_S:
                 return
             done, total, text = self._state
             filled = min(_CELLS, _CELLS * done // max(total, 1))
@@ -75,8 +71,7 @@ class ProgressLine:
             left = (self._told - self._began) * (total - done) / max(done, 1)
             if left > now - self._told:
                 times += f", about {left - now + self._told:.0f} s left"
-            count = f"{done}/{total} " if total else ""
-            line = f"[{bar}] {count}{shortened(text, _TEXT)}  {times}"
-            self._stream.write(f"{_CLEAR}{line[:79]}")
+            text = (f"{done}/{total} " if total else "") + shortened(text, _TEXT)
+            self._stream.write(f"{_CLEAR}{f'[{bar}] {text}  {times}'[:79]}")
             self._stream.flush()
             self._drawn = True

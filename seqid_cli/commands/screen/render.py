@@ -2,13 +2,12 @@
 
 import os
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import typer
 
 from seqid_cli import shares
-from seqid_cli.commands.options import screen_flag
 from seqid_cli.commands.screen.layout import (
     Row,
     folded,
@@ -40,8 +39,8 @@ class Screen:
         if self.json or not rows:
             return
         cells = [[visible_cell(cell) for cell in row] for row in rows]
-        style = _style if self.color else None
-        sys.stdout.write(format_table(columns, cells, width=width_of(sys.stdout), style=style))
+        width = width_of(sys.stdout)
+        sys.stdout.write(format_table(columns, cells, width=width, color=self.color))
 
     def values(self, found: Values) -> None:
         """Print values under their heads."""
@@ -65,10 +64,6 @@ class Screen:
             line = f"seqid {self.command}: warning: {visible(message)}"
             sys.stderr.write(folded(line, width_of(sys.stderr)) + "\n")
 
-    def knows(self, messages: Iterable[str]) -> None:
-        """Keep messages from being said: they were, in other words."""
-        self.said.update(messages)
-
     def remark(self, *messages: str) -> None:
         """Say what a result remarks, unless it was said before."""
         for message in messages:
@@ -88,16 +83,15 @@ class Screen:
 
 
 def screen_of(context: typer.Context) -> Screen:
-    """Return the screen that the command line and the environment ask for, or a caller's own."""
-    if isinstance(context.obj, Screen):
-        return context.obj
-    plain = os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
+    """Return the screen that the command line and the environment ask for."""
+    given = context.params
+    plain = given["no_color"] or os.environ.get("NO_COLOR") or os.environ.get("TERM") == "dumb"
     return Screen(
         command=context.info_name or "",
-        quiet=screen_flag(context, "quiet"),
-        verbose=screen_flag(context, "verbose"),
-        json=screen_flag(context, "json"),
-        color=not (plain or screen_flag(context, "no_color")) and sys.stdout.isatty(),
+        quiet=given["quiet"],
+        verbose=given["verbose"],
+        json=given["json"],
+        color=not plain and sys.stdout.isatty(),
     )
 
 
@@ -109,10 +103,3 @@ def number(value: float | None, digits: int = 3) -> str:
 def percent(share: float | None) -> str:
     """Return a share in percent."""
     return "-" if share is None else shares.percent(share)
-
-
-def _style(cell: str, head: bool) -> str:
-    """The code that colours a cell; a table is laid out alike without it."""
-    if head:
-        return "\x1b[1m"
-    return "\x1b[32m" if cell == "good" else "\x1b[33m" * cell.startswith("poor")

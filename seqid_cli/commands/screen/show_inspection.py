@@ -2,13 +2,14 @@
 
 import os
 import re
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
 from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.params.results.inspection import InspectedLog, InspectionFile, InspectionFinding
-from seqid_cli.params.results.tables import Values, heads, values
+from seqid_cli.params.results.tables import values
 
 _WORDS = {
     "good": "nothing wrong was found",
@@ -58,34 +59,32 @@ def _logs(screen: Screen, logs: Sequence[InspectedLog]) -> None:
     for k, log in enumerate(logs):
         moves = sum(joint.moves for joint in log.joints), len(log.joints)
         alike = (log.verdict, log.format, moves, tuple(log.serves))
-        groups.setdefault(alike if len(logs) > _LISTED and not screen.verbose else k, []).append(
-            log
-        )
-    rows = []
+        grouped = len(logs) > _LISTED and not screen.verbose
+        groups.setdefault(alike if grouped else k, []).append(log)
+    uneven = any(log.gaps or log.jitter >= SHOWN_JITTER for log in logs)
+    formats = not uneven or len({log.format for log in logs}) > 1  # else the names tell it
+    titles = f"log | verdict{' | format' * formats} | s | Hz{' | jitter | gaps' * uneven}"
+    kinds = f"text text{' text' * formats} number4 text{' share count' * uneven} text text"
+    rows: list[list[object]] = []
     for own in groups.values():
         first, more = own[0], f" and {len(own) - 1} more" if len(own) > 1 else ""
-        name, rate = first.path.removeprefix(folder), median(log.rate_hz for log in own)
-        uneven = (max(log.jitter for log in own), sum(len(log.gaps) for log in own))
+        rate = number(median(log.rate_hz for log in own), 4 if more else 5)
+        jitter = (max(log.jitter for log in own), sum(len(log.gaps) for log in own))
         moving = f"{sum(joint.moves for joint in first.joints)} of {len(first.joints)}"
-        length, hz = sum(log.seconds for log in own), number(rate, 4 if more else 5)
-        what = (name + more, first.verdict, first.format or None, length, hz)
-        rows.append((*what, *uneven, moving, ", ".join(first.serves) or None))
-    uneven_logs = any(log.gaps or log.jitter >= SHOWN_JITTER for log in logs)
-    names_tell = uneven_logs and len({row[2] for row in rows}) == 1
-    left_out = {2} if names_tell else set() if uneven_logs else {5, 6}
-    kept = [k for k in range(9) if k not in left_out]
-    titles = "log | verdict | format | s | Hz | jitter | gaps | moving | serves"
-    columns = heads(titles, "text text text number4 text share count text text")
-    shown = [[row[k] for k in kept] for row in rows]
-    screen.values(Values([columns[k] for k in kept], shown))
+        name: list[object] = [first.path.removeprefix(folder) + more, first.verdict]
+        name += [first.format or None] if formats else []
+        sizes = [sum(log.seconds for log in own), rate, *(jitter if uneven else ())]
+        rows.append([*name, *sizes, moving, ", ".join(first.serves) or None])
+    screen.values(values(f"{titles} | moving | serves", kinds, rows))
 
 
 def _serves(screen: Screen, logs: Sequence[InspectedLog]) -> None:
     """Say what several logs serve for as a whole, and which joints they leave out."""
     if len(logs) < 2 or not any(log.serves for log in logs):
         return
-    counts = [f"{stage} ({_count(stage, logs)})" for stage in _STAGES if _count(stage, logs)]
-    screen.result(f"as a whole they serve {', '.join(counts)}")
+    counts = Counter(stage for log in logs for stage in log.serves)
+    texts = [f"{x} ({counts[x]} log{'s' * (counts[x] > 1)})" for x in _STAGES if counts[x]]
+    screen.result(f"as a whole they serve {', '.join(texts)}")
     alone = {move.joint for log in logs if "friction" in log.serves for move in log.moves}
     names = dict.fromkeys(joint.name for log in logs for joint in log.joints)
     lacking = [name for name in names if name not in alone]
@@ -95,14 +94,11 @@ def _serves(screen: Screen, logs: Sequence[InspectedLog]) -> None:
 
 def _common_folder(paths: Sequence[str]) -> str:
     """Return the folder, with its separator, that several logs lie in; else nothing."""
-    if len(paths) < 2:
-        return ""
     try:
-        folder = os.path.commonpath([Path(path).parent for path in paths])
+        folder = os.path.commonpath([Path(path).parent for path in paths]) + os.sep
     except ValueError:  # absolute paths and relative ones, or several drives
         return ""
-    start = f"{folder}{os.sep}"
-    return start if all(path.startswith(start) for path in paths) else ""
+    return folder if len(paths) > 1 and all(path.startswith(folder) for path in paths) else ""
 
 
 def _findings(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
@@ -114,20 +110,13 @@ def _findings(screen: Screen, findings: Sequence[InspectionFinding]) -> None:
         key = (item.code, item.log + item.joint + item.message if screen.verbose else alike)
         shared.setdefault(key, []).append(item)
     for group in shared.values():
-        first, logs = group[0], dict.fromkeys(item.log for item in group)
-        count = f" (and {len(logs) - 1} more logs)" if len(logs) > 1 else ""
-        joints = ", ".join(dict.fromkeys(item.joint for item in group if item.joint))
-        channels = dict.fromkeys(item.channel for item in group)
-        place = [first.log + count, joints, first.channel if len(channels) == 1 else ""]
-        place = [part for part in place if part]
-        message = _message(first)
-        screen.result(f"{first.severity} [{first.code}] {': '.join([*place, message])}")
+        first, logs = group[0], {item.log for item in group}
+        place = [first.log + (f" (and {len(logs) - 1} more logs)" if len(logs) > 1 else "")]
+        place.append(", ".join(dict.fromkeys(item.joint for item in group if item.joint)))
+        place.append(first.channel if len({item.channel for item in group}) == 1 else "")
+        text = ": ".join([*filter(None, place), _message(first)])
+        screen.result(f"{first.severity} [{first.code}] {text}")
         screen.result(f"    {first.remedy}")
-
-
-def _count(stage: str, logs: Sequence[InspectedLog]) -> str:
-    count = sum(stage in log.serves for log in logs)
-    return f"{count} log" + "s" * (count > 1) if count else ""
 
 
 def _message(finding: InspectionFinding) -> str:

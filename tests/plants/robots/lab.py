@@ -5,14 +5,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
-
-from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.recording import Recording
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.plants.mechanics.rigid import PHI_NAMES
 from tests.plants.motions.experiments import Trial
 from tests.plants.robotfile import robot_toml
+from tests.plants.robots.made import made_recording
 from tests.plants.simulate import Log, Plant, simulate
 from tests.unit.logs.writers import write_parquet
 
@@ -39,17 +38,13 @@ def robot_of(name: str, plant: Plant) -> Robot:
 
 def recording_of(plant: Plant, name: str, log: Log) -> Recording:
     """What a reader makes of the log: joint torque from the current, nothing of the truth."""
-    rate = 1.0 / float(log.t[1] - log.t[0])
-    return Recording(
-        path=Path(name),
-        sha256="0" * 64,
-        format="simulated",
+    return made_recording(
+        log.q,
+        log.current * plant.torque_per_ampere,
+        rate_hz=round(1.0 / float(log.t[1] - log.t[0]), 6),
+        path=name,
         t=log.t,
         start=log.start,
-        q=log.q,
-        valid=np.ones(len(log.t), dtype=bool),
-        health=Health(rate_hz=round(rate, 6), jitter=0.0),
-        tau=log.current * plant.torque_per_ampere,
         temperature=log.temperature,
         accelerometers=dict(log.accelerometers),
     )

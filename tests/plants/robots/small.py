@@ -7,20 +7,14 @@ import pinocchio as pin
 
 from seqid_cli.robot.kinematics import chain_from_dh
 from seqid_cli.robot.types import Array, Chain, Joint, Robot
+from tests.plants.arms.rigs import UR5E_DH
+from tests.plants.arms.rigs import UR5E_NAMES as NAMES_6R
 
 HALF = float(np.pi / 2)
 GRAVITY = np.array([0.0, 0.0, -9.81])
 
 # Modified DH (alpha, a, d) of a UR5e-like arm; as URDF: rpy = alpha 0 0, xyz = a, -sin d, cos d.
-ARM_6R = (
-    (0.0, 0.0, 0.1625),
-    (HALF, 0.0, 0.0),
-    (0.0, -0.425, 0.0),
-    (0.0, -0.3922, 0.1333),
-    (HALF, 0.0, 0.0997),
-    (-HALF, 0.0, 0.0996),
-)
-NAMES_6R = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+ARM_6R = tuple(tuple(float(x) for x in row[:3]) for row in UR5E_DH)
 
 
 def robot_from_chain(
@@ -41,10 +35,10 @@ def arm_6r(*, gear_ratio: float | None = None) -> Robot:
     )
 
 
-def planar_2r(*, gravity: Array = GRAVITY, gear_ratio: float = 6.0) -> Robot:
+def planar_2r() -> Robot:
     """Return the arm of Sec. 4.2: two vertical axes, l_1 = 0.3 m."""
     rows = [(0.0, 0.0, 0.0, 0.0), (0.0, 0.3, 0.0, 0.0)]
-    return robot_from_chain(chain_from_dh(rows), gravity=gravity, gear_ratio=gear_ratio)
+    return robot_from_chain(chain_from_dh(rows), gear_ratio=6.0)
 
 
 def link(name: str, *, mass: float | None = None, x: float = 0.0, mesh: str = "") -> str:

@@ -7,17 +7,9 @@ import numpy as np
 
 from seqid_cli.identify.options import InertiaOptions
 from tests.plants.arms.rigs import LINK_INERTIA, MOMENT, one_joint
-from tests.plants.motions.experiments import (
-    Trial,
-    friction_trials,
-    gravity_trials,
-    imu_trials,
-    inertia_trials,
-    validation_trials,
-)
 from tests.plants.robots.identified import before_inertia, with_inertia
 from tests.plants.robots.lab import run
-from tests.plants.simulate import Plant
+from tests.plants.samples import one_joint_trials
 from tests.studies.rigs.bound import bound
 from tests.studies.rigs.repetition import (
     METHODS,
@@ -64,23 +56,13 @@ class Repetition:
     torque: Torque
 
 
-def trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
-    """All logs of one repetition."""
-    home = [np.zeros(1)]
-    return [
-        *friction_trials(plant, home),
-        *gravity_trials(plant, home, speeds=(0.1, 0.2)),
-        *imu_trials(plant, home),
-        *inertia_trials(plant, home, rng, seconds=12.0),
-        *validation_trials(plant, rng, runs=1, seconds=12.0),
-    ]
-
-
 def repetition(factor: int, number_of: int) -> Repetition:
     """Build the rig, record, identify with every source, predict."""
     rng = np.random.default_rng([SEED, factor, number_of])
     plant = another(one_joint(quadrature_factor=factor), rng)
-    experiment = run("one_joint", plant, trials(plant, rng), SEED + 100 * factor + number_of)
+    experiment = run(
+        "one_joint", plant, one_joint_trials(plant, rng), SEED + 100 * factor + number_of
+    )
     recordings, robot, logs = experiment.recordings, experiment.robot, experiment.logs
     stages = before_inertia(recordings, robot)
     found = {

@@ -7,18 +7,9 @@ import numpy as np
 
 from tests import Array
 from tests.plants.arms.rigs import six_joint
-from tests.plants.motions.experiments import (
-    Trial,
-    friction_trials,
-    gravity_trials,
-    imu_trials,
-    inertia_trials,
-    validation_trials,
-)
 from tests.plants.robots.identified import sequential
 from tests.plants.robots.lab import run, true_standard, true_value
-from tests.plants.samples import SIX_POSTURES
-from tests.plants.simulate import Plant
+from tests.plants.samples import six_joint_trials
 from tests.studies.coverage.score import turned
 from tests.studies.rigs.repetition import METHODS, Torque, another, predicted
 from tests.studies.tables import number, rms, share_within, table
@@ -37,23 +28,13 @@ class Repetition:
     imus: dict[str, tuple[Array, Array]]  # error of the mounting (3,) deg, and the reported one
 
 
-def trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
-    """All logs of one repetition, as in the sample logs."""
-    postures = list(SIX_POSTURES)
-    return [
-        *friction_trials(plant, postures[:1], lowest=0.08),
-        *gravity_trials(plant, postures[:5], speeds=(0.3,)),
-        *imu_trials(plant, postures, turns=2),
-        *inertia_trials(plant, postures, rng, seconds=5.0),
-        *validation_trials(plant, rng, runs=1, seconds=15.0, points=6),
-    ]
-
-
 def repetition(number_of: int) -> Repetition:
     """Build the arm, record, identify, predict."""
     rng = np.random.default_rng([SEED, number_of])
     plant = another(six_joint(), rng)
-    experiment = run("six_joint", plant, trials(plant, rng), SEED + number_of, every=EVERY)
+    experiment = run(
+        "six_joint", plant, six_joint_trials(plant, rng), SEED + number_of, every=EVERY
+    )
     stages = sequential(experiment.recordings, experiment.robot)
     standard, mounted = true_standard(plant), stages.imu.imus
     return Repetition(

@@ -10,15 +10,9 @@ from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage
 from tests.plants.arms.rigs import two_joint
-from tests.plants.motions.experiments import (
-    Trial,
-    friction_trials,
-    imu_trials,
-    inertia_trials,
-    validation_trials,
-)
 from tests.plants.robots.identified import sequential
 from tests.plants.robots.lab import run, true_standard, true_value
+from tests.plants.samples import two_joint_trials
 from tests.plants.simulate import Plant
 from tests.studies.coverage.score import true_friction
 from tests.studies.rigs.repetition import (
@@ -32,7 +26,6 @@ from tests.studies.rigs.repetition import (
 from tests.studies.tables import number, rms, table
 
 SEED, REPETITIONS = 42, 6
-POSTURES = tuple(np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9))
 PAPER = {  # of Eq. 44: symbol, and the paper's error in %
     "Izz_1": ("pi_1 (I_1zz + N_1^2 I_m1 + m_2 l_1^2)", "2.1"),
     "Izz_2": ("pi_2 (I_2zz)", "10.5"),
@@ -63,21 +56,11 @@ class Repetition:
     torque: Torque
 
 
-def trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
-    """All logs of one repetition; there is no gravity to identify."""
-    return [
-        *friction_trials(plant, POSTURES[:1]),
-        *imu_trials(plant, POSTURES, turns=1),
-        *inertia_trials(plant, POSTURES[1:], rng, pairs=[(0, 1), (0, 1)], seconds=8.0),
-        *validation_trials(plant, rng, runs=1, seconds=12.0, points=6),
-    ]
-
-
 def repetition(number_of: int) -> Repetition:
     """Build the rig, record, identify, predict."""
     rng = np.random.default_rng([SEED, number_of])
     plant = another(two_joint(), rng)
-    experiment = run("two_joint", plant, trials(plant, rng), SEED + number_of)
+    experiment = run("two_joint", plant, two_joint_trials(plant, rng), SEED + number_of)
     logs, robot = experiment.recordings, experiment.robot
     stages = sequential(logs, robot)
     surfaces = {}

@@ -10,7 +10,7 @@ import numpy as np
 
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
-from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.recording import Recording
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests import Array, plants
@@ -19,6 +19,7 @@ from tests.plants.motions.trajectories import Reference
 from tests.plants.motions.trials import SEED_STRIDE, drills
 from tests.plants.robots.identified import sequential, simultaneous
 from tests.plants.robots.lab import recording_of, robot_of
+from tests.plants.robots.made import made_recording
 from tests.plants.samples import SIX_POSTURES
 from tests.plants.simulate import Plant, simulate
 from tests.studies.records import sources_of
@@ -101,18 +102,8 @@ def stored(
         part.replace(path)  # whole or not at all
     with np.load(path, allow_pickle=False) as data:
         q, rate = data["q"], float(data["rate"])
-        return Recording(
-            path=Path(name),
-            sha256=digest,
-            format="simulated",
-            t=np.arange(len(q), dtype=np.float64) / rate,
-            start=float(data["start"]),
-            q=q,
-            valid=np.ones(len(q), dtype=bool),
-            health=Health(rate_hz=rate, jitter=0.0),
-            tau=data["tau"],
-            temperature=data.get("temperature"),
-        )
+        more = {"start": float(data["start"]), "temperature": data.get("temperature")}
+        return made_recording(q, data["tau"], rate_hz=rate, path=name, sha256=digest, **more)
 
 
 def plant_sources() -> str:

@@ -1,54 +1,87 @@
-"""`seqid init`: a robot file from a log and a URDF, to be completed by hand."""
+"""The commands that look at logs before anything is identified: init and inspect."""
 
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
-from seqid_cli.commands.options import Logs, option
+from seqid_cli.commands.job import EXIT_DONE, EXIT_PARTIAL, EXIT_UNTRUSTED, called
+from seqid_cli.commands.options import LOGS, OUTPUT, SIX, command, option
+from seqid_cli.commands.screen.layout import visible
 from seqid_cli.commands.screen.render import screen_of
+from seqid_cli.commands.screen.show_inspection import show_inspection
 from seqid_cli.errors import UsageError
 from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.params.files import check_output, write_text_atomic
 from seqid_cli.robot.urdf.text import read_urdf_text
 
-EXAMPLES = (
-    "seqid init sample_logs/six_joint/friction --urdf sample_logs/six_joint/six_joint.urdf"
-    " -o robot.toml",
+EXIT_UNREADABLE = 2
+
+
+@command(
+    "logs robot plan output time_source strict",
+    f"seqid inspect {SIX}/friction -r {SIX}/robot.toml",
+    "seqid inspect sample_logs/two_joint/imu --json",
+)
+def inspect(
+    context: typer.Context,
+    robot: Path | None = option(None, "-r --robot FILE", "Robot file; guessed when left out."),
+    plan: Path | None = option(
+        None, "--plan FILE", "A plan: say which of its moves these logs hold."
+    ),
+    output: Path | None = OUTPUT,
+    strict: bool = option(
+        False, "--strict", "Exit with 1 on warnings and unrecorded moves as well."
+    ),
+) -> int:
+    """Look through logs: channels, rates, clocks, units, joints that move, and what is wrong.
+
+    With a robot file, torque and IMUs are compared with its geometry as well. The exit code is 1
+    when an error is found, 2 when a log cannot be read, 3 when one was read in part.
+    """
+    told, report = called(context, "inspect.inspect")
+    show_inspection(told.screen, report)
+    if output is not None:
+        told.screen.note(f"written: {output}")
+    for finding in report.findings:
+        if finding.code == "unreadable":
+            said = f"seqid inspect: error: {finding.log}: {finding.message}\n"
+            sys.stderr.write(visible(f"{said}  hint: {finding.remedy}\n"))
+            return EXIT_UNREADABLE
+    grave = ("error", "warning") if strict else ("error",)
+    lacking = strict and any(part.status != "recorded" for part in report.planned)
+    if lacking or any(finding.severity in grave for finding in report.findings):
+        return EXIT_UNTRUSTED
+    return EXIT_PARTIAL if any(log.partial for log in report.logs) else EXIT_DONE
+
+
+@command(
+    "logs urdf output name torque_constant gear_ratio force",
+    f"seqid init {SIX}/friction --urdf {SIX}/six_joint.urdf -o robot.toml",
     "seqid init sample_logs/two_joint/imu/joint_2.mcap --name two_joint",
 )
-
-UrdfPath = Annotated[
-    Path | None, option("--urdf FILE", "URDF of the robot; without it a DH stub is made.")
-]
-TomlOutput = Annotated[
-    Path | None, option("-o --output FILE", "Where the robot file goes; else printed.")
-]
-Name = Annotated[str | None, option("--name NAME", "The robot's name; else the URDF's.")]
-Constants = Annotated[
-    str | None,
-    option("--torque-constant K[,K...]", "N m/A, motor side: one for all joints, or one for each."),
-]
-Ratios = Annotated[
-    str | None,
-    option(
-        "--gear-ratio N[,N...]", "Motor turns per joint turn: one for all joints, or one for each."
-    ),
-]
-Force = Annotated[bool, option("--force", "Overwrite a robot file that exists.")]
-
-
-def run(
+def init(
     context: typer.Context,
-    logs: Logs,
-    urdf: UrdfPath = None,
-    output: TomlOutput = None,
-    name: Name = None,
-    torque_constant: Constants = None,
-    gear_ratio: Ratios = None,
-    force: Force = False,
+    logs: list[str] = LOGS,
+    urdf: Path | None = option(
+        None, "--urdf FILE", "URDF of the robot; without it a DH stub is made."
+    ),
+    output: Path | None = option(
+        None, "-o --output FILE", "Where the robot file goes; else printed."
+    ),
+    name: str | None = option(None, "--name NAME", "The robot's name; else the URDF's."),
+    torque_constant: str | None = option(
+        None,
+        "--torque-constant K[,K...]",
+        "N m/A, motor side: one for all joints, or one for each.",
+    ),
+    gear_ratio: str | None = option(
+        None,
+        "--gear-ratio N[,N...]",
+        "Motor turns per joint turn: one for all joints, or one for each.",
+    ),
+    force: bool = option(False, "--force", "Overwrite a robot file that exists."),
 ) -> int:
     """Write a commented robot file: joints, limits, encoder steps, channels, IMUs as far as known.
 
@@ -119,8 +152,7 @@ def _beside(urdf: Path | None, output: Path | None) -> str | None:
     """Return the URDF's path as seen from the robot file."""
     if urdf is None:
         return None
-    folder = output.parent if output is not None else Path()
     try:
-        return Path(os.path.relpath(urdf, folder)).as_posix()
+        return Path(os.path.relpath(urdf, output.parent if output else ".")).as_posix()
     except ValueError:  # on another drive
         return str(urdf.resolve())

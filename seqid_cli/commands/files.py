@@ -1,0 +1,272 @@
+"""The commands that read results alone: report, export, compare and trend."""
+
+from pathlib import Path
+from typing import Literal
+
+import typer
+
+from seqid_cli.commands.job import EXIT_DONE, EXIT_UNTRUSTED, called
+from seqid_cli.commands.options import OUTPUT, ROBOT, command, only, option
+from seqid_cli.commands.screen.render import Screen, number, percent
+from seqid_cli.export.formats import FORMATS
+from seqid_cli.params.files import By
+from seqid_cli.params.results import tables
+from seqid_cli.params.results.comparison import ComparisonFile, Difference
+from seqid_cli.params.results.export import ExportFile
+from seqid_cli.params.results.report import TITLES, ReportFile
+from seqid_cli.params.results.trend import ChangeEntry, TrendFile
+
+# Identified base parameters that no body has within so many standard errors are not noise.
+MAX_STD_ERRORS = 4.0
+_SHOWN = 8  # unchanged numbers that the screen shows without -v
+_TWO = "sample_logs/two_joint"
+_SUFFIXES = ", ".join(dict.fromkeys(f"{suffix} {name}" for suffix, name in FORMATS.items()))
+_limit = only("a number from 0 on", lambda x: x >= 0.0)
+_share = only("between 0 and 1", lambda x: 0.0 < x < 1.0)
+
+
+@command(
+    "files output torques title by strict",
+    "seqid report inertia.json prediction.json diagnosis.json -o report.html",
+    "seqid report cell_*/inertia.json cell_*/prediction.json --by folder -o fleet.html",
+    "seqid report refined.json prediction.json --torques torques.parquet -o report.html --json",
+)
+def report(
+    context: typer.Context,
+    files: list[Path] = typer.Argument(
+        ...,
+        metavar="FILE...",
+        help="JSON files that seqid wrote, and the torques of seqid predict.",
+    ),
+    output: Path = option(..., "-o --output FILE", "Where the page goes, as HTML."),
+    torques: Path | None = option(
+        None,
+        "--torques FILE",
+        "What seqid predict wrote with --torques; found beside the prediction if left out.",
+    ),
+    title: str = option("", "--title TEXT", "Title, instead of the robot's name."),
+    by: By | None = option(
+        None, "--by", "A page about many robots, told apart by their names or by folders."
+    ),
+) -> int:
+    """Write one self-contained HTML page about a robot's model: the verdict first.
+
+    Several models stand side by side; their torques lie in one plot. With --by it is a page about
+    many robots.
+
+    It opens offline and loads nothing. With --strict the exit code is 1 unless the verdict is good.
+    """
+    told, made = called(context, "report.report")
+    _show_report(told.screen, made)
+    return told.ended(untrusted=made.verdict != "good")
+
+
+def _show_report(screen: Screen, report: ReportFile) -> None:
+    screen.result(f"{TITLES[report.verdict]}. {report.sentence}")
+    for point in report.points:
+        screen.result(f"- {point.text}")
+    lacking = [section.id for section in report.sections if not section.complete]
+    if lacking:
+        screen.note(f"sections that say which command gives their data: {', '.join(lacking)}")
+    screen.note(f"written: {report.output}")
+
+
+@command(
+    "parameters robot output strict",
+    "seqid export inertia.json -r sample_logs/six_joint/robot.toml -o six_joint.urdf",
+    f"seqid export inertia.json -r {_TWO}/robot.toml -o two_joint.xml",
+    f"seqid export refined.json -r {_TWO}/robot.toml -o two_joint.h --strict",
+)
+def export(
+    context: typer.Context,
+    parameters: list[Path] = typer.Argument(
+        ..., metavar="FILE...", help="Parameter file; several are joined."
+    ),
+    robot: Path = ROBOT,
+    output: Path = option(..., "-o --output FILE", f"Where it goes; by suffix: {_SUFFIXES}."),
+) -> int:
+    """Write an identified arm as URDF, MJCF, ROS 2 parameters or C.
+
+    Links get inertial parameters that a body can have, with the identified torque, as near as
+    possible to those of the URDF. Friction becomes Coulomb and viscous friction where the format
+    knows no other.
+    """
+    told, file = called(context, "export.export")
+    _show_export(told.screen, file)
+    told.screen.note(f"written: {output} ({file.format})")
+    return told.ended(untrusted=file.largest_deviation > MAX_STD_ERRORS)
+
+
+def _show_export(screen: Screen, file: ExportFile) -> None:
+    rows = []
+    for name, link in file.joints.items():
+        center, fit = " ".join(number(x) for x in link.center_of_mass), link.friction
+        friction: tuple[float | None, ...] = (None, None, None)
+        if fit is not None:
+            share = fit.rms_misfit / fit.rms if fit.rms > 0.0 else 0.0
+            friction = (fit.coulomb, fit.viscous, share)
+        rows.append((name, link.mass, center, link.armature, *friction))
+    titles = "joint | mass [kg] | centre of mass [m] | armature | Coulomb | viscous | misfit"
+    screen.values(tables.values(titles, "text number4 text number number number share", rows))
+    if file.exact:
+        screen.result("the identified base parameters are met exactly by bodies that can exist")
+    else:
+        _show_deviations(screen, file)
+    for note in file.notes:
+        screen.note(f"note: {note}")
+
+
+def _show_deviations(screen: Screen, file: ExportFile) -> None:
+    rows = [
+        (d.name, d.identified, d.exported, f"{d.std_errors:+.2f}", d.unit)
+        for d in file.base_parameters
+        if d.std_errors is not None and abs(d.std_errors) >= 0.01
+    ]
+    screen.result("no body has the identified base parameters; the nearest ones are exported:")
+    titles = "parameter | identified | exported | std errors | unit"
+    screen.values(tables.values(titles, "text number5 number5 text text", rows))
+    if file.largest_deviation > MAX_STD_ERRORS:
+        screen.warn(
+            f"an exported base parameter is {file.largest_deviation:.1f} standard errors away from"
+            " what was identified: geometry, gravity or torque scale of the robot file may be wrong"
+        )
+
+
+@command(
+    "first second rtol sigma form",
+    f"seqid compare {_TWO}/golden.json inertia.json",
+    f"seqid compare {_TWO}/golden.json inertia.json --sigma 3 --rtol 0.02 --json",
+    f"seqid compare {_TWO}/golden.json inertia.json --format github",
+)
+def compare(
+    context: typer.Context,
+    first: Path = typer.Argument(..., metavar="A.json", help="What was, or what should be."),
+    second: Path = typer.Argument(..., metavar="B.json", help="What is now."),
+    rtol: float | None = option(
+        None,
+        "--rtol X",
+        "Share of a number's size beyond which it has changed; alone it decides.",
+        _limit,
+    ),
+    sigma: float | None = option(
+        None,
+        "--sigma S",
+        "Combined standard errors beyond which it has changed; alone it decides.",
+        _limit,
+    ),
+    form: Literal["text", "json", "github"] = option(
+        "text", "--format", "A table, JSON, or annotations of GitHub Actions."
+    ),
+) -> int:
+    """Compare two parameter, prediction or diagnosis files of one robot.
+
+    A number has changed when it moved by more than --sigma combined standard errors (4) and by more
+    than the share --rtol of its size (0.01). Exits with 1 when any has.
+    """
+    context.params["json"] |= form == "json"
+    told, found = called(context, "compare.compare")
+    changed = [item for item in found.differences if item.different]
+    limits = [] if found.rule.sigma is None else [f"{found.rule.sigma:g} standard errors"]
+    limits.append(f"{100.0 * found.rule.rtol:g} % of its size")
+    summary = (
+        f"{found.changed} of {found.compared} numbers changed (by more than {' and '.join(limits)})"
+    )
+    if form == "github":
+        for item in changed:
+            told.screen.result(_annotation(item, found.b))
+        told.screen.result(f"::notice title=seqid compare::{_escaped(summary)}")
+    else:
+        _show_comparison(told.screen, found)
+        told.screen.result(summary)
+    for note in found.notes:
+        told.screen.note(f"note: {note}")
+    return EXIT_UNTRUSTED if found.changed else EXIT_DONE
+
+
+def _show_comparison(screen: Screen, found: ComparisonFile) -> None:
+    rest = [item for item in found.differences if not item.different]
+    rest.sort(key=lambda item: -(item.relative or 0.0))
+    changed = [item for item in found.differences if item.different]
+    shown = rest if screen.verbose else rest[:_SHOWN]
+    rows = []
+    for x in (*changed, *shown):
+        remark = f": {x.remark}" if x.remark else ""
+        verdict = f"changed{remark}" if x.different else "same"
+        rows.append((x.stage, x.name, x.joint or None, x.a, x.b, x.sigmas, x.relative, verdict))
+    titles = "stage | number | joint | first | second | std errors | relative | verdict"
+    screen.values(tables.values(titles, "text text text number5 number5 number share text", rows))
+    if len(shown) < len(rest):
+        screen.note(f"{len(rest) - len(shown)} more are unchanged (-v shows them)")
+
+
+def _annotation(item: Difference, path: str) -> str:
+    """Return a workflow command, which GitHub shows beside the file."""
+    where = f" of {item.joint}" if item.joint else ""
+    title = f"seqid: {item.stage} {item.name}{where} changed"
+    text = item.remark
+    if item.a is not None and item.b is not None:
+        text = f"{item.a:.6g} became {item.b:.6g} {item.unit}".rstrip()
+        text += "" if item.sigmas is None else f", {item.sigmas:.1f} standard errors"
+        text += f", {percent(item.relative)} of its size"
+        text += f" ({item.remark})" if item.remark else ""
+    return f"::error file={_escaped(path, ':,')},title={_escaped(title, ':,')}::{_escaped(text)}"
+
+
+def _escaped(text: str, more: str = "") -> str:
+    for sign in f"%\r\n{more}":
+        text = text.replace(sign, f"%{ord(sign):02X}")
+    return text
+
+
+@command(
+    "parameters output table by alpha rtol",
+    f"seqid trend {_TWO}/golden.json inertia.json -o trend.json",
+    "seqid trend sample_logs/*_joint/golden.json cell_*/*.json --by folder --table trend.parquet",
+)
+def trend(
+    context: typer.Context,
+    parameters: list[Path] = typer.Argument(
+        ..., metavar="PARAMS.json...", help="Parameter files of several dates."
+    ),
+    output: Path | None = OUTPUT,
+    table: Path | None = option(None, "--table FILE", "Where all values go, as Parquet."),
+    by: By = option(
+        "name", "--by", "What tells robots apart: the name in their files, or folders."
+    ),
+    alpha: float = option(
+        0.01, "--alpha P", "Probability that anything of healthy robots is said to change.", _share
+    ),
+    rtol: float = option(
+        0.01, "--rtol X", "Least change of a quantity, as a share of its size.", _share
+    ),
+) -> int:
+    """Find out what changed on one or more robots over time, beyond its error.
+
+    Each file is one date, that of its making. Steps and drifts of friction, parameters and effects
+    are named with robot, joint and date. Exits with 1 when anything changed.
+    """
+    told, found = called(context, "trend.trend")
+    _show_trend(told.screen, found)
+    for path in (output, table):
+        if path is not None:
+            told.screen.note(f"written: {path}")
+    return EXIT_UNTRUSTED if found.alarm else EXIT_DONE
+
+
+def _show_trend(screen: Screen, found: TrendFile) -> None:
+    clearest: dict[tuple[str, str, str], ChangeEntry] = {}  # of each robot, joint and stage
+    for entry in found.changes:  # the clearest first
+        name = entry.name if entry.stage == "effects" else ""
+        clearest.setdefault((entry.robot, entry.joint, entry.stage + name), entry)
+    shown = found.changes if screen.verbose else list(clearest.values())
+    screen.values(tables.changes(shown))
+    hidden = len(found.changes) - len(shown)
+    if hidden:
+        screen.note(f"{hidden} more of the same joint and stage (-v shows them)")
+    robots = ", ".join(dict.fromkeys(entry.robot for entry in found.changes))
+    screen.result(
+        f"{f'changed: {robots}' if robots else 'nothing changed'} ({len(found.files)} files of"
+        f" {len(found.robots)} robots, {len(found.series)} series;"
+        f" limit {found.limit:.3g} standard errors)"
+    )
+    screen.remark(*found.notes)

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import jsonschema
+import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.__main__ import main
@@ -49,6 +50,20 @@ def test_encoders_too_coarse_for_the_models_cutoff_find_the_same(tmp_path: Path)
     assert [(f["effect"], f["joint"]) for f in findings] == [(truth["effect"], truth["joint"])]
     (value,) = findings[0]["parameters"]
     assert value["value"] == pytest.approx(truth["driving"], abs=4 * value["std_error"])
+
+
+@pytest.mark.parametrize(("cutoff", "noisy"), [([], True), (["--cutoff", "6"], False)])
+def test_a_prediction_says_what_encoders_make_of_its_error(
+    tmp_path: Path, cutoff: list[str], *, noisy: bool
+) -> None:
+    rig, output = ROOT / "sample_logs" / "two_joint", tmp_path / "prediction.json"
+    model = ["-r", str(rig / "robot.toml"), "-p", str(rig / "golden.json"), "--motion", "encoder"]
+    log = str(rig / "changed" / "held_out.parquet")
+    assert main(["predict", log, *model, *cutoff, "-o", str(output), "-q"]) == 0
+    document = json.loads(output.read_text())
+    told = [note for note in document["logs"][0]["notes"] if "noise of the encoders" in note]
+    assert bool(told) == noisy
+    assert (document["joints"]["joint_1"]["relative_rmse"] > 0.3) == noisy
 
 
 def test_a_log_without_torque_is_refused(

@@ -6,12 +6,14 @@ so that the parts together are what the log as a whole gives.
 """
 
 import contextlib
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy.special import beta
 
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
@@ -35,6 +37,9 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Mask
 
+# Twice low-passed noise of the acceleration over that below the cut-off: 5 times the integral of
+# x^4 / (1 + x^8)^4.
+PASSED = math.sqrt(0.625 * beta(0.625, 3.375))
 OUTSIDE_NOTE = 0.01  # share of samples outside the identified friction worth a note
 
 
@@ -107,10 +112,10 @@ def predict(
 
     What has not been identified is taken as zero and noted. `unexplained`: whether smooth terms of
     no known cause count as well. `sliding_only`: whether only samples count at which a joint
-    slides: no interval is worked out at rest, and no friction of a joint that stays there. Yields
-    one per log; of a long one that is passed over, its parts one after the other. Raises InputError
-    if a log carries neither torque nor current, ConfigError if an effect is not known to this
-    version, or is not what it should be.
+    slides: no interval is worked out at rest, no friction of a joint that stays there, and no note
+    on the encoders. Yields one per log; of a long one that is passed over, its parts one after the
+    other. Raises InputError if a log carries neither torque nor current, ConfigError if an effect
+    is not known to this version, or is not what it should be.
     """
     model = TorqueModel.from_stages(stages, robot)
     effects = tuple(fitted_effects(stages, robot, unexplained=unexplained))
@@ -153,7 +158,9 @@ class Predictor:
         every = replace(filtering, samples_per_cutoff=float("inf"))
         imu, source = self.stages.imu, self.options.source
         motion = torque_motion(log, robot, every, imu=imu, source=source)
-        return list(self.described([(self.part(motion, log, slice(None)), motion)]))
+        part = self.part(motion, log, slice(None))
+        noise = () if self.sliding_only else tuple(encoder_notes(self.model, motion, part))
+        return [replace(x, notes=(*x.notes, *noise)) for x in self.described([(part, motion)])]
 
     def part(self, motion: Motion, log: Recording, inner: slice) -> LogPrediction:
         """Predict the inner samples of a motion."""
@@ -258,6 +265,43 @@ class LongPrediction:
                 part = self.predictor.part(motion, held, slice(start, stop))
                 ends = bool(part.t[-1] * log.rate_hz > log.samples - 1.5)
                 yield replace(part, samples=log.samples, part=number, last=ends), motion
+
+
+def encoder_notes(
+    model: TorqueModel,
+    motion: Motion,
+    log: LogPrediction,
+    *,
+    min_share: float = 0.5,
+    places: int = 50,
+) -> Iterator[str]:
+    """Say where noise of differentiated encoders makes `min_share` or more of the squared error.
+
+    Torque that noise of the acceleration makes is taken at so many `places` of the log.
+    """
+    if motion.source != "encoder" or not motion.cutoff.above_own:
+        return
+    q = motion.q[:: max(1, motion.samples // places)]
+    still = np.zeros_like(q)
+    rest, square = model.rigid(q, still, still), np.zeros_like(q)
+    for j, error in enumerate(motion.acceleration_error):
+        shaken = still.copy()
+        shaken[:, j] = error
+        square += (model.rigid(q, still, shaken) - rest) ** 2
+    noise, slides = PASSED * np.sqrt(square.mean(axis=0)), log.sliding
+    counts = np.maximum(slides.sum(axis=0), 1)
+    left = np.sqrt(np.sum(np.where(slides, log.residual, 0.0) ** 2, axis=0) / counts)
+    loud = [
+        f"{joint.name} ({whole:.2g} {joint.unit('N m')})"
+        for joint, made, whole in zip(model.robot.joints, noise, left, strict=True)
+        if made**2 > min_share * whole**2 > 0.0
+    ]
+    if loud:
+        yield (
+            f"at {motion.cutoff.hz:.3g} Hz noise of the encoders makes the error of "
+            f"{', '.join(loud)}, for which no model is to blame: "
+            f"--cutoff {motion.cutoff.alone_hz:.3g} suits them"
+        )
 
 
 def notes_on(model: TorqueModel, stages: Stages, outside: Array, slower: Array) -> Iterator[str]:

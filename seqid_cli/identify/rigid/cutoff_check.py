@@ -14,7 +14,7 @@ What of d is beyond its own noise, a share 1 - p / W of its square, counts as an
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -29,8 +29,7 @@ from seqid_cli.typing import Array
 Result = tuple[Solution, Posterior]
 
 
-@dataclass(frozen=True)
-class CutoffCheck:
+class CutoffCheck(NamedTuple):
     """What neighbouring cut-offs show.
 
     `errors` (p, d) are directions of error, one standard deviation each; `differences` are

@@ -98,12 +98,21 @@ class LogSet:
 
     def notes(self, known: Sequence[str] = ()) -> list[str]:
         """Return notes on the logs for the result, but for those it has already (`known`)."""
-        left = [f"left out: {text}" for text in self.left_out]
-        return [*left, *notes_of_logs(self.findings, known)]
+        warnings = grouped(f for f in self.findings if f.severity == "warning")
+        new = [_in_words(alike) for alike in warnings if alike[0].message not in set(known)]
+        return [*(f"left out: {text}" for text in self.left_out), *new]
 
     def verdicts(self) -> list[Verdict]:
-        """Return a poor verdict for each error of the logs."""
-        return verdicts_of_logs(self.findings)
+        """Return a poor verdict for every joint (or IMU) that an error of the logs is about.
+
+        One per code, joint and channel, however many logs show it; the joint is empty where the
+        whole log is meant.
+        """
+        return [
+            Verdict(joint=name, good=False, reason=f"{_text(alike)}. {alike[0].remedy}")
+            for alike in grouped(f for f in self.findings if f.severity == "error")
+            for name in alike[0].joint.split(", ")
+        ]
 
     def tell(self, state: Any, **about: Any) -> None:
         """Report the progress."""
@@ -193,25 +202,6 @@ def mapped(logs: Iterable[L], part: PartOf[L, P], opens: Opens | None = None) ->
         return
     for number, log in enumerate(logs):
         yield part(log, number)
-
-
-def verdicts_of_logs(findings: Iterable[InspectionFinding]) -> list[Verdict]:
-    """A poor verdict for every joint (or IMU) that a log's error is about.
-
-    `findings`: of all logs. Errors count; warnings do not spoil a result. Returns: one per code,
-    joint and channel, however many logs show it; the joint is empty where the whole log is meant.
-    """
-    return [
-        Verdict(joint=name, good=False, reason=f"{_text(alike)}. {alike[0].remedy}")
-        for alike in grouped(f for f in findings if f.severity == "error")
-        for name in alike[0].joint.split(", ")
-    ]
-
-
-def notes_of_logs(findings: Iterable[InspectionFinding], known: Iterable[str] = ()) -> list[str]:
-    """Return warnings about the logs in words, but for those `known` already."""
-    warnings = grouped(f for f in findings if f.severity == "warning")
-    return [_in_words(alike) for alike in warnings if alike[0].message not in set(known)]
 
 
 def _in_words(alike: Sequence[InspectionFinding]) -> str:

@@ -90,15 +90,12 @@ def with_cutoff_check(
     """
     own = {p.name for p in stage.parameters}
     named = [(basis.names[k], at, by) for k, at, by in check.differences if basis.names[k] in own]
-    if not named:
-        return stage
     text = ", ".join(f"{name} by {by:+.1f} at {factor:g} times" for name, factor, by in named)
     note = f"parameters that depend on the cut-off, in stated standard errors: {text}"
-    stage = replace(stage, notes=[*stage.notes, note])
-    if all(abs(by) < poor_sigma for *_, by in named):
-        return stage
     reason = (
         f"{note}. Noise of the encoders' acceleration or something that the model lacks; use "
         "accelerometers, a finer encoder or slower moves, or look for effects (seqid diagnose)"
     )
-    return replace(stage, verdicts=[*stage.verdicts, Verdict(good=False, reason=reason)])
+    poor = [Verdict(good=False, reason=reason)] * any(abs(by) >= poor_sigma for *_, by in named)
+    notes, verdicts = [*stage.notes, *[note] * bool(named)], [*stage.verdicts, *poor]
+    return replace(stage, notes=notes, verdicts=verdicts)

@@ -174,27 +174,26 @@ def missing_pairs(
     """
     seen: dict[tuple[int, int], Array] = {}
     for pair in list(combinations(range(robot.n), 2)) or [(0, 0)]:
-        rng = np.random.default_rng(0)
+        rng, moving = np.random.default_rng(0), list(pair)
         q = rng.uniform(-2.5, 2.5, (states, robot.n))
         dq, ddq = np.zeros_like(q), np.zeros_like(q)
-        dq[:, list(pair)] = rng.normal(size=(states, 2))
-        ddq[:, list(pair)] = 3 * rng.normal(size=(states, 2))
-        H = base_regressor(robot, basis, q, dq, ddq)[:, list(pair)]
+        dq[:, moving] = rng.normal(size=(states, 2))
+        ddq[:, moving] = 3 * rng.normal(size=(states, 2))
+        H = base_regressor(robot, basis, q, dq, ddq)[:, moving]
         seen[pair] = H.reshape(-1, basis.size)
     scale = np.max([np.linalg.norm(H, axis=0) for H in seen.values()], axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    seen = {pair: H / scale for pair, H in seen.items()}
     first = left = np.asarray(np.linalg.qr(scale[:, None] * left_open)[0])
     chosen: list[tuple[int, int]] = []
     while left.shape[1]:
-        after = {pair: _still_open(H, left) for pair, H in seen.items()}
+        after = {pair: _still_open(H / scale, left) for pair, H in seen.items()}
         best = min(after, key=lambda pair: after[pair].shape[1])
         if after[best].shape[1] == left.shape[1]:
             break
         chosen.append(best)
         left = after[best]
     for pair in list(chosen):
-        others = [seen[each] for each in chosen if each != pair]
+        others = [seen[each] / scale for each in chosen if each != pair]
         if others and _still_open(np.vstack(others), first).shape[1] <= left.shape[1]:
             chosen.remove(pair)
     return [[robot.joint_names[j] for j in dict.fromkeys(pair)] for pair in chosen]

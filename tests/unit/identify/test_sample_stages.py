@@ -194,16 +194,6 @@ def rank_of_pairs(rig: Rig, pairs: list[list[str]]) -> int:
     return int(np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0).clip(1e-12), tol=1e-6))
 
 
-@pytest.mark.slow
-def test_the_missing_pairs_would_give_full_rank_and_none_is_idle(six_joint: Rig) -> None:
-    own = ["elbow", "wrist_1"]
-    missing = one_pair(six_joint, "__".join(own)).missing_pairs
-    assert rank_of_pairs(six_joint, [own]) < 36
-    assert rank_of_pairs(six_joint, [own, *missing]) == 36
-    for pair in missing:
-        assert rank_of_pairs(six_joint, [own, *(p for p in missing if p != pair)]) < 36
-
-
 def test_pairs_for_an_arm_of_which_nothing_is_known(six_joint: Rig, one_joint: Rig) -> None:
     basis = base_parameters(six_joint.robot, rotor=())
     pairs = missing_pairs(six_joint.robot, basis, np.eye(basis.size))

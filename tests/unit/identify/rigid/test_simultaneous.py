@@ -114,6 +114,16 @@ def test_joints_that_rest_are_named() -> None:
     assert "joint_6" not in found.friction.joints
 
 
+def test_a_log_that_hardly_moves_a_joint_does_not_say_how_fast_it_slides() -> None:
+    crawling = record(5, 20.0)
+    crawling.q[:, 5] *= 1e-3
+    logs = [crawling, record(6, 20.0)]
+    found, other = (identified(*given).friction.joints for given in (logs, logs[::-1]))
+    for name, joint in found.items():
+        assert joint.sign_width == pytest.approx(other[name].sign_width)
+        assert joint.sign_width > 1e-3 * joint.speed_range[1]
+
+
 def test_a_joint_that_slides_has_units_of_its_own() -> None:
     rng = np.random.default_rng(0)
     motion = fourier(rng, -LIMIT, LIMIT, LIMIT, 4 * LIMIT, seconds=20.0, harmonics=10, rate_hz=RATE)

@@ -183,7 +183,8 @@ class Evidence:
 
     def sizes(self, logs: Array) -> Sizes:
         """Sizes from the logarithms (10,) of what they are times the usual ones."""
-        return Sizes(*(self.usual * np.exp(logs)).tolist(), self.broad)
+        values = (self.usual * np.exp(logs)).tolist()
+        return Sizes(**dict(zip(NAMES, values, strict=True)), broad=self.broad)
 
     def __call__(self, logs: Array) -> tuple[float, Array]:
         """Twice the negative logarithm, but for a constant, and its gradient (10,)."""

@@ -75,37 +75,20 @@ def _score_of(
         found, highest = survey_of(log).score(encoder_resolution(robot), GRID), log.rate_hz / 8
         if found is None:
             return None
-        if isinstance(log, SurveyedLog):
-            return LogScore(found, min(HIGHEST_HZ, highest))
         smoothed = None
-        if fuses:
-            encoder = estimate_motion(log, robot, MotionOptions())
-            if best_motion(log, robot, imu, encoder, source=source).source == "fused":
+        if isinstance(log, Recording):
+            highest = min(highest, highest_bridged(log))
+            encoder = estimate_motion(log, robot, MotionOptions()) if fuses else None
+            if encoder and best_motion(log, robot, imu, encoder, source=source).source == "fused":
                 smoothed = score_of_smoothed(log, robot, imu, encoder, GRID)
-        return LogScore(found, min(HIGHEST_HZ, highest, highest_bridged(log)), smoothed)
+        return LogScore(found, min(HIGHEST_HZ, highest), smoothed)
 
 
-def chosen_together(scores: Sequence[LogScore]) -> tuple[float, float]:
-    """The cut-off [Hz] that suits all logs together, and that for their encoders alone.
-
-    The order of the logs does not matter.
-    """
-    total, allowed = _summed([(one.score, one.highest_hz) for one in scores])
-    best = alone = first_maximum(total[:allowed])
-    if any(one.smoothed for one in scores):
-        total, allowed = _summed([(one.smoothed or one.score, one.highest_hz) for one in scores])
-        joints = sum(one.score.joints for one in scores)
-        best += lowest_as_good(total[best : max(allowed, best + 1)], joints)
-    return float(GRID[best]), float(GRID[alone])
-
-
-def _summed(scores: Sequence[tuple[Score, float]]) -> tuple[Array, int]:
+def _summed(scores: Sequence[Score], highest: float) -> tuple[Array, int]:
     """Sum of the logs' scores, and how many of the grid's cut-offs all allow."""
-    ordered = sorted(tuple(one.values) for one, _ in scores)  # sums to the last bit
-    highest = min(limit for _, limit in scores)
-    widest = max(one.bandwidth_hz for one, _ in scores)
-    joints, seconds = max(one.joints for one, _ in scores), sum(one.seconds for one, _ in scores)
-    highest = min(highest, highest_of(widest, joints, seconds))
+    ordered = sorted(tuple(one.values) for one in scores)  # sums to the last bit
+    widest, joints = (max(getattr(x, name) for x in scores) for name in ("bandwidth_hz", "joints"))
+    highest = min(highest, highest_of(widest, joints, sum(one.seconds for one in scores)))
     return np.sum(ordered, axis=0), max(1, int(np.searchsorted(GRID, highest, side="right")))
 
 
@@ -115,25 +98,29 @@ def identification_options(
     options: RigidOptions,
     imu: ImuStage | None = None,
 ) -> MotionOptions:
-    """How all logs of an identification are filtered.
+    """How all logs of an identification are filtered, whatever their order.
 
     A single log chooses for itself as it is read. Several are looked at first, and read again.
     """
     if options.cutoff_hz is not None:
         return MotionOptions(options.cutoff_hz, origin="as given")
-    if len(logs) < 2:
-        return MotionOptions()
     found: list[LogScore] = []
-    for given in logs:
+    for given in logs if len(logs) > 1 else ():
         # Errors are reported when the log is read to be identified from.
         with contextlib.suppress(SeqidError):
             own = _score_of(given, robot, options, imu)
             found += [own] if own is not None else []
     if not found:
         return MotionOptions()
-    hz, alone = chosen_together(found)
+    highest = min(one.highest_hz for one in found)
+    total, allowed = _summed([one.score for one in found], highest)
+    best = alone = first_maximum(total[:allowed])
+    if any(one.smoothed for one in found):
+        total, allowed = _summed([one.smoothed or one.score for one in found], highest)
+        joints = sum(one.score.joints for one in found)
+        best += lowest_as_good(total[best : max(allowed, best + 1)], joints)
     origin = f"chosen from all {len(logs)} logs together"
-    return MotionOptions(hz, origin=origin, encoder_hz=alone)
+    return MotionOptions(float(GRID[best]), origin=origin, encoder_hz=float(GRID[alone]))
 
 
 def inherited(stages: Stages, cutoff_hz: float | None) -> MotionOptions:

@@ -7,6 +7,7 @@ be done as a subclass of `SeqidError`. Cheap checks come before anything heavy i
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Unpack
 
 from msgspec.structs import replace
@@ -49,12 +50,11 @@ def friction(
         Moves of one joint at a time at constant velocity.
     """
     inputs = prepare(logs, robot, (), options, **keywords)
-    from seqid_cli.identify.friction_surface.stage import identify_friction
-    from seqid_cli.identify.log_set import LogSet
+    from seqid_cli.identify.friction_surface.stage import identify_friction as identified
 
-    given = LogSet.of(inputs)
-    stage = identify_friction(given, inputs.robot, options=options)
-    return _added(inputs, given, Stages(friction=stage))
+    return _added(
+        inputs, lambda given: Stages(friction=identified(given, inputs.robot, options=options))
+    )
 
 
 @documented(ParallelKeywords)
@@ -75,12 +75,11 @@ def gravity(
         With the friction stage.
     """
     inputs = prepare(logs, robot, parameters, options, needs=("friction",), **keywords)
-    from seqid_cli.identify.log_set import LogSet
-    from seqid_cli.identify.rigid.gravity import identify_gravity
+    from seqid_cli.identify.rigid.gravity import identify_gravity as identified
 
-    given = LogSet.of(inputs)
-    stage = identify_gravity(given, inputs.robot, inputs.stages)
-    return _added(inputs, given, Stages(gravity=stage))
+    return _added(
+        inputs, lambda given: Stages(gravity=identified(given, inputs.robot, inputs.stages))
+    )
 
 
 @documented(ParallelKeywords)
@@ -106,17 +105,17 @@ def imu_calib(
         where = str(inputs.robot.source)
         raise ConfigError("the robot file names no IMU", where=where, hint=hint)
     from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
-    from seqid_cli.identify.log_set import LogSet
     from seqid_cli.motion.imu.array import layout_statements
     from seqid_cli.motion.options import MotionOptions
 
-    given = LogSet.of(inputs, imus=True)
-    for imu in inputs.robot.imus:
-        for text in layout_statements(imu):
-            given.tell("note", text=f"{imu.name}: {text}")
-    filtering = MotionOptions(cutoff_hz=options.cutoff_hz)
-    stage = calibrate_imus(given, inputs.robot, options=filtering)
-    return _added(inputs, given, Stages(imu=stage))
+    def find(given: LogSet) -> Stages:
+        for imu in inputs.robot.imus:
+            for text in layout_statements(imu):
+                given.tell("note", text=f"{imu.name}: {text}")
+        filtering = MotionOptions(cutoff_hz=options.cutoff_hz)
+        return Stages(imu=calibrate_imus(given, inputs.robot, options=filtering))
+
+    return _added(inputs, find, imus=True)
 
 
 @documented(ParallelKeywords)
@@ -139,18 +138,18 @@ def inertia(
     needs = ("friction", "gravity", *imu_stage_for(options.source))
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.identify.common_cutoff import identification_options
-    from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.options import InertiaOptions
-    from seqid_cli.identify.rigid.consistency import made_consistent
     from seqid_cli.identify.rigid.inertia import identify_inertia
+    from seqid_cli.identify.rigid.parameters import made_consistent
 
-    given, arm = LogSet.of(inputs), inputs.robot
-    motion = identification_options(inputs.logs, arm, options, inputs.stages.imu)
-    rigid = InertiaOptions(motion, options.source)
-    stage = identify_inertia(given, arm, inputs.stages, options=rigid, compare=True)
-    if options.consistent:
-        stage = made_consistent(stage, inputs.stages, arm)
-    return _added(inputs, given, Stages(inertia=stage))
+    def find(given: LogSet) -> Stages:
+        arm, known = inputs.robot, inputs.stages
+        motion = identification_options(inputs.logs, arm, options, known.imu)
+        rigid = InertiaOptions(motion, options.source)
+        stage = identify_inertia(given, arm, known, options=rigid, compare=True)
+        return Stages(inertia=made_consistent(stage, known, arm) if options.consistent else stage)
+
+    return _added(inputs, find)
 
 
 @documented(Keywords)
@@ -173,18 +172,20 @@ def simultaneous(
     needs = imu_stage_for(options.source)
     inputs = prepare(logs, robot, parameters, options, needs=needs, **keywords)
     from seqid_cli.identify.common_cutoff import identification_options
-    from seqid_cli.identify.log_set import LogSet
-    from seqid_cli.identify.rigid.consistency import made_consistent
+    from seqid_cli.identify.rigid.parameters import made_consistent
     from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 
-    given, arm, imu = LogSet.of(inputs), inputs.robot, inputs.stages.imu
-    motion = identification_options(inputs.logs, arm, options, imu)
-    friction, inertia = identify_simultaneous(
-        given, arm, options=motion, imu=imu, source=options.source, offset=options.offset
-    )
-    if options.consistent:
-        inertia = made_consistent(inertia, Stages(), arm)
-    return _added(inputs, given, Stages(friction=friction, inertia=inertia))
+    def find(given: LogSet) -> Stages:
+        arm, imu = inputs.robot, inputs.stages.imu
+        motion = identification_options(inputs.logs, arm, options, imu)
+        friction, inertia = identify_simultaneous(
+            given, arm, options=motion, imu=imu, source=options.source, offset=options.offset
+        )
+        if options.consistent:
+            inertia = made_consistent(inertia, Stages(), arm)
+        return Stages(friction=friction, inertia=inertia)
+
+    return _added(inputs, find)
 
 
 @documented(ParallelKeywords)
@@ -225,21 +226,27 @@ def predict(
     from seqid_cli.identify.prediction.document import prediction_file
     from seqid_cli.identify.prediction.predict import predict as predicted
 
-    rigid = InertiaOptions(inherited(inputs.stages, options.cutoff_hz), options.source)
-    given = LogSet.of(inputs)
-    unexplained = options.with_unexplained
+    motion, given = inherited(inputs.stages, options.cutoff_hz), LogSet.of(inputs)
+    rigid, unexplained = InertiaOptions(motion, options.source), options.with_unexplained
     found = predicted(given, inputs.robot, inputs.stages, options=rigid, unexplained=unexplained)
-    origin = rigid.motion.origin
-    file = prediction_file(inputs, given, found, table, origin, unexplained=unexplained)
+    file = prediction_file(inputs, given, found, table, motion.origin, unexplained=unexplained)
     if target is not None:
         write_json_atomic(target, file, inputs=inputs.sources)
     return file
 
 
-def _added(inputs: Inputs, logs: LogSet, found: Stages) -> ParameterFile:
-    """Judge new stages and add them to the stages before."""
-    from seqid_cli.identify.judging import judged
+def _added(
+    inputs: Inputs, find: Callable[[LogSet], Stages], *, imus: bool | None = None
+) -> ParameterFile:
+    """Find new stages, judge them, and add them to the stages before.
 
+    `imus`: whether the readings of IMUs are used, where the stages before do not say it.
+    """
+    from seqid_cli.identify.judging import judged
+    from seqid_cli.identify.log_set import LogSet
+
+    logs = LogSet.of(inputs, imus=imus)
+    found = find(logs)
     noted = {}
     for name in present(found):
         stage = getattr(found, name)

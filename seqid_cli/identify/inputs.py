@@ -107,8 +107,7 @@ def prepare(
             if name == "inertia":
                 hint += " From logs of any motion, seqid simultaneous gives one."
             raise ConfigError(message, where=", ".join(file for file, _ in models), hint=hint)
-    loaded = robot_of(robot, models)
-    named = (found, loaded, models, previous, files, target, options, missing)
+    named = (found, robot_of(robot, models), models, previous, files, target, options, missing)
     return Inputs(*named, executor, on_progress)
 
 
@@ -133,9 +132,8 @@ def robot_of(robot: PathLike | Robot, models: Sequence[tuple[str, ParameterFile]
 
 def model_id(name: str, file: ParameterFile, paths: Sequence[Path]) -> FileId:
     """A parameter file as documents list it."""
-    for path in paths:
-        if str(path) == name:
-            return FileId(path=name, sha256=file_sha256(path))
+    if name in map(str, paths):
+        return FileId(path=name, sha256=file_sha256(Path(name)))
     return FileId(path="", sha256=hashlib.sha256(encode(file).encode()).hexdigest())
 
 

@@ -29,8 +29,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
-JUDGED = ("friction", "gravity", "imu", "inertia")
-
 
 @dataclass(frozen=True)
 class Limits:
@@ -39,8 +37,8 @@ class Limits:
     A result must be impossible by `clear_sigma` standard errors. Friction drives a joint where it
     is negative by `driving_share` of the usual friction, in more than `driving_cells` of the
     positions and speeds looked at. Gravity of two stages may differ by `max_difference` of a
-    joint's gravity torque, and by a factor `max_factor` from the URDF's; below `false_sign` times
-    that its sign is another one, below the correlation `min_correlation` it points elsewhere.
+    joint's gravity torque, and by a factor `max_factor` from the URDF's; below the correlation
+    `min_correlation` with that it points elsewhere.
     Joints with less than `light_share` of the largest gravity torque, or `min_torque` N m, are not
     compared. They are looked at in so many `positions`, `speeds` and `postures`.
     """
@@ -50,7 +48,6 @@ class Limits:
     driving_cells: float = 0.02
     max_difference: float = 0.25
     max_factor: float = 2.5
-    false_sign: float = -0.3
     min_correlation: float = 0.3
     light_share: float = 0.05
     min_torque: float = 1e-3
@@ -63,21 +60,16 @@ LIMITS = Limits()
 
 
 def judged(
-    found: Stages,
-    previous: ParameterFile | None,
-    robot: Robot,
-    of_logs: Sequence[Verdict] = (),
+    found: Stages, previous: ParameterFile | None, robot: Robot, of_logs: Sequence[Verdict] = ()
 ) -> Stages:
     """Add to the verdicts of new stages those by physics, and those `of_logs`.
 
     Returns: a stage with a poor verdict of any joint has one as a whole (joint empty).
     """
     before = previous.stages if previous else Stages()
-    known = Stages(
-        friction=found.friction or before.friction, gravity=found.gravity or before.gravity
-    )
-    stages = {}
-    for name in JUDGED:
+    friction, gravity = found.friction or before.friction, found.gravity or before.gravity
+    known, stages = Stages(friction=friction, gravity=gravity), {}
+    for name in ("friction", "gravity", "imu", "inertia"):
         stage = getattr(found, name)
         if stage is not None:
             own = [*stage.verdicts, *_physics(stage, known, robot), *of_logs]
@@ -117,11 +109,11 @@ def _physics(
         if stage is not known.gravity:
             yield from inertia_verdicts(stage, robot)
             if known.gravity is not None and known.gravity.parameters:
-                yield from _as_before(samples, robot, known.gravity, IN_LOGS)
+                yield from _gravity_verdicts(samples, robot, known.gravity, IN_LOGS)
         elif known.friction is not None:
             measured = _measured(known.friction, robot)
-            yield from _as_before(measured, robot, stage, IN_TRIALS)
-        yield from _as_nominal(samples, robot)
+            yield from _gravity_verdicts(measured, robot, stage, IN_TRIALS)
+        yield from _gravity_verdicts(samples, robot, None, NOT_NOMINAL)
 
 
 def friction_verdicts(stage: FrictionStage, robot: Robot) -> Iterator[Verdict]:
@@ -147,7 +139,7 @@ def friction_verdicts(stage: FrictionStage, robot: Robot) -> Iterator[Verdict]:
                 "current is wrong, or it is another joint's"
             )
             yield Verdict(joint=name, good=False, reason=reason)
-    yield from _as_nominal(_measured(stage, robot), robot)
+    yield from _gravity_verdicts(_measured(stage, robot), robot, None, NOT_NOMINAL)
 
 
 Samples = dict[int, tuple[Array, Array]]  # joint: postures (N, n), gravity torque of it (N,)
@@ -157,18 +149,20 @@ def _measured(stage: FrictionStage, robot: Robot) -> Samples:
     """Gravity torque by Eq. 12-14 in the postures of the friction trials."""
     found: Samples = {}
     for j, name in enumerate(robot.joint_names):
-        groups = [g for g in stage.joints[name].gravity if g.p_xi] if name in stage.joints else []
-        if groups:
-            first, last = stage.joints[name].position_range
-            q = np.linspace(first, last, LIMITS.positions)
-            places = np.array([group.configuration for group in groups])
-            torques = [
-                gravity_columns(robot, j, place, q) @ np.array(group.p_xi)
-                for place, group in zip(places, groups, strict=True)
-            ]
-            postures = np.repeat(places, len(q), axis=0)
-            postures[:, j] = np.tile(q, len(groups))
-            found[j] = postures, np.concatenate(torques)
+        joint = stage.joints.get(name)
+        groups = [group for group in joint.gravity if group.p_xi] if joint else []
+        if joint is None or not groups:
+            continue
+        first, last = joint.position_range
+        q = np.linspace(first, last, LIMITS.positions)
+        places = [np.array(group.configuration) for group in groups]
+        torques = [
+            gravity_columns(robot, j, place, q) @ np.array(group.p_xi)
+            for place, group in zip(places, groups, strict=True)
+        ]
+        postures = np.repeat(places, len(q), axis=0)
+        postures[:, j] = np.tile(q, len(groups))
+        found[j] = postures, np.concatenate(torques)
     return found
 
 
@@ -180,23 +174,6 @@ def _gravity(robot: Robot, stage: RigidStage | None, q: Array) -> Array:
     return np.asarray(inverse_dynamics(robot.chain, robot.gravity, phi, q, still, still))
 
 
-def _compared(
-    samples: Samples, robot: Robot, stage: RigidStage | None
-) -> Iterator[tuple[str, float, float, float]]:
-    """Compare samples with the gravity of a stage, for joints that carry a fair share of it.
-
-    Yields: joint; RMS difference, RMS and projection, each over what the stage says.
-    """
-    largest = float(np.abs(_gravity(robot, stage, _postures(robot))).max())
-    least = max(LIMITS.min_torque, LIMITS.light_share * largest)
-    for j, (q, own) in samples.items():
-        told = _gravity(robot, stage, q)[:, j]
-        rms = float(np.sqrt(np.mean(told**2)))
-        if rms >= least:
-            off, size = (float(np.sqrt(np.mean(x**2))) / rms for x in (own - told, own))
-            yield robot.joint_names[j], off, size, float(own @ told) / float(told @ told)
-
-
 IN_TRIALS = (
     "gravity in the friction trials (Eq. 12-15) is not that of the parameters: {} are left, it is "
     "{:.2g} times that. Check unit and sign of the torque, the direction of gravity and the order "
@@ -206,86 +183,81 @@ IN_LOGS = (
     "gravity in these logs differs from the gravity stage's by {} of it, it is {:.2g} times that. "
     "Check that the logs are of one robot, in one unit and with the joints in order"
 )
+NOT_NOMINAL = (
+    "gravity is not that of the URDF's inertials: {} are left, it is {:.2g} times that. Check unit "
+    "and sign of the torque, torque_constant and gear_ratio, the direction of gravity in the robot "
+    "file, and axes, zeros and order of the joints"
+)
 
 
-def _as_before(samples: Samples, robot: Robot, stage: RigidStage, text: str) -> Iterator[Verdict]:
-    """Compare gravity that shows in two ways."""
-    for name, off, _, ratio in _compared(samples, robot, stage):
-        if off > LIMITS.max_difference:
-            yield Verdict(joint=name, good=False, reason=text.format(percent(off, 0), ratio))
+def _gravity_verdicts(
+    samples: Samples, robot: Robot, stage: RigidStage | None, text: str
+) -> Iterator[Verdict]:
+    """Judge gravity by a stage's, or by that of the URDF's inertials; `text` says how it differs.
 
-
-def _as_nominal(samples: Samples, robot: Robot) -> Iterator[Verdict]:
-    """Compare gravity with that of the URDF's inertials, where there are any."""
-    if robot.nominal is None or not samples:
+    Joints that carry little of it are not compared.
+    """
+    if not samples or (stage is None and robot.nominal is None):
         return
-    for name, _, size, ratio in _compared(samples, robot, None):
-        if ratio < LIMITS.false_sign:
-            reason = (
-                f"gravity is {ratio:.2g} times that of the URDF's inertials: sign of the torque, "
-                "direction of the joint's axis, or direction of gravity in the robot file"
-            )
-        elif not 1.0 / LIMITS.max_factor < size < LIMITS.max_factor:
-            reason = (
-                f"gravity is {size:.2g} times that of the URDF's inertials: unit of the torque, "
-                "torque_constant, gear_ratio"
-            )
-        elif ratio < LIMITS.min_correlation * size:
-            reason = (
-                "gravity over the positions is not that of the URDF's inertials: direction of "
-                "gravity in the robot file, zeros and order of the joints"
-            )
-        else:
+    largest = float(np.abs(_gravity(robot, stage, _postures(robot))).max())
+    for j, (q, own) in samples.items():
+        told = _gravity(robot, stage, q)[:, j]
+        rms = float(np.sqrt(np.mean(told**2)))
+        if rms < max(LIMITS.min_torque, LIMITS.light_share * largest):
             continue
-        yield Verdict(joint=name, good=False, reason=reason)
+        off, size = (float(np.sqrt(np.mean(x**2))) / rms for x in (own - told, own))
+        ratio = float(own @ told) / float(told @ told)
+        differs = off > LIMITS.max_difference
+        if stage is None:
+            differs = not 1.0 / LIMITS.max_factor < size < LIMITS.max_factor
+            differs |= ratio < LIMITS.min_correlation * size
+        if differs:
+            reason = text.format(percent(off, 0), ratio)
+            yield Verdict(joint=robot.joint_names[j], good=False, reason=reason)
 
 
 def inertia_verdicts(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
     """Judge whether rotors and the inertia that each drive feels are positive."""
-    for parameter in stage.parameters:
-        positive = parameter.terms and all(
-            factor > 0.0 and name.startswith("Ia_") for name, factor in parameter.terms.items()
-        )
-        if positive and parameter.value < -LIMITS.clear_sigma * parameter.std_error:
+    for p in stage.parameters:
+        rotor = p.terms and all(x > 0.0 and name.startswith("Ia_") for name, x in p.terms.items())
+        if rotor and p.value < -LIMITS.clear_sigma * p.std_error:
             reason = (
-                f"{parameter.name} is {parameter.value:.3g} +- {parameter.std_error:.2g}: a rotor "
-                "cannot have negative inertia"
+                f"{p.name} is {p.value:.3g} +- {p.std_error:.2g}: a rotor cannot have negative "
+                "inertia"
             )
-            yield Verdict(joint=parameter.joint, good=False, reason=reason)
+            yield Verdict(joint=p.joint, good=False, reason=reason)
     # The inertia M_jj that joint j's drive feels, by the stage's parameters and their errors.
-    phi, rotor = standard_parameters(stage, robot.n)
     basis = free_basis(robot)
-    place = {name: k for k, name in enumerate(basis.names)}
-    own = [place[p.name] for p in stage.parameters if p.name in place]
+    own = [basis.names.index(p.name) for p in stage.parameters if p.name in basis.names]
     if len(own) != len(stage.parameters) or np.shape(stage.covariance) != (len(own), len(own)):
         return
-    covariance = np.array(stage.covariance)
+    links, rotors = standard_parameters(stage, robot.n)
+    standard = np.concatenate([links.ravel(), rotors])
     q = _postures(robot)
-    standard = np.concatenate([phi.ravel(), rotor])
+    still = np.zeros_like(q)
+    at_rest = standard_regressor(robot, q, still, still, coupling="diagonal")
     for j, name in enumerate(robot.joint_names):
         if stage.rmse and name not in stage.rmse:
             continue
-        pushed, still = np.zeros_like(q), np.zeros_like(q)
+        pushed = np.zeros_like(q)
         pushed[:, j] = 1.0
-        H = standard_regressor(robot, q, still, pushed, coupling="diagonal")
-        H = H - standard_regressor(robot, q, still, still, coupling="diagonal")
-        felt = H[:, j] @ standard
-        columns = H[:, j] @ basis.representative[:, own]
-        error = np.sqrt(np.maximum(np.einsum("nk,kl,nl->n", columns, covariance, columns), 0.0))
-        worst = int(np.argmax(felt + LIMITS.clear_sigma * error))
-        if felt[worst] < -LIMITS.clear_sigma * error[worst]:  # in every posture
+        H = standard_regressor(robot, q, still, pushed, coupling="diagonal")[:, j] - at_rest[:, j]
+        felt, columns = H @ standard, H @ basis.representative[:, own]
+        variance = np.sum((columns @ np.array(stage.covariance)) * columns, axis=1)
+        error = LIMITS.clear_sigma * np.sqrt(np.maximum(variance, 0.0))
+        worst = int(np.argmax(felt + error))
+        if felt[worst] < -error[worst]:  # in every posture
             reason = (
                 f"the inertia that its drive feels is at most {felt[worst]:.3g} +- "
-                f"{error[worst]:.2g}: it cannot be negative. Check sign and unit of the torque, "
-                "torque_constant, gear_ratio and rotor_inertia"
+                f"{error[worst] / LIMITS.clear_sigma:.2g}: it cannot be negative. Check sign and "
+                "unit of the torque, torque_constant, gear_ratio and rotor_inertia"
             )
             yield Verdict(joint=name, good=False, reason=reason)
 
 
 def _postures(robot: Robot) -> Array:
     """Postures (P, n) within the limits, always the same."""
-    rng = np.random.default_rng(0)
     default = [(-0.5, 0.5) if joint.prismatic else (-np.pi, np.pi) for joint in robot.joints]
     ranges = [j.position_limits or d for j, d in zip(robot.joints, default, strict=True)]
     low, high = np.array(ranges).T
-    return rng.uniform(low, high, (LIMITS.postures, robot.n))
+    return np.random.default_rng(0).uniform(low, high, (LIMITS.postures, robot.n))

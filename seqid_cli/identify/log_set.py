@@ -98,12 +98,21 @@ class LogSet:
 
     def notes(self, known: Sequence[str] = ()) -> list[str]:
         """Return notes on the logs for the result, but for those it has already (`known`)."""
-        left = [f"left out: {text}" for text in self.left_out]
-        return [*left, *notes_of_logs(self.findings, known)]
+        warnings = grouped(f for f in self.findings if f.severity == "warning")
+        new = [_in_words(alike) for alike in warnings if alike[0].message not in set(known)]
+        return [*(f"left out: {text}" for text in self.left_out), *new]
 
     def verdicts(self) -> list[Verdict]:
-        """Return a poor verdict for each error of the logs."""
-        return verdicts_of_logs(self.findings)
+        """Return a poor verdict for every joint (or IMU) that an error of the logs is about.
+
+        One per code, joint and channel, however many logs show it; the joint is empty where the
+        whole log is meant.
+        """
+        return [
+            Verdict(joint=name, good=False, reason=f"{_text(alike)}. {alike[0].remedy}")
+            for alike in grouped(f for f in self.findings if f.severity == "error")
+            for name in alike[0].joint.split(", ")
+        ]
 
     def tell(self, state: Any, **about: Any) -> None:
         """Report the progress."""
@@ -116,9 +125,18 @@ class LogSet:
 
         Raises SeqidError: a log cannot be used, the first of them in the order given; or none can.
         """
-        self._next()
+        task = _Task(self.robot, self.time_source, part, opens, self.imus, Path.cwd())
+        items = list(enumerate(self.logs))
+        replies: Iterator[Reply[tuple[LogNote, P]]]
+        if self.executor is not None:
+            replies = ordered(self.executor, task, items)
+        else:
+            replies = (answer(task, i) if self.skip_failed else Reply(task(i)) for i in items)
         errors: list[Exception] = []
-        for given, reply in zip(self.logs, self._replies(part, opens), strict=True):
+        for _, given in items:
+            log = str(given.path if isinstance(given, Recording) else given)
+            self.tell("reading", log=log)
+            reply = next(replies)
             error = reply.error
             if error is None:
                 note, found = reply.get()
@@ -127,36 +145,20 @@ class LogSet:
                     self._done(note)
                     yield found
                 else:
-                    text = f"{note.path}: has the same content as {first} and would count twice"
-                    self.left_out.append(text)
-                    warn(f"left out: {text}")
+                    self._leave_out(f"{log}: has the same content as {first} and would count twice")
             elif isinstance(error, UsageError | ConfigError) or not self.skip_failed:
                 raise error  # also where it is no matter of one log
             else:
                 errors.append(error)
-                log = _name(given)
-                text = str(error) if log in str(error) else f"{log}: {error}"
-                self.left_out.append(text)
+                self._leave_out(str(error) if log in str(error) else f"{log}: {error}")
                 self.tell("failed", log=log, error=error)
-                warn(f"left out: {text}")
-            self._next()
         if errors and len(errors) == len(self.logs):
             hint = getattr(errors[0], "hint", "")
             raise InputError(f"none of the {len(errors)} logs can be used: {errors[0]}", hint=hint)
 
-    def _replies(
-        self, part: PartOf[Any, P], opens: Opens | None
-    ) -> Iterator[Reply[tuple[LogNote, P]]]:
-        task = _Task(self.robot, self.time_source, part, opens, self.imus, Path.cwd())
-        items = list(enumerate(self.logs))
-        if self.executor is not None:
-            return ordered(self.executor, task, items)
-        return (answer(task, i) if self.skip_failed else Reply(task(i)) for i in items)
-
-    def _next(self) -> None:
-        done = len(self.read) + len(self.left_out)
-        if done < len(self.logs):
-            self.tell("reading", log=_name(self.logs[done]))
+    def _leave_out(self, text: str) -> None:
+        self.left_out.append(text)
+        warn(f"left out: {text}")
 
     def _done(self, note: LogNote) -> None:
         """Take account of a log that was read, and warn of what cannot wait for the result."""
@@ -171,12 +173,12 @@ class LogSet:
             elif finding.message in note.warnings:
                 warn(_in_words([finding]))
         known = {finding.message for finding in note.findings}
-        for warning in note.warnings:
-            if warning not in known:
-                warn(f"{note.path}: {warning}")
+        texts = [text for text in note.warnings if text not in known]
         if note.partial:
             self.partial.append(f"{note.path}: {note.partial}")
-            warn(f"{note.path}: only partly read: {note.partial}")
+            texts.append(f"only partly read: {note.partial}")
+        for text in texts:
+            warn(f"{note.path}: {text}")
 
 
 def reduced(
@@ -202,25 +204,6 @@ def mapped(logs: Iterable[L], part: PartOf[L, P], opens: Opens | None = None) ->
         yield part(log, number)
 
 
-def verdicts_of_logs(findings: Iterable[InspectionFinding]) -> list[Verdict]:
-    """A poor verdict for every joint (or IMU) that a log's error is about.
-
-    `findings`: of all logs. Errors count; warnings do not spoil a result. Returns: one per code,
-    joint and channel, however many logs show it; the joint is empty where the whole log is meant.
-    """
-    return [
-        Verdict(joint=name, good=False, reason=f"{_text(alike)}. {alike[0].remedy}")
-        for alike in grouped(f for f in findings if f.severity == "error")
-        for name in alike[0].joint.split(", ")
-    ]
-
-
-def notes_of_logs(findings: Iterable[InspectionFinding], known: Iterable[str] = ()) -> list[str]:
-    """Return warnings about the logs in words, but for those `known` already."""
-    warnings = grouped(f for f in findings if f.severity == "warning")
-    return [_in_words(alike) for alike in warnings if alike[0].message not in set(known)]
-
-
 def _in_words(alike: Sequence[InspectionFinding]) -> str:
     return (f"{alike[0].joint}: " if alike[0].joint else "") + _text(alike)
 
@@ -236,19 +219,15 @@ def _text(alike: Sequence[InspectionFinding]) -> str:
 
 def _note_of(log: Recording | SurveyedLog) -> LogNote:
     """Return the summary of a log for progress and documents."""
-    samples = log.samples if isinstance(log, SurveyedLog) else len(log.t)
-    health = log if isinstance(log, SurveyedLog) else log.health
-    mended = () if isinstance(log, SurveyedLog) else log.health.mended
-    about = log.path, log.sha256, samples, log.rate_hz, health.warnings, log.partial
-    return LogNote(*about, mended=mended)
+    if isinstance(log, SurveyedLog):
+        return LogNote(log.path, log.sha256, log.samples, log.rate_hz, log.warnings, log.partial)
+    health = log.health
+    about = log.path, log.sha256, len(log.t), log.rate_hz, health.warnings, log.partial
+    return LogNote(*about, mended=health.mended)
 
 
 def _itself(log: Recording, _: int) -> Recording:
     return log
-
-
-def _name(log: Path | Recording) -> str:
-    return str(log.path if isinstance(log, Recording) else log)
 
 
 @dataclass(frozen=True)
@@ -272,10 +251,11 @@ class _Task(Generic[P]):
             return _note_of(given), self.part(given, number)
         # Those that pass over a log read it again and again: a stored one's copy must last.
         with local_copy(given) as file:
-            place = file if file.is_absolute() or self.folder == Path.cwd() else self.folder / file
-            clock = self.time_source
-            opened = self.opens and self.opens(place, self.robot, time_source=clock)
+            place, clock = self.folder / file, self.time_source
+            if self.folder == Path.cwd():
+                place = file
             log: Recording | SurveyedLog
+            opened = self.opens and self.opens(place, self.robot, time_source=clock)
             if opened is not None:
                 log, findings = screened_long(replace(opened, path=given), self.robot)
             else:

@@ -143,25 +143,19 @@ def documented(keywords: type[Keywords]) -> Callable[[F], F]:
 
     def decorate(function: F) -> F:
         own = inspect.signature(function)
-        named = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD]
-        shared = [
-            inspect.Parameter(
-                name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=None,
-                annotation=getattr(hint, "__forward_arg__", hint),
-            )
-            for name, hint in keywords.__annotations__.items()
-        ]
-        shown = own.replace(parameters=[*named, *shared])
+        shown = [p for p in own.parameters.values() if p.kind is not p.VAR_KEYWORD]
+        for name, hint in keywords.__annotations__.items():
+            annotation = getattr(hint, "__forward_arg__", hint)
+            shared = inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None)
+            shown.append(shared.replace(annotation=annotation))
         text = inspect.cleandoc(function.__doc__ or "")
         entries = [
-            f"{name} : {ENTRIES[name].format(default=parameter.annotation)}"
-            for name, parameter in shown.parameters.items()
-            if f"\n{name} : " not in text
+            f"{p.name} : {ENTRIES[p.name].format(default=p.annotation)}"
+            for p in shown
+            if f"\n{p.name} : " not in text
         ]
         function.__doc__ = "\n".join([text, *entries, ENDING.format(result=own.return_annotation)])
-        function.__signature__ = shown  # type: ignore[attr-defined]
+        function.__signature__ = own.replace(parameters=shown)  # type: ignore[attr-defined]
         return function
 
     return decorate

@@ -22,6 +22,7 @@ first estimate is enough:
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,8 +36,7 @@ from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array
 
 
-@dataclass(frozen=True)
-class SteadyGroup:
+class SteadyGroup(NamedTuple):
     """Trials of one joint in one configuration, with the torque of acceleration taken off.
 
     `inertia` and `std_error` are d_kk, kg m^2 (kg where prismatic), as it was used.
@@ -67,8 +67,9 @@ def without_acceleration(
     inflation = max(float(count @ robust / (count @ white)), 1.0) if (white > 0).any() else 1.0
     result = []
     for group, own in zip(groups, found, strict=True):
-        inertia = 0.0 if own is None else max(own[0], 0.0)
-        error = usual if own is None else float(np.sqrt(max(own[2], own[1] * inflation)))
+        inertia, error = 0.0, usual
+        if own is not None:
+            inertia, error = max(own[0], 0.0), float(np.sqrt(max(own[2], own[1] * inflation)))
         largest = error
         if not len(known):  # all torque of the trials could be acceleration's
             torque = max(float(np.median(np.abs(trial.tau))) for trial in group)
@@ -102,21 +103,22 @@ def _inertia_of(
     Its variance for white noise follows, that robust within trials, and the number of these.
     """
     low, high = surface.scaling.speed
-    rows, right, cluster, windows = [], [], [], 0
+    rows, windows = [], 0  # columns: ddq, a, torque, each by the root of the weight; trial
     for number, trial in enumerate(group):
         # Windows at speeds at which friction was seen; the others hold a reversal or a rest.
-        ramps, speed = trial.ramps, np.abs(trial.ramps.dq)
+        speed = np.abs(trial.ramps.dq)
         kept = (speed >= low) & (speed <= high)
         windows += int(kept.sum())
-        for part, own in ((trial, slice(None)), (ramps, kept)):
-            q, root = part.q[own], np.sqrt(part.weight)
+        for part, own in ((trial, slice(None)), (trial.ramps, kept)):
+            q = part.q[own]
             a = gravity_columns(robot, trial.joint, group[0].configuration, q)
-            rows.append(np.column_stack([part.ddq[own], a]) * root)
-            right.append((part.tau[own] - surface.torque(q, part.dq[own])) * root)
-            cluster.append(np.full(len(q), number))
+            y = part.tau[own] - surface.torque(q, part.dq[own])
+            weighted = np.column_stack([part.ddq[own], a, y]) * np.sqrt(part.weight)
+            rows.append(np.column_stack([weighted, np.full(len(q), number)]))
     if windows < min_windows:
         return None
-    found = Clustered.of(np.vstack(rows), np.concatenate(right), np.concatenate(cluster))
+    table = np.vstack(rows)
+    found = Clustered.of(table[:, :-2], table[:, -2], table[:, -1].astype(np.intp))
     count, spare = len(found.moves), len(found.left) - len(found.theta)
     robust = count / max(count - 1, 1) * float(np.sum(found.moves[:, 0] ** 2))
     white = float(found.left @ found.left) / max(spare, 1) * float(found.bread[0, 0])
@@ -176,21 +178,18 @@ class HeldJoints:
         difference. Those of joints whose readings never change are no part of it.
         """
         moved = np.ptp(np.concatenate([trial.places for trial in group]), axis=0) > 0.0
-        found = []
-        for trial in group:
-            each = self.unseen(trial, trial.places) * moved / np.sqrt(2.0)
-            most = int(np.argmax(np.sum(each**2, axis=0)))
-            found.append(np.copysign(np.linalg.norm(each, axis=1), each[:, most]))
-        return found
+        each = [self.unseen(t, t.places) * moved / np.sqrt(2.0) for t in group]
+        most = [int(np.argmax(np.sum(own**2, axis=0))) for own in each]
+        signed = zip(each, most, strict=True)
+        return [np.copysign(np.linalg.norm(own, axis=1), own[:, k]) for own, k in signed]
 
     def unseen(self, trial: Trial, q: Array) -> Array:
         """Torque (K, n) N m of one standard deviation of where each other joint stands.
 
         `q` (K, n): positions at which it is asked for.
         """
-        aside = np.zeros((self.robot.n, 1, self.robot.n))
-        for k in np.flatnonzero(trial.count > 0.0):
-            aside[k, 0, k] = trial.count[k] / np.sqrt(12.0) if k != trial.joint else 0.0
+        others = (np.arange(self.robot.n) != trial.joint) & (trial.count > 0.0)
+        aside = np.diag(np.where(others, trial.count / np.sqrt(12.0), 0.0))[:, None, :]
         places = np.concatenate([q[None], q + aside]).reshape(-1, self.robot.n)
         torque = (self.columns(trial.joint, places) @ self.theta).reshape(-1, len(q))
         return np.asarray((torque[1:] - torque[0]).T)

@@ -143,7 +143,7 @@ def fit_surfaces(
     logarithm of the marginal likelihood of all slices comes second.
     """
     highest = highest_orders(sets, position, velocity)
-    sizes, evidence = Evidence.of(sets, highest).strongest(near)
+    sizes, evidence = Evidence(sets, highest).strongest(near)
     return [SurfaceFit.of(own, sizes, highest) for own in sets], evidence
 
 

@@ -13,9 +13,9 @@ and depends on the position alone, as the torque of a spring or a cable does, is
 left in, it would be friction's noise.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from itertools import pairwise
 
 import numpy as np
 from numpy.polynomial import Chebyshev, chebyshev
@@ -59,43 +59,6 @@ def plane_across(axis: Array) -> tuple[Array, Array]:
     return e_x, np.cross(axis, e_x)
 
 
-class HalfSum(NamedTuple):
-    """Half-sum `tau` (K,) N m of a forward and a backward trial at `q` (K,) rad (Eq. 15).
-
-    `friction` (K,) N m is half their difference, `speed` the pair's, `weight` samples per slice.
-    """
-
-    q: Array
-    tau: Array
-    friction: Array
-    speed: float
-    weight: float
-
-
-def _half_sums(group: list[Trial]) -> list[HalfSum]:
-    """Half-sums of forward and backward trials of one configuration, speed by speed."""
-    result = []
-    for level in speed_levels(group):
-        back = [t for t in level if t.velocity < 0]
-        for ahead in (t for t in level if t.velocity > 0):
-            twin = max(back, key=lambda t: len(_inside(ahead, t)), default=None)
-            if twin is not None and len(at := _inside(ahead, twin)) >= 4:
-                back.remove(twin)
-                result.append(_half_sum(ahead, twin, at, level[0].speed))
-    return result
-
-
-def _inside(ahead: Trial, back: Trial) -> Index:
-    """Slices of a forward trial that lie where a backward trial has been."""
-    return np.flatnonzero((ahead.q >= back.q.min()) & (ahead.q <= back.q.max()))
-
-
-def _half_sum(ahead: Trial, back: Trial, at: Index, speed: float) -> HalfSum:
-    order = np.argsort(back.q)
-    tau, twin = ahead.tau[at], np.interp(ahead.q[at], back.q[order], back.tau[order])
-    return HalfSum(ahead.q[at], (tau + twin) / 2, (tau - twin) / 2, speed, ahead.weight)
-
-
 @dataclass(frozen=True)
 class GravityGroup:
     """Trials in one locked configuration with p_xi (2,) kg m and its standard errors.
@@ -104,19 +67,21 @@ class GravityGroup:
     """
 
     robot: Robot
-    configuration: Array
     trials: list[Trial]
     p_xi: Array
     std_error: Array
     beyond: Chebyshev | None = None
 
+    @property
+    def configuration(self) -> Array:
+        """Positions (n,) rad of the joints."""
+        return self.trials[0].configuration
+
     def torque(self, q: Array) -> Array:
         """Torque (K,) N m that both ways have at positions q (K,) of the moving joint (Eq. 12)."""
-        joint = self.trials[0].joint
-        torque: Array = gravity_columns(self.robot, joint, self.configuration, q) @ self.p_xi
-        if self.beyond is not None:
-            torque = torque + self.beyond(np.clip(q, *self.beyond.domain))
-        return torque
+        columns = gravity_columns(self.robot, self.trials[0].joint, self.configuration, q)
+        more = self.beyond(np.clip(q, *self.beyond.domain)) if self.beyond is not None else 0.0
+        return np.asarray(columns @ self.p_xi + more)
 
 
 @dataclass(frozen=True)
@@ -125,8 +90,8 @@ class GravityFit:
 
     groups: list[GravityGroup]
     unpaired: int
-    directional: bool
-    asymmetry: float
+    directional: bool = False
+    asymmetry: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -159,42 +124,26 @@ class Clustered:
         return np.asarray(np.sqrt(np.sum(self.moves**2, axis=0) * count / max(count - p, 1)))
 
 
-@dataclass(frozen=True)
-class _Pairs:
-    """Half-sums of a joint, row by row (N,), and the pair that each is of, numbered from 0."""
+def _half_sums(group: list[Trial]) -> list[Array]:
+    """Half-sums of forward and backward trials of one configuration (Eq. 15), pair by pair.
 
-    q: Array
-    tau: Array
-    friction: Array
-    speed: Array
-    weight: Array
-    pair: Index
-    slice: Index
-
-    @classmethod
-    def of(cls, pairs: Sequence[HalfSum]) -> "_Pairs":
-        """Stack pairs."""
-        lengths = [len(half.q) for half in pairs]
-        q, tau, friction = (
-            np.concatenate([getattr(half, x) for half in pairs]) for x in ("q", "tau", "friction")
-        )
-        speed, weight = (
-            np.repeat([getattr(half, x) for half in pairs], lengths) for x in ("speed", "weight")
-        )
-        pair, at = np.repeat(np.arange(len(pairs)), lengths), [np.arange(n) for n in lengths]
-        return cls(q, tau, friction, speed, weight, pair, np.concatenate(at))
-
-    def blocks(self, parts: int) -> Index:
-        """Blocks (N,), so many to a pair."""
-        return self.pair * parts + self.slice * parts // np.bincount(self.pair)[self.pair]
-
-    def dry(self, degree: int) -> Array:
-        """Friction (N,) N m less what goes with the speed, smooth over the position."""
-        place = np.interp(self.q, [self.q.min(), self.q.max()], [-1.0, 1.0])
-        columns = np.column_stack([chebyshev.chebvander(place, degree), self.speed])
-        root = np.sqrt(self.weight)
-        found = np.linalg.lstsq(columns * root[:, None], self.friction * root, rcond=1e-10)[0]
-        return np.asarray(columns[:, :-1] @ found[:-1])
+    Columns (K, 5): position rad, half-sum N m, half the difference N m, speed, samples per slice.
+    """
+    result = []
+    for level in speed_levels(group):
+        back = [t for t in level if t.velocity < 0]
+        for ahead in (t for t in level if t.velocity > 0):
+            met = [(ahead.q >= twin.q.min()) & (ahead.q <= twin.q.max()) for twin in back]
+            best = max(range(len(back)), key=lambda k: int(met[k].sum()), default=-1)
+            if best < 0 or met[best].sum() < 4:
+                continue
+            at, twin = met[best], back.pop(best)
+            order = np.argsort(twin.q)
+            q, tau = ahead.q[at], ahead.tau[at]
+            other = np.interp(q, twin.q[order], twin.tau[order])
+            speed, weight = np.full(len(q), level[0].speed), np.full(len(q), ahead.weight)
+            result.append(np.stack([q, (tau + other) / 2, (tau - other) / 2, speed, weight], 1))
+    return result
 
 
 def fit_gravity(
@@ -207,128 +156,116 @@ def fit_gravity(
     pair are left out and counted in `unpaired`.
     """
     groups = configurations(trials)
-    sums = [_half_sums(group) for group in groups]
-    places = [np.concatenate([np.zeros(0), *(half.q for half in own)]) for own in sums]
+    pairs = [_half_sums(group) for group in groups]
+    places = [np.concatenate([np.zeros(0), *(pair[:, 0] for pair in own)]) for own in pairs]
     a = [
         gravity_columns(robot, joint, group[0].configuration, q)
         for group, q in zip(groups, places, strict=True)
     ]
-    kept = [k for k, own in enumerate(sums) if own]
+    kept = [k for k, own in enumerate(pairs) if own]
     if len(kept) < len(groups) and not any(own.shape[1] for own in a):
         none = np.zeros(0)  # nothing to remove, no twin needed
-        free = [GravityGroup(robot, group[0].configuration, group, none, none) for group in groups]
-        return GravityFit(free, 0, False, 0.0)
+        return GravityFit([GravityGroup(robot, group, none, none) for group in groups], 0)
     unpaired = len(trials) - sum(len(groups[k]) for k in kept)
     if not kept:
-        return GravityFit([], unpaired, False, 0.0)
-    pairs, columns = (
-        _Pairs.of([x for k in kept for x in sums[k]]),
-        block_diag(*(a[k] for k in kept)),
-    )
-    extras = [np.column_stack([x, pairs.speed / pairs.speed.max()]) for x in _uneven(pairs, degree)]
+        return GravityFit([], unpaired)
+    table = _Pairs([pair for k in kept for pair in pairs[k]], degree, clear)
+    columns = block_diag(*(a[k] for k in kept))
+    # A share of friction may depend on the direction, or an offset; the gravity force of a
+    # prismatic joint is itself an offset.
+    slope = table.speed / table.speed.max()
+    extras = [np.stack([x, slope], 1) for x in (table.dry(), np.ones_like(table.q))]
     if robot.chain.prismatic[joint] and columns.shape[1]:
-        extras = [extras[1][:, 1:]]  # the gravity force of a prismatic joint is itself an offset
-    friction = _usual_friction([groups[k] for k in kept])
-    found, beyond, share, directional = _both_ways(pairs, columns, extras, friction, degree, clear)
-    ends = np.cumsum([a[k].shape[1] for k in kept])
-    each = zip(
-        kept, np.split(found.theta, ends)[:-1], np.split(found.std_error, ends)[:-1], strict=True
-    )
+        extras = [slope[:, None]]
+    plain, other, extra, beyond = table.both_ways(columns, extras)
+    share, directional = _asymmetry(plain, other, extra, _usual_friction(groups[k] for k in kept))
+    found = other if directional else plain
+    ends = np.cumsum([0, *(a[k].shape[1] for k in kept)])
     fitted = [
-        GravityGroup(robot, groups[k][0].configuration, groups[k], p_xi, error, beyond)
-        for k, p_xi, error in each
+        GravityGroup(robot, groups[k], found.theta[i:j], found.std_error[i:j], beyond)
+        for k, (i, j) in zip(kept, pairwise(ends), strict=True)
     ]
     return GravityFit(fitted, unpaired, directional, share)
 
 
-def _uneven(pairs: _Pairs, degree: int) -> tuple[Array, Array]:
-    """What differs between the directions, to a factor: a share of friction, or an offset (N,)."""
-    return pairs.dry(degree), np.ones_like(pairs.q)
-
-
-def _usual_friction(groups: Sequence[Sequence[Trial]]) -> float:
+def _usual_friction(groups: Iterable[Sequence[Trial]]) -> float:
     """RMS [N m] of half the difference of the directions, over configurations."""
-    squares = []
-    for group in groups:
-        ahead = [t.tau.mean() for t in group if t.velocity > 0]
-        back = [t.tau.mean() for t in group if t.velocity < 0]
-        squares.append(((np.mean(ahead) - np.mean(back)) / 2) ** 2)
-    return float(np.sqrt(np.mean(squares)))
+    means = [
+        [np.mean([t.tau.mean() for t in g if t.velocity * way > 0]) for way in (1, -1)]
+        for g in groups
+    ]
+    return float(np.sqrt(np.mean((np.diff(means) / 2) ** 2)))
 
 
-def _both_ways(
-    pairs: _Pairs,
-    columns: Array,
-    extras: Sequence[Array],
-    friction: float,
-    degree: int,
-    clear: float,
-    *,
-    enough_pairs: int = 8,
-) -> tuple[Clustered, Chebyshev | None, float, bool]:
-    """Fit what both ways have, columns (N, p) of gravity and one of the `extras`, or none.
+class _Pairs:
+    """Half-sums of a joint, row by row (N,), and the pair that each is of, numbered from 0."""
 
-    Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up. Also
-    what is left over the position, and the share of friction that depends on the direction.
-    """
-    root = np.sqrt(pairs.weight)
-    block = pairs.blocks(1 if pairs.pair[-1] + 1 >= enough_pairs else 4)
+    def __init__(self, pairs: Sequence[Array], degree: int, clear: float) -> None:
+        self.q, self.tau, self.friction, self.speed, weight = np.vstack(pairs).T
+        self.root = np.sqrt(weight)
+        self.lengths = [len(pair) for pair in pairs]
+        self.pair = np.repeat(np.arange(len(pairs)), self.lengths)
+        self.degree, self.clear = degree, clear
 
-    def fits(y: Array) -> list[Clustered]:
-        bases = (columns, *(np.hstack([columns, extra]) for extra in extras))
-        return [Clustered.of(A * root[:, None], y * root, block) for A in bases]
+    def dry(self) -> Array:
+        """Friction (N,) N m less what goes with the speed, smooth over the position."""
+        place = np.interp(self.q, [self.q.min(), self.q.max()], [-1.0, 1.0])
+        columns = np.column_stack([chebyshev.chebvander(place, self.degree), self.speed])
+        root = self.root[:, None]
+        found = np.linalg.lstsq(columns * root, self.friction * self.root, rcond=1e-10)[0]
+        return np.asarray(columns[:, :-1] @ found[:-1])
 
-    plain, *others = fits(pairs.tau)
-    number = _of_fewest(others, clear)
-    left = [each.left / root for each in (plain, others[number])]
-    beyond = _beyond(pairs.q, root, pairs.pair, *left, degree=degree, most=clear)
-    if beyond is not None:
-        plain, *others = fits(pairs.tau - beyond(pairs.q))
-        number = _of_fewest(others, clear)
-    share, directional = _asymmetry(plain, others[number], extras[number], friction)
-    return others[number] if directional else plain, beyond, share, directional
+    def both_ways(
+        self, columns: Array, extras: Sequence[Array], *, enough_pairs: int = 8
+    ) -> tuple[Clustered, Clustered, Array, Chebyshev | None]:
+        """Fit what both ways have: columns (N, p) of gravity, and these with the best of `extras`.
 
+        Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up.
+        Returns: both fits, the extra one, and what is left over the position.
+        """
+        cut = 1 if len(self.lengths) >= enough_pairs else 4
+        block = np.concatenate(
+            [k * cut + np.arange(n) * cut // n for k, n in enumerate(self.lengths)]
+        )
 
-def _of_fewest(fits: Sequence[Clustered], clear: float) -> int:
-    """The first of several fits, or one that leaves clearly less than those before it."""
-    best, squares = 0, [float(fit.left @ fit.left) for fit in fits]
-    for number in range(1, len(fits)):
-        best = number if squares[number] < clear * squares[best] else best
-    return best
+        def fits(y: Array) -> tuple[Clustered, Clustered, Array]:
+            """The first of several, or one that leaves clearly less than those before it."""
+            bases = (columns, *(np.hstack([columns, extra]) for extra in extras))
+            root = self.root
+            plain, best, *others = (Clustered.of(A * root[:, None], y * root, block) for A in bases)
+            extra = extras[0]
+            for fit, own in zip(others, extras[1:], strict=True):
+                if fit.left @ fit.left < self.clear * (best.left @ best.left):
+                    best, extra = fit, own
+            return plain, best, extra
 
+        found = fits(self.tau)
+        beyond = self._beyond(*(fit.left / self.root for fit in found[:2]))
+        return (*(found if beyond is None else fits(self.tau - beyond(self.q))), beyond)
 
-def _beyond(
-    q: Array,
-    root: Array,
-    pair: Index,
-    left: Array,
-    unlike: Array,
-    *,
-    degree: int,
-    most: float,
-) -> Chebyshev | None:
-    """Torque over the position q (N,) that half-sums have beyond gravity, `left` (N,) N m.
+    def _beyond(self, left: Array, unlike: Array) -> Chebyshev | None:
+        """Torque over the position that half-sums have beyond gravity, `left` (N,) N m.
 
-    A polynomial of some `degree` over all pairs, which `pair` (N,) numbers; rows weigh `root` (N,).
-    None, unless of what friction that depends on the direction does not make either, `unlike` (N,)
-    N m, one like it leaves pairs that are left out less than `most` of their squares: what pairs
-    share is no noise.
-    """
+        None, unless of what friction that depends on the direction does not make either, `unlike`
+        (N,) N m, a polynomial leaves pairs that are left out less than `clear` of their squares:
+        what pairs share is no noise.
+        """
+        domain = [float(self.q.min()), float(self.q.max())]
 
-    def fitted(values: Array, some: Mask) -> Chebyshev:
-        domain = [float(q.min()), float(q.max())]
-        return Chebyshev.fit(q[some], values[some], degree, domain=domain, w=root[some])
+        def fitted(values: Array, some: Mask) -> Chebyshev:
+            q, w = self.q[some], self.root[some]
+            return Chebyshev.fit(q, values[some], self.degree, domain=domain, w=w)
 
-    others = [pair != k for k in range(int(pair.max()) + 1)]
-    if min(np.count_nonzero(some) for some in others) <= degree:
-        return None
-    rest = unlike.copy()
-    for some in others:
-        own = ~some & (q >= q[some].min()) & (q <= q[some].max())
-        rest[own] -= fitted(unlike, some)(q[own])
-    if np.sum((rest * root) ** 2) >= most * np.sum((unlike * root) ** 2):
-        return None
-    return fitted(left, pair >= 0)
+        others = [self.pair != k for k in range(len(self.lengths))]
+        if min(np.count_nonzero(some) for some in others) <= self.degree:
+            return None
+        rest = unlike.copy()
+        for some in others:
+            own = ~some & (self.q >= self.q[some].min()) & (self.q <= self.q[some].max())
+            rest[own] -= fitted(unlike, some)(self.q[own])
+        if np.sum((rest * self.root) ** 2) >= self.clear * np.sum((unlike * self.root) ** 2):
+            return None
+        return fitted(left, self.pair >= 0)
 
 
 def _asymmetry(

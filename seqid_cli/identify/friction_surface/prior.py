@@ -26,7 +26,7 @@ value.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.linalg import cho_factor
@@ -37,10 +37,6 @@ from seqid_cli.identify.friction_surface.reduction import EDGES, EXTRA, SHARED, 
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.typing import Array
 
-NAMES = (
-    *("position", "speed", "both", "trial", "slow", "unsteady", "edge", "noise"),
-    *("over_position", "over_speed"),
-)
 DECAY_SPREAD = float(np.log(2.0))  # standard deviation of its logarithm
 SPREAD = float(np.log(10.0))  # standard deviation of a size's logarithm about the usual one
 
@@ -87,14 +83,16 @@ class Sizes:
     def own(self, scaling: Scaling, size: int, speeds: Array) -> Array:
         """Variances (4, T, size + 4) of own terms of trials at speeds (T,), by their causes."""
         degree = scaling.over_position.degrees(scaling.over_position.order(size))
-        spread = np.append(1.0 / np.maximum(degree, 1.0), np.zeros(EXTRA))
-        first = np.append(degree == 0, np.zeros(EXTRA))
-        last = np.concatenate([np.zeros(size), np.ones(EDGES), np.zeros(EXTRA - EDGES)])
+        found = np.zeros((4, len(speeds), size + EXTRA))
+        found[0, :, :size] = self.trial**2 * (degree == 0)
+        found[1, :, :size] = self.slow**2 * (degree > 0) / np.maximum(degree, 1.0)
         fast = (speeds / scaling.speed[1]) ** 4
-        shapes = (first, spread * (1.0 - first), np.outer(fast, spread), last)
-        sizes = (self.trial, self.slow, self.unsteady, self.edge)
-        every = np.ones((len(fast), 1))
-        return np.stack([a**2 * shape * every for a, shape in zip(sizes, shapes, strict=True)])
+        found[2, :, :size] = self.unsteady**2 * np.outer(fast, 1.0 / np.maximum(degree, 1.0))
+        found[3, :, size : size + EDGES] = self.edge**2
+        return found
+
+
+NAMES = tuple(field.name for field in fields(Sizes))[:-1]  # of those that are searched
 
 
 @dataclass(frozen=True)
@@ -159,36 +157,29 @@ class Normal:
         return covariance @ self.b, covariance, log_size
 
 
-@dataclass(frozen=True)
 class Evidence:
-    """Marginal likelihood of sets of trials, a surface each and the sizes in common."""
+    """Marginal likelihood of sets of trials, a surface each and the sizes in common.
 
-    sets: Sequence[Reduced]
-    highest: Orders
-    usual: Array  # (10,) N m, and powers
-    spread: Array  # (10,) of their logarithms
-    broad: float
+    The sizes' usual values are shares of the friction's RMS.
+    """
 
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         sets: Sequence[Reduced],
         highest: Orders,
         *,
         broad: float = 3.0,
         decay: float = 3.0,
         usual_shares: tuple[float, ...] = (0.1, 0.1, 0.03, 0.01, 0.01, 0.01, 0.1),
-    ) -> Evidence:
-        """Set up; the sizes' usual values are shares of the friction's RMS."""
+    ) -> None:
         squares = [(np.sum(own.z**2) + own.rest.sum()) / own.total.sum() for own in sets]
         level = max(float(np.sqrt(max(squares))), 1e-300)
         rest = sum(own.rest.sum() for own in sets)
         free = sum(np.maximum(own.slices - own.z.shape[1], 0.0).sum() for own in sets)
-        noise = np.sqrt(rest / free) if free > 0 else 0.0
-        noise = max(noise, 1e-6 * level)
-        usual = np.array([*(level * np.array(usual_shares)), noise, decay, decay])
-        spread = np.array([SPREAD] * (len(usual_shares) + 1) + [DECAY_SPREAD] * 2)
-        return cls(sets, highest, usual, spread, broad * level)
+        noise = max(float(np.sqrt(rest / free)) if free > 0 else 0.0, 1e-6 * level)
+        self.sets, self.highest, self.broad = sets, highest, broad * level
+        self.usual = np.array([*(level * np.array(usual_shares)), noise, decay, decay])
+        self.spread = np.array([SPREAD] * (len(usual_shares) + 1) + [DECAY_SPREAD] * 2)
 
     def sizes(self, logs: Array) -> Sizes:
         """Sizes from the logarithms (10,) of what they are times the usual ones."""

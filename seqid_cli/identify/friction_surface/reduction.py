@@ -27,46 +27,6 @@ from scipy.stats import binned_statistic, median_abs_deviation
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.typing import Array, Mask
 
-
-def around_medians(data: "Sequence[SpeedData]", *, bins: int = 24) -> list[Array]:
-    """Distances (K,) N m of slices from medians over positions and over trials."""
-    middles = [item.friction - np.median(item.friction) for item in data]
-    q, values = np.concatenate([item.q for item in data]), np.concatenate(middles)
-    middle, edges, _ = binned_statistic(q, values, "median", bins)
-    centres = 0.5 * (edges[1:] + edges[:-1])
-    known = np.isfinite(middle)
-    off = [
-        own - np.interp(item.q, centres[known], middle[known])
-        for item, own in zip(data, middles, strict=True)
-    ]
-    return [each - np.median(each) for each in off]
-
-
-def weighted(
-    data: "Sequence[SpeedData]", distances: Sequence[Array], *, min_scatter: float = 1e-9
-) -> "list[SpeedData]":
-    """Weight the slices anew.
-
-    `distances` (K,): of every slice from the surface, N m. `min_scatter`: of the usual friction,
-    below which no scatter is believed. Returns: weights are samples of usual noise: fewer where a
-    trial has more noise than the usual one, none where a slice does not belong to its trial.
-    """
-    level = float(np.median([np.median(np.abs(item.friction)) for item in data]))
-    found = [median_abs_deviation(own, scale="normal") for own in distances]
-    scales = np.maximum(found, max(min_scatter * level, 1e-300))
-    variances = scales**2 * np.array([float(np.median(item.weight)) for item in data])
-    usual = float(np.median(variances))
-    return [
-        replace(item, weight=item.weight * min(usual / variance, 1.0) * _biweight(own / scale))
-        for item, own, scale, variance in zip(data, distances, scales, variances, strict=True)
-    ]
-
-
-def _biweight(ratio: Array, *, max_ratio: float = 4.685) -> Array:
-    """Tukey's weights; 95 % efficient for normal errors."""
-    return np.asarray(np.clip(1.0 - (ratio / max_ratio) ** 2, 0.0, None) ** 2)
-
-
 EDGES = 2  # ends of a trial
 SHARED = 2  # errors that all trials have in common: of the inertia, of where others gave way
 EXTRA = EDGES + SHARED  # columns beside those of position
@@ -99,6 +59,53 @@ class SpeedData:
     edges: Array
     push: Array
     doubt: Array
+
+    @property
+    def belongs(self) -> Mask:
+        """Slices (K,) that count as measured."""
+        return np.asarray(self.weight > COUNTS * self.weight.max(initial=0.0))
+
+
+def around_medians(data: Sequence[SpeedData], *, bins: int = 24) -> list[Array]:
+    """Distances (K,) N m of slices from medians over positions and over trials."""
+    middles = [item.friction - np.median(item.friction) for item in data]
+    q, values = np.concatenate([item.q for item in data]), np.concatenate(middles)
+    middle, edges, _ = binned_statistic(q, values, "median", bins)
+    centres, known = 0.5 * (edges[1:] + edges[:-1]), np.isfinite(middle)
+    off = [
+        own - np.interp(item.q, centres[known], middle[known])
+        for item, own in zip(data, middles, strict=True)
+    ]
+    return [each - np.median(each) for each in off]
+
+
+def weighted(
+    data: Sequence[SpeedData],
+    distances: Sequence[Array],
+    *,
+    min_scatter: float = 1e-9,
+    max_ratio: float = 4.685,
+) -> list[SpeedData]:
+    """Weight the slices anew.
+
+    `distances` (K,): of every slice from the surface, N m. `min_scatter`: of the usual friction,
+    below which no scatter is believed. `max_ratio`: scales beyond which Tukey's weight is zero;
+    95 % efficient for normal errors. Returns: weights are samples of usual noise: fewer where a
+    trial has more noise than the usual one, none where a slice does not belong to its trial.
+    """
+    level = float(np.median([np.median(np.abs(item.friction)) for item in data]))
+    found = [median_abs_deviation(own, scale="normal") for own in distances]
+    scales = np.maximum(found, max(min_scatter * level, 1e-300))
+    variances = scales**2 * np.array([float(np.median(item.weight)) for item in data])
+    shares = np.minimum(float(np.median(variances)) / variances, 1.0)
+    tukey = [
+        np.clip(1.0 - (own / (max_ratio * scale)) ** 2, 0.0, None) ** 2
+        for own, scale in zip(distances, scales, strict=True)
+    ]
+    return [
+        replace(item, weight=item.weight * share * own)
+        for item, share, own in zip(data, shares, tukey, strict=True)
+    ]
 
 
 @dataclass(frozen=True)
@@ -144,20 +151,17 @@ def reduce_trials(
     """Reduce every trial to its R factor (Eq. 8); rows below `empty_share` of it are rounding."""
     parts = []
     for item in data:
-        root = np.sqrt(item.weight)
         over_position = scaling.over_position.values(item.q, MAX_POSITION_ORDER)
         columns = [over_position, item.edges, item.push, item.doubt, item.friction]
-        rows = np.column_stack(columns) * root[:, None]
+        rows = np.column_stack(columns) * np.sqrt(item.weight)[:, None]
         size = rows.shape[1] - 1
-        padded = np.zeros((max(len(rows), size), size + 1))  # few slices: rows of zeros
-        padded[: len(rows)] = rows
-        factor: Array = np.asarray(np.linalg.qr(padded, mode="r"), dtype=np.float64)
+        few = np.zeros((max(size + 1 - len(rows), 0), size + 1))  # filled up with rows of zeros
+        factor: Array = np.asarray(np.linalg.qr(np.vstack([rows, few]), mode="r"), dtype=np.float64)
         R, z = factor[:size, :size], factor[:size, size]
-        rest = float(factor[size, size] ** 2) if len(factor) > size else 0.0
         empty = np.linalg.norm(R, axis=1) <= empty_share * np.linalg.norm(R)
-        rest, z = rest + float(np.sum(z[empty] ** 2)), np.where(empty, 0.0, z)
-        slices = float(np.count_nonzero(item.weight > COUNTS * item.weight.max(initial=0.0)))
-        parts.append((R, z, rest, float(item.weight.sum()), slices))
+        rest = float(factor[size, size] ** 2 + np.sum(z[empty] ** 2))
+        total, slices = float(item.weight.sum()), float(np.count_nonzero(item.belongs))
+        parts.append((R, np.where(empty, 0.0, z), rest, total, slices))
     speeds = np.array([item.speed for item in data])
     return Reduced(scaling, speeds, scaling.u(speeds), *map(np.array, zip(*parts, strict=True)))
 

@@ -8,7 +8,7 @@ from scipy.linalg import block_diag
 
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
-from seqid_cli.identify.friction_surface.fit import SurfaceFit, choose_orders, fit_surfaces
+from seqid_cli.identify.friction_surface.fit import choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
 from seqid_cli.identify.friction_surface.prior import Sizes
 from seqid_cli.identify.friction_surface.reduction import (
@@ -27,7 +27,7 @@ from seqid_cli.identify.friction_surface.summary import (
     errors_of,
     summarise,
 )
-from seqid_cli.identify.friction_surface.trials import Trial, by_joint, collect_trials, speed_levels
+from seqid_cli.identify.friction_surface.trials import by_joint, collect_trials, speed_levels
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
@@ -35,9 +35,7 @@ from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.params.schema import FrictionStage, Verdict
 from seqid_cli.robot.types import Robot
 
-
-class UnpairedError(QualityError):
-    """A joint's trials cannot be freed of gravity."""
+UNPAIRED = "no pair of forward and backward trials at one speed in one configuration"
 
 
 def identify_friction(
@@ -58,54 +56,52 @@ def identify_friction(
         )
     firsts: dict[int, Fit] = {}
     reasons = dict.fromkeys(range(robot.n), "no constant-velocity trial moves this joint")
-    last: UnpairedError | None = None
     for j in sorted({trial.joint for trial in trials}):
-        try:
-            firsts[j] = _fit(robot, j, by_joint(trials, j), options)
-        except UnpairedError as error:
-            reasons[j], last = error.message, error
-    if not firsts and last is not None:
-        raise last
+        reasons[j] = UNPAIRED
+        gravity = fit_gravity(robot, j, by_joint(trials, j))
+        if gravity.groups:
+            firsts[j] = _fit(robot, j, gravity, options)
     surfaces = [firsts[j].surface if j in firsts else None for j in range(robot.n)]
     held = HeldJoints.of(robot, trials, surfaces)
     joints, verdicts, notes = {}, [], []
     for j, joint in enumerate(robot.joints):
-        if j not in firsts:
-            verdicts.append(Verdict(joint=joint.name, good=False, reason=reasons[j]))
-            continue
-        # Once more: the first surfaces show what acceleration is left, and how others gave way.
-        first = firsts[j]
-        paired = [
-            trial
-            for group in first.gravity.groups
-            for trial in held.standing(group.trials, group.configuration)
-        ]
-        groups = without_acceleration(robot, paired, first.surface)
-        steady = [trial for group in groups for trial in group.trials]
-        fit = _fit(robot, j, steady, options, near=first.parts[0][1].sizes, held=held)
-        described = summarise(robot, j, fit, first.gravity.unpaired, options)
-        joints[joint.name], verdict, said = described
+        first, verdict = firsts.get(j), Verdict(joint=joint.name, good=False, reason=reasons[j])
+        steady = _steady_gravity(robot, j, first, held) if first else None
+        if first and steady and steady.groups:
+            fit = _fit(robot, j, steady, options, near=first.parts[0][1].sizes, held=held)
+            unpaired = first.gravity.unpaired
+            joints[joint.name], verdict, said = summarise(robot, j, fit, unpaired, options)
+            notes += said
         verdicts.append(verdict)
-        notes += said
-    notes += constants_note(robot)
-    return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
+    if not joints:
+        hint = "record every speed in both directions over the same range (Eq. 15)"
+        names = [robot.joint_names[j] for j, reason in reasons.items() if reason == UNPAIRED]
+        raise QualityError(UNPAIRED, hint=hint, where=f"joint {names[-1]}")
+    return FrictionStage(joints=joints, verdicts=verdicts, notes=[*notes, *constants_note(robot)])
+
+
+def _steady_gravity(robot: Robot, j: int, first: Fit, held: HeldJoints) -> GravityFit:
+    """Gravity once more: first surfaces show what acceleration is left, and how others gave way."""
+    groups = [held.standing(group.trials, group.configuration) for group in first.gravity.groups]
+    stood = [trial for group in groups for trial in group]
+    steady = without_acceleration(robot, stood, first.surface)
+    return fit_gravity(robot, j, [trial for group in steady for trial in group.trials])
 
 
 def _fit(
     robot: Robot,
     j: int,
-    trials: list[Trial],
+    gravity: GravityFit,
     options: FrictionOptions,
     *,
     near: Sizes | None = None,
     held: HeldJoints | None = None,
+    narrow_sign: float = 25.0,
 ) -> Fit:
-    """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`."""
-    gravity = fit_gravity(robot, j, trials)
-    if not gravity.groups:
-        message = "no pair of forward and backward trials at one speed in one configuration"
-        hint = "record every speed in both directions over the same range (Eq. 15)"
-        raise UnpairedError(message, hint=hint, where=f"joint {robot.joints[j].name}")
+    """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`.
+
+    One surface for both directions together (Eq. 15's assumption), or one for each.
+    """
     data, asked = _friction_data(gravity, held), (options.position_order, options.velocity_order)
     levels = len({item.speed for item in data})
     if asked[1] is not None and asked[1] + 1 > levels:
@@ -121,11 +117,14 @@ def _fit(
     parts = _fitted(sets, scalings, *asked, near=near)
     fits, beta = [fit for _, fit in parts], options.beta
 
-    def accept(chosen: Orders) -> bool:
-        return errors_of(parts, chosen, unseen=True).relative <= (beta or DEFAULT_BETA)
+    def accept(orders: Orders) -> bool:
+        return errors_of(parts, orders, unseen=True).relative <= (beta or DEFAULT_BETA)
 
     chosen = choose_orders(fits, *asked, accept=accept if beta else None)
-    surface = _surface(fits, chosen, directional=gravity.directional)
+    D, scaling = [fit.entries(chosen) for fit in fits], fits[0].reduced.scaling
+    covariance = block_diag(*(fit.covariance(chosen) for fit in fits))
+    width = scaling.speed[0] / narrow_sign
+    surface = FrictionSurface(scaling, width, D[0], D[-1], covariance, gravity.directional)
     return Fit(gravity, parts, chosen, surface)
 
 
@@ -173,26 +172,19 @@ def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[SpeedDa
         doubts = held.doubt(group.trials) if held else [0.0 * trial.q for trial in group.trials]
         for trial, doubt in zip(group.trials, doubts, strict=True):
             direction = 1 if trial.velocity > 0 else -1
-            friction = direction * (trial.tau - group.torque(trial.q))
-            weight = np.full(len(trial.q), trial.weight)
-            edges = edges_of(trial.t, trial.seconds)
-            push = direction * trial.inertia_error * trial.ddq
-            own = trial.q, friction, weight, edges, push, doubt
-            data.append(SpeedData(trial.speed, direction, *own))
+            item = SpeedData(
+                speed=trial.speed,
+                direction=direction,
+                q=trial.q,
+                friction=direction * (trial.tau - group.torque(trial.q)),
+                weight=np.full(len(trial.q), trial.weight),
+                edges=edges_of(trial.t, trial.seconds),
+                push=direction * trial.inertia_error * trial.ddq,
+                doubt=doubt,
+            )
+            data.append(item)
     return [
         replace(item, speed=float(np.mean([other.speed for other in level])))
         for level in speed_levels(data)
         for item in level
     ]
-
-
-def _surface(
-    fits: list[SurfaceFit], orders: Orders, *, directional: bool, narrow_sign: float = 25.0
-) -> FrictionSurface:
-    """One surface for both directions together (Eq. 15's assumption) or one for each."""
-    D = [fit.entries(orders) for fit in fits]
-    scaling = fits[0].reduced.scaling
-    covariance = block_diag(*(fit.covariance(orders) for fit in fits))
-    return FrictionSurface(
-        scaling, scaling.speed[0] / narrow_sign, D[0], D[-1], covariance, directional
-    )

@@ -9,10 +9,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import Chebyshev
 
 from seqid_cli.identify.friction_surface.fit import SurfaceFit
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit
-from seqid_cli.identify.friction_surface.reduction import COUNTS, Orders, SpeedData
+from seqid_cli.identify.friction_surface.reduction import Orders, SpeedData
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
@@ -23,6 +24,8 @@ from seqid_cli.typing import Array
 
 NOISES = 2.0  # of such an average, that count as none of the surface's error
 NEAR_ZERO = 0.2  # of the RMS friction, below which the criterion is absolute
+DEFAULT_BETA = 0.05
+FEWEST_SPEEDS = 4
 
 
 @dataclass(frozen=True)
@@ -42,12 +45,12 @@ class Errors:
     @property
     def rms(self) -> float:
         """RMS error, N m."""
-        return float(np.sqrt(np.mean(self.error**2)))
+        return _rms(self.error)
 
     @property
     def relative(self) -> float:
         """Largest error beyond noise over friction; over 0.2 of its RMS where it is near zero."""
-        friction = np.maximum(np.abs(self.friction), NEAR_ZERO * np.sqrt(np.mean(self.friction**2)))
+        friction = np.maximum(np.abs(self.friction), NEAR_ZERO * _rms(self.friction))
         return float((self.missed / np.maximum(friction, 1e-300)).max())
 
     def at(self, u: float) -> "Errors":
@@ -59,42 +62,31 @@ class Errors:
 Part = tuple[list[SpeedData], SurfaceFit]  # of both directions, or of one
 
 
-def errors_of(parts: Sequence[Part], orders: Orders, *, unseen: bool) -> Errors:
-    """Errors of surfaces of some orders that have seen everything.
+def errors_of(
+    parts: Sequence[Part], orders: Orders, *, unseen: bool, group_size: int = 16
+) -> Errors:
+    """Errors of surfaces of some orders that have seen everything, over groups of slices.
 
     If `unseen`, those at inner speeds are of surfaces that have not seen them. With three speeds or
     fewer nothing is left out.
     """
     rows = []
     for data, fit in parts:
-        levels, over_position = fit.reduced.levels, fit.reduced.scaling.over_position
-        left_out = dict(fit.leaving_out(orders)) if unseen and len(levels) > 3 else {}
-        phi = np.polynomial.chebyshev.chebvander(levels, orders.velocity)
-        whole = fit.entries(orders)
-        for u, own in zip(levels, phi, strict=True):
-            at_speed = left_out.get(float(u), whole) @ own
-            for item, at in zip(data, fit.reduced.u, strict=True):
-                if at == u:
-                    fitted = over_position.values(item.q, orders.position) @ at_speed
-                    error, friction, noise = _grouped(item, fitted)
-                    rows.append((np.full(len(error), u), error, friction, noise))
-    return Errors(*(np.concatenate(values) for values in zip(*rows, strict=True)))
-
-
-def _grouped(item: SpeedData, fitted: Array, *, group_size: int = 16) -> tuple[Array, Array, Array]:
-    """Errors and friction averaged over groups of slices, and the noise of such an average."""
-    belongs = np.flatnonzero(item.weight > COUNTS * item.weight.max())
-    groups = np.array_split(belongs, max(len(belongs) // group_size, 1))
-    off = item.friction - fitted
-    steps = np.concatenate([np.diff(off[group]) for group in groups])
-    scatter = float(np.sqrt(np.mean(steps**2) / 2.0)) if len(steps) else 0.0
-    error = np.array([off[group].mean() for group in groups])
-    friction = np.array([item.friction[group].mean() for group in groups])
-    return error, friction, scatter / np.sqrt([float(len(group)) for group in groups])
-
-
-DEFAULT_BETA = 0.05
-FEWEST_SPEEDS = 4
+        whole, leave = fit.entries(orders), unseen and len(fit.reduced.levels) >= FEWEST_SPEEDS
+        left_out = dict(fit.leaving_out(orders)) if leave else {}
+        phi = fit.reduced.over_speed(orders.velocity)
+        for item, u, own in zip(data, fit.reduced.u, phi, strict=True):
+            A = fit.reduced.scaling.over_position.values(item.q, orders.position)
+            off = item.friction - A @ (left_out.get(float(u), whole) @ own)
+            belongs = np.flatnonzero(item.belongs)
+            groups = np.array_split(belongs, max(len(belongs) // group_size, 1))
+            steps = np.concatenate([np.diff(off[group]) for group in groups])
+            scatter = _rms(steps) / np.sqrt(2.0) if len(steps) else 0.0
+            rows += [
+                (u, off[g].mean(), item.friction[g].mean(), scatter / np.sqrt(len(g)))
+                for g in groups
+            ]
+    return Errors(*np.array(rows).T)
 
 
 @dataclass(frozen=True)
@@ -111,7 +103,7 @@ def summarise(
     robot: Robot, j: int, fit: Fit, unpaired: int, options: FrictionOptions
 ) -> tuple[FrictionJoint, Verdict, list[str]]:
     """Describe the fit of joint j; `unpaired` trials had no twin in the other direction."""
-    surface, gravity = fit.surface, fit.gravity
+    surface, gravity, described = fit.surface, fit.gravity, robot.joints[j]
     fitted = errors_of(fit.parts, fit.orders, unseen=False)
     unseen = errors_of(fit.parts, fit.orders, unseen=True)
     beta = options.beta or DEFAULT_BETA
@@ -139,7 +131,7 @@ def summarise(
         positive=surface.positive.tolist(),
         negative=surface.negative.tolist(),
         covariance=surface.entry_covariance.tolist(),
-        torque_constant_error=robot.joints[j].torque_constant_error,
+        torque_constant_error=described.torque_constant_error,
         gravity=[
             GravityOfTrial(
                 configuration=group.configuration.tolist(),
@@ -149,52 +141,36 @@ def summarise(
             for group in gravity.groups
         ],
         speeds=levels,
-        unit=robot.joints[j].unit("N m"),
+        unit=described.unit("N m"),
     )
-    name, error = robot.joints[j].name, robot.joints[j].torque_constant_error
-    verdict = _verdict(name, joint, unseen, surface.scaling)
+    verdict = _verdict(described.name, joint, unseen, surface.scaling)
     for level in joint.speeds:
-        level.std_error = float(np.hypot(level.std_error, error * level.friction))
-    return joint, verdict, [*_notes(name, joint, unpaired), *_beyond_gravity(name, joint, gravity)]
-
-
-def _beyond_gravity(name: str, joint: FrictionJoint, gravity: GravityFit) -> list[str]:
-    """Say how large the torque over the position is that gravity does not make."""
-    beyond = gravity.groups[0].beyond
-    if beyond is None:
-        return []
-    size = float(np.std(beyond(np.linspace(*beyond.domain))))
-    return [
-        f"{name}: torque that depends on the position and is no gravity, {size:.3g} {joint.unit} "
-        "RMS and the same both ways, as of a spring or a cable, is taken off the trials; seqid "
-        "diagnose tells what it is"
-    ]
+        level.std_error = float(
+            np.hypot(level.std_error, described.torque_constant_error * level.friction)
+        )
+    return joint, verdict, _notes(described.name, joint, gravity.groups[0].beyond, unpaired)
 
 
 def _levels(fit: Fit, fitted: Errors, unseen: Errors) -> list[SpeedLevel]:
+    """Friction and its errors speed by speed, the slowest first."""
     data = [item for own, _ in fit.parts for item in own]
     speeds = sorted({item.speed for item in data})
-    scaled = fit.surface.scaling.u(np.array(speeds))
     result = []
-    for speed, u in zip(speeds, scaled, strict=True):
+    for speed, u in zip(speeds, fit.surface.scaling.u(np.array(speeds)), strict=True):
         own = [item for item in data if item.speed == speed]
         inner = len(speeds) >= FEWEST_SPEEDS and speeds[0] < speed < speeds[-1]
-        # RMS standard error of the surface over the slices of one speed, N m.
-        errors = [
-            fit.surface.std_error(item.q, np.full(len(item.q), item.direction * item.speed))
-            for item in own
-        ]
-        result.append(
-            SpeedLevel(
-                speed=speed,
-                forward=sum(item.direction > 0 for item in own),
-                backward=sum(item.direction < 0 for item in own),
-                friction=float(np.sqrt(np.mean(fitted.at(u).friction ** 2))),
-                std_error=float(np.sqrt(np.mean(np.concatenate(errors) ** 2))),
-                rmse=fitted.at(u).rms,
-                left_out=unseen.at(u).rms if inner else None,
-            )
+        q = np.concatenate([item.q for item in own])
+        v = np.repeat([item.direction * speed for item in own], [len(item.q) for item in own])
+        level = SpeedLevel(
+            speed=speed,
+            forward=sum(item.direction > 0 for item in own),
+            backward=sum(item.direction < 0 for item in own),
+            friction=_rms(fitted.at(u).friction),
+            std_error=_rms(fit.surface.std_error(q, v)),
+            rmse=fitted.at(u).rms,
+            left_out=unseen.at(u).rms if inner else None,
         )
+        result.append(level)
     return result
 
 
@@ -203,62 +179,70 @@ def _verdict(
 ) -> Verdict:
     """Good, or poor and why: the speed at which the surface is worst decides."""
     # There its error may be `max_error` of the friction.
+    levels = joint.speeds
     if joint.held_out_rmse is None:
-        reason = (
-            f"only {len(joint.speeds)} speed(s); with four or more one can be left out to judge"
-        )
+        reason = f"only {len(levels)} speed(s); with four or more one can be left out to judge"
         return Verdict(joint=name, good=False, reason=reason)
-    usual = float(np.sqrt(np.mean([level.friction**2 for level in joint.speeds])))
-    u = scaling.u(np.array([level.speed for level in joint.speeds]))
+    usual = _rms(np.array([level.friction for level in levels]))
+    u = scaling.u(np.array([level.speed for level in levels]))
     errors = [
-        float(np.hypot(np.sqrt(np.mean(unseen.at(at).missed ** 2)), level.std_error))
+        float(np.hypot(_rms(unseen.at(at).missed), level.std_error))
         / max(level.friction, NEAR_ZERO * usual, 1e-12)
-        for at, level in zip(u, joint.speeds, strict=True)
+        for at, level in zip(u, levels, strict=True)
     ]
     worst = int(np.argmax(errors))
     unit = "m/s" if joint.unit == "N" else "rad/s"
-    at = f"{percent(errors[worst])} at {joint.speeds[worst].speed:.3g} {unit}"
-    if errors[worst] > max_error:
+    at = f"{percent(errors[worst])} at {levels[worst].speed:.3g} {unit}"
+    overall = percent(joint.held_out_rmse / max(usual, 1e-12))
+    reason = f"speeds left out are predicted to {overall} of the friction; known to {at} or better"
+    good = errors[worst] <= max_error
+    if not good:
         reason = (
             f"friction is known to {at} only; record more or longer trials there, or look at what "
             "else moves the torque (seqid simultaneous, then seqid diagnose with its file)"
         )
-        return Verdict(joint=name, good=False, reason=reason)
-    overall = percent(joint.held_out_rmse / max(usual, 1e-12))
-    reason = f"speeds left out are predicted to {overall} of the friction; known to {at} or better"
-    return Verdict(joint=name, good=True, reason=reason)
+    return Verdict(joint=name, good=good, reason=reason)
 
 
-def _notes(name: str, joint: FrictionJoint, unpaired: int) -> list[str]:
-    notes = []
-    if unpaired:
-        notes.append(
-            f"{name}: {unpaired} trial(s) have no twin in the other direction in the same "
-            "configuration and were left out; Eq. 15 needs both"
-        )
-    if joint.directional:
-        notes.append(
-            f"{name}: friction depends on direction by {percent(joint.asymmetry or 0.0)}, against "
-            "the assumption of Eq. 15; each direction has its own surface"
-        )
-    if not joint.criterion_met:
-        notes.append(
-            f"{name}: Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the "
-            f"largest error is {percent(joint.max_error)} "
-            f"({joint.max_abs_error:.3g} {joint.unit})"
-        )
-    return notes
+def _notes(name: str, joint: FrictionJoint, beyond: Chebyshev | None, unpaired: int) -> list[str]:
+    """What is to be said of a joint; `beyond` is torque over the position that is no gravity."""
+    size = float(np.std(beyond(np.linspace(*beyond.domain)))) if beyond is not None else 0.0
+    notes = [
+        (
+            unpaired > 0,
+            f"{unpaired} trial(s) have no twin in the other direction in the same "
+            "configuration and were left out; Eq. 15 needs both",
+        ),
+        (
+            joint.directional,
+            f"friction depends on direction by {percent(joint.asymmetry or 0.0)}, against "
+            "the assumption of Eq. 15; each direction has its own surface",
+        ),
+        (
+            not joint.criterion_met,
+            f"Eq. 11 does not hold at beta = {joint.beta:g}; at left-out speeds the largest error "
+            f"is {percent(joint.max_error)} ({joint.max_abs_error:.3g} {joint.unit})",
+        ),
+        (
+            beyond is not None,
+            f"torque that depends on the position and is no gravity, {size:.3g} {joint.unit} "
+            "RMS and the same both ways, as of a spring or a cable, is taken off the trials; seqid "
+            "diagnose tells what it is",
+        ),
+    ]
+    return [f"{name}: {text}" for holds, text in notes if holds]
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def constants_note(robot: Robot) -> list[str]:
     """Say which joints' torque constants are taken as exact, if any."""
-    exact = [
-        joint.name
-        for joint in robot.joints
-        if joint.torque_constant is not None and joint.torque_constant_error == 0.0
-    ]
+    known = [joint for joint in robot.joints if joint.torque_constant is not None]
+    exact = ", ".join(joint.name for joint in known if joint.torque_constant_error == 0.0)
     note = (
-        f"torque constants taken as exact: {', '.join(exact)}; torque_constant_error in the robot "
-        "file adds their error to the standard errors"
+        f"torque constants taken as exact: {exact}; torque_constant_error in the robot file adds "
+        "their error to the standard errors"
     )
     return [note] if exact else []

@@ -8,7 +8,7 @@ import operator
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.polynomial import Chebyshev
@@ -23,78 +23,22 @@ from seqid_cli.motion.segmentation import Stretch, constant_velocity, motion_rea
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-
-def pieces(
-    log: Recording | LongLog, step: Array, *, rows: int
-) -> Iterator[tuple[Block, list[Stretch]]]:
-    """Find the stretches of constant velocity of a log.
-
-    They lie within runs of samples at which one and the same joint moves alone. A long log is cut
-    between such runs into pieces, each with so many samples more on either side as the search for
-    motion reaches; what is found is what the whole log gives. A log that is held is one piece.
-
-    `step` (n,): encoder noise [rad], see `noise_step`. Yields: samples, and the stretches in them,
-    counted from the first of these samples.
-    """
-    if isinstance(log, Recording):
-        found = constant_velocity(log.q, log.rate_hz, step=step, valid=log.valid)
-        yield Block(0, log.q, torque_of(log), log.valid), found
-        return
-    margin, rate = motion_reach(log.rate_hz), log.rate_hz
-    wait, start = rows, 0  # samples before `start` have been searched
-    held: Block | None = None
-    for block in log.blocks():
-        held = block if held is None else joined([held, block])
-        if held.samples - start < wait + margin:
-            continue
-        cut = _last_change(held, start, rate, step, margin)
-        if cut is None:  # one move that goes on and on
-            wait = 2 * (held.samples - start)
-            continue
-        yield held, _stretches(held, start, cut, rate, step)
-        low = max(0, cut - margin)
-        held, start, wait = held.part(slice(low, held.samples)), cut - low, rows
-    if held is not None:
-        yield held, _stretches(held, start, held.samples, rate, step)
-
-
-def _last_change(block: Block, start: int, rate_hz: float, step: Array, margin: int) -> int | None:
-    """Find the last sample, away from the end, at which another joint moves than before it."""
-    moving = moving_mask(block.q, rate_hz, step)
-    alone = block.valid & (moving.sum(axis=1) == 1)
-    mover = np.where(alone, moving.argmax(axis=1), -1)
-    searched = mover[start : len(mover) - margin]
-    changes = np.flatnonzero(searched[1:] != searched[:-1])
-    return start + int(changes[-1]) + 1 if len(changes) else None
-
-
-def _stretches(block: Block, start: int, cut: int, rate_hz: float, step: Array) -> list[Stretch]:
-    inside = block.valid.copy()
-    inside[:start], inside[cut:] = False, False
-    return constant_velocity(block.q, rate_hz, step=step, valid=inside)
-
-
 SLICES = 64
+NONE: Array = np.zeros(0)
 
 
-@dataclass(frozen=True)
-class Ramps:
+class Ramps(NamedTuple):
     """How the joint of a trial got up to speed and back: means over windows of time.
 
     `q`, `dq`, `ddq`, `tau` (R,) rad, rad/s, rad/s^2, N m under the same window, so that
     `tau = I ddq + ...` holds for them as it does at an instant; `weight` samples each.
     """
 
-    q: Array
-    dq: Array
-    ddq: Array
-    tau: Array
+    q: Array = NONE
+    dq: Array = NONE
+    ddq: Array = NONE
+    tau: Array = NONE
     weight: float = 0.0
-
-    @classmethod
-    def none(cls) -> "Ramps":
-        """No window."""
-        return cls(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True)
@@ -124,7 +68,7 @@ class Trial:
     log: int = 0  # which one
     celsius: float = np.nan
     inertia_error: float = 0.0
-    count: Array = field(default_factory=lambda: np.zeros(0))
+    count: Array = field(default_factory=lambda: np.zeros(1))  # 0: not known
 
     @property
     def speed(self) -> float:
@@ -152,6 +96,51 @@ def trials_of(
         for block, own in pieces(log, survey.noise_step(resolution), rows=rows)
         for each in own
     ]
+
+
+def pieces(
+    log: Recording | LongLog, step: Array, *, rows: int
+) -> Iterator[tuple[Block, list[Stretch]]]:
+    """Find the stretches of constant velocity of a log.
+
+    They lie within runs of samples at which one and the same joint moves alone. A long log is cut
+    between such runs into pieces, each with so many samples more on either side as the search for
+    motion reaches; what is found is what the whole log gives. A log that is held is one piece.
+
+    `step` (n,): encoder noise [rad], see `noise_step`. Yields: samples, and the stretches in them,
+    counted from the first of these samples.
+    """
+    rate, margin = log.rate_hz, motion_reach(log.rate_hz)
+    blocks: Iterable[Block] = ()
+    if isinstance(log, Recording):
+        held: Block | None = Block(0, log.q, torque_of(log), log.valid)
+    else:
+        held, blocks = None, log.blocks()
+
+    def found(block: Block, first: int, stop: int) -> tuple[Block, list[Stretch]]:
+        inside = block.valid.copy()
+        inside[:first], inside[stop:] = False, False
+        return block, constant_velocity(block.q, rate, step=step, valid=inside)
+
+    wait, start = rows, 0  # samples before `start` have been searched
+    for block in blocks:
+        held = block if held is None else joined([held, block])
+        if held.samples - start < wait + margin:
+            continue
+        # The last sample, away from the end, at which another joint moves than before it.
+        moving = moving_mask(held.q, rate, step)
+        alone = held.valid & (moving.sum(axis=1) == 1)
+        mover = np.where(alone, moving.argmax(axis=1), -1)[start : held.samples - margin]
+        changes = np.flatnonzero(np.diff(mover))
+        if not len(changes):  # one move that goes on and on
+            wait = 2 * (held.samples - start)
+            continue
+        cut = start + int(changes[-1]) + 1
+        yield found(held, start, cut)
+        low = max(0, cut - margin)
+        held, start, wait = held.part(slice(low, held.samples)), cut - low, rows
+    if held is not None:
+        yield found(held, start, held.samples)
 
 
 def _trial(
@@ -223,7 +212,7 @@ def _ramps(
     middles = starts + len(window) // 2 + stretch.move_start
     starts = starts[(middles < stretch.start) | (middles >= stretch.stop)]
     if not len(starts):
-        return Ramps.none()
+        return Ramps()
     pieces = starts[:, None] + np.arange(len(window))
     first = -np.gradient(window) * rate_hz
     second = np.gradient(np.gradient(window)) * rate_hz**2
@@ -244,10 +233,9 @@ def speed_levels(trials: list[S], *, same_speed: float = 0.12) -> list[list[S]]:
     """Group what was measured at speeds within 12 percent of the slowest of the group."""
     levels: list[list[S]] = []
     for trial in sorted(trials, key=lambda t: t.speed):
-        if levels and trial.speed <= levels[-1][0].speed * (1 + same_speed):
-            levels[-1].append(trial)
-        else:
-            levels.append([trial])
+        if not levels or trial.speed > levels[-1][0].speed * (1 + same_speed):
+            levels.append([])
+        levels[-1].append(trial)
     return levels
 
 
@@ -255,10 +243,10 @@ def configurations(trials: list[Trial], *, same_configuration: float = 0.03) -> 
     """Group trials of one joint by where the other joints are locked."""
     groups: list[list[Trial]] = []
     for trial in trials:
+        others = np.arange(len(trial.configuration)) != trial.joint
         for group in groups:
             off = np.abs(trial.configuration - group[0].configuration)
-            off[trial.joint] = 0.0
-            if off.max(initial=0.0) < same_configuration:
+            if (off[others] < same_configuration).all():
                 group.append(trial)
                 break
         else:

@@ -14,7 +14,7 @@ What of d is beyond its own noise, a share 1 - p / W of its square, counts as an
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -29,8 +29,7 @@ from seqid_cli.typing import Array
 Result = tuple[Solution, Posterior]
 
 
-@dataclass(frozen=True)
-class CutoffCheck:
+class CutoffCheck(NamedTuple):
     """What neighbouring cut-offs show.
 
     `errors` (p, d) are directions of error, one standard deviation each; `differences` are
@@ -91,15 +90,12 @@ def with_cutoff_check(
     """
     own = {p.name for p in stage.parameters}
     named = [(basis.names[k], at, by) for k, at, by in check.differences if basis.names[k] in own]
-    if not named:
-        return stage
     text = ", ".join(f"{name} by {by:+.1f} at {factor:g} times" for name, factor, by in named)
     note = f"parameters that depend on the cut-off, in stated standard errors: {text}"
-    stage = replace(stage, notes=[*stage.notes, note])
-    if all(abs(by) < poor_sigma for *_, by in named):
-        return stage
     reason = (
         f"{note}. Noise of the encoders' acceleration or something that the model lacks; use "
         "accelerometers, a finer encoder or slower moves, or look for effects (seqid diagnose)"
     )
-    return replace(stage, verdicts=[*stage.verdicts, Verdict(good=False, reason=reason)])
+    poor = [Verdict(good=False, reason=reason)] * any(abs(by) >= poor_sigma for *_, by in named)
+    notes, verdicts = [*stage.notes, *[note] * bool(named)], [*stage.verdicts, *poor]
+    return replace(stage, notes=notes, verdicts=verdicts)

@@ -28,13 +28,15 @@ from seqid_cli.identify.rigid.parameters import (
     rigid_stage,
 )
 from seqid_cli.identify.rigid.posterior import Posterior
-from seqid_cli.identify.rigid.rotor_coupling import Coupling, decide
+from seqid_cli.identify.rigid.rotor_coupling import decide
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.blocks import SurveyedLog
 from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
-from seqid_cli.robot.base_parameters import free_basis, gear_ratios
+from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
+
+AllRows = tuple[InertiaRows | None, ...]  # as used, at neighbouring cut-offs, by the encoders
 
 
 def identify_inertia(
@@ -52,12 +54,11 @@ def identify_inertia(
     """
     if stages.friction is None:
         raise UsageError("inertia needs the friction stage", hint="run seqid friction first")
-    basis = free_basis(robot)
-    equations = InertiaEquations(robot, basis, stages, options)
-    compare = compare and stages.imu is not None and options.source != "encoder"
-    hz = options.motion.encoder_hz or options.motion.cutoff_hz
-    by_encoder = replace(options, source="encoder", motion=replace(options.motion, cutoff_hz=hz))
-    others = InertiaEquations(robot, basis, stages, by_encoder) if compare else None
+    equations, others = InertiaEquations(robot, stages, options), None
+    if compare and stages.imu is not None and options.source != "encoder":
+        hz = options.motion.encoder_hz or options.motion.cutoff_hz
+        motion = replace(options.motion, cutoff_hz=hz)
+        others = InertiaEquations(robot, stages, replace(options, source="encoder", motion=motion))
     logs = cast("Iterable[Recording]", recordings)  # whoever reduces them does not look inside
     opens = open_if_long if others is None and streams(stages, options) else None
     parts = reduced(logs, partial(_rows_of, equations, others), _all, opens)
@@ -68,17 +69,14 @@ def identify_inertia(
     stage = _stage(equations, own, {factor: rows for factor, rows in known if rows is not None})
     if not (others and encoder and any(use.source != "encoder" for use in stage.motion_use)):
         return stage
-    alone = _stage(others, encoder, {})
-    before, notes = {p.name: p.std_error for p in alone.parameters}, list(stage.notes)
+    before = {p.name: p.std_error for p in _stage(others, encoder, {}).parameters}
     there = [p for p in stage.parameters if p.name in before]
-    if there:
-        ratio = np.median([before[p.name] / max(p.std_error, 1e-300) for p in there])
-        times = f"{ratio:.2g} times these"
+    ratios = [before[p.name] / max(p.std_error, 1e-300) for p in there]
+    notes = list(stage.notes)
+    if ratios:
+        times = f"{np.median(ratios):.2g} times these"
         notes.append(f"by the encoders alone the standard errors would be {times} (median)")
     return msgspec.structs.replace(stage, encoder_std_errors=before, notes=notes)
-
-
-AllRows = tuple[InertiaRows | None, ...]  # as used, at neighbouring cut-offs, by the encoders
 
 
 def _rows_of(
@@ -106,23 +104,31 @@ def _all(first: AllRows, second: AllRows) -> AllRows:
 def _stage(
     equations: InertiaEquations, rows: InertiaRows, near: Mapping[float, InertiaRows]
 ) -> RigidStage:
-    """Solve, decide on the rotor coupling, and describe the result."""
-    # `near` holds the rows at multiples of the cut-off, to see what depends on it.
+    """Solve, decide on the rotor coupling, and describe the result.
+
+    `near` holds the rows at multiples of the cut-off, to see what depends on it.
+    """
+    robot, basis, stages = equations.robot, equations.basis, equations.stages
     coupling = decide(equations, [rows, *near.values()])
     share = float(coupling.used)
     solution, posterior = equations.solved(rows, share)
     posterior = posterior.with_error(coupling.errors)
     there = {factor: equations.solved(other, share) for factor, other in near.items()}
     check = cutoff_check((solution, posterior), there, equations.surfaces)
-    robot, basis, imus = equations.robot, equations.basis, equations.stages.imu
+    imus = stages.imu.imus if stages.imu else {}
     used = {name for use in rows.uses for name in use.imus}
-    imu_errors = {name: imus.imus[name].acceleration_std_error or 0.0 for name in used if imus}
-    inertia = np.where(basis.gravity & bool(equations.stages.gravity), 0.0, solution.theta)
+    errors = {name: imus[name].acceleration_std_error or 0.0 for name in used if imus}
+    inertia = np.where(basis.gravity & bool(stages.gravity), 0.0, solution.theta)
     reflected = gear_ratios(robot) ** 2 * equations.rotors
-    moves = imu_moves(robot, basis, inertia, reflected, imu_errors)
+    moves = imu_moves(robot, basis, inertia, reflected, errors)
     posterior = posterior.with_error(check.errors).with_error(moves)
-    stage = _described(equations, rows, solution, posterior, coupling)
-    return with_cutoff_check(stage, check, equations.basis)
+    stage = _described(equations, rows, solution, posterior)
+    stage = msgspec.structs.replace(
+        stage,
+        rotor_coupling="gyroscopic" if coupling.used else "diagonal",
+        notes=[*stage.notes, *coupling.notes],
+    )
+    return with_cutoff_check(stage, check, basis)
 
 
 def _described(
@@ -130,55 +136,41 @@ def _described(
     rows: InertiaRows,
     solution: Solution,
     posterior: Posterior,
-    coupling: Coupling,
+    *,
+    poor_share: float = 0.15,
+    poor_condition: float = 1000.0,
 ) -> RigidStage:
-    """The stage, with the parameters that the gravity stage does not have."""
+    """The stage, with the parameters that the gravity stage does not have.
+
+    A joint is poor where more than `poor_share` of its torque's RMS is left, the parameters where
+    the condition number of their scaled equations is `poor_condition` or more.
+    """
     robot, basis, gravity = equations.robot, equations.basis, equations.stages.gravity
     known = {p.name for p in gravity.parameters} if gravity else set()
     own = np.array([k for k in range(basis.size) if basis.names[k] not in known], dtype=int)
     stage = rigid_stage(robot, basis, solution, posterior, own, equations.rotors)
     pairs = missing_pairs(robot, basis, solution.left_open) if stage.not_excited else []
-    moved = [j for j in range(robot.n) if rows.joints[j].samples]
-    cutoff = np.median([use.cutoff_hz for use in rows.uses])
-    notes = list(stage.notes)
+    cutoff = float(np.median([use.cutoff_hz for use in rows.uses]))
+    notes = [cutoff_note(rows.uses, equations.options.motion), *stage.notes]
     if pairs:
         text = ", ".join(" + ".join(pair) for pair in pairs)
         notes.append(f"moving these joints together as well would give full rank: {text}")
+    idle = "does not move in these logs, or its friction is not known"
+    fitted = robot, solution, rows.joints, rows.torque_squares
+    verdicts = joint_verdicts(*fitted, poor_share=poor_share, idle=idle)
+    good = solution.rank == basis.size and solution.condition < poor_condition
+    reason = f"rank {solution.rank} of {basis.size}, condition {solution.condition:.3g}"
+    # N m/sqrt(Hz) of each joint as the parameters feel it, slow noise included.
+    noise = np.sqrt(solution.designs / NOISE_BANDWIDTH / cutoff) * solution.sigma
+    moved = {robot.joint_names[j]: j for j in range(robot.n) if rows.joints[j].samples}
     return msgspec.structs.replace(
         stage,
-        rmse={robot.joint_names[j]: float(solution.sigma[j]) for j in moved},
-        # N m/sqrt(Hz) of each joint as the parameters feel it, slow noise included.
-        noise_density={
-            robot.joint_names[j]: float(
-                np.sqrt(solution.designs[j] / NOISE_BANDWIDTH / cutoff) * solution.sigma[j]
-            )
-            for j in moved
-        },
-        rotor_coupling="gyroscopic" if coupling.used else "diagonal",
+        rmse={name: float(solution.sigma[j]) for name, j in moved.items()},
+        noise_density={name: float(noise[j]) for name, j in moved.items()},
         motion={use.log: source_text(use) for use in rows.uses},
         motion_use=rows.uses,
         missing_pairs=pairs,
-        cutoff_hz=float(cutoff),
-        verdicts=_verdicts(equations, rows, solution),
-        notes=[cutoff_note(rows.uses, equations.options.motion), *notes, *coupling.notes],
+        cutoff_hz=cutoff,
+        verdicts=[*verdicts, Verdict(good=good, reason=reason)],
+        notes=notes,
     )
-
-
-def _verdicts(
-    equations: InertiaEquations,
-    rows: InertiaRows,
-    solution: Solution,
-    *,
-    poor_share: float = 0.15,
-    poor_condition: float = 1000.0,
-) -> list[Verdict]:
-    """A verdict for each joint, and one for all parameters."""
-    # A joint is poor where more than `poor_share` of its torque's RMS is left, the parameters where
-    # the condition number of their scaled equations is `poor_condition` or more.
-    idle = "does not move in these logs, or its friction is not known"
-    known, squares = (equations.robot, solution, rows.joints), rows.torque_squares
-    verdicts = joint_verdicts(*known, squares, poor_share=poor_share, idle=idle)
-    size = equations.basis.size
-    good = solution.rank == size and solution.condition < poor_condition
-    reason = f"rank {solution.rank} of {size}, condition {solution.condition:.3g}"
-    return [*verdicts, Verdict(good=good, reason=reason)]

@@ -21,12 +21,7 @@ from seqid_cli.identify.regression.equations import (
     motion_use,
     torque_motion,
 )
-from seqid_cli.identify.regression.least_squares import (
-    MOST_BLOCKS,
-    Accumulator,
-    Solution,
-    solve,
-)
+from seqid_cli.identify.regression.least_squares import MOST_BLOCKS, Accumulator, Solution, solve
 from seqid_cli.identify.rigid.posterior import Posterior, gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
@@ -34,7 +29,7 @@ from seqid_cli.model.torque import friction_surfaces, known_rotors, sampled_fric
 from seqid_cli.motion.blocks import SurveyedLog, make_plan, motion_blocks, overlapping
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
-from seqid_cli.robot.base_parameters import Basis, gear_ratios
+from seqid_cli.robot.base_parameters import free_basis, gear_ratios
 from seqid_cli.robot.regressor import rotor_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
@@ -67,13 +62,14 @@ class InertiaRows:
 class InertiaEquations:
     """The equations of every log; the last column is the share of gyroscopic coupling."""
 
-    def __init__(self, robot: Robot, basis: Basis, stages: Stages, options: InertiaOptions) -> None:
-        self.robot, self.basis, self.stages, self.options = robot, basis, stages, options
+    def __init__(self, robot: Robot, stages: Stages, options: InertiaOptions) -> None:
+        self.robot, self.stages, self.options = robot, stages, options
+        self.basis = free_basis(robot)
         self.surfaces = friction_surfaces(stages, robot)
         self.slowest = slowest_speeds(self.surfaces)
         self.rotors = known_rotors(robot)
-        scaled = robot.torque_constant_errors > 0.0
-        self._rotor_torque = np.where(scaled, gear_ratios(robot) ** 2 * self.rotors, 0.0)
+        self._reflected = gear_ratios(robot) ** 2 * self.rotors
+        self._scaled = (robot.torque_constant_errors > 0.0) & (self._reflected > 0.0)
 
     def rows_of(self, log: Recording | SurveyedLog, *, forgotten: float = 0.8) -> InertiaRows:
         """The rows of one log; `forgotten`: share of the low-pass's memory that is computed beside.
@@ -128,7 +124,7 @@ class InertiaEquations:
         """The same equations, filtered at another cut-off."""
         motion = replace(self.options.motion, cutoff_hz=cutoff_hz, own=frozenset())
         options = replace(self.options, motion=motion)
-        return InertiaEquations(self.robot, self.basis, self.stages, options)
+        return InertiaEquations(self.robot, self.stages, options)
 
     def right_side(self, motion: Motion) -> Array:
         """Torque without friction and known rotors, filtered alike (N, n) N m."""
@@ -136,7 +132,7 @@ class InertiaEquations:
         friction = sampled_friction(self.surfaces, motion)
         own = motion.tau - motion.filtered(friction, times=2)
         if self.rotors.any():
-            own -= motion.filtered(gear_ratios(self.robot) ** 2 * self.rotors * motion.ddq)
+            own -= motion.filtered(self._reflected * motion.ddq)
         return own
 
     def coupling_column(self, motion: Motion) -> Array:
@@ -165,8 +161,8 @@ class InertiaEquations:
             rows.torque_squares[j] += float(np.sum(motion.tau[own, j] ** 2))
             some = np.flatnonzero(own)[::every]
             F = every * surface.columns(motion.q[some, j], motion.dq[some, j])
-            if self._rotor_torque[j]:
-                F = np.column_stack([F, every * self._rotor_torque[j] * motion.ddq[some, j]])
+            if self._scaled[j]:
+                F = np.column_stack([F, every * self._reflected[j] * motion.ddq[some, j]])
             crossed = rows.cross.get(j, np.zeros((H.shape[2], F.shape[1])))
             rows.cross[j] = crossed + H[some, j].T @ F
 
@@ -192,7 +188,7 @@ class InertiaEquations:
             j: -share * solution.bread @ sums[:size] / solution.sigma[j] ** 2
             for j, sums in rows.cross.items()
         }
-        known = {j: S[:, -1] for j, S in crossed.items() if self._rotor_torque[j]}
+        known = {j: S[:, -1] for j, S in crossed.items() if self._scaled[j]}
         direct = {j: S[:, :-1] if j in known else S for j, S in crossed.items()}
         about = self.surfaces, self.robot.torque_constant_errors
         return solution, Posterior.of(solution, *about, direct, known, prior)

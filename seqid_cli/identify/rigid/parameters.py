@@ -1,16 +1,22 @@
 """From a least-squares solution to a stage of the parameter file; shared by gravity and inertia.
 
-Also which pairs of joints must move together to determine what is still open (Sec. 2.2.4).
+Also which pairs of joints must move together to determine what is still open (Sec. 2.2.4), and
+physical consistency as a constraint. Least squares does not know that masses are positive. Of all
+models that bodies with positive density and rotors of positive inertia can have, the constrained
+one is the nearest to the unconstrained in units of its covariance, which is the maximum of the
+posterior under the constraint (see `model.bodies.consistent`).
 """
 
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 
 import numpy as np
+from msgspec.structs import replace
 
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution
 from seqid_cli.identify.rigid.posterior import Posterior
-from seqid_cli.params.schema import Parameter, RigidStage, Verdict
+from seqid_cli.model.bodies.nearest import identified, nearest_bodies
+from seqid_cli.params.schema import Parameter, RigidStage, Stages, Verdict
 from seqid_cli.robot.base_parameters import Basis, base_regressor, standard_names
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
@@ -39,8 +45,12 @@ def representative_of(basis: Basis, theta: Array, rotors: Array) -> dict[str, fl
     """Standard parameters, zeros left out, that give the model's torque; known rotors included."""
     phi = basis.representative @ theta
     phi[len(phi) - len(rotors) :] += rotors
-    names = standard_names(len(rotors))
-    return {name: float(x) for name, x in zip(names, phi, strict=True) if x != 0.0}
+    return _named(phi, len(rotors))
+
+
+def _named(phi: Array, n: int) -> dict[str, float]:
+    """Standard parameters (11 n,) by name, zeros left out."""
+    return {name: float(x) for name, x in zip(standard_names(n), phi, strict=True) if x != 0.0}
 
 
 def rigid_stage(
@@ -54,7 +64,7 @@ def rigid_stage(
     missing = [basis.expression_text(int(k)) for k in left]
     theta = np.zeros(basis.size)
     theta[: min(len(solution.theta), basis.size)] = solution.theta[: basis.size]
-    names = robot.joint_names
+    names, friction = robot.joint_names, posterior.friction
     return RigidStage(
         parameters=parameters_of(robot, basis, determined, theta, posterior.stated),
         condition=solution.condition,
@@ -63,7 +73,7 @@ def rigid_stage(
         representative=representative_of(basis, theta, rotors),
         covariance=posterior.covariance[np.ix_(determined, determined)].tolist(),
         friction_sensitivity={
-            name: posterior.friction[j][determined].tolist() if j in posterior.friction else []
+            name: friction[j][determined].tolist() if j in friction else []
             for j, name in enumerate(names)
         },
         torque_constant_moves={
@@ -71,6 +81,36 @@ def rigid_stage(
         },
         not_excited=missing,
         notes=["not excited by these logs: " + "; ".join(missing)] if missing else [],
+    )
+
+
+def made_consistent(
+    stage: RigidStage, stages: Stages, robot: Robot, *, min_move: float = 0.5
+) -> RigidStage:
+    """Put the parameters of an inertia stage among those that bodies can have.
+
+    Returns: with other values, of which bodies (`representative`) exist; standard errors are those
+    of the unconstrained estimate. A note names what moved by `min_move` standard errors or more.
+    Raises QualityError if no physically consistent parameters are found.
+    """
+    found = identified(Stages(gravity=stages.gravity, inertia=stage), robot)
+    nearest = nearest_bodies(robot, found)
+    moved = {d.name: d for d in found.deviations(nearest.links, nearest.rotor)}
+    parameters = [
+        replace(p, value=moved[p.name].exported) if p.name in moved else p for p in stage.parameters
+    ]
+    phi = np.concatenate([nearest.links.ravel(), nearest.rotor])
+    note = "physically consistent as identified: bodies with these parameters exist"
+    if not nearest.exact:
+        by = {name: d.std_errors or 0.0 for name, d in moved.items()}
+        named = [f"{name} by {x:+.1f}" for name, x in by.items() if abs(x) >= min_move]
+        text = ", ".join(named) or f"none by more than {min_move:g}"
+        note = f"made physically consistent; moved, in standard errors: {text}"
+    return replace(
+        stage,
+        parameters=parameters,
+        representative=_named(phi, robot.n),
+        notes=[*stage.notes, note],
     )
 
 
@@ -89,10 +129,8 @@ def joint_verdicts(
     where there are none.
     """
     verdicts = []
-    for joint, rows, sigma, square in zip(
-        robot.joints, joints, solution.sigma, squares, strict=True
-    ):
-        share, reason = np.inf, idle
+    for j, (joint, rows) in enumerate(zip(robot.joints, joints, strict=True)):
+        share, reason, sigma, square = np.inf, idle, float(solution.sigma[j]), squares[j]
         if rows.samples:
             share = sigma / max(float(np.sqrt(square / rows.samples)), 1e-300)
             reason = f"leaves {percent(share)} of the torque ({sigma:.3g} {joint.unit('N m')})"
@@ -136,27 +174,26 @@ def missing_pairs(
     """
     seen: dict[tuple[int, int], Array] = {}
     for pair in list(combinations(range(robot.n), 2)) or [(0, 0)]:
-        rng = np.random.default_rng(0)
+        rng, moving = np.random.default_rng(0), list(pair)
         q = rng.uniform(-2.5, 2.5, (states, robot.n))
         dq, ddq = np.zeros_like(q), np.zeros_like(q)
-        dq[:, list(pair)] = rng.normal(size=(states, 2))
-        ddq[:, list(pair)] = 3 * rng.normal(size=(states, 2))
-        H = base_regressor(robot, basis, q, dq, ddq)[:, list(pair)]
+        dq[:, moving] = rng.normal(size=(states, 2))
+        ddq[:, moving] = 3 * rng.normal(size=(states, 2))
+        H = base_regressor(robot, basis, q, dq, ddq)[:, moving]
         seen[pair] = H.reshape(-1, basis.size)
     scale = np.max([np.linalg.norm(H, axis=0) for H in seen.values()], axis=0)
     scale = np.where(scale > 0, scale, 1.0)
-    seen = {pair: H / scale for pair, H in seen.items()}
     first = left = np.asarray(np.linalg.qr(scale[:, None] * left_open)[0])
     chosen: list[tuple[int, int]] = []
     while left.shape[1]:
-        after = {pair: _still_open(H, left) for pair, H in seen.items()}
+        after = {pair: _still_open(H / scale, left) for pair, H in seen.items()}
         best = min(after, key=lambda pair: after[pair].shape[1])
         if after[best].shape[1] == left.shape[1]:
             break
         chosen.append(best)
         left = after[best]
     for pair in list(chosen):
-        others = [seen[each] for each in chosen if each != pair]
+        others = [seen[each] / scale for each in chosen if each != pair]
         if others and _still_open(np.vstack(others), first).shape[1] <= left.shape[1]:
             chosen.remove(pair)
     return [[robot.joint_names[j] for j in dict.fromkeys(pair)] for pair in chosen]

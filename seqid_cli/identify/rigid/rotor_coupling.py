@@ -14,7 +14,7 @@ likely as not, or more where the logs favour it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,7 @@ from seqid_cli.identify.rigid.inertia_equations import InertiaEquations, Inertia
 from seqid_cli.typing import Array
 
 
-@dataclass(frozen=True)
-class Coupling:
+class Coupling(NamedTuple):
     """The decision: whether the coupling is `used`, and how it came about.
 
     `errors` (p, d) are directions along which the other hypothesis would move the parameters, in
@@ -51,36 +50,33 @@ def decide(
     """
     kappa = equations.basis.size
     nothing = np.zeros((kappa, 0))
-    if not equations.rotors.any():
-        return Coupling(False, nothing)
-    found = []  # value, standard error and log odds of the free share; None: both are the same
-    for own in rows:
+    known = []  # value, standard error and log odds of the free share
+    for own in rows if equations.rotors.any() else ():
         free, posterior = equations.solved(own, None)
-        k, error = float(free.theta[kappa]), float(np.sqrt(posterior.stated[kappa, kappa]))
-        odds = (2.0 * k - 1.0) / (2.0 * max(error, 1e-150) ** 2)
-        found.append((k, error, odds) if free.determined[kappa] else None)
-    if found[0] is None:
+        if free.determined[kappa]:
+            k, error = float(free.theta[kappa]), float(np.sqrt(posterior.stated[kappa, kappa]))
+            known.append((k, error, (2.0 * k - 1.0) / (2.0 * max(error, 1e-150) ** 2)))
+        elif own is rows[0]:
+            break
+    if not known:  # both are the same
         return Coupling(False, nothing)
-    share, error, odds = found[0]
-    known = [one for one in found if one is not None]
+    share, error, odds = known[0]
     near = [min(abs(k), abs(k - 1.0)) < max_sigma * s for k, s, _ in known]
-    sure = all(near) and min(abs(each) for *_, each in known) > min_log_odds
-    if sure and len(known) == len(found) and len({each > 0 for *_, each in known}) == 1:
+    sure = all(near) and all(abs(each) > min_log_odds for *_, each in known)
+    if sure and len(known) == len(rows) and len({each > 0 for *_, each in known}) == 1:
         text = "the data show rotors coupled to the links that carry them; used as such"
         return Coupling(odds > 0, nothing, (text,) if odds > 0 else ())
     # What does not decide does not count against the other hypothesis either.
     likely = max(0.5, 1.0 / (1.0 + np.exp(-np.clip(odds, -min_log_odds, min_log_odds))))
     without, coupled = (equations.solved(rows[0], each)[0].theta for each in (0.0, 1.0))
-    errors = np.sqrt(likely) * (coupled - without)[:, None]
     left = f"{share:.2f} +- {error:.2f} of it when left free"
+    note = (
+        f"coupling of rotors to the links that carry them: {left}, neither 0 nor 1; something "
+        "else is missing in the model, and the rotors act on their own joints alone"
+    )
     if near[0]:
         note = (
             f"these logs do not tell whether rotors are coupled to the links that carry them "
             f"({left}); they act on their own joints alone, and the standard errors allow for it"
         )
-    else:
-        note = (
-            f"coupling of rotors to the links that carry them: {left}, neither 0 nor 1; something "
-            "else is missing in the model, and the rotors act on their own joints alone"
-        )
-    return Coupling(False, errors, (note,))
+    return Coupling(False, np.sqrt(likely) * (coupled - without)[:, None], (note,))

@@ -9,9 +9,8 @@ stage of orders (0, 1) and an inertia stage with all base parameters, so that ev
 reads it like any other file.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from copy import deepcopy
-from pathlib import Path
 
 import numpy as np
 from msgspec.structs import replace
@@ -36,7 +35,7 @@ from seqid_cli.model.torque import known_rotors, sliding
 from seqid_cli.motion.motion import Motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params import schema
-from seqid_cli.robot.base_parameters import Basis, free_basis, gear_ratios
+from seqid_cli.robot.base_parameters import free_basis, gear_ratios
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
@@ -63,58 +62,45 @@ def identify_simultaneous(
         paths.append(recording.path)
         motion = torque_motion(recording, robot, options, imu=imu, source=source)
         motions.append(deepcopy(motion))  # without the samples that it was thinned from
-    width = sign_width(motions, robot.n)
-    equations = SimultaneousEquations(robot, free_basis(robot), width, offset=offset)
-    for path, motion in zip(paths, motions, strict=True):
-        equations.add(path, motion)
-    if not any(joint.samples for joint in equations.joints):
+    equations = SimultaneousEquations(robot, motions, offset=offset) if motions else None
+    if equations is None or not any(joint.samples for joint in equations.joints):
         raise QualityError("no joint moves in these logs", hint="record moves of every joint")
-    return equations.stages(options)
-
-
-def sign_width(motions: Iterable[Motion], n: int, *, share: float = 0.004) -> Array:
-    """Speeds (n,) over which friction changes its sign, by the log in which each joint is fastest.
-
-    They are `share` of the speed there. A log that moves a joint hardly, as others shake it, does
-    not say how fast it slides.
-    """
-    fastest = np.zeros(n)
-    for motion in motions:
-        speed = _speed(motion)
-        usual = np.quantile(speed, 0.99, axis=0)
-        usual = np.where(usual > 0, usual, speed.max(axis=0))  # it moved for a moment only
-        fastest = np.maximum(fastest, usual)
-    return share * fastest
-
-
-def _speed(motion: Motion) -> Array:
-    """Speed (N, n) of each joint, zero where it rests."""
-    return np.where(motion.moving, np.abs(motion.dq), 0.0)
+    uses = [motion_use(path, robot, own) for path, own in zip(paths, motions, strict=True)]
+    return equations.stages(uses, options)
 
 
 class SimultaneousEquations:
-    """Accumulates [H, friction columns | tau] of every joint; `width` (n,) is the sign's."""
+    """Accumulates [H, friction columns | tau] of every joint.
 
-    def __init__(self, robot: Robot, basis: Basis, width: Array, *, offset: bool) -> None:
-        self.robot, self.basis, self.width = robot, basis, width
+    Friction changes its sign over `width` (n,): `share` of the speed of a joint in the log in which
+    it is fastest. One that moves it hardly, as others shake it, does not say how fast it slides.
+    """
+
+    def __init__(
+        self, robot: Robot, motions: Sequence[Motion], *, offset: bool, share: float = 0.004
+    ) -> None:
+        self.robot, self.basis = robot, free_basis(robot)
         self.terms = TERMS if offset else TERMS[:2]
-        size = basis.size + len(self.terms) * robot.n
-        self.own = [slice(k, k + len(self.terms)) for k in range(basis.size, size, len(self.terms))]
+        size = self.basis.size + len(self.terms) * robot.n
+        edges = range(self.basis.size, size, len(self.terms))
+        self.own = [slice(k, k + len(self.terms)) for k in edges]
         self.joints = [Accumulator(size) for _ in range(robot.n)]
         self._rotor_sums = np.zeros((robot.n, size))  # H' times the torque of known rotors
-        self.fastest = np.zeros(robot.n)
-        self.position = np.array([[np.inf, -np.inf]] * robot.n)
         self.torque_squares = np.zeros(robot.n)
-        self.uses: list[schema.MotionUse] = []
+        speeds = [np.where(motion.moving, np.abs(motion.dq), 0.0) for motion in motions]
+        self.fastest = np.max([speed.max(axis=0) for speed in speeds], axis=0)
+        usual = [np.quantile(speed, 0.99, axis=0) for speed in speeds]
+        # Zero where it moved for a moment only.
+        shown = [np.where(x > 0, x, v.max(axis=0)) for x, v in zip(usual, speeds, strict=True)]
+        self.width = share * np.max(shown, axis=0)
+        self.low = np.min([motion.q.min(axis=0) for motion in motions], axis=0)
+        self.high = np.max([motion.q.max(axis=0) for motion in motions], axis=0)
+        for motion in motions:
+            self._add(motion)
 
-    def add(self, path: Path, motion: Motion) -> None:
+    def _add(self, motion: Motion) -> None:
         """Add the rows of one log."""
         assert motion.tau is not None
-        self.uses.append(motion_use(path, self.robot, motion))
-        self.fastest = np.maximum(self.fastest, _speed(motion).max(axis=0))
-        low, high = motion.q.min(axis=0), motion.q.max(axis=0)
-        self.position[:, 0] = np.minimum(self.position[:, 0], low)
-        self.position[:, 1] = np.maximum(self.position[:, 1], high)
         usable = sliding(motion, SLIDES * self.width)
         reflected = gear_ratios(self.robot) ** 2 * known_rotors(self.robot)
         rotors = motion.filtered(reflected * motion.ddq)
@@ -134,78 +120,71 @@ class SimultaneousEquations:
                     self._rotor_sums[j] += wide.T @ rotors[part][block, j][kept]
         self.torque_squares += np.sum(np.where(usable, motion.tau, 0.0) ** 2, axis=0)
 
-    def stages(self, options: MotionOptions) -> tuple[schema.FrictionStage, schema.RigidStage]:
-        """Solve and describe the result."""
+    def stages(
+        self, uses: list[schema.MotionUse], options: MotionOptions
+    ) -> tuple[schema.FrictionStage, schema.RigidStage]:
+        """Solve and describe the result; `uses` are of the logs' motions."""
         robot, solution = self.robot, solve(self.joints)
-        known = {
-            j: -solution.bread @ sums / solution.sigma[j] ** 2
-            for j, sums in enumerate(self._rotor_sums)
-        }
+        sums = enumerate(self._rotor_sums)
+        known = {j: -solution.bread @ own / solution.sigma[j] ** 2 for j, own in sums}
         posterior = Posterior.of(solution, (), robot.torque_constant_errors, {}, known)
         moved = [j for j in range(robot.n) if self.joints[j].samples]
         named = " and ".join(", ".join(name for name, _ in self.terms).rsplit(", ", 1))
         note = f"friction ({named}) from one least squares with the rigid body (Eq. 5-6)"
-        cutoff = float(np.median([use.cutoff_hz for use in self.uses]))
+        cutoff = float(np.median([use.cutoff_hz for use in uses]))
         friction = schema.FrictionStage(
             joints={robot.joint_names[j]: self._joint(j, solution, posterior) for j in moved},
             method="simultaneous",
             cutoff_hz=cutoff,
-            notes=[note, cutoff_note(self.uses, options), *constants_note(robot)],
+            notes=[note, cutoff_note(uses, options), *constants_note(robot)],
         )
-        own, rotors = np.arange(self.basis.size), known_rotors(robot)
-        stage = rigid_stage(robot, self.basis, solution, posterior, own, rotors)
-        missing, notes = stage.not_excited, list(stage.notes)
-        free = [
-            name
-            for name, joint, own in zip(robot.joint_names, self.joints, self.own, strict=True)
-            if joint.samples and not solution.determined[own][2:].all()
-        ]
-        if free:
-            notes.append(
-                f"the offset of {', '.join(free)} is not told apart from other torques: "
-                "record wider moves, or leave offsets out (--no-offset)"
-            )
+        own = np.arange(self.basis.size)
+        stage = rigid_stage(robot, self.basis, solution, posterior, own, known_rotors(robot))
+        free = [j for j in moved if not solution.determined[self.own[j]][2:].all()]
+        text = (
+            f"the offset of {', '.join(robot.joint_names[j] for j in free)} is not told apart from "
+            "other torques: record wider moves, or leave offsets out (--no-offset)"
+        )
         rigid = replace(
             stage,
             rank=solution.rank - len(self.terms) * len(moved),
             friction_sensitivity={},
             rmse=dict(zip(robot.joint_names, solution.sigma.tolist(), strict=True)),
             method="simultaneous",
-            motion={use.log: source_text(use) for use in self.uses},
-            motion_use=self.uses,
+            motion={use.log: source_text(use) for use in uses},
+            motion_use=uses,
             cutoff_hz=cutoff,
-            verdicts=self._verdicts(solution, missing),
-            notes=notes,
+            verdicts=self._verdicts(solution, stage.not_excited),
+            notes=[*stage.notes, *([text] if free else [])],
         )
         return friction, rigid
 
     def _joint(self, j: int, solution: Solution, posterior: Posterior) -> schema.FrictionJoint:
         """One joint's friction as a surface of orders (0, 1): tau_f = s(v) (c_0 + c_1 T_1(u))."""
         own, fast, sigma = self.own[j], float(self.fastest[j]), float(solution.sigma[j])
-        unit = self.robot.joints[j].unit
-        values = solution.theta[own]
+        joint, values = self.robot.joints[j], solution.theta[own]
         ahead, back = surface_entries(fast, len(self.terms))
         directional = len(self.terms) == len(TERMS)
         both = np.vstack([ahead, back]) if directional else ahead
         errors = np.sqrt(np.maximum(np.diag(posterior.stated)[own], 0.0))
         errors[~solution.determined[own]] = UNTOLD
         return schema.FrictionJoint(
-            unit=unit("N m"),
+            unit=joint.unit("N m"),
             position_order=0,
             velocity_order=1,
             max_error=sigma / max(float(np.abs(values[0])), 1e-12),  # of Coulomb friction
             rmse=sigma,
-            position_range=self.position[j].tolist(),
+            position_range=[float(self.low[j]), float(self.high[j])],
             speed_range=[0.0, fast],
             sign_width=max(float(self.width[j]), 1e-6),
             directional=directional,
             positive=[(ahead @ values).tolist()],
             negative=[(back @ values).tolist()],
             covariance=(both @ solution.covariance[own, own] @ both.T).tolist(),
-            torque_constant_error=self.robot.joints[j].torque_constant_error,
+            torque_constant_error=joint.torque_constant_error,
             speeds=[schema.SpeedLevel(speed=fast, forward=0, backward=0, rmse=sigma)],
             parameters=[
-                schema.Parameter(name=n, value=float(v), std_error=float(e), unit=unit(u))
+                schema.Parameter(name=n, value=float(v), std_error=float(e), unit=joint.unit(u))
                 for (n, u), v, e in zip(self.terms, values, errors, strict=True)
             ],
         )
@@ -218,8 +197,10 @@ class SimultaneousEquations:
         poor_share: float = 0.25,
         clear_sigma: float = 3.0,
     ) -> list[schema.Verdict]:
-        """A joint is poor where more than `poor_share` of its torque is left."""
-        # So it is where Coulomb friction is negative by more than `clear_sigma` standard errors.
+        """A joint is poor where more than `poor_share` of its torque is left.
+
+        So it is where Coulomb friction is negative by more than `clear_sigma` standard errors.
+        """
         known, squares = (self.robot, solution, self.joints), self.torque_squares
         verdicts = joint_verdicts(*known, squares, poor_share=poor_share, idle="does not move")
         for j, (joint, own) in enumerate(zip(self.robot.joints, self.own, strict=True)):

@@ -7,7 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from seqid_cli.identify.judging import as_a_whole, friction_verdicts, inertia_verdicts, judged
-from seqid_cli.identify.log_set import notes_of_logs, verdicts_of_logs
+from seqid_cli.identify.log_set import LogSet
 from seqid_cli.inspect.findings import found
 from seqid_cli.params.schema import FrictionStage, Parameter, RigidStage, Stages, Verdict
 from seqid_cli.robot.types import Robot
@@ -86,16 +86,13 @@ def test_a_stage_is_good_only_if_its_joints_are() -> None:
     assert as_a_whole(verdicts[::2]) == verdicts[::2]
 
 
-def test_errors_of_logs_are_verdicts_and_warnings_are_notes() -> None:
-    from msgspec.structs import replace as but
-
+def test_errors_of_logs_are_verdicts_and_warnings_are_notes(robot: Robot) -> None:
     error = found("joints_swapped", "the torque of a is b's", joint="a, b", channel="torque")
     warning = found("torque_saturated", "is at 5 in 3 %", joint="a", channel="current")
-    logs = [but(finding, log=name) for finding in (error, warning) for name in ("x", "y", "z")]
-    verdicts = verdicts_of_logs(logs)
+    seen = [replace(finding, log=name) for finding in (error, warning) for name in ("x", "y", "z")]
+    logs = LogSet([], robot, findings=seen)
+    verdicts = logs.verdicts()
     assert poor(verdicts) == ["a", "b"]
     assert verdicts[0].reason.startswith("[joints_swapped] x and 2 more logs: torque the torque")
     assert verdicts[0].reason.endswith(error.remedy)
-    assert notes_of_logs(logs) == [
-        "a: [torque_saturated] x and 2 more logs: current is at 5 in 3 %"
-    ]
+    assert logs.notes() == ["a: [torque_saturated] x and 2 more logs: current is at 5 in 3 %"]

@@ -7,16 +7,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import Stages
 from seqid_cli.robot.file import load_robot
-from tests import ROOT
 
-DATA = ROOT / ".." / "shared" / "data" / "ur5e_joints"
 INERTIA, COULOMB, VISCOUS = 0.4, 2.0, 1.5
 ROBOT = """schema = "seqid/robot@1"
 name = "one"
@@ -63,21 +58,3 @@ def test_the_inertia_is_that_of_the_whole_log(tmp_path: Path, rate_hz: float) ->
     assert lossy.value == pytest.approx(INERTIA, rel=0.05)
     assert not found[0].motion_use[0].warnings
     assert "samples are lost" in found[1].motion_use[0].warnings[0]
-
-
-@pytest.mark.parametrize(("joint", "reached"), [(0, 0.75), (5, 0.09)])
-def test_a_recorded_arm_with_lost_samples(joint: int, reached: float) -> None:
-    """Held out, on sliding samples, without options: as good as fits made elsewhere."""
-    if not DATA.exists():
-        pytest.skip("recorded data are not beside the project")
-    robot = load_robot(DATA / f"joint_{joint}_robot.toml")
-    train, holdout = ([DATA / f"joint_{joint}_{part}.parquet"] for part in ("train", "holdout"))
-    options = InertiaOptions()
-    found = identify_simultaneous(
-        [read_recording(path, robot) for path in train], robot, options=options.motion
-    )
-    stages = Stages(friction=found[0], inertia=found[1])
-    held_out = [read_recording(path, robot) for path in holdout]
-    logs = predict(held_out, robot, stages, options=options)
-    errors = [(log.tau - log.predicted)[log.used & log.sliding[:, 0], 0] for log in logs]
-    assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) <= reached

@@ -7,7 +7,6 @@ import pytest
 
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.recording import Recording
@@ -17,7 +16,6 @@ from seqid_cli.robot.types import Chain, Joint, Robot
 from tests import Array
 from tests.plants.motions.trajectories import Reference, hold, join, sweeps, together, zigzag
 from tests.plants.robots.made import made_recording
-from tests.plants.robots.sample import rmse
 from tests.plants.sensors import quantise
 
 pytestmark = pytest.mark.slow
@@ -117,12 +115,6 @@ def test_friction_of_slide_and_pendulum(stages: Stages) -> None:
             np.testing.assert_allclose(sign * surface.torque(middle, sign * speed), true, rtol=0.02)
 
 
-def test_the_weight_on_the_slide_is_its_p_xi(stages: Stages) -> None:
-    for group in stages.friction.joints["lift"].gravity:
-        (mass,), (error,) = group.p_xi, group.std_error
-        assert abs(mass - SLIDE - ARM) < max(4 * error, 0.01)
-
-
 def test_gravity_and_inertia_are_the_true_ones(stages: Stages) -> None:
     """Equations of the plant and of the package are not of one source: Lagrange, Newton-Euler."""
     gravity, inertia = stages.gravity, stages.inertia
@@ -134,9 +126,3 @@ def test_gravity_and_inertia_are_the_true_ones(stages: Stages) -> None:
         true = sum(factor * TRUE[name] for name, factor in p.terms.items())
         assert abs(p.value - true) < 4 * p.std_error, p.name
         assert p.value == pytest.approx(true, rel=0.01), p.name
-
-
-def test_prediction_of_a_new_motion(stages: Stages) -> None:
-    (found,) = predict([both(5, 10.0)], slider(), stages, options=InertiaOptions())
-    size = found.tau[found.used].std(axis=0)
-    assert (rmse([found]) < 0.05 * size).all()

@@ -6,15 +6,13 @@ from itertools import product
 import numpy as np
 import pytest
 
-from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
+from seqid_cli.identify.friction_surface.corrections import HeldJoints
 from seqid_cli.identify.friction_surface.gravity_separation import (
     GravityFit,
     fit_gravity,
     gravity_columns,
 )
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
-from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
@@ -43,7 +41,7 @@ def trial(joint: int, velocity: float, q: Array, tau: Array, configuration: Arra
         dq=np.full(len(q), velocity),
         ddq=np.zeros(len(q)),
         tau=tau,
-        ramps=Ramps.none(),
+        ramps=Ramps(),
         weight=20.0,
         configuration=configuration,
         places=places,
@@ -80,28 +78,27 @@ def fitted(robot: Robot, seed: int, *, asymmetry: float = 0.0, noise: float = 0.
     return fit_gravity(robot, JOINT, trials_of(robot, rng, asymmetry=asymmetry, noise=noise))
 
 
-def test_p_xi_of_each_configuration_is_recovered(robot: Robot) -> None:
-    z = []
+def test_p_xi_of_each_configuration_is_recovered_and_symmetric_friction_is_no_alarm(
+    robot: Robot,
+) -> None:
+    z, alarms = [], 0
     for seed in range(20):
         fit = fitted(robot, seed)
         assert len(fit.groups) == 2
         assert fit.unpaired == 0
+        alarms += fit.directional
         for group, p in zip(fit.groups, P_XI, strict=True):
             np.testing.assert_allclose(group.p_xi, p, atol=0.02)
             z.append((group.p_xi - p) / group.std_error)
     assert 0.7 < float(np.sqrt(np.mean(np.square(z)))) < 1.4
-
-
-def test_symmetric_friction_raises_no_alarm(robot: Robot) -> None:
-    alarms = sum(fitted(robot, 100 + seed).directional for seed in range(40))
-    assert alarms <= 2
+    assert alarms <= 1
 
 
 @pytest.mark.parametrize("asymmetry", [0.05, -0.05, 0.15])
 def test_friction_that_depends_on_direction_is_seen(robot: Robot, asymmetry: float) -> None:
-    found = [fitted(robot, 200 + seed, asymmetry=asymmetry) for seed in range(10)]
-    assert all(fit.directional for fit in found)
-    for fit in found:
+    for seed in range(10):
+        fit = fitted(robot, 200 + seed, asymmetry=asymmetry)
+        assert fit.directional
         assert fit.asymmetry == pytest.approx(abs(asymmetry), rel=0.25)
         for group, p in zip(fit.groups, P_XI, strict=True):
             np.testing.assert_allclose(group.p_xi, p, atol=0.1)
@@ -126,21 +123,6 @@ def test_a_joint_is_no_heavier_for_friction_that_depends_on_direction(
     assert fit.directional
     for group, p in zip(fit.groups, P_XI, strict=True):
         np.testing.assert_allclose(group.p_xi, p, atol=0.02)
-
-
-def test_each_trial_finds_the_twin_that_has_been_where_it_was(robot: Robot) -> None:
-    whole = trials_of(robot, np.random.default_rng(5), noise=0.0)[: 2 * len(SPEEDS)]
-    ahead = [each for each in whole if each.velocity > 0]
-    back = [each for each in whole if each.velocity < 0]
-    halves = [part(each, way) for each in back for way in (slice(40), slice(40, None))]
-    p_xi = [fit_gravity(robot, JOINT, [*ahead, *some]).groups[0].p_xi for some in (back, halves)]
-    np.testing.assert_allclose(p_xi[0], P_XI[0], atol=0.01)
-    np.testing.assert_allclose(p_xi[1], P_XI[0], atol=0.01)
-
-
-def part(whole: Trial, at: slice) -> Trial:
-    arrays = {name: getattr(whole, name)[at] for name in ("q", "dq", "ddq", "tau", "places", "t")}
-    return replace(whole, **arrays)
 
 
 def sprung(trials: list[Trial], stiffness: float, cubic: float) -> list[Trial]:
@@ -170,17 +152,6 @@ def test_a_spring_is_neither_friction_nor_direction_dependent(
 
 def _ways(trials: list[Trial], way: int) -> list[Trial]:
     return sorted((t for t in trials if t.velocity * way > 0), key=lambda t: t.velocity * way)
-
-
-def test_pairs_that_share_no_places_tell_no_spring(robot: Robot) -> None:
-    rng = np.random.default_rng(5)
-    apart = [
-        trial(JOINT, 0.5 * way, q[::way], 3.0 * way + np.sin(9 * q[::way]), CONFIGURATIONS[k])
-        for k, q in enumerate((np.linspace(-2, -1, 40), np.linspace(0.5, 1.5, 40)))
-        for way in (1, -1)
-    ]
-    hissing = [replace(t, tau=t.tau + 0.1 * rng.standard_normal(len(t.q))) for t in apart]
-    assert all(group.beyond is None for group in fit_gravity(robot, JOINT, hissing).groups)
 
 
 def test_trials_without_twins_are_counted(robot: Robot) -> None:
@@ -230,35 +201,18 @@ def test_a_joint_along_gravity_has_no_p_xi(robot: Robot) -> None:
 
 
 def test_a_wrist_that_stands_along_gravity_in_some_postures_only(robot: Robot) -> None:
-    joint, rng = 4, np.random.default_rng(2)
+    joint, rng, trials = 4, np.random.default_rng(2), []
     upright, tilted = CONFIGURATIONS
     turned = forward(robot.chain, upright[None]).R[0, joint] @ robot.chain.axis[joint]
     mounted = replace(robot, gravity=9.81 * turned)
-    count = upright.copy()
-    count[3] += 1e-4  # an encoder's step off: gravity has a part that is none to speak of
-    trials = []
-    for configuration in (upright, count, tilted):
-        for speed in SPEEDS:
-            for direction in (1, -1):
-                q = np.linspace(-2, 2, SLICES)[::direction]
-                columns = gravity_columns(mounted, joint, configuration, q)
-                tau = columns @ P_XI[0][: len(columns.T)] + direction * (3.0 + 0.5 * speed)
-                tau += 0.05 * rng.standard_normal(SLICES)
-                trials.append(trial(joint, direction * speed, q, tau, configuration))
-    ramps = Ramps(trials[0].q, trials[0].dq, 0.1 * trials[0].q, trials[0].tau, 20.0)
+    for configuration, speed, way in product((upright, tilted), SPEEDS, (1, -1)):
+        q = np.linspace(-2, 2, SLICES)[::way]
+        columns = gravity_columns(mounted, joint, configuration, q)
+        tau = columns @ P_XI[0][: len(columns.T)] + way * (3.0 + 0.5 * speed)
+        tau += 0.05 * rng.standard_normal(SLICES)
+        trials.append(trial(joint, way * speed, q, tau, configuration))
     for given in (trials, trials[::-1]):
         fit = fit_gravity(mounted, joint, given)
-        alone, other = sorted(fit.groups, key=lambda group: len(group.trials), reverse=True)
-        assert len(alone.trials) == 2 * len(other.trials)
-        np.testing.assert_allclose(other.p_xi, P_XI[0], atol=0.02)
+        alone, other = sorted(fit.groups, key=lambda group: len(group.p_xi))
         assert np.abs(alone.torque(trials[0].q)).max() < 0.1
-        flat = surface_of(trials[0].q)
-        steady = without_acceleration(mounted, [replace(t, ramps=ramps) for t in given], flat)
-        assert [len(group.trials) for group in steady] == [len(g.trials) for g in fit.groups]
-
-
-def surface_of(q: Array) -> FrictionSurface:
-    """Friction of 3 N m and 0.5 N m s/rad."""
-    linear = np.array([[3.0 + 0.5 * SPEEDS.mean(), 0.5 * np.ptp(SPEEDS) / 2]])
-    scaling = Scaling((float(q.min()), float(q.max())), (float(SPEEDS[0]), float(SPEEDS[-1])))
-    return FrictionSurface(scaling, 0.01, linear, linear, np.zeros((2, 2)), directional=False)
+        np.testing.assert_allclose(other.p_xi, P_XI[0], atol=0.02)

@@ -70,7 +70,7 @@ def test_the_torque_of_a_wavering_speed_is_taken_off() -> None:
 def test_where_no_ramp_tells_anything_all_torque_may_be_that_of_acceleration() -> None:
     robot = planar_2r()
     given = trials_of(robot, wobble=0.01)
-    blind = [replace(trial, ramps=Ramps.none()) for trial in given]
+    blind = [replace(trial, ramps=Ramps()) for trial in given]
     (told,), (unknown,) = (without_acceleration(robot, t, surface()) for t in (given, blind))
     assert all(trial.inertia_error == told.std_error for trial in told.trials)
     assert unknown.inertia == 0.0

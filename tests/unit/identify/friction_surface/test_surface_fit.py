@@ -117,21 +117,14 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
     return covariance @ (weighing.T @ np.concatenate(y)), covariance
 
 
-def test_both_steps_together_are_the_generalised_least_squares() -> None:
+@pytest.mark.parametrize(("m", "l"), [(MAX_POSITION_ORDER, 11), (0, 0), (3, 2), (1, 5)])
+def test_both_steps_together_are_the_generalised_least_squares(m: int, l: int) -> None:
     data = data_of(COEFFICIENTS, np.random.default_rng(0), sizes=TRUE, doubt=0.05)
-    fit = fit_of(data)
-    orders = Orders(MAX_POSITION_ORDER, 11)
+    fit, orders = fit_of(data), Orders(m, l)
     entries, covariance = direct(data, TRUE, orders)
     np.testing.assert_allclose(fit.entries(orders).ravel(), entries, atol=1e-8)
-    np.testing.assert_allclose(fit.covariance(orders), covariance, atol=1e-9)
-
-
-@pytest.mark.parametrize(("m", "l"), [(0, 0), (3, 2), (1, 5)])
-def test_fewer_orders_are_the_least_squares_of_those_terms(m: int, l: int) -> None:
-    data = data_of(COEFFICIENTS, np.random.default_rng(1), sizes=TRUE, doubt=0.05)
-    entries, _ = direct(data, TRUE, Orders(m, l))
-    got = fit_of(data).entries(Orders(m, l))
-    np.testing.assert_allclose(got.ravel(), entries, atol=1e-8)
+    if m == MAX_POSITION_ORDER:  # that of fewer orders allows for what they leave out
+        np.testing.assert_allclose(fit.covariance(orders), covariance, atol=1e-9)
 
 
 def drawn(sizes: Sizes, rng: np.random.Generator) -> Array:
@@ -149,7 +142,7 @@ def test_the_sizes_of_terms_and_errors_are_found() -> None:
     logs = []
     for _ in range(8):
         reduced = reduce_trials(data_of(drawn(TRUE, rng), rng, sizes=TRUE), SCALING)
-        sizes, _ = Evidence.of([reduced], highest_orders([reduced], None, None)).strongest()
+        sizes, _ = Evidence([reduced], highest_orders([reduced], None, None)).strongest()
         logs.append([np.log(getattr(sizes, name) / getattr(TRUE, name)) for name in NAMES])
     for name, log in zip(NAMES, np.mean(logs, axis=0), strict=True):
         assert abs(log) < np.log(4 / 3), name
@@ -198,14 +191,6 @@ def test_orders_of_a_known_surface_are_never_too_low(m: int, l: int) -> None:
         assert found.position >= m
         assert found.velocity >= l
         assert fit.deviation(found) <= DEVIATION
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("m", "l"), [(0, 1), (2, 1)])
-def test_orders_that_are_not_needed_are_left_out(m: int, l: int) -> None:
-    found = [fitted(m, l, seed)[1] for seed in range(6)]
-    assert np.median([each.position for each in found]) <= m + 2
-    assert np.median([each.velocity for each in found]) <= l + 1
 
 
 def test_high_orders_do_not_swing_between_the_speeds() -> None:
@@ -261,9 +246,8 @@ def test_slices_in_which_the_joint_still_speeds_up_lose_their_weight() -> None:
 
 def test_a_posterior_of_sizes_that_are_far_apart() -> None:
     """Rounding makes an eigenvalue of the normal equations negative, here by more than 1."""
-    large = 1e16
+    large, none = 1e16, np.zeros((0, 0))
     N = np.array([[large, large + 8.0], [large + 8.0, large]])
-    none = np.zeros((0, 0))
     normal = Normal(N, np.array([1.0, 1.0]), none, none, none, none, 0.0, 0.0)
     mean, covariance, log_size = normal.posterior(np.ones(2))
     assert np.isfinite(mean).all()

@@ -1,13 +1,13 @@
 """Parameters that bodies can have, where that is asked for at identification."""
 
-import dataclasses
-
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
-from seqid_cli.identify.rigid.consistency import made_consistent
-from seqid_cli.identify.rigid.parameters import parameters_of, representative_of
+from seqid_cli.identify.rigid.parameters import (
+    made_consistent,
+    parameters_of,
+    representative_of,
+)
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.model.torque import standard_parameters
 from seqid_cli.params.schema import RigidStage, Stages
@@ -65,25 +65,3 @@ def test_parameters_that_bodies_have_stay_as_they_are() -> None:
     for p, q in zip(given.parameters, stage.parameters, strict=True):
         assert q.value == pytest.approx(p.value, abs=0.01 * p.std_error)
     assert stage.notes[-1].startswith("physically consistent as identified")
-
-
-def test_a_negative_rotor_inertia_is_put_right() -> None:
-    plant = two_joint()
-    robot = robot_of("two", plant)
-    free = without_rotors(robot)
-    given = stage_of(free, plant, off=0.0)
-    names = [p.name for p in given.parameters]
-    at = names.index("Ia_2")
-    wrong = replace(given.parameters[at], value=-0.001)
-    parameters = [wrong if k == at else p for k, p in enumerate(given.parameters)]
-    bent = replace(
-        given, parameters=parameters, representative={**given.representative, "Ia_2": -0.001}
-    )
-    stage = made_consistent(bent, Stages(), free)
-    assert next(p.value for p in stage.parameters if p.name == "Ia_2") >= 0
-
-
-def without_rotors(robot: Robot) -> Robot:
-    """The robot with rotor inertias left to identify."""
-    joints = tuple(dataclasses.replace(joint, rotor_inertia=None) for joint in robot.joints)
-    return dataclasses.replace(robot, joints=joints)

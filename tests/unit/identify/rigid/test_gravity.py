@@ -44,7 +44,7 @@ def trials(rng: np.random.Generator) -> list[Trial]:
             still = np.zeros(64)
             t = 10.0 * len(result) + np.arange(64) * 0.02
             motion = (0, direction * speed, q, v, still, tau)
-            result.append(Trial(*motion, Ramps.none(), 20.0, np.zeros(1), q[:, None], t, 0.02))
+            result.append(Trial(*motion, Ramps(), 20.0, np.zeros(1), q[:, None], t, 0.02))
     return result
 
 
@@ -100,15 +100,6 @@ def test_the_covariance_is_that_of_the_parameters_that_were_determined() -> None
     assert not np.delete(prior.A, own, axis=1).any()
     expected = np.linalg.inv(np.array(stage.covariance))
     np.testing.assert_allclose((prior.A.T @ prior.A)[np.ix_(own, own)], expected, rtol=1e-6)
-
-
-def test_trials_of_joints_without_friction_are_left_out() -> None:
-    robot = robot_of("one", one_joint())
-    held = HeldJoints(robot, base_parameters(robot, rotor=()), np.zeros(2))
-    rows, joints = GravityRows(held, [None]), [Accumulator(2)]
-    rows.add_joint(trials(np.random.default_rng(0)), joints)
-    assert rows.used == joints[0].samples == 0
-    assert rows.skipped == ["joint_1"] * 8
 
 
 def test_friction_that_comes_by_the_prior_alone_counts_once() -> None:

@@ -10,29 +10,22 @@ import pytest
 from numpy.typing import NDArray
 
 from seqid_cli.compare.differences import _torque_constants_held
-from seqid_cli.identify.friction_surface.corrections import HeldJoints
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.regression.least_squares import Accumulator, solve
-from seqid_cli.identify.rigid.gravity import GravityRows, _stage, identify_gravity
+from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.bodies.nearest import identified
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
-from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.types import Robot
-from tests.plants.arms.rigs import MOMENT, one_joint
-from tests.plants.robots.lab import robot_of
 from tests.plants.robots.sample import Rig
-from tests.unit.identify.rigid.test_gravity import NEGATIVE, POSITIVE, surface_of, trials
 
 Array = NDArray[np.float64]
 
 ERROR = 0.02  # stated
 STEP = 1e-3  # by which a joint's torque is scaled
-SEEDS = 60
 
 
 def stated(robot: Robot) -> Robot:
@@ -118,29 +111,6 @@ def test_export_counts_one_error_for_gravity_and_inertia(known: Known) -> None:
     names = [p.name for stage in both for p in stage.parameters]
     assert len(set(names)) == len(names)
     assert demand.covariance[0, 1] == pytest.approx(moves[0] * moves[1], rel=1e-9)
-
-
-def test_intervals_hold_the_truth_where_torque_constants_err() -> None:
-    exact = robot_of("one", one_joint())
-    robot = stated(exact)
-    found = [gravity_of(robot, seed) for seed in range(SEEDS)]
-    off = np.array([abs(stage.parameters[0].value - MOMENT) for stage in found])
-    wide = np.array([stage.parameters[0].std_error for stage in found])
-    narrow = np.sqrt([stage.covariance[0][0] for stage in found])
-    assert 0.88 <= np.mean(off < 1.96 * wide) <= 1.0
-    assert np.mean(off < 1.96 * narrow) < 0.7
-
-
-def gravity_of(robot: Robot, seed: int) -> RigidStage:
-    """Gravity by trials whose torque, friction included, is scaled by a drawn error."""
-    rng = np.random.default_rng(seed)
-    factor = 1.0 + ERROR * rng.standard_normal()
-    surface = surface_of(factor * POSITIVE, factor * NEGATIVE, np.zeros((12, 12)))
-    basis = base_parameters(robot, rotor=())
-    held = HeldJoints(robot, basis, np.zeros(2))
-    rows, joints = GravityRows(held, [surface]), [Accumulator(2)]
-    rows.add_joint([replace(t, tau=factor * t.tau) for t in trials(rng)], joints)
-    return _stage(robot, basis, solve(joints), rows)
 
 
 def test_the_simultaneous_way_tells_the_same(two_joint: Rig) -> None:

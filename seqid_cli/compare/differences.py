@@ -13,17 +13,15 @@ are compared over the positions and speeds of both, not by coefficients.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.errors import UsageError
-from seqid_cli.logs.given import PathLike
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.params.document import check_same_robot, now, present, tool
-from seqid_cli.params.io import Document, Source, read_any
+from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results.comparison import (
     COMPARISON_SCHEMA,
     ComparisonFile,
@@ -50,30 +48,6 @@ DEFAULT_SIGMA = 4.0  # one false alarm in 160 comparisons of 100 parameters each
 DEFAULT_RTOL = 0.01
 K = TypeVar("K")
 V = TypeVar("V")
-
-
-def compare(
-    first: PathLike, second: PathLike, *, rtol: float | None = None, sigma: float | None = None
-) -> ComparisonFile:
-    """Compare two parameter, prediction or diagnosis files of one robot.
-
-    Parameters
-    ----------
-    first, second : path
-        What was, or what should be, and what is now.
-    rtol : float, optional
-        Share of a number's size beyond which it has changed; alone it decides.
-    sigma : float, optional
-        Combined standard errors beyond which it has changed; alone it decides.
-
-    Returns
-    -------
-    ComparisonFile
-        `changed` counts the numbers that moved by more than both (without limits: 4 standard
-        errors and 0.01 of the size).
-    """
-    a, b = read_any([Path(first), Path(second)])
-    return compared(a, b, rule_of(sigma, rtol))
 
 
 def rule_of(sigma: float | None, rtol: float | None, *, rounding: float = 1e-6) -> RuleEntry:

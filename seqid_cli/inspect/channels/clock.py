@@ -81,15 +81,12 @@ def gap_finding(gaps: Sequence[tuple[float, float]]) -> InspectionFinding:
 
 def gaps_of(data: LogData) -> list[tuple[float, float]]:
     """Gaps without a row [s], but for the holes between episodes."""
-    health, t = data.recording.health, data.t
-    if not health.gaps:
-        return []
-    steps = np.diff(t)
-    wide = np.flatnonzero(steps > gap_limit(steps))
-    for said in filter(None, map(_EPISODES.search, health.warnings)):
-        between = float(said[1])  # to three digits
-        wide = wide[np.abs(steps[wide] - between) > 0.01 * between]
-    return [(float(t[k]), float(t[k + 1])) for k in wide]
+    steps = np.diff(data.t)
+    wide = np.flatnonzero(steps > gap_limit(steps)).tolist()
+    warnings = data.recording.health.warnings
+    holes = [float(m[1]) for m in map(_EPISODES.search, warnings) if m]  # to three digits
+    gaps = [(float(data.t[k]), float(data.t[k + 1])) for k in wide]
+    return [(a, b) for a, b in gaps if all(abs(b - a - hole) > 0.01 * hole for hole in holes)]
 
 
 def hole_findings(data: LogData) -> Iterator[InspectionFinding]:

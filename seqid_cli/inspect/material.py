@@ -61,15 +61,9 @@ class LogData:
     def motion(self) -> Motion | None:
         """Filtered motion and torque; None where no stretch is long enough to filter."""
         try:
-            motion = estimate_motion(self.recording, self.robot, MotionOptions())
-            lowest = min(3.0, 0.1 * self.recording.rate_hz)  # as fit for torques
-            if motion.lowpass.active and motion.cutoff.hz < lowest:
-                motion = estimate_motion(
-                    self.recording, self.robot, MotionOptions(cutoff_hz=lowest)
-                )
+            return estimate_motion(self.recording, self.robot, MotionOptions())
         except SeqidError:
             return None
-        return motion
 
     @property
     def t(self) -> Array:

@@ -57,8 +57,6 @@ def _of_moving(data: LogData, j: int, column: Array) -> Iterator[tuple[str, str]
         yield "torque_stuck", stuck
         return
     spikes = _spikes(values)
-    position = data.joints.channels["position"][present, j]
-    spikes = spikes[~_starts_or_stops(position, spikes, float(data.step[j]))]
     if len(spikes):
         size = float(values[spikes[0]])
         text = f"is {size:.4g} for a moment at {t[spikes[0]]:.3f} s"
@@ -84,29 +82,6 @@ def _spikes(
     span = float(np.ptp(np.quantile(values, (0.01, 0.99))))
     found_at: Index = np.flatnonzero(off > max(min_ratio * usual, min_share * span))
     return found_at if len(found_at) <= max_spikes else found_at[:0]
-
-
-def _starts_or_stops(
-    q: Array,
-    at: Index,
-    step: float,
-    *,
-    apart: int = 2,
-    over: int = 10,
-    min_change: float = 10.0,
-) -> Mask:
-    """Whether the speed over `over` samples changes `min_change` times there; it takes torque.
-
-    `q` (M,) are positions in steps of `step`; speeds are those up to `apart` samples before, and
-    from there on. What is slower than a step counts as one.
-    """
-    last = len(q) - 1
-    before, after = (
-        np.abs(q[np.clip(at + near, 0, last)] - q[np.clip(at + far, 0, last)])
-        for near, far in ((-apart, -apart - over), (apart, apart + over))
-    )
-    slow = np.maximum(np.minimum(before, after), step)
-    return np.asarray(np.maximum(before, after) > min_change * slow)
 
 
 def torque_quality(
@@ -138,12 +113,9 @@ def _stuck(
     *,
     min_samples: int = 50,
     min_s: float = 0.2,
-    min_changing: float = 0.9,
 ) -> str:
-    if np.mean(np.diff(values) != 0) < min_changing:
-        lively = np.median(np.diff(values[moving]) != 0) if moving.sum() > 2 else 0.0
-        if not lively:
-            return ""
+    if moving.sum() < 3 or not np.median(np.diff(values[moving]) != 0):
+        return ""  # it repeats itself anyway
     for a, b in equal_runs(values, min_samples):
         seconds, inner = float(t[b - 1] - t[a]), values[a] not in (values.min(), values.max())
         if seconds >= min_s and inner and moving[a:b].mean() > 0.5:

@@ -18,6 +18,7 @@ from seqid_cli.robot.types import Array, Robot
 
 Mask = NDArray[np.bool_]
 V = TypeVar("V")
+MIN_HZ, MIN_SHARE = 3.0, 0.1  # of cut-offs fit for torques: Hz, of the rate
 
 
 def per_robot(function: Callable[[Robot], V]) -> Callable[[Robot], V]:
@@ -61,9 +62,14 @@ class LogData:
     def motion(self) -> Motion | None:
         """Filtered motion and torque; None where no stretch is long enough to filter."""
         try:
-            return estimate_motion(self.recording, self.robot, MotionOptions())
+            motion = estimate_motion(self.recording, self.robot, MotionOptions())
+            lowest = min(MIN_HZ, MIN_SHARE * self.recording.rate_hz)
+            if motion.lowpass.active and motion.cutoff.hz < lowest:
+                options = MotionOptions(cutoff_hz=lowest)
+                motion = estimate_motion(self.recording, self.robot, options)
         except SeqidError:
             return None
+        return motion
 
     @property
     def t(self) -> Array:

@@ -13,7 +13,6 @@ import numpy as np
 from msgspec import structs
 
 from seqid_cli.errors import InputError
-from seqid_cli.inspect.channels.clock import gap_finding, gaps_of
 from seqid_cli.inspect.channels.positions import top_speed
 from seqid_cli.inspect.channels.values import lattice
 from seqid_cli.inspect.checks import check
@@ -22,7 +21,6 @@ from seqid_cli.inspect.imu.motion import Following
 from seqid_cli.inspect.imu.readings import force_of, rest_rows
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import Stream
-from seqid_cli.logs.recording import Health
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
 from seqid_cli.params.results.inspection import (
     InspectedImu,
@@ -132,59 +130,56 @@ class Inspected(NamedTuple):
     findings: tuple[InspectionFinding, ...]
 
 
-Gap = tuple[float, float]
-V = TypeVar("V", InspectedJoint, InspectedImu)
-
-
-@dataclass(frozen=True)
-class Part:
-    """What one part of a log shows; times are those of the whole log, s."""
-
-    health: Health
-    partial: str
-    samples: int  # that the part before has not seen
-    gaps: list[Gap]  # of the time base, and those without a row
-    row_gaps: list[Gap]
-    joints: list[InspectedJoint]
-    imus: list[InspectedImu]
-    together: Array  # (n + 1,) samples: each joint with others, any
-    findings: tuple[InspectionFinding, ...]
+V = TypeVar("V", InspectedLog, InspectedJoint, InspectedImu)
+Rules = Mapping[str, Callable[..., object]]
 
 
 @dataclass
 class Gathered:
-    """Takes the parts of a log in their order."""
+    """Takes the parts of a log in their order; each begins with the end of the one before."""
 
     robot: Robot
     modelled: bool = True
     begun: float = 0.0  # s, of the log's clock
-    end: float = -1.0  # of the parts so far, s since then
-    sha256: str = ""
-    parts: list[Part] = field(default_factory=list)
-    lost: list[InputError] = field(default_factory=list)
+    parts: list[InspectedLog] = field(default_factory=list)
+    findings: list[InspectionFinding] = field(default_factory=list)
     stretches: list[Stretch] = field(default_factory=list)
+    lost: list[InputError] = field(default_factory=list)
+    together: Array | int = 0  # (n + 1,) samples: each joint with others, any
+
+    @property
+    def end(self) -> float:
+        """End of the parts so far, s since the log's begin."""
+        return self.parts[-1].seconds if self.parts else -1.0
 
     def push(self, data: LogData) -> None:
-        """Take the next part."""
-        recording, known = data.recording, self.end
+        """Take the next part; `seconds` of it is where it ends in the log."""
+        recording, health, end = data.recording, data.recording.health, self.end
         if not self.parts:
-            self.begun, self.sha256 = recording.start, recording.sha256
+            self.begun = recording.start
         offset = recording.start - self.begun
-        self.end = offset + float(recording.t[-1])
         checked = check(data)
-        self._add_stretches(data, offset, known)
-        moved = [(start + offset, stop + offset) for start, stop in recording.health.gaps]
+        self.findings += checked.findings
+        self._add_stretches(data, offset)
         several = data.moving & (data.moving.sum(axis=1, keepdims=True) >= 2)
-        part = Part(
-            health=recording.health,
-            partial=recording.partial,
-            samples=int(np.count_nonzero(recording.t + offset > known)),
-            gaps=[gap for gap in moved if gap[1] > known + 1e-6],
-            row_gaps=[gap for gap in gaps_of(data) if gap[1] > known + 1e-6],
+        counts = np.append(several.sum(axis=0), data.moving.any(axis=1).sum())
+        self.together = self.together + counts.astype(np.float64)
+        part = InspectedLog(
+            path=str(recording.path),
+            sha256=recording.sha256,
+            format=recording.format,
+            verdict="",
+            samples=int(np.count_nonzero(recording.t + offset > end)),
+            seconds=offset + float(recording.t[-1]),
+            rate_hz=health.rate_hz,
+            jitter=health.jitter,
+            gaps=[[a + offset, b + offset] for a, b in health.gaps if b + offset > end + 1e-6],
+            non_monotonic=health.non_monotonic,
+            duplicates=health.duplicates,
+            log_minus_header_s=health.log_minus_header_s,
             joints=[_joint(data, j) for j in range(self.robot.n)],
             imus=[*_imus(data, checked.following)],
-            together=np.append(several.sum(axis=0), data.moving.any(axis=1).sum()),
-            findings=checked.findings,
+            partial=recording.partial,
         )
         self.parts.append(part)
 
@@ -194,7 +189,7 @@ class Gathered:
         where = f"from {first:.3f} to {last:.3f} s: " if self.parts else "at the start: "
         self.lost.append(InputError(where + error.message, hint=error.hint, where=error.where))
 
-    def _add_stretches(self, data: LogData, offset: float, known: float) -> None:
+    def _add_stretches(self, data: LogData, offset: float) -> None:
         """Take stretches of constant velocity; one that the part before ends with goes on."""
         recording, rate = data.recording, data.recording.rate_hz
         rows = round(offset * rate)
@@ -203,7 +198,7 @@ class Gathered:
             moved = replace(one, start=one.start + rows, stop=one.stop + rows)
             before = last.get(one.joint)
             goes_on = before is not None and before.velocity * one.velocity > 0.0
-            if before is None or not goes_on or moved.start > min(before.stop, known * rate):
+            if before is None or not goes_on or moved.start > min(before.stop, self.end * rate):
                 self.stretches.append(moved)
 
     def log(self, path: object, form: str, before: Sequence[InspectionFinding]) -> Inspected:
@@ -213,52 +208,39 @@ class Gathered:
         """
         if not self.parts:
             raise self.lost[0]
-        parts = self.parts
-        same = grouped(finding for part in parts for finding in part.findings)
         lost = (found("channel_hole", error.message) for error in self.lost)
-        findings = located((*before, *map(self._told, same), *lost), path)
-        health, samples = [part.health for part in parts], [part.samples for part in parts]
-        delays = [h.log_minus_header_s for h in health if h.log_minus_header_s is not None]
-        by_joint = zip(*(part.joints for part in parts), strict=True)
-        joints = [_merged(own, samples, _JOINT) for own in by_joint]
+        findings = located((*before, *map(self._told, grouped(self.findings)), *lost), path)
+        samples = [part.samples for part in self.parts]
+        log = _merged(self.parts, samples, _LOG)
+        joints = [
+            _merged(own, samples, _JOINT)
+            for own in zip(*(part.joints for part in self.parts), strict=True)
+        ]
         by_imu: dict[str, list[InspectedImu]] = {}
-        for imu in (imu for part in parts for imu in part.imus):
+        for imu in (imu for part in self.parts for imu in part.imus):
             by_imu.setdefault(imu.name, []).append(imu)
         imus = [_merged(own, [1] * len(own), _IMU) for own in by_imu.values()]
-        *each, moving = np.sum([part.together for part in parts], axis=0)
-        together = [
-            name
-            for name, count in zip(self.robot.joint_names, each, strict=True)
-            if count > TOGETHER * max(moving, 1.0)
-        ]
+        *each, moving = np.asarray(self.together)
+        names = zip(self.robot.joint_names, each, strict=True)
+        together = [name for name, count in names if count > TOGETHER * max(moving, 1.0)]
         serves = _serves(self.robot, self.stretches, joints, together, imus=bool(imus))
-        log = InspectedLog(
+        log = structs.replace(
+            log,
             path=str(path),
-            sha256=self.sha256,
             format=form,
             verdict=verdict_of(findings),
-            samples=sum(samples),
             seconds=self.end,
-            rate_hz=sum(samples) / sum(n / h.rate_hz for n, h in zip(samples, health, strict=True)),
-            jitter=_rms([h.jitter for h in health], samples),
-            gaps=[list(gap) for part in parts for gap in part.gaps],
-            non_monotonic=sum(h.non_monotonic for h in health),
-            duplicates=sum(h.duplicates for h in health),
-            log_minus_header_s=float(np.median(delays)) if delays else None,
             joints=joints,
             imus=imus,
             moves=[*_moves(self.robot, self.stretches)],
             moving_together=together,
             serves=serves if self.modelled else [],
-            partial="; ".join(part.partial for part in parts if part.partial),
         )
         return Inspected(log, findings)
 
     def _told(self, alike: Sequence[InspectionFinding]) -> InspectionFinding:
         """A finding of several parts, told once."""
         first, count = alike[0], len(self.parts)
-        if first.code == "clock_gap":
-            return gap_finding([gap for part in self.parts for gap in part.row_gaps])
         if all(one.message == first.message for one in alike) and len(alike) == count:
             return first
         message = f"{first.message} (of {count} parts of the log {len(alike)} show it)"
@@ -315,7 +297,17 @@ def _median(values: Sequence[float], samples: Sequence[int]) -> float:
 
 
 # How the fields of parts become those of the log: by their values and numbers of samples.
-_JOINT: Mapping[str, Callable[..., object]] = {
+_LOG: Rules = {
+    "samples": lambda counts, _: sum(counts),
+    "rate_hz": lambda rates, counts: sum(counts) / float(np.sum(np.divide(counts, rates))),
+    "jitter": _rms,
+    "gaps": lambda gaps, _: [gap for own in gaps for gap in own],
+    "non_monotonic": lambda counts, _: sum(counts),
+    "duplicates": lambda counts, _: sum(counts),
+    "log_minus_header_s": _median,
+    "partial": lambda texts, _: "; ".join(filter(None, texts)),
+}
+_JOINT: Rules = {
     "moves": lambda moves, _: any(moves),
     "low": lambda low, _: min(low),
     "high": lambda high, _: max(high),
@@ -325,7 +317,7 @@ _JOINT: Mapping[str, Callable[..., object]] = {
     "effort_rms": _rms,
     "temperature": lambda spans, _: [min(s[0] for s in spans), max(s[1] for s in spans)],
 }
-_IMU: Mapping[str, Callable[..., object]] = {
+_IMU: Rules = {
     "accelerometers": lambda counts, _: max(counts),
     "gyro": lambda there, _: any(there),
     "rate_hz": _median,
@@ -334,10 +326,8 @@ _IMU: Mapping[str, Callable[..., object]] = {
 }
 
 
-def _merged(
-    parts: Sequence[V], samples: Sequence[int], rules: Mapping[str, Callable[..., object]]
-) -> V:
-    """One joint or IMU of all parts; what a part does not know does not count."""
+def _merged(parts: Sequence[V], samples: Sequence[int], rules: Rules) -> V:
+    """What all parts show of a log, a joint or an IMU; what a part does not know does not count."""
     fields: dict[str, object] = {}
     for name, rule in rules.items():
         pairs = zip((getattr(part, name) for part in parts), samples, strict=True)

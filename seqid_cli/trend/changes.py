@@ -55,11 +55,7 @@ def trend_file(
     series = [own for name, files in robots.items() for own in series_of(name, files)]
     stages = {own.stage: [x for x in series if x.stage == own.stage] for own in series}
     scatters = {stage: scatter_of(own) for stage, own in stages.items()}
-    # Any hypothesis on healthy robots is beyond it with the probability alpha: a step between any
-    # two dates of a quantity, and a line.
-    share = options.alpha / (2 * max(sum(len(own.values) for own in series), 1))
-    told = [count for _, count in scatters.values() if count]
-    limit = float(stats.t.isf(share, min(told) / 2) if told else stats.norm.isf(share))
+    limit = _limit(series, [count for _, count in scatters.values() if count], options.alpha)
     sizes: dict[tuple[str, str, str], float] = {}
     for own in series:
         kind, size = (own.robot, own.stage, own.unit), least_size * float(np.abs(own.values).max())
@@ -85,6 +81,13 @@ def trend_file(
         series=series,
         notes=_notes(robots),
     )
+
+
+def _limit(series: Sequence[SeriesEntry], differences: Sequence[int], alpha: float) -> float:
+    """The |z| that any hypothesis on healthy robots exceeds with the probability `alpha`."""
+    hypotheses = sum(len(own.values) for own in series)  # a step between any two dates, and a line
+    share = alpha / (2 * max(hypotheses, 1))
+    return float(stats.t.isf(share, min(differences) / 2) if differences else stats.norm.isf(share))
 
 
 def _notes(robots: Mapping[str, Sequence[ParameterFile]]) -> list[str]:

@@ -59,7 +59,7 @@ def position_quality(
         q = column[np.isfinite(column)]
         if len(q) < 3:
             continue
-        yield from missing(column, joint.name, "position", what="positions")
+        yield from missing(column, joint.name, "position")
         if joint.name in broken:
             continue
         size, step = held(q), lattice(q)

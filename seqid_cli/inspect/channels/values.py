@@ -24,12 +24,9 @@ def clipped(
     min_samples: int = 10,
     min_share: float = 2e-3,
     min_pile: float = 3.0,  # times the next level
-    min_levels: int = 20,
 ) -> tuple[float, float] | None:
     """Find a limit at which a channel (M,) is cut off, and its share of the samples; or None."""
-    if len(np.unique(values[:: max(1, len(values) // 2000)])) < min_levels:
-        return None
-    for limit in (float(values.max()), float(values.min())):
+    for limit in (float(values.max()), float(values.min())) if len(values) else ():
         count = int(np.count_nonzero(values == limit))
         # Zero is a brake, or a channel that is off, not a limit.
         if limit != 0.0 and count >= max(min_samples, min_share * len(values)):
@@ -74,7 +71,7 @@ def lattice(values: Array) -> float:
 
 
 def missing(
-    values: Array, joint: str, channel: str, *, what: str = "values", max_missing: float = 0.01
+    values: Array, joint: str, channel: str, *, max_missing: float = 0.01
 ) -> Iterator[InspectionFinding]:
     """Find values of a channel (M,) that are missing at uneven distances, as of no slower one."""
     present = np.flatnonzero(np.isfinite(values))
@@ -84,5 +81,5 @@ def missing(
     usual = int(np.bincount(distance).argmax())
     share = 1.0 - (len(present) - 1) * usual / float(present[-1] - present[0])
     if share > max_missing:
-        text = f"{percent(share)} of the {what} are missing"
+        text = f"{percent(share)} of the values are missing"
         yield found("values_missing", text, joint=joint, channel=channel)

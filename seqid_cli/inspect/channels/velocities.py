@@ -19,11 +19,7 @@ CORRELATED = 0.9
 
 
 def velocity_findings(
-    data: LogData,
-    broken: Container[str] = (),
-    *,
-    window_s: float = 0.5,
-    min_share: float = 0.3,  # of a window's usual travel
+    data: LogData, broken: Container[str] = (), *, window_s: float = 0.5
 ) -> Iterator[InspectionFinding]:
     """Check the velocity of every joint that moves, but for the joints named in `broken`."""
     if data.recording.dq is None:
@@ -36,10 +32,12 @@ def velocity_findings(
     moving = [
         j for j, name in enumerate(names) if name not in broken and counts[:, j].sum() >= FEWEST
     ]
-    crossed = _crossed(travel, integral, moving)
+    sizes = [np.maximum(np.linalg.norm(x, axis=0), 1e-300) for x in (travel, integral)]
+    r = (travel / sizes[0]).T @ (integral / sizes[1])  # correlations of positions with velocities
+    gains, ratios = np.diag(r) * sizes[0] / sizes[1], sizes[1] / sizes[0]
+    crossed = _crossed(r, moving)
     paired = {j for pair in crossed for j in pair}
-    fast = np.maximum(COUNTS * data.step, min_share * np.quantile(np.abs(integral), 0.9, axis=0))
-    still = np.count_nonzero((travel == 0.0) & (np.abs(integral) > fast), axis=0)
+    still = _still(data, travel, integral)
     dead = [
         j
         for j, name in enumerate(names)
@@ -49,10 +47,9 @@ def velocity_findings(
         text = f"stands still for {window_s * still[j]:.2g} s in which its velocity moves it"
         yield found("position_stuck", text, joint=names[j], channel="position")
     live = [j for j in moving if j not in dead]
-    fits = {j: _fit(travel[counts[:, j], j], integral[counts[:, j], j]) for j in live}
-    gains = [gain for gain, r, _ in fits.values() if abs(r) > CORRELATED]
-    for factor in (1e-3, 1e-6, 1e3, 1e6) if gains else ():  # by which all gains are off
-        if all(abs(gain / factor - 1.0) < NEAR for gain in gains):
+    clear = [gains[j] for j in live if abs(r[j, j]) > CORRELATED]
+    for factor in (1e-3, 1e-6, 1e3, 1e6) if clear else ():  # by which all gains are off
+        if all(abs(gain / factor - 1.0) < NEAR for gain in clear):
             text = f"velocities are {1 / factor:.3g} times the slopes of all positions"
             yield found("time_unit", text, channel="t")
             return
@@ -61,7 +58,26 @@ def velocity_findings(
         yield found("joints_swapped", text, joint=f"{names[a]}, {names[b]}", channel="velocity")
     for j in live:
         if j not in paired:
-            yield from _verdict(data, j, *fits[j])
+            yield from _verdict(data, j, float(gains[j]), float(r[j, j]), float(ratios[j]))
+
+
+def _still(data: LogData, travel: Array, integral: Array, *, min_share: float = 0.3) -> Array:
+    """Count the windows (n,) in which the velocity moves a joint and its position stands still.
+
+    `min_share`: of a window's usual travel, that the velocity's integral must be.
+    """
+    size = np.abs(integral)
+    fast = np.maximum(COUNTS * data.step, min_share * np.quantile(size, 0.9, axis=0))
+    return np.asarray(np.sum((travel == 0.0) & (size > fast), axis=0))
+
+
+def _crossed(r: Array, moving: list[int], *, min_crossed: float = 0.95) -> list[tuple[int, int]]:
+    """Pairs of joints whose velocities fit each other's positions and not their own."""
+    return [
+        (a, b)
+        for a, b in combinations(moving, 2)
+        if min(r[a, b], r[b, a]) > min_crossed and max(r[a, a], r[b, b]) < CORRELATED
+    ]
 
 
 def _windows(data: LogData, seconds: float) -> tuple[Array, Array]:
@@ -74,29 +90,6 @@ def _windows(data: LogData, seconds: float) -> tuple[Array, Array]:
     broken = np.concatenate([[0], np.cumsum(~recording.valid)])[edges]
     whole = np.diff(broken) == 0
     return np.diff(recording.q[edges], axis=0)[whole], np.diff(total[edges], axis=0)[whole]
-
-
-def _fit(travel: Array, integral: Array) -> tuple[float, float, float]:
-    """Gain from integral to travel, their correlation, and the ratio of their RMS."""
-    energy, power = float(integral @ integral), float(travel @ travel)
-    ratio = float(np.sqrt(energy / max(power, 1e-300)))
-    if energy <= 0.0 or power <= 0.0:
-        return 0.0, 0.0, ratio
-    product = float(travel @ integral)
-    return product / energy, product / np.sqrt(energy * power), ratio
-
-
-def _crossed(
-    travel: Array, integral: Array, judged: list[int], *, min_crossed: float = 0.95
-) -> list[tuple[int, int]]:
-    """Pairs of joints whose velocities fit each other's positions and not their own."""
-    sizes = [np.sqrt(np.sum(x**2, axis=0, keepdims=True)) for x in (travel, integral)]
-    fits = (travel / np.maximum(sizes[0], 1e-300)).T @ (integral / np.maximum(sizes[1], 1e-300))
-    return [
-        (a, b)
-        for a, b in combinations(judged, 2)
-        if min(fits[a, b], fits[b, a]) > min_crossed and max(fits[a, a], fits[b, b]) < CORRELATED
-    ]
 
 
 def _verdict(

@@ -86,9 +86,14 @@ def causes_of(data: LogData, sample: Sample, *, units: bool = False) -> Iterator
         ):
             if joints[pair[0]].prismatic == joints[pair[1]].prismatic:
                 yield Cause("joints_swapped", pair, text, exchanged=exchanged)
+    yield from _of_efforts(data, units=units)
+
+
+def _of_efforts(data: LogData, *, units: bool) -> Iterator[Cause]:
+    """Yield that the effort is the other quantity, or lacks gravity."""
     quantity, _ = data.effort() or ("torque", None)
-    robot, every_joint = sample.robot, tuple(every.tolist())
-    factor = np.array([abs(joint.torque_per_ampere or 0.0) for joint in joints])
+    robot, every_joint = data.robot, tuple(range(data.robot.n))
+    factor = np.array([abs(joint.torque_per_ampere or 0.0) for joint in robot.joints])
     if units and factor.all():
         other, scale = ("torque", 1.0 / factor) if quantity == "current" else ("current", factor)
         text = f"carry {other}, not {quantity}"

@@ -193,19 +193,15 @@ def largest_gravity(robot: Robot, *, postures: int = 200) -> Array:
     return np.asarray(np.abs(torque).max(axis=0))
 
 
-def _nominal_error(sample: Sample, *, scaled: bool = False) -> float:
-    """RMS that the URDF's inertials and friction leave of torques, each as a share of its own.
-
-    With `scaled`, inertials of each joint's own scale, as of a torque in another unit.
-    """
-    shares = []
-    gravity, inertia = sample.nominal()
+def _nominal_error(sample: Sample) -> float:
+    """RMS that the URDF's inertials and friction leave of torques, each as a share of its own."""
+    left = sample.tau - np.sum(sample.nominal(), axis=0)
     own = sample.own_columns()
-    for j in sample.moving:
-        y = sample.tau[:, j]
-        X = np.column_stack([own[:, j], gravity[:, j], inertia[:, j]]) if scaled else own[:, j]
-        *_, left = scaled_fit(X, y if scaled else y - gravity[:, j] - inertia[:, j])
-        shares.append(float(np.mean(left**2)) / max(float(np.var(y)), 1e-300))
+    shares = [
+        float(np.mean(scaled_fit(own[:, j], left[:, j])[2] ** 2))
+        / max(float(np.var(sample.tau[:, j])), 1e-300)
+        for j in sample.moving
+    ]
     return float(np.sqrt(np.mean(shares)))
 
 
@@ -252,11 +248,9 @@ def _scale(
             off.append((j, ratio, error, low, high))
     if not off:
         return
-    before = _nominal_error(sample)
-    mended, left = _mending(sample, before, _nominal_error, [*causes_of(data, sample)])
-    unit = _nominal_error(sample, scaled=True)
-    pulls = all(low > 0.0 for *_, low, _ in off)  # gravity acts, in the right direction
-    if mended is not None and not (pulls and unit < left / BETTER):
+    causes = [*causes_of(data, sample)]
+    mended, _ = _mending(sample, _nominal_error(sample), _nominal_error, causes)
+    if mended is not None:
         yield mended
         return
     quantity, _ = data.effort() or ("torque", None)

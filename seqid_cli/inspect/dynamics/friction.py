@@ -195,11 +195,9 @@ def memory_of(residual: Array) -> float:
     """Count the samples of a residual (M,) that say as much as one: by its autocorrelation."""
     x = residual - residual.mean()
     r = correlate(x, x, method="fft")[len(x) - 1 :]
-    if r[0] <= 0.0:
-        return 1.0
-    negative = np.flatnonzero(r <= 0.0)
-    last = int(negative[0]) if len(negative) else len(r)
-    return float(1.0 + 2.0 * r[1:last].sum() / r[0])
+    below = np.flatnonzero(r <= 0.0)
+    last = int(below[0]) if len(below) else len(r)
+    return float(1.0 + 2.0 * r[1:last].sum() / max(r[0], 1e-300))
 
 
 def _exchanged(fits: dict[int, Friction], moving: tuple[int, ...]) -> list[tuple[int, int]]:
@@ -222,9 +220,8 @@ def _alien(
     """Whether the motion of joint i shows as friction in the torque of j, and not in its own."""
     own, own_error = fits[i].by_joint[i]
     alien, error = fits[j].by_joint[i]
-    largest = max(abs(fit.by_joint[i][0]) - 2.0 * fit.by_joint[i][1] for fit in fits.values())
-    seen = max(SIGMAS * error, SHARE * fits[j].spread, 2.0 * own_error) < alien
-    return seen and alien >= largest and abs(own) < max(max_own * alien, 2.0 * own_error)
+    seen = alien > max(SIGMAS * error, SHARE * fits[j].spread, 2.0 * own_error)
+    return seen and abs(own) < max(max_own * alien, 2.0 * own_error)
 
 
 def smooth(q: Array, terms: int = SMOOTH_TERMS) -> Array:

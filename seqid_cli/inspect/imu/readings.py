@@ -31,8 +31,8 @@ def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
             yield found("imu_layout", text, joint=imu.name)
 
 
-def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
-    """Check the channels of every IMU in the log."""
+def imu_findings(data: LogData, *, max_bias: float = 0.1) -> Iterator[InspectionFinding]:
+    """Check the channels of every IMU in the log; `max_bias` of a gyro at rest, rad/s."""
     for imu in data.robot.imus:
         broken = [*_channels(data, imu)]
         yield from broken
@@ -41,8 +41,12 @@ def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
         if values is not None and on_earth and np.linalg.matrix_rank(imu.axes) == 3:
             yield from _force(data, imu, values, at_rest=data.modelled and not broken)
         gyro = data.recording.gyros.get(imu.name)
-        if gyro is not None:
-            yield from _gyro_bias(data, imu, gyro)
+        rest = rest_rows(data, gyro) if gyro is not None else np.zeros((0, 3))
+        bias = rest.mean(axis=0) if len(rest) else np.zeros(3)
+        if np.linalg.norm(bias) > max_bias:
+            channel = channel_name(imu, GYRO, int(np.abs(bias).argmax()))
+            text = f"reads {np.linalg.norm(bias):.3g} rad/s at rest"
+            yield found("gyro_bias", text, joint=imu.name, channel=channel)
 
 
 def channel_name(imu: Imu, quantity: str, k: int) -> str:
@@ -158,14 +162,3 @@ def _disagreement(rest: Array, axes: Array) -> float:
     """Mean square (m/s^2)^2 of readings (R, K) that no specific force along the axes explains."""
     P = np.eye(len(axes)) - axes @ np.linalg.pinv(axes)
     return float(np.mean(np.sum((rest @ P) ** 2, axis=1)))
-
-
-def _gyro_bias(
-    data: LogData, imu: Imu, gyro: Array, *, max_bias: float = 0.1
-) -> Iterator[InspectionFinding]:
-    rest = rest_rows(data, gyro)
-    bias = rest.mean(axis=0) if len(rest) else np.zeros(3)
-    size, worst = float(np.linalg.norm(bias)), int(np.abs(bias).argmax())
-    if size > max_bias:
-        text, channel = f"reads {size:.3g} rad/s at rest", channel_name(imu, GYRO, worst)
-        yield found("gyro_bias", text, joint=imu.name, channel=channel)

@@ -18,7 +18,6 @@ from seqid_cli.robot.types import Array, Robot
 
 Mask = NDArray[np.bool_]
 V = TypeVar("V")
-MIN_HZ, MIN_SHARE = 3.0, 0.1  # of cut-offs fit for torques: Hz, of the rate
 
 
 def per_robot(function: Callable[[Robot], V]) -> Callable[[Robot], V]:
@@ -61,15 +60,7 @@ class LogData:
     @cached_property
     def motion(self) -> Motion | None:
         """Filtered motion and torque; None where no stretch is long enough to filter."""
-        try:
-            motion = estimate_motion(self.recording, self.robot, MotionOptions())
-            lowest = min(MIN_HZ, MIN_SHARE * self.recording.rate_hz)
-            if motion.lowpass.active and motion.cutoff.hz < lowest:
-                options = MotionOptions(cutoff_hz=lowest)
-                motion = estimate_motion(self.recording, self.robot, options)
-        except SeqidError:
-            return None
-        return motion
+        return _motion(self.recording, self.robot)
 
     @property
     def t(self) -> Array:
@@ -97,3 +88,17 @@ class LogData:
         seconds = (self.joints.stamp_ns * 1e-9 - base.start) * base.rate_hz
         rows = np.clip(np.rint(seconds), 0, len(base.t) - 1).astype(np.intp)
         return np.asarray(self.moving[rows, joint])
+
+
+def _motion(
+    recording: Recording, robot: Robot, *, min_hz: float = 3.0, min_share: float = 0.1
+) -> Motion | None:
+    """Filter a log; a cut-off fit for accelerations alone may be too low for torques."""
+    lowest = min(min_hz, min_share * recording.rate_hz)
+    try:
+        motion = estimate_motion(recording, robot, MotionOptions())
+        if motion.lowpass.active and motion.cutoff.hz < lowest:
+            motion = estimate_motion(recording, robot, MotionOptions(cutoff_hz=lowest))
+    except SeqidError:
+        return None
+    return motion

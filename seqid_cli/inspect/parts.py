@@ -31,8 +31,6 @@ from seqid_cli.params.results.inspection import (
 )
 from seqid_cli.robot.types import Array, Robot
 
-TOGETHER = 0.1  # of the moving time, in which a joint that moves with others does
-
 
 def _moves(robot: Robot, stretches: Sequence[Stretch]) -> Iterator[InspectedMoves]:
     """Summarise the constant-velocity stretches of each joint."""
@@ -57,6 +55,13 @@ def _postures(stretches: list[Stretch], joint: int, *, same: float = 0.03) -> in
         if not any(np.abs(others - known).max(initial=0.0) < same for known in found):
             found.append(others)
     return len(found)
+
+
+def _moving_together(robot: Robot, counts: Array, *, min_share: float = 0.1) -> list[str]:
+    """Joints that move with others for a fair share of the samples (n + 1,) with motion."""
+    *each, moving = counts
+    names = zip(robot.joint_names, each, strict=True)
+    return [name for name, count in names if count > min_share * max(moving, 1.0)]
 
 
 def _serves(
@@ -220,9 +225,7 @@ class Gathered:
         for imu in (imu for part in self.parts for imu in part.imus):
             by_imu.setdefault(imu.name, []).append(imu)
         imus = [_merged(own, [1] * len(own), _IMU) for own in by_imu.values()]
-        *each, moving = np.asarray(self.together)
-        names = zip(self.robot.joint_names, each, strict=True)
-        together = [name for name, count in names if count > TOGETHER * max(moving, 1.0)]
+        together = _moving_together(self.robot, np.asarray(self.together))
         serves = _serves(self.robot, self.stretches, joints, together, imus=bool(imus))
         log = structs.replace(
             log,

@@ -28,7 +28,6 @@ def compare(
         errors and 0.01 of the size).
     """
     a, b = read_any([Path(first), Path(second)])
-    from seqid_cli.compare.differences import compare as compared
-    from seqid_cli.compare.rule import Rule
+    from seqid_cli.compare.differences import compared, rule_of
 
-    return compared(a, b, rule=Rule.of(sigma, rtol))
+    return compared(a, b, rule_of(sigma, rtol))

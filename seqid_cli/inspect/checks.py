@@ -37,45 +37,34 @@ from seqid_cli.logs.read import without_values
 from seqid_cli.logs.timebase import JITTER_LIMIT
 from seqid_cli.params.results.inspection import InspectionFinding
 
-# Findings that make everything computed from the motion of a joint meaningless.
-SPOIL = frozenset(
-    {
-        "position_in_degrees",
-        "position_in_mm",
-        "position_motor_side",
-        "position_spikes",
-        "position_jump",
-        "position_frozen",
-        "position_stuck",
-        "joints_swapped",
-        "sign_mismatch",
-        "torque_zero",
-        "torque_constant_value",
-        "torque_stuck",
-        "torque_echo",
-        "axis_flipped",
-        "position_zero",
-        "current_in_ma",
-        "values_absurd",
-    }
-)
-# Of those, the ones whose samples are taken out.
-_TAKEN_OUT = frozenset({"position_spikes", "position_frozen"})
-SPOIL_ALL = frozenset({"time_unit", "clock_set_back", "stamps_far_off", "drive_data_missing"})
-# What is left out of a joint where one of the first codes explains it.
-_FOLLOW_UP = (
-    (
-        {"position_in_degrees", "position_in_mm", "position_motor_side", "joints_swapped"},
-        {"position_limits", "speed_limit", "velocity_inconsistent", "encoder_resolution"},
-    ),
-    ({"torque_zero", "torque_constant_value"}, {"torque_echo"}),
-    ({"torque_echo"}, {"torque_saturated", "torque_quantised", "torque_stuck"}),
-)
-_FOLLOW_UP_OF_MOTION = (({"gyro_in_degrees"}, {"gyro_bias"}),)
-# What a clock that scatters makes of sound values.
-_UNEVEN = frozenset({"velocity_inconsistent", "speed_limit", "position_jump", "values_missing"})
+Codes = frozenset[str]
 
-Rules = tuple[tuple[set[str], set[str]], ...]
+
+def _codes(text: str) -> Codes:
+    return frozenset(text.split())
+
+
+# Findings whose samples are taken out, and those that spoil what is computed from the motion of a
+# joint, or of all joints.
+TAKEN_OUT = _codes("position_spikes position_frozen")
+SPOIL = _codes(
+    "position_in_degrees position_in_mm position_motor_side position_jump position_stuck "
+    "joints_swapped sign_mismatch torque_zero torque_constant_value torque_stuck torque_echo "
+    "axis_flipped position_zero current_in_ma values_absurd"
+)
+SPOIL_ALL = _codes("time_unit clock_set_back stamps_far_off drive_data_missing")
+# What is left out of a joint where one of the first codes explains it.
+_EXPLAINED: tuple[tuple[Codes, Codes], ...] = (
+    (
+        _codes("position_in_degrees position_in_mm position_motor_side joints_swapped"),
+        _codes("position_limits speed_limit velocity_inconsistent encoder_resolution"),
+    ),
+    (_codes("torque_zero torque_constant_value"), _codes("torque_echo")),
+    (_codes("torque_echo"), _codes("torque_saturated torque_quantised torque_stuck")),
+    (_codes("gyro_in_degrees"), _codes("gyro_bias")),
+)
+# What a clock that scatters makes of sound values.
+_UNEVEN = _codes("velocity_inconsistent speed_limit position_jump values_missing")
 
 
 @dataclass(frozen=True)
@@ -109,10 +98,10 @@ def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
         own += imu_findings(data)
     if not _all_spoilt(own):
         own += _of_positions(data, breaks, quality=quality)
-    own = _one_cause(own, _FOLLOW_UP)
+    own = _unexplained(own)
     if not _all_spoilt(own):
         own += _of_dynamics(sound, own, following)
-    first = (alike[0] for alike in grouped(_one_cause(own, _FOLLOW_UP_OF_MOTION)))
+    first = (alike[0] for alike in grouped(_unexplained(own)))
     return Checked(sound, tuple(first), following)
 
 
@@ -137,31 +126,30 @@ def _of_positions(
 ) -> list[InspectionFinding]:
     """Check positions and velocities."""
     positions = [*position_findings(data, breaks)]
-    own = [*velocity_findings(data, {f.joint for f in positions if f.code in SPOIL})]
+    spoilt = {f.joint for f in positions if f.code in SPOIL | TAKEN_OUT}
+    own = [*velocity_findings(data, spoilt)]
     if not _all_spoilt(own):
         own += [*positions, *fast_in_degrees(data)]
     if quality:
         own += position_quality(data, {f.joint for f in positions})
-    if data.recording.health.jitter > JITTER_LIMIT:  # slopes over such times mean nothing
-        own = [f for f in own if f.code not in _UNEVEN]
-    return own
+    uneven = data.recording.health.jitter > JITTER_LIMIT  # slopes over such times mean nothing
+    return [f for f in own if not (uneven and f.code in _UNEVEN)]
 
 
 def _of_dynamics(
     data: LogData, own: list[InspectionFinding], following: Sequence[Following]
 ) -> Iterator[InspectionFinding]:
     """Compare torque, motion and IMUs with each other; `own` are the findings so far."""
-    spoilt = {f.joint for f in own if f.code in SPOIL - _TAKEN_OUT}
-    against: list[InspectionFinding] = []
+    spoilt = any(f.code in SPOIL for f in own)
     uneven = any(f.code == "jitter" for f in own)  # accelerations mean nothing then
-    sample = None if uneven else sample_of(data)
+    sample = None if uneven or spoilt else sample_of(data)
+    against: list[InspectionFinding] = []
     if sample is not None:
-        friction = [] if spoilt else [*friction_findings(data, sample)]
-        against += friction if spoilt else geometry_findings(data, sample, friction)
+        against = geometry_findings(data, sample, [*friction_findings(data, sample)])
     yield from (_with_imus(finding, data, following) for finding in against)
     if any(finding.code == "gravity_direction" for finding in against):
         return  # IMUs are compared with it
-    spoil = {*SPOIL - _TAKEN_OUT, "position_limits"}  # a zero that is off turns the link
+    spoil = SPOIL | {"position_limits"}  # a zero that is off turns the link
     joints = {name for f in (*own, *against) if f.code in spoil for name in f.joint.split(", ")}
     if not joints & set(data.robot.joint_names):
         broken = {f.joint for f in own if f.severity == "error" or f.code == "imu_saturated"}
@@ -181,18 +169,15 @@ def _with_imus(
     return structs.replace(finding, message=f"{finding.message}; by the IMUs it is the {blamed}'s")
 
 
-def _one_cause(findings: list[InspectionFinding], rules: Rules) -> list[InspectionFinding]:
+def _unexplained(findings: list[InspectionFinding]) -> list[InspectionFinding]:
     """Leave out what another finding of the same joint already explains."""
     codes: dict[str, set[str]] = {}
     for finding in findings:
         for name in finding.joint.split(", "):
             codes.setdefault(name, set()).add(finding.code)
-    return [
-        finding
-        for finding in findings
-        if not any(
-            finding.code in follow_up and codes[finding.joint] & causes
-            for causes, follow_up in rules
-            if finding.joint in codes
-        )
-    ]
+
+    def explained(finding: InspectionFinding) -> bool:
+        there = codes.get(finding.joint, set())
+        return any(finding.code in own and there & causes for causes, own in _EXPLAINED)
+
+    return [finding for finding in findings if not explained(finding)]

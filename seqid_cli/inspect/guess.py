@@ -17,27 +17,17 @@ from seqid_cli.robot.toml.schema import Channels, Columns
 from seqid_cli.robot.types import Imu, Joint, Robot
 
 # Words for each quantity, joined and in lower case; those of one letter count only beside a number.
-WORDS: Mapping[str, tuple[str, ...]] = {
-    "position": ("position", "positions", "pos", "q", "angle", "theta", "measq", "winkel"),
-    "velocity": (
-        "velocity",
-        "velocities",
-        "vel",
-        "qd",
-        "dq",
-        "qdot",
-        "speed",
-        "geschwindigkeit",
-        "drehzahl",
-    ),
-    "current": ("current", "currents", "cur", "amps", "i", "iq", "strom"),
-    "torque": ("torque", "torques", "tau", "effort", "efforts", "tauj", "moment", "drehmoment"),
-    "load": ("load",),
-    "voltage": ("voltage", "spannung"),
-    "pwm": ("pwm", "duty"),
-    "temperature": ("temperature", "temperatures", "temp", "temperatur"),
+WORDS: Mapping[str, str] = {
+    "position": "position positions pos q angle theta measq winkel",
+    "velocity": "velocity velocities vel qd dq qdot speed geschwindigkeit drehzahl",
+    "current": "current currents cur amps i iq strom",
+    "torque": "torque torques tau effort efforts tauj moment drehmoment",
+    "load": "load",
+    "voltage": "voltage spannung",
+    "pwm": "pwm duty",
+    "temperature": "temperature temperatures temp temperatur",
 }
-_QUANTITY = {word: quantity for quantity, words in WORDS.items() for word in words}
+_QUANTITY = {word: quantity for quantity, words in WORDS.items() for word in words.split()}
 _BESIDE = COMMANDED | MEASURED
 _SHORT = 2  # letters; such words are too common to stand for a quantity of one joint
 _BRACKET = re.compile(r"[\[(]\s*([^\])0-9{}]*)[\])]")  # a unit behind a name
@@ -47,27 +37,13 @@ _DEGREES = frozenset({"deg", "degs", "degrees", "grad", "°"})
 
 @dataclass(frozen=True)
 class Guess:
-    """A guess by names: joints in order, `[channels]` patterns, and IMUs."""
+    """A guess by names: joints in order, `[channels]` patterns, IMUs, units of the positions."""
 
     joints: tuple[str, ...]
     patterns: Mapping[str, Columns] = field(default_factory=dict)
     imus: tuple[Imu, ...] = ()
-
-    @property
-    def unit(self) -> Literal["rad", "deg"]:
-        """Unit of the angles, as the names of the positions say."""
-        return "deg" if _DEGREES & self._words() else "rad"
-
-    @property
-    def length_unit(self) -> Literal["m", "mm"]:
-        """Unit of the lengths, as the names of the positions say."""
-        return "mm" if "mm" in self._words() else "m"
-
-    def _words(self) -> set[str]:
-        """Words, and signs of degrees, in the names of the positions."""
-        pattern = self.patterns.get("position", "")
-        names = [pattern] if isinstance(pattern, str) else map(str, pattern)
-        return {word for name in names for word in (*_letters(name), *re.findall("°", name))}
+    unit: Literal["rad", "deg"] = "rad"
+    length_unit: Literal["m", "mm"] = "m"
 
 
 def guess(survey: Survey) -> Guess:
@@ -78,7 +54,11 @@ def guess(survey: Survey) -> Guess:
     defaults = tuple(joint for joint, dot, quantity in ends if dot and quantity == "position")
     if defaults or not joints:
         return Guess(defaults or survey.joints, {}, imus)
-    return Guess(joints, patterns, imus)
+    positions = patterns["position"]
+    text = positions if isinstance(positions, str) else " ".join(map(str, positions))
+    words = {*_letters(text), *re.findall("°", text)}
+    unit: Literal["rad", "deg"] = "deg" if _DEGREES & words else "rad"
+    return Guess(joints, patterns, imus, unit, "mm" if "mm" in words else "m")
 
 
 def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str, ...]]:
@@ -89,43 +69,35 @@ def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str,
     """
     names = list(names)
     numbered, named = _numbered(names), _named(names)
-    positions = numbered.get("position", {})
-    if positions:
-        numbers = max(map(sorted, positions.values()), key=lambda ns: (_is_range(ns), len(ns)))
-        patterns: dict[str, Columns] = {}
-        for quantity, forms in numbered.items():
-            fits = [own for own in forms.values() if _serves(sorted(own), numbers)]
-            if fits:
-                patterns[quantity] = _index(max(fits, key=len), numbers)
+    patterns: dict[str, Columns] = {}
+    if numbered.get("position"):
+        forms = map(sorted, numbered["position"].values())
+        numbers = max(forms, key=lambda own: (_is_range(own), len(own)))
+        for quantity, found in numbered.items():
+            fitting = [own for own in found.values() if _indexed(own, numbers)]
+            if fitting:
+                patterns[quantity] = _indexed(max(fitting, key=len), numbers)
         counted = range(1, len(numbers) + 1) if _is_range(numbers) else numbers
         return patterns, tuple(f"joint_{number}" for number in counted)
     if "position" in named:
         form, joints = max(named["position"].items(), key=lambda item: len(item[1]))
-        patterns = {"position": form}
-        for quantity, found in named.items():
-            fitting = [f for f, js in found.items() if set(joints) <= set(js)]
-            if fitting:
-                patterns.setdefault(quantity, fitting[0])
-        return patterns, tuple(joints)
-    alone: dict[str, Columns] = {}  # of a single joint, which need no name: `q`, `q_act`, `tau`
-    for name in names:
+        for quantity, own in named.items():
+            same = [f for f, others in own.items() if set(joints) <= set(others)]
+            patterns |= {quantity: same[0]} if same else {}
+        return patterns | {"position": form}, tuple(joints)
+    for name in names:  # of a single joint, which need no name: `q`, `q_act`, `tau`
         if quantity := _quantity(_words(name)):
-            alone.setdefault(quantity, name)
-    return (alone, ("joint_1",)) if "position" in alone else ({}, ())
+            patterns.setdefault(quantity, name)
+    return (patterns, ("joint_1",)) if "position" in patterns else ({}, ())
 
 
-def _serves(own: list[int], numbers: list[int]) -> bool:
-    """Whether columns with these numbers hold a quantity of the joints with those."""
-    if _is_range(own) and _is_range(numbers):
-        return len(own) >= len(numbers)
-    return set(own) >= set(numbers)
-
-
-def _index(forms: Mapping[int, str], numbers: list[int]) -> Columns:
+def _indexed(forms: Mapping[int, str], numbers: list[int]) -> Columns:
     """Write the columns of the joints as one pattern where only their number differs."""
     own = sorted(forms)
     counted = _is_range(own) and _is_range(numbers)
     own = own[: len(numbers)] if counted else numbers
+    if len(own) < len(numbers) or not set(own) <= forms.keys():
+        return ()  # some joint lacks the quantity
     if counted and len({forms[number] for number in own}) == 1:
         return forms[own[0]].replace("{#}", "{index0}" if own[0] == 0 else "{index}")
     columns = tuple(forms[number].replace("{#}", str(number)) for number in own)

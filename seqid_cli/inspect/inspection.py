@@ -1,7 +1,7 @@
-"""Inspection of logs, one after the other, and of the set."""
+"""Inspection of logs, one after the other, and of the set: logs in, the document out."""
 
 import difflib
-from collections.abc import Callable, Container, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from msgspec import structs
 
 from seqid_cli.errors import InputError
 from seqid_cli.inspect.findings import found, located, verdict_of
-from seqid_cli.inspect.guess import guess, stand_in
+from seqid_cli.inspect.guess import Guess, guess, stand_in
 from seqid_cli.inspect.imu.readings import layout_findings
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.parts import Gathered, Inspected, serve_together
@@ -42,17 +42,15 @@ def inspect_logs(
 
     The findings are those of the robot file and of the set of logs, then each log's.
     """
-    inspected = []
+    logs: list[InspectedLog] = []
+    own: list[InspectionFinding] = []
     for done, path in enumerate(paths):
         if on_progress is not None:
             on_progress(Progress("reading", done, len(paths), str(path)))
         with local_copy(path) as file:
             one = inspect_log(file, robot, time_source=time_source)
-        if file is not path:
-            log = structs.replace(one.log, path=str(path))
-            one = Inspected(log, located(one.findings, path))
-        inspected.append(one)
-    logs = [one.log for one in inspected]
+        logs.append(structs.replace(one.log, path=str(path)))
+        own += located(one.findings, path)
     logs = logs if robot is None else serve_together(logs)
     findings = [*layout_findings(robot)] if robot is not None else []
     first: dict[str, str] = {}
@@ -60,7 +58,7 @@ def inspect_logs(
         if log.sha256 and first.setdefault(log.sha256, log.path) != log.path:
             text = f"has the same content as {first[log.sha256]}"
             findings += located([found("duplicate_log", text)], log.path)
-    findings += [finding for one in inspected for finding in one.findings]
+    findings += own
     return InspectionFile(
         schema=INSPECTION_SCHEMA,
         created=now(),
@@ -76,21 +74,32 @@ def inspect_logs(
 def inspect_log(
     path: Path, robot: Robot | None = None, *, time_source: TimeSource = "header"
 ) -> Inspected:
-    """Inspect one log; see `inspect_logs`."""
+    """Inspect one log; see `inspect`."""
     try:
         surveyed = survey(path)
     except InputError as error:
         return _unreadable(path, error)
+    names = [channel.name for channel in surveyed.channels]
     inspected, problem = None, None
+    missing: dict[str, str] = {}
     if robot is not None:
-        missing, findings = missing_imus(robot, surveyed)
+        missing, findings = _missing_imus(robot, names)
         try:
             inspected = _read(path, robot, surveyed, findings, time_source, modelled=True)
         except InputError as error:
             problem = error
     if inspected is None:
-        missing, inspected = _guessed(path, surveyed, robot, problem, time_source)
-    names = [channel.name for channel in surveyed.channels]
+        guessed = guess(surveyed)
+        findings = []
+        if robot is not None and problem is not None:
+            missing, findings = _lacking("joint", robot.joint_names, guessed.joints)
+            findings = findings or [found("channel_missing", problem.message)]
+            findings = [structs.replace(f, remedy=problem.hint or f.remedy) for f in findings]
+        try:
+            inspected = _guessed(path, surveyed, guessed, findings, time_source)
+        except InputError as error:
+            kept = [f for f in findings if f.joint]
+            inspected = _unreadable(path, problem or error, surveyed.format, kept)
     log = structs.replace(inspected.log, channels=names, missing=missing)
     return Inspected(log, inspected.findings)
 
@@ -98,44 +107,32 @@ def inspect_log(
 def _guessed(
     path: Path,
     surveyed: Survey,
-    robot: Robot | None,
-    problem: InputError | None,
+    guessed: Guess,
+    findings: list[InspectionFinding],
     time_source: TimeSource,
-) -> tuple[dict[str, str], Inspected]:
-    """Inspect a log without a robot file, or one that it does not fit; first what this lacks."""
-    guessed = guess(surveyed)
-    missing: dict[str, str] = {}
-    findings: list[InspectionFinding] = []
-    if robot is not None and problem is not None:
-        missing, findings = missing_joints(robot, guessed.joints)
-        findings = [structs.replace(f, remedy=problem.hint or f.remedy) for f in findings]
-        if not findings:
-            text = problem.message
-            findings = [structs.replace(found("channel_missing", text), remedy=problem.hint)]
+) -> Inspected:
+    """Inspect a log without a robot file, or one that it does not fit."""
+    if not guessed.joints:
+        names = [channel.name for channel in surveyed.channels]
+        if nameless(names):
+            raise missing_columns(str(path), [], names)
+        told = ", ".join(names[:12]) or "nothing"
+        raise InputError(
+            f"no joint positions were found by the names in it: {told}",
+            hint="Write the robot file by hand, its [channels] naming the column of each joint "
+            'in chain order (position = ["...", "..."], current = [...]), and give it with -r.',
+        )
+    alone = stand_in(guessed, source=path)
     try:
-        if not guessed.joints:
-            if nameless([channel.name for channel in surveyed.channels]):
-                raise missing_columns(str(path), [], [c.name for c in surveyed.channels])
-            raise InputError(
-                "no joint positions were found by the names in it: "
-                + (", ".join(channel.name for channel in surveyed.channels[:12]) or "nothing"),
-                hint="Write the robot file by hand, its [channels] naming the column of each joint "
-                'in chain order (position = ["...", "..."], current = [...]), and give it with -r.',
-            )
-        alone = stand_in(guessed, source=path)
-        try:
-            return missing, _read(path, alone, surveyed, findings, time_source, modelled=False)
-        except TorqueLackingError as lacking:
-            if guessed.patterns:  # of columns by the joints' order
-                raise
-            driven = tuple(name for name in guessed.joints if name not in lacking.joints)
-            alone = stand_in(replace(guessed, joints=driven), source=path)
-            text = "neither torque nor current is logged, but of other joints; it is left out"
-            findings += [found("torque_missing", text, joint=name) for name in lacking.joints]
-            return missing, _read(path, alone, surveyed, findings, time_source, modelled=False)
-    except InputError as error:
-        kept = [f for f in findings if f.joint]
-        return missing, _unreadable(path, problem or error, surveyed.format, kept)
+        return _read(path, alone, surveyed, findings, time_source, modelled=False)
+    except TorqueLackingError as lacking:
+        if guessed.patterns:  # of columns by the joints' order
+            raise
+        driven = tuple(name for name in guessed.joints if name not in lacking.joints)
+        alone = stand_in(replace(guessed, joints=driven), source=path)
+        text = "neither torque nor current is logged, but of other joints; it is left out"
+        findings += [found("torque_missing", text, joint=name) for name in lacking.joints]
+        return _read(path, alone, surveyed, findings, time_source, modelled=False)
 
 
 def _read(
@@ -183,43 +180,33 @@ def _advice(
     return [f"seqid {stage} LOG... -r {robot.source} -o {stage}.json"] if there else []
 
 
+def _missing_imus(
+    robot: Robot, channels: Sequence[str]
+) -> tuple[dict[str, str], list[InspectionFinding]]:
+    """Find IMUs that a log lacks; it need not have them, but a very near name is a finding."""
+    parted = [name for name in channels if "." in name or "/" in name]
+    ends = (name.strip("/").rsplit("/" if "/" in name else ".", 1) for name in parted)
+    there = [*dict.fromkeys(end[0] for end in ends)]
+    imus = [imu.name for imu in robot.imus]
+    missing, findings = _lacking("IMU", imus, there, cutoff=0.8, known=robot.joint_names)
+    return missing, [finding for finding in findings if finding.channel]
+
+
 def _lacking(
-    names: Iterable[str], there: Iterable[str], known: Container[str], *, cutoff: float
-) -> dict[str, str]:
-    """Names that are not there, and the unknown one nearest to each in any case, if any is near."""
-    there = [*there]
-    lower = {other.lower(): other for other in there if other not in known}
-    found: dict[str, str] = {}
+    kind: str,
+    names: Sequence[str],
+    there: Sequence[str],
+    *,
+    cutoff: float = 0.5,
+    known: Sequence[str] = (),
+) -> tuple[dict[str, str], list[InspectionFinding]]:
+    """Find names that are not there, and the unknown one nearest to each in any case."""
+    lower = {other.lower(): other for other in there if other not in {*names, *known}}
+    missing, findings = {}, []
     for name in names:
         if name not in there:
             close = difflib.get_close_matches(name.lower(), list(lower), n=1, cutoff=cutoff)
-            found[name] = lower[close[0]] if close else ""
-    return found
-
-
-def missing_imus(robot: Robot, survey: Survey) -> tuple[dict[str, str], list[InspectionFinding]]:
-    """Find IMUs that a log lacks; a finding where an unknown name in it is very near."""
-    names = (channel.name for channel in survey.channels)
-    parted = [name for name in names if "." in name or "/" in name]
-    ends = (name.strip("/").rsplit("/" if "/" in name else ".", 1) for name in parted)
-    prefixes = dict.fromkeys(end[0] for end in ends)
-    imus = [imu.name for imu in robot.imus]
-    missing = _lacking(imus, prefixes, {*robot.joint_names, *imus}, cutoff=0.8)
-    texts = {imu: f"the log has no IMU {imu!r}, but {near!r}" for imu, near in missing.items()}
-    return missing, [
-        found("channel_missing", texts[imu], joint=imu, channel=near)
-        for imu, near in missing.items()
-        if near
-    ]
-
-
-def missing_joints(
-    robot: Robot, joints: tuple[str, ...]
-) -> tuple[dict[str, str], list[InspectionFinding]]:
-    """Find joints of the robot file that a log lacks, with the nearest name that it has."""
-    missing = _lacking(robot.joint_names, joints, robot.joint_names, cutoff=0.5)
-    findings = []
-    for name, near in missing.items():
-        text = f"the log has no joint {name!r}" + (f"; nearest: {near!r}" if near else "")
-        findings.append(found("channel_missing", text, joint=name, channel=near))
+            near = missing[name] = lower[close[0]] if close else ""
+            text = f"the log has no {kind} {name!r}" + (f"; nearest: {near!r}" if near else "")
+            findings.append(found("channel_missing", text, joint=name, channel=near))
     return missing, findings

@@ -5,15 +5,14 @@ one counts, ranges and means are merged; a finding of several parts is told once
 place and how many parts show it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from msgspec import structs
 
 from seqid_cli.errors import InputError
-from seqid_cli.inspect.channels.clock import gap_finding, gaps_of
 from seqid_cli.inspect.channels.positions import top_speed
 from seqid_cli.inspect.channels.values import lattice
 from seqid_cli.inspect.checks import check
@@ -22,7 +21,6 @@ from seqid_cli.inspect.imu.motion import Following
 from seqid_cli.inspect.imu.readings import force_of, rest_rows
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import Stream
-from seqid_cli.logs.recording import Health
 from seqid_cli.motion.segmentation import Stretch, constant_velocity
 from seqid_cli.params.results.inspection import (
     InspectedImu,
@@ -34,73 +32,19 @@ from seqid_cli.params.results.inspection import (
 from seqid_cli.robot.types import Array, Robot
 
 
-def joint_summaries(data: LogData) -> list[InspectedJoint]:
-    """Describe what the log shows of each joint."""
-    quantity, torques = data.effort() or ("", None)
-    channels = data.joints.channels
-    result = []
-    for j, name in enumerate(data.robot.joint_names):
-        given = (channels["position"], torques, channels.get("temperature"))
-        columns = [np.zeros(0) if values is None else values[:, j] for values in given]
-        q, values, warm = (column[np.isfinite(column)] for column in columns)
-        result.append(
-            InspectedJoint(
-                name=name,
-                moves=data.moves(j),
-                low=float(q.min()),
-                high=float(q.max()),
-                top_speed=top_speed(data, j) if data.moves(j) else 0.0,
-                encoder_step=lattice(q) or None,
-                effort=quantity if len(values) else "",
-                effort_rms=float(np.sqrt(np.mean(values**2))) if len(values) else None,
-                temperature=[float(warm.min()), float(warm.max())] if len(warm) else None,
-            )
-        )
-    return result
-
-
-def imu_summaries(data: LogData, following: Sequence[Following]) -> list[InspectedImu]:
-    """Describe what the log shows of each IMU."""
-    result = []
-    for imu in data.robot.imus:
-        streams = data.raw.imus.get(imu.name, ())
-        values = data.recording.accelerometers.get(imu.name)
-        gyro = imu.name in data.recording.gyros
-        if values is None and not gyro:
-            continue
-        spans = [float(np.median(np.diff(s.stamp_ns))) for s in streams if len(s) > 1]
-        norm = None
-        if values is not None and np.linalg.matrix_rank(imu.axes) == 3:
-            rest = rest_rows(data, values)
-            norm = force_of(imu, rest) if len(rest) else None
-        result.append(
-            InspectedImu(
-                name=imu.name,
-                accelerometers=0 if values is None else values.shape[1],
-                gyro=gyro,
-                rate_hz=1.0 / (max(spans) * 1e-9) if spans and max(spans) > 0 else 0.0,
-                rest_norm=norm,
-                delay_s=next((f.fit.delay for f in following if f.imu.name == imu.name), None),
-            )
-        )
-    return result
-
-
-def moves_of(robot: Robot, stretches: Sequence[Stretch]) -> list[InspectedMoves]:
+def _moves(robot: Robot, stretches: Sequence[Stretch]) -> Iterator[InspectedMoves]:
     """Summarise the constant-velocity stretches of each joint."""
-    mine = {j: [s for s in stretches if s.joint == j] for j in range(robot.n)}
-    return [
-        InspectedMoves(
-            joint=robot.joint_names[j],
-            forward=sum(s.velocity > 0 for s in own),
-            backward=sum(s.velocity <= 0 for s in own),
-            slowest=min(abs(s.velocity) for s in own),
-            fastest=max(abs(s.velocity) for s in own),
-            postures=_postures(own, j),
-        )
-        for j, own in mine.items()
-        if own
-    ]
+    for j, name in enumerate(robot.joint_names):
+        own = [s for s in stretches if s.joint == j]
+        if own:
+            yield InspectedMoves(
+                joint=name,
+                forward=sum(s.velocity > 0 for s in own),
+                backward=sum(s.velocity <= 0 for s in own),
+                slowest=min(abs(s.velocity) for s in own),
+                fastest=max(abs(s.velocity) for s in own),
+                postures=_postures(own, j),
+            )
 
 
 def _postures(stretches: list[Stretch], joint: int, *, same: float = 0.03) -> int:
@@ -113,42 +57,41 @@ def _postures(stretches: list[Stretch], joint: int, *, same: float = 0.03) -> in
     return len(found)
 
 
-def moving_together(robot: Robot, counts: Array, *, min_share: float = 0.1) -> tuple[str, ...]:
+def _moving_together(robot: Robot, counts: Array, *, min_share: float = 0.1) -> list[str]:
     """Joints that move with others for a fair share of the samples (n + 1,) with motion."""
-    share = counts[:-1] / max(counts[-1], 1.0)
-    names = zip(robot.joint_names, share, strict=True)
-    return tuple(name for name, part in names if part > min_share)
+    *each, moving = counts
+    names = zip(robot.joint_names, each, strict=True)
+    return [name for name, count in names if count > min_share * max(moving, 1.0)]
 
 
-def serves(
+def _serves(
     robot: Robot,
     stretches: Sequence[Stretch],
-    moving: Sequence[bool],
-    several: Sequence[str],
+    joints: Sequence[InspectedJoint],
+    together: Sequence[str],
     *,
-    torque: bool,
     imus: bool,
     min_speeds: int = 3,
     max_share: float = 0.25,  # of the speed limit, up to which moves show gravity well
-) -> tuple[str, ...]:
-    """Return the stages that a log serves: joints `moving`, `several` with others."""
+) -> list[str]:
+    """Return the stages that a log serves; `together` move joints with others."""
     stages: list[str] = []
-    limits = [joint.velocity_limit for joint in robot.joints]
-    for j in range(robot.n):
+    torque = any(joint.effort for joint in joints)
+    for j, joint in enumerate(robot.joints):
         mine = [s for s in stretches if s.joint == j]
-        ways = {np.sign(s.velocity) for s in mine}
-        if not torque or len(ways) < 2:
+        speeds = [abs(s.velocity) for s in mine]
+        if not torque or len({np.sign(s.velocity) for s in mine}) < 2:
             continue
-        if _speeds([abs(s.velocity) for s in mine]) >= min_speeds:
+        if _speeds(speeds) >= min_speeds:
             stages.append("friction")
-        slow = max(abs(s.velocity) for s in mine) < max_share * (limits[j] or 1.0)
+        slow = max(speeds) < max_share * (joint.velocity_limit or 1.0)
         if robot.gravity.any() and (slow or _postures(mine, j) > 1):
             stages.append("gravity")
-    if imus and sum(moving) == 1:
+    if imus and sum(joint.moves for joint in joints) == 1:
         stages.append("imu-calib")
-    if torque and (len(several) >= 2 or (robot.n == 1 and moving[0])):
+    if torque and (len(together) >= 2 or (robot.n == 1 and joints[0].moves)):
         stages.append("inertia")
-    return tuple(dict.fromkeys(stages))
+    return list(dict.fromkeys(stages))
 
 
 def serve_together(logs: Sequence[InspectedLog], *, min_speeds: int = 3) -> list[InspectedLog]:
@@ -185,9 +128,6 @@ def _speeds(speeds: Sequence[float], *, different: float = 1.25) -> int:
     return count
 
 
-Gap = tuple[float, float]
-
-
 class Inspected(NamedTuple):
     """One log and its findings."""
 
@@ -195,165 +135,205 @@ class Inspected(NamedTuple):
     findings: tuple[InspectionFinding, ...]
 
 
+V = TypeVar("V", InspectedLog, InspectedJoint, InspectedImu)
+Rules = Mapping[str, Callable[..., object]]
+
+
 @dataclass
 class Gathered:
-    """Takes the parts of a log in their order."""
+    """Takes the parts of a log in their order; each begins with the end of the one before."""
 
     robot: Robot
     modelled: bool = True
     begun: float = 0.0  # s, of the log's clock
-    end: float = 0.0  # of the parts so far, s since then
+    parts: list[InspectedLog] = field(default_factory=list)
+    findings: list[InspectionFinding] = field(default_factory=list)
+    stretches: list[Stretch] = field(default_factory=list)
     lost: list[InputError] = field(default_factory=list)
-    _health: list[Health] = field(default_factory=list)
-    _partial: list[str] = field(default_factory=list)
-    _samples: list[int] = field(default_factory=list)
-    _gaps: list[Gap] = field(default_factory=list)  # of the time base
-    _row_gaps: list[Gap] = field(default_factory=list)  # without a row
-    _joints: list[list[InspectedJoint]] = field(default_factory=list)
-    _imus: list[InspectedImu] = field(default_factory=list)
-    _stretches: list[Stretch] = field(default_factory=list)
-    _together: list[Array] = field(default_factory=list)  # samples: each with others, any (n + 1,)
-    _findings: list[InspectionFinding] = field(default_factory=list)
-    _torque: bool = False
-    _accelerated: bool = False  # an IMU is there
-    _sha256: str = ""
+    together: Array | int = 0  # (n + 1,) samples: each joint with others, any
+
+    @property
+    def end(self) -> float:
+        """End of the parts so far, s since the log's begin."""
+        return self.parts[-1].seconds if self.parts else -1.0
 
     def push(self, data: LogData) -> None:
-        """Take the next part."""
-        recording, health = data.recording, data.recording.health
-        first = not self._health
-        if first:
-            self.begun, self._sha256 = recording.start, recording.sha256
+        """Take the next part; `seconds` of it is where it ends in the log."""
+        recording, health, end = data.recording, data.recording.health, self.end
+        if not self.parts:
+            self.begun = recording.start
         offset = recording.start - self.begun
         checked = check(data)
-        self._findings += checked.findings
-        self._gaps += self._new(health.gaps, offset)
-        self._row_gaps += self._new(gaps_of(data), 0.0)
-        self._joints.append(joint_summaries(data))
-        self._imus += imu_summaries(data, checked.following)
-        q, rate, where = recording.q, health.rate_hz, recording.valid
-        self._add_stretches(constant_velocity(q, rate, step=data.step, valid=where), offset, rate)
-        several = data.moving.sum(axis=1, keepdims=True) >= 2
-        moves = np.hstack([data.moving & several, data.moving.any(axis=1, keepdims=True)])
-        self._together.append(moves.sum(axis=0).astype(np.float64))
-        self._torque |= recording.tau is not None
-        self._accelerated |= bool(recording.accelerometers or recording.gyros)
-        new = len(recording.t) if first else np.count_nonzero(recording.t + offset > self.end)
-        self._samples.append(int(new))
-        self.end = offset + float(recording.t[-1])
-        self._health.append(health)
-        self._partial += [recording.partial] if recording.partial else []
+        self.findings += checked.findings
+        self._add_stretches(data, offset)
+        several = data.moving & (data.moving.sum(axis=1, keepdims=True) >= 2)
+        counts = np.append(several.sum(axis=0), data.moving.any(axis=1).sum())
+        self.together = self.together + counts.astype(np.float64)
+        part = InspectedLog(
+            path=str(recording.path),
+            sha256=recording.sha256,
+            format=recording.format,
+            verdict="",
+            samples=int(np.count_nonzero(recording.t + offset > end)),
+            seconds=offset + float(recording.t[-1]),
+            rate_hz=health.rate_hz,
+            jitter=health.jitter,
+            gaps=[[a + offset, b + offset] for a, b in health.gaps if b + offset > end + 1e-6],
+            non_monotonic=health.non_monotonic,
+            duplicates=health.duplicates,
+            log_minus_header_s=health.log_minus_header_s,
+            joints=[_joint(data, j) for j in range(self.robot.n)],
+            imus=[*_imus(data, checked.following)],
+            partial=recording.partial,
+        )
+        self.parts.append(part)
 
     def failed(self, error: InputError, joints: Stream) -> None:
         """Take note of a part of no use."""
         first, last = (float(joints.stamp_ns[k]) * 1e-9 - self.begun for k in (0, -1))
-        where = f"from {first:.3f} to {last:.3f} s: " if self._health else "at the start: "
+        where = f"from {first:.3f} to {last:.3f} s: " if self.parts else "at the start: "
         self.lost.append(InputError(where + error.message, hint=error.hint, where=error.where))
 
-    def _new(self, gaps: Sequence[Gap], offset: float) -> list[Gap]:
-        """Gaps that the part before has not seen."""
-        moved = [(start + offset, end + offset) for start, end in gaps]
-        return [gap for gap in moved if gap[1] > self.end + 1e-6]
-
-    def _add_stretches(self, found_now: Sequence[Stretch], offset: float, rate_hz: float) -> None:
+    def _add_stretches(self, data: LogData, offset: float) -> None:
         """Take stretches of constant velocity; one that the part before ends with goes on."""
-        known, rows = self.end * rate_hz, round(offset * rate_hz)
-        last = {s.joint: s for s in self._stretches}
-        for one in found_now:
+        recording, rate = data.recording, data.recording.rate_hz
+        rows = round(offset * rate)
+        last = {s.joint: s for s in self.stretches}
+        for one in constant_velocity(recording.q, rate, step=data.step, valid=recording.valid):
             moved = replace(one, start=one.start + rows, stop=one.stop + rows)
             before = last.get(one.joint)
-            same_way = before is not None and before.velocity * one.velocity > 0.0
-            if before is None or not same_way or moved.start > min(before.stop, known):
-                self._stretches.append(moved)
+            goes_on = before is not None and before.velocity * one.velocity > 0.0
+            if before is None or not goes_on or moved.start > min(before.stop, self.end * rate):
+                self.stretches.append(moved)
 
     def log(self, path: object, form: str, before: Sequence[InspectionFinding]) -> Inspected:
         """Tell what is in the log, and its faults; `before` are those that were found first.
 
         Raises InputError: no part is of use.
         """
-        if not self._health:
+        if not self.parts:
             raise self.lost[0]
         lost = (found("channel_hole", error.message) for error in self.lost)
-        findings = located((*before, *map(self._told, grouped(self._findings)), *lost), path)
-        health, count = self._health, np.array(self._samples, dtype=np.float64)
-        rates, jitters = np.array([(one.rate_hz, one.jitter) for one in health]).T
-        delays = [one.log_minus_header_s for one in health if one.log_minus_header_s is not None]
-        joints = [_joint(some, count) for some in zip(*self._joints, strict=True)]
-        moving = [joint.moves for joint in joints]
-        several = moving_together(self.robot, np.sum(self._together, axis=0))
-        there = {"torque": self._torque, "imus": self._accelerated}
-        stages = serves(self.robot, self._stretches, moving, several, **there)
-        log = InspectedLog(
+        findings = located((*before, *map(self._told, grouped(self.findings)), *lost), path)
+        samples = [part.samples for part in self.parts]
+        log = _merged(self.parts, samples, _LOG)
+        joints = [
+            _merged(own, samples, _JOINT)
+            for own in zip(*(part.joints for part in self.parts), strict=True)
+        ]
+        by_imu: dict[str, list[InspectedImu]] = {}
+        for imu in (imu for part in self.parts for imu in part.imus):
+            by_imu.setdefault(imu.name, []).append(imu)
+        imus = [_merged(own, [1] * len(own), _IMU) for own in by_imu.values()]
+        together = _moving_together(self.robot, np.asarray(self.together))
+        serves = _serves(self.robot, self.stretches, joints, together, imus=bool(imus))
+        log = structs.replace(
+            log,
             path=str(path),
-            sha256=self._sha256,
             format=form,
             verdict=verdict_of(findings),
-            samples=sum(self._samples),
             seconds=self.end,
-            rate_hz=float(count.sum() / (count / rates).sum()),
-            jitter=float(np.sqrt(np.average(jitters**2, weights=count))),
-            gaps=[list(gap) for gap in self._gaps],
-            non_monotonic=sum(one.non_monotonic for one in health),
-            duplicates=sum(one.duplicates for one in health),
-            log_minus_header_s=float(np.median(delays)) if delays else None,
             joints=joints,
-            imus=_imus(self._imus),
-            moves=moves_of(self.robot, self._stretches),
-            moving_together=list(several),
-            serves=list(stages) if self.modelled else [],
-            partial="; ".join(self._partial),
+            imus=imus,
+            moves=[*_moves(self.robot, self.stretches)],
+            moving_together=together,
+            serves=serves if self.modelled else [],
         )
         return Inspected(log, findings)
 
     def _told(self, alike: Sequence[InspectionFinding]) -> InspectionFinding:
         """A finding of several parts, told once."""
-        first, parts = alike[0], len(self._health)
-        if first.code == "clock_gap":
-            return gap_finding(self._row_gaps)
-        if all(one.message == first.message for one in alike) and len(alike) == parts:
+        first, count = alike[0], len(self.parts)
+        if all(one.message == first.message for one in alike) and len(alike) == count:
             return first
-        message = f"{first.message} (of {parts} parts of the log {len(alike)} show it)"
+        message = f"{first.message} (of {count} parts of the log {len(alike)} show it)"
         return structs.replace(first, message=message)
 
 
-def _joint(parts: Sequence[InspectedJoint], samples: Array) -> InspectedJoint:
-    """One joint of all parts; its encoder's step is the median of theirs."""
-    steps = [part.encoder_step for part in parts if part.encoder_step is not None]
-    effort = np.array([np.nan if p.effort_rms is None else p.effort_rms for p in parts])
-    known = np.isfinite(effort)
-    power = np.average(effort[known] ** 2, weights=samples[known]) if known.any() else 0.0
-    warm = [part.temperature for part in parts if part.temperature is not None]
+def _joint(data: LogData, j: int) -> InspectedJoint:
+    """Describe what a part shows of a joint."""
+    quantity, torques = data.effort() or ("", None)
+    channels, moves = data.joints.channels, data.moves(j)
+    given = (channels["position"], torques, channels.get("temperature"))
+    columns = [np.zeros(0) if values is None else values[:, j] for values in given]
+    q, values, warm = (column[np.isfinite(column)] for column in columns)
     return InspectedJoint(
-        name=parts[0].name,
-        moves=any(part.moves for part in parts),
-        low=min(part.low for part in parts),
-        high=max(part.high for part in parts),
-        top_speed=max(part.top_speed for part in parts),
-        encoder_step=float(np.median(steps)) if steps else None,
-        effort=next((part.effort for part in parts if part.effort), ""),
-        effort_rms=float(np.sqrt(power)) if known.any() else None,
-        temperature=[min(w[0] for w in warm), max(w[1] for w in warm)] if warm else None,
+        name=data.robot.joint_names[j],
+        moves=moves,
+        low=float(q.min()),
+        high=float(q.max()),
+        top_speed=top_speed(data, j) if moves else 0.0,
+        encoder_step=lattice(q) or None,
+        effort=quantity if len(values) else "",
+        effort_rms=float(np.sqrt(np.mean(values**2))) if len(values) else None,
+        temperature=[float(warm.min()), float(warm.max())] if len(warm) else None,
     )
 
 
-def _imus(parts: Sequence[InspectedImu]) -> list[InspectedImu]:
-    """Each IMU once; what is measured is the median of the parts."""
-    alike: dict[str, list[InspectedImu]] = {}
-    for part in parts:
-        alike.setdefault(part.name, []).append(part)
-
-    def middle(values: Sequence[float | None]) -> float | None:
-        known = [value for value in values if value is not None]
-        return float(np.median(known)) if known else None
-
-    return [
-        structs.replace(
-            some[0],
-            accelerometers=max(one.accelerometers for one in some),
-            gyro=any(one.gyro for one in some),
-            rate_hz=middle([one.rate_hz for one in some]) or 0.0,
-            rest_norm=middle([one.rest_norm for one in some]),
-            delay_s=middle([one.delay_s for one in some]),
+def _imus(data: LogData, following: Sequence[Following]) -> Iterator[InspectedImu]:
+    """Describe what a part shows of each IMU."""
+    for imu in data.robot.imus:
+        values = data.recording.accelerometers.get(imu.name)
+        gyro = imu.name in data.recording.gyros
+        if values is None and not gyro:
+            continue
+        streams = data.raw.imus.get(imu.name, ())
+        spans = [float(np.median(np.diff(s.stamp_ns))) for s in streams if len(s) > 1]
+        seen = values is not None and np.linalg.matrix_rank(imu.axes) == 3
+        rest = rest_rows(data, values) if values is not None and seen else np.zeros((0, 3))
+        yield InspectedImu(
+            name=imu.name,
+            accelerometers=0 if values is None else values.shape[1],
+            gyro=gyro,
+            rate_hz=1e9 / max(spans) if spans and max(spans) > 0 else 0.0,
+            rest_norm=force_of(imu, rest) if len(rest) else None,
+            delay_s=next((f.fit.delay for f in following if f.imu.name == imu.name), None),
         )
-        for some in alike.values()
-    ]
+
+
+def _rms(values: Sequence[float], samples: Sequence[int]) -> float:
+    return float(np.sqrt(np.average(np.square(values), weights=samples)))
+
+
+def _median(values: Sequence[float], samples: Sequence[int]) -> float:
+    return float(np.median(values))
+
+
+# How the fields of parts become those of the log: by their values and numbers of samples.
+_LOG: Rules = {
+    "samples": lambda counts, _: sum(counts),
+    "rate_hz": lambda rates, counts: sum(counts) / float(np.sum(np.divide(counts, rates))),
+    "jitter": _rms,
+    "gaps": lambda gaps, _: [gap for own in gaps for gap in own],
+    "non_monotonic": lambda counts, _: sum(counts),
+    "duplicates": lambda counts, _: sum(counts),
+    "log_minus_header_s": _median,
+    "partial": lambda texts, _: "; ".join(filter(None, texts)),
+}
+_JOINT: Rules = {
+    "moves": lambda moves, _: any(moves),
+    "low": lambda low, _: min(low),
+    "high": lambda high, _: max(high),
+    "top_speed": lambda speeds, _: max(speeds),
+    "encoder_step": _median,
+    "effort": lambda quantities, _: next(filter(None, quantities), ""),
+    "effort_rms": _rms,
+    "temperature": lambda spans, _: [min(s[0] for s in spans), max(s[1] for s in spans)],
+}
+_IMU: Rules = {
+    "accelerometers": lambda counts, _: max(counts),
+    "gyro": lambda there, _: any(there),
+    "rate_hz": _median,
+    "rest_norm": _median,
+    "delay_s": _median,
+}
+
+
+def _merged(parts: Sequence[V], samples: Sequence[int], rules: Rules) -> V:
+    """What all parts show of a log, a joint or an IMU; what a part does not know does not count."""
+    fields: dict[str, object] = {}
+    for name, rule in rules.items():
+        pairs = zip((getattr(part, name) for part in parts), samples, strict=True)
+        known = [(value, count) for value, count in pairs if value is not None]
+        fields[name] = rule(*zip(*known, strict=True)) if known else None
+    return structs.replace(parts[0], **fields)

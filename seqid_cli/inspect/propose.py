@@ -4,7 +4,7 @@ import difflib
 import json
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +16,7 @@ from seqid_cli.inspect.dynamics.equations import GRAVITY
 from seqid_cli.inspect.guess import WORDS, Guess, guess
 from seqid_cli.inspect.inspection import inspect_log, inspect_logs
 from seqid_cli.logs.contents import Survey, survey
-from seqid_cli.logs.tables.naming_schemes import find_scheme, time_names
+from seqid_cli.logs.tables.naming_schemes import column_name, find_scheme, time_names
 from seqid_cli.params.results.inspection import InspectedJoint
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.toml.schema import Columns
@@ -64,66 +64,42 @@ def propose(
     undriven = [name for name in guessed.joints if name not in seen]
     guessed = replace(guessed, joints=tuple(n for n in guessed.joints if n in seen))
     pairs, chain = _matched(guessed.joints, urdf)
+    known: list[tuple[str, UrdfJoint | None]] = [*pairs] or [(n, None) for n in guessed.joints]
     codes = {finding.code for report in reports for finding in report.findings}
-    found: list[tuple[str, UrdfJoint | None]] = [*pairs]
-    found = found or [(log_name, None) for log_name in guessed.joints]
     units = {"unit": "deg"} if guessed.unit == "deg" or "position_in_degrees" in codes else {}
-    read_as = guessed.unit
-    sliding = any(_in_mm(own, seen[log_name], read_as=read_as) for log_name, own in pairs)
-    if sliding or guessed.length_unit == "mm":
-        units["length_unit"] = "mm"
-    joints = tuple(
-        _joint(log_name, own, seen[log_name], read_as=read_as, units=units)
-        for log_name, own in found
-    )
-    joints = _driven(joints, drives)
-    names = tuple(joint.name for joint in joints)
+    units |= {"length_unit": "mm"} if guessed.length_unit == "mm" else {}
+    joints = _driven([_joint(log, own, seen[log], guessed, units) for log, own in known], drives)
     effort = next((joint.effort for joint in seen.values() if joint.effort), "")
-    if not surveyed.columns and effort:
-        effort = "effort"
-    log_names = tuple(log_name for log_name, _ in found)
-    channels, unread = _channels(surveyed, guessed, log_names, names)
-    taken = {joint.name for _, joint in pairs}
+    log_names, names = [log for log, _ in known], [joint.name for joint in joints]
+    channels, todo = _channels(surveyed, guessed, log_names, names)
     template = RobotTemplate(
         name=name,
         joints=joints,
         urdf=urdf_path if pairs else None,
-        effort=effort,
+        effort="effort" if effort and not surveyed.columns else effort,
         imus=guessed.imus,
         channels={**channels, **units},
-        left_out=tuple(joint.name for joint in chain if joint.name not in taken),
+        left_out=tuple(joint.name for joint in chain if joint.name not in names),
     )
     if undriven:
-        lacking = f"the log has neither torque nor current of {', '.join(undriven)}: left out"
-        unread = (*unread, lacking)
-    return Proposal(template, (*unread, *_todo(template, guessed, pairs, urdf)))
+        todo.append(f"the log has neither torque nor current of {', '.join(undriven)}: left out")
+    return Proposal(template, (*todo, *_todo(template, guessed, pairs, urdf)))
 
 
 def _driven(
-    joints: tuple[JointTemplate, ...], drives: Mapping[str, Sequence[float]]
+    joints: Sequence[JointTemplate], drives: Mapping[str, Sequence[float]]
 ) -> tuple[JointTemplate, ...]:
     """Give each joint the data of its drive."""
+    count = len(joints)
     for key, values in drives.items():
-        if len(values) not in (1, len(joints)):
+        if len(values) not in (1, count):
             names = ", ".join(joint.name for joint in joints)
-            message = f"{len(values)} values of {key} for {len(joints)} joints"
-            raise UsageError(message, hint=f"Give one for all, or one for each of {names}.")
-        own = [*values] * (len(joints) if len(values) == 1 else 1)
-        pairs = zip(joints, own, strict=True)
-        joints = tuple(replace(joint, **{key: value}) for joint, value in pairs)  # type: ignore[arg-type]
-    return joints
-
-
-def _in_mm(joint: UrdfJoint, seen: InspectedJoint, *, read_as: str, margin: float = 0.02) -> bool:
-    """Whether positions of a sliding joint are within its limits, or nearly, only in mm."""
-    if joint.kind != "prismatic" or joint.lower is None or joint.upper is None:
-        return False
-    span = joint.upper - joint.lower
-    low, high = np.degrees([seen.low, seen.high]) if read_as == "deg" else (seen.low, seen.high)
-    beyond = max(joint.lower - low, high - joint.upper)
-    slack = margin * span
-    inside = joint.lower - slack <= 1e-3 * low and 1e-3 * high <= joint.upper + slack
-    return bool(beyond > span and inside)
+            message = f"--{key.replace('_', '-')} has {len(values)} numbers for {count} joints"
+            raise UsageError(message, hint=f"Give one for all joints, or one for each: {names}.")
+        every = values if len(values) == count else [*values] * count
+        pairs = zip(joints, every, strict=True)
+        joints = [replace(joint, **{key: value}) for joint, value in pairs]  # type: ignore[arg-type]
+    return tuple(joints)
 
 
 def with_gravity(
@@ -198,35 +174,35 @@ def _joint(
     log_name: str,
     joint: UrdfJoint | None,
     seen: InspectedJoint,
-    *,
-    read_as: str,
+    guessed: Guess,
     units: Mapping[str, str],
 ) -> JointTemplate:
-    """Describe a joint, whose positions the inspection took for angles in `read_as`."""
+    """Describe a joint; the inspection took its positions for angles in the guessed unit."""
     step = seen.encoder_step
     if step is not None:
         angle = math.radians(1.0) if "unit" in units else 1.0
         length = 1e-3 if "length_unit" in units else 1.0
-        factor = length if joint is not None and joint.kind == "prismatic" else angle
-        step = factor * (math.degrees(step) if read_as == "deg" else step)
+        step *= length if joint is not None and joint.kind == "prismatic" else angle
+        step = math.degrees(step) if guessed.unit == "deg" else step
     if joint is None:
         return JointTemplate(log_name, encoder_step=step, moves=seen.moves)
-    limits = None
-    if joint.lower is not None and joint.upper is not None:
-        limits = (joint.lower, joint.upper)
+    limited = joint.lower is not None and joint.upper is not None
+    limits = (joint.lower, joint.upper) if limited else None
     remark = "" if joint.name == log_name else f"{log_name} in the log"
-    return JointTemplate(joint.name, limits, joint.velocity, step, seen.moves, remark)
+    return JointTemplate(joint.name, limits, joint.velocity, step, seen.moves, remark)  # type: ignore[arg-type]
 
 
 def _channels(
-    surveyed: Survey, guessed: Guess, log: tuple[str, ...], joints: tuple[str, ...]
-) -> tuple[dict[str, Columns], tuple[str, ...]]:
-    """Return `[channels]` that the log needs, and names that they cannot express."""
-    # `joints` are the names in the robot file of those that the log calls `log`.
+    surveyed: Survey, guessed: Guess, log: Sequence[str], joints: Sequence[str]
+) -> tuple[dict[str, Columns], list[str]]:
+    """Return `[channels]` that the log needs, and names that they cannot express.
+
+    `joints` are the names in the robot file of those that the log calls `log`.
+    """
     if not surveyed.columns:
         renamed = ", ".join(f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b)
         text = f"the log's joints have other names: rename them in a copy of the URDF ({renamed})"
-        return {}, (text,) if renamed else ()
+        return {}, [text] if renamed else []
     names = surveyed.columns
     times = time_names(names)
     channels: dict[str, Columns] = {}
@@ -238,27 +214,25 @@ def _channels(
         if quantity == "position" or all(f"{name}.{quantity}" in names for name in guessed.joints)
     }
     match = find_scheme(joints, names)
-    if match is not None:  # what its names do not tell
-        told = {*match.columns, *(("current", "torque") if "effort" in match.columns else ())}
-        patterns = {key: pattern for key, pattern in patterns.items() if key not in told}
-    mapped = {key: _mapped(pattern, log, joints) for key, pattern in patterns.items()}
-    return {**channels, **mapped}, ()
+    told = {*match.columns} if match is not None else set()  # by the names themselves
+    told |= {"current", "torque"} if "effort" in told else set()
+    mapped = {k: _mapped(pattern, log, joints) for k, pattern in patterns.items() if k not in told}
+    return {**channels, **mapped}, []
 
 
-def _mapped(pattern: Columns, log: tuple[str, ...], joints: tuple[str, ...]) -> Columns:
-    """Write the log's names by those of the URDF, where they only have something around them."""
-    # Or by the number of the joint, where it is all that tells the log's names apart, or column by
-    # column.
+def _mapped(pattern: Columns, log: Sequence[str], joints: Sequence[str]) -> Columns:
+    """Write the log's names by those of the URDF, by the joints' numbers, or column by column."""
     if not isinstance(pattern, str) or "{name}" not in pattern:
         return pattern
-    for prefix, _, suffix in (a.partition(b) for a, b in zip(log, joints, strict=True) if b in a):
-        if all(a == f"{prefix}{b}{suffix}" for a, b in zip(log, joints, strict=True)):
-            return pattern.replace("{name}", f"{prefix}{{name}}{suffix}")
-    for key, first in (("{index}", 1), ("{index0}", 0)):
-        for match in re.finditer("[0-9]+", log[0]):
-            before, after = log[0][: match.start()], log[0][match.end() :]
-            if all(name == f"{before}{k + first}{after}" for k, name in enumerate(log)):
-                return pattern.replace("{name}", f"{before}{key}{after}")
+    pairs = list(zip(log, joints, strict=True))
+    parts = [a.partition(b) for a, b in pairs if b in a]
+    forms = [f"{before}{{name}}{after}" for before, _, after in parts]
+    for match in re.finditer("[0-9]+", log[0]):
+        before, after = log[0][: match.start()], log[0][match.end() :]
+        forms += [f"{before}{key}{after}" for key in ("{index}", "{index0}")]
+    for form in forms:
+        if all(column_name(form, b, k) == a for k, (a, b) in enumerate(pairs)):
+            return pattern.replace("{name}", form)
     return tuple(pattern.replace("{name}", name) for name in log)
 
 
@@ -267,33 +241,29 @@ def _todo(
     guessed: Guess,
     pairs: Sequence[tuple[str, UrdfJoint]],
     urdf: UrdfText | None,
-) -> tuple[str, ...]:
-    todo: list[str] = []
+) -> Iterator[str]:
+    """Yield what is left to the user."""
     if "unit" in template.channels:
-        todo.append('check unit = "deg" under [channels]: the angles look like degrees')
+        yield 'check unit = "deg" under [channels]: the angles look like degrees'
     if "length_unit" in template.channels:
-        todo.append('check length_unit = "mm" under [channels]: positions are called or look so')
-    if urdf is not None and pairs and template.left_out:
-        names = ", ".join(template.left_out)
-        todo.append(f"the log lacks joints of the URDF, taken as locked at zero: {names}")
+        yield 'check length_unit = "mm" under [channels]: positions are called so'
+    there = {log for log, _ in pairs}
+    missing = ", ".join(name for name in dict.fromkeys(guessed.joints) if name not in there)
     if urdf is None:
-        todo.append("the geometry: name a URDF, or complete dh of every joint")
+        yield "the geometry: name a URDF, or complete dh of every joint"
     elif not pairs:
-        todo.append(
-            f"none of the log's joints ({', '.join(guessed.joints)}) was found in the URDF "
-            f"({', '.join(urdf.movable) or 'no movable joint'}): give the geometry by hand"
-        )
-    else:
-        there = {log for log, _ in pairs}
-        missing = [name for name in dict.fromkeys(guessed.joints) if name not in there]
-        if missing:
-            todo.append(f"joints of the log that the URDF's chain lacks: {', '.join(missing)}")
+        movable = ", ".join(urdf.movable) or "no movable joint"
+        yield f"no joint of the log ({missing}) is in the URDF ({movable}): give the geometry"
+    elif missing:
+        yield f"joints of the log that the URDF's chain lacks: {missing}"
+    if pairs and template.left_out:
+        names = ", ".join(template.left_out)
+        yield f"the log lacks joints of the URDF, taken as locked at zero: {names}"
     known = all(joint.torque_constant and joint.gear_ratio for joint in template.joints)
     if template.effort == "current" and not known:
-        todo.append("torque_constant and gear_ratio of every joint")
+        yield "torque_constant and gear_ratio of every joint"
     if template.effort == "effort":
-        todo.append('whether effort is torque in N m or current in A (effort = "current")')
+        yield 'whether effort is torque in N m or current in A (effort = "current")'
     if template.channels.get("time") == "TODO":
-        todo.append("the time column")
-    todo += [f"where IMU {imu.name} rides, and its layout" for imu in template.imus]
-    return tuple(todo)
+        yield "the time column"
+    yield from (f"where IMU {imu.name} rides, and its layout" for imu in template.imus)

@@ -64,12 +64,15 @@ def ordered(
     if executor is None:
         yield from (answer(function, item) for item in items)
         return
-    pending: deque[tuple[T, Future[Reply[R]]]] = deque()
+    pending: deque[tuple[T, Future[Reply[R]] | None]] = deque()
     rest = iter(items)
     try:
         while True:
             for item in islice(rest, max(0, ahead * _workers(executor) - len(pending))):
-                pending.append((item, _submitted(executor, function, item)))
+                future = None
+                with contextlib.suppress(BrokenExecutor):
+                    future = executor.submit(_alone, function, item)
+                pending.append((item, future))
             if not pending:
                 return
             item, future = pending.popleft()
@@ -77,7 +80,8 @@ def ordered(
     finally:
         # A pool that is about to be ended must not find futures that were cancelled.
         for _, future in pending if executor not in _ENDED_AT_ONCE else ():
-            future.cancel()
+            if future is not None:
+                future.cancel()
 
 
 def answer(function: Callable[[T], R], item: T) -> Reply[R]:
@@ -119,7 +123,9 @@ def processes(jobs: int | None = None) -> Iterator[Executor]:
     try:
         yield executor
     except BaseException:
-        _end(set(multiprocessing.active_children()) - before)
+        for child in set(multiprocessing.active_children()) - before:
+            child.kill()
+            child.join()
         raise
     finally:
         executor.shutdown(cancel_futures=True)
@@ -168,18 +174,6 @@ def cores() -> int:
     return count
 
 
-def _end(
-    children: Iterable[multiprocessing.process.BaseProcess], *, patience_s: float = 2.0
-) -> None:
-    """End processes, whatever they are doing."""
-    for child in children:
-        child.terminate()
-    for child in children:
-        child.join(patience_s)
-        if child.is_alive():
-            child.kill()
-
-
 def _alone(function: Callable[[T], R], item: T) -> Reply[R]:
     """Answer with linear algebra in one thread; runs in a worker."""
     from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
@@ -196,21 +190,13 @@ def _workers(executor: Executor) -> int:
     return int(getattr(executor, "_max_workers", None) or cores())
 
 
-def _submitted(executor: Executor, function: Callable[[T], R], item: T) -> Future[Reply[R]]:
-    try:
-        return executor.submit(_alone, function, item)
-    except BrokenExecutor as error:
-        failed: Future[Reply[R]] = Future()
-        failed.set_exception(error)
-        return failed
-
-
-def _reply(function: Callable[[T], R], item: T, future: Future[Reply[R]]) -> Reply[R]:
+def _reply(function: Callable[[T], R], item: T, future: Future[Reply[R]] | None) -> Reply[R]:
     """The reply of an item; the loss of its worker counts as its failure."""
     try:
-        return future.result()
+        if future is not None:
+            return future.result()
     except BrokenExecutor:
-        return _tried_again(function, item)
+        pass
     except (CancelledError, Exception) as error:
         if type(error).__name__ in _LOST:
             message = "the workers that worked on it died or were lost"
@@ -218,11 +204,7 @@ def _reply(function: Callable[[T], R], item: T, future: Future[Reply[R]]) -> Rep
         message = f"the workers cannot do this work ({type(error).__name__}: {error})"
         hint = "They need the same versions of Python, seqid and its dependencies as this machine."
         return Reply(error=UsageError(message, hint=hint))
-
-
-def _tried_again(function: Callable[[T], R], item: T) -> Reply[R]:
-    """Work on an item in a process of its own, after one died of it or of another."""
-    with processes(1) as executor:
+    with processes(1) as executor:  # one died of it or of another: once more, by itself
         try:
             return executor.submit(_alone, function, item).result()
         except BrokenExecutor:

@@ -40,14 +40,26 @@ from seqid_cli.trend.options import TrendOptions
 from seqid_cli.trend.series import Named, days_of, robots_of, series_of
 
 
-def trend_file(models: Sequence[Named], ids: list[FileId], options: TrendOptions) -> TrendFile:
-    """Judge the files of all robots together."""
+def trend_file(
+    models: Sequence[Named],
+    ids: list[FileId],
+    options: TrendOptions,
+    *,
+    least_size: float = 0.001,
+) -> TrendFile:
+    """Judge the files of all robots together.
+
+    `least_size`: of a quantity, as a share of the robot's largest of the same stage and unit.
+    """
     robots = robots_of(models, options.by)
     series = [own for name, files in robots.items() for own in series_of(name, files)]
     stages = {own.stage: [x for x in series if x.stage == own.stage] for own in series}
     scatters = {stage: scatter_of(own) for stage, own in stages.items()}
-    limit = limit_of(series, [count for _, count in scatters.values()], options.alpha)
-    sizes = _sizes(series)
+    limit = _limit(series, [count for _, count in scatters.values() if count], options.alpha)
+    sizes: dict[tuple[str, str, str], float] = {}
+    for own in series:
+        kind, size = (own.robot, own.stage, own.unit), least_size * float(np.abs(own.values).max())
+        sizes[kind] = max(sizes.get(kind, 0.0), size)
     changes = []
     for own in series:
         least = sizes[own.robot, own.stage, own.unit]
@@ -56,13 +68,6 @@ def trend_file(models: Sequence[Named], ids: list[FileId], options: TrendOptions
             changes.append(change)
     changes += [entry for name, files in robots.items() for entry in _effects(name, files)]
     changes.sort(key=lambda entry: -(entry.sigmas or np.inf))
-    single = [name for name, files in robots.items() if len(files) < 2]
-    notes = [f"one file each, nothing to compare: {', '.join(single)}"] if single else []
-    notes += [
-        f"{name}: the robot files differ: geometry, limits or drives may have changed"
-        for name, files in robots.items()
-        if len({file.robot.sha256 for file in files}) > 1
-    ]
     return TrendFile(
         schema=TREND_SCHEMA,
         created=now(),
@@ -74,8 +79,25 @@ def trend_file(models: Sequence[Named], ids: list[FileId], options: TrendOptions
         inflation={stage: inflation for stage, (inflation, _) in scatters.items()},
         changes=changes,
         series=series,
-        notes=notes,
+        notes=_notes(robots),
     )
+
+
+def _limit(series: Sequence[SeriesEntry], differences: Sequence[int], alpha: float) -> float:
+    """The |z| that any hypothesis on healthy robots exceeds with the probability `alpha`."""
+    hypotheses = sum(len(own.values) for own in series)  # a step between any two dates, and a line
+    share = alpha / (2 * max(hypotheses, 1))
+    return float(stats.t.isf(share, min(differences) / 2) if differences else stats.norm.isf(share))
+
+
+def _notes(robots: Mapping[str, Sequence[ParameterFile]]) -> list[str]:
+    single = [name for name, files in robots.items() if len(files) < 2]
+    notes = [f"one file each, nothing to compare: {', '.join(single)}"] if single else []
+    return notes + [
+        f"{name}: the robot files differ: geometry, limits or drives may have changed"
+        for name, files in robots.items()
+        if len({file.robot.sha256 for file in files}) > 1
+    ]
 
 
 def scatter_of(series: Sequence[SeriesEntry], *, enough: int = 30) -> tuple[float, int]:
@@ -89,14 +111,6 @@ def scatter_of(series: Sequence[SeriesEntry], *, enough: int = 30) -> tuple[floa
     if len(every) < enough:
         return 1.0, 0
     return max(float(gaussian_spread(every)), 1.0), len(every)
-
-
-def limit_of(series: Sequence[SeriesEntry], differences: Sequence[int], alpha: float) -> float:
-    """The |z| that any hypothesis on healthy robots exceeds with the probability `alpha`."""
-    hypotheses = sum(len(own.values) for own in series)  # a step between any two dates, and a line
-    share = alpha / (2 * max(hypotheses, 1))
-    told = [count for count in differences if count]
-    return float(stats.t.isf(share, min(told) / 2) if told else stats.norm.isf(share))
 
 
 def best_change(series: SeriesEntry, inflation: float, least: float) -> tuple[float, ChangeEntry]:
@@ -147,17 +161,6 @@ def _fitted(
     covariance = np.linalg.pinv(rows.T @ rows, hermitian=True, rcond=1e-14)
     theta = covariance @ (rows.T @ y)
     return float(theta[0]), float(theta[1]), float(np.sqrt(max(covariance[1, 1], 0.0)))
-
-
-def _sizes(
-    series: Sequence[SeriesEntry], *, least_size: float = 0.001
-) -> Mapping[tuple[str, str, str], float]:
-    """Least size of quantities, by robot, stage and unit."""
-    found: dict[tuple[str, str, str], float] = {}
-    for own in series:
-        group = (own.robot, own.stage, own.unit)
-        found[group] = max(found.get(group, 0.0), least_size * float(np.abs(own.values).max()))
-    return found
 
 
 def _effects(robot: str, files: Sequence[ParameterFile]) -> Iterator[ChangeEntry]:

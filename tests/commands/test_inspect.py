@@ -91,16 +91,6 @@ def test_findings_have_all_their_keys_and_errors_count(rig: Rig) -> None:
     assert [entry["verdict"] for entry in document["logs"]] == ["unreadable", "faulty"]
 
 
-def test_names_that_do_not_fit_are_told_with_the_nearest(rig: Rig) -> None:
-    log = copy(rig.folder, "friction/joint_1.parquet")
-    text = (rig.folder / "robot.toml").read_text()
-    (rig.folder / "robot.toml").write_text(text.replace('"joint_2"', '"joint2"'))
-    document = json.loads(rig.run("inspect", log, "-r", "robot.toml", "--json").out)
-    assert document["logs"][0]["missing"] == {"joint2": "joint_2"}
-    assert {finding["code"] for finding in document["findings"]} == {"channel_missing"}
-    assert document["logs"][0]["rate_hz"] == pytest.approx(250.0)
-
-
 def test_a_fault_of_many_logs_is_told_once(rig: Rig) -> None:
     columns = read_columns(TWO / "validation" / "fourier_1.parquet")
     (rig.folder / "logs").mkdir()

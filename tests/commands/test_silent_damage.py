@@ -4,28 +4,16 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv
 import pyarrow.parquet as pq
 import pytest
+from pyarrow import csv
 
 from seqid_cli.__main__ import main
 from seqid_cli.inspect.findings import ERRORS
-from tests import ROOT
+from tests.unit.inspect.faults import SAMPLES, read_columns, write_columns
 
-SAMPLES = ROOT / "sample_logs" / "one_joint"
-TRIAL = SAMPLES / "friction" / "joint_1.parquet"
-ROBOT = ("-r", str(SAMPLES / "robot.toml"))
-
-
-def changed(folder: Path, name: str, change: Callable[[np.ndarray], None]) -> Path:
-    """The friction trials with one column changed."""
-    trial, path = pq.read_table(TRIAL), folder / "log.parquet"
-    values = trial.column(name).to_numpy().copy()
-    change(values)
-    place = trial.schema.names.index(name)
-    pq.write_table(trial.set_column(place, name, pa.array(values)), path)
-    return path
+TRIAL = SAMPLES / "one_joint" / "friction" / "joint_1.parquet"
+ROBOT = ("-r", str(SAMPLES / "one_joint" / "robot.toml"))
 
 
 def hole(values: np.ndarray) -> None:
@@ -51,7 +39,9 @@ def test_a_stage_says_what_inspect_says(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    log = str(changed(tmp_path, name, change))
+    columns, log = read_columns(TRIAL), str(tmp_path / "log.parquet")
+    change(columns[name])
+    write_columns(tmp_path / "log.parquet", columns)
     severe = int(code in ERRORS)  # what is left out makes nothing wrong
     assert main(["inspect", log, *ROBOT]) == severe
     assert code in "".join(capsys.readouterr())
@@ -66,7 +56,7 @@ def test_a_table_that_is_cut_or_has_a_gap(
     damage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "log.csv"
-    pa.csv.write_csv(pq.read_table(TRIAL).slice(0, 40_000), path)
+    csv.write_csv(pq.read_table(TRIAL).slice(0, 40_000), path)
     raw = path.read_bytes()
     if damage == "cut":
         path.write_bytes(raw[: len(raw) - 7])

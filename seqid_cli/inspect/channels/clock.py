@@ -1,7 +1,7 @@
 """Time: units, rate, gaps, stamps, holes of single channels, and the reader's warnings."""
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -57,8 +57,13 @@ def clock_findings(
     if health.jitter > JITTER_LIMIT:
         text = f"the sample interval scatters by {percent(health.jitter, 0)} of its median"
         yield found("jitter", text + (f", with {len(health.gaps)} gaps" if health.gaps else ""))
-    elif gaps := gaps_of(data):
-        yield gap_finding(gaps)
+    elif gaps := _gaps(data):
+        first, last = max(gaps, key=lambda gap: gap[1] - gap[0])
+        lost = sum(end - start for start, end in gaps)
+        text = (
+            f"{len(gaps)} gaps, {lost:.3g} s in all, the longest from {first:.3f} to {last:.3f} s"
+        )
+        yield found("clock_gap", text)
     delay = health.log_minus_header_s
     if delay is not None and not min_delay_s <= delay <= max_delay_s:
         yield found("header_clock", f"messages are logged {delay:.6g} s after their header stamp")
@@ -71,25 +76,14 @@ def clock_findings(
             yield found(code, text, joint=joint)
 
 
-def gap_finding(gaps: Sequence[tuple[float, float]]) -> InspectionFinding:
-    """Tell the gaps of a log, first and last moment of each [s]."""
-    first, last = max(gaps, key=lambda gap: gap[1] - gap[0])
-    lost = sum(end - start for start, end in gaps)
-    text = f"{len(gaps)} gaps, {lost:.3g} s in all, the longest from {first:.3f} to {last:.3f} s"
-    return found("clock_gap", text)
-
-
-def gaps_of(data: LogData) -> list[tuple[float, float]]:
+def _gaps(data: LogData) -> list[tuple[float, float]]:
     """Gaps without a row [s], but for the holes between episodes."""
-    health, t = data.recording.health, data.t
-    if not health.gaps:
-        return []
-    steps = np.diff(t)
-    wide = np.flatnonzero(steps > gap_limit(steps))
-    for said in filter(None, map(_EPISODES.search, health.warnings)):
-        between = float(said[1])  # to three digits
-        wide = wide[np.abs(steps[wide] - between) > 0.01 * between]
-    return [(float(t[k]), float(t[k + 1])) for k in wide]
+    steps = np.diff(data.t)
+    wide = np.flatnonzero(steps > gap_limit(steps)).tolist()
+    warnings = data.recording.health.warnings
+    holes = [float(m[1]) for m in map(_EPISODES.search, warnings) if m]  # to three digits
+    gaps = [(float(data.t[k]), float(data.t[k + 1])) for k in wide]
+    return [(a, b) for a, b in gaps if all(abs(b - a - hole) > 0.01 * hole for hole in holes)]
 
 
 def hole_findings(data: LogData) -> Iterator[InspectionFinding]:

@@ -11,8 +11,7 @@ from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.motion.segmentation import windowed_velocity
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Array, Joint, Robot
-from seqid_cli.robust import white_noise
+from seqid_cli.robot.types import Array, Robot
 from seqid_cli.typing import Index
 
 ALONE = 0.3  # of a jump, that the samples before and after may move
@@ -60,11 +59,14 @@ def position_quality(
         q = column[np.isfinite(column)]
         if len(q) < 3:
             continue
-        yield from missing(column, joint.name, "position", what="positions")
+        yield from missing(column, joint.name, "position")
         if joint.name in broken:
             continue
-        yield from _resolution(joint, q, lattice(q))
-        size = held(q)
+        size, step = held(q), lattice(q)
+        declared = joint.encoder_resolution or step
+        if step and np.ptp(q) > 20 * max(declared, step) and abs(step / declared - 1.0) > 0.1:
+            text = f"its step is {step:.4g}, the robot file says {declared:.4g}"
+            yield found("encoder_resolution", text, joint=joint.name, channel="position")
         if size > 1 and data.moves(j):
             text = f"the position repeats each value {size} times"
             yield found("channel_held", text, joint=joint.name, channel="position")
@@ -149,8 +151,7 @@ def _breaks(t: Array, q: Array, step: float) -> Iterator[tuple[str, str, Index]]
             f"stands still {len(frozen)} times, first from {t[start]:.3f} s for "
             f"{t[stop - 1] - t[start]:.3f} s, and then catches up by {q[stop] - q[stop - 1]:.3g}"
         )
-        wrong = [np.arange(a + 1, b) for a, b in frozen]
-        yield "position_frozen", text, np.concatenate(wrong)
+        yield "position_frozen", text, np.concatenate([np.arange(a + 1, b) for a, b in frozen])
         return
     d = np.diff(q)
     size = np.abs(d)
@@ -169,9 +170,8 @@ def _breaks(t: Array, q: Array, step: float) -> Iterator[tuple[str, str, Index]]
     first, count = next(iter(back), int(at[0])), len(back) or len(at)
     text = f"jumps by {d[first]:.4g} at {t[first + 1]:.3f} s"
     text += f" and {count - 1} more times" if count > 1 else ""
-    rows = [np.arange(k + 1, k + s + 1) for k, s in back.items()]
-    wrong_rows = np.concatenate([np.zeros(0, dtype=np.intp), *rows])
-    yield "position_spikes" if back else "position_jump", text, wrong_rows
+    wrong = [row for k, s in back.items() for row in range(k + 1, k + s + 1)]
+    yield "position_spikes" if back else "position_jump", text, np.array(wrong, dtype=np.intp)
 
 
 def _least_jump(
@@ -186,15 +186,10 @@ def _least_jump(
 ) -> float:
     """Return the change between two samples that neither motion nor the log's own noise makes."""
     d = np.diff(q)
-    uneven = np.abs(d - median_filter(d, 5, mode="wrap"))
-    count = max(len(uneven) - max_jumps, 1)
-    usual_ones = np.partition(uneven, count - 1)[:count]
-    return max(
-        min_steps * step,
-        _beyond_any_arm(usual),
-        min_noise * float(np.quantile(usual_ones, 0.99)),
-        min_share * float(np.ptp(np.quantile(q, (0.01, 0.99)))),
-    )
+    uneven = np.sort(np.abs(d - median_filter(d, 5, mode="wrap")))
+    noise = float(np.quantile(uneven[: max(len(d) - max_jumps, 1)], 0.99))
+    span = float(np.ptp(np.quantile(q, (0.01, 0.99))))
+    return max(min_steps * step, _beyond_any_arm(usual), min_noise * noise, min_share * span)
 
 
 def _beyond_any_arm(
@@ -221,27 +216,3 @@ def _frozen(
         if abs(jump) > large and before * after > 0 and 0.5 < jump / missed < 2.0:
             found_runs.append((a, b))
     return found_runs
-
-
-def _resolution(
-    joint: Joint, q: Array, step: float, *, on_lattice: float = 0.9, off_lattice: float = 0.5
-) -> Iterator[InspectionFinding]:
-    declared = joint.encoder_resolution
-    if declared is None or np.ptp(q) < 20 * max(declared, step):
-        return
-    if step and abs(step / declared - 1.0) < 0.1:
-        return
-    if _coherence(q, declared) > on_lattice and (not step or _coherence(q, 2 * declared) < 0.5):
-        return
-    text = f"its step is {step:.4g}, the robot file says {declared:.4g}"
-    if not step:
-        noise = float(white_noise(q))
-        if noise > 0.1 * declared or _coherence(q, declared) > off_lattice:
-            return
-        text = f"it has no steps, the robot file says {declared:.4g}"
-    yield found("encoder_resolution", text, joint=joint.name, channel="position")
-
-
-def _coherence(q: Array, step: float) -> float:
-    """How well positions (M,) lie on a lattice of a step, from 0 to 1."""
-    return float(np.abs(np.mean(np.exp(2j * np.pi * np.remainder(q / step, 1.0)))))

@@ -2,16 +2,15 @@
 
 from collections.abc import Container, Iterator
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Array
 from seqid_cli.shares import percent
-from seqid_cli.typing import Mask
 
 COUNTS = 10.0  # encoder steps of travel that make a window count
 FEWEST = 10
@@ -20,36 +19,38 @@ CORRELATED = 0.9
 
 
 def velocity_findings(
-    data: LogData,
-    broken: Container[str] = (),
-    *,
-    windows_s: tuple[float, ...] = (0.1, 0.2, 0.5, 1.0),
+    data: LogData, broken: Container[str] = (), *, window_s: float = 0.5
 ) -> Iterator[InspectionFinding]:
     """Check the velocity of every joint that moves, but for the joints named in `broken`."""
     if data.recording.dq is None:
         return
     names = data.robot.joint_names
-    sound = [j for j in range(data.robot.n) if names[j] not in broken]
-    choices = [_windows(data, seconds) for seconds in windows_s]
-    judged = [[j for j in sound if one.counts[:, j].sum() >= FEWEST] for one in choices]
-    # The shortest windows that show as many joints as any; max takes the first of equals.
-    best = max(range(len(choices)), key=lambda k: len(judged[k]))
-    (_, travel, integral, counts), moving = choices[best], judged[best]
-    crossed = _crossed(travel, integral, moving)
+    travel, integral = _windows(data, window_s)
+    if not len(travel):
+        return
+    counts = np.abs(travel) > COUNTS * data.step
+    moving = [
+        j for j, name in enumerate(names) if name not in broken and counts[:, j].sum() >= FEWEST
+    ]
+    sizes = [np.maximum(np.linalg.norm(x, axis=0), 1e-300) for x in (travel, integral)]
+    r = (travel / sizes[0]).T @ (integral / sizes[1])  # correlations of positions with velocities
+    gains, ratios = np.diag(r) * sizes[0] / sizes[1], sizes[1] / sizes[0]
+    crossed = _crossed(r, moving)
     paired = {j for pair in crossed for j in pair}
-    alone = [j for j in sound if j not in paired]
-    dead = {j: seconds for j in alone if (seconds := _dead_s(data, choices, j))}
-    for j, seconds in dead.items():
-        text = f"stands still for {seconds:.2g} s in which its velocity moves it"
+    still = _still(data, travel, integral)
+    dead = [
+        j
+        for j, name in enumerate(names)
+        if still[j] >= FEWEST and j not in paired and name not in broken
+    ]
+    for j in dead:
+        text = f"stands still for {window_s * still[j]:.2g} s in which its velocity moves it"
         yield found("position_stuck", text, joint=names[j], channel="position")
     live = [j for j in moving if j not in dead]
-    fits = {j: _fit(travel[counts[:, j], j], integral[counts[:, j], j]) for j in live}
-    gains = [gain for gain, r, _ in fits.values() if abs(r) > CORRELATED]
-    for factor in (1e-3, 1e-6, 1e3, 1e6) if gains else ():  # by which all gains are off
-        if all(abs(gain / factor - 1.0) < NEAR for gain in gains):
-            text = (
-                f"the velocity is {1 / factor:.3g} times the slope of the position at every joint"
-            )
+    clear = [gains[j] for j in live if abs(r[j, j]) > CORRELATED]
+    for factor in (1e-3, 1e-6, 1e3, 1e6) if clear else ():  # by which all gains are off
+        if all(abs(gain / factor - 1.0) < NEAR for gain in clear):
+            text = f"velocities are {1 / factor:.3g} times the slopes of all positions"
             yield found("time_unit", text, channel="t")
             return
     for a, b in crossed:
@@ -57,73 +58,38 @@ def velocity_findings(
         yield found("joints_swapped", text, joint=f"{names[a]}, {names[b]}", channel="velocity")
     for j in live:
         if j not in paired:
-            yield from _verdict(data, j, *fits[j])
+            yield from _verdict(data, j, float(gains[j]), float(r[j, j]), float(ratios[j]))
 
 
-class _Windows(NamedTuple):
-    """Windows of some length: travel of the positions, integral of the velocities (W, n)."""
+def _still(data: LogData, travel: Array, integral: Array, *, min_share: float = 0.3) -> Array:
+    """Count the windows (n,) in which the velocity moves a joint and its position stands still.
 
-    seconds: float
-    travel: Array
-    integral: Array
-    counts: Mask  # (W, n) where the encoders see enough to be judged
+    `min_share`: of a window's usual travel, that the velocity's integral must be.
+    """
+    size = np.abs(integral)
+    fast = np.maximum(COUNTS * data.step, min_share * np.quantile(size, 0.9, axis=0))
+    return np.asarray(np.sum((travel == 0.0) & (size > fast), axis=0))
 
 
-def _windows(data: LogData, seconds: float) -> _Windows:
+def _crossed(r: Array, moving: list[int], *, min_crossed: float = 0.95) -> list[tuple[int, int]]:
+    """Pairs of joints whose velocities fit each other's positions and not their own."""
+    return [
+        (a, b)
+        for a, b in combinations(moving, 2)
+        if min(r[a, b], r[b, a]) > min_crossed and max(r[a, a], r[b, b]) < CORRELATED
+    ]
+
+
+def _windows(data: LogData, seconds: float) -> tuple[Array, Array]:
+    """Travel of the positions and integral of the velocities over whole windows (W, n)."""
     recording = data.recording
     assert recording.dq is not None
     width = max(2, round(seconds * recording.rate_hz))
     edges = np.arange(0, len(recording.t), width)
-    step = 1.0 / recording.rate_hz
-    middles = 0.5 * (recording.dq[1:] + recording.dq[:-1]) * step
-    total = np.vstack([np.zeros((1, data.robot.n)), np.cumsum(middles, axis=0)])
+    total = cumulative_trapezoid(recording.dq, dx=1.0 / recording.rate_hz, axis=0, initial=0)
     broken = np.concatenate([[0], np.cumsum(~recording.valid)])[edges]
     whole = np.diff(broken) == 0
-    travel = np.diff(recording.q[edges], axis=0)[whole]
-    counts = np.abs(travel) > COUNTS * data.step
-    return _Windows(seconds, travel, np.diff(total[edges], axis=0)[whole], counts)
-
-
-def _dead_s(
-    data: LogData,
-    choices: list[_Windows],
-    j: int,
-    *,
-    min_share: float = 0.3,  # of a window's usual travel
-) -> float:
-    """Seconds in which a joint's velocity moves it and its position does not; 0 if too few."""
-    for windows in choices:
-        size = np.abs(windows.integral[:, j])
-        if not len(size):
-            continue
-        fast = max(COUNTS * float(data.step[j]), min_share * float(np.quantile(size, 0.9)))
-        dead = (windows.travel[:, j] == 0.0) & (size > fast)
-        if dead.sum() >= FEWEST:
-            return windows.seconds * float(dead.sum())
-    return 0.0
-
-
-def _fit(travel: Array, integral: Array) -> tuple[float, float, float]:
-    """Gain from integral to travel, their correlation, and the ratio of their RMS."""
-    energy, power = float(integral @ integral), float(travel @ travel)
-    ratio = float(np.sqrt(energy / max(power, 1e-300)))
-    if energy <= 0.0 or power <= 0.0:
-        return 0.0, 0.0, ratio
-    product = float(travel @ integral)
-    return product / energy, product / np.sqrt(energy * power), ratio
-
-
-def _crossed(
-    travel: Array, integral: Array, judged: list[int], *, min_crossed: float = 0.95
-) -> list[tuple[int, int]]:
-    """Pairs of joints whose velocities fit each other's positions and not their own."""
-    sizes = [np.sqrt(np.sum(x**2, axis=0, keepdims=True)) for x in (travel, integral)]
-    fits = (travel / np.maximum(sizes[0], 1e-300)).T @ (integral / np.maximum(sizes[1], 1e-300))
-    return [
-        (a, b)
-        for a, b in combinations(judged, 2)
-        if min(fits[a, b], fits[b, a]) > min_crossed and max(fits[a, a], fits[b, b]) < CORRELATED
-    ]
+    return np.diff(recording.q[edges], axis=0)[whole], np.diff(total[edges], axis=0)[whole]
 
 
 def _verdict(

@@ -52,8 +52,11 @@ class Cause:
         )
 
 
-def causes_of(sample: Sample) -> Iterator[Cause]:
-    """Yield the common faults of axes, zeros, signs, units and the order of joints."""
+def causes_of(data: LogData, sample: Sample, *, units: bool = False) -> Iterator[Cause]:
+    """Yield the common faults of axes, zeros, signs, angles and the order of joints.
+
+    `units`: also that the effort is the other quantity, where the drives' data are given.
+    """
     joints, every = sample.robot.joints, np.arange(sample.robot.n)
 
     def at(own: Sequence[int], value: float, usual: float = 1.0) -> Array:
@@ -83,28 +86,22 @@ def causes_of(sample: Sample) -> Iterator[Cause]:
         ):
             if joints[pair[0]].prismatic == joints[pair[1]].prismatic:
                 yield Cause("joints_swapped", pair, text, exchanged=exchanged)
+    yield from _of_efforts(data, units=units)
 
 
-def units_of(data: LogData) -> Iterator[Cause]:
-    """Yield efforts that are the other quantity, where the robot file gives the drives' data."""
-    effort, joints = data.effort(), data.robot.joints
-    factor = np.array([abs(joint.torque_per_ampere or 0.0) for joint in joints])
-    if effort is None or not factor.all():
-        return
-    every, logged = tuple(range(len(joints))), effort[0]
-    other, scale = ("torque", 1.0 / factor) if logged == "current" else ("current", factor)
-    text = f"carry {other}, not {logged}"
-    yield Cause(f"effort_is_{other}", every, text, logged, torque=scale)
-
-
-def compensated(data: LogData) -> Iterator[Cause]:
-    """Yield torques that lack gravity as the URDF's inertials give it: a driver subtracts it."""
-    effort, robot = data.effort(), data.robot
+def _of_efforts(data: LogData, *, units: bool) -> Iterator[Cause]:
+    """Yield that the effort is the other quantity, or lacks gravity."""
+    quantity, _ = data.effort() or ("torque", None)
+    robot, every_joint = data.robot, tuple(range(data.robot.n))
+    factor = np.array([abs(joint.torque_per_ampere or 0.0) for joint in robot.joints])
+    if units and factor.all():
+        other, scale = ("torque", 1.0 / factor) if quantity == "current" else ("current", factor)
+        text = f"carry {other}, not {quantity}"
+        yield Cause(f"effort_is_{other}", every_joint, text, quantity, torque=scale)
     told = robot.channels.effort == "gravity_compensated" or robot.nominal is None
-    if effort is None or effort[0] != "torque" or told or not robot.gravity.any():
-        return
-    every = tuple(range(robot.n))
-    yield Cause("effort_without_gravity", every, "gravity is not in it", "torque", weighed=True)
+    if quantity == "torque" and not told and robot.gravity.any():  # a driver subtracts it
+        text = "gravity is not in it"
+        yield Cause("effort_without_gravity", every_joint, text, "torque", weighed=True)
 
 
 def mounted(gravity: Array) -> Cause:

@@ -9,13 +9,12 @@ is torque.
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
 
-from seqid_cli.inspect.dynamics.causes import Cause, causes_of, compensated, mounted, units_of
-from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit, smooth
+from seqid_cli.inspect.dynamics.causes import Cause, causes_of, mounted
+from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -30,14 +29,7 @@ HEAVY = 1e-3  # N m
 GRAVITY = re.compile(r"gravity acts along (\[[^\]]*\]);")
 
 
-class Left(NamedTuple):
-    """The torque that a fit leaves, as a share of its RMS, and the rank of the fit."""
-
-    error: float
-    columns: int = 0
-
-
-Measure = Callable[[Sample], Left]
+Measure = Callable[[Sample], float]
 
 
 def geometry_findings(
@@ -70,13 +62,10 @@ def _structural(
     min_steps: float = 10.0,
 ) -> Iterator[InspectionFinding]:
     thin, moving = sample.thinned(), list(sample.moving)
-    left = _structural_error(thin)
-    error = left.error
+    error = _structural_error(thin)
     if error < suspicious:
         return
-    free = _structural_error(thin, own_law=True).error
-    causes = [*causes_of(thin), *units_of(data), *compensated(data)]
-    mended, _ = _mending(thin, left, _structural_error, causes, free=free)
+    mended, _ = _mending(thin, error, _structural_error, [*causes_of(data, thin, units=True)])
     seen = (sample.rms_speeds > min_steps * data.step)[moving].all()
     if mended is not None:
         yield mended
@@ -87,23 +76,24 @@ def _structural(
 
 def _mending(
     sample: Sample,
-    before: Left,
+    before: float,
     measure: Measure,
     causes: Sequence[Cause],
     *,
-    free: float = np.inf,
+    max_ratio: float = 0.5,
+    max_error: float = 0.35,
     max_rivals: int = 8,
     max_alike: int = 3,
     few_rows: int = 250,
 ) -> tuple[InspectionFinding | None, float]:
-    """Find the change that mends a fit, and the error that it leaves; none where too many do."""
-    # One of the causes, gravity along an axis of the base, or in any direction: of these kinds the
-    # first counts, unless a later one leaves clearly less. Where several of a kind do as well, the
-    # inertials of a URDF decide: gravity turned round fits as well with parameters of the other
-    # sign.
-    few, nominal = sample.thinned(few_rows), sample.robot.nominal is not None
-    tried = sorted(causes, key=lambda cause: measure(cause.on(few)).error)
-    kinds = [tried[:max_rivals]]
+    """Find the change that mends a fit, and the error that it leaves; none where too many do.
+
+    One of the causes, gravity along an axis of the base, or in any direction: of these kinds the
+    first counts, unless a later one leaves clearly less. Where several of a kind do as well, the
+    inertials of a URDF decide: gravity turned round fits as well with parameters of the other sign.
+    """
+    few = sample.thinned(few_rows)
+    kinds = [sorted(causes, key=lambda cause: measure(cause.on(few)))[:max_rivals]]
     strength = float(np.linalg.norm(sample.robot.gravity))
     if strength:
         axes = [mounted(g) for g in strength * np.vstack([np.eye(3), -np.eye(3)])]
@@ -111,43 +101,33 @@ def _mending(
     chosen, least = [], np.inf
     for kind in kinds:
         fits = [(measure(cause.on(sample)), cause) for cause in kind]
-        mends = [(left.error, c) for left, c in fits if left.error <= _limit(before, left, free)]
+        mends = [fit for fit in fits if fit[0] <= min(max_ratio * before, max_error)]
         best = min((error for error, _ in mends), default=np.inf)
         alike = [cause for error, cause in mends if error < best / BETTER]
         if best < BETTER * least and len({frozenset(c.joints) for c in alike}) <= max_alike:
             chosen, least = alike, best
     if not chosen:
         return None, least
-    if nominal:
-        chosen.sort(key=lambda cause: _nominal_error(cause.on(sample)).error)
-    fall = f"falls from {percent(before.error)} to {percent(least)}"
-    return _found(sample, chosen, fall), least
+    if sample.robot.nominal is not None:
+        chosen.sort(key=lambda cause: _nominal_error(cause.on(sample)))
+    fall = f"the equations' error falls from {percent(before)} to {percent(least)}"
+    return _found(sample.robot, chosen, fall), least
 
 
-def _found(sample: Sample, alike: Sequence[Cause], fall: str) -> InspectionFinding:
+def _found(robot: Robot, alike: Sequence[Cause], fall: str) -> InspectionFinding:
     """Tell the first of causes that mend a fit alike, and the others."""
-    cause, names = alike[0], sample.robot.joint_names
+    cause, names = alike[0], robot.joint_names
     if not cause.joints:
-        most = 2 if sample.robot.nominal is None else 1
-        told = " or ".join(each.text for each in alike[:most])
-        if not _felt(cause.on(sample)):
-            told += ", where no joint that moves feels it, or the driver takes it off the torque"
-        return found(cause.code, f"gravity acts along {told}; the equations' error {fall}")
+        told = " or ".join(each.text for each in alike[: 2 if robot.nominal is None else 1])
+        return found(cause.code, f"gravity acts along {told}; {fall}")
     others = [
         f"{', '.join(names[j] for j in other.joints)}: {other.text}"
         for other in alike
         if set(other.joints) != set(cause.joints)
     ]
-    text = f"{cause.text}; the equations' error {fall}"
-    text += f" (as well with {'; or '.join(others)})" if others else ""
+    text = f"{cause.text}; {fall}" + (f" (as well with {'; or '.join(others)})" if others else "")
     joint = ", ".join(names[j] for j in cause.joints)
     return found(cause.code, text, joint=joint, channel=cause.channel)
-
-
-def _felt(sample: Sample, *, share: float = 0.05) -> bool:
-    """Whether gravity acts on a joint that moves, by more than `share` of what it could."""
-    columns = sample.gravity_columns()[:, list(sample.moving)]
-    return bool(np.abs(columns).max() > share * np.linalg.norm(sample.robot.gravity))
 
 
 def _slanted(
@@ -160,7 +140,7 @@ def _slanted(
     evaluations: int = 60,
 ) -> list[Cause]:
     """Gravity in the direction that fits best, from the best of the `axes`, and against it."""
-    start = min(axes, key=lambda axis: measure(axis.on(sample)).error).gravity
+    start = min(axes, key=lambda axis: measure(axis.on(sample))).gravity
     assert start is not None
     strength, across = np.linalg.norm(start), np.linalg.svd(start[None])[2][1:]
 
@@ -169,7 +149,7 @@ def _slanted(
         return np.asarray(turned * strength / np.linalg.norm(turned))
 
     found_best = minimize(  # type: ignore[call-overload]
-        lambda x: measure(mounted(gravity(x)).on(sample)).error,
+        lambda x: measure(mounted(gravity(x)).on(sample)),
         np.zeros(2),
         method="Nelder-Mead",
         options={
@@ -182,29 +162,11 @@ def _slanted(
     return [mounted(sign * gravity(found_best.x)) for sign in (1.0, -1.0)]
 
 
-def _limit(
-    before: Left, after: Left, free: float, *, max_ratio: float = 0.5, max_error: float = 0.35
-) -> float:
-    """Largest error that a fit may leave to be mended.
-
-    Half of the error before. A change may give the equations columns that they had not (gravity on
-    a joint that hardly feels it, say), and any free function would do better as well: then half of
-    what such functions leave, `free`.
-    """
-    fewer = before.error if after.columns <= before.columns else min(before.error, free)
-    return min(max_ratio * fewer, max_error)
-
-
-def _structural_error(sample: Sample, *, own_law: bool = False, min_speed: float = 0.2) -> Left:
+def _structural_error(sample: Sample, *, min_speed: float = 0.2) -> float:
     """RMS that rigid body and friction leave of the torques, each as a share of its own."""
-    # With `own_law`, and a smooth function of each joint's own position.
     assert sample.basis is not None
     tau, n = sample.tau, sample.robot.n
-    own = sample.own_columns()
-    if own_law:
-        laws = np.stack([smooth(q)[:, 1:] for q in sample.q.T], axis=1)
-        own = np.concatenate([own, laws], axis=2)
-    each = own[:, :, None] * np.eye(n)[:, :, None]  # no joint has those of another
+    each = sample.own_columns()[:, :, None] * np.eye(n)[:, :, None]  # no joint has those of another
     Y = base_regressor(sample.robot, sample.basis, sample.q, sample.dq, sample.ddq)
     X = np.concatenate([Y, each.reshape(len(tau), n, -1)], axis=2)
     # At rest friction takes any value.
@@ -213,11 +175,8 @@ def _structural_error(sample: Sample, *, own_law: bool = False, min_speed: float
     squares = np.where(sliding, tau, 0.0) ** 2
     size = np.sqrt(squares.sum(axis=0) / np.maximum(sliding.sum(axis=0), 1))
     size = np.maximum(size, 1e-12)
-    W = (X / size[:, None])[sliding]
-    W = W / np.maximum(np.sqrt(np.mean(W**2, axis=0)), 1e-12)
-    y = (tau / size)[sliding]
-    theta, _, rank, _ = np.linalg.lstsq(W, y, rcond=1e-8)
-    return Left(float(np.sqrt(np.mean((y - W @ theta) ** 2))), int(rank))
+    *_, left = scaled_fit((X / size[:, None])[sliding], (tau / size)[sliding])
+    return float(np.sqrt(np.mean(left**2)))
 
 
 @per_robot
@@ -234,42 +193,38 @@ def largest_gravity(robot: Robot, *, postures: int = 200) -> Array:
     return np.asarray(np.abs(torque).max(axis=0))
 
 
-def _nominal_error(sample: Sample, *, scaled: bool = False) -> Left:
+def _nominal_error(sample: Sample) -> float:
     """RMS that the URDF's inertials and friction leave of torques, each as a share of its own."""
-    # With `scaled`, inertials of each joint's own scale, as of a torque in another unit.
-    shares = []
-    gravity, inertia = sample.nominal()
+    left = sample.tau - np.sum(sample.nominal(), axis=0)
     own = sample.own_columns()
-    for j in sample.moving:
-        y = sample.tau[:, j]
-        X = np.column_stack([own[:, j], gravity[:, j], inertia[:, j]]) if scaled else own[:, j]
-        *_, left = scaled_fit(X, y if scaled else y - gravity[:, j] - inertia[:, j])
-        shares.append(float(np.mean(left**2)) / max(float(np.var(y)), 1e-300))
-    return Left(float(np.sqrt(np.mean(shares))))
+    shares = [
+        float(np.mean(scaled_fit(own[:, j], left[:, j])[2] ** 2))
+        / max(float(np.var(sample.tau[:, j])), 1e-300)
+        for j in sample.moving
+    ]
+    return float(np.sqrt(np.mean(shares)))
 
 
 def _weights(
     sample: Sample,
     *,
-    min_load: float = 0.2,  # of the largest gravity torque in the log
+    min_load: float = 0.2,  # of the largest gravity torque of any joint in the log
     min_acting: float = 0.1,  # of the joint's largest gravity torque in any posture
-    min_weight: float = 0.05,  # of the largest gravity torque of any joint
 ) -> Iterator[tuple[int, float, float]]:
-    """Compare the torque of moving joints with gravity by the URDF's inertials: ratio and error."""
-    # Only joints that carry a fair share of the weight, by which a URDF can be judged.
+    """Compare the torque of moving joints with gravity by the URDF's inertials: ratio and error.
+
+    Only of joints that carry a fair share of the weight: a small one of another passes for it.
+    """
     robot = sample.robot
     if robot.nominal is None or not robot.gravity.any():
         return
     gravity, inertia = sample.nominal()
     rms, could, own = gravity.std(axis=0), largest_gravity(robot), sample.own_columns()
-    slides = np.array([joint.prismatic for joint in robot.joints])
-    moving = np.isin(np.arange(robot.n), sample.moving)
     for j in sample.moving:
-        alike = slides == slides[j]  # forces and torques are not to be compared
-        loaded = min_load * max(float(rms[alike & moving].max()), HEAVY)
-        acting = min_acting * float(could[j])
-        if rms[j] < max(loaded, acting) or could[j] < min_weight * could[alike].max():
-            continue  # friction that changes with position would pass for gravity
+        # Forces and torques are not to be compared.
+        alike = [i for i in sample.moving if robot.joints[i].prismatic == robot.joints[j].prismatic]
+        if rms[j] < max(min_load * max(float(rms[alike].max()), HEAVY), min_acting * could[j]):
+            continue
         X = np.column_stack([gravity[:, j], inertia[:, j], own[:, j]])
         theta, inverse, left = scaled_fit(X, sample.tau[:, j])
         variance = float(np.mean(left**2)) * sample.memory
@@ -293,12 +248,9 @@ def _scale(
             off.append((j, ratio, error, low, high))
     if not off:
         return
-    before = _nominal_error(sample)
-    causes = [*causes_of(sample), *compensated(data)]
-    mended, left = _mending(sample, before, _nominal_error, causes)
-    unit = _nominal_error(sample, scaled=True).error
-    pulls = all(low > 0.0 for *_, low, _ in off)  # gravity acts, in the right direction
-    if mended is not None and not (pulls and unit < left / BETTER):
+    causes = [*causes_of(data, sample)]
+    mended, _ = _mending(sample, _nominal_error(sample), _nominal_error, causes)
+    if mended is not None:
         yield mended
         return
     quantity, _ = data.effort() or ("torque", None)

@@ -17,13 +17,12 @@ from typing import Any
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from numpy.typing import NDArray
 from scipy.signal import correlate
 
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData, per_robot
 from seqid_cli.logs.checks.echo import driven
-from seqid_cli.motion.motion import Motion, decimated
+from seqid_cli.motion.motion import decimated
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import Basis, base_parameters, base_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
@@ -103,48 +102,32 @@ def sample_of(
     min_rows: int = 60,
     slow: float = 0.1,
     memory_s: float = 0.3,
+    min_way: float = 0.05,
+    min_balance: float = 0.2,  # of the longer way
 ) -> Sample | None:
     """Filter a log; None where it has no torque or nothing moves long enough."""
-    recording, robot = data.recording, data.robot
-    if recording.tau is None or data.motion is None:
+    if data.recording.tau is None or data.motion is None:
         return None
     motion = decimated(data.motion)
     rows = np.flatnonzero(motion.usable & np.isfinite(motion.dq).all(axis=1))
     rows = rows[:: max(1, len(rows) // max_rows)]
     if len(rows) < min_rows or motion.tau is None:
         return None
-    moving = tuple(
-        j
-        for j in np.flatnonzero(driven(motion.q[rows])).tolist()
-        if data.moves(j) and _both_ways(motion, rows, j)
-    )
-    spacing = float(np.median(np.diff(motion.t[rows])))
-    speeds = np.maximum(np.sqrt(np.mean(motion.dq[rows] ** 2, axis=0)), 1e-12)
-    direction = motion.filtered(np.tanh(motion.dq / (slow * speeds)), 2)
+    q, dq, spacing = motion.q[rows], motion.dq[rows], float(np.median(np.diff(motion.t[rows])))
+    ways = np.array([np.clip(sign * dq, 0.0, None).sum(axis=0) * spacing for sign in (1.0, -1.0)])
+    both_ways = ways.min(axis=0) > np.maximum(min_way, min_balance * ways.max(axis=0))
+    moving = tuple(j for j in np.flatnonzero(driven(q) & both_ways).tolist() if data.moves(j))
+    speeds = np.maximum(np.sqrt(np.mean(dq**2, axis=0)), 1e-12)
+    direction = motion.filtered(np.tanh(motion.dq / (slow * speeds)), 2)[rows]
     memory = max(1.0, memory_s / spacing)
-    basis = _basis(robot) if data.modelled and moving else None
-    q, dq, ddq, tau = motion.q, motion.dq, motion.ddq, motion.tau
-    whole = Sample(robot, q, dq, ddq, tau, direction, memory, moving, basis)
-    return whole.mapped(lambda values: values[rows])
+    basis = _basis(data.robot) if data.modelled and moving else None
+    ddq, tau = motion.ddq[rows], motion.tau[rows]
+    return Sample(data.robot, q, dq, ddq, tau, direction, memory, moving, basis)
 
 
 @per_robot
 def _basis(robot: Robot) -> Basis:
     return base_parameters(robot, rotor=[])
-
-
-def _both_ways(
-    motion: Motion,
-    rows: NDArray[np.intp],
-    j: int,
-    *,
-    min_way: float = 0.05,
-    min_balance: float = 0.2,  # of the longer way
-) -> bool:
-    dq = motion.dq[rows, j]
-    step = float(np.median(np.diff(motion.t[rows])))
-    travels = [float(np.abs(part).sum()) * step for part in (dq[dq > 0], dq[dq < 0])]
-    return min(travels) > max(min_way, min_balance * max(travels))
 
 
 def friction_findings(
@@ -212,11 +195,9 @@ def memory_of(residual: Array) -> float:
     """Count the samples of a residual (M,) that say as much as one: by its autocorrelation."""
     x = residual - residual.mean()
     r = correlate(x, x, method="fft")[len(x) - 1 :]
-    if r[0] <= 0.0:
-        return 1.0
-    negative = np.flatnonzero(r <= 0.0)
-    last = int(negative[0]) if len(negative) else len(r)
-    return float(1.0 + 2.0 * r[1:last].sum() / r[0])
+    below = np.flatnonzero(r <= 0.0)
+    last = int(below[0]) if len(below) else len(r)
+    return float(1.0 + 2.0 * r[1:last].sum() / max(r[0], 1e-300))
 
 
 def _exchanged(fits: dict[int, Friction], moving: tuple[int, ...]) -> list[tuple[int, int]]:
@@ -239,9 +220,8 @@ def _alien(
     """Whether the motion of joint i shows as friction in the torque of j, and not in its own."""
     own, own_error = fits[i].by_joint[i]
     alien, error = fits[j].by_joint[i]
-    largest = max(abs(fit.by_joint[i][0]) - 2.0 * fit.by_joint[i][1] for fit in fits.values())
-    seen = max(SIGMAS * error, SHARE * fits[j].spread, 2.0 * own_error) < alien
-    return seen and alien >= largest and abs(own) < max(max_own * alien, 2.0 * own_error)
+    seen = alien > max(SIGMAS * error, SHARE * fits[j].spread, 2.0 * own_error)
+    return seen and abs(own) < max(max_own * alien, 2.0 * own_error)
 
 
 def smooth(q: Array, terms: int = SMOOTH_TERMS) -> Array:

@@ -32,8 +32,7 @@ class ShiftScan:
     features: Array  # (N, p)
     readings: Array  # (N, K) through the motion's filter
     rows: NDArray[np.intp]  # that count
-    y: Array  # (R, K) their readings without the mean
-    total: float  # mean square of them, all channels
+    total: float  # mean square of their readings without the mean, all channels
     shifts: NDArray[np.intp]
     left: Array  # mean square that each shift leaves
 
@@ -73,30 +72,38 @@ def _shifted(
     coarse: int = 4,
 ) -> ShiftScan | None:
     """What features leave of readings at each shift, by every `coarse`-th of the rows."""
-    reach = int(shifts[-1])
     rows = np.flatnonzero(motion.usable)
-    rows = rows[(rows >= reach) & (rows < len(readings) - reach)]
+    rows = rows[(rows >= shifts[-1]) & (rows < len(readings) - shifts[-1])]
     rows = rows[:: max(1, len(rows) // max_rows)]
-    if len(rows) < min_rows:
-        return None
-    y = readings[rows] - readings[rows].mean(axis=0)
-    total = float(np.mean(y**2)) * y.shape[1]
+    total = float(np.sum(np.var(readings[rows], axis=0))) if len(rows) >= min_rows else 0.0
     if total == 0.0 or not np.isfinite(total):
         return None
-    few = slice(None, None, coarse)
-    left = [np.sum(_left(features[rows[few] - s], y[few])[0] ** 2, axis=1) for s in shifts]
-    return ShiftScan(features, readings, rows, y, total, shifts, np.mean(left, axis=1))
+    few = rows[::coarse]
+    left = [np.sum(_left(features[few - s], readings[few])[0] ** 2, axis=1).mean() for s in shifts]
+    return ShiftScan(features, readings, rows, total, shifts, np.array(left))
 
 
 def fit_link(
-    robot: Robot, motion: Motion, values: Array, link: int, *, gyro: bool, wide: float = 0.2
+    robot: Robot,
+    motion: Motion,
+    values: Array,
+    link: int,
+    *,
+    gyro: bool,
+    wide: float = 0.2,
+    far_s: float = 2.0,
+    step_s: float = 0.01,
 ) -> LinkFit | None:
     """Fit readings (N, K) to the motion of a link at the shift that is best; None if it rests."""
     tried = scan(robot, motion, values, link, gyro=gyro)
     if tried is None:
         return None
     if tried.share > wide or int(tried.left.argmin()) in (0, len(tried.left) - 1):
-        far = _far(motion, tried)
+        # None near zero fits: look farther, roughly.
+        step = max(1, round(step_s * motion.rate_hz))
+        reach = min(round(far_s * motion.rate_hz), len(values) // 4) // step * step
+        shifts = np.arange(-reach, reach + 1, step)
+        far = _shifted(motion, tried.features, tried.readings, shifts)
         if far is not None and (tried.share > FOLLOWS or far.share < 0.5 * tried.share):
             tried = far
     return _fine(motion, tried)
@@ -108,7 +115,7 @@ def _fine(
     """Fit at the shift that is best to a fraction of a sample, by Gauss and Newton."""
     # The delay's error is the larger of what white noise leads to and of how it moves when one of
     # `blocks` parts of the log is left out: a coarse encoder's noise is far from white.
-    rows, y = scan.rows, scan.y
+    rows, y = scan.rows, scan.readings[scan.rows]
     low, high = scan.shifts[[0, -1]]
     shift, slopes = float(scan.shifts[scan.left.argmin()]), np.gradient(scan.features, axis=0)
     for _ in range(rounds):
@@ -133,25 +140,11 @@ def _fine(
     return LinkFit(share, shift / rate, error / rate, fitted, _map_error(X, square, memory), gain)
 
 
-def _far(
-    motion: Motion, near: ShiftScan, *, max_shift_s: float = 2.0, step_s: float = 0.01
-) -> ShiftScan | None:
-    """Look for a shift of up to two seconds, roughly, where none near zero fits."""
-    step = max(1, round(step_s * motion.rate_hz))
-    reach = min(round(max_shift_s * motion.rate_hz), len(near.readings) // 4) // step * step
-    shifts = np.arange(-reach, reach + 1, step)
-    return _shifted(motion, near.features, near.readings, shifts, max_rows=800, coarse=1)
-
-
 def _map_error(X: Array, variance: float, memory: float) -> float:
     """Largest standard error of a map's first three columns, of features (N, p) without mean."""
     scale = np.maximum(X.std(axis=0), 1e-9)
     _, s, Vt = np.linalg.svd(X / scale, full_matrices=False)
-    if s[-1] < 1e-6 * s[0]:
-        seen = np.sum(Vt[s >= 1e-6 * s[0]] ** 2, axis=0)[:3]
-        if (seen < 1.0 - 1e-6).any():
-            return float(np.inf)  # a direction that this motion does not show
-    inverse = Vt.T / np.where(s >= 1e-6 * s[0], s, np.inf)
+    inverse = Vt.T / np.maximum(s, 1e-9 * s[0])  # large where the motion does not show a direction
     spread = np.sqrt(variance * max(memory, 1.0) * np.sum(inverse**2, axis=1)) / scale
     return float(spread[:3].max())
 
@@ -163,21 +156,15 @@ def _features(
     *,
     gyro: bool,
     min_turning: float = 0.02,  # rad/s RMS
-    block: int = 32_768,
 ) -> Array | None:
     """Filtered features (N, p) of a link's motion, for readings on it; None if it rests."""
-    parts, squares = [], 0.0
-    for start in range(0, motion.samples, block):  # of all links it is far larger than of one
-        rows = slice(start, start + block)
-        q, dq, ddq = motion.q[rows].T, motion.dq[rows].T, motion.ddq[rows].T
-        moved = link_motion(robot.chain, robot.gravity, q, dq, ddq)
-        w = moved.w[link]
-        squares += float(np.sum(w**2))
-        products = [w[a] * w[b] for a in range(3) for b in range(a, 3)]
-        parts.append(w.T if gyro else np.vstack([moved.a[link], moved.dw[link], *products]).T)
-    if float(np.sqrt(squares / motion.samples)) < min_turning:
+    moved = link_motion(robot.chain, robot.gravity, motion.q.T, motion.dq.T, motion.ddq.T)
+    w = moved.w[link]
+    if float(np.sqrt(np.mean(np.sum(w**2, axis=0)))) < min_turning:
         return None
-    return np.asarray(motion.filtered(np.concatenate(parts)))
+    products = [w[a] * w[b] for a in range(3) for b in range(a, 3)]
+    features = w.T if gyro else np.vstack([moved.a[link], moved.dw[link], *products]).T
+    return np.asarray(motion.filtered(features))
 
 
 def _left(X: Array, y: Array, *, rcond: float = 1e-6) -> tuple[Array, Array]:

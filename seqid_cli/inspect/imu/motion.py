@@ -13,9 +13,8 @@ import numpy as np
 
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.imu.link_fit import FOLLOWS, SIGMAS, LinkFit, fit_link, scan
-from seqid_cli.inspect.imu.readings import channel_name, odd_channel
+from seqid_cli.inspect.imu.readings import odd_channel
 from seqid_cli.inspect.material import LogData
-from seqid_cli.logs.raw import GYRO
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.types import Imu
 from seqid_cli.shares import percent
@@ -97,67 +96,65 @@ def _better(
     min_left: float = 0.01,
 ) -> InspectionFinding | None:
     """Find another link, or a joint reversed, that the IMU follows far better than its own link."""
-    motion = data.motion
+    motion, robot = data.motion, data.robot
     if item.fit.left < min_left or motion is None:
         return None
     name, own = item.imu.name, item.imu.after_joint
     values = (data.recording.gyros if item.gyro else data.recording.accelerometers)[name]
-    names = data.robot.joint_names
-    tried: list[tuple[int | None, int]] = [(None, k) for k in range(data.robot.n) if k != own]
+    names = robot.joint_names
+    tried = [(-1, k) for k in range(robot.n) if k != own]  # the joint that is reversed, the link
     tried += [(j, own) for j in range(own + 1) if data.moves(j)]
-    best: list[tuple[float, int | None, int]] = []
+    found_best = (max_ratio * item.fit.left, -1, own)
     for joint, link in tried:
-        sign = np.where(np.arange(data.robot.n) == joint, -1.0, 1.0)
+        sign = np.where(np.arange(robot.n) == joint, -1.0, 1.0)
         moved = replace(motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign)
-        found_now = scan(data.robot, moved, values, link, gyro=item.gyro)
-        if found_now is not None:
-            best.append((found_now.share, joint, link))
-    share, joint, link = min(best, key=lambda each: each[0], default=(np.inf, None, own))
-    if share > max_ratio * item.fit.left:
-        return None
+        scanned = scan(robot, moved, values, link, gyro=item.gyro)
+        if scanned is not None:
+            found_best = min(found_best, (scanned.share, joint, link))
+    share, joint, link = found_best
     text = f"{percent(share)} of its variance is left against {percent(item.fit.left, 0)}"
-    if joint is not None:
+    if joint >= 0:
         text = f"by IMU {name} it turns the other way round: {text}"
         return found("axis_flipped", text, joint=names[joint], channel="position")
+    if link == own:
+        return None
     text = f"follows the link after {names[link]}, not the one after {names[own]}: {text}"
     return found("imu_wrong_link", text, joint=name)
 
 
 def _gyro(item: Following) -> Iterator[InspectionFinding]:
-    size = item.fit.gain
+    size, name = item.fit.gain, item.imu.name
     text = f"reads {size:.3g} times the link's angular velocity"
     if item.fit.left > TELLS:
         return
     if abs(size / np.degrees(1.0) - 1.0) < 0.2:
-        yield found("gyro_in_degrees", text, joint=item.imu.name)
+        yield found("gyro_in_degrees", text, joint=name)
     elif item.fit.map_error < MAPPED and np.linalg.det(item.fit.map) < 0.0:
-        channel = channel_name(item.imu, GYRO, 0)[:-1]
         text = "its gyro fits the link's motion as a mirror image only"
-        yield found("imu_left_handed", text, joint=item.imu.name, channel=channel)
+        yield found("imu_left_handed", text, joint=name, channel=f"{name}.g")
     elif abs(size - 1.0) > 0.15:
-        yield found("gyro_scale", text, joint=item.imu.name)
+        yield found("gyro_scale", text, joint=name)
 
 
 def _axes(
     data: LogData, item: Following, *, max_scale_error: float = 0.05
 ) -> Iterator[InspectionFinding]:
     """Judge the axes by the map of specific force, which must be a rotation behind the axes."""
-    force = item.fit.map[:, :3]
+    force, imu = item.fit.map[:, :3], item.imu
     size = float(np.linalg.svd(force, compute_uv=False)[0])
-    other_unit = not 0.5 < size / np.sqrt(max(len(item.imu.axes) / 3.0, 1.0)) < 2.0
+    other_unit = not 0.5 < size / np.sqrt(max(len(imu.axes) / 3.0, 1.0)) < 2.0
     if item.fit.map_error > MAPPED or item.fit.left > TELLS or other_unit:
         return
     gravity = float(np.linalg.norm(data.robot.gravity)) or 9.81
-    odd = odd_channel(item.imu, gravity * force.T, gravity)
-    if odd is not None:
+    if odd := odd_channel(imu, gravity * force.T, gravity):
         yield odd
         return
-    turned = np.linalg.pinv(item.imu.axes) @ force
+    turned = np.linalg.pinv(imu.axes) @ force
     sizes = np.linalg.svd(turned, compute_uv=False)
     scale, evenness = float(np.mean(sizes)), sizes[2] / sizes[0]
     if np.linalg.det(turned) < 0.0 and evenness > 0.7:
         text = "its accelerometers fit the link's motion as a mirror image only"
-        yield found("imu_left_handed", text, joint=item.imu.name)
+        yield found("imu_left_handed", text, joint=imu.name)
     elif abs(scale - 1.0) > max_scale_error and evenness > 0.9:
         text = f"reads {scale:.3g} times the link's specific force"
-        yield found("imu_gravity", text, joint=item.imu.name)
+        yield found("imu_gravity", text, joint=imu.name)

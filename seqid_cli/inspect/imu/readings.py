@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from itertools import combinations
 
 import numpy as np
-from msgspec import structs
 
 from seqid_cli.inspect.channels.values import clipped, equal_runs, missing
 from seqid_cli.inspect.findings import found
@@ -32,31 +31,22 @@ def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
             yield found("imu_layout", text, joint=imu.name)
 
 
-def imu_findings(data: LogData) -> Iterator[InspectionFinding]:
-    """Check the channels of every IMU in the log."""
+def imu_findings(data: LogData, *, max_bias: float = 0.1) -> Iterator[InspectionFinding]:
+    """Check the channels of every IMU in the log; `max_bias` of a gyro at rest, rad/s."""
     for imu in data.robot.imus:
         broken = [*_channels(data, imu)]
-        yield from _together(broken)
+        yield from broken
         values = data.recording.accelerometers.get(imu.name)
         on_earth = abs(float(np.linalg.norm(data.robot.gravity)) - STANDARD_GRAVITY) <= 0.5
         if values is not None and on_earth and np.linalg.matrix_rank(imu.axes) == 3:
             yield from _force(data, imu, values, at_rest=data.modelled and not broken)
         gyro = data.recording.gyros.get(imu.name)
-        if gyro is not None:
-            yield from _gyro_bias(data, imu, gyro)
-
-
-def _together(
-    findings: list[InspectionFinding], *, max_channels: int = 3
-) -> Iterator[InspectionFinding]:
-    """Report a fault that many channels share once: it is the IMU's."""
-    for code in dict.fromkeys(finding.code for finding in findings):
-        alike = [finding for finding in findings if finding.code == code]
-        if len(alike) <= max_channels:
-            yield from alike
-        else:
-            names = ", ".join(finding.channel for finding in alike)
-            yield structs.replace(alike[0], channel=names)
+        rest = rest_rows(data, gyro) if gyro is not None else np.zeros((0, 3))
+        bias = rest.mean(axis=0) if len(rest) else np.zeros(3)
+        if np.linalg.norm(bias) > max_bias:
+            channel = channel_name(imu, GYRO, int(np.abs(bias).argmax()))
+            text = f"reads {np.linalg.norm(bias):.3g} rad/s at rest"
+            yield found("gyro_bias", text, joint=imu.name, channel=channel)
 
 
 def channel_name(imu: Imu, quantity: str, k: int) -> str:
@@ -66,48 +56,39 @@ def channel_name(imu: Imu, quantity: str, k: int) -> str:
     return f"{imu.name}.a{k + 1}"
 
 
-def _channels(data: LogData, imu: Imu) -> Iterator[InspectionFinding]:
+def _channels(
+    data: LogData, imu: Imu, *, stuck_s: float = 0.5, stuck_samples: int = 50
+) -> Iterator[InspectionFinding]:
+    """Find channels with missing values, and those that are stuck or clipped."""
     first = {ACCELEROMETERS: 0, GYRO: 0}
     for stream in data.raw.imus.get(imu.name, ()):
         stamps = stream.stamp_ns
         seconds = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else 0.0
+        least = max(stuck_samples, int(stuck_s / max(seconds, 1e-9)))
         for quantity, values in stream.channels.items():
-            present = [column[np.isfinite(column)] for column in values.T]
-            live = any(len(column) and np.ptp(column) > 0 for column in present)
-            for k in range(values.shape[1]):
-                name = channel_name(imu, quantity, first[quantity] + k)
-                finding = _channel(imu, name, values[:, k], seconds, others=live)
-                if finding is not None:
-                    yield finding
+            columns = [column[np.isfinite(column)] for column in values.T]
+            others = any(len(column) and np.ptp(column) > 0 for column in columns)
+            for k, present in enumerate(columns, start=first[quantity]):
+                name = channel_name(imu, quantity, k)
+                lost = [*missing(values[:, k - first[quantity]], imu.name, name)]
+                yield from lost
+                if text := "" if lost else _stuck(present, least, seconds, others=others):
+                    yield found("imu_stuck", text, joint=imu.name, channel=name)
+                elif limit := None if lost else clipped(present):
+                    text = f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
+                    yield found("imu_saturated", text, joint=imu.name, channel=name)
             first[quantity] += values.shape[1]
 
 
-def _channel(
-    imu: Imu,
-    name: str,
-    values: Array,
-    seconds: float,
-    *,
-    others: bool,
-    stuck_s: float = 0.5,
-    stuck_samples: int = 50,
-) -> InspectionFinding | None:
-    present = values[np.isfinite(values)]
-    if lost := next(missing(values, imu.name, name), None):
-        return lost
-    least = max(stuck_samples, int(stuck_s / max(seconds, 1e-9)))
+def _stuck(present: Array, least: int, seconds: float, *, others: bool) -> str:
+    """Tell for how long a channel stays at one value, beside `others` that change."""
     # A channel that repeats itself all the time is slow or coarse, not stuck.
     lively = len(present) > 2 and np.mean(np.diff(present) != 0) > 0.3
     for a, b in equal_runs(present, least) if others or lively else ():
         inner = lively and present[a] not in (present.max(), present.min())
         if inner or b - a == len(present):
-            text = f"stays at {present[a]:.4g} for {(b - a) * seconds:.3g} s"
-            return found("imu_stuck", text, joint=imu.name, channel=name)
-    limit = clipped(present)
-    if limit is not None:
-        text = f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
-        return found("imu_saturated", text, joint=imu.name, channel=name)
-    return None
+            return f"stays at {present[a]:.4g} for {(b - a) * seconds:.3g} s"
+    return ""
 
 
 def rest_rows(data: LogData, values: Array, *, min_rest_s: float = 0.2) -> Array:
@@ -145,62 +126,39 @@ def _force(data: LogData, imu: Imu, values: Array, *, at_rest: bool) -> Iterator
 
 
 def odd_channel(
-    imu: Imu,
-    rest: Array,
-    gravity: float,
-    *,
-    max_left: float = 0.1,
-    max_repaired: float = 4.0,  # times the squared error without the channel
+    imu: Imu, rest: Array, gravity: float, *, max_left: float = 0.1
 ) -> InspectionFinding | None:
     """Find the one change with which the accelerometers of an array agree on gravity (Eq. 29).
 
     `rest` (R, K): readings [m/s^2] to specific force alone. `gravity`: its size [m/s^2].
     """
-    count = rest.shape[1]
-    if count <= 3:
-        return None
+    every = np.arange(rest.shape[1])
     error = _disagreement(rest, imu.axes)
-    if np.sqrt(error) < WRONG * gravity:
+    if len(every) <= 3 or np.sqrt(error) < WRONG * gravity:
         return None
-    every = np.arange(count)
-    tried: list[tuple[float, float, str, tuple[int, ...]]] = []  # the first is what decides
+    changed: list[tuple[float, str, tuple[int, ...]]] = []
+    without = changed.copy()
     for k in every.tolist():
         left = _disagreement(rest * np.where(every == k, -1.0, 1.0), imu.axes)
-        tried.append((left, left, "imu_channel_flipped", (k,)))
+        changed.append((left, "imu_channel_flipped", (k,)))
         axes = imu.axes[every != k]
-        if np.linalg.matrix_rank(axes) == 3:  # leaving it out does even where it is only reversed
-            left = _disagreement(rest[:, every != k], axes)
-            tried.append((max_repaired * left, left, "imu_channel_wrong", (k,)))
-    for pair in combinations(range(count), 2):
+        if np.linalg.matrix_rank(axes) == 3:
+            without.append((_disagreement(rest[:, every != k], axes), "imu_channel_wrong", (k,)))
+    for pair in combinations(every.tolist(), 2):
         order = every.copy()
         order[list(pair)] = pair[::-1]
-        left = _disagreement(rest[:, order], imu.axes)
-        tried.append((left, left, "imu_channels_swapped", pair))
-    _, left, code, channels = min(tried)
-    if left > max_left * error:
-        return None
-    names = ", ".join(channel_name(imu, ACCELEROMETERS, k) for k in channels)
-    alike = sum(other < 1.05 * left and c == code for _, other, c, _ in tried) - 1
-    text = (
-        f"the accelerometers disagree on gravity by {np.sqrt(error):.3g} m/s^2, "
-        f"{np.sqrt(left):.3g} once this is mended"
-        + (f"; {alike} other pairs would do as well" if alike else "")
-    )
-    return found(code, text, joint=imu.name, channel=names)
+        changed.append((_disagreement(rest[:, order], imu.axes), "imu_channels_swapped", pair))
+    for tried in (changed, without):  # leaving it out does even where it is only reversed
+        left, code, channels = min(tried, default=(np.inf, "", ()))
+        if left <= max_left * error:
+            names = ", ".join(channel_name(imu, ACCELEROMETERS, k) for k in channels)
+            text = f"the accelerometers disagree on gravity by {np.sqrt(error):.3g} m/s^2, "
+            text += f"{np.sqrt(left):.3g} once this is mended"
+            return found(code, text, joint=imu.name, channel=names)
+    return None
 
 
 def _disagreement(rest: Array, axes: Array) -> float:
     """Mean square (m/s^2)^2 of readings (R, K) that no specific force along the axes explains."""
     P = np.eye(len(axes)) - axes @ np.linalg.pinv(axes)
     return float(np.mean(np.sum((rest @ P) ** 2, axis=1)))
-
-
-def _gyro_bias(
-    data: LogData, imu: Imu, gyro: Array, *, max_bias: float = 0.1
-) -> Iterator[InspectionFinding]:
-    rest = rest_rows(data, gyro)
-    bias = rest.mean(axis=0) if len(rest) else np.zeros(3)
-    size, worst = float(np.linalg.norm(bias)), int(np.abs(bias).argmax())
-    if size > max_bias:
-        text, channel = f"reads {size:.3g} rad/s at rest", channel_name(imu, GYRO, worst)
-        yield found("gyro_bias", text, joint=imu.name, channel=channel)

@@ -27,15 +27,13 @@ from tests.unit.inspect.planting import Columns
 SEED = 5
 
 
-def inspect_planted(
-    faults: Sequence[Fault], folder: Path, *, planted: bool = True
-) -> InspectionFile:
-    """Plant faults into a copy of the log that they share, or not, and inspect that."""
+def inspect_planted(faults: Sequence[Fault], folder: Path) -> InspectionFile:
+    """Plant faults into a copy of the log that they share, and inspect that."""
     first = faults[0]
     (base,) = {_base(fault) for fault in faults}
     text = robot_text(first.rig, imus=first.of_imus, triad=first.triad)
     columns = {name: values.copy() for name, values in sound_columns(*base).items()}
-    for fault in faults if planted else ():
+    for fault in faults:
         for old, new in (fault.robot or {}).items():
             assert old in text
             text = text.replace(old, new)

@@ -104,8 +104,3 @@ def test_findings_on_recorded_logs_are_true(path: Path) -> None:
     if expected or path.parent.name != "ur10e_innopolis":
         alone = codes(path, None)  # the model's part is missing then
         assert alone == expected - {"model_mismatch"}
-
-
-@pytest.mark.skipif(not RECORDED, reason="the recorded robots are not beside the project")
-def test_recorded_logs_are_there() -> None:
-    assert len(RECORDED) > 50

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from seqid_cli.inspect.findings import ERRORS
-from tests.unit.inspect.faults import FAULTS, Fault, groups
+from tests.unit.inspect.faults import Fault, groups
 from tests.unit.inspect.rig import inspect_planted
 
 
@@ -33,14 +33,3 @@ def test_a_planted_fault_is_found_and_nothing_else(
     faulty = any(fault.code in ERRORS for fault in faults)
     assert report.verdict == ("faulty" if faulty else "usable")
     assert all(finding.remedy and finding.message for finding in report.findings)
-
-
-@pytest.mark.parametrize(
-    "fault",
-    {(f.rig, f.base, f.triad, f.of_imus): f for f in FAULTS}.values(),
-    ids=lambda fault: f"{fault.rig}-{fault.base}-{fault.triad}-{fault.of_imus}",
-)
-def test_the_same_logs_without_the_fault_are_good(fault: Fault, tmp_path: Path) -> None:
-    report = inspect_planted([fault], tmp_path, planted=False)
-    assert report.findings == []
-    assert report.verdict == "good"

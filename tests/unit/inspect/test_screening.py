@@ -63,14 +63,3 @@ def test_stages_hear_what_inspect_calls_an_error_and_read_sound_samples(
     assert (np.abs(damaged - sound).max() > 0.1) == ("position_spikes" in codes)
     for q in (held.recording.q, np.concatenate([block.q for block in log.blocks()])):
         assert np.abs(q - sound).max() < 0.06  # bridged, not what was there
-
-
-def test_a_hole_of_one_channel_is_left_out_and_told(robot: Robot, tmp_path: Path) -> None:
-    def hole(columns: dict[str, np.ndarray], rng: np.random.Generator) -> None:
-        columns[POSITION][500:600] = np.nan
-
-    path = planted(tmp_path, hole)
-    found = read_screened(path, robot)
-    (finding,) = found.findings
-    assert (finding.code, finding.joint, finding.channel) == ("channel_hole", "joint_1", "position")
-    assert not found.recording.valid[510:590].any()

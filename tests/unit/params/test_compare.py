@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from seqid_cli.compare.differences import compare
-from seqid_cli.compare.rule import Rule
+from seqid_cli.compare.differences import compared as compared_by
+from seqid_cli.compare.differences import rule_of
 from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.params.io import Document, Source
-from seqid_cli.params.results.comparison import ComparisonFile
+from seqid_cli.params.results.comparison import ComparisonFile, RuleEntry
 from seqid_cli.params.schema import EffectOfJoint, Parameter, ParameterFile, Verdict
 from tests.transcripts import check_text
 from tests.unit.params.documents import diagnosis_file, full_file, inertia_file
 from tests.unit.report.pages import prediction_file
 
-DEFAULT = Rule.of(None, None)
+DEFAULT = rule_of(None, None)
 
 
-def compared(a: Document, b: Document, rule: Rule = DEFAULT) -> ComparisonFile:
-    return compare(Source("a.json", "0", a), Source("b.json", "1", b), rule=rule)
+def compared(a: Document, b: Document, rule: RuleEntry = DEFAULT) -> ComparisonFile:
+    return compared_by(Source("a.json", "0", a), Source("b.json", "1", b), rule)
 
 
 def parameters(file: ParameterFile) -> list[Parameter]:
@@ -52,7 +52,7 @@ def test_rule(
     a, b = inertia_file(), inertia_file()
     parameters(a)[0].std_error = parameters(b)[0].std_error = error
     parameters(b)[0].value += moved
-    found = compared(a, b, Rule.of(sigma, rtol))
+    found = compared(a, b, rule_of(sigma, rtol))
     assert bool(found.changed) == different
     change = next(item for item in found.differences if item.stage == "gravity")
     assert change.different == different

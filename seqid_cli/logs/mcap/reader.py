@@ -84,7 +84,7 @@ def read_blocks(
 def count_messages(path: Path) -> int | None:
     """Count the messages of a file without reading them; None where it does not tell."""
     with path.open("rb") as file:
-        told = read_summary(file, path.stat().st_size)[0].statistics
+        told = read_summary(file, path.stat().st_size).statistics
     return None if told is None else int(told.message_count)
 
 
@@ -186,10 +186,10 @@ def _losses(scan: Scan) -> list[str]:
     """Say what the file lost; nothing for a whole one."""
     losses = [f"{what} ({n} times)" if n > 1 else what for what, n in scan.losses.items()]
     more = [f"and {len(losses) - 3} more faults"] if len(losses) > 3 else []
-    met, expected, lost = scan.tally()
+    met, expected = scan.tally()
     counted = [f"{met} messages were read"] if losses else []
-    if lost:
-        counted = [f"{lost}{f' of {expected}' if expected else ''} messages are lost"]
+    if expected is not None and expected > met:
+        counted = [f"{expected - met} of {expected} messages are lost"]
     return [*losses[:3], *more, *counted]
 
 

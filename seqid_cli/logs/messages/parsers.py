@@ -12,9 +12,8 @@ from collections.abc import Callable
 import msgspec
 from mcap.records import Schema
 
-from seqid_cli.logs.messages.batch import Decode, Decoded, Kind, NameMap, Payloads
+from seqid_cli.logs.messages.batch import Decode, Decoded, Kind, NameMap, Payloads, field, row_of
 from seqid_cli.logs.messages.cdr import LayoutDecoder
-from seqid_cli.logs.messages.rows import field, row_of
 from seqid_cli.logs.raw import STAMP_LIMIT_NS
 
 Parse = Callable[[bytes], object]

@@ -12,14 +12,13 @@ import pyarrow.csv as pc
 from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import RawLog, TimeSource
 from seqid_cli.logs.tables.columns import ARROW_ERRORS
-from seqid_cli.logs.tables.csv_form import MISSING, CsvForm, is_number, read_form
+from seqid_cli.logs.tables.csv_form import MISSING, CsvForm, read_form
 from seqid_cli.logs.tables.naming_schemes import stamp_parts, time_names
 from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
 
 _BLOCK = 8 << 20  # bytes; no line can be longer
-_TAIL = 64 << 10  # bytes that tell what numbers a column has
-_CUT = "the last line has no end and its last number too few digits: cut short, it is left out"
+_CUT = "the last line has no end: it may be cut short and is left out"
 _RAGGED_SHARE = 0.01  # of the lines, that may be left out
 _MISSING = sorted({form for word in MISSING for form in (word, word.upper(), word.capitalize())})
 _FAULT = re.compile(
@@ -153,36 +152,19 @@ def read_blocks(
     """Read a CSV log as one block; see `read_table`. A line has one time."""
     del time_source
     form = read_form(path)
-    size = _before_cut(path, form)
+    size = _whole_lines(path)
     notes = () if size is None else (_CUT,)
     return read_table(CsvTable(path, form.names, notes=notes, form=form, size=size), robot, rows)
 
 
-def _before_cut(path: Path, form: CsvForm, *, rare: float = 0.05) -> int | None:
-    """Bytes before a last line that stops within its last number; None where it is whole.
-
-    A line without an end is cut where its last number is none, or has as few decimals as only the
-    share `rare` of those above it have. Arrow itself tells lines with fewer fields.
-    """
+def _whole_lines(path: Path) -> int | None:
+    """Bytes before a last line that has no end, which may be cut short; None where it has one."""
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
-        begin = file.seek(max(0, size - _TAIL))
-        *above, last = re.split(rb"\r\n|\n|\r", file.read())
-    fields = last.split(form.delimiter.encode())
-    rows = [line.split(form.delimiter.encode()) for line in above[1 if begin else form.skip :]]
-    usual = sorted(_decimals(row[-1], form.decimal) for row in rows if len(row) == len(fields))
-    if not last or not usual:
-        return None
-    fewest = usual[int(rare * len(usual))]
-    return size - len(last) if _decimals(fields[-1], form.decimal) < fewest else None
-
-
-def _decimals(field: bytes, mark: str) -> int:
-    """Characters after the decimal mark, or of a whole number; 0 of a missing one, -1 of text."""
-    text = field.decode("latin-1").strip().strip('"')
-    if text.lower() in MISSING:
-        return 0
-    return len(text.rpartition(mark)[2]) if is_number(text) else -1
+        file.seek(max(0, size - _BLOCK))
+        tail = file.read()
+    end = max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
+    return None if end == len(tail) else size - len(tail) + end
 
 
 def list_columns(path: Path) -> tuple[list[str], int]:

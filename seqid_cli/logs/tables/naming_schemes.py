@@ -210,19 +210,6 @@ def _find(
     return None
 
 
-def other_joints(match: Match, joints: Sequence[str], known: Iterable[str]) -> list[str]:
-    """Name the joints (or, where they are numbered, the columns) that the robot file lacks."""
-    used = {name for name in match.columns["position"] if name is not None}
-    for pattern in match.scheme.patterns["position"]:
-        form = re.escape(pattern).replace(r"\{name\}", "(?P<name>[^./]+)")
-        form = re.sub(r"\\\{index0?\\\}", "[0-9]{1,3}", form)
-        found = {name: re.fullmatch(form, name) for name in (*used, *known)}
-        if all(found[name] for name in used):
-            others = [m.groupdict().get("name") or n for n, m in found.items() if m]
-            return [name for name in dict.fromkeys(others) if name not in used.union(joints)]
-    return []
-
-
 def time_names(names: Iterable[str]) -> dict[str, str | None]:
     """List the columns that look like time, with the unit where the name says it."""
     found: dict[str, str | None] = {}

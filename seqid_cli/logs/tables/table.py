@@ -28,7 +28,6 @@ from seqid_cli.logs.tables.naming_schemes import (
     find_quantities,
     find_scheme,
     nearest_scheme,
-    other_joints,
     stamp_parts,
     time_names,
 )
@@ -153,16 +152,8 @@ class Plan:
     time: TimeColumn
     joints: dict[str, list[str | None]]
     imus: dict[str, tuple[list[str], list[str]]]
-    episode: str | None = None
-    warnings: list[str] = field(default_factory=list)
-
-    @property
-    def columns(self) -> list[str]:
-        """All columns to load, each once."""
-        names: list[str | None] = [self.time.name, self.time.nanoseconds]
-        names += [name for row in self.joints.values() for name in row]
-        names += [name for pair in self.imus.values() for row in pair for name in row]
-        return list(dict.fromkeys(name for name in (*names, self.episode) if name is not None))
+    episode: str | None
+    warnings: list[str]
 
 
 def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterator[RawLog]:
@@ -172,15 +163,16 @@ def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterat
     by the first block. A file of several episodes is one block: they are put one behind the other.
     """
     plan = make_plan(file, robot)
-    for name in plan.columns:
+    wanted: list[str | None] = [plan.time.name, plan.time.nanoseconds]
+    wanted += [name for row in plan.joints.values() for name in row]
+    wanted += [name for pair in plan.imus.values() for row in pair for name in row]
+    columns = list(dict.fromkeys(name for name in (*wanted, plan.episode) if name is not None))
+    for name in columns:
         if (count := file.names.count(name)) > 1:
-            message, hint = (
-                f"column {name!r} is there {count} times",
-                "Give each column a name of its own.",
-            )
-            raise InputError(message, hint=hint, where=file.where)
+            message = f"column {name!r} is there {count} times"
+            raise InputError(message, hint="Give each column a name of its own.", where=file.where)
     notes = [*file.notes, *plan.warnings]
-    for table, partial in file.tables(plan.columns, None if plan.episode else rows):
+    for table, partial in file.tables(columns, None if plan.episode else rows):
         yield _raw_log(file.where, table, plan, robot, partial, notes)
         notes = []
 
@@ -208,29 +200,21 @@ def _raw_log(
 
 def make_plan(file: TableFile, robot: Robot) -> Plan:
     """Decide which columns to read: what the robot file declares, else what the names tell."""
-    names, known, joints = file.names, set(file.names), robot.joint_names
-    warnings: list[str] = []
+    known, joints = set(file.names), robot.joint_names
     match = find_scheme(joints, known, file.entries)
     if match is None and robot.channels.position is None:
-        raise missing_columns(file.where, nearest_scheme(joints, known), names)
-    if match is not None and robot.channels.position is None:
-        others = other_joints(match, joints, names)
-        more = f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
-        if others:
-            warnings.append(
-                f"the log also holds {', '.join(others[:_SHOWN])}{more}, which the robot file does "
-                "not know: ignored"
-            )
+        raise missing_columns(file.where, nearest_scheme(joints, known), file.names)
+    warnings: list[str] = []
     columns = _joint_columns(file, robot, match)
-    imus = {
-        imu.name: found
-        for imu in robot.imus
-        if (found := imu_columns(file.where, robot, imu, known, warnings)) is not None
-    }
-    time = _time_column(file, robot.channels, match)
+    found = {imu.name: imu_columns(file.where, robot, imu, known, warnings) for imu in robot.imus}
     used = {name for row in columns.values() for name in row}
-    episode = next((name for name in EPISODES if name in known and name not in used), None)
-    return Plan(time, columns, imus, episode, warnings)
+    return Plan(
+        _time_column(file, robot.channels, match),
+        columns,
+        {name: pair for name, pair in found.items() if pair is not None},
+        next((name for name in EPISODES if name in known and name not in used), None),
+        warnings,
+    )
 
 
 def _joint_columns(

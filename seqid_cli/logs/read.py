@@ -208,17 +208,17 @@ def with_torque(
     """Add `tau`: the logged torque, else current times torque constant and gear ratio."""
     none = np.full((len(joints), robot.n), np.nan)
     torque, current = (joints.channels.get(name, none) for name in ("torque", "current"))
-    factors = [joint.torque_per_ampere for joint in robot.joints]
-    by_current = current * np.array([np.nan if own is None else own for own in factors])
+    factors = np.array([joint.torque_per_ampere for joint in robot.joints], np.float64)
+    by_current = current * factors  # NaN where the robot file has none
     first, second = (by_current, torque) if prefer_current else (torque, by_current)
     tau = np.where(np.isfinite(first).any(axis=0), first, second)
-    present = np.isfinite(tau).any(axis=0)
-    driven = np.isfinite(current).any(axis=0) & [own is None for own in factors]
+    present: Mask = np.asarray(np.isfinite(tau).any(axis=0))
     names = np.array(robot.joint_names)
-    if (driven & ~present).any():
+    without_drive = names[np.asarray(np.isfinite(current).any(axis=0)) & ~present]
+    if len(without_drive):
         warnings.append(
-            f"the current of {', '.join(names[driven & ~present])} cannot be turned into torque: "
-            "give torque_constant and gear_ratio in the robot file"
+            f"the current of {', '.join(without_drive)} cannot be turned into torque: give "
+            "torque_constant and gear_ratio in the robot file"
         )
         return joints
     if not present.any():

@@ -33,11 +33,8 @@ class TimeColumn:
     nanoseconds: str | None = None
 
 
-def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
-    """Return a column that is there once, dictionaries resolved."""
-    if table.schema.names.count(name) != 1:
-        message = f"column {name!r} is not a plain column"
-        raise InputError(message, hint="Write one number per row and column.", where=where)
+def column(table: pa.Table, name: str) -> pa.ChunkedArray:
+    """Return a column, dictionaries resolved."""
     found = table.column(name)
     if pa.types.is_dictionary(found.type):
         found = pc.cast(found, found.type.value_type)
@@ -47,7 +44,7 @@ def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
 def numbers(where: str, table: pa.Table, name: str) -> Array:
     """Read a column as float64 (M,); nulls become NaN."""
     with _explained(where, name):
-        found = column(where, table, name)
+        found = column(table, name)
         if not is_number(found.type):
             message = f"column {name!r} holds {found.type}, not numbers"
             raise InputError(message, hint=_HINT, where=where)
@@ -69,18 +66,14 @@ def _explained(where: str, name: str) -> Iterator[None]:
 
 def is_number(kind: pa.DataType) -> bool:
     """Tell whether a column of this type can be read as numbers."""
-    return bool(
-        pa.types.is_integer(kind)
-        or pa.types.is_floating(kind)
-        or pa.types.is_decimal(kind)
-        or pa.types.is_null(kind)
-    )
+    return any(is_kind(kind) for is_kind in _NUMBERS)
 
 
 def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, Rows, list[str]]:
     """Read the stamps [ns] (M,) of the rows, 0 where missing; the rows that have one; warnings."""
     warnings: list[str] = []
-    kind = column(where, table, time.name).type
+    with _explained(where, time.name):
+        kind = column(table, time.name).type
     if any(is_timed(kind) for is_timed in _TIMED):
         stamps, good = _from_counts(where, table, time.name, NS_PER[kind.unit])
     elif time.nanoseconds is not None:
@@ -94,7 +87,6 @@ def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, 
         if pa.types.is_integer(kind) and not pa.types.is_uint64(kind):
             stamps, good = _from_counts(where, table, time.name, NS_PER[unit])
         else:
-            warnings += _resolution(time.name, kind, values / (NS_PER["s"] / NS_PER[unit]))
             stamps, good = _from_values(values, NS_PER[unit])
     lost = int(np.count_nonzero(~good))
     if lost:
@@ -102,6 +94,7 @@ def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, 
     return np.where(good, stamps, 0), np.flatnonzero(good), warnings
 
 
+_NUMBERS = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null)
 _TIMED = (pa.types.is_timestamp, pa.types.is_duration, pa.types.is_time)
 
 
@@ -128,7 +121,7 @@ def _unit(values: Array, time: TimeColumn, warnings: list[str], *, fastest_s: fl
 def _from_counts(where: str, table: pa.Table, name: str, ns_per_unit: int) -> tuple[Stamps, Mask]:
     """Stamps [ns] (M,) by integer counts of a unit, exactly, and which of them are usable."""
     with _explained(where, name):
-        found = column(where, table, name)
+        found = column(table, name)
         missing = pc.is_null(found).to_numpy()
         if not pa.types.is_integer(found.type):
             found = pc.cast(found, pa.int32() if found.type.bit_width == 32 else pa.int64())
@@ -145,22 +138,6 @@ def _from_values(values: Array, ns_per_unit: int) -> tuple[Stamps, Mask]:
     whole = np.floor(kept)
     rest = np.rint((kept - whole) * ns_per_unit)
     return whole.astype(np.int64) * ns_per_unit + rest.astype(np.int64), good
-
-
-def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:
-    """Warn of floating-point times [s] too coarse for the interval between samples."""
-    finite = values[np.isfinite(values)]
-    if not (pa.types.is_float32(kind) or pa.types.is_float16(kind)) or len(finite) < 2:
-        return []
-    step = float(np.spacing(np.abs(finite).max().astype(kind.to_pandas_dtype())))
-    forward = np.diff(finite)
-    interval = float(np.mean(forward, where=forward > 0)) if (forward > 0).any() else 0.0
-    if step <= 1e-3 * interval:
-        return []
-    return [
-        f"column {name!r} is {kind} and cannot resolve less than {step:.3g} s at the end of the "
-        f"log ({interval:.3g} s between samples): write time as float64 or timestamp"
-    ]
 
 
 def opened_table(path: Path, **options: object) -> pq.ParquetFile:

@@ -87,6 +87,7 @@ def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, 
         if pa.types.is_integer(kind) and not pa.types.is_uint64(kind):
             stamps, good = _from_counts(where, table, time.name, NS_PER[unit])
         else:
+            warnings += _resolution(time.name, kind, values / (NS_PER["s"] / NS_PER[unit]))
             stamps, good = _from_values(values, NS_PER[unit])
     lost = int(np.count_nonzero(~good))
     if lost:
@@ -138,6 +139,22 @@ def _from_values(values: Array, ns_per_unit: int) -> tuple[Stamps, Mask]:
     whole = np.floor(kept)
     rest = np.rint((kept - whole) * ns_per_unit)
     return whole.astype(np.int64) * ns_per_unit + rest.astype(np.int64), good
+
+
+def _resolution(name: str, kind: pa.DataType, values: Array) -> list[str]:
+    """Warn of floating-point times [s] too coarse for the interval between samples."""
+    finite = values[np.isfinite(values)]
+    if not (pa.types.is_float32(kind) or pa.types.is_float16(kind)) or len(finite) < 2:
+        return []
+    step = float(np.spacing(np.abs(finite).max().astype(kind.to_pandas_dtype())))
+    forward = np.diff(finite)
+    interval = float(np.mean(forward, where=forward > 0)) if (forward > 0).any() else 0.0
+    if step <= 1e-3 * interval:
+        return []
+    return [
+        f"column {name!r} is {kind} and cannot resolve less than {step:.3g} s at the end of the "
+        f"log ({interval:.3g} s between samples): write time as float64 or timestamp"
+    ]
 
 
 def opened_table(path: Path, **options: object) -> pq.ParquetFile:

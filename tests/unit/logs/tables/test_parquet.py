@@ -81,6 +81,12 @@ def test_every_form_of_time(tmp_path: Path, time: object) -> None:
     np.testing.assert_allclose(recording.q, MOTION.q, atol=2e-6)
 
 
+def test_coarse_float_time_is_told_with_its_step(tmp_path: Path) -> None:
+    t = (MOTION.t + 40_000.0).astype(np.float32)
+    warnings = read(tmp_path, COLUMNS | {"t": t}).health.warnings
+    assert any("0.00391 s" in warning and "float64" in warning for warning in warnings)
+
+
 def test_rows_without_time_are_left_out(tmp_path: Path) -> None:
     t: list[float | None] = list(MOTION.t)
     t[10], t[11] = None, float("nan")

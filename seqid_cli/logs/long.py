@@ -245,49 +245,34 @@ def open_long(
         return None
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    return LongLog(
-        path,
-        file,
-        kind,
-        robot,
-        time_source,
-        base.start_ns,
-        base.step_s,
-        base.count,
-        base.jitter,
-        base.exact,
-        partial=partial,
-        warnings=tuple(dict.fromkeys(warnings)),
-        spool=spool if spool.complete else None,
-        state=state,
-    )
+    about = (base.start_ns, base.step_s, base.count, base.jitter, base.exact)
+    said = (partial, tuple(dict.fromkeys(warnings)), spool if spool.complete else None)
+    return LongLog(path, file, kind, robot, time_source, *about, *said, state=state)
 
 
 def _rows(
     path: Path, kind: str, robot: Robot, time_source: TimeSource
 ) -> Iterator[tuple[RawLog, Stream]]:
-    last, first_sources = None, None
+    """Decode a log block by block; raises UnevenError where one is to be put right as a whole."""
+    latest, first_sources = _NONE, None
     for raw in READERS[kind](path, replace(robot, imus=()), time_source):
         joints = raw.joints
         if not len(joints):
             continue
         # Which joints have what torque can be taken from must be the same all along.
-        given = {name: joints.channels[name] for name in _SOURCES if name in joints.channels}
+        given = {name: own for name, own in joints.channels.items() if name in _SOURCES}
         sources = {name: np.isfinite(own).any(axis=0).tolist() for name, own in given.items()}
-        if first_sources not in (None, sources):
-            raise UnevenError
-        first_sources = sources
-        if sources:
+        first_sources = first_sources or sources
+        if sources and sources == first_sources:
             joints = with_torque(joints, robot, raw.prefer_current, str(path), [])
         if "tau" not in joints.channels:
             raise UnevenError
         values = np.concatenate([joints.channels["position"].T, joints.channels["tau"].T])
-        if not (values.min() >= -ABSURD and values.max() <= ABSURD):  # NaN as well
-            raise UnevenError
-        steps = np.diff(joints.stamp_ns, prepend=joints.stamp_ns[:1] if last is None else last)
-        if (steps[last is None :] <= 0).any():
+        stamps = np.concatenate([latest, joints.stamp_ns])
+        sound = values.min() >= -ABSURD and values.max() <= ABSURD  # not with NaN
+        if not sound or (np.diff(stamps) <= 0).any():
             raise UnevenError
         if len(mended(joints).losses) or in_turns(joints, robot)[0] is not joints:
-            raise UnevenError  # to be put right as a whole
-        last = joints.stamp_ns[-1:]
+            raise UnevenError
+        latest = joints.stamp_ns[-1:]
         yield raw, _as_stream(joints.stamp_ns, values.T)

@@ -18,7 +18,7 @@ from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
 
 _BLOCK = 8 << 20  # bytes; no line can be longer
-_CUT = "the last line has no end and may be cut short: it is left out"
+_CUT = "the last line has no end and may be cut short, it is left out"
 _RAGGED_SHARE = 0.01  # of the lines, that may be left out
 _MISSING = sorted({form for word in MISSING for form in (word, word.upper(), word.capitalize())})
 _FAULT = re.compile(

@@ -17,17 +17,12 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from seqid_cli.robot.toml.schema import Columns
 
+# fmt: off
 QUANTITIES = (
-    "position",
-    "velocity",
-    "torque",
-    "current",
-    "load",
-    "link_position",
-    "voltage",
-    "pwm",
+    "position", "velocity", "torque", "current", "load", "link_position", "voltage", "pwm",
     "temperature",
 )
+# fmt: on
 EFFORT = "effort"  # torque or current, whichever the robot file says
 
 # Names of time columns, the unit behind them optional: time, t_ms, timestamp [s], __time.
@@ -91,9 +86,7 @@ _NUMBERED = {
 
 def _scheme(form: str, words: Mapping[str, tuple[str, ...]]) -> Scheme:
     """Make a scheme of a form of names, in which `*` stands for the words of a quantity."""
-    return Scheme(
-        {name: tuple(form.replace("*", word) for word in own) for name, own in words.items()}
-    )
+    return Scheme({name: tuple(form.replace("*", w) for w in own) for name, own in words.items()})
 
 
 DEFAULT = Scheme({quantity: (f"{{name}}.{quantity}",) for quantity in _ALL})

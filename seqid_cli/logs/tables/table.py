@@ -92,34 +92,22 @@ def separate(
     lost = int(np.count_nonzero(~numbered))
     notes = [f"{lost} rows without {name} were left out"] if lost else []
     keep = keep[numbered]
-    if not len(keep):
-        return stamps, keep, notes
-    ends = [0, *(np.flatnonzero(np.diff(episode[keep]) != 0) + 1).tolist(), len(keep)]
-    runs = [keep[start:end] for start, end in pairwise(ends)]
+    runs = np.split(keep, np.flatnonzero(np.diff(episode[keep])) + 1)
     if len(runs) == 1:
         return stamps, keep, notes
-    interval = _interval(stamps, runs)
+    # The mean interval inside the episodes, gaps left out: the holes then fit the time base.
+    steps = np.concatenate([np.diff(stamps[run]) for run in runs])
+    steps = steps[steps > 0]
+    interval = float(np.mean(steps[steps < 1.5 * np.median(steps)])) if len(steps) else 1e9
     hole = round(interval * max(hole_intervals, np.ceil(hole_s * 1e9 / interval)))
     moved = stamps.copy()
-    latest = int(stamps[runs[0]].max())
-    for run in runs[1:]:
-        earliest = int(stamps[run].min())
-        moved[run] = stamps[run] - earliest + latest + hole
-        latest = int(moved[run].max())
+    for before, run in pairwise(runs):
+        moved[run] += int(moved[before].max()) + hole - int(stamps[run].min())
     notes.append(
         f"{len(runs)} episodes ({name}) are read as stretches with a gap of {hole * 1e-9:.3g} s "
         "between them"
     )
     return moved, keep, notes
-
-
-def _interval(stamps: Stamps, runs: list[Rows]) -> float:
-    """Mean interval inside the episodes, gaps left out [ns]: the holes then fit the time base."""
-    steps = np.concatenate([np.diff(stamps[run]) for run in runs])
-    forward = steps[steps > 0]
-    if not len(forward):
-        return 1e9
-    return float(np.mean(forward[forward < 1.5 * np.median(forward)]))
 
 
 ROWS = "the rows"
@@ -241,22 +229,18 @@ def _joint_columns(
 def _time_column(file: TableFile, channels: Channels, match: Match | None) -> TimeColumn:
     names, unit = file.names, match.scheme.time_unit if match is not None else None
     told = time_names(names)
-    if channels.time is not None:
-        own = str(channels.time)
-        if own not in names:
-            raise missing_columns(file.where, [own], names, what="[channels] time")
-        said = time_names([own]).get(own)
-        return TimeColumn(own, said or unit, said is not None)
-    if "t" in told:
+    if "t" in told and channels.time is None:
         return TimeColumn("t", unit)
-    candidates = list(told)
-    if len(candidates) == 1:
-        said = told[candidates[0]]
-        return TimeColumn(candidates[0], said or unit, said is not None)
-    if candidates:
+    candidates = list(told) if channels.time is None else [str(channels.time)]
+    if len(candidates) > 1:
         message = f"the time column is ambiguous: {' or '.join(candidates)}"
         hint = 'Say which in the robot file: [channels] time = "..."'
         raise InputError(message, hint=hint, where=file.where)
+    for own in candidates:
+        if own not in names:
+            raise missing_columns(file.where, [own], names, what="[channels] time")
+        said = told.get(own)
+        return TimeColumn(own, said or unit, said is not None)
     parts = stamp_parts(names)
     if parts is None:
         raise missing_columns(file.where, ["t"], names, what="[channels] time")

@@ -129,9 +129,17 @@ def test_names_and_units_of_time(tmp_path: Path, name: str) -> None:
         assert recording.start == pytest.approx(1_700_000_000.0, abs=1e-6)
 
 
-def test_names_of_the_robot_file_win(tmp_path: Path) -> None:
-    content = text([row + ",9.0" for row in ROWS], "clock,a_1,a_2,a_3,shoulder.position")
-    recording = read(tmp_path, content, Channels(time="clock", position="a_{index}"))
+@pytest.mark.parametrize(
+    ("pattern", "names"),
+    [
+        ("a_{index}", "a_1,a_2,a_3"),
+        ("actual_q_{index0}", "actual_q_0,actual_q_1,actual_q_2"),
+        ("{name}/pos", "shoulder/pos,elbow/pos,wrist/pos"),
+    ],
+)
+def test_names_of_the_robot_file_win(tmp_path: Path, pattern: str, names: str) -> None:
+    content = text([row + ",9.0" for row in ROWS], f"clock,{names},shoulder.position")
+    recording = read(tmp_path, content, Channels(time="clock", position=pattern))
     np.testing.assert_array_equal(recording.q, MOTION.q)
     with pytest.raises(InputError, match="b_1"):
         read(tmp_path, content, Channels(time="clock", position="b_{index}"))

@@ -93,10 +93,11 @@ class Collector:
                     "used instead; make the driver fill in header.stamp"
                 )
         if self.time_source == "log" or self._logged:
-            return Samples(log_ns, values, warnings, delay_s)
-        if missing:
+            stamp_ns = log_ns
+        elif missing:
             text = f"{missing} messages of {self.topic} have no header stamp and were left out"
-            return Samples(stamp_ns[stamped], values[stamped], [text], delay_s)
+            warnings.append(text)
+            stamp_ns, values = stamp_ns[stamped], values[stamped]
         return Samples(stamp_ns, values, warnings, delay_s)
 
     def _flush(self) -> None:

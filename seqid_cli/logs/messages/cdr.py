@@ -201,7 +201,8 @@ class LayoutDecoder:
             out.put(rows[fits], part)
             return rows[~fits]
 
-        known = list(self._known.get(int(payloads.lengths[left[0]]), ())) if len(left) else []
+        length = int(payloads.lengths[left[0]]) if len(left) else 0
+        known = list(self._known.get(length, ()))
         for layout in known:
             left = fitting(layout, left)
         while len(left):
@@ -211,10 +212,7 @@ class LayoutDecoder:
                 fitting(layout, first)
                 if len(known) < self.rounds:
                     rest = fitting(layout, rest)
-                    self._remember(layout, int(payloads.lengths[first[0]]))
                     known.append(layout)
+                    if sum(map(len, self._known.values())) < self.most:
+                        self._known[length] = known
             left = rest
-
-    def _remember(self, layout: Layout, length: int) -> None:
-        if sum(map(len, self._known.values())) < self.most:
-            self._known.setdefault(length, []).append(layout)

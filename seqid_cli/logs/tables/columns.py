@@ -69,6 +69,12 @@ def is_number(kind: pa.DataType) -> bool:
     return any(is_kind(kind) for is_kind in _NUMBERS)
 
 
+def is_text(kind: pa.DataType) -> bool:
+    """Tell whether a column of this type holds texts, or bytes."""
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return any(is_kind(kind) for is_kind in _TEXTS)
+
+
 def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, Rows, list[str]]:
     """Read the stamps [ns] (M,) of the rows, 0 where missing; the rows that have one; warnings."""
     warnings: list[str] = []
@@ -96,6 +102,9 @@ def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, 
 
 
 _NUMBERS = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null)
+_TEXTS = (
+    pa.types.is_string, pa.types.is_large_string, pa.types.is_binary, pa.types.is_large_binary,
+)  # fmt: skip
 _TIMED = (pa.types.is_timestamp, pa.types.is_duration, pa.types.is_time)
 
 

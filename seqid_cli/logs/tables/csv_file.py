@@ -11,7 +11,7 @@ import pyarrow.csv as pc
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import RawLog, TimeSource
-from seqid_cli.logs.tables.columns import ARROW_ERRORS
+from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_text
 from seqid_cli.logs.tables.csv_form import MISSING, CsvForm, read_form
 from seqid_cli.logs.tables.naming_schemes import stamp_parts, time_names
 from seqid_cli.logs.tables.table import TableFile, read_table
@@ -53,8 +53,8 @@ class CsvTable(TableFile):
         ragged = _Ragged()
         if not isinstance(parsed, pa.Table):
             parsed = self._parse(columns, ragged)
-        if isinstance(parsed, pa.Table) and _texts(parsed):
-            parsed = self._parse(columns, ragged=_Ragged(), numeric=True)
+        if isinstance(parsed, pa.Table) and any(is_text(kind) for kind in parsed.schema.types):
+            parsed = self._parse(columns, _Ragged(), numeric=True)  # the time, too, for the fault
         if not isinstance(parsed, pa.Table):
             raise self._fault(parsed)
         yield parsed, self._partial(ragged, parsed.num_rows)
@@ -66,12 +66,10 @@ class CsvTable(TableFile):
 
         `ragged`: takes lines with another number of fields, which are an error without it.
         """
-        places = {name: self.names.index(name) for name in columns}
+        places = [self.names.index(name) for name in columns]
         count = len(self.names) + self.form.filler
-        chosen = list(dict.fromkeys(places.values()))
         # Arrow may find out the type of time itself: seconds, counts or a calendar time.
         times = () if numeric else {*time_names(self.names), *(stamp_parts(self.names) or ())}
-        timed = {self.names.index(name) for name in places if name in times}
         source: Path | pa.BufferReader = self.path
         if self.size is not None:
             source = pa.BufferReader(pa.memory_map(str(self.path)).read_buffer(self.size))
@@ -88,8 +86,10 @@ class CsvTable(TableFile):
                 ),
                 pc.ParseOptions(delimiter=self.form.delimiter, invalid_row_handler=ragged),
                 pc.ConvertOptions(
-                    column_types={f"c{k}": pa.float64() for k in chosen if k not in timed},
-                    include_columns=[f"c{k}" for k in chosen],
+                    column_types={
+                        f"c{k}": pa.float64() for k in places if self.names[k] not in times
+                    },
+                    include_columns=[f"c{k}" for k in places],
                     null_values=_MISSING,
                     quoted_strings_can_be_null=True,
                     decimal_point=self.form.decimal,
@@ -98,16 +98,14 @@ class CsvTable(TableFile):
             )
         except ARROW_ERRORS as error:
             return error
-        arrays = {name: table.column(f"c{place}") for name, place in places.items()}
-        return pa.table(arrays)
+        return table.rename_columns(list(columns))
 
     def _partial(self, ragged: _Ragged, rows: int) -> str:
-        if ragged.first is None:
+        first, lines = ragged.first, rows + ragged.count
+        if first is None:
             return ""
-        number, lines = ragged.first.number, rows + ragged.count
-        line = "a line" if number is None else f"line {number}"
-        what = f"{line} has {ragged.first.actual_columns} fields"
-        what += f", the header {ragged.first.expected_columns}"
+        what = "a line" if first.number is None else f"line {first.number}"
+        what += f" has {first.actual_columns} fields, the header {first.expected_columns}"
         if ragged.count > max(1.0, _RAGGED_SHARE * lines):
             message = f"{what}; so do {ragged.count} of {lines} lines"
             hint = "Give every line as many fields as there are names."
@@ -139,11 +137,6 @@ class CsvTable(TableFile):
                 if counted >= row:
                     return number
         return row
-
-
-def _texts(table: pa.Table) -> bool:
-    """Tell whether a column was found to be neither numbers nor times."""
-    return any(pa.types.is_string(kind) or pa.types.is_binary(kind) for kind in table.schema.types)
 
 
 def read_blocks(

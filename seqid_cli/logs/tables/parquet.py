@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import Array, RawLog, TimeSource
-from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_number, opened_table
+from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_number, is_text, opened_table
 from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
 from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
@@ -83,9 +83,6 @@ def _name_column(path: Path, file: pq.ParquetFile) -> list[str]:
 
 
 _ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
-_TEXTS = (
-    pa.types.is_string, pa.types.is_large_string, pa.types.is_binary, pa.types.is_large_binary,
-)  # fmt: skip
 BLOCK_ROWS = 65_536
 _LONGEST = 256  # elements of a list column that can be one number per joint
 
@@ -168,8 +165,8 @@ def _refuse_texts(path: Path, file: pq.ParquetFile, columns: Sequence[str]) -> N
     """Refuse a column of texts before it is read: each of them may be of any size."""
     for name in set(columns) & set(file.schema_arrow.names):
         kind = file.schema_arrow.field(name).type
-        kind = kind.value_type if pa.types.is_dictionary(kind) else kind
-        if any(is_text(kind) for is_text in _TEXTS):
+        if is_text(kind):
+            kind = kind.value_type if pa.types.is_dictionary(kind) else kind
             message = f"column {name!r} holds {kind}, not numbers"
             hint = "Write it as float64 in SI units, time in seconds or as a timestamp."
             raise InputError(message, hint=hint, where=str(path))

@@ -8,7 +8,7 @@ import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.checks.lost_samples import Mended, mended, with_losses
-from seqid_cli.logs.clocks import Tidy, tidy
+from seqid_cli.logs.clocks import tidy
 from seqid_cli.logs.mcap import reader, rosbags
 from seqid_cli.logs.raw import (
     ACCELEROMETERS,
@@ -246,40 +246,39 @@ def _read_imus(
     found: dict[str, dict[str, Array]] = {ACCELEROMETERS: {}, GYRO: {}}
     valid = np.ones(base.count, np.bool_)
     for imu in robot.imus:
-        cleaned = [tidy(without_absurd(each, warnings)) for each in raw.imus.get(imu.name, ())]
-        for k, clock in enumerate(cleaned):
-            if np.array_equal(clock.stream.stamp_ns, repair.stamps):  # those of the joints
-                cleaned[k] = replace(clock, stream=with_losses(clock.stream, repair.losses)[0])
-        if not cleaned or not _usable(imu.name, cleaned, base, warnings):
+        tidied = [tidy(without_absurd(each, warnings)) for each in raw.imus.get(imu.name, ())]
+        streams = [
+            with_losses(each.stream, repair.losses)[0]
+            if np.array_equal(each.stream.stamp_ns, repair.stamps)  # those of the joints
+            else each.stream
+            for each in tidied
+        ]
+        if not streams or not _usable(imu.name, streams, base, warnings):
             continue
         for quantity, target in found.items():
-            streams = [each.stream for each in cleaned if quantity in each.stream.channels]
-            parts = [resample(stream, quantity, base) for stream in streams]
-            for part in parts:
-                valid &= part.valid
+            those = [stream for stream in streams if quantity in stream.channels]
+            parts = [resample(stream, quantity, base) for stream in those]
             if parts:
                 target[imu.name] = np.hstack([part.values for part in parts])
-        warnings += [warning for each in cleaned for warning in each.warnings]
+                valid &= np.all([part.valid for part in parts], axis=0)
+        warnings += [warning for each in tidied for warning in each.warnings]
     return found[ACCELEROMETERS], found[GYRO], valid
 
 
-def _usable(name: str, cleaned: list[Tidy], base: Base, warnings: list[str]) -> bool:
+def _usable(name: str, streams: list[Stream], base: Base, warnings: list[str]) -> bool:
     """Tell whether an IMU can be used on the base; otherwise it is left out with a warning."""
-    for stream in (each.stream for each in cleaned):
-        covered = overlap(stream, base)
+    for stream in streams:
+        covered, wrong = overlap(stream, base), ""
         empty = [q for q, v in stream.channels.items() if not np.isfinite(v).any(axis=0).all()]
         if empty:
-            warnings.append(f"IMU {name!r} is left out: {stream.name} has no {empty[0]} values")
-            return False
-        if covered <= 0.0:
-            warnings.append(
-                f"IMU {name!r} is left out: the stamps of {stream.name} do not overlap those of "
-                "the joints; let both use one clock, or use the times of logging"
-            )
+            wrong = f"{stream.name} has no {empty[0]} values"
+        elif covered <= 0.0:
+            wrong = f"the stamps of {stream.name} do not overlap those of the joints; "
+            wrong += "let both use one clock, or use the times of logging"
+        if wrong:
+            warnings.append(f"IMU {name!r} is left out: {wrong}")
             return False
         if covered < 0.99:
-            warnings.append(
-                f"{stream.name} covers {percent(covered, 0)} of the joints' time; samples outside "
-                "it are not valid"
-            )
+            text = f"{stream.name} covers {percent(covered, 0)} of the joints' time; samples "
+            warnings.append(text + "outside it are not valid")
     return True

@@ -18,7 +18,7 @@ from seqid_cli.logs.mcap.topics import (
     triad_topics,
 )
 from seqid_cli.logs.messages.batch import Kind, NameMap
-from seqid_cli.logs.raw import RawLog, TimeSource
+from seqid_cli.logs.raw import RawLog, TimeSource, partly_logged
 from seqid_cli.robot.types import Imu, Robot
 
 _SHOWN = 12  # topics or names listed in a message
@@ -163,14 +163,8 @@ class _Log:
         if len(missing) == len(needed):
             return []
         if missing and whole:
-            raise InputError(
-                f"IMU {imu.name!r} is only partly in the log; no readable messages on "
-                f"{', '.join(missing)}",
-                hint=f"The robot file gives it {len(imu.positions)} accelerometers"
-                f"{' and a gyro' if imu.gyro else ''}: log all its topics, or correct the robot "
-                f"file. In the file: {_listing(self.scan)}",
-                where=str(self.scan.path),
-            )
+            there = f"In the file: {_listing(self.scan)}"
+            raise partly_logged(imu, missing, str(self.scan.path), there)
         return needed
 
 

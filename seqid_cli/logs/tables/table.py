@@ -16,7 +16,16 @@ import pyarrow as pa
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.drives import in_si
-from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, RawLog, Rows, Stamps, Stream
+from seqid_cli.logs.raw import (
+    ACCELEROMETERS,
+    GYRO,
+    Array,
+    RawLog,
+    Rows,
+    Stamps,
+    Stream,
+    partly_logged,
+)
 from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
 from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.naming_schemes import (
@@ -58,12 +67,7 @@ def imu_columns(
         if not missing:
             return accelerometers, rates
         if len(missing) < len(accelerometers) + len(rates):
-            raise InputError(
-                f"IMU {imu.name!r} is only partly in the log; missing: {', '.join(missing)}",
-                hint=f"The robot file gives it {count} accelerometers"
-                f"{' and a gyro' if imu.gyro else ''}: log them all, or correct the robot file.",
-                where=where,
-            )
+            raise partly_logged(imu, missing, where)
     # UR's own accelerometer, for a triad of the robot file that rides on the last link.
     names = [f"actual_tool_accelerometer_{axis}" for axis in range(3)]
     last = imu.after_joint == robot.n - 1 and count == 3 and not imu.gyro

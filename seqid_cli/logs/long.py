@@ -185,7 +185,7 @@ def _base(stamps: Stamps, where: str, *, stretch: float = 20.0) -> Base:
         raise UnevenError
     if int(stamps[-1] - stamps[0]) > stretch * len(stamps) * float(np.median(np.diff(stamps))):
         raise UnevenError
-    base = base_of(stamps, where)
+    base = base_of(stamps, where, least_seconds=0.0)
     if base.jitter > JITTER_LIMIT:
         raise UnevenError
     return base

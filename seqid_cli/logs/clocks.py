@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.logs.raw import Array, Stamps, Stream
+from seqid_cli.logs.raw import Array, Rows, Stamps, Stream
 
 GAP_INTERVALS = 5.0
 GAP_LEAST_S = 0.02
@@ -75,18 +75,23 @@ def _one_pass(stream: Stream, warnings: list[str], *, many_steps: int = 100) -> 
     far = np.flatnonzero(steps < -gap_limit(forward, 1e9))
     if far.size > many_steps:
         return stream
-    jumps = [i for i in far if _overlaps(stream, int(i), median)]
-    if not jumps:
+    jumps = np.array([i for i in far if _overlaps(stream, int(i), median)], np.intp)
+    if not len(jumps):
         return stream
-    ends = [0, *(int(i) + 1 for i in jumps), len(stamps)]
-    start, end = max(pairwise(ends), key=lambda pair: pair[1] - pair[0])
-    largest = max(float(-steps[i]) for i in jumps) * 1e-9
+    kept = _longest(stream, jumps)
     warnings.append(
-        f"{stream.name}: the clock jumps back {len(jumps)} times (by up to {largest:.3g} s) and "
-        f"runs twice over the same time; only the longest stretch is kept, {end - start} of "
-        f"{len(stamps)} samples. Use the times of logging, or split the log at the jump"
+        f"{stream.name}: the clock jumps back {len(jumps)} times (by up to "
+        f"{-steps[jumps].min() * 1e-9:.3g} s) and runs twice over the same time; only the longest "
+        f"stretch is kept, {len(kept)} of {len(stamps)} samples. Use the times of logging, or "
+        "split the log at the jump"
     )
-    return stream.take(slice(start, end))
+    return kept
+
+
+def _longest(stream: Stream, cuts: Rows) -> Stream:
+    """The longest stretch of samples between cuts, each behind a sample."""
+    ends = [0, *(cuts + 1).tolist(), len(stream)]
+    return stream.take(slice(*max(pairwise(ends), key=lambda pair: pair[1] - pair[0])))
 
 
 def _overlaps(stream: Stream, step: int, median_ns: float) -> bool:
@@ -121,14 +126,13 @@ def _far_stamps_cut(
     span = int(stream.stamp_ns[-1]) - int(stream.stamp_ns[0])
     if span / np.median(forward) < stretch_limit * len(stream) + stretch_least:
         return stream
-    ends = [0, *(np.flatnonzero(steps > cut_ns) + 1).tolist(), len(stream)]
-    start, end = max(pairwise(ends), key=lambda pair: pair[1] - pair[0])
+    kept = _longest(stream, np.flatnonzero(steps > cut_ns))
     warnings.append(
         f"{stream.name}: the stamps span {span * 1e-9:.3g} s with only {len(stream)} samples; the "
-        f"longest stretch without a hole of {cut_ns // 1_000_000_000} s is kept, {end - start} "
+        f"longest stretch without a hole of {cut_ns // 1_000_000_000} s is kept, {len(kept)} "
         "samples. Check the clock, or split the log"
     )
-    return stream.take(slice(start, end))
+    return kept
 
 
 def _merged(stream: Stream) -> tuple[Stream, int, int]:
@@ -138,7 +142,12 @@ def _merged(stream: Stream) -> tuple[Stream, int, int]:
         return stream, 0, 0
     group = np.concatenate([[0], np.cumsum(~repeats)])
     stamps: Stamps = stream.stamp_ns[np.concatenate([[True], ~repeats])]
-    channels = {n: _first_of(v, group, len(stamps)) for n, v in stream.channels.items()}
+    channels: dict[str, Array] = {}
+    for name, values in stream.channels.items():
+        channels[name] = np.full((len(stamps), values.shape[1]), np.nan)
+        rows, columns = np.nonzero(np.isfinite(values))
+        rows, columns = rows[::-1], columns[::-1]  # so that the first counts
+        channels[name][group[rows], columns] = values[rows, columns]
     lead = next(iter(stream.channels))
     given = np.isfinite(stream.channels[lead])
     surplus = given.sum(axis=0) - np.isfinite(channels[lead]).sum(axis=0)
@@ -146,11 +155,3 @@ def _merged(stream: Stream) -> tuple[Stream, int, int]:
     conflicts = int(np.count_nonzero(other.any(axis=1)))
     merged = replace(stream, stamp_ns=stamps, channels=channels)
     return merged, int(surplus.max(initial=0)), conflicts
-
-
-def _first_of(values: Array, group: NDArray[np.intp], count: int) -> Array:
-    merged = np.full(count * values.shape[1], np.nan)
-    rows, columns = np.nonzero(np.isfinite(values))
-    target, first = np.unique(group[rows] * values.shape[1] + columns, return_index=True)
-    merged[target] = values[rows[first], columns[first]]
-    return merged.reshape(count, values.shape[1])

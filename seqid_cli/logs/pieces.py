@@ -106,12 +106,10 @@ def read_pieces(
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
     pieces = []
-    for (first, _), own in zip(spans, kept, strict=True):
+    for (begin, _), own in zip(ranges, kept, strict=True):
         if not any(len(part.joints) for part in own):
-            seconds = first * 1e-9 - whole.start
-            raise InputError(f"no longer holds the rows {seconds:.3g} s on", where=str(path))
-        raw = _following(own)
-        found, raw = assemble(path, kind, whole.sha256, raw, robot)
+            raise InputError(f"no longer holds the rows {begin:.3g} s on", where=str(path))
+        found, raw = assemble(path, kind, whole.sha256, _following(own), robot)
         found = sound(found, raw) if sound else found
         digest = _digest(whole, found.start - whole.start, len(found.t))
         health = replace(found.health, gaps=(), warnings=())

@@ -7,6 +7,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from seqid_cli.errors import InputError
+from seqid_cli.robot.types import Imu
+
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Stamps = NDArray[np.int64]
@@ -66,6 +69,15 @@ def joined(parts: Sequence[Stream]) -> Stream:
         for name, width in widths.items()
     }
     return Stream(there[0].name, np.concatenate([part.stamp_ns for part in there]), channels)
+
+
+def partly_logged(imu: Imu, missing: Sequence[str], where: str, there: str = "") -> InputError:
+    """Make the error for an IMU of which a log has only some channels; `there`: what it holds."""
+    message = f"IMU {imu.name!r} is only partly in the log; missing: {', '.join(missing)}"
+    hint = f"The robot file gives it {len(imu.positions)} accelerometers"
+    hint += " and a gyro" if imu.gyro else ""
+    hint += ": log them all, or correct the robot file."
+    return InputError(message, hint=f"{hint} {there}".strip(), where=where)
 
 
 # Reads the channels that the robot file knows, block by block: (path, robot, time source, rows in a

@@ -8,7 +8,7 @@ import numpy as np
 
 from seqid_cli.errors import InputError, UsageError
 from seqid_cli.logs.checks.lost_samples import Mended, mended, with_losses
-from seqid_cli.logs.clocks import Tidy, tidy
+from seqid_cli.logs.clocks import tidy
 from seqid_cli.logs.mcap import reader, rosbags
 from seqid_cli.logs.raw import (
     ACCELEROMETERS,
@@ -124,25 +124,28 @@ def assemble(
     where = str(path)
     warnings = list(raw.warnings)
     joints = without_absurd(raw.joints, warnings)
-    _require_positions(joints, robot, where)
+    present = np.isfinite(joints.channels["position"]).any(axis=0)
+    if missing := [robot.joint_names[j] for j in np.flatnonzero(~present)]:
+        text = f"no position of joint {', '.join(missing)}: {len(joints)} samples, all without it"
+        hint = "Log all joints of the robot file, by the names that it gives them."
+        raise InputError(text, hint=hint, where=where)
     joints = with_torque(joints, robot, raw.prefer_current, where, warnings)
     clock = tidy(joints)
     repair = mended(clock.stream)
-    clock = replace(clock, stream=repair.stream)
-    base = make_base(clock.stream, where)
-    q = resample(clock.stream, "position", base)
-    valid, gaps = q.valid, set(q.gaps) | set(base.gaps)
-    tau = None
-    if "tau" in clock.stream.channels:
-        torque = resample(clock.stream, "tau", base)
-        tau, valid = torque.values, valid & torque.valid
-        gaps |= set(torque.gaps)
-    dq, load, link = (
-        _whole(clock.stream, quantity, base, warnings)
-        for quantity in ("velocity", "load", "link_position")
-    )
+    logged = repair.stream
+    base = make_base(logged, where)
+    q = resample(logged, "position", base)
+    torque = resample(logged, "tau", base) if "tau" in logged.channels else None
+    valid, gaps = q.valid, {*q.gaps, *base.gaps}
+    if torque is not None:
+        valid, gaps = valid & torque.valid, gaps.union(torque.gaps)
+    names = ("velocity", "load", "link_position")
+    dq, load, link = (_of_all_joints(logged, name, base, warnings) for name in names)
     warnings += [*clock.warnings, *repair.warnings]
     accelerometers, gyros, measured = _read_imus(raw, robot, base, repair, warnings)
+    heat = None
+    if np.isfinite(logged.channels.get("temperature", np.nan)).any():
+        heat = resample(logged, "temperature", base).values
     recording = Recording(
         path=path,
         sha256=digest,
@@ -162,8 +165,8 @@ def assemble(
             mended=repair.warnings,
         ),
         dq=dq,
-        tau=tau,
-        temperature=_whole(clock.stream, "temperature", base),
+        tau=None if torque is None else torque.values,
+        temperature=heat,
         load=load,
         link_position=link,
         accelerometers=accelerometers,
@@ -172,7 +175,7 @@ def assemble(
         partial=raw.partial,
         bridged=_bridged(repair, base),
     )
-    return recording, replace(raw, joints=clock.stream)
+    return recording, replace(raw, joints=logged)
 
 
 def _bridged(repair: Mended, base: Base) -> Mask | None:
@@ -199,61 +202,41 @@ def without_absurd(stream: Stream, warnings: list[str], *, most: float = ABSURD)
     return replace(stream, channels=channels)
 
 
-def _require_positions(joints: Stream, robot: Robot, where: str) -> None:
-    present: Mask = np.asarray(np.isfinite(joints.channels["position"]).any(axis=0))
-    missing = [name for name, there in zip(robot.joint_names, present, strict=True) if not there]
-    if missing:
-        raise InputError(
-            f"no position of joint {', '.join(missing)}: {len(joints)} samples, all without it",
-            hint="Log all joints of the robot file, by the names that it gives them.",
-            where=where,
-        )
-
-
 def with_torque(
     joints: Stream, robot: Robot, prefer_current: bool, where: str, warnings: list[str]
 ) -> Stream:
     """Add `tau`: the logged torque, else current times torque constant and gear ratio."""
-    torque = joints.channels.get("torque", np.full((len(joints), robot.n), np.nan))
-    current = joints.channels.get("current", np.full((len(joints), robot.n), np.nan))
-    columns, without_drive = [], []
-    for i, joint in enumerate(robot.joints):
-        choices = [torque[:, i]]
-        if joint.torque_per_ampere is not None:
-            choices.insert(0 if prefer_current else 1, current[:, i] * joint.torque_per_ampere)
-        elif np.isfinite(current[:, i]).any() and not np.isfinite(torque[:, i]).any():
-            without_drive.append(joint.name)
-        given = [values for values in choices if np.isfinite(values).any()]
-        columns.append(given[0] if given else choices[0])
-    if without_drive:
+    none = np.full((len(joints), robot.n), np.nan)
+    torque, current = (joints.channels.get(name, none) for name in ("torque", "current"))
+    factors = np.array([joint.torque_per_ampere for joint in robot.joints], np.float64)
+    by_current = current * factors  # NaN where the robot file has none
+    first, second = (by_current, torque) if prefer_current else (torque, by_current)
+    tau = np.where(np.isfinite(first).any(axis=0), first, second)
+    present: Mask = np.asarray(np.isfinite(tau).any(axis=0))
+    names = np.array(robot.joint_names)
+    without_drive = names[np.asarray(np.isfinite(current).any(axis=0)) & ~present]
+    if len(without_drive):
         warnings.append(
             f"the current of {', '.join(without_drive)} cannot be turned into torque: give "
             "torque_constant and gear_ratio in the robot file"
         )
         return joints
-    tau = np.column_stack(columns)
-    present = np.isfinite(tau).any(axis=0)
     if not present.any():
         return joints
     if not present.all():
-        lacking = [n for n, there in zip(robot.joint_names, present, strict=True) if not there]
-        raise TorqueLackingError(lacking, where)
+        raise TorqueLackingError(names[~present].tolist(), where)
     return replace(joints, channels={**joints.channels, "tau": tau})
 
 
-def _whole(
-    stream: Stream, quantity: str, base: Base, warnings: list[str] | None = None
-) -> Array | None:
-    """Resample an optional channel; None unless every joint has it (any, if none is warned of)."""
+def _of_all_joints(stream: Stream, quantity: str, base: Base, warnings: list[str]) -> Array | None:
+    """Resample an optional channel; None, with a warning, where only some joints have it."""
     if quantity not in stream.channels:
         return None
     values = resample(stream, quantity, base).values
     there = np.isfinite(values)
-    if there.all() or (warnings is None and there.any()):
-        return values
-    if warnings is not None and there.any():
+    if there.any() and not there.all():
         warnings.append(f"{quantity} is logged for some joints only; it is left out")
-    return None
+    return values if there.all() else None
 
 
 def _read_imus(
@@ -263,40 +246,39 @@ def _read_imus(
     found: dict[str, dict[str, Array]] = {ACCELEROMETERS: {}, GYRO: {}}
     valid = np.ones(base.count, np.bool_)
     for imu in robot.imus:
-        cleaned = [tidy(without_absurd(each, warnings)) for each in raw.imus.get(imu.name, ())]
-        for k, clock in enumerate(cleaned):
-            if np.array_equal(clock.stream.stamp_ns, repair.stamps):  # those of the joints
-                cleaned[k] = replace(clock, stream=with_losses(clock.stream, repair.losses)[0])
-        if not cleaned or not _usable(imu.name, cleaned, base, warnings):
+        tidied = [tidy(without_absurd(each, warnings)) for each in raw.imus.get(imu.name, ())]
+        streams = [
+            with_losses(each.stream, repair.losses)[0]
+            if np.array_equal(each.stream.stamp_ns, repair.stamps)  # those of the joints
+            else each.stream
+            for each in tidied
+        ]
+        if not streams or not _usable(imu.name, streams, base, warnings):
             continue
         for quantity, target in found.items():
-            streams = [each.stream for each in cleaned if quantity in each.stream.channels]
-            parts = [resample(stream, quantity, base) for stream in streams]
-            for part in parts:
-                valid &= part.valid
+            those = [stream for stream in streams if quantity in stream.channels]
+            parts = [resample(stream, quantity, base) for stream in those]
             if parts:
                 target[imu.name] = np.hstack([part.values for part in parts])
-        warnings += [warning for each in cleaned for warning in each.warnings]
+                valid &= np.all([part.valid for part in parts], axis=0)
+        warnings += [warning for each in tidied for warning in each.warnings]
     return found[ACCELEROMETERS], found[GYRO], valid
 
 
-def _usable(name: str, cleaned: list[Tidy], base: Base, warnings: list[str]) -> bool:
+def _usable(name: str, streams: list[Stream], base: Base, warnings: list[str]) -> bool:
     """Tell whether an IMU can be used on the base; otherwise it is left out with a warning."""
-    for stream in (each.stream for each in cleaned):
-        covered = overlap(stream, base)
+    for stream in streams:
+        covered, wrong = overlap(stream, base), ""
         empty = [q for q, v in stream.channels.items() if not np.isfinite(v).any(axis=0).all()]
         if empty:
-            warnings.append(f"IMU {name!r} is left out: {stream.name} has no {empty[0]} values")
-            return False
-        if covered <= 0.0:
-            warnings.append(
-                f"IMU {name!r} is left out: the stamps of {stream.name} do not overlap those of "
-                "the joints; let both use one clock, or use the times of logging"
-            )
+            wrong = f"{stream.name} has no {empty[0]} values"
+        elif covered <= 0.0:
+            wrong = f"the stamps of {stream.name} do not overlap those of the joints; "
+            wrong += "let both use one clock, or use the times of logging"
+        if wrong:
+            warnings.append(f"IMU {name!r} is left out: {wrong}")
             return False
         if covered < 0.99:
-            warnings.append(
-                f"{stream.name} covers {percent(covered, 0)} of the joints' time; samples outside "
-                "it are not valid"
-            )
+            text = f"{stream.name} covers {percent(covered, 0)} of the joints' time; samples "
+            warnings.append(text + "outside it are not valid")
     return True

@@ -9,7 +9,6 @@ come in bursts a spline would swing, and straight lines are used throughout.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +33,8 @@ class Base:
     step_s: float
     count: int
     jitter: float
-    exact: bool  # whether `rows` lie on it
-    rows: NDArray[np.intp]  # the joint samples that it is made of
-    gaps: tuple[tuple[float, float], ...]
+    exact: bool  # whether the joint samples lie on it
+    gaps: tuple[tuple[float, float], ...] = ()
     first: int = 0  # number of its first sample
 
     @property
@@ -54,19 +52,18 @@ class Resampled:
     gaps: tuple[tuple[float, float], ...] = ()
 
 
-def make_base(
-    joints: Stream,
-    where: str,
-    *,
-    least_seconds: float = 0.5,
-    most_samples: int = 200000000,
-) -> Base:
+def make_base(joints: Stream, where: str) -> Base:
     """Lay the base through joint samples in the order of time, with `position` (M, n)."""
-    rows = _base_rows(joints)
-    stamps = joints.stamp_ns[rows]
+    return base_of(joints.stamp_ns[_base_rows(joints)], where)
+
+
+def base_of(
+    stamps: Stamps, where: str, *, least_seconds: float = 0.5, most_samples: int = 200000000
+) -> Base:
+    """Lay the base through the stamps (M,) of samples that hold all joints."""
     span = int(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0
-    if len(rows) < LEAST_SAMPLES or span < least_seconds:
-        text = f"only {len(rows)} samples over {span:.3g} s hold all joints; at least "
+    if len(stamps) < LEAST_SAMPLES or span < least_seconds:
+        text = f"only {len(stamps)} samples over {span:.3g} s hold all joints; at least "
         text += f"{LEAST_SAMPLES} over {least_seconds} s are needed"
         raise InputError(text, hint="Record longer, or leave this log out.", where=where)
     step, jitter, gaps = _own_step(stamps)
@@ -74,8 +71,8 @@ def make_base(
     if count > most_samples:
         text = f"{span:.3g} s at {1.0 / step:.3g} Hz are {count} samples, more than {most_samples}"
         raise InputError(text, hint="Split the log.", where=where)
-    exact = count == len(rows) and _on_base(stamps, step)
-    return Base(int(stamps[0]), step, count, jitter, exact, rows, gaps)
+    exact = count == len(stamps) and _on_base(stamps, step)
+    return Base(int(stamps[0]), step, count, jitter, exact, gaps)
 
 
 def resample(stream: Stream, quantity: str, base: Base) -> Resampled:
@@ -149,12 +146,11 @@ def _taken(stream: Stream, values: Array, base: Base) -> Resampled | None:
     """Take samples that lie on the base as they are; None if they do not or some are missing."""
     start = int(np.searchsorted(stream.stamp_ns, base.start_ns))
     picked = slice(start, start + base.count)
-    stamps = stream.stamp_ns[picked]
-    if len(stamps) < base.count or stamps[0] != base.start_ns:
+    stamps, chosen = stream.stamp_ns[picked], values[picked]
+    if len(stamps) < base.count or stamps[0] != base.start_ns or not _on_base(stamps, base.step_s):
         return None
-    chosen = values[picked]
     empty = ~np.isfinite(values).any(axis=0)
-    if not _on_base(stamps, base.step_s) or not (np.isfinite(chosen) | empty).all():
+    if not (np.isfinite(chosen) | empty).all():
         return None
     return Resampled(np.array(chosen), np.ones(base.count, np.bool_))
 
@@ -182,17 +178,17 @@ def _interpolate(
     gap_at = np.flatnonzero(steps > gap_limit(steps))
     gaps = [(float(seconds[i]), float(seconds[i + 1])) for i in gap_at]
     for start, end in gaps:
-        inside = slice(*np.searchsorted(t, (start + tolerance, end - tolerance)))
-        valid[inside] = False
+        valid[slice(*np.searchsorted(t, (start + tolerance, end - tolerance)))] = False
     if base.step_s > coarser * median:
         return _averaged(seconds, values, t, base.step_s), valid, gaps
     out = np.column_stack([np.interp(t, seconds, column) for column in values.T])
     kept = np.delete(steps, gap_at)
     if kept.size and kept.std() <= JITTER_LIMIT * median:
-        ends = [0, *(gap_at + 1).tolist(), len(seconds)]
-        for start_row, end_row in pairwise(ends):
-            piece = slice(start_row, end_row)
-            _spline(seconds[piece], values[piece], t, near * median, out)
+        for piece in np.split(np.arange(len(seconds)), gap_at + 1):
+            # Samples that nearly coincide would make the spline swing.
+            x = seconds[piece]
+            rows = piece[np.diff(x, prepend=-np.inf) > near * median]
+            _spline(seconds[rows], values[rows], t, out)
     return out, valid, gaps
 
 
@@ -209,20 +205,13 @@ def _averaged(x: Array, values: Array, t: Array, width: float) -> Array:
     return out
 
 
-def _spline(
-    x: Array, values: Array, t: Array, near: float, out: Array, *, least_knots: int = 4
-) -> None:
+def _spline(x: Array, values: Array, t: Array, out: Array, *, least_knots: int = 4) -> None:
     """Overwrite `out` by the cubic spline through a piece without gaps, in blocks."""
-    apart = np.concatenate([[True], np.diff(x) > near]) if len(x) else np.zeros(0, np.bool_)
-    x, values = x[apart], values[apart]
     if len(x) < least_knots:
         return
     for begin in range(0, len(x) - 1, _BLOCK):
         end = min(begin + _BLOCK, len(x) - 1)
         low, high = max(0, begin - _OVERLAP), min(len(x), end + _OVERLAP + 1)
-        if high - low < least_knots:
-            low = max(0, high - least_knots)
-        targets = slice(
-            int(np.searchsorted(t, x[begin])), int(np.searchsorted(t, x[end], side="right"))
-        )
+        low = min(low, high - least_knots)
+        targets = slice(np.searchsorted(t, x[begin]), np.searchsorted(t, x[end], side="right"))
         out[targets] = CubicSpline(x[low:high], values[low:high])(t[targets])

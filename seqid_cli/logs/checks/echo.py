@@ -54,22 +54,20 @@ class EchoCriteria:
     smooth_terms: int = 5  # of a smooth function of its position
 
 
-ECHOES = EchoCriteria()
+CRITERIA = EchoCriteria()
 
 
-def echoes(
-    robot: Robot, t: Array, q: Array, tau: Array, valid: Mask, criteria: EchoCriteria = ECHOES
-) -> list[int]:
+def echoes(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[int]:
     """Return the joints whose torque follows position alone.
 
     `t`, `q`, `tau` (N,) (N, n) (N, n): s, rad (m), N m (N). `valid` (N,): samples to look at.
     """
-    width = max(1, round(criteria.window_s / float(t[1] - t[0])))
+    width = max(1, round(CRITERIA.window_s / float(t[1] - t[0])))
     count = len(q) // width
     Q, T, whole = (
         x[: count * width].reshape(count, width, -1).mean(axis=1) for x in (q, tau, valid * 1.0)
     )
-    if len(Q) < 2 * criteria.fewest:
+    if len(Q) < 2 * CRITERIA.fewest:
         return []
     step = width * float(t[1] - t[0])
     v = np.gradient(Q, step, axis=0)
@@ -80,16 +78,19 @@ def echoes(
     found: list[int] = []
     for j in np.flatnonzero(driven(Q)).tolist():
         top = float(np.quantile(np.abs(v[:, j]), 0.99))
-        slides = (whole[:, 0] == 1.0) & (np.abs(v[:, j]) > criteria.slow * top)
-        if not _both_ways(v[slides, j], step, criteria):
+        slides = (whole[:, 0] == 1.0) & (np.abs(v[:, j]) > CRITERIA.slow * top)
+        ways = [np.abs(v[slides & (way * v[:, j] > 0), j]) for way in (1, -1)]
+        if min(map(len, ways)) < CRITERIA.fewest:
+            continue
+        if min(float(own.sum()) for own in ways) * step < CRITERIA.travel:
             continue
         at = np.flatnonzero(slides)
-        at = at[:: max(1, len(at) // criteria.most_windows)]
-        friction = np.stack([np.tanh(v[at, j] / (criteria.slow * top)), v[at, j]], axis=1)
+        at = at[:: max(1, len(at) // CRITERIA.most_windows)]
+        friction = np.stack([np.tanh(v[at, j] / (CRITERIA.slow * top)), v[at, j]], axis=1)
         own = Q[at, j]
         place = 2 * (own - own.min()) / (float(np.ptp(own)) or 1.0) - 1
-        law = np.hstack([H[at, j], chebvander(place, criteria.smooth_terms - 1)])
-        if _follows(T[at, j], law, friction, a[at], criteria.memory_s / step, criteria):
+        law = np.hstack([H[at, j], chebvander(place, CRITERIA.smooth_terms - 1)])
+        if _follows(T[at, j], law, friction, a[at], CRITERIA.memory_s / step):
             found.append(j)
     return found
 
@@ -109,22 +110,7 @@ def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 
     return np.asarray(high - low >= held * np.max(high - low))
 
 
-def _both_ways(v: Array, step: float, criteria: EchoCriteria) -> bool:
-    """Whether speeds (M,) at intervals of `step` seconds go far enough forward and backward."""
-    return all(
-        len(part) >= criteria.fewest and float(np.abs(part).sum()) * step >= criteria.travel
-        for part in (v[v > 0], v[v < 0])
-    )
-
-
-def _follows(
-    y: Array,
-    law: Array,
-    friction: Array,
-    accelerations: Array,
-    memory: float,
-    criteria: EchoCriteria,
-) -> bool:
+def _follows(y: Array, law: Array, friction: Array, accelerations: Array, memory: float) -> bool:
     """Whether position alone makes a torque y (M,); `memory` is how many samples count as one."""
     scale = max(float(np.sqrt(np.mean(y**2))), 1e-300)
     X = np.hstack([law, friction, accelerations])
@@ -138,9 +124,9 @@ def _follows(
     others = 1.0 - left / max(unexplained**2, 1e-300)  # friction's and accelerations'
     error = float(np.sqrt(memory * left / max(float(direction @ direction), 1e-300))) / scale
     return (
-        unexplained / scale < criteria.unexplained
-        and (others < criteria.others or unexplained / scale < criteria.exact)
-        and abs(float(theta[own])) / scale < max(criteria.uncertain * error, criteria.none)
+        unexplained / scale < CRITERIA.unexplained
+        and (others < CRITERIA.others or unexplained / scale < CRITERIA.exact)
+        and abs(float(theta[own])) / scale < max(CRITERIA.uncertain * error, CRITERIA.none)
     )
 
 

@@ -112,7 +112,7 @@ class LossCriteria:
     least_losses: int = 4  # ... and losses that tell it
 
 
-LOSSES = LossCriteria()
+CRITERIA = LossCriteria()
 NONE = Losses(np.zeros(0, np.intp), np.zeros(0))
 
 
@@ -175,83 +175,79 @@ class _Steps:
             noise=np.sqrt(2.0) * np.linalg.norm(FIT[0]) * np.maximum(own, noise),
         )
 
-    def alike(self, lost: Array, dt: float, criteria: LossCriteria) -> Mask:
+    def alike(self, lost: Array, dt: float) -> Mask:
         """Whether all joints step by the motion of the time that is lost, (K,) s."""
         seconds = lost[:, None]
         noise = self.noise * np.hypot(1.0, SLOPE * seconds / dt)
         off = np.abs(self.gap - self.velocity * seconds)
-        alike = off < criteria.sure * noise + criteria.uneven * self.faster * seconds
+        alike = off < CRITERIA.sure * noise + CRITERIA.uneven * self.faster * seconds
         return np.asarray(alike.all(axis=1))
 
 
-def mended(joints: Stream, criteria: LossCriteria = LOSSES) -> Mended:
+def mended(joints: Stream) -> Mended:
     """Put right what the motion of the joints says of a stream with `position` (M, n)."""
     stamps, q = joints.stamp_ns, joints.channels["position"]
-    as_it_is = Mended(joints, np.zeros(len(joints), np.bool_), NONE, stamps)
-    if len(stamps) < 4 * SIDE or not np.isfinite(q).all():
-        return as_it_is
-    noise = _noise(q, criteria)
-    rows = _sudden(np.diff(q, axis=0), noise, criteria)
-    if not len(rows) or len(rows) > criteria.many * len(stamps):
-        return as_it_is
-    losses = _losses(np.diff(stamps) * 1e-9, q, rows, noise, criteria)
-    if not len(losses):
-        return as_it_is
+    losses = NONE
+    if len(stamps) >= 4 * SIDE and np.isfinite(q).all():
+        noise = _noise(q)
+        rows = _sudden(np.diff(q, axis=0), noise)
+        if 0 < len(rows) <= CRITERIA.many * len(stamps):
+            losses = _losses(np.diff(stamps) * 1e-9, q, rows, noise)
     stream, bridged = with_losses(joints, losses)
     return Mended(stream, bridged, losses, stamps)
 
 
-def _noise(q: Array, criteria: LossCriteria) -> Array:
+def _noise(q: Array) -> Array:
     """Noise (n,) rad of positions (M, n): by their roughness, and at least that of their counts."""
-    some = np.arange(0, len(q) - DIFFERENCES, max(1, len(q) // criteria.most))
+    some = np.arange(0, len(q) - DIFFERENCES, max(1, len(q) // CRITERIA.most))
     windows = q[some[:, None] + np.arange(DIFFERENCES + 1)]
     noise = gaussian_spread(rough(np.moveaxis(windows, 1, 0))[0])
     size = np.abs(windows[:, 1] - windows[:, 0])
-    counts = [np.quantile(own[own > 0], criteria.smallest) if own.any() else 0.0 for own in size.T]
+    counts = [np.quantile(own[own > 0], CRITERIA.smallest) if own.any() else 0.0 for own in size.T]
     return np.asarray(np.maximum(noise, np.array(counts) / np.sqrt(12.0)) + 1e-15)
 
 
-def _sudden(d: Array, noise: Array, criteria: LossCriteria) -> Rows:
+def _sudden(d: Array, noise: Array) -> Rows:
     """Increments (of (M, n)) that differ from those beside them by more than motion and noise."""
     # One side alone is small where the position was held before it catches up.
     least = np.maximum(
-        criteria.sudden * np.minimum(np.abs(d[:-2]), np.abs(d[2:])), criteria.sudden_noise * noise
+        CRITERIA.sudden * np.minimum(np.abs(d[:-2]), np.abs(d[2:])), CRITERIA.sudden_noise * noise
     )
     found = np.abs(d[1:-1] - 0.5 * (d[:-2] + d[2:])) > least
     rows: Rows = np.flatnonzero(found.any(axis=1)) + 1
     return rows
 
 
-def _losses(dt: Array, q: Array, rows: Rows, noise: Array, criteria: LossCriteria) -> Losses:
+def _losses(dt: Array, q: Array, rows: Rows, noise: Array) -> Losses:
     """Losses that increments `rows` show, and those that recur at slow motion."""
     usual = float(np.median(dt))
     rows = rows[(rows >= 2) & (rows < len(dt) - 2)]
     # Stamps around a step are as even as those of a logger that counts its rows.
     near = dt[rows[:, None] + np.arange(-2, 3)]
-    rows = rows[(np.abs(near - usual) < criteria.counted * usual).all(axis=1)]
+    rows = rows[(np.abs(near - usual) < CRITERIA.counted * usual).all(axis=1)]
     steps = _Steps.at(rows, q, usual, noise)
     weight = steps.noise**-2.0
     power = np.maximum(np.sum(steps.velocity**2 * weight, axis=1), 1e-300)
     lost = np.sum(steps.velocity * steps.gap * weight, axis=1) / power
-    sure = lost * np.sqrt(np.sum(steps.shared**2 * weight, axis=1)) > criteria.sure
-    sure &= (lost > criteria.least_intervals * usual) & (lost < criteria.longest_s)
-    sure &= steps.alike(lost, usual, criteria)
+    sure = lost * np.sqrt(np.sum(steps.shared**2 * weight, axis=1)) > CRITERIA.sure
+    sure &= (lost > CRITERIA.least_intervals * usual) & (lost < CRITERIA.longest_s)
+    sure &= steps.alike(lost, usual)
     seconds = lost[sure]
     whole = np.maximum(1.0, np.rint(seconds / usual))
-    if len(seconds) and np.median(np.abs(seconds / usual - whole)) < criteria.on_grid:
+    if len(seconds) and np.median(np.abs(seconds / usual - whole)) < CRITERIA.on_grid:
         seconds = whole * usual
     known = Losses(rows[sure], seconds)
-    places = _recurring(known.rows, len(dt), criteria)
+    places = _recurring(known.rows, len(dt))
     if not len(places):
         return known
-    return _joined(known, _Steps.at(places, q, usual, noise), usual, criteria)
+    return _joined(known, _Steps.at(places, q, usual, noise), usual)
 
 
-def _recurring(rows: Rows, count: int, criteria: LossCriteria) -> Rows:
+def _recurring(rows: Rows, count: int) -> Rows:
     """Rows at multiples of the distance at which losses recur, or one beside; none without it."""
     distances = np.diff(rows)
     period = int(np.bincount(distances).argmax()) if len(distances) else 0
-    if len(rows) < criteria.least_losses or np.mean(distances == period) < criteria.recurs:
+    if len(rows) < CRITERIA.least_losses or np.mean(distances == period) < CRITERIA.recurs:
         return NONE.rows
     inner = [np.arange(a + period, b - 1, period) for a, b in pairwise(rows)]
     ends = [np.arange(rows[0] - period, 0, -period), np.arange(rows[-1] + period, count, period)]
@@ -260,13 +256,13 @@ def _recurring(rows: Rows, count: int, criteria: LossCriteria) -> Rows:
     return np.setdiff1d(near[(near >= 2) & (near < count - 2)], rows)
 
 
-def _joined(known: Losses, steps: _Steps, dt: float, criteria: LossCriteria) -> Losses:
+def _joined(known: Losses, steps: _Steps, dt: float) -> Losses:
     """Losses with those of the steps that the usual lost time explains better than none does."""
     seconds = np.full(len(steps.rows), float(np.median(known.seconds)))
     apart = steps.gap - steps.velocity * seconds[:, None]
     without, left = (np.sum((x / steps.noise) ** 2, axis=1) for x in (steps.gap, apart))
-    likely = (left < without) & (without > criteria.sure**2)
-    likely &= steps.alike(seconds, dt, criteria)
+    likely = (left < without) & (without > CRITERIA.sure**2)
+    likely &= steps.alike(seconds, dt)
     # Of neighbours the one is meant that stands out by more.
     certain = np.zeros(max(steps.rows[-1], known.rows[-1]) + 2)
     certain[steps.rows], certain[known.rows] = np.where(likely, without, 0.0), np.inf

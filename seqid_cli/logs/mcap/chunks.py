@@ -1,8 +1,8 @@
 """What is inside a chunk: unpacking, and where its messages lie.
 
-The index that follows a chunk says where its messages begin. It is used as a guess only: the
-records that it names must follow each other without a hole and fill the chunk, otherwise the chunk
-is walked record by record. Both ways find the same messages.
+The index that follows a chunk says where its messages begin. It is used as a guess only: messages
+must follow each other there without a hole and fill the chunk, otherwise the chunk is walked record
+by record. Both ways find the same messages.
 """
 
 import struct
@@ -112,29 +112,30 @@ class Unpacker:
         raise DamageError(f"its compression {name[:20]!r} is unknown")
 
 
-def index_offsets(content: bytes) -> Integers | None:
-    """Read the offsets in a MessageIndex record; None where it is damaged."""
-    if len(content) < _INDEX.size:
-        return None
-    _, size = _INDEX.unpack_from(content)
-    if size != len(content) - _INDEX.size or size % _ENTRY.itemsize:
-        return None
-    offsets = np.frombuffer(content, _ENTRY, offset=_INDEX.size)["offset"]
-    return offsets.astype(np.int64)
+def index_offsets(records: bytes) -> Integers:
+    """Read the offsets in the MessageIndex records behind a chunk, sorted."""
+    found, at = [np.zeros(0, np.int64)], 0
+    while at + RECORD.size + _INDEX.size <= len(records):
+        opcode, length = RECORD.unpack_from(records, at)
+        at += RECORD.size
+        _, size = _INDEX.unpack_from(records, at)
+        entries = records[at + _INDEX.size : at + length]
+        if opcode == Opcode.MESSAGE_INDEX and size == len(entries) and not size % _ENTRY.itemsize:
+            found.append(np.frombuffer(entries, _ENTRY)["offset"].astype(np.int64))
+        at += length
+    return np.sort(np.concatenate(found), kind="stable")
 
 
-def walk(
-    data: Bytes, start: int, end: int, only: frozenset[int] | None = None, most: int = 100_000
-) -> Contents:
-    """Find records from `start` on while they are of a kind, up to `most` that are no messages."""
+def walk(data: Bytes, only: frozenset[int] | None = None, most: int = 100_000) -> Contents:
+    """Find records while they are of a kind, up to `most` that are no messages."""
     view, unpack, size = data.data, RECORD.unpack_from, RECORD.size
     messages: list[int] = []
     others: list[Record] = []
-    at = start
-    while at + size <= end:
+    at = 0
+    while at + size <= len(data):
         opcode, length = unpack(view, at)
         after = at + size + length
-        if after > end or (only is not None and opcode not in only) or len(others) > most:
+        if after > len(data) or (only is not None and opcode not in only) or len(others) > most:
             break
         if opcode == Opcode.MESSAGE and length >= MESSAGE_SIZE:
             messages.append(at)
@@ -146,30 +147,16 @@ def walk(
 
 
 def by_index(data: Bytes, offsets: Integers) -> Contents | None:
-    """Find the records of a chunk by sorted offsets of messages; None where these are not true."""
-    if not len(offsets) or offsets[0] < 0 or offsets[-1] > len(data) - _HEAD:
+    """Find messages at sorted offsets; None unless they follow each other and fill the chunk."""
+    if not len(offsets) or offsets[0] != 0 or offsets[-1] > len(data) - _HEAD:
         return None
     heads = _heads(data, offsets)
     lengths = heads[0]
     sound = (data[offsets] == Opcode.MESSAGE) & (lengths >= MESSAGE_SIZE) & (lengths <= len(data))
-    if not sound.all():
+    ends = offsets + lengths.astype(np.int64) + RECORD.size
+    if not sound.all() or ends[-1] != len(data) or (ends[:-1] != offsets[1:]).any():
         return None
-    ends = offsets + lengths.astype(np.int64)
-    ends += RECORD.size
-    ahead = offsets[1:] - ends[:-1]
-    if ends[-1] > len(data) or (len(ahead) and ahead.min() < 0):
-        return None
-    others: list[Record] = []
-    gaps = [(0, int(offsets[0]))]
-    gaps += [(int(ends[i]), int(offsets[i + 1])) for i in np.flatnonzero(ahead)]
-    gaps += [(int(ends[-1]), len(data))]
-    for start, end in gaps:
-        between = walk(data, start, end) if start < end else None
-        if between is not None:
-            if len(between.starts) or between.end != end:
-                return None  # an index that leaves messages out
-            others += between.others
-    return _contents(offsets, others, len(data), heads)
+    return _contents(offsets, [], len(data), heads)
 
 
 def _contents(

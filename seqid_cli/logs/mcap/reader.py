@@ -1,6 +1,6 @@
 """MCAP logs: which topics carry what, and their messages as streams of numbers."""
 
-import difflib
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from seqid_cli.logs.mcap.topics import (
     triad_topics,
 )
 from seqid_cli.logs.messages.batch import Kind, NameMap
-from seqid_cli.logs.raw import RawLog, TimeSource
+from seqid_cli.logs.raw import RawLog, TimeSource, partly_logged
 from seqid_cli.robot.types import Imu, Robot
 
 _SHOWN = 12  # topics or names listed in a message
@@ -57,20 +57,17 @@ def read_blocks(
     positions = False
     for last in log.blocks(rows):
         samples = {topic: collector.drain() for topic, collector in log.collectors.items()}
-        joint_topic = log.joint_topic
-        if last and not log.collectors[joint_topic].readable:
-            raise _no_joint_states(log.scan, log.collectors[joint_topic])
-        joints = joint_stream(joint_topic, samples[joint_topic], robot)
+        if last and not log.collectors[log.joint_topic].readable:
+            raise _no_joint_states(log.scan, log.collectors[log.joint_topic])
+        joints = joint_stream(log.joint_topic, samples[log.joint_topic], robot)
         topics = {imu.name: log.imu_topics(imu, whole=last) for imu in robot.imus}
         imus = {
             imu.name: tuple(imu_stream(topic, samples[topic], imu) for topic in topics[imu.name])
             for imu in robot.imus
             if topics[imu.name]
         }
-        used = [joint_topic, *(topic for own in topics.values() for topic in own)]
+        used = [log.joint_topic, *(topic for own in topics.values() for topic in own)]
         warnings = tuple(text for topic in used for text in samples[topic].warnings)
-        delay_s = samples[joint_topic].delay_s
-        raw = RawLog(joints, imus, log.partial() if last else "", warnings, delay_s)
         positions = positions or any_finite(joints.channels["position"])
         if last and not positions:
             seen = ", ".join(list(names.seen)[:_SHOWN])
@@ -78,13 +75,14 @@ def read_blocks(
             message += f"({', '.join(names.joints[:_SHOWN])}); names in the log: "
             hint = "Give the joints of the robot file the names that the log uses."
             raise InputError(message + (seen or "no names at all"), hint=hint, where=str(path))
-        yield raw
+        delay_s = samples[log.joint_topic].delay_s
+        yield RawLog(joints, imus, log.partial() if last else "", warnings, delay_s)
 
 
 def count_messages(path: Path) -> int | None:
     """Count the messages of a file without reading them; None where it does not tell."""
     with path.open("rb") as file:
-        told = read_summary(file, path.stat().st_size)[0].statistics
+        told = read_summary(file, path.stat().st_size).statistics
     return None if told is None else int(told.message_count)
 
 
@@ -111,10 +109,8 @@ class _Log:
         scan: type[Scan],
         time_source: TimeSource = "header",
     ) -> None:
-        self.names = names
         self.joint_topic = JOINT_STATES
         self.collectors = {t: Collector(t, kind, names, time_source) for t, kind in kinds.items()}
-        self._time_source: TimeSource = time_source
         self._chosen = frozenset(kinds)
         self.scan = scan(path, self._wanted)
 
@@ -124,13 +120,13 @@ class _Log:
     def batches(self) -> Iterator[None]:
         """Pass over the file; a second time where the joint states are of the other kind."""
         yield from self._pass()
-        if self.collectors[JOINT_STATES].readable:
-            return
+        usual = self.collectors[JOINT_STATES]
         found = find_joint_topic((_normal(t.topic), t.schema) for t in _topics(self.scan))
-        if found is not None:
-            other, kind = found
-            self.joint_topic, self._chosen = other, frozenset((other,))
-            self.collectors[other] = Collector(other, kind, self.names, self._time_source)
+        if found is not None and not usual.readable:
+            self.joint_topic, kind = found
+            self._chosen = frozenset((self.joint_topic,))
+            own = Collector(self.joint_topic, kind, usual.names, usual.time_source)
+            self.collectors[self.joint_topic] = own
             first, self.scan = self.scan, type(self.scan)(self.scan.path, self._wanted)
             yield from self._pass()
             self.scan.losses |= first.losses
@@ -167,14 +163,8 @@ class _Log:
         if len(missing) == len(needed):
             return []
         if missing and whole:
-            raise InputError(
-                f"IMU {imu.name!r} is only partly in the log; no readable messages on "
-                f"{', '.join(missing)}",
-                hint=f"The robot file gives it {len(imu.positions)} accelerometers"
-                f"{' and a gyro' if imu.gyro else ''}: log all its topics, or correct the robot "
-                f"file. In the file: {_listing(self.scan)}",
-                where=str(self.scan.path),
-            )
+            there = f"In the file: {_listing(self.scan)}"
+            raise partly_logged(imu, missing, str(self.scan.path), there)
         return needed
 
 
@@ -186,27 +176,26 @@ def _losses(scan: Scan) -> list[str]:
     """Say what the file lost; nothing for a whole one."""
     losses = [f"{what} ({n} times)" if n > 1 else what for what, n in scan.losses.items()]
     more = [f"and {len(losses) - 3} more faults"] if len(losses) > 3 else []
-    met, expected, lost = scan.tally()
+    met, expected = scan.tally()
     counted = [f"{met} messages were read"] if losses else []
-    if lost:
-        counted = [f"{lost}{f' of {expected}' if expected else ''} messages are lost"]
+    if expected is not None and expected > met:
+        counted = [f"{expected - met} of {expected} messages are lost"]
     return [*losses[:3], *more, *counted]
 
 
 def _topics(scan: Scan) -> tuple[TopicInfo, ...]:
-    found: dict[tuple[str, str, str], int] = {}
+    found: Counter[tuple[str, str, str]] = Counter()
     for number, channel in scan.channels.items():
         schema = scan.schemas.get(channel.schema_id)
-        key = (channel.topic, schema.name if schema else "no schema", channel.message_encoding)
-        found[key] = found.get(key, 0) + scan.total(number)
+        name = schema.name if schema else "no schema"
+        found[channel.topic, name, channel.message_encoding] += scan.total(number)
     return tuple(TopicInfo(*key, count) for key, count in found.items())
 
 
 def _listing(scan: Scan) -> str:
-    topics = _topics(scan)
-    shown = [f"{info.topic} ({info.schema}, {info.messages})" for info in topics[:_SHOWN]]
-    more = [f"and {len(topics) - _SHOWN} more"] if len(topics) > _SHOWN else []
-    return ", ".join(shown + more) or "no topics"
+    shown = [f"{info.topic} ({info.schema}, {info.messages})" for info in _topics(scan)]
+    more = [f"and {len(shown) - _SHOWN} more"] if len(shown) > _SHOWN else []
+    return ", ".join(shown[:_SHOWN] + more) or "no topics"
 
 
 def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
@@ -214,19 +203,15 @@ def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
     if collector.received:
         kinds = ", ".join(sorted(collector.refused))
         reason = f"its encoding {kinds!r} is not known" if kinds else "they are damaged"
-        return InputError(
-            f"none of the {collector.received} messages on {collector.topic} can be decoded: "
-            f"{reason}",
-            hint="Record sensor_msgs/msg/JointState as CDR, JSON or protobuf.",
-            where=where,
-        )
+        message = f"none of the {collector.received} messages on {collector.topic} can be decoded"
+        hint = "Record sensor_msgs/msg/JointState as CDR, JSON or protobuf."
+        return InputError(f"{message}: {reason}", hint=hint, where=where)
     if faults:
         message = f"the file is damaged and nothing can be salvaged ({faults})"
         return InputError(message, hint=scan.remedy, where=where)
-    topics = [info.topic for info in _topics(scan)]
-    typed = [info.topic for info in _topics(scan) if info.schema.endswith("JointState")]
-    near = typed or difflib.get_close_matches(JOINT_STATES, topics, n=1)
-    hint = f"Is it {near[0]}? Record or remap it as {JOINT_STATES}." if near else ""
+    near = next((t.topic for t in _topics(scan) if t.schema.endswith("JointState")), "")
+    hint = f"Is it {near}? Record or remap it as {JOINT_STATES}."
+    if not near:
+        hint = f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well."
     message = f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}"
-    hint = hint or f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well."
     return InputError(message, hint=hint, where=where)

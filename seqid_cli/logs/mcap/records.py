@@ -8,8 +8,9 @@ but for messages and their indexes, of which there are too many.
 
 import struct
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
@@ -20,7 +21,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Footer, Schema
+from mcap.records import Channel, ChunkIndex, Footer, Schema
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
@@ -28,6 +29,7 @@ from seqid_cli.logs.mcap.chunks import (
     RECORD,
     Contents,
     DamageError,
+    Integers,
     Unpacker,
     by_index,
     index_offsets,
@@ -39,13 +41,11 @@ from seqid_cli.logs.raw import Stamps
 MAGIC = b"\x89MCAP0\r\n"
 LARGEST = 1 << 30  # bytes of a record that is held in memory; recorders write about 1 MB
 _ERRORS = (McapError, struct.error, ValueError, OverflowError, MemoryError, StopIteration)
-_STEP = 1 << 20
 _WINDOW = 1 << 22  # bytes of loose messages taken together
-_KEPT = frozenset((Opcode.CHUNK, Opcode.MESSAGE_INDEX))
 _LOOSE = frozenset((Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL))
-_HELD = _KEPT | _LOOSE
+_HELD = _LOOSE | {Opcode.CHUNK}
 _TAIL = RECORD.size + 20 + len(MAGIC)  # the footer
-_DATA_END = RECORD.size + 4
+_NONE = np.zeros(0, np.int64)
 # Batches and definitions that any file may have, and its bytes for each one beyond.
 PIECES, PIECE_BYTES = 50_000, 50
 
@@ -57,13 +57,6 @@ class Batch(NamedTuple):
     schema: Schema | None
     log_ns: Stamps
     payloads: Payloads
-
-
-class _Record(NamedTuple):
-    opcode: int
-    content: bytes
-    complete: bool = True
-    loose: Contents | None = None  # records that stand in no chunk, with their heads
 
 
 @dataclass
@@ -78,7 +71,6 @@ class Scan:
     losses: Counter[str] = field(default_factory=Counter)
     remedy: str = "Copy it again from the source; `mcap doctor FILE` shows the damage."
     summary: Summary = field(default_factory=Summary)
-    dropped: int = 0  # messages that the indexes of lost chunks name
     _unpacker: Unpacker = field(default_factory=Unpacker)
     _size: int = 0
     _pieces: int = 0
@@ -89,61 +81,93 @@ class Scan:
         Never raises on damaged content: it is noted in `losses`, and reading goes on behind it.
         """
         with self.path.open("rb") as file:
-            size = self._size = file.seek(0, 2)
-            self.summary, checksum = read_summary(file, size)
+            self._size = file.seek(0, 2)
+            self.summary = read_summary(file, self._size)
             self.channels.update(self.summary.channels)
             self.schemas.update(self.summary.schemas)
-            chunks = [each.chunk_start_offset for each in self.summary.chunk_indexes]
-            # A checksum over everything is only worth its time where everything is read.
-            unneeded = self._unneeded()
-            checksum = 0 if unneeded else checksum
-            walked = _Walk(file, size, self.losses, chunks, unneeded, checksum)
-            chunk: _Record | None = None
-            index: list[bytes] = []
-            for record in walked.records():
-                if record.opcode == Opcode.MESSAGE_INDEX:
-                    index.append(record.content)
-                    continue
-                if chunk is not None:
-                    yield from self._chunk(chunk, index)
-                chunk, index = None, []
-                if record.loose is not None:
-                    data = np.frombuffer(record.content, np.uint8)
-                    yield from self._contents(data, record.loose)
-                elif record.opcode == Opcode.CHUNK:
-                    chunk = record
-                if self._overdone():
-                    return
-            if chunk is not None:
-                yield from self._chunk(chunk, index)
-            if not walked.finished and not self.losses:
-                self.losses["the recording was not closed properly: the file has no end"] += 1
+            at: int | None = len(MAGIC)
+            while at is not None and not self._overdone():
+                at = yield from self._record(file, at)
 
-    def _unneeded(self) -> frozenset[tuple[int, int]]:
-        """Find chunks without messages of wanted topics: (position, length of the record)."""
-        known = {number for number, each in self.channels.items() if not self.wanted(each.topic)}
-        return frozenset(
-            (chunk.chunk_start_offset, chunk.chunk_length - RECORD.size)
-            for chunk in self.summary.chunk_indexes
-            if chunk.message_index_offsets and chunk.message_index_offsets.keys() <= known
-        )
+    def _record(self, file: BinaryIO, at: int) -> Generator[Batch, None, int | None]:
+        """Read the record at a place, or many loose messages; returns where the next one begins.
+
+        A record is taken for damaged unless it ends where another may begin: a wrong length leads
+        into the middle of others, whose bytes make no head.
+        """
+        head = _head(file, at)
+        opcode, length = head or (Opcode.FOOTER, 0)
+        start = at + RECORD.size
+        after = start + length
+        if head is None or (opcode == Opcode.FOOTER and after <= self._size):
+            if not self.losses:
+                self.losses["the recording was not closed properly: the file has no end"] += 1
+            return None
+        if after > self._size or not (self._begins(file, at) and self._begins(file, after)):
+            return (yield from self._damaged(file, at, opcode, length))
+        if opcode == Opcode.DATA_END:
+            return None
+        if opcode in _LOOSE:
+            file.seek(at)
+            data = np.frombuffer(file.read(max(_WINDOW, after - at)), np.uint8)
+            contents = walk(data, _LOOSE)
+            yield from self._contents(data, contents)
+            return at + contents.end if contents.end else None
+        chunk = self._indexed.get(at)
+        if opcode == Opcode.CHUNK and not (chunk and self._unneeded(chunk)):
+            file.seek(start)
+            content = file.read(length)
+            indexes = file.read(min(chunk.message_index_length, LARGEST)) if chunk else b""
+            yield from self._chunk(content, index_offsets(indexes))
+        return after
+
+    def _damaged(
+        self, file: BinaryIO, at: int, opcode: int, length: int
+    ) -> Generator[Batch, None, int | None]:
+        """Read what there is of a damaged chunk; goes on at the next that the summary names."""
+        found = min((start for start in self._indexed if start > at), default=None)
+        if opcode == Opcode.CHUNK and length <= LARGEST:  # its own checks tell its worth
+            file.seek(at + RECORD.size)
+            content = file.read(min(length, (found or self._size) - at))
+            yield from self._chunk(content, _NONE, complete=len(content) == length)
+        what = f"the file breaks off in a record at byte {at} of {self._size}"
+        if found is not None:
+            what = f"{found - at} damaged bytes at byte {at} of {self._size} were left out"
+        self.losses[what] += 1
+        return found
+
+    def _begins(self, file: BinaryIO, at: int) -> bool:
+        """Tell whether a record may begin at a place: garbage is of no kind, or endless."""
+        head = _head(file, at)
+        if head is None:
+            return True  # the file is cut here
+        opcode, length = head
+        return bool(opcode and length <= (LARGEST if opcode in _HELD else self._size))
+
+    @cached_property
+    def _indexed(self) -> dict[int, ChunkIndex]:
+        """The chunks that the summary names, by their places."""
+        return {chunk.chunk_start_offset: chunk for chunk in self.summary.chunk_indexes}
+
+    def _unneeded(self, chunk: ChunkIndex) -> bool:
+        """Tell whether a chunk has no messages of wanted topics."""
+        numbers = chunk.message_index_offsets
+        known = (self.channels.get(number) for number in numbers)
+        return bool(numbers) and not any(one is None or self.wanted(one.topic) for one in known)
 
     def _promised(self) -> dict[int, int] | None:
         """Messages per channel by the file's own statistics; None where it does not tell."""
         told = self.summary.statistics
         return (told.channel_message_counts or None) if told else None
 
-    def tally(self) -> tuple[int, int | None, int]:
-        """Count the messages of wanted topics: read, promised by the file's statistics, lost."""
-        known = self.channels
-        met = sum(self.counts[i] for i, each in known.items() if self.wanted(each.topic))
+    def tally(self) -> tuple[int, int | None]:
+        """Count the messages of wanted topics: read, and promised by the file's statistics."""
+        other = {i for i, each in self.channels.items() if not self.wanted(each.topic)}
+        met = sum(count for i, count in self.counts.items() if i not in other)
         promised = self._promised()
         if promised is None:
-            return met, None, self.dropped
-        expected = sum(
-            count for i, count in promised.items() if i not in known or self.wanted(known[i].topic)
-        )
-        return met, expected, max(0, expected - met)
+            return met, None
+        return met, sum(count for i, count in promised.items() if i not in other)
 
     def total(self, channel: int) -> int:
         """Count the messages of a channel: those met, or of a topic not wanted those promised."""
@@ -152,17 +176,16 @@ class Scan:
             return self.counts[channel]
         return promised.get(channel, 0)
 
-    def _chunk(self, record: _Record, index: list[bytes]) -> Iterator[Batch]:
-        offsets = [found for each in index if (found := index_offsets(each)) is not None]
+    def _chunk(
+        self, content: bytes, offsets: Integers, *, complete: bool = True
+    ) -> Iterator[Batch]:
         try:
-            unpacked, whole = self._unpacker.unpack(record.content, record.complete)
+            unpacked, whole = self._unpacker.unpack(content, complete)
         except DamageError as damage:
-            self.dropped += sum(len(found) for found in offsets)
-            self.losses[f"a chunk of {len(record.content)} bytes was left out: {damage}"] += 1
+            self.losses[f"a chunk of {len(content)} bytes was left out: {damage}"] += 1
             return
         data = np.frombuffer(unpacked, np.uint8)
-        every = np.sort(np.concatenate([np.zeros(0, np.int64), *offsets]), kind="stable")
-        contents = by_index(data, every) or walk(data, 0, len(data))
+        contents = by_index(data, offsets) or walk(data)
         yield from self._contents(data, contents)
         if contents.end < len(data) and whole:
             left = len(data) - contents.end
@@ -210,132 +233,35 @@ class Scan:
             self.losses[f"a {Opcode(opcode).name.lower()} record is damaged"] += 1
 
 
-def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> tuple[Summary, int]:
-    """Read what a file says of itself at its end, and the checksum of its data section.
+def _head(file: BinaryIO, at: int) -> tuple[int, int] | None:
+    """Read the kind and the length of the record at a place; None at the end of the file."""
+    file.seek(at)
+    head = file.read(RECORD.size)
+    return RECORD.unpack(head) if len(head) == RECORD.size else None
 
-    It only tells what can be left out. A summary of more than `most` bytes, or that is damaged, is
-    empty; the checksum is 0 where none was written.
+
+def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> Summary:
+    """Read what a file says of itself at its end: it only tells what can be left out.
+
+    A summary of more than `most` bytes, or that is damaged, is empty.
     """
     end = size - _TAIL
     if end < len(MAGIC):
-        return Summary(), 0
+        return Summary()
     try:
         file.seek(end)
         footer = next(StreamReader(file, skip_magic=True).records)
         file.seek(size - len(MAGIC))
         if not isinstance(footer, Footer) or file.read() != MAGIC:
-            return Summary(), 0
+            return Summary()
         start = footer.summary_start or end
-        if not len(MAGIC) + _DATA_END <= start <= end or end - start > most:
-            return Summary(), 0
-        file.seek(start - _DATA_END)
-        content = file.read(_DATA_END + end - start + RECORD.size + 16)
-        if footer.summary_crc not in (0, crc32(memoryview(content)[_DATA_END:])):
-            return Summary(), 0
-        opcode, length, checksum = struct.unpack_from("<BQI", content)
-        if opcode != Opcode.DATA_END or length != 4:
-            return Summary(), 0
+        if not len(MAGIC) <= start <= end or end - start > most:
+            return Summary()
+        file.seek(start)
+        content = file.read(end - start + RECORD.size + 16)  # up to the checksum in the footer
+        if footer.summary_crc not in (0, crc32(content)):
+            return Summary()
         file.seek(0)
-        return SeekingReader(file, record_size_limit=most).get_summary() or Summary(), checksum
+        return SeekingReader(file, record_size_limit=most).get_summary() or Summary()
     except _ERRORS:
-        return Summary(), 0
-
-
-@dataclass
-class _Walk:
-    """Goes over the records of a file; behind damage it goes on at the next of the `chunks`.
-
-    A record is taken for damaged unless it ends where another may begin: a wrong length leads into
-    the middle of others, whose bytes make no head. Whole chunks in front of damage have checks of
-    their own. Those of `skip` are not needed; `checksum` is that of the data section, 0 where it is
-    not to be compared.
-    """
-
-    file: BinaryIO
-    size: int
-    losses: Counter[str]
-    chunks: Collection[int]
-    skip: frozenset[tuple[int, int]]
-    checksum: int
-    finished: bool = False
-    _sum: int = crc32(MAGIC)
-
-    def records(self) -> Iterator[_Record]:
-        """Yield what is needed of the data section; loose messages come many in one record."""
-        at = len(MAGIC)
-        while not self.finished and at + RECORD.size <= self.size:
-            self.file.seek(at)
-            head = self.file.read(RECORD.size)
-            if len(head) < RECORD.size:
-                return
-            opcode, length = RECORD.unpack(head)
-            after = at + RECORD.size + length
-            if opcode == Opcode.FOOTER and after <= self.size:
-                return
-            if after > self.size or not (self._begins(at) and self._begins(after)):
-                found = min((chunk for chunk in self.chunks if chunk > at), default=None)
-                if opcode == Opcode.CHUNK and length <= LARGEST:  # its own checks tell its worth
-                    self.file.seek(at + RECORD.size)
-                    content = self.file.read(min(length, (found or self.size) - at))
-                    yield _Record(opcode, content, len(content) == length)
-                if found is None:
-                    self.losses[f"the file breaks off in a record at byte {at} of {self.size}"] += 1
-                    return
-                what = f"{found - at} damaged bytes at byte {at} of {self.size} were left out"
-                self.losses[what] += 1
-                self.checksum = 0
-                at = found
-            elif opcode in _LOOSE:
-                record = self._window(at, after - at)
-                yield record
-                at += len(record.content)
-            elif (at, length) in self.skip:
-                at = after
-            elif opcode == Opcode.DATA_END:
-                self.finished = True
-                if self.checksum and self.checksum != self._sum:
-                    what = "the checksum of the data does not match: values may be damaged"
-                    self.losses[what] += 1
-            else:
-                self.file.seek(at + RECORD.size)
-                yield from self._one(opcode, head, length)
-                at = after
-
-    def _begins(self, at: int) -> bool:
-        """Tell whether a record may begin at a place: garbage is of no kind, or endless."""
-        self.file.seek(at)
-        head = self.file.read(RECORD.size)
-        if len(head) < RECORD.size:
-            return True  # the file is cut here
-        opcode, length = RECORD.unpack(head)
-        return bool(opcode and length <= (LARGEST if opcode in _HELD else self.size))
-
-    def _one(self, opcode: int, head: bytes, length: int) -> Iterator[_Record]:
-        """Take a record that is no message; what is not needed only for the checksum."""
-        if opcode in _KEPT:
-            content = self.file.read(length)
-            self._add(head)
-            self._add(content)
-            yield _Record(opcode, content)
-            return
-        self._add(head)
-        while self.checksum and length:
-            piece = self.file.read(min(length, _STEP))
-            if not piece:
-                return
-            self._add(piece)
-            length -= len(piece)
-
-    def _add(self, content: bytes) -> None:
-        if self.checksum:
-            self._sum = crc32(content, self._sum)
-
-    def _window(self, at: int, length: int) -> _Record:
-        """Read the messages and definitions from `at` on, as many whole ones as fit."""
-        self.file.seek(at)
-        content = self.file.read(max(_WINDOW, length))
-        data = np.frombuffer(content, np.uint8)
-        loose = walk(data, 0, len(data), _LOOSE)
-        content = content[: loose.end]
-        self._add(content)
-        return _Record(Opcode.MESSAGE, content, loose=loose)
+        return Summary()

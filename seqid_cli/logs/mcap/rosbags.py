@@ -8,7 +8,7 @@ import importlib
 import re
 import sqlite3
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -40,15 +40,10 @@ _REMEDY = {
 }
 
 
-_Columns = tuple[int, str, str, int]
-_Message = tuple[int, int, bytes]
+_Message = tuple[int, int, bytes]  # number of its channel, time [ns], CDR
 _Topic = tuple[Channel, Schema, int]  # the last: its messages
-
-
-# An opened bag: its topics, and its messages as (channel's number, time [ns], CDR).
-_Bag = tuple[list[_Topic], Callable[[], Iterator[_Message]]]
+_Bag = tuple[list[_Topic], Callable[[], Iterator[_Message]]]  # an opened bag
 _Wanted = Callable[[str], bool]
-_Open = Callable[[Path, _Wanted], AbstractContextManager[_Bag]]
 
 
 @dataclass
@@ -62,7 +57,14 @@ class BagScan(Scan):
         self.remedy = _REMEDY["rosbag1" if first else "rosbag2"]
         self.losses.update(_unmerged(self.path))
         with ExitStack() as stack:
-            topics, messages = self._opened(_rosbag1 if first else _rosbag2, stack)
+            try:
+                opened = (_rosbag1 if first else _rosbag2)(self.path, self.wanted)
+                topics, messages = stack.enter_context(opened)
+            except InputError:
+                raise
+            except Exception as error:  # whatever the library raises on a damaged bag
+                message = f"the bag cannot be read ({_reason(error)})"
+                raise InputError(message, hint=self.remedy, where=str(self.path)) from error
             counts = {channel.id: count for channel, _, count in topics}
             total = sum(counts.values())
             self.summary.statistics = Statistics(0, len(topics), counts, 0, total, 0, 0, 0, 0)
@@ -80,20 +82,12 @@ class BagScan(Scan):
         """Yield messages up to a fault of the bag, of which `losses` is told."""
         try:
             yield from messages
-        except Exception as error:  # whatever the library raises on a damaged page or chunk
-            reason = " ".join(str(error).split())[:120] or type(error).__name__
-            self.losses[f"the bag is damaged ({reason})"] += 1
+        except Exception as error:  # on a damaged page or chunk
+            self.losses[f"the bag is damaged ({_reason(error)})"] += 1
 
-    def _opened(self, open_bag: _Open, stack: ExitStack) -> _Bag:
-        """Open a bag; what the library says of a damaged one becomes an InputError."""
-        try:
-            return stack.enter_context(open_bag(self.path, self.wanted))
-        except InputError:
-            raise
-        except Exception as error:
-            reason = " ".join(str(error).split())[:200] or type(error).__name__
-            message = f"the bag cannot be read ({reason})"
-            raise InputError(message, hint=self.remedy, where=str(self.path)) from error
+
+def _reason(error: Exception) -> str:
+    return " ".join(str(error).split())[:120] or type(error).__name__
 
 
 read_blocks = partial(reader.read_blocks, scan=BagScan)
@@ -122,7 +116,7 @@ def _rosbag2(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
     try:
         topics = [_topic(c, str(c.msgdef.data)) for c in reader.connections]
         names = [(c.id, c.topic, c.msgtype, c.msgcount) for c in reader.connections]
-        _as_declared(names, list[_Columns])
+        _as_declared(names, list[tuple[int, str, str, int]])
         others = {c.ext.serialization_format for c in reader.connections} - {"cdr"}
         if others:
             raise ValueError(f"its serialization is {', '.join(sorted(others))}, not cdr")

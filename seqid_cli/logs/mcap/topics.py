@@ -37,8 +37,7 @@ class Collector:
     kind: Kind
     names: NameMap
     time_source: TimeSource = "header"
-    few: int = 256  # messages; less of them wait for more ...
-    most: int = 4096  # ... up to so many
+    few: int = 256  # messages; less of them wait for more
     received: int = 0
     damaged: int = 0
     waiting: int = 0  # samples to drain
@@ -63,13 +62,13 @@ class Collector:
             if self._decoders[number] is None:
                 self.refused.add(encoding)
         large = len(batch.payloads) >= self.few
-        if large or number != self._channel or len(self._data) >= self.most:
+        if large or number != self._channel or len(self._data) >= self.few:
             self._flush()
             self._channel = number
         self.received += len(batch.payloads)
         if large:
             self._decode(batch.log_ns, batch.payloads)
-        else:
+        else:  # copied, so as not to hold its chunk
             self._log_ns.extend(batch.log_ns.tolist())
             self._data.extend(batch.payloads)
 
@@ -80,11 +79,9 @@ class Collector:
         if not parts:
             none = np.zeros((0, self.names.width(self.kind)))
             return Samples(np.zeros(0, np.int64), none, [], None)
-        log_ns, stamp_ns, values = (
-            parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
-        )
+        log_ns, stamp_ns, values = map(np.concatenate, zip(*parts, strict=True))
         stamped = stamp_ns != 0
-        missing = len(stamped) - int(np.count_nonzero(stamped))
+        missing = int(np.count_nonzero(~stamped))
         delay_s, warnings = None, []
         if self.kind != "imu" and missing < len(stamped):
             delay_s = float(np.median((log_ns - stamp_ns)[stamped])) * 1e-9
@@ -96,10 +93,11 @@ class Collector:
                     "used instead; make the driver fill in header.stamp"
                 )
         if self.time_source == "log" or self._logged:
-            return Samples(log_ns, values, warnings, delay_s)
-        if missing:
+            stamp_ns = log_ns
+        elif missing:
             text = f"{missing} messages of {self.topic} have no header stamp and were left out"
-            return Samples(stamp_ns[stamped], values[stamped], [text], delay_s)
+            warnings.append(text)
+            stamp_ns, values = stamp_ns[stamped], values[stamped]
         return Samples(stamp_ns, values, warnings, delay_s)
 
     def _flush(self) -> None:
@@ -117,10 +115,10 @@ class Collector:
         good = decoded.good & (log_ns >= 0) & (log_ns < _LATEST)
         own = log_ns, decoded.stamp_ns, decoded.values
         if not good.all():
-            self.damaged += int(np.count_nonzero(~good))
             own = log_ns[good], decoded.stamp_ns[good], decoded.values[good]
-        self._done.append(own)
+        self.damaged += len(good) - len(own[0])
         self.waiting += len(own[0])
+        self._done.append(own)
 
 
 JOINT_STATES = "/joint_states"
@@ -155,9 +153,7 @@ def triad_topics(imu: Imu) -> list[str]:
 def joint_stream(topic: str, samples: Samples, robot: Robot) -> Stream:
     """Make a stream of joint states, without the messages of a gripper alone."""
     stamps, values = samples.stamp_ns, samples.values
-    about = np.isfinite(values[:, 0])
-    if not about.all():
-        about[~about] = np.isfinite(values[~about]).any(axis=1)
+    about = np.isfinite(values).any(axis=1)
     if not about.all():
         stamps, values = stamps[about], values[about]
     parts = np.split(values, len(JOINT_QUANTITIES), axis=1)

@@ -10,22 +10,22 @@ doubles come to lie aligned in this way.
 """
 
 import struct
+from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import count, groupby
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.logs.messages.batch import (
     JOINT_QUANTITIES,
-    Bytes,
     Decoded,
     Kind,
     NameMap,
     Payloads,
+    row_of,
 )
-from seqid_cli.logs.messages.rows import row_of
-from seqid_cli.logs.raw import STAMP_LIMIT_NS, Mask, Stamps
+from seqid_cli.logs.raw import STAMP_LIMIT_NS, Mask, Rows, Stamps
 
 Words = NDArray[np.uint64]
 
@@ -151,19 +151,13 @@ class Layout:
         for at, column, size in self.runs:
             numbers = rows[:, at : at + WORD * size].view(f"{self.order}f8")
             values[:, column : column + size] = numbers
-        stamps, good = self._stamps(rows[:, self.pad + _ENCAPSULATION :])
-        return fits, Decoded(stamps, values, good)
-
-    def _stamps(self, rows: Bytes) -> tuple[Stamps, Mask]:
-        seconds = rows[:, :4].view(f"{self.order}i4")[:, 0]
-        rest = rows[:, 4:8].view(f"{self.order}u4")[:, 0]
-        stamps: Stamps = seconds.astype(np.int64)
-        stamps *= _SEC
-        stamps += rest
+        stamped = rows[:, self.pad + _ENCAPSULATION :]
+        seconds = stamped[:, :4].view(f"{self.order}i4")[:, 0]
+        rest = stamped[:, 4:8].view(f"{self.order}u4")[:, 0]
         limit = STAMP_LIMIT_NS // _SEC
         good = (rest < _SEC) & (seconds >= -limit) & (seconds < limit)
-        stamps[~good] = 0
-        return stamps, good
+        stamps: Stamps = np.where(good, seconds.astype(np.int64) * _SEC + rest, 0)
+        return fits, Decoded(stamps, values, good)
 
 
 def _offset(entry: tuple[int, object]) -> int | None:
@@ -196,32 +190,29 @@ class LayoutDecoder:
         out = Decoded.empty(len(payloads), self.names.width(self.kind))
         order = np.argsort(lengths, kind="stable")
         for rows in np.split(order, np.flatnonzero(np.diff(lengths[order])) + 1):
-            self._in_turn(payloads, rows, out)
+            self._of_one_length(payloads, rows, out)
         return out
 
-    def _in_turn(self, payloads: Payloads, left: NDArray[np.intp], out: Decoded) -> None:
-        """Decode payloads of one length and several layouts, one layout after the other."""
-        known = self._known.get(int(payloads.lengths[left[0]]), []) if len(left) else []
-        tried = len(known)
-        for number in count():
-            if not len(left):
-                return
-            layout = known[number] if number < tried else self._made(payloads.take(left[:1]), known)
-            some = left if number < self.rounds else left[:1]
-            fits = np.zeros(len(some), np.bool_)
-            if layout is not None:
-                fits, part = layout.decode(payloads.take(some))
-                out.put(some[fits], part)
-            fits[0] |= number >= tried  # it had its turn, even where it is damaged
-            left = np.concatenate([some[~fits], left[len(some) :]])
+    def _of_one_length(self, payloads: Payloads, left: Rows, out: Decoded) -> None:
+        """Decode payloads by the known layouts, then by those that are met on the way."""
 
-    def _made(self, first: Payloads, known: list[Layout]) -> Layout | None:
-        """Make the layout of one payload and remember it; None where it has none."""
-        try:
-            made = Layout.of(next(iter(first)), self.kind, self.names)
-        except ValueError:
-            return None
-        if len(known) < self.rounds and sum(map(len, self._known.values())) < self.most:
-            known.append(made)
-            self._known[int(first.lengths[0])] = known
-        return made
+        def fitting(layout: Layout, rows: Rows) -> Rows:
+            fits, part = layout.decode(payloads.take(rows))
+            out.put(rows[fits], part)
+            return rows[~fits]
+
+        length = int(payloads.lengths[left[0]]) if len(left) else 0
+        known = list(self._known.get(length, ()))
+        for layout in known:
+            left = fitting(layout, left)
+        while len(left):
+            first, rest = left[:1], left[1:]
+            with suppress(ValueError):  # it is damaged
+                layout = Layout.of(next(iter(payloads.take(first))), self.kind, self.names)
+                fitting(layout, first)
+                if len(known) < self.rounds:
+                    rest = fitting(layout, rest)
+                    known.append(layout)
+                    if sum(map(len, self._known.values())) < self.most:
+                        self._known[length] = known
+            left = rest

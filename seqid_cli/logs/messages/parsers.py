@@ -12,9 +12,8 @@ from collections.abc import Callable
 import msgspec
 from mcap.records import Schema
 
-from seqid_cli.logs.messages.batch import Decode, Decoded, Kind, NameMap, Payloads
+from seqid_cli.logs.messages.batch import Decode, Decoded, Kind, NameMap, Payloads, field, row_of
 from seqid_cli.logs.messages.cdr import LayoutDecoder
-from seqid_cli.logs.messages.rows import field, row_of
 from seqid_cli.logs.raw import STAMP_LIMIT_NS
 
 Parse = Callable[[bytes], object]
@@ -73,30 +72,14 @@ def _number(value: object) -> float:
 
 # Fields by their definitions, without the packages of their types.
 _USUAL_FIELDS = {
-    "joint_state": (
-        "Header header",
-        "string[] name",
-        "float64[] position",
-        "float64[] velocity",
-        "float64[] effort",
-    ),
-    "dynamic_joint_state": (
-        "Header header",
-        "string[] joint_names",
-        "InterfaceValue[] interface_values",
-        "MSG: control_msgs/InterfaceValue",
-        "string[] interface_names",
-        "float64[] values",
-    ),
-    "imu": (
-        "Header header",
-        "Quaternion orientation",
-        "float64[9] orientation_covariance",
-        "Vector3 angular_velocity",
-        "float64[9] angular_velocity_covariance",
-        "Vector3 linear_acceleration",
-        "float64[9] linear_acceleration_covariance",
-    ),
+    "joint_state": "Header header; string[] name; float64[] position; float64[] velocity; "
+    "float64[] effort",
+    "dynamic_joint_state": "Header header; string[] joint_names; "
+    "InterfaceValue[] interface_values; MSG: control_msgs/InterfaceValue; "
+    "string[] interface_names; float64[] values",
+    "imu": "Header header; Quaternion orientation; float64[9] orientation_covariance; "
+    "Vector3 angular_velocity; float64[9] angular_velocity_covariance; "
+    "Vector3 linear_acceleration; float64[9] linear_acceleration_covariance",
 }
 _PACKAGE = re.compile("^(?:std|geometry|control)_msgs/")
 LONGEST = 1 << 18  # bytes of a message definition; those of joint states have some hundred
@@ -109,10 +92,8 @@ def decoder(encoding: str, schema: Schema | None, kind: Kind, names: NameMap) ->
         return None
     if encoding == "cdr" and is_usual(schema, kind):
         return LayoutDecoder(kind, names)
-    parse: Parse | None = None
-    if encoding == "json":
-        parse = parse_json
-    elif schema is not None and encoding in ("cdr", "protobuf"):
+    parse: Parse | None = parse_json if encoding == "json" else None
+    if schema is not None and encoding in ("cdr", "protobuf"):
         parse = schema_parser(encoding, schema)
     return None if parse is None else field_decoder(kind, names, parse)
 
@@ -150,4 +131,4 @@ def is_usual(schema: Schema | None, kind: Kind) -> bool:
         text += "".join(part for part in parts if "/InterfaceValue\n" in part)
     lines = (re.sub(r"\s+", " ", line.split("#")[0]).strip() for line in text.splitlines())
     found = (line.replace("/msg/", "/") for line in lines if line)
-    return tuple(_PACKAGE.sub("", line) for line in found) == _USUAL_FIELDS[kind]
+    return "; ".join(_PACKAGE.sub("", line) for line in found) == _USUAL_FIELDS[kind]

@@ -156,7 +156,14 @@ def check_log(path: Path) -> str:
         raise InputError(f"cannot be opened ({error})", where=where) from error
     if not size:
         raise InputError("is empty (0 bytes)", hint="Record or copy it again.", where=where)
-    kind = _format(head, tail, size, where)
+    kind = _format(head, where)
+    if kind == "parquet" and (tail != MAGIC[kind] or size < 12):
+        raise InputError(
+            f"the Parquet file is cut short or damaged: its footer is missing ({size} bytes)",
+            hint="Parquet keeps its index at the end, so nothing can be salvaged: copy it again "
+            "from the source or record again.",
+            where=where,
+        )
     try:
         if kind == "csv":
             read_form(path)
@@ -167,17 +174,9 @@ def check_log(path: Path) -> str:
     return kind
 
 
-def _format(head: bytes, tail: bytes, size: int, where: str) -> str:
+def _format(head: bytes, where: str) -> str:
     for name, magic in MAGIC.items():
         if head.startswith(magic):
-            if name == "parquet" and (tail != magic or size < 12):
-                raise InputError(
-                    f"the Parquet file is cut short or damaged: its footer is missing ({size} "
-                    "bytes)",
-                    hint="Parquet keeps its index at the end, so nothing can be salvaged: "
-                    "copy it again from the source or record again.",
-                    where=where,
-                )
             return name
     for magic, (kind, remedy) in _OTHER_MAGIC.items():
         if head.startswith(magic):
@@ -192,28 +191,27 @@ def _matches(argument: str, note: Note) -> list[Path]:
     path = Path(argument)
     if path.is_dir():
         return _logs_in(path, note) or _no_logs(path)
-    if path.exists() or not glob.has_magic(argument):
-        if not path.exists():
-            raise InputError("does not exist", hint=_nearby(path), where=argument)
+    if path.exists():
         return [path]
+    if not glob.has_magic(argument):
+        raise InputError("does not exist", hint=_nearby(path), where=argument)
     found = _globbed(argument, note)
     if not found:
-        raise InputError(
-            "this pattern matches no file", hint="Check the folder and the suffix.", where=argument
-        )
+        hint = "Check the folder and the suffix."
+        raise InputError("this pattern matches no file", hint=hint, where=argument)
     return found
 
 
 def _no_logs(folder: Path, *, looked_at: int = 20) -> list[Path]:
     """Say that a folder has no logs, and why the first file is none that might be one."""
-    files = natural_order(path for path in folder.rglob("*") if path.is_file())
-    faults = {path: _fault_of(path) for path in files[:looked_at] if path.suffix not in _NOTES}
-    known = {p: fault for p, fault in faults.items() if not fault[0].startswith(_OTHER)}
-    kinds = ", ".join("*" + suffix for suffix in SUFFIXES)
-    message, hint = f"there is no log in this folder ({kinds})", "Name the folder of the logs."
-    for path, (reason, remedy) in known.items():
-        message += f"; {path.name} {reason or 'is a table of another suffix'}"
-        raise InputError(message, hint=remedy or _NAME_IT, where=str(folder))
+    message = f"there is no log in this folder ({', '.join('*' + end for end in SUFFIXES)})"
+    hint = "Name the folder of the logs."
+    for path in natural_order(path for path in folder.rglob("*") if path.is_file())[:looked_at]:
+        reason, remedy = _fault_of(path) if path.suffix not in _NOTES else (_OTHER, "")
+        if not reason.startswith(_OTHER):
+            message += f"; {path.name} {reason or 'is a table of another suffix'}"
+            hint = remedy or _NAME_IT
+            break
     raise InputError(message, hint=hint, where=str(folder))
 
 
@@ -231,7 +229,7 @@ def _globbed(pattern: str, note: Note) -> list[Path]:
 
 
 def _logs_in(folder: Path, note: Note) -> list[Path]:
-    # Tell whether a file belongs to the description of a LeRobot data set, not to its data.
+    """Logs in a folder; tables under `meta` belong to the description of a LeRobot data set."""
     candidates = natural_order(
         path
         for path in folder.rglob("*")
@@ -245,38 +243,34 @@ def _logs_in(folder: Path, note: Note) -> list[Path]:
 
 def _is_meant(path: Path, note: Note) -> bool:
     """Tell whether a file that was not named itself is a log: CSV files are all sorts of things."""
-    if path.suffix.lower() not in CSV_SUFFIXES:
-        if predicted := _holds_predictions(path):
-            note(f"{path} is left out, it is no log: seqid predict wrote it")
-        return not predicted
-    reason, _ = _fault_of(path)
-    if reason:
-        note(f"{path} is left out, it is no log: it {reason}; name the file itself if it is one")
-    return not reason
+    text = ""
+    if path.suffix.lower() == ".parquet" and _holds_predictions(path):
+        text = f"{path} is left out, it is no log: seqid predict wrote it"
+    elif path.suffix.lower() in CSV_SUFFIXES and (reason := _fault_of(path)[0]):
+        text = f"{path} is left out, it is no log: it {reason}; name the file itself if it is one"
+    if text:
+        note(text)
+    return not text
 
 
 def _holds_predictions(path: Path) -> bool:
     """Tell a table of `predict --torques`: its filtered torques are of logs that count already."""
-    if path.suffix.lower() != ".parquet":
-        return False
     from seqid_cli.logs.tables.parquet import list_columns
 
     try:
-        names = [name for name, *_ in list_columns(path)]
+        ends = {name.rpartition(".")[2] for name, *_ in list_columns(path)}
     except InputError:
         return False
-    ends = {name.rpartition(".")[2] for name in names}
     return {"predicted", "residual", "sliding"} <= ends
 
 
 def _fault_of(path: Path) -> tuple[str, str]:
     """Why a file is no log, empty where it is one, and what to do."""
     try:
-        kind = check_log(path)
-        names = read_form(path).names if kind == "csv" else ()
+        names = read_form(path).names if check_log(path) == "csv" else ("t",)
     except InputError as error:
         return error.message, error.hint
-    if kind != "csv" or looks_like_log(names):
+    if looks_like_log(names):
         return "", ""
     return ("has no line of names" if nameless(names) else "has no column of time"), _NAME_IT
 
@@ -284,9 +278,9 @@ def _fault_of(path: Path) -> tuple[str, str]:
 def natural_order(paths: Iterable[Path]) -> list[Path]:
     """Sort paths so that numbers in names count as numbers."""
 
-    def key(path: Path) -> tuple[list[tuple[int, int, str]], str]:
-        parts = enumerate(re.split(r"([0-9]+)", str(path)))
-        return [(0, int(p), "") if i % 2 else (1, 0, p) for i, p in parts], str(path)
+    def key(path: Path) -> tuple[list[int | str], str]:
+        parts = enumerate(re.split(r"([0-9]+)", str(path)))  # a text first, then in turn
+        return [int(part) if i % 2 else part for i, part in parts], str(path)
 
     return sorted(paths, key=key)
 

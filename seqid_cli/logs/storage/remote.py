@@ -21,25 +21,17 @@ if TYPE_CHECKING:
 else:
     _LocalPath = type(Path())  # the system's own kind of path, which can be inherited from
 
-_URL = re.compile(r"(?P<scheme>[a-z][a-z0-9+.-]+)://")  # two letters at least: no drive of Windows
+_URL = re.compile(r"[a-z][a-z0-9+.-]+://")  # two letters at least: no drive of Windows
 _EXTRAS = {"s3": "s3", "s3a": "s3", "gs": "gs", "gcs": "gs", "az": "az", "abfs": "az"}
 _ACCESS = {
     "s3": "Set AWS_PROFILE, or AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, as for aws itself.",
     "gs": "Run `gcloud auth application-default login`, or set GOOGLE_APPLICATION_CREDENTIALS.",
     "az": "Set AZURE_STORAGE_ACCOUNT_NAME and AZURE_STORAGE_ACCOUNT_KEY or _SAS_TOKEN.",
 }
-_REFUSALS = (
-    "NoCredentials",
-    "PartialCredentials",
-    "DefaultCredentials",
-    "ProfileNotFound",
-    "TokenRetrieval",
-    "RefreshError",
-    "ClientAuthentication",
-    "Forbidden",
-    "InvalidAccessKey",
-    "SignatureDoesNotMatch",
-    "PermissionError",
+_REFUSED = re.compile(
+    "NoCredentials|PartialCredentials|DefaultCredentials|ProfileNotFound|TokenRetrieval|"
+    "RefreshError|ClientAuthentication|Forbidden|InvalidAccessKey|SignatureDoesNotMatch|"
+    "PermissionError"
 )
 
 
@@ -149,16 +141,14 @@ def local_copy(path: Path) -> Iterator[Path]:
 
 def _opened(url: str) -> tuple[Any, str]:
     """The file system of a URL and the path within it."""
-    matched = _URL.match(url)
-    scheme = matched["scheme"] if matched else ""
-    extra = _EXTRAS.get(scheme, "s3")
+    scheme = url.partition("://")[0]
     try:
         from fsspec.core import url_to_fs
 
         with _explained(url):
             system, root = url_to_fs(url)
     except ImportError as error:
-        hint = f"Install it: python -m pip install 'seqid[{extra}]'"
+        hint = f"Install it: python -m pip install 'seqid[{_EXTRAS.get(scheme)}]'"
         if scheme not in _EXTRAS:
             hint = "Install fsspec and what it needs for this kind of storage."
         message = f"logs on {scheme}:// need a package that is not installed ({error})"
@@ -177,18 +167,15 @@ def _explained(url: str) -> Iterator[None]:
         hint = "Check bucket and name."
         raise InputError("does not exist", hint=hint, where=url) from error
     except Exception as error:
-        raise _problem(url, error) from error
-
-
-def _problem(url: str, error: Exception) -> SeqidError:
-    scheme = url.partition("://")[0]
-    names = [type(error).__name__, str(error)]
-    said = f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0][:200]}"
-    if isinstance(error, ValueError) and "rotocol not known" in str(error):
-        message = f"{scheme}:// is no kind of storage that is known"
-        return UsageError(message, where=url, hint="s3://, gs:// and az:// are.")
-    if any(refusal in name for refusal in _REFUSALS for name in names):
-        hint = _ACCESS.get(_EXTRAS.get(scheme, ""), "Check the credentials of this store.")
-        return ConfigError(f"the store refuses access ({said})", where=url, hint=hint)
-    hint = "Check the network, the space for temporary files (TMPDIR) and the store."
-    return InputError(f"cannot be read ({said})", where=url, hint=hint)
+        said = f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0][:200]}"
+        if isinstance(error, ValueError) and "rotocol not known" in str(error):
+            message = f"{url.partition('://')[0]}:// is no kind of storage that is known"
+            hint = "s3://, gs:// and az:// are."
+            raise UsageError(message, where=url, hint=hint) from error
+        if _REFUSED.search(f"{type(error).__name__} {error}"):
+            extra = _EXTRAS.get(url.partition("://")[0], "")
+            hint = _ACCESS.get(extra, "Check the credentials of this store.")
+            message = f"the store refuses access ({said})"
+            raise ConfigError(message, where=url, hint=hint) from error
+        hint = "Check the network, the space for temporary files (TMPDIR) and the store."
+        raise InputError(f"cannot be read ({said})", where=url, hint=hint) from error

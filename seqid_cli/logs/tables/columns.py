@@ -33,11 +33,8 @@ class TimeColumn:
     nanoseconds: str | None = None
 
 
-def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
-    """Return a column that is there once, dictionaries resolved."""
-    if table.schema.names.count(name) != 1:
-        message = f"column {name!r} is not a plain column"
-        raise InputError(message, hint="Write one number per row and column.", where=where)
+def column(table: pa.Table, name: str) -> pa.ChunkedArray:
+    """Return a column, dictionaries resolved."""
     found = table.column(name)
     if pa.types.is_dictionary(found.type):
         found = pc.cast(found, found.type.value_type)
@@ -47,7 +44,7 @@ def column(where: str, table: pa.Table, name: str) -> pa.ChunkedArray:
 def numbers(where: str, table: pa.Table, name: str) -> Array:
     """Read a column as float64 (M,); nulls become NaN."""
     with _explained(where, name):
-        found = column(where, table, name)
+        found = column(table, name)
         if not is_number(found.type):
             message = f"column {name!r} holds {found.type}, not numbers"
             raise InputError(message, hint=_HINT, where=where)
@@ -69,18 +66,20 @@ def _explained(where: str, name: str) -> Iterator[None]:
 
 def is_number(kind: pa.DataType) -> bool:
     """Tell whether a column of this type can be read as numbers."""
-    return bool(
-        pa.types.is_integer(kind)
-        or pa.types.is_floating(kind)
-        or pa.types.is_decimal(kind)
-        or pa.types.is_null(kind)
-    )
+    return any(is_kind(kind) for is_kind in _NUMBERS)
+
+
+def is_text(kind: pa.DataType) -> bool:
+    """Tell whether a column of this type holds texts, or bytes."""
+    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+    return any(is_kind(kind) for is_kind in _TEXTS)
 
 
 def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, Rows, list[str]]:
     """Read the stamps [ns] (M,) of the rows, 0 where missing; the rows that have one; warnings."""
     warnings: list[str] = []
-    kind = column(where, table, time.name).type
+    with _explained(where, time.name):
+        kind = column(table, time.name).type
     if any(is_timed(kind) for is_timed in _TIMED):
         stamps, good = _from_counts(where, table, time.name, NS_PER[kind.unit])
     elif time.nanoseconds is not None:
@@ -102,6 +101,10 @@ def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, 
     return np.where(good, stamps, 0), np.flatnonzero(good), warnings
 
 
+_NUMBERS = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null)
+_TEXTS = (
+    pa.types.is_string, pa.types.is_large_string, pa.types.is_binary, pa.types.is_large_binary,
+)  # fmt: skip
 _TIMED = (pa.types.is_timestamp, pa.types.is_duration, pa.types.is_time)
 
 
@@ -128,7 +131,7 @@ def _unit(values: Array, time: TimeColumn, warnings: list[str], *, fastest_s: fl
 def _from_counts(where: str, table: pa.Table, name: str, ns_per_unit: int) -> tuple[Stamps, Mask]:
     """Stamps [ns] (M,) by integer counts of a unit, exactly, and which of them are usable."""
     with _explained(where, name):
-        found = column(where, table, name)
+        found = column(table, name)
         missing = pc.is_null(found).to_numpy()
         if not pa.types.is_integer(found.type):
             found = pc.cast(found, pa.int32() if found.type.bit_width == 32 else pa.int64())

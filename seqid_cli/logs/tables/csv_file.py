@@ -11,15 +11,14 @@ import pyarrow.csv as pc
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import RawLog, TimeSource
-from seqid_cli.logs.tables.columns import ARROW_ERRORS
-from seqid_cli.logs.tables.csv_form import MISSING, CsvForm, is_number, read_form
+from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_text
+from seqid_cli.logs.tables.csv_form import MISSING, CsvForm, read_form
 from seqid_cli.logs.tables.naming_schemes import stamp_parts, time_names
 from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
 
 _BLOCK = 8 << 20  # bytes; no line can be longer
-_TAIL = 64 << 10  # bytes that tell what numbers a column has
-_CUT = "the last line has no end and its last number too few digits: cut short, it is left out"
+_CUT = "the last line has no end and may be cut short, it is left out"
 _RAGGED_SHARE = 0.01  # of the lines, that may be left out
 _MISSING = sorted({form for word in MISSING for form in (word, word.upper(), word.capitalize())})
 _FAULT = re.compile(
@@ -54,8 +53,8 @@ class CsvTable(TableFile):
         ragged = _Ragged()
         if not isinstance(parsed, pa.Table):
             parsed = self._parse(columns, ragged)
-        if isinstance(parsed, pa.Table) and _texts(parsed):
-            parsed = self._parse(columns, ragged=_Ragged(), numeric=True)
+        if isinstance(parsed, pa.Table) and any(is_text(kind) for kind in parsed.schema.types):
+            parsed = self._parse(columns, _Ragged(), numeric=True)  # the time, too, for the fault
         if not isinstance(parsed, pa.Table):
             raise self._fault(parsed)
         yield parsed, self._partial(ragged, parsed.num_rows)
@@ -67,12 +66,10 @@ class CsvTable(TableFile):
 
         `ragged`: takes lines with another number of fields, which are an error without it.
         """
-        places = {name: self.names.index(name) for name in columns}
+        places = [self.names.index(name) for name in columns]
         count = len(self.names) + self.form.filler
-        chosen = list(dict.fromkeys(places.values()))
         # Arrow may find out the type of time itself: seconds, counts or a calendar time.
         times = () if numeric else {*time_names(self.names), *(stamp_parts(self.names) or ())}
-        timed = {self.names.index(name) for name in places if name in times}
         source: Path | pa.BufferReader = self.path
         if self.size is not None:
             source = pa.BufferReader(pa.memory_map(str(self.path)).read_buffer(self.size))
@@ -89,8 +86,10 @@ class CsvTable(TableFile):
                 ),
                 pc.ParseOptions(delimiter=self.form.delimiter, invalid_row_handler=ragged),
                 pc.ConvertOptions(
-                    column_types={f"c{k}": pa.float64() for k in chosen if k not in timed},
-                    include_columns=[f"c{k}" for k in chosen],
+                    column_types={
+                        f"c{k}": pa.float64() for k in places if self.names[k] not in times
+                    },
+                    include_columns=[f"c{k}" for k in places],
                     null_values=_MISSING,
                     quoted_strings_can_be_null=True,
                     decimal_point=self.form.decimal,
@@ -99,16 +98,14 @@ class CsvTable(TableFile):
             )
         except ARROW_ERRORS as error:
             return error
-        arrays = {name: table.column(f"c{place}") for name, place in places.items()}
-        return pa.table(arrays)
+        return table.rename_columns(list(columns))
 
     def _partial(self, ragged: _Ragged, rows: int) -> str:
-        if ragged.first is None:
+        first, lines = ragged.first, rows + ragged.count
+        if first is None:
             return ""
-        number, lines = ragged.first.number, rows + ragged.count
-        line = "a line" if number is None else f"line {number}"
-        what = f"{line} has {ragged.first.actual_columns} fields"
-        what += f", the header {ragged.first.expected_columns}"
+        what = "a line" if first.number is None else f"line {first.number}"
+        what += f" has {first.actual_columns} fields, the header {first.expected_columns}"
         if ragged.count > max(1.0, _RAGGED_SHARE * lines):
             message = f"{what}; so do {ragged.count} of {lines} lines"
             hint = "Give every line as many fields as there are names."
@@ -142,47 +139,25 @@ class CsvTable(TableFile):
         return row
 
 
-def _texts(table: pa.Table) -> bool:
-    """Tell whether a column was found to be neither numbers nor times."""
-    return any(pa.types.is_string(kind) or pa.types.is_binary(kind) for kind in table.schema.types)
-
-
 def read_blocks(
     path: Path, robot: Robot, time_source: TimeSource = "header", *, rows: int | None = None
 ) -> Iterator[RawLog]:
     """Read a CSV log as one block; see `read_table`. A line has one time."""
     del time_source
     form = read_form(path)
-    size = _before_cut(path, form)
+    size = _whole_lines(path)
     notes = () if size is None else (_CUT,)
     return read_table(CsvTable(path, form.names, notes=notes, form=form, size=size), robot, rows)
 
 
-def _before_cut(path: Path, form: CsvForm, *, rare: float = 0.05) -> int | None:
-    """Bytes before a last line that stops within its last number; None where it is whole.
-
-    A line without an end is cut where its last number is none, or has as few decimals as only the
-    share `rare` of those above it have. Arrow itself tells lines with fewer fields.
-    """
+def _whole_lines(path: Path) -> int | None:
+    """Bytes before a last line that has no end, which may be cut short; None where it has one."""
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
-        begin = file.seek(max(0, size - _TAIL))
-        *above, last = re.split(rb"\r\n|\n|\r", file.read())
-    fields = last.split(form.delimiter.encode())
-    rows = [line.split(form.delimiter.encode()) for line in above[1 if begin else form.skip :]]
-    usual = sorted(_decimals(row[-1], form.decimal) for row in rows if len(row) == len(fields))
-    if not last or not usual:
-        return None
-    fewest = usual[int(rare * len(usual))]
-    return size - len(last) if _decimals(fields[-1], form.decimal) < fewest else None
-
-
-def _decimals(field: bytes, mark: str) -> int:
-    """Characters after the decimal mark, or of a whole number; 0 of a missing one, -1 of text."""
-    text = field.decode("latin-1").strip().strip('"')
-    if text.lower() in MISSING:
-        return 0
-    return len(text.rpartition(mark)[2]) if is_number(text) else -1
+        file.seek(max(0, size - _BLOCK))
+        tail = file.read()
+    end = max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
+    return None if end == len(tail) else size - len(tail) + end
 
 
 def list_columns(path: Path) -> tuple[list[str], int]:

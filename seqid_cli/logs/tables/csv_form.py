@@ -46,9 +46,7 @@ def read_form(path: Path, *, looked_at: int = 20) -> CsvForm:
     with path.open("rb") as file:
         head = file.read(HEAD)
     where = str(path)
-    _require_text(head, where)
-    encoding = "utf8" if _decodes(head) else "latin-1"
-    lines = _lines(head, encoding, where)
+    encoding, lines = _lines(head, where)
     header_at, names_line = _header(lines, where)
     data = [line for line in lines[header_at + 1 :] if line.strip()][:looked_at]
     names_line = names_line or data[0]
@@ -62,16 +60,16 @@ def read_form(path: Path, *, looked_at: int = 20) -> CsvForm:
     rows = [_split(line, delimiter) for line in data]
     while names and not names[-1] and max(map(len, rows)) < len(names):
         names.pop()  # the header alone ends with a delimiter
-    decimal = _decimal(rows, delimiter)
     _require_numbers(rows[0], len(names), delimiter, header_at + 2, where)
-    trailing = min(len(row) for row in rows) - len(names)
-    filled = trailing > 0 and all(not "".join(row[len(names) :]).strip() for row in rows)
-    return CsvForm(
-        encoding, delimiter, decimal, tuple(names), header_at + 1, trailing if filled else 0
-    )
+    filler = max(0, min(map(len, rows)) - len(names))
+    if any("".join(row[len(names) :]).strip() for row in rows):
+        filler = 0
+    decimal = _decimal(rows, delimiter)
+    return CsvForm(encoding, delimiter, decimal, tuple(names), header_at + 1, filler)
 
 
-def _require_text(head: bytes, where: str) -> None:
+def _lines(head: bytes, where: str) -> tuple[str, list[str]]:
+    """Return the encoding and the whole lines of the head, which must be text."""
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
         hint = "Convert it: `iconv -f UTF-16 -t UTF-8 FILE > NEW.csv`."
         raise InputError("is UTF-16 text; CSV logs are read as UTF-8", hint=hint, where=where)
@@ -82,26 +80,18 @@ def _require_text(head: bytes, where: str) -> None:
             hint="Remove the NUL bytes: `tr -d '\\000' < FILE > NEW.csv`.",
             where=where,
         )
-
-
-def _decodes(head: bytes) -> bool:
+    encoding = "utf8"
     try:
-        head[: head.rfind(b"\n") + 1].decode("utf-8")
+        head[: head.rfind(b"\n") + 1].decode(encoding)
     except UnicodeDecodeError:
-        return False
-    return True
-
-
-def _lines(head: bytes, encoding: str, where: str) -> list[str]:
-    """Return the whole lines of the head."""
-    text = head.decode(encoding, "replace").removeprefix("\ufeff")
-    lines = re.split(r"\r\n|\n|\r", text)
+        encoding = "latin-1"
+    lines = re.split(r"\r\n|\n|\r", head.decode(encoding, "replace").removeprefix("\ufeff"))
     if len(head) == HEAD:
         if len(lines) == 1:
             message = f"its first line is longer than {HEAD} bytes: it is no table of samples"
             raise InputError(message, hint=_HINT, where=where)
         lines.pop()
-    return lines
+    return encoding, lines
 
 
 def _header(lines: Sequence[str], where: str) -> tuple[int, str]:

@@ -11,23 +11,18 @@ LeRobot datasets, list columns `observation.state` and others.
 
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from seqid_cli.robot.toml.schema import Columns
 
+# fmt: off
 QUANTITIES = (
-    "position",
-    "velocity",
-    "torque",
-    "current",
-    "load",
-    "link_position",
-    "voltage",
-    "pwm",
+    "position", "velocity", "torque", "current", "load", "link_position", "voltage", "pwm",
     "temperature",
 )
+# fmt: on
 EFFORT = "effort"  # torque or current, whichever the robot file says
 
 # Names of time columns, the unit behind them optional: time, t_ms, timestamp [s], __time.
@@ -67,7 +62,7 @@ class Match:
     """A scheme found in a log: the column of each joint, by quantity; None where it lacks one."""
 
     scheme: Scheme
-    columns: dict[str, list[str | None]] = field(default_factory=dict)
+    columns: dict[str, list[str | None]]
 
 
 _ALL = (*QUANTITIES, EFFORT)
@@ -91,9 +86,7 @@ _NUMBERED = {
 
 def _scheme(form: str, words: Mapping[str, tuple[str, ...]]) -> Scheme:
     """Make a scheme of a form of names, in which `*` stands for the words of a quantity."""
-    return Scheme(
-        {name: tuple(form.replace("*", word) for word in own) for name, own in words.items()}
-    )
+    return Scheme({name: tuple(form.replace("*", w) for w in own) for name, own in words.items()})
 
 
 DEFAULT = Scheme({quantity: (f"{{name}}.{quantity}",) for quantity in _ALL})
@@ -154,15 +147,12 @@ def find_scheme(
     for scheme in SCHEMES:
         lists = all(p.endswith("[{index0}]") for p in scheme.patterns["position"])
         places = entries if entries and lists and scheme != FRANKA else None
-        position = _find(scheme.patterns["position"], joints, known, places, whole=True)
-        if position is None:
-            continue
-        columns: dict[str, list[str | None]] = {"position": position}
-        for quantity in _ALL[1:]:
-            found = _find(scheme.patterns.get(quantity, ()), joints, known, places, whole=False)
-            if found is not None:
-                columns[quantity] = found
-        return Match(scheme, columns)
+        found = {
+            quantity: _find(scheme, quantity, joints, known, places, whole=quantity == "position")
+            for quantity in _ALL
+        }
+        if found["position"] is not None:
+            return Match(scheme, {name: own for name, own in found.items() if own is not None})
     return None
 
 
@@ -174,24 +164,23 @@ def find_quantities(joints: Sequence[str], known: Collection[str]) -> dict[str, 
     columns: dict[str, list[str | None]] = {}
     tries = [*((scheme, True) for scheme in SCHEMES), (DEFAULT, False)]
     for quantity in _ALL[1:]:
-        for scheme, whole in tries:
-            found = _find(scheme.patterns.get(quantity, ()), joints, known, None, whole=whole)
-            if found is not None:
-                columns.setdefault(quantity, found)
+        tried = (_find(one, quantity, joints, known, None, whole=whole) for one, whole in tries)
+        found = next((own for own in tried if own is not None), None)
+        if found is not None:
+            columns[quantity] = found
     return columns
 
 
 def nearest_scheme(joints: Sequence[str], known: Collection[str]) -> list[str]:
     """List the position columns that a log lacks of the scheme that fits it best."""
-    tried = []
-    for pattern in (pattern for scheme in SCHEMES for pattern in scheme.patterns["position"]):
-        names = [column_name(pattern, joint, i) for i, joint in enumerate(joints)]
-        tried.append([name for name in names if name not in known])
-    return min(tried, key=len)
+    patterns = [pattern for scheme in SCHEMES for pattern in scheme.patterns["position"]]
+    tried = [[column_name(p, joint, i) for i, joint in enumerate(joints)] for p in patterns]
+    return min(([name for name in names if name not in known] for names in tried), key=len)
 
 
 def _find(
-    patterns: Iterable[str],
+    scheme: Scheme,
+    quantity: str,
     joints: Sequence[str],
     known: Collection[str],
     places: Mapping[str, int] | None,
@@ -199,28 +188,13 @@ def _find(
     whole: bool,
 ) -> list[str | None] | None:
     """Return the columns of the first pattern that gives one for every joint, or for some."""
-    for pattern in patterns:
-        names = [
-            column_name(pattern, joint, places.get(joint, -1) if places else i)
-            for i, joint in enumerate(joints)
-        ]
+    at = [places.get(joint, -1) if places else i for i, joint in enumerate(joints)]
+    for pattern in scheme.patterns.get(quantity, ()):
+        names = [column_name(pattern, *pair) for pair in zip(joints, at, strict=True)]
         found = [name if name in known else None for name in names]
         if all(found) or (not whole and any(found)):
             return found
     return None
-
-
-def other_joints(match: Match, joints: Sequence[str], known: Iterable[str]) -> list[str]:
-    """Name the joints (or, where they are numbered, the columns) that the robot file lacks."""
-    used = {name for name in match.columns["position"] if name is not None}
-    for pattern in match.scheme.patterns["position"]:
-        form = re.escape(pattern).replace(r"\{name\}", "(?P<name>[^./]+)")
-        form = re.sub(r"\\\{index0?\\\}", "[0-9]{1,3}", form)
-        found = {name: re.fullmatch(form, name) for name in (*used, *known)}
-        if all(found[name] for name in used):
-            others = [m.groupdict().get("name") or n for n, m in found.items() if m]
-            return [name for name in dict.fromkeys(others) if name not in used.union(joints)]
-    return []
 
 
 def time_names(names: Iterable[str]) -> dict[str, str | None]:

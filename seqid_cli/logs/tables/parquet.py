@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.raw import Array, RawLog, TimeSource
-from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_number, opened_table
+from seqid_cli.logs.tables.columns import ARROW_ERRORS, is_number, is_text, opened_table
 from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
 from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
@@ -34,13 +34,12 @@ def list_entries(
     """Find the place of each joint in the file's lists, where it names them all; and notes."""
     lerobot = LEROBOT_STATE in lists
     names = _lerobot_names(path) if lerobot else _name_column(path, file)
-    found: dict[str, int] = {}
-    for joint in joints:
-        for name in (joint + ending for ending in _ENDINGS if joint + ending in names):
-            found.setdefault(joint, names.index(name))
+    places = {name: place for place, name in reversed([*enumerate(names)])}
+    forms = {joint: [joint + end for end in _ENDINGS if joint + end in places] for joint in joints}
+    found = {joint: places[given[0]] for joint, given in forms.items() if given}
     if len(found) == len(joints):
         return found, ()
-    if lerobot and joints and lists[LEROBOT_STATE] == len(joints):
+    if lerobot and joints:
         return {}, (f"{LEROBOT_STATE}: values are taken in the order of the robot file",)
     return {}, ()
 
@@ -57,26 +56,24 @@ def _lerobot_names(path: Path) -> list[str]:
         try:
             if info.stat().st_size > _LARGEST:
                 return []
-            content = json.loads(info.read_text(encoding="utf-8"))
-            names = content["features"][LEROBOT_STATE]["names"]
+            names = json.loads(info.read_bytes())["features"][LEROBOT_STATE]["names"]
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             continue
         if isinstance(names, dict) and len(names) == 1:  # {"motors": [...]} of older data sets
-            names = next(iter(names.values()))
+            (names,) = names.values()
         if isinstance(names, list):
             return [str(name) for name in names]
     return []
 
 
 def _name_column(path: Path, file: pq.ParquetFile) -> list[str]:
+    """Return the joints that a column of string lists names, alike in all rows."""
+    schema = file.schema_arrow
     for column in _NAME_COLUMNS:
-        if column not in file.schema_arrow.names:
-            continue
-        kind = file.schema_arrow.field(column).type
+        kind = schema.field(column).type if column in schema.names else pa.null()
         if not pa.types.is_list(kind) or not pa.types.is_string(kind.value_type):
             continue
-        rows = file.read(columns=[column]).column(0).to_pylist()
-        given = [row for row in rows if row]
+        given = [row for row in file.read(columns=[column]).column(0).to_pylist() if row]
         if any(row != given[0] for row in given):
             message = f"the names in column {column!r} change from row to row"
             hint = "Write one column per joint, <joint>.position and so on."
@@ -86,9 +83,6 @@ def _name_column(path: Path, file: pq.ParquetFile) -> list[str]:
 
 
 _ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
-_TEXTS = (
-    pa.types.is_string, pa.types.is_large_string, pa.types.is_binary, pa.types.is_large_binary,
-)  # fmt: skip
 BLOCK_ROWS = 65_536
 _LONGEST = 256  # elements of a list column that can be one number per joint
 
@@ -150,9 +144,8 @@ def read_tables(
 
     In blocks memory stays that of one row group. Checksums of pages are checked where there are.
     """
-    pool = _pool()
     try:
-        with _opened(path, pool if rows else pa.default_memory_pool()) as file:
+        with opened_table(path, pre_buffer=False, page_checksum_verification=True) as file:
             _refuse_texts(path, file, columns)
             if rows is None:
                 yield file.read(columns=list(columns))
@@ -163,7 +156,7 @@ def read_tables(
                 ):
                     yield pa.Table.from_batches([batch])
                     del batch
-                pool.release_unused()  # or it keeps some row groups' worth
+                pa.default_memory_pool().release_unused()  # or it keeps some row groups' worth
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
 
@@ -172,30 +165,11 @@ def _refuse_texts(path: Path, file: pq.ParquetFile, columns: Sequence[str]) -> N
     """Refuse a column of texts before it is read: each of them may be of any size."""
     for name in set(columns) & set(file.schema_arrow.names):
         kind = file.schema_arrow.field(name).type
-        if pa.types.is_dictionary(kind):
-            kind = kind.value_type
-        if any(is_text(kind) for is_text in _TEXTS):
+        if is_text(kind):
+            kind = kind.value_type if pa.types.is_dictionary(kind) else kind
             message = f"column {name!r} holds {kind}, not numbers"
             hint = "Write it as float64 in SI units, time in seconds or as a timestamp."
             raise InputError(message, hint=hint, where=str(path))
-
-
-def _pool() -> pa.MemoryPool:
-    """The memory that is had at the least cost: Arrow's usual one takes a third of decoding."""
-    try:
-        return pa.jemalloc_memory_pool()
-    except NotImplementedError:
-        return pa.default_memory_pool()
-
-
-def _opened(path: Path, pool: pa.MemoryPool) -> pq.ParquetFile:
-    """Open a file whose columns go into a memory pool."""
-    usual = pa.default_memory_pool()
-    pa.set_memory_pool(pool)
-    try:
-        return opened_table(path, pre_buffer=False, page_checksum_verification=True)
-    finally:
-        pa.set_memory_pool(usual)  # a reader keeps the one that it was opened with
 
 
 def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:

@@ -16,7 +16,16 @@ import pyarrow as pa
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.drives import in_si
-from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, RawLog, Rows, Stamps, Stream
+from seqid_cli.logs.raw import (
+    ACCELEROMETERS,
+    GYRO,
+    Array,
+    RawLog,
+    Rows,
+    Stamps,
+    Stream,
+    partly_logged,
+)
 from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
 from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.naming_schemes import (
@@ -28,7 +37,6 @@ from seqid_cli.logs.tables.naming_schemes import (
     find_quantities,
     find_scheme,
     nearest_scheme,
-    other_joints,
     stamp_parts,
     time_names,
 )
@@ -59,12 +67,7 @@ def imu_columns(
         if not missing:
             return accelerometers, rates
         if len(missing) < len(accelerometers) + len(rates):
-            raise InputError(
-                f"IMU {imu.name!r} is only partly in the log; missing: {', '.join(missing)}",
-                hint=f"The robot file gives it {count} accelerometers"
-                f"{' and a gyro' if imu.gyro else ''}: log them all, or correct the robot file.",
-                where=where,
-            )
+            raise partly_logged(imu, missing, where)
     # UR's own accelerometer, for a triad of the robot file that rides on the last link.
     names = [f"actual_tool_accelerometer_{axis}" for axis in range(3)]
     last = imu.after_joint == robot.n - 1 and count == 3 and not imu.gyro
@@ -93,34 +96,22 @@ def separate(
     lost = int(np.count_nonzero(~numbered))
     notes = [f"{lost} rows without {name} were left out"] if lost else []
     keep = keep[numbered]
-    if not len(keep):
-        return stamps, keep, notes
-    ends = [0, *(np.flatnonzero(np.diff(episode[keep]) != 0) + 1).tolist(), len(keep)]
-    runs = [keep[start:end] for start, end in pairwise(ends)]
+    runs = np.split(keep, np.flatnonzero(np.diff(episode[keep])) + 1)
     if len(runs) == 1:
         return stamps, keep, notes
-    interval = _interval(stamps, runs)
+    # The mean interval inside the episodes, gaps left out: the holes then fit the time base.
+    steps = np.concatenate([np.diff(stamps[run]) for run in runs])
+    steps = steps[steps > 0]
+    interval = float(np.mean(steps[steps < 1.5 * np.median(steps)])) if len(steps) else 1e9
     hole = round(interval * max(hole_intervals, np.ceil(hole_s * 1e9 / interval)))
     moved = stamps.copy()
-    latest = int(stamps[runs[0]].max())
-    for run in runs[1:]:
-        earliest = int(stamps[run].min())
-        moved[run] = stamps[run] - earliest + latest + hole
-        latest = int(moved[run].max())
+    for before, run in pairwise(runs):
+        moved[run] += int(moved[before].max()) + hole - int(stamps[run].min())
     notes.append(
         f"{len(runs)} episodes ({name}) are read as stretches with a gap of {hole * 1e-9:.3g} s "
         "between them"
     )
     return moved, keep, notes
-
-
-def _interval(stamps: Stamps, runs: list[Rows]) -> float:
-    """Mean interval inside the episodes, gaps left out [ns]: the holes then fit the time base."""
-    steps = np.concatenate([np.diff(stamps[run]) for run in runs])
-    forward = steps[steps > 0]
-    if not len(forward):
-        return 1e9
-    return float(np.mean(forward[forward < 1.5 * np.median(forward)]))
 
 
 ROWS = "the rows"
@@ -153,16 +144,8 @@ class Plan:
     time: TimeColumn
     joints: dict[str, list[str | None]]
     imus: dict[str, tuple[list[str], list[str]]]
-    episode: str | None = None
-    warnings: list[str] = field(default_factory=list)
-
-    @property
-    def columns(self) -> list[str]:
-        """All columns to load, each once."""
-        names: list[str | None] = [self.time.name, self.time.nanoseconds]
-        names += [name for row in self.joints.values() for name in row]
-        names += [name for pair in self.imus.values() for row in pair for name in row]
-        return list(dict.fromkeys(name for name in (*names, self.episode) if name is not None))
+    episode: str | None
+    warnings: list[str]
 
 
 def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterator[RawLog]:
@@ -172,15 +155,16 @@ def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterat
     by the first block. A file of several episodes is one block: they are put one behind the other.
     """
     plan = make_plan(file, robot)
-    for name in plan.columns:
+    wanted: list[str | None] = [plan.time.name, plan.time.nanoseconds]
+    wanted += [name for row in plan.joints.values() for name in row]
+    wanted += [name for pair in plan.imus.values() for row in pair for name in row]
+    columns = list(dict.fromkeys(name for name in (*wanted, plan.episode) if name is not None))
+    for name in columns:
         if (count := file.names.count(name)) > 1:
-            message, hint = (
-                f"column {name!r} is there {count} times",
-                "Give each column a name of its own.",
-            )
-            raise InputError(message, hint=hint, where=file.where)
+            message = f"column {name!r} is there {count} times"
+            raise InputError(message, hint="Give each column a name of its own.", where=file.where)
     notes = [*file.notes, *plan.warnings]
-    for table, partial in file.tables(plan.columns, None if plan.episode else rows):
+    for table, partial in file.tables(columns, None if plan.episode else rows):
         yield _raw_log(file.where, table, plan, robot, partial, notes)
         notes = []
 
@@ -208,29 +192,21 @@ def _raw_log(
 
 def make_plan(file: TableFile, robot: Robot) -> Plan:
     """Decide which columns to read: what the robot file declares, else what the names tell."""
-    names, known, joints = file.names, set(file.names), robot.joint_names
-    warnings: list[str] = []
+    known, joints = set(file.names), robot.joint_names
     match = find_scheme(joints, known, file.entries)
     if match is None and robot.channels.position is None:
-        raise missing_columns(file.where, nearest_scheme(joints, known), names)
-    if match is not None and robot.channels.position is None:
-        others = other_joints(match, joints, names)
-        more = f" and {len(others) - _SHOWN} more" if len(others) > _SHOWN else ""
-        if others:
-            warnings.append(
-                f"the log also holds {', '.join(others[:_SHOWN])}{more}, which the robot file does "
-                "not know: ignored"
-            )
+        raise missing_columns(file.where, nearest_scheme(joints, known), file.names)
+    warnings: list[str] = []
     columns = _joint_columns(file, robot, match)
-    imus = {
-        imu.name: found
-        for imu in robot.imus
-        if (found := imu_columns(file.where, robot, imu, known, warnings)) is not None
-    }
-    time = _time_column(file, robot.channels, match)
+    found = {imu.name: imu_columns(file.where, robot, imu, known, warnings) for imu in robot.imus}
     used = {name for row in columns.values() for name in row}
-    episode = next((name for name in EPISODES if name in known and name not in used), None)
-    return Plan(time, columns, imus, episode, warnings)
+    return Plan(
+        _time_column(file, robot.channels, match),
+        columns,
+        {name: pair for name, pair in found.items() if pair is not None},
+        next((name for name in EPISODES if name in known and name not in used), None),
+        warnings,
+    )
 
 
 def _joint_columns(
@@ -257,22 +233,18 @@ def _joint_columns(
 def _time_column(file: TableFile, channels: Channels, match: Match | None) -> TimeColumn:
     names, unit = file.names, match.scheme.time_unit if match is not None else None
     told = time_names(names)
-    if channels.time is not None:
-        own = str(channels.time)
-        if own not in names:
-            raise missing_columns(file.where, [own], names, what="[channels] time")
-        said = time_names([own]).get(own)
-        return TimeColumn(own, said or unit, said is not None)
-    if "t" in told:
+    if "t" in told and channels.time is None:
         return TimeColumn("t", unit)
-    candidates = list(told)
-    if len(candidates) == 1:
-        said = told[candidates[0]]
-        return TimeColumn(candidates[0], said or unit, said is not None)
-    if candidates:
+    candidates = list(told) if channels.time is None else [str(channels.time)]
+    if len(candidates) > 1:
         message = f"the time column is ambiguous: {' or '.join(candidates)}"
         hint = 'Say which in the robot file: [channels] time = "..."'
         raise InputError(message, hint=hint, where=file.where)
+    for own in candidates:
+        if own not in names:
+            raise missing_columns(file.where, [own], names, what="[channels] time")
+        said = told.get(own)
+        return TimeColumn(own, said or unit, said is not None)
     parts = stamp_parts(names)
     if parts is None:
         raise missing_columns(file.where, ["t"], names, what="[channels] time")

@@ -133,7 +133,7 @@ def csv_rtde(path: Path, data: Data) -> Path:
     return path
 
 
-def csv_franka(path: Path, data: Data, digits: int = 17) -> Path:
+def csv_franka(path: Path, data: Data) -> Path:
     """libfranka: time in whole milliseconds, arrays in brackets."""
     path = path.with_suffix(".csv")
     n = len(data.joints)
@@ -144,7 +144,7 @@ def csv_franka(path: Path, data: Data, digits: int = 17) -> Path:
     for i, t in enumerate(data.t.tolist()):
         q, dq, tau = data.q[i], data.dq[i], data.torque[i]
         row = np.concatenate([q, q, dq, dq, tau, tau * 0.0, q])
-        lines.append(f"{round(t * 1000)},1," + ",".join(f"{v:.{digits}g}" for v in row))
+        lines.append(f"{round(t * 1000)},1," + ",".join(f"{v:.17g}" for v in row))
     path.write_text("\n".join(lines) + "\n")
     return path
 

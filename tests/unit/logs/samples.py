@@ -23,14 +23,13 @@ def make_robot(
     imus: Sequence[Imu] = (),
     constants: Sequence[float | None] | float | None = None,
     gear_ratio: float | None = None,
-    limits: tuple[float, float] | None = None,
     channels: Channels | None = None,
 ) -> Robot:
     """Build a robot whose kinematics do not matter."""
     n = len(names)
     each = constants if isinstance(constants, Sequence) else [constants] * n
     joints = tuple(
-        Joint(name, torque_constant=constant, gear_ratio=gear_ratio, position_limits=limits)
+        Joint(name, torque_constant=constant, gear_ratio=gear_ratio)
         for name, constant in zip(names, each, strict=True)
     )
     chain = Chain(

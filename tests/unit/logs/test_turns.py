@@ -70,19 +70,17 @@ def test_other_positions_stay_as_they_are(tmp_path: Path, factor: float) -> None
     assert np.array_equal(read_recording(log, sliding).q[:, 0], q % TURN)
 
 
-def test_missing_values_stay_missing() -> None:
-    q = (2.0 * np.sin(T) % TURN)[:, None]
-    q[100:103] = np.nan
-    stream = Stream("joints", np.rint(T * 1e9).astype(np.int64), {"position": q})
-    moved, found = in_turns(stream, limited((-3.0, 3.0)))
-    there = np.isfinite(q[:, 0])
-    np.testing.assert_allclose(moved.channels["position"][there, 0], 2.0 * np.sin(T)[there])
-    assert np.array_equal(np.isfinite(moved.channels["position"]), np.isfinite(q))
-    assert found == {robot(ONE).joint_names[0]: int(np.count_nonzero(np.diff(np.sin(T) < 0)))}
-
-
-def test_a_turn_among_other_jumps_is_chance() -> None:
-    q = 2.9 * np.sin(T)[:, None]
-    q[500:], q[900, 0] = q[500:] + TURN, 1e200
-    stream = Stream("joints", np.rint(T * 1e9).astype(np.int64), {"position": q})
-    assert in_turns(stream, limited(None)) == (stream, {})
+@pytest.mark.parametrize("chance", [False, True])
+def test_missing_values_and_other_jumps_stay(chance: bool) -> None:
+    q = 2.0 * np.sin(T)[:, None]
+    logged = q % TURN
+    logged[100:103] = np.nan
+    if chance:  # a single turn among other jumps
+        logged = q.copy()
+        logged[500:], logged[900, 0] = q[500:] + TURN, 1e200
+    stream = Stream("joints", np.rint(T * 1e9).astype(np.int64), {"position": logged})
+    moved, found = in_turns(stream, limited(None))
+    wraps = int(np.count_nonzero(np.diff(np.sin(T) < 0)))
+    assert found == ({} if chance else {robot(ONE).joint_names[0]: wraps})
+    truth = np.where(np.isfinite(logged), logged if chance else q, np.nan)
+    np.testing.assert_allclose(moved.channels["position"], truth)

@@ -63,11 +63,9 @@ def write_parquet(
     q: Array,
     *,
     dq: Array | None = None,
-    current: Array | None = None,
-    torque: Array | None = None,
-    temperature: Array | None = None,
     accelerometers: dict[str, Array] | None = None,
     gyros: dict[str, Array] | None = None,
+    **quantities: Array | None,
 ) -> Path:
     """Write the default columns: `t` s, `<joint>.position` ..., `<imu>.a1` ..., `<imu>.gx` ...
 
@@ -75,17 +73,11 @@ def write_parquet(
     a gyro and three accelerometers is written as a triad (`ax`, `ay`, `az`).
     """
     columns: dict[str, Array] = {"t": np.asarray(t)}
-    per_joint = {
-        "position": q,
-        "velocity": dq,
-        "current": current,
-        "torque": torque,
-        "temperature": temperature,
-    }
-    for quantity, values in per_joint.items():
+    for quantity, values in {"position": q, "velocity": dq, **quantities}.items():
         if values is not None:
-            for i, joint in enumerate(joints):
-                columns[f"{joint}.{quantity}"] = np.asarray(values)[:, i]
+            columns |= {
+                f"{j}.{quantity}": own for j, own in zip(joints, np.transpose(values), strict=True)
+            }
     for imu, values in (accelerometers or {}).items():
         triad = values.shape[1] == 3 and imu in (gyros or {})
         names = ["ax", "ay", "az"] if triad else [f"a{k + 1}" for k in range(values.shape[1])]

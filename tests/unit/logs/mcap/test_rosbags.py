@@ -30,7 +30,7 @@ from tests.unit.logs.format_writers import (
     write_bag,
 )
 from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot
-from tests.unit.logs.writers import DEFINITIONS, JOINT_STATE, arm_messages, header
+from tests.unit.logs.writers import arm_messages, header
 
 MOTION = make_motion(grid())
 DATA = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)
@@ -80,15 +80,6 @@ def test_dynamic_joint_states(tmp_path: Path, defined: bool) -> None:
     np.testing.assert_array_equal(recording.q, MOTION.q)
     np.testing.assert_allclose(recording.tau, MOTION.tau, rtol=1e-15)
     assert read_recording(path, make_robot()).tau is None
-
-
-def test_definition_with_other_fields(tmp_path: Path) -> None:
-    other = "uint8 mode\n" + DEFINITIONS[JOINT_STATE]
-    messages = reversed_states(DATA)
-    for _, _, content in messages:
-        content.mode = 3
-    bag = write_bag(tmp_path / "bag", messages, definitions={JOINT_STATE: other})
-    np.testing.assert_array_equal(read_recording(bag, make_robot()).q, MOTION.q)
 
 
 def test_values_of_other_types_than_declared_are_refused(tmp_path: Path) -> None:
@@ -212,12 +203,6 @@ def test_damaged_ros1_bag(tmp_path: Path, change: str) -> None:
     else:
         assert change == "chunk"
         assert found.partial
-
-
-def test_bag_without_joint_states_lists_its_topics(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "bag", [("/chatter", 1, SimpleNamespace(data="x"))])
-    with pytest.raises(InputError, match=r"/chatter \(std_msgs/msg/String, 1\)"):
-        read_recording(bag, make_robot())
 
 
 @pytest.mark.parametrize("write", [rosbag1, rosbag2_sqlite])

@@ -124,15 +124,6 @@ def test_nothing_to_salvage_is_an_error(tmp_path: Path, source: Path) -> None:
         read_raw(tmp_path / "log", ROBOT)
 
 
-def test_checksum_of_unchunked_data(tmp_path: Path, source: Path, q: np.ndarray) -> None:
-    path = rewrite(source, tmp_path / "log", chunking=False)
-    assert assert_rows_of(path, q, COUNT) == ""
-    data = bytearray(path.read_bytes())
-    data[data.index(struct.pack("<d", q[100, 1]))] ^= 1
-    path.write_bytes(data)
-    assert "checksum" in read_raw(path, ROBOT).partial
-
-
 def test_blocks_of_a_file_without_joints(tmp_path: Path, source: Path) -> None:
     path = rewrite(source, tmp_path / "log", keep=lambda topic: False)
     with pytest.raises(InputError, match="no messages on /joint_states"):

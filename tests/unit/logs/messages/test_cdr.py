@@ -1,23 +1,15 @@
 """CDR decoding against the library's own decoder, and unusual definitions."""
 
-import random
 import struct
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
-import pytest
-from mcap.records import Schema
 
-from seqid_cli.logs.messages import parsers
-from seqid_cli.logs.messages.batch import NameMap, Payloads
 from seqid_cli.logs.read import read_recording
 from tests.unit.logs.samples import JOINTS, grid, make_motion, make_robot
 from tests.unit.logs.writers import (
     DEFINITIONS,
-    DYNAMIC,
     JOINT_STATE,
-    header,
     joint_messages,
     payloads,
     write_messages,
@@ -66,51 +58,3 @@ def test_a_message_of_another_representation_is_refused(tmp_path: Path) -> None:
     path = write_raw(tmp_path / "log.mcap", {"/joint_states": "cdr"}, rows)
     partial = read_recording(path, make_robot()).partial
     assert partial == "1 of 100 messages of /joint_states could not be decoded"
-
-
-@pytest.mark.parametrize("effort", ["torque", "current"])
-def test_dynamic_joint_states_match_the_slow_way(tmp_path: Path, effort: str) -> None:
-    rng, messages = random.Random(4), []
-    kinds = ("position", "velocity", "effort", "torque", "current", "other")
-    for i in range(200):
-        if i % 20 == 0:
-            names = rng.sample((*NAMES, "x"), rng.randrange(5))
-            interfaces = [rng.sample(kinds, rng.randrange(6)) for _ in names]
-        values = [
-            SimpleNamespace(interface_names=each, values=[rng.gauss(0, 1) for _ in each])
-            for each in interfaces
-        ]
-        content = SimpleNamespace(header=header(i + 1), joint_names=names, interface_values=values)
-        messages.append(("/dynamic_joint_states", 0, content))
-    path = write_messages(tmp_path / "log.mcap", messages, encoding="cdr")
-    usual = Schema(1, DEFINITIONS[DYNAMIC].encode(), "ros2msg", DYNAMIC)
-    parse = parsers.schema_parser("cdr", usual)
-    decode = parsers.decoder("cdr", usual, "dynamic_joint_state", NameMap(NAMES, effort))
-    assert parse is not None
-    assert decode is not None
-    batch = Payloads.of(payloads(path))
-    slow = parsers.field_decoder("dynamic_joint_state", NameMap(NAMES, effort), parse)(batch)
-    fast = decode(batch)
-    assert fast.good.all()
-    np.testing.assert_array_equal(fast.values, slow.values)
-    np.testing.assert_array_equal(fast.stamp_ns, slow.stamp_ns)
-
-
-@pytest.mark.parametrize(
-    ("kind", "change", "usual"),
-    [
-        (DYNAMIC, ("", ""), True),
-        (DYNAMIC, ("float64[] v", "float32[] v"), False),
-        (JOINT_STATE, ("std_msgs/Header", "std_msgs/msg/Header"), True),
-        (JOINT_STATE, ("std_msgs/Header", "Header"), True),
-        (JOINT_STATE, ("std_msgs/Header", "my_msgs/Header"), False),
-        (JOINT_STATE, ("float64[] effort", "float64[]   effort  # N m"), True),
-        (JOINT_STATE, ("float64[] effort\n", ""), False),
-    ],
-)
-def test_only_the_usual_definition_is_read_fast(
-    kind: str, change: tuple[str, str], usual: bool
-) -> None:
-    schema = Schema(1, DEFINITIONS[kind].replace(*change).encode(), "ros2msg", kind)
-    name = "dynamic_joint_state" if kind == DYNAMIC else "joint_state"
-    assert parsers.is_usual(schema, name) == usual  # type: ignore[arg-type]

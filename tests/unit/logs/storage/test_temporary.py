@@ -1,19 +1,16 @@
-"""Copies of logs and rows set aside: what killed runs left is removed, a full disk is named."""
+"""Copies of logs: what killed runs left is removed, a full disk is named."""
 
 import errno
 import os
-import shutil
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs.storage.temporary import Spool, temporary_folder
+from seqid_cli.logs.storage.temporary import temporary_folder
 
 
 @pytest.fixture(autouse=True)
@@ -48,20 +45,3 @@ def test_no_room_for_a_copy_is_told(room: Path, monkeypatch: pytest.MonkeyPatch)
         pass
     assert caught.value.where == "a"
     assert str(room) in caught.value.hint
-
-
-@pytest.mark.parametrize("without", ["room", "folder"])
-def test_rows_are_set_aside_only_where_there_is_room(
-    room: Path, monkeypatch: pytest.MonkeyPatch, without: str
-) -> None:
-    stamps, values = np.arange(4_000), np.ones((4_000, 4))
-    spool = Spool()
-    spool.push(stamps, values)
-    assert spool.complete
-    if without == "room":
-        monkeypatch.setattr(shutil, "disk_usage", lambda _: SimpleNamespace(free=400))
-    else:
-        monkeypatch.setattr(tempfile, "tempdir", str(room / "missing"))
-    spool = Spool()
-    spool.push(stamps, values)
-    assert not spool.complete

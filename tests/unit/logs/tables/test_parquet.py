@@ -43,18 +43,6 @@ def test_default_names(tmp_path: Path) -> None:
     assert len(recording.sha256) == 64
 
 
-@pytest.mark.parametrize(
-    ("pattern", "name"),
-    [("q_{index}", "q_{0}"), ("actual_q_{index0}", "actual_q_{1}"), ("{name}/pos", "{2}/pos")],
-)
-def test_patterns_of_the_robot_file(tmp_path: Path, pattern: str, name: str) -> None:
-    columns: dict[str, object] = {"stamp": MOTION.t}
-    for i, joint in enumerate(JOINTS):
-        columns[name.format(i + 1, i, joint)] = MOTION.q[:, i]
-    recording = read(tmp_path, columns, Channels(time="stamp", position=pattern))
-    np.testing.assert_array_equal(recording.q, MOTION.q)
-
-
 START_S = 1_700_000_000
 NS = np.rint(MOTION.t * 1e9).astype(np.int64)
 EPOCH_NS = NS + START_S * 10**9

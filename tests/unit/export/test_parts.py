@@ -314,7 +314,7 @@ def test_torque_scale_of_any_size_is_solved() -> None:
 
 @pytest.mark.parametrize(
     ("text", "expected"),
-    [("a -- b", "a - - b"), ("*/ int x; /*", "* / int x; / *"), ("l\nm\\", "l m/"), ("a-", "a")],
+    [("a -- b", "a - - b"), ("*/ int x; /*", "* / int x; / *"), ("l\nm\\", "l.m."), ("a-", "a")],
 )
 def test_names_cannot_leave_a_comment(text: str, expected: str) -> None:
     assert plain(text) == expected

@@ -28,11 +28,6 @@ class Point:
     command: str = ""
 
     @property
-    def where_short(self) -> str:
-        """The file it shows in, without the folders above its own."""
-        return short_path(self.where)
-
-    @property
     def said(self) -> str:
         """The text as a sentence; a name that leads it keeps its case."""
         first = self.text.partition(" ")[0]

@@ -8,7 +8,6 @@ from seqid_cli.params.encode import encode
 from seqid_cli.params.io import read_any
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.report.collection import collect
-from seqid_cli.report.sections.pipeline import pipeline
 from tests.unit.params.documents import (
     diagnosis_file,
     friction_file,
@@ -147,13 +146,3 @@ def test_a_reference_to_another_file_does_not_count_as_stale() -> None:
     moved = prediction_file()
     moved.parameters = [FileId(path="moved/inertia.json", sha256=parameters.sha256)]
     assert collect([parameters, source("prediction.json", moved)]).warnings == ()
-
-
-def test_what_has_no_verdict_is_not_called_good() -> None:
-    file, prediction = friction_file(), prediction_file()
-    file.stages.friction.verdicts, prediction.verdicts = [], []
-    found = collect([source("friction.json", file), source("prediction.json", prediction)])
-    steps = pipeline(found, []).groups[0].tables[0].rows
-    told = {row[0]: row[-1] for row in steps}
-    for command in ("seqid friction", "seqid predict"):
-        assert "not judged" in told[command]

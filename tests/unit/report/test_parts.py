@@ -12,8 +12,8 @@ from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.report.collection import collect
-from seqid_cli.report.figures.torque import extremes, pieces
 from seqid_cli.report.make import make_report
+from seqid_cli.report.sections.torque_figures import extremes, pieces
 from seqid_cli.report.words import (
     command,
     expression,

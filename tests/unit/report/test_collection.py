@@ -47,23 +47,20 @@ def test_other_joints_are_another_robot() -> None:
         collect([*good_documents(), source("other.json", other)])
 
 
-def test_files_that_disagree_on_a_stage_are_models_of_their_own() -> None:
-    other, rest = gravity_file(), friction_file()
-    for file in (other, rest):
+def test_files_that_disagree_are_models_of_their_own() -> None:
+    other, rest, refined, again = gravity_file(), friction_file(), full_file(), full_file()
+    for file in (other, rest, refined):
         file.stages.friction.joints["elbow"].rmse = 0.7
-    files = {"inertia.json": inertia_file(), "other.json": other, "friction.json": rest}
+    again.closed_loop.after["elbow"].rmse = 0.15
+    files = {"inertia": inertia_file(), "other": other, "friction": rest}
+    files |= {"refined": refined, "again": again}
     models = collect([source(path, file) for path, file in files.items()]).models
     assert [[item.path for item in model.sources] for model in models] == [
-        ["inertia.json"],
-        ["friction.json", "other.json"],
+        ["refined"],
+        ["again"],
+        ["inertia"],
+        ["friction", "other"],
     ]
-
-
-def test_refined_files_of_different_outcome_are_models_of_their_own() -> None:
-    other = full_file()
-    other.closed_loop.after["elbow"].rmse = 0.15
-    models = collect([source("refined.json", full_file()), source("other.json", other)]).models
-    assert [model.path for model in models] == ["refined.json", "other.json"]
 
 
 def test_the_best_model_is_judged_and_its_prediction_leads() -> None:
@@ -74,30 +71,16 @@ def test_the_best_model_is_judged_and_its_prediction_leads() -> None:
     assert labels == ["after: refined.json", "before: inertia.json"]
 
 
-def test_a_refined_file_may_differ_from_what_it_started_from() -> None:
-    refined = full_file()
-    refined.stages.friction.joints["elbow"].rmse = 0.7
-    found = collect([source("inertia.json", inertia_file()), source("refined.json", refined)])
-    assert len(found.models) == 2
-
-
 @pytest.mark.parametrize("place", ["joints", "findings", "unexplained", "logs"])
 def test_joints_that_the_robot_has_not_are_an_error(place: str) -> None:
-    if place == "logs":
-        prediction = prediction_file()
-        prediction.logs[1].joints = {"wrist": prediction.joints["elbow"]}
-        document = source("x.json", prediction)
-    else:
-        diagnosis = diagnosis_file()
-        if place == "joints":
-            diagnosis.joints["wrist"] = diagnosis.joints["elbow"]
-        elif place == "findings":
-            diagnosis.findings[0].joint = "wrist"
-        else:
-            diagnosis.unexplained[0].joint = "wrist"
-        document = source("x.json", diagnosis)
+    diagnosis, prediction = diagnosis_file(), prediction_file()
+    prediction.logs[1].joints = {"wrist": prediction.joints["elbow"]}
+    if place == "joints":
+        diagnosis.joints["wrist"] = diagnosis.joints["elbow"]
+    elif place != "logs":
+        getattr(diagnosis, place)[0].joint = "wrist"
     with pytest.raises(ConfigError, match=rf"x\.json: \$\.{place}.*'wrist'"):
-        check_consistency(document.content, document.path)
+        check_consistency(prediction if place == "logs" else diagnosis, "x.json")
 
 
 def test_evidence_needs_as_many_torques_as_places() -> None:

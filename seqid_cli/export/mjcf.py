@@ -51,8 +51,7 @@ def _joint(model: ExportModel, k: int) -> dict[str, str]:
     joint, fit = model.robot.joints[k], model.friction[k]
     values: dict[str, str] = {
         "name": joint.name,
-        "type": "slide" if joint.prismatic else "hinge",
-        "axis": reals(model.robot.chain.axis[k]),
+        **_axis(model, k),
         "armature": real(model.armature[k]),
     }
     if fit is not None:
@@ -69,17 +68,21 @@ def _joint(model: ExportModel, k: int) -> dict[str, str]:
 
 
 def _gap(model: ExportModel, k: int, *, share: float = 0.01) -> dict[str, str]:
-    """Backlash: the link's joint behind the motor's, free between two stops.
+    """Backlash: the link's joint behind the motor's, free between two stiff stops.
 
     It gets a `share` of the motor's armature, which only relative acceleration feels.
     """
-    name, half = model.robot.joints[k].name, 0.5 * model.gaps[k]
+    half = 0.5 * model.gaps[k]
     return {
-        "name": f"{name}_backlash",
-        "type": "slide" if model.robot.joints[k].prismatic else "hinge",
-        "axis": reals(model.robot.chain.axis[k]),
+        "name": f"{model.robot.joint_names[k]}_backlash",
+        **_axis(model, k),
         "armature": real(share * model.armature[k]),
         "range": reals([-half, half]),
         "solreflimit": "0.004 1",
-        "solimplimit": "0.99 0.999 0.0001",  # stiff stops
+        "solimplimit": "0.99 0.999 0.0001",
     }
+
+
+def _axis(model: ExportModel, k: int) -> dict[str, str]:
+    kind = "slide" if model.robot.joints[k].prismatic else "hinge"
+    return {"type": kind, "axis": reals(model.robot.chain.axis[k])}

@@ -102,11 +102,6 @@ def export_model(
     surfaces = tuple(friction_surfaces(stages, robot))
     friction = tuple(None if s is None else simple_friction(s) for s in surfaces)
     mass = largest_mass(robot, nearest.links + kept, gear_ratios(robot) ** 2 * nearest.rotor)
-    guessed = [
-        name
-        for name, cad in zip(robot.joint_names, nearest.expected.from_cad, strict=True)
-        if not cad
-    ]
     return ExportModel(
         robot=robot,
         urdf=urdf,
@@ -121,7 +116,7 @@ def export_model(
         gaps=effects.gaps,
         observer=thresholds(robot, stages, surfaces, mass, errors),
         notes=(
-            *_notes_on_links(stages, demand.open, guessed),
+            *_notes_on_links(robot, stages, demand.open, nearest.expected.from_cad),
             *_notes_on_friction(robot, friction),
             *effects.notes,
         ),
@@ -164,7 +159,7 @@ def _effects(stages: Stages, robot: Robot, holds: Collection[str], coupling: Cou
 
 
 def _notes_on_links(
-    stages: Stages, undetermined: Sequence[str], guessed: Sequence[str]
+    robot: Robot, stages: Stages, undetermined: Sequence[str], from_cad: Sequence[bool]
 ) -> list[str]:
     notes = []
     if stages.inertia is None:
@@ -172,7 +167,8 @@ def _notes_on_links(
         notes.append(f"no inertia stage in the file: {what} are the URDF's, as far as gravity lets")
     elif undetermined:
         notes.append("not determined by the logs, so as in the prior: " + "; ".join(undetermined))
-    if guessed:
+    joints = zip(robot.joint_names, from_cad, strict=True)
+    if guessed := [name for name, cad in joints if not cad]:
         notes.append(
             "no inertial in a URDF, so that what torque does not show was guessed from the arm's "
             "geometry (the torque does not depend on it): links of " + ", ".join(guessed)

@@ -168,14 +168,10 @@ class Panel:
         mark = element("rect", *inside, **own, x=x, y=top, width=width, height=height)
         self.marks.append(mark)
 
-    def upright(self, value: float, style: str, text: str = "") -> None:
-        """Draw a vertical line at a value, with a word at its upper end."""
+    def upright(self, value: float, style: str) -> None:
+        """Draw a vertical line at a value."""
         at = self.x(value)
         self.marks.append(line(f"rule {style}", at, self.box.top, at, self.box.bottom))
-        if text:
-            right = at < self.box.left + 0.7 * self.box.width
-            where, anchor = (at + 3, "start") if right else (at - 3, "end")
-            self.words.append(label(where, self.box.top + 11, text, anchor, "mark"))
 
     def render(self) -> Markup:
         """Return axes and marks; what the page's script reads values by, and what it zooms."""

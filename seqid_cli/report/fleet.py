@@ -1,7 +1,8 @@
 """One page about many robots: the verdict on each, its errors, and what is open."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from itertools import groupby
+from typing import NamedTuple, Self
 
 from markupsafe import Markup
 
@@ -26,19 +27,28 @@ class _Robot(NamedTuple):
     judgement: Judgement
     errors: dict[str, tuple[float, float]]
 
+    @classmethod
+    def of(cls, name: str, documents: Sequence[Source[Document]]) -> Self:
+        """Judge a robot by its documents."""
+        found = collect(documents)
+        errors = {
+            joint: (error.rmse, error.relative_rmse)
+            for prediction in found.predictions[:1]
+            for joint, error in prediction.content.joints.items()
+            if error.rmse is not None and error.relative_rmse is not None
+        }
+        return cls(name, found, judge(found), errors)
+
 
 def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str = "") -> Page:
     """Return the page, with the verdict on the worst robot.
 
     `robots`: the documents of each robot, by its name. `title`: instead of the number of robots.
     """
-    judged = [_judged(name, collect(documents)) for name, documents in robots.items()]
+    judged = [_Robot.of(name, documents) for name, documents in robots.items()]
     judged.sort(key=lambda robot: _WORST.index(robot.judgement.level))
-    said = [
-        f"{TITLES[level].lower()}: {listed(names)}"
-        for level in _WORST
-        if (names := [robot.name for robot in judged if robot.judgement.level == level])
-    ]
+    by_level = groupby(judged, key=lambda robot: robot.judgement.level)
+    said = [f"{TITLES[k].lower()}: {listed([own.name for own in of])}" for k, of in by_level]
     points = [p for robot in judged for p in robot.judgement.points if p.weight == "poor"]
     sentence = f"{plural(len(judged), 'robot')}. {'; '.join(said).capitalize()}."
     whole = Judgement(judged[0].judgement.level, sentence, (), tuple(points))
@@ -52,16 +62,6 @@ def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str =
         [item.path for documents in robots.values() for item in documents],
         subject="Fleet",
     )
-
-
-def _judged(name: str, found: Collection) -> _Robot:
-    errors = {
-        joint: (error.rmse, error.relative_rmse)
-        for prediction in found.predictions[:1]
-        for joint, error in prediction.content.joints.items()
-        if error.rmse is not None and error.relative_rmse is not None
-    }
-    return _Robot(name, found, judge(found), errors)
 
 
 def _overview(robots: Sequence[_Robot], whole: Judgement) -> Section:

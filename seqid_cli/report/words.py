@@ -64,11 +64,6 @@ def interval(value: float, error: float) -> str:
     return f"{low:.{decimals}f} to {high:.{decimals}f}".replace("-", MINUS)
 
 
-def limits(ends: Sequence[float]) -> str:
-    """Return an interval from its ends, a dash where there is none."""
-    return f"{number(ends[0])} to {number(ends[1])}" if len(ends) == 2 else DASH
-
-
 def unit_text(unit: str) -> str:
     """Return a unit with raised powers and dots; nothing for a plain number."""
     raised = re.sub(r"\^(-?[123])", lambda found: found[1].translate(_RAISED), unit)

@@ -8,7 +8,7 @@ from seqid_cli.report.collection import Collection, Place, Prediction
 from seqid_cli.report.sections.torque_figures import over_quantity, over_time, spectrum
 from seqid_cli.report.torques import Series, TorqueTable
 from seqid_cli.report.views import Absent, Figure, Group, Section, Table, badge, table
-from seqid_cli.report.words import limits, number, percent, plural, short_path
+from seqid_cli.report.words import number, percent, plural, short_path
 
 _MOST_LOGS = 3  # with a figure each; the tables hold all
 _COLUMNS = 250  # of a figure
@@ -92,7 +92,6 @@ def _joint(collection: Collection, tables: Sequence[TorqueTable], name: str) -> 
         joint=name,
         badge=state,
         badge_text=f"{state}: {bad[0]}" if bad else state,
-        facts=_facts(collection, place),
         figures=[
             *drawn,
             over_quantity(series, place, "position", place.length),
@@ -137,24 +136,6 @@ def over_logs(
         ]
         figures.append(over_time(own, collection.place(name), events, columns))
     return series, figures
-
-
-def _facts(collection: Collection, place: Place) -> list[tuple[str, str]]:
-    unit, facts = place.unit, []
-    for item in collection.predictions[:1]:
-        error = item.content.joints.get(place.joint)
-        if error is not None:
-            facts += [
-                ("RMS error", f"{number(error.rmse)} {unit}"),
-                ("of the RMS torque", percent(error.relative_rmse)),
-                ("largest error", f"{number(error.max_abs)} {unit}"),
-                ("slides in", f"{percent(error.share_sliding)} of the samples"),
-            ]
-        entry = collection.residual(item, place.joint)
-        if entry is not None and entry.noise_floor is not None:
-            facts.append(("noise floor", f"{number(entry.noise_floor)} {unit}"))
-            facts.append(("its 95 % interval", f"{limits(entry.noise_floor_interval)} {unit}"))
-    return facts
 
 
 def _errors(collection: Collection, place: Place) -> Table:

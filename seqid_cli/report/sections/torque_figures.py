@@ -41,21 +41,7 @@ def over_time(
         low, high = series.low[piece], series.high[piece]
         kept = np.union1d(*(extremes(t[piece], bound, columns) for bound in (low, high)))
         torque.band(t[piece][kept], low[kept], high[kept], "faint")
-
-    legend, curves = {"measured": "measured"}, []
-    for k, (name, own) in enumerate(models.items()):
-        style = f"other{k - 1}" if k else "predicted"
-        text = name if len(models) > 1 else "predicted"
-        legend[style] = text
-        left = (style, f"residual, {text}") if k else ("residual", "residual")
-        curves += [(residual, own, own.residual, *left), (torque, own, own.predicted, style, text)]
-    curves.append((torque, series, series.torque, "measured", "measured"))
-    for panel, own, values, style, text in reversed(curves):  # the best above the others
-        at = own.t - own.t[0]
-        for piece in pieces(at, _known(own)):
-            kept = extremes(at[piece], values[piece], columns)
-            panel.line(at[piece][kept], values[piece][kept], style, name=text, unit=unit)
-    legend["residual"] = "residual"
+    legend = _draw(models, torque, residual, unit, columns)
     more = {
         "faint": ("held at rest", np.any(rests)),
         "event": ("pushed", events),
@@ -70,6 +56,27 @@ def over_time(
     title = f"Torque of {place.joint}, {name}"
     rows = _time_table(series, good, unit, title)
     return figure([torque, residual], f"{title} over time", text, legend, rows, name=name)
+
+
+def _draw(
+    models: Mapping[str, Series], torque: Panel, residual: Panel, unit: str, columns: int
+) -> dict[str, str]:
+    """Draw the lines of all models, the best above the others; return their legend."""
+    series, legend = next(iter(models.values())), {"measured": "measured"}
+    curves = []
+    for k, (name, own) in enumerate(models.items()):
+        style = f"other{k - 1}" if k else "predicted"
+        text = name if len(models) > 1 else "predicted"
+        legend[style] = text
+        left = (style, f"residual, {text}") if k else ("residual", "residual")
+        curves += [(residual, own, own.residual, *left), (torque, own, own.predicted, style, text)]
+    curves.append((torque, series, series.torque, "measured", "measured"))
+    for panel, own, values, style, text in reversed(curves):
+        at = own.t - own.t[0]
+        for piece in pieces(at, _known(own)):
+            kept = extremes(at[piece], values[piece], columns)
+            panel.line(at[piece][kept], values[piece][kept], style, name=text, unit=unit)
+    return {**legend, "residual": "residual"}
 
 
 def _panels(models: Mapping[str, Series], shown: Mask, unit: str) -> tuple[Panel, Panel]:
@@ -188,7 +195,7 @@ def spectrum(
     x, x_range = ("frequency", "Hz"), (0.0, float(top))
     panel = small_panel(x, x_range, f"residual, {unit}", decades, y_log=True)
     if cutoff_hz is not None and cutoff_hz < top:
-        panel.upright(cutoff_hz, "limit", "cut-off")
+        panel.upright(cutoff_hz, "line-mark")
     kept = extremes(f, np.log10(density), columns)
     panel.line(f[kept], density[kept], "residual", name="density", unit=unit)
     parts = np.array_split(np.arange(len(f)), min(_ROWS, len(f)))
@@ -197,7 +204,7 @@ def spectrum(
     heads = "frequency [Hz] | density [{unit}]"
     values = table(f"{title}, its peaks", heads, "number4 number", rows, unit=unit)
     text = f"Strongest at {f[np.argmax(density)]:.2f} Hz."
-    legend, name = {"residual": "density"}, "Spectrum of the residual"
+    legend, name = {"residual": "density", "line-mark": "cut-off"}, "Spectrum of the residual"
     return figure([panel], title, text, legend, values, name=name, note=text)
 
 

@@ -1,5 +1,6 @@
 """Pieces of the export: pseudo-inertias, the conic problem, friction, effects, the URDF's XML."""
 
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -232,20 +233,6 @@ def test_effects_without_a_place_are_named() -> None:
     assert note in done.text
 
 
-def test_without_inertia_and_cad_there_is_nothing_to_write() -> None:
-    robot, stages = sample("two_joint")
-    with pytest.raises(ConfigError, match="no inertia stage"):
-        export(robot, Stages(friction=stages.friction), kind="URDF")
-
-
-def test_parameters_of_another_robot_are_refused(tmp_path: Path) -> None:
-    _, stages = sample("six_joint")
-    other = save_robot(tmp_path, urdf_6r(), NAMES_6R)  # rotors free, other geometry
-    stages.inertia.parameters[0].name = "mz_1"
-    with pytest.raises(ConfigError, match="'mz_1' is no base parameter"):
-        export(other, stages, kind="URDF")
-
-
 def test_parameters_that_the_logs_did_not_show_come_from_the_prior() -> None:
     robot, stages = sample("two_joint")
     gone = stages.inertia.parameters.pop()
@@ -256,10 +243,30 @@ def test_parameters_that_the_logs_did_not_show_come_from_the_prior() -> None:
                for note in model.notes)  # fmt: skip
 
 
-def test_numbers_of_no_arm_are_refused() -> None:
-    robot, stages = sample("two_joint")
+def without_inertia(stages: Stages) -> None:
+    stages.inertia = None
+
+
+def of_another_robot(stages: Stages) -> None:
+    stages.inertia.parameters[0].name = "mz_1"
+
+
+def of_no_arm(stages: Stages) -> None:
     stages.inertia.representative["Izz_2"] = 1e200
-    with pytest.raises(ConfigError, match="1e\\+200"):
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (without_inertia, "no inertia stage"),  # nor a URDF with masses
+        (of_another_robot, "'mz_1' is no base parameter"),
+        (of_no_arm, "1e\\+200"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused(change: Callable[[Stages], None], message: str) -> None:
+    robot, stages = sample("two_joint")
+    change(stages)
+    with pytest.raises(ConfigError, match=message):
         export(robot, stages, kind="URDF")
 
 

@@ -27,17 +27,13 @@ from tests.unit.report.pages import (
 
 def test_stages_of_one_branch_join_and_the_refined_model_leads() -> None:
     documents = [source("friction.json", friction_file()), *all_documents()]
-    found = collect(documents)
+    found = collect([*documents, *documents])
+    assert len(found.sources) == len(documents)  # each counts once
     assert [model.kind for model in found.models] == ["refined", "identified"]
     assert found.models[1].path == "inertia.json"
     assert found.models[1].sources[0].path == "friction.json"
     assert [item.path for item in found.predictions] == ["prediction.json"]
     assert [item.path for item in found.diagnoses] == ["diagnosis.json"]
-
-
-def test_the_same_file_twice_counts_once() -> None:
-    documents = good_documents()
-    assert len(collect([*documents, *documents]).sources) == 2
 
 
 def test_other_joints_are_another_robot() -> None:

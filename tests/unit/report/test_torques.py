@@ -18,7 +18,7 @@ from seqid_cli.report.collection import Place, collect
 from seqid_cli.report.make import make_report
 from seqid_cli.report.plots import plot_torques
 from seqid_cli.report.sections.torque_figures import over_quantity, over_time, spectrum
-from seqid_cli.report.torques import Series, TorqueTable
+from seqid_cli.report.torques import TorqueTable
 from tests import Array
 from tests.unit.params.documents import JOINTS, inertia_file
 from tests.unit.report.pages import (
@@ -53,24 +53,19 @@ def test_what_the_real_writer_wrote_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(series[1].velocity, made.dq[:, 1])
 
 
-def test_older_files_have_no_motion(tmp_path: Path) -> None:
-    path = write_torques(tmp_path / "t.parquet")
+def test_motion_that_is_not_known_is_not_drawn(tmp_path: Path) -> None:
+    """Of a file that holds none, and of an older one, which also lacks what was used."""
+    path = write_torques(tmp_path / "t.parquet", motion=False)
+    (first, _) = opened(path).series("shoulder")
+    assert np.isnan(first.position).all()
+    assert over_quantity([first], PLACE, "position", "rad") is None
     table = pq.read_table(path)
     kept = [name for name in table.column_names if not name.endswith(("position", "velocity"))]
     pq.write_table(table.select([name for name in kept if name != "used"]), path)
     (first, _) = opened(path).series("shoulder")
     assert first.position is None
     assert first.used.all()
-    html = make_report(good_documents(), torques=[path]).html
-    assert "Spectrum of the residual" in html
-    assert "Residual over position" not in html
-
-
-def test_unknown_motion_is_missing_not_zero(tmp_path: Path) -> None:
-    (first, _) = opened(write_torques(tmp_path / "t.parquet", motion=False)).series("shoulder")
-    assert first.position is not None
-    assert np.isnan(first.position).all()
-    assert over_quantity([first], PLACE, "position", "rad") is None
+    assert "Spectrum of the residual" in make_report(good_documents(), torques=[path]).html
 
 
 Write = Callable[[Path], object]
@@ -183,23 +178,13 @@ def test_torques_of_two_models_share_a_plot(tmp_path: Path) -> None:
     assert table.count("(2.0 %)") == table.count("(5.0 %)") == 2
 
 
-def test_torques_beside_are_found_by_their_model(tmp_path: Path) -> None:
-    documents, (before, _) = of_two_models(tmp_path)
-    before.rename(tmp_path / "torques.parquet")
-    report = make_report(documents)
-    assert report.torques == [str(tmp_path / "torques.parquet")]
-    collection = collect(documents)
-    assert collection.model_of(collection.predictions[1]) is not None
-
-
-def test_torques_of_another_model_are_refused(tmp_path: Path) -> None:
+def test_torques_belong_to_the_model_that_they_name(tmp_path: Path) -> None:
     documents, (before, _) = of_two_models(tmp_path)
     rest = [item for item in documents if not item.path.endswith("before.json")]
     with pytest.raises(InputError, match=r"is of another model than .*after\.json"):
         make_report(rest, torques=[before])
-
-
-def test_two_torque_files_of_one_prediction_are_refused(tmp_path: Path) -> None:
+    before.rename(tmp_path / "torques.parquet")
+    assert make_report(documents).torques == [str(tmp_path / "torques.parquet")]
     documents, torques = of_two_models(tmp_path, told=False)
     with pytest.raises(UsageError, match=r"before\.parquet, .*after\.parquet"):
         make_report(documents, torques=torques)
@@ -217,12 +202,9 @@ def test_a_notebook_draws_the_torques_of_both(tmp_path: Path) -> None:
         plot_torques(files, torques, "wrist")
 
 
-def _series(path: Path) -> list[Series]:
-    return opened(write_torques(path / "t.parquet")).series("elbow")
-
-
 def test_the_one_bad_sample_is_drawn(tmp_path: Path) -> None:
-    figure = over_time({"": _series(tmp_path)[0]}, PLACE, [(1.0, 2.0)], 60)
+    series = opened(write_torques(tmp_path / "t.parquet")).series("elbow")[0]
+    figure = over_time({"": series}, PLACE, [(1.0, 2.0)], 60)
     text = str(figure.drawing)
     line = text.split('data-name="residual"')[0].rpartition("<polyline")[2]
     heights = [
@@ -238,24 +220,20 @@ def test_the_one_bad_sample_is_drawn(tmp_path: Path) -> None:
     assert len(figure.table.rows) == 20
 
 
-def test_the_line_in_the_residual_is_the_highest_of_its_spectrum(tmp_path: Path) -> None:
-    figure = spectrum(_series(tmp_path), PLACE, 30.0, 300)
-    assert figure is not None
-    assert figure.table is not None
-    frequency, _ = max(figure.table.values.rows, key=lambda row: row[1])
+def test_figures_hold_the_line_and_the_extremes_of_the_residual(tmp_path: Path) -> None:
+    series = opened(write_torques(tmp_path / "t.parquet")).series("elbow")
+    drawn = spectrum(series, PLACE, 30.0, 300)
+    assert drawn is not None
+    assert drawn.table is not None
+    frequency, _ = max(drawn.table.values.rows, key=lambda row: row[1])
     assert frequency == pytest.approx(LINE_HZ, abs=0.2)
-    assert f"Strongest at {frequency:.2f} Hz" in figure.note
-
-
-@pytest.mark.parametrize("quantity", ["position", "velocity"])
-def test_residuals_over_a_quantity_are_those_of_the_samples(tmp_path: Path, quantity: str) -> None:
-    series = _series(tmp_path)
-    figure = over_quantity(series, PLACE, quantity, "rad")
-    assert figure is not None
-    assert figure.table is not None
-    used = np.concatenate([item.residual[item.used] for item in series])
-    most = max(float(str(row[5]).replace("\u2212", "-")) for row in figure.table.rows)
-    assert most == pytest.approx(used.max(), rel=0.01)
+    assert f"Strongest at {frequency:.2f} Hz" in drawn.note
+    most = max(item.residual[item.used].max() for item in series)
+    for quantity in ("position", "velocity"):
+        figure = over_quantity(series, PLACE, quantity, "rad")
+        assert figure is not None
+        assert figure.table is not None
+        assert max(row[5] for row in figure.table.values.rows) == pytest.approx(most, rel=1e-9)
 
 
 def test_many_logs_show_the_worst_only(tmp_path: Path) -> None:

@@ -7,15 +7,13 @@ they keep the whole friction surface and the coupling of rotors.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from seqid_cli.export.text import real, rendered
+from seqid_cli.export.text import plain, rendered
 from seqid_cli.model.friction_basis import FADE
 from seqid_cli.robot.base_parameters import gear_ratios
-from seqid_cli.robot.types import Array
 
 if TYPE_CHECKING:
     from seqid_cli.export.model import ExportModel
@@ -36,60 +34,39 @@ def numpy_module(model: ExportModel) -> str:
 
 
 def _content(model: ExportModel) -> dict[str, object]:
-    chain, robot = model.robot.chain, model.robot
-    surfaces = [_surface(surface) for surface in model.surfaces]
-    observer = model.observer
+    robot, chain = model.robot, model.robot.chain
+    coupled = model.coupling == "gyroscopic" and model.nearest.rotor.any()
+    coupling = np.where(chain.prismatic, 0.0, gear_ratios(robot) * model.nearest.rotor)
     return {
         "name": identifier(robot.name),
-        "joints": [
-            {
-                "name": joint.name.encode("ascii", "replace").decode().replace("?", "."),
-                "unit": joint.unit("rad, N m"),
-            }
-            for joint in robot.joints
-        ],
+        "joints": [(plain(joint.name), joint.unit("rad, N m")) for joint in robot.joints],
         "n": robot.n,
-        "gravity": _row(robot.gravity),
-        "rotation": [_row(R.ravel()) for R in chain.rotation],
-        "position": [_row(p) for p in chain.position],
-        "axis": [_row(axis) for axis in chain.axis],
-        "prismatic": ", ".join("1" if slides else "0" for slides in chain.prismatic),
-        "phi": [_row(phi) for phi in model.bodies],
-        "armature": _row(model.armature),
-        "coupled": model.coupling == "gyroscopic" and bool(model.nearest.rotor.any()),
-        "coupling": _row(np.where(chain.prismatic, 0.0, gear_ratios(robot) * model.nearest.rotor)),
-        "springs": [_row(row) for row in model.effects.springs]
-        if model.effects.springs.any()
-        else [],
-        "surfaces": surfaces,
-        "gain": real(observer.gain),
-        "limit": _row(np.nan_to_num(observer.limit, posinf=_NO_LIMIT)),
-        "stiction": _row(observer.stiction),
-        "slow": _row(observer.slow),
+        "chain": chain,
+        "slides": [int(slides) for slides in chain.prismatic],
+        "phi": model.bodies,
+        "armature": model.armature,
+        "coupling": coupling if coupled else None,
+        "springs": model.springs if model.springs.any() else None,
+        "surfaces": [None if surface is None else _surface(surface) for surface in model.surfaces],
+        "observer": model.observer,
+        "limit": np.nan_to_num(model.observer.limit, posinf=_NO_LIMIT),
     }
 
 
-def _surface(surface: FrictionSurface | None) -> dict[str, object] | None:
-    if surface is None:
-        return None
-    rows, columns = surface.positive.shape
-    scaling = surface.scaling
-    backward = surface.negative if surface.directional else surface.positive
-    speed = np.array(scaling.speed)
+def _surface(surface: FrictionSurface) -> dict[str, object]:
+    scaling, (rows, columns) = surface.scaling, surface.positive.shape
+    speed, (low, high) = np.array(scaling.speed), scaling.position
     return {
         "rows": rows,
         "columns": columns,
-        "position": _row(scaling.position),
-        "periodic": scaling.periodic,
-        "mean": _row(scaling.over_position.mean(surface.orders[0])),
-        "fade": real(FADE * (scaling.position[1] - scaling.position[0])),
-        "slope": _row(surface.slopes_beyond),
-        "speed": _row(speed),
-        "scaled": _row(np.log(speed) if scaling.logarithmic else speed),
-        "logarithmic": int(scaling.logarithmic),
-        "sign_width": real(surface.sign_width),
-        "forward": _lines(surface.positive),
-        "backward": _lines(backward),
+        "scaling": scaling,
+        "mean": scaling.over_position.mean(surface.orders[0]),
+        "fade": FADE * (high - low),
+        "slope": surface.slopes_beyond,
+        "scaled": np.log(speed) if scaling.logarithmic else speed,
+        "sign_width": surface.sign_width,
+        "forward": surface.positive.ravel(),
+        "backward": (surface.negative if surface.directional else surface.positive).ravel(),
     }
 
 
@@ -97,12 +74,3 @@ def identifier(name: str) -> str:
     """Return a robot's name as a C identifier in small letters."""
     found = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_") or "arm"
     return f"arm_{found}" if found[0].isdigit() or found in _KEYWORDS else found
-
-
-def _row(values: Iterable[float]) -> str:
-    return ", ".join(real(value) for value in values)
-
-
-def _lines(matrix: Array, per_line: int = 4) -> Sequence[str]:
-    flat = matrix.ravel()
-    return [_row(flat[k : k + per_line]) for k in range(0, len(flat), per_line)]

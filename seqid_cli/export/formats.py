@@ -24,12 +24,12 @@ FORMATS: Mapping[str, str] = {
     ".py": "numpy module",
 }
 # Of each format: the module and the function that write it, and effects that it has a place for.
-_WRITERS: Mapping[str, tuple[str, str, frozenset[str]]] = {
-    "URDF": ("urdf", "urdf", frozenset()),
-    "MJCF": ("mjcf", "mjcf", frozenset({"spring", "backlash"})),
-    "ROS 2 parameters": ("text", "ros2_parameters", frozenset()),
-    "C header": ("code", "c_header", frozenset({"spring"})),
-    "numpy module": ("code", "numpy_module", frozenset({"spring"})),
+_WRITERS: Mapping[str, tuple[str, str, tuple[str, ...]]] = {
+    "URDF": ("urdf", "urdf", ()),
+    "MJCF": ("mjcf", "mjcf", ("spring", "backlash")),
+    "ROS 2 parameters": ("text", "ros2_parameters", ()),
+    "C header": ("code", "c_header", ("spring",)),
+    "numpy module": ("code", "numpy_module", ("spring",)),
 }
 
 
@@ -61,5 +61,4 @@ def export(
 
     module, function, holds = _WRITERS[kind]
     model = export_model(robot, stages, holds=holds, errors=errors)
-    write = getattr(import_module(f"seqid_cli.export.{module}"), function)
-    return Exported(model, write(model))
+    return Exported(model, getattr(import_module(f"seqid_cli.export.{module}"), function)(model))

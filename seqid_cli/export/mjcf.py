@@ -11,7 +11,6 @@ import numpy as np
 from seqid_cli.export.model import ExportModel
 from seqid_cli.export.text import real, reals, rendered
 from seqid_cli.model.bodies.pseudo_inertia import Body
-from seqid_cli.robot.types import Array
 
 _FULL = ([0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2])  # entries of an inertia in MuJoCo's order
 
@@ -22,19 +21,29 @@ def mjcf(model: ExportModel) -> str:
     return rendered("arm.xml.jinja", model, name=model.robot.name, bodies=bodies)
 
 
-def _body(model: ExportModel, k: int, *, min_length: float = 1e-3) -> dict[str, object]:
+def _body(
+    model: ExportModel, k: int, *, min_length: float = 1e-3, thickness: float = 0.1
+) -> dict[str, object]:
     """The attributes of a body's elements; the next body lies in it."""
     chain, solid = model.robot.chain, Body.of(model.bodies[k])
-    axes = np.concatenate([chain.rotation[k][:, 0], chain.rotation[k][:, 1]])
-    name = f"{model.robot.joint_names[k]}_link"
-    inertial = {"pos": reals(solid.center), "mass": real(solid.mass)}
     reach = chain.position[k + 1] if k + 1 < chain.n else np.zeros(3)
-    plays = model.effects.gaps[k] > 0.0 and model.armature[k] > 0.0
+    length = float(np.linalg.norm(reach))
+    plays = model.gaps[k] > 0.0 and model.armature[k] > 0.0
     return {
-        "place": {"name": name, "pos": reals(chain.position[k]), "xyaxes": reals(axes)},
-        "inertial": {**inertial, "fullinertia": reals(solid.inertia[_FULL])},
+        "place": {
+            "name": f"{model.robot.joint_names[k]}_link",
+            "pos": reals(chain.position[k]),
+            "xyaxes": reals(chain.rotation[k][:, :2].T.ravel()),
+        },
+        "inertial": {
+            "pos": reals(solid.center),
+            "mass": real(solid.mass),
+            "fullinertia": reals(solid.inertia[_FULL]),
+        },
         "joints": [_joint(model, k), *([_gap(model, k)] if plays else [])],
-        "capsule": _capsule(reach) if float(np.linalg.norm(reach)) > min_length else None,
+        "capsule": {"fromto": reals([0.0, 0.0, 0.0, *reach]), "size": real(thickness * length)}
+        if length > min_length
+        else None,
     }
 
 
@@ -42,18 +51,15 @@ def _joint(model: ExportModel, k: int) -> dict[str, str]:
     joint, fit = model.robot.joints[k], model.friction[k]
     values: dict[str, str] = {
         "name": joint.name,
-        "type": "slide" if joint.prismatic else "hinge",
-        "axis": reals(model.robot.chain.axis[k]),
+        **_axis(model, k),
         "armature": real(model.armature[k]),
     }
     if fit is not None:
         values |= {"damping": real(fit.viscous), "frictionloss": real(fit.coulomb)}
     if joint.position_limits is not None:
         values["range"] = reals(joint.position_limits)
-    if model.effects.springs[
-        k
-    ].any():  # stiffness by powers of the way from where the spring is slack
-        torque = np.polynomial.Polynomial(model.effects.springs[k])
+    if model.springs[k].any():  # stiffness by powers of the way from where the spring is slack
+        torque = np.polynomial.Polynomial(model.springs[k])
         roots = torque.trim().roots()
         slack = float(min(roots, key=lambda root: (abs(root.imag), abs(root))).real)
         moved = torque(np.polynomial.Polynomial([slack, 1.0])).trim().coef
@@ -62,28 +68,21 @@ def _joint(model: ExportModel, k: int) -> dict[str, str]:
 
 
 def _gap(model: ExportModel, k: int, *, share: float = 0.01) -> dict[str, str]:
-    """Backlash: the link's joint behind the motor's, free between two stops.
+    """Backlash: the link's joint behind the motor's, free between two stiff stops.
 
     It gets a `share` of the motor's armature, which only relative acceleration feels.
     """
-    name, half = model.robot.joints[k].name, 0.5 * model.effects.gaps[k]
+    half = 0.5 * model.gaps[k]
     return {
-        "name": f"{name}_backlash",
-        "type": "slide" if model.robot.joints[k].prismatic else "hinge",
-        "axis": reals(model.robot.chain.axis[k]),
+        "name": f"{model.robot.joint_names[k]}_backlash",
+        **_axis(model, k),
         "armature": real(share * model.armature[k]),
         "range": reals([-half, half]),
         "solreflimit": "0.004 1",
-        "solimplimit": "0.99 0.999 0.0001",  # stiff stops
+        "solimplimit": "0.99 0.999 0.0001",
     }
 
 
-def _capsule(reach: Array, *, thickness: float = 0.1) -> dict[str, str]:
-    return {
-        "type": "capsule",
-        "fromto": reals([0.0, 0.0, 0.0, *reach]),
-        "size": real(thickness * float(np.linalg.norm(reach))),
-        "contype": "0",
-        "conaffinity": "0",
-        "mass": "0",
-    }
+def _axis(model: ExportModel, k: int) -> dict[str, str]:
+    kind = "slide" if model.robot.joints[k].prismatic else "hinge"
+    return {"type": kind, "axis": reals(model.robot.chain.axis[k])}

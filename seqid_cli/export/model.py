@@ -1,16 +1,17 @@
 """The exported model, whatever the format: bodies, rotors, friction, and effects left out."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import nnls
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.export.effects import Absorbed, absorbed_effects
 from seqid_cli.export.observer import Thresholds, largest_mass, thresholds
 from seqid_cli.export.urdf_tree import UrdfBody, bodies_of_urdf
 from seqid_cli.model.bodies.nearest import Identified, NearestBodies, identified, nearest_bodies
+from seqid_cli.model.effects.fitted import FittedEffect, fitted_effects
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.results.export import ExportedFriction, ExportedParameter
@@ -21,6 +22,7 @@ from seqid_cli.robot.types import Array, Robot
 from seqid_cli.robot.urdf.text import UrdfText, read_urdf_text
 
 _POSITIONS, _SPEEDS = 41, 60
+_LEFT_OUT = "cannot be written to a model file and is left out"
 
 
 @dataclass(frozen=True)
@@ -29,10 +31,11 @@ class ExportModel:
 
     `nearest`: standard parameters that are written as each link's inertial, and rotor inertias,
     motor side [kg m^2]. `kept` (n, 10): the rest of each body: links behind other joints, which
-    keep theirs. `deviations`: of every identified base parameter. `effects`: what they add.
-    `observer`: when a momentum observer raises an alarm. `notes`: what the reader of the file
-    has to know. `urdf`: that of the robot, and the `links` of it that belong to each joint;
-    None where there is none.
+    keep theirs. `deviations`: of every identified base parameter. `springs` (n, 4): torque of a
+    joint by powers of its position [N m, N m/rad ...]; `gaps` (n,): backlash [rad]. `observer`:
+    when a momentum observer raises an alarm. `notes`: what the reader of the file has to know.
+    `urdf`: that of the robot, and the `links` of it that belong to each joint; None where there is
+    none.
     """
 
     robot: Robot
@@ -44,7 +47,8 @@ class ExportModel:
     surfaces: tuple[FrictionSurface | None, ...]
     friction: tuple[ExportedFriction | None, ...]
     deviations: tuple[ExportedParameter, ...]
-    effects: Absorbed
+    springs: Array
+    gaps: Array
     observer: Thresholds
     notes: tuple[str, ...]
 
@@ -70,7 +74,7 @@ def export_model(
     robot: Robot,
     stages: Stages,
     *,
-    holds: frozenset[str] = frozenset(),
+    holds: Collection[str] = (),
     errors: Mapping[str, float] | None = None,
 ) -> ExportModel:
     """Find physically consistent parameters of a whole arm.
@@ -86,29 +90,30 @@ def export_model(
             where=str(robot.source),
             hint="Run seqid inertia first and export its result.",
         )
-    effects = absorbed_effects(stages, robot, holds)
+    rigid = stages.inertia or stages.gravity
+    coupled = rigid is not None and rigid.rotor_coupling == "gyroscopic"
+    coupling: Coupling = "gyroscopic" if coupled else "diagonal"
+    effects = _effects(stages, robot, holds, coupling)
     demand = identified(stages, robot, more=effects.parameters)
     urdf = None if robot.urdf is None else read_urdf_text(robot.urdf)
     links = () if urdf is None else bodies_of_urdf(urdf, robot.joint_names)
     kept = np.array([body.kept for body in links]) if links else np.zeros((robot.n, PER_LINK))
     nearest = nearest_bodies(robot, demand, kept)
-    rigid = stages.inertia or stages.gravity
-    coupled = rigid is not None and rigid.rotor_coupling == "gyroscopic"
     surfaces = tuple(friction_surfaces(stages, robot))
     friction = tuple(None if s is None else simple_friction(s) for s in surfaces)
-    armature = gear_ratios(robot) ** 2 * nearest.rotor
-    mass = largest_mass(robot, nearest.links + kept, armature)
+    mass = largest_mass(robot, nearest.links + kept, gear_ratios(robot) ** 2 * nearest.rotor)
     return ExportModel(
         robot=robot,
         urdf=urdf,
         links=links,
         nearest=nearest,
         kept=kept,
-        coupling="gyroscopic" if coupled else "diagonal",
+        coupling=coupling,
         surfaces=surfaces,
         friction=friction,
         deviations=demand.deviations(nearest.links + kept, nearest.rotor),
-        effects=effects,
+        springs=effects.springs,
+        gaps=effects.gaps,
         observer=thresholds(robot, stages, surfaces, mass, errors),
         notes=(
             *_notes_on_links(robot, stages, demand, nearest),
@@ -116,6 +121,41 @@ def export_model(
             *effects.notes,
         ),
     )
+
+
+class _Effects(NamedTuple):
+    """What effects add: (11 n,) standard parameters, rotors last; springs and gaps of the model."""
+
+    parameters: Array
+    springs: Array
+    gaps: Array
+    notes: list[str]
+
+
+def _effects(stages: Stages, robot: Robot, holds: Collection[str], coupling: Coupling) -> _Effects:
+    """Add up the effects that are inertial parameters, and those that the format `holds`.
+
+    A payload counts as it was in the last log.
+    """
+    n = robot.n
+    found = _Effects(np.zeros((PER_LINK + 1) * n), np.zeros((n, 4)), np.zeros(n), [])
+    last = slice(PER_LINK * (n - 1), PER_LINK * n)
+    for item in fitted_effects(stages, robot, unexplained=True):
+        name, fate, j = "a smooth term of no known cause", _LEFT_OUT, item.joint or 0
+        if isinstance(item, FittedEffect):
+            name, c = item.effect.name, item.coefficients
+            diagonal = coupling == "diagonal" and not item.settings.get("coupling")
+            if name == "payload" or (name == "rotor_inertia" and diagonal):
+                found.parameters[last if name == "payload" else PER_LINK * n + j] += c.squeeze()
+                fate = "added to the inertial parameters"
+            elif name in holds:
+                fate = "written as it is"
+                if name == "backlash":
+                    found.gaps[j] += c[0]
+                else:
+                    found.springs[j, : len(c)] += c[[1, 0, 3, 2][: len(c)]]
+        found.notes.append(f"{fate}: {name} ({robot.name_of(item.joint) or 'all joints'})")
+    return found
 
 
 def _notes_on_links(
@@ -127,10 +167,8 @@ def _notes_on_links(
         notes.append(f"no inertia stage in the file: {what} are the URDF's, as far as gravity lets")
     elif demand.open:
         notes.append("not determined by the logs, so as in the prior: " + "; ".join(demand.open))
-    guessed = [
-        name for name, cad in zip(robot.joint_names, nearest.from_cad, strict=True) if not cad
-    ]
-    if guessed:
+    joints = zip(robot.joint_names, nearest.from_cad, strict=True)
+    if guessed := [name for name, cad in joints if not cad]:
         notes.append(
             "no inertial in a URDF, so that what torque does not show was guessed from the arm's "
             "geometry (the torque does not depend on it): links of " + ", ".join(guessed)

@@ -1,6 +1,7 @@
 """Numbers and remarks of model files, their templates, and the one of ROS 2 parameters."""
 
 import json
+import re
 from collections.abc import Iterable
 
 import numpy as np
@@ -9,6 +10,7 @@ from seqid_cli import __version__
 from seqid_cli.export.model import ExportModel
 from seqid_cli.export.urdf_tree import root_link
 from seqid_cli.model.bodies.pseudo_inertia import Body
+from seqid_cli.robot.types import Array
 from seqid_cli.templates import filled
 
 
@@ -20,30 +22,30 @@ def real(value: float, *, digits: int = 15) -> str:
 
 def reals(values: Iterable[float]) -> str:
     """Return numbers with spaces between them."""
-    return " ".join(real(value) for value in values)
+    return " ".join(map(real, values))
+
+
+def _row(values: Array) -> str:
+    return ", ".join(map(real, np.ravel(values)))
 
 
 def rendered(template: str, model: ExportModel, **content: object) -> str:
     """Fill in a template; names of a robot are written by `e` or `tojson_ascii` there."""
-    filters = {
-        "real": real,
-        "spaced": reals,
-        "listed": lambda values: f"[{', '.join(map(real, values))}]",
-        "tojson_ascii": json.dumps,
+    filters = {"real": real, "spaced": reals, "row": _row, "tojson_ascii": json.dumps}
+    own = {
+        "joints": model.robot.joint_names,
+        "gravity": model.robot.gravity,
+        "armature": model.armature,
+        "friction": model.friction,
+        "remarks": remarks(model),
     }
-    own = {"joints": model.robot.joint_names, "gravity": model.robot.gravity, **content}
-    own["remarks"] = remarks(model)
-    return filled("seqid_cli.export", template, own, filters=filters)
+    return filled("seqid_cli.export", template, own | content, filters=filters)
 
 
 def plain(text: str) -> str:
     """Return text that can stand in a comment of XML, YAML or C: ASCII, on one line, no marks."""
-    ascii_only = text.encode("ascii", "replace").decode().replace("?", ".")
-    line = "".join(c if c.isprintable() else " " for c in ascii_only)
-    for mark, harmless in (("--", "- -"), ("*/", "* /"), ("/*", "/ *"), ("\\", "/")):
-        while mark in line:
-            line = line.replace(mark, harmless)
-    return line.rstrip("-")
+    line = re.sub(r"[^ -\[\]-~]", ".", text)
+    return re.sub(r"(?<=[-*/])(?=[-*/])", " ", line).rstrip("-")
 
 
 def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
@@ -60,13 +62,13 @@ def remarks(model: ExportModel, *, min_errors: float = 0.1) -> list[str]:
         for d in model.deviations
         if not model.nearest.exact and d.std_errors is not None and abs(d.std_errors) >= min_errors
     ]
-    for joint, fit in zip(model.robot.joints, model.friction, strict=True):
-        if fit is not None:
-            lines.append(
-                f"{joint.name}: Coulomb {fit.coulomb:.4g} and viscous {fit.viscous:.4g} friction,"
-                f" RMS misfit {fit.rms_misfit:.3g} {joint.unit('N m')} over"
-                f" {fit.speed_range[0]:.3g} to {fit.speed_range[1]:.3g} {joint.unit('rad/s')}"
-            )
+    lines += [
+        f"{joint.name}: Coulomb {fit.coulomb:.4g} and viscous {fit.viscous:.4g} friction,"
+        f" RMS misfit {fit.rms_misfit:.3g} {joint.unit('N m')} over"
+        f" {fit.speed_range[0]:.3g} to {fit.speed_range[1]:.3g} {joint.unit('rad/s')}"
+        for joint, fit in zip(model.robot.joints, model.friction, strict=True)
+        if fit is not None
+    ]
     if model.coupling == "gyroscopic":
         lines.append("Rotors turn the links that carry them as well; an armature leaves that out.")
     return [plain(line) for line in [*lines, *model.notes]]
@@ -82,13 +84,5 @@ def ros2_parameters(model: ExportModel) -> str:
     root, tip = "base_link", f"{model.robot.joint_names[-1]}_link"
     if model.urdf is not None:
         root, tip = root_link(model.urdf), model.links[-1].link
-    return rendered(
-        "arm.yaml.jinja",
-        model,
-        root=root,
-        tip=tip,
-        bodies=[Body.of(phi) for phi in model.bodies],
-        friction=model.friction,
-        armature=model.armature,
-        upper=np.triu_indices(3),
-    )
+    bodies, upper = [Body.of(phi) for phi in model.bodies], np.triu_indices(3)
+    return rendered("arm.yaml.jinja", model, root=root, tip=tip, bodies=bodies, upper=upper)

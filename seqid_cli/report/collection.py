@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.params.document import check_same_robot, join, present
@@ -30,8 +30,7 @@ Prediction = Source[PredictionFile]
 D = TypeVar("D", bound=Document)
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """A joint, and the units of its torque and its position as they stand on the page."""
 
     joint: str
@@ -114,8 +113,7 @@ class Collection:
         """Return the file of a prediction's model, and which is before and after refinement."""
         paths = [item.path for item in prediction.content.parameters[-1:]] or [prediction.path]
         kinds = [model.kind for p in self.predictions if (model := self.model_of(p))]
-        model = self.model_of(prediction)
-        name = short_path(paths[0])
+        model, name = self.model_of(prediction), short_path(paths[0])
         if sorted(kinds) != ["identified", "refined"] or model is None:
             return name
         return f"{'after' if model.kind == 'refined' else 'before'}: {name}"
@@ -143,39 +141,28 @@ def of_kind(documents: Iterable[Source[Document]], kind: type[D]) -> tuple[Sourc
 def collect(documents: Sources) -> Collection:
     """Sort documents and make sure that they are about one robot and agree."""
     if not documents:
-        hint = "Name the JSON files that the stages wrote."
-        raise ConfigError("no file given", hint=hint)
+        raise ConfigError("no file given", hint="Name the JSON files that the stages wrote.")
     unique = tuple({(item.path, item.sha256): item for item in documents}.values())
-    robot = unique[0].content.robot
+    first = (unique[0].path, unique[0].content.robot)
     for item in unique[1:]:
-        first, other = (unique[0].path, robot), (item.path, item.content.robot)
-        check_same_robot(first, other, "Report on one robot at a time.")
-    if not 0 < len(robot.joints) == len(set(robot.joints)) <= _MOST_JOINTS:
+        check_same_robot(first, (item.path, item.content.robot), "Report on one robot at a time.")
+    joints = first[1].joints
+    if not 0 < len(joints) == len(set(joints)) <= _MOST_JOINTS:
         message = f"$.robot.joints: must name 1 to {_MOST_JOINTS} joints, each once"
-        hint = "Run the command again that wrote it."
-        raise ConfigError(message, where=unique[0].path, hint=hint)
-    _check_stale(unique)
-    models = tuple(_models(of_kind(unique, ParameterFile)))
+        raise ConfigError(message, where=first[0], hint="Run the command again that wrote it.")
     found = Collection(
-        robot=robot,
+        robot=first[1],
         sources=unique,
-        models=models,
+        models=tuple(_models(of_kind(unique, ParameterFile))),
         predictions=of_kind(unique, PredictionFile),
         diagnoses=of_kind(unique, DiagnosisFile),
         payloads=of_kind(unique, PayloadFile),
         plans=of_kind(unique, PlanFile),
         warnings=tuple(_warnings(unique)),
     )
-    ranks = {id(model): rank for rank, model in enumerate(models)}
-    best = sorted(found.predictions, key=lambda p: ranks.get(id(found.model_of(p)), len(models)))
+    ranks = {id(model): rank for rank, model in enumerate(found.models)}
+    best = sorted(found.predictions, key=lambda p: ranks.get(id(found.model_of(p)), len(ranks)))
     return replace(found, predictions=tuple(best))
-
-
-def made_with(documents: Sources) -> Iterator[tuple[Source[Document], FileId]]:
-    """Yield the results, each with every parameter file that it was made with."""
-    for item in documents:
-        if not isinstance(item.content, ParameterFile):
-            yield from ((item, used) for used in models_of(item.content))
 
 
 def models_of(content: Result) -> list[FileId]:
@@ -183,23 +170,36 @@ def models_of(content: Result) -> list[FileId]:
     return content.models if isinstance(content, PayloadFile) else content.parameters
 
 
-def _check_stale(documents: Sources) -> None:
-    """Refuse a result whose parameter file was given too, but has changed since."""
+def _warnings(documents: Sources) -> Iterator[str]:
+    """Say what does not fit perfectly; refuse a result whose parameter file has changed since."""
+    hashes: dict[str, str] = {}
+    for item in documents:
+        hashes.setdefault(item.content.robot.sha256, item.path)
+    if len(hashes) > 1:
+        yield f"the robot file changed between these results: {', '.join(hashes.values())}"
     given = {Path(s.path).resolve(): s for s in of_kind(documents, ParameterFile)}
-    hashes = {item.sha256 for item in given.values()}
-    for item, used in made_with(documents):
-        now = given.get(Path(used.path).resolve())
-        if now is not None and used.sha256 not in hashes:
+    known = {item.sha256 for item in given.values()}
+    made_with = [
+        (item, used)
+        for item in documents
+        if not isinstance(item.content, ParameterFile)
+        for used in models_of(item.content)
+        if given and used.sha256 not in known
+    ]
+    for item, used in made_with:
+        was, now = f"{used.path} (sha256 {used.sha256[:12]})", given.get(Path(used.path).resolve())
+        if now is not None:
             message = (
                 f"was made with {used.path} as it was before (sha256 {used.sha256[:12]}); "
                 f"{now.path} has changed since (now {now.sha256[:12]})"
             )
-            kind = WRITTEN_BY[type(item.content)]
-            hint = f"Run seqid {kind} again, or leave {item.path} out."
-            raise ConfigError(message, where=item.path, hint=hint)
+            again = f"Run seqid {WRITTEN_BY[type(item.content)]} again"
+            raise ConfigError(message, where=item.path, hint=f"{again}, or leave {item.path} out.")
+        yield f"{item.path} was made with {was}, which is not among the files given"
 
 
-def _kind(file: ParameterFile) -> Kind:
+def kind_of(file: ParameterFile) -> Kind:
+    """Return whether a file is refined, of one least squares, or identified step by step."""
     stages = file.stages
     if file.closed_loop is not None or stages.effects is not None:
         return "refined"
@@ -212,7 +212,7 @@ def _models(files: Sequence[Parameters]) -> Iterator[Model]:
     fullest = sorted(files, key=lambda item: -len(present(item.content.stages)))
     for kind in KINDS:
         branches: list[list[Parameters]] = []
-        for given in [item for item in fullest if _kind(item.content) == kind]:
+        for given in [item for item in fullest if kind_of(item.content) == kind]:
             agreeing = (b for b in branches if all(_agree(given.content, x.content) for x in b))
             if branch := next(agreeing, None):
                 branch.insert(0, given)
@@ -227,19 +227,3 @@ def _agree(one: ParameterFile, other: ParameterFile) -> bool:
     loops = [file.closed_loop for file in (one, other) if file.closed_loop is not None]
     same = all(mine[name] == theirs[name] for name in mine.keys() & theirs.keys())
     return same and all(loop == loops[0] for loop in loops)
-
-
-def _warnings(documents: Sources) -> Iterator[str]:
-    hashes: dict[str, str] = {}
-    for item in documents:
-        hashes.setdefault(item.content.robot.sha256, item.path)
-    if len(hashes) > 1:
-        yield f"the robot file changed between these results: {', '.join(hashes.values())}"
-    given = {item.sha256 for item in documents}
-    if of_kind(documents, ParameterFile):
-        for item, used in made_with(documents):
-            if used.sha256 not in given:
-                yield (
-                    f"{item.path} was made with {used.path} (sha256 {used.sha256[:12]}), "
-                    "which is not among the files given"
-                )

@@ -1,18 +1,19 @@
 """One page about many robots: the verdict on each, its errors, and what is open."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from itertools import groupby
+from typing import NamedTuple, Self
 
 from markupsafe import Markup
 
 from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.results.tables import of_joints
+from seqid_cli.report.chart import dots
 from seqid_cli.report.collection import Collection, collect
-from seqid_cli.report.figures.chart import RowChart
 from seqid_cli.report.judgement import Judgement, Level, judge
-from seqid_cli.report.views import Figure, Group, Key, Page, Section, table, table_of
-from seqid_cli.report.words import listed, percent, plural
+from seqid_cli.report.views import Group, Page, Section, Table, table
+from seqid_cli.report.words import listed, plural
 
 _WORST: tuple[Level, ...] = ("poor", "not_judged", "reservations", "good")
 _BADGES = {"good": "good", "reservations": "open", "poor": "poor", "not_judged": ""}
@@ -26,27 +27,28 @@ class _Robot(NamedTuple):
     judgement: Judgement
     errors: dict[str, tuple[float, float]]
 
+    @classmethod
+    def of(cls, name: str, documents: Sequence[Source[Document]]) -> Self:
+        """Judge a robot by its documents."""
+        found = collect(documents)
+        errors = {
+            joint: (error.rmse, error.relative_rmse)
+            for prediction in found.predictions[:1]
+            for joint, error in prediction.content.joints.items()
+            if error.rmse is not None and error.relative_rmse is not None
+        }
+        return cls(name, found, judge(found), errors)
+
 
 def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str = "") -> Page:
     """Return the page, with the verdict on the worst robot.
 
     `robots`: the documents of each robot, by its name. `title`: instead of the number of robots.
     """
-    judged = []
-    for name, documents in robots.items():
-        found = collect(documents)
-        joints = found.predictions[0].content.joints if found.predictions else {}
-        errors = {
-            joint: (error.rmse, error.relative_rmse)
-            for joint, error in joints.items()
-            if error.rmse is not None and error.relative_rmse is not None
-        }
-        judged.append(_Robot(name, found, judge(found), errors))
+    judged = [_Robot.of(name, documents) for name, documents in robots.items()]
     judged.sort(key=lambda robot: _WORST.index(robot.judgement.level))
-    said = []
-    for level in _WORST:
-        names = [robot.name for robot in judged if robot.judgement.level == level]
-        said += [f"{TITLES[level].lower()}: {listed(names)}"] if names else []
+    by_level = groupby(judged, key=lambda robot: robot.judgement.level)
+    said = [f"{TITLES[k].lower()}: {listed([own.name for own in of])}" for k, of in by_level]
     points = [p for robot in judged for p in robot.judgement.points if p.weight == "poor"]
     sentence = f"{plural(len(judged), 'robot')}. {'; '.join(said).capitalize()}."
     whole = Judgement(judged[0].judgement.level, sentence, (), tuple(points))
@@ -63,34 +65,25 @@ def fleet_page(robots: Mapping[str, Sequence[Source[Document]]], *, title: str =
 
 
 def _overview(robots: Sequence[_Robot], whole: Judgement) -> Section:
-    rows = []
+    rows, shares = [], {}
     for place, (name, _, judgement, errors) in enumerate(robots, start=1):
         worst = max(errors, key=lambda joint: errors[joint][1], default=None)
-        link = Markup('<a href="#robot-{}">{}</a>').format(place, name)
         share = errors[worst][1] if worst else None
+        link = Markup('<a href="#robot-{}">{}</a>').format(place, name)
         rows.append((link, judgement.title, share, worst, len(judgement.points)))
+        if errors:
+            shares[name] = [("after", 100.0 * share) for _, share in errors.values()]
     titles = "robot | verdict | largest error, of RMS torque | at | open points"
+    x_title, legend = "RMS error of each joint, % of its RMS torque", {"after": "a joint"}
     group = Group(
         "fleet",
         "The robots, the worst first",
-        figures=[_figure(robots)],
+        figures=[dots("Errors of all robots", shares, x_title, legend)],
         tables=[table("Models and their errors", titles, "text text share text count", rows)],
         unfolded=True,
     )
     title = f"The fleet: {TITLES[whole.level].lower()}"
     return Section("verdict", title, whole.sentence, [group])
-
-
-def _figure(robots: Sequence[_Robot]) -> Figure | None:
-    shown = {r.name: [share for _, share in r.errors.values()] for r in robots if r.errors}
-    if not shown:
-        return None
-    far = 100.0 * max(map(max, shown.values()))
-    chart = RowChart(list(shown), far, "RMS error of each joint, % of its RMS torque")
-    for row, shares in enumerate(shown.values()):
-        chart.dots(row, [100.0 * share for share in shares])
-    text = "; ".join(f"{name}: up to {percent(max(shares))}" for name, shares in shown.items())
-    return chart.figure("Errors of all robots", f"{text}.", [Key("after", "a joint")])
 
 
 def _group(place: int, robot: _Robot) -> Group:
@@ -103,6 +96,6 @@ def _group(place: int, robot: _Robot) -> Group:
         lead=robot.judgement.sentence,
         badge=_BADGES[robot.judgement.level],
         badge_text=robot.judgement.title,
-        tables=[table_of(f"Errors of {robot.name}", errors)],
+        tables=[Table(f"Errors of {robot.name}", errors)],
         notes=[point.said for point in robot.judgement.points],
     )

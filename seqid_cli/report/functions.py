@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from seqid_cli.errors import UsageError
-from seqid_cli.logs.given import PathLike, Paths, listed, optional, warn
+from seqid_cli.logs.given import PathLike, Paths, listed, warn
 from seqid_cli.params.files import By, by_robot, check_output, write_text_atomic
 from seqid_cli.params.io import read_any, read_trend
 from seqid_cli.params.results.report import ReportFile, ReportPoint, ReportSection
@@ -47,8 +46,11 @@ def report(
         Where the command would exit with 2.
     """
     target = Path(output)
-    documents, tables = _sorted([Path(path) for path in listed(files)], optional(torques))
-    inputs = [*documents, *tables]
+    inputs = [Path(path) for path in (*listed(files), *([torques] if torques else []))]
+    tables = list(dict.fromkeys(path for path in inputs if path.suffix == ".parquet"))
+    documents = [path for path in inputs if path not in tables]
+    if not documents:
+        raise UsageError("no JSON file given", hint="Name the files that the stages wrote.")
     check_output(target, inputs)
     page = _page(documents, tables, title, by)
     html, judgement = page.html, page.judgement
@@ -87,16 +89,3 @@ def _page(documents: Sequence[Path], torques: Sequence[Path], title: str, by: By
 
     robots = by_robot([(item.path, item.content.robot.name, item) for item in sources], by)
     return fleet_page(robots, title=title)
-
-
-def _sorted(files: Sequence[Path], torques: Path | None) -> tuple[list[Path], list[Path]]:
-    """Separate the torque tables from the documents, by their first bytes or names."""
-    tables = [path for path in files if path.suffix == ".parquet"]
-    for path in [path for path in files if path not in tables]:
-        # Whoever reads a file says what is wrong with it.
-        with contextlib.suppress(OSError, ValueError), path.open("rb") as file:
-            tables += [path] if file.read(4) == b"PAR1" else []
-    documents = [path for path in files if path not in tables]
-    if not documents:
-        raise UsageError("no JSON file given", hint="Name the files that the stages wrote.")
-    return documents, list(dict.fromkeys([*tables, *([torques] if torques else [])]))

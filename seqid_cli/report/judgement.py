@@ -14,8 +14,6 @@ Level = Literal["good", "reservations", "poor", "not_judged"]
 Weight = Literal["poor", "open"]
 Tested = list[tuple[Prediction, list[str]]]  # predictions with the logs that are new to the model
 
-_STAGES = ("friction", "gravity", "imu", "inertia")
-
 
 @dataclass(frozen=True)
 class Point:
@@ -26,11 +24,6 @@ class Point:
     where: str = ""
     remedy: str = ""
     command: str = ""
-
-    @property
-    def where_short(self) -> str:
-        """The file it shows in, without the folders above its own."""
-        return short_path(self.where)
 
     @property
     def said(self) -> str:
@@ -63,11 +56,9 @@ def judge(collection: Collection) -> Judgement:
     good with reservations.
     """
     tested = [(p, new) for p in collection.judged if (new := _new_logs(collection, p))]
-    judged = bool(tested)
     points = [
         *_prediction_points(collection),
-        *_stage_points(collection, judged),
-        *_missing_stages(collection),
+        *_model_points(collection, bool(tested)),
         *_diagnosis_points(collection),
         *(Point("open", warning) for warning in collection.warnings),
     ]
@@ -75,7 +66,7 @@ def judge(collection: Collection) -> Judgement:
     level: Level
     if any(point.weight == "poor" for point in points):
         level = "poor"
-    elif not judged:
+    elif not tested:
         level = "not_judged"
     else:
         level = "reservations" if points else "good"
@@ -84,20 +75,19 @@ def judge(collection: Collection) -> Judgement:
 
 
 def _new_logs(collection: Collection, prediction: Prediction) -> list[str]:
+    """Return the logs that judge the model: not those it was identified from."""
     trained = collection.trained_on(prediction)
     counted = [log for log in prediction.content.logs if log.sha256 not in trained]
-    judged = any(
-        error.relative_rmse is not None for log in counted for error in log.joints.values()
-    )
+    errors = [error for log in counted for error in log.joints.values()]
+    judged = any(error.relative_rmse is not None for error in errors)
     return [log.path for log in counted] if judged else []
 
 
 def _errors(item: Prediction, new: list[str]) -> dict[str, float]:
     """Return each joint's relative error; on the new logs alone where others are among them."""
     logs = [log.joints for log in item.content.logs if log.path in new]
-    parts = [item.content.joints] if len(logs) == len(item.content.logs) else logs
     found: dict[str, float] = {}
-    for joints in parts:
+    for joints in [item.content.joints] if len(logs) == len(item.content.logs) else logs:
         for name, error in joints.items():
             if error.relative_rmse is not None:
                 found[name] = max(found.get(name, 0.0), error.relative_rmse)
@@ -106,26 +96,24 @@ def _errors(item: Prediction, new: list[str]) -> dict[str, float]:
 
 def _sentence(level: Level, collection: Collection, tested: Tested, points: list[Point]) -> str:
     if level == "poor":
-        first = next(point for point in points if point.weight == "poor")
-        more = sum(point.weight == "poor" for point in points) - 1
-        rest = f", and {plural(more, 'more point')} below" if more else ""
-        return f"Do not rely on this model yet: {first.text}{rest}."
+        poor = [point.text for point in points if point.weight == "poor"]
+        rest = f", and {plural(len(poor) - 1, 'more point')} below" if len(poor) > 1 else ""
+        return f"Do not rely on this model yet: {poor[0]}{rest}."
     errors = [pair for item, new in tested for pair in _errors(item, new).items()]
-    worst = max(errors, key=lambda pair: pair[1], default=None)
-    if worst is None:
+    if not errors:
         return (
             "Nothing here shows how well the model predicts logs that it was not identified from."
         )
+    name, share = max(errors, key=lambda pair: pair[1])
     logs = {path for _, new in tested for path in new}
-    name, share = worst
     made = sorted({file_name(p.path) for item, _ in tested for p in item.content.parameters})
-    reach = "every joint" if len(collection.robot.joints) > 1 else "the joint"
+    several = len(collection.robot.joints) > 1
     said = (
-        f"On {plural(len(logs), 'log')} that it was not identified from, the model "
-        f"of {listed(made, 3)} predicts the torque of {reach} to {percent(share)} or better"
+        f"On {plural(len(logs), 'log')} that it was not identified from, the model of "
+        f"{listed(made, 3)} predicts the torque of {'every' if several else 'the'} joint to "
+        f"{percent(share)} or better"
     )
-    if len(collection.robot.joints) > 1:
-        said += f" (RMS error over RMS torque; the worst is {name})"
+    said += f" (RMS error over RMS torque; the worst is {name})" if several else ""
     if level == "reservations":
         said += f"; {plural(len(points), 'point')} below {'is' if len(points) == 1 else 'are'} open"
     return said + "."
@@ -136,8 +124,7 @@ def _prediction_points(collection: Collection) -> Iterator[Point]:
     for item in collection.judged:
         file, new = item.content, _new_logs(collection, item)
         yield from _poor(file.verdicts, "the prediction", item.path, diagnose)
-        still = [n for n, error in file.joints.items() if not error.samples]
-        if still:
+        if still := [n for n, error in file.joints.items() if not error.samples]:
             text = f"{listed(still)} never slides in these logs and is not judged"
             yield Point("open", text, item.path, "Predict logs in which every joint moves.")
         for name, error in file.joints.items():
@@ -166,60 +153,46 @@ def _poor(verdicts: Iterable[Verdict], whole: str, path: str, call: str = "") ->
             yield Point("poor", f"{verdict.joint or whole}: {verdict.reason}", path, command=call)
 
 
-def _stage_points(collection: Collection, judged: bool) -> Iterator[Point]:
+def _model_points(collection: Collection, judged: bool) -> Iterator[Point]:
+    """What is wrong with the model or missing of it; a good prediction makes faults open points."""
     model = collection.model
     if model is None:
+        text = "no parameter file was given, so the model itself is not shown"
+        yield Point("open", text, remedy="Name the parameter file as well.")
         return
-    loop = model.file.closed_loop
-    if loop is not None:
-        yield from _poor(loop.verdicts, "the refinement", model.path)
-        for text in unconfirmed(loop):
-            yield Point("open" if judged else "poor", text, model.path)
-    for name, verdict in stage_verdicts(model.stages):
-        if not verdict.good:
-            what = f"{name} of {verdict.joint}" if verdict.joint else f"the {name} stage"
-            yield Point("open" if judged else "poor", f"{what}: {verdict.reason}", model.path)
-    for name, stage in (("gravity", model.stages.gravity), ("inertia", model.stages.inertia)):
-        if stage is not None and stage.not_excited:
-            text = f"not determined by the {name} logs: {listed(stage.not_excited)}"
-            yield Point("open", text, model.path, "Record motions that excite them.")
-        if stage is not None and stage.missing_pairs:
-            pairs = [" with ".join(pair) for pair in stage.missing_pairs]
+    weight: Weight = "open" if judged else "poor"
+    stages, path = model.stages, model.path
+    if (loop := model.file.closed_loop) is not None:
+        yield from _poor(loop.verdicts, "the refinement", path)
+        yield from (Point(weight, text, path) for text in unconfirmed(loop))
+    for name in ("friction", "gravity", "imu", "inertia"):
+        stage = getattr(stages, name)
+        for verdict in stage.verdicts if stage else []:
+            if not verdict.good:
+                what = f"{name} of {verdict.joint}" if verdict.joint else f"the {name} stage"
+                yield Point(weight, f"{what}: {verdict.reason}", path)
+    for name, rigid in (("gravity", stages.gravity), ("inertia", stages.inertia)):
+        if rigid is not None and rigid.not_excited:
+            text = f"not determined by the {name} logs: {listed(rigid.not_excited)}"
+            yield Point("open", text, path, "Record motions that excite them.")
+        if rigid is not None and rigid.missing_pairs:
+            pairs = [" with ".join(pair) for pair in rigid.missing_pairs]
             text = f"joints that never moved together: {listed(pairs)}"
-            yield Point("open", text, model.path, "Record these pairs, two joints at a time.")
+            yield Point("open", text, path, "Record these pairs, two joints at a time.")
+    for name in ("friction", "gravity", "inertia"):
+        needed = name != "gravity" or model.kind == "identified"
+        if needed and getattr(stages, name) is None:
+            yield Point("open", f"the model has no {name} stage", path, command=f"seqid {name}")
+    known = stages.friction.joints if stages.friction else collection.robot.joints
+    if without := [name for name in collection.robot.joints if name not in known]:
+        text = f"no friction is known of {listed(without)}"
+        yield Point("open", text, path, command="seqid friction")
 
 
 def unconfirmed(loop: ClosedLoop) -> list[str]:
     """Return, in words, what the held-out logs do not confirm: a sentence or none."""
     names = [effect_at(item.effect, item.joint) for item in loop.unconfirmed]
     return [f"the held-out logs do not confirm {listed(names)}"] if names else []
-
-
-def stage_verdicts(stages: Stages) -> list[tuple[str, Verdict]]:
-    """Return every verdict with the name of its stage."""
-    found = []
-    for name in _STAGES:
-        stage = getattr(stages, name)
-        found += [(name, verdict) for verdict in (stage.verdicts if stage else [])]
-    return found
-
-
-def _missing_stages(collection: Collection) -> Iterator[Point]:
-    model = collection.model
-    if model is None:
-        text = "no parameter file was given, so the model itself is not shown"
-        yield Point("open", text, remedy="Name the parameter file as well.")
-        return
-    lacks = [name for name in ("friction", "inertia") if getattr(model.stages, name) is None]
-    if model.stages.gravity is None and model.kind == "identified":
-        lacks.insert(len(lacks) - lacks.count("inertia"), "gravity")
-    for name in lacks:
-        yield Point("open", f"the model has no {name} stage", model.path, command=f"seqid {name}")
-    if model.stages.friction is not None:
-        without = [n for n in collection.robot.joints if n not in model.stages.friction.joints]
-        if without:
-            text = f"no friction is known of {listed(without)}"
-            yield Point("open", text, model.path, command="seqid friction")
 
 
 def _diagnosis_points(collection: Collection) -> Iterator[Point]:
@@ -282,17 +255,11 @@ def _support(collection: Collection, tested: Tested) -> Iterator[str]:
         if file.verdict == "nothing_missing" and not file.leaves_more:
             logs = plural(len(file.inputs), "log")
             yield f"What {logs} leave of the torque is noise: nothing is missing ({path})."
-    for model in collection.models:
-        loop = model.file.closed_loop
-        if loop is None or not loop.rounds or loop.verdict == "poor":
-            continue
+    loops = [loop for model in collection.models if (loop := model.file.closed_loop) is not None]
+    for loop in [loop for loop in loops if loop.rounds and loop.verdict != "poor"]:
         added = listed([effect_at(item.effect, item.joint) for item in loop.rounds])
         gains = [(limits[0], joint) for joint, limits in loop.gain_interval.items() if limits]
         gain, joint = max(gains, default=(0.0, ""))
-        proof = ""
-        if gain > 0.0:
-            proof = (
-                f"; on held-out logs the error variance of {joint} falls by at least "
-                f"{percent(gain, 0)} (95 %)"
-            )
+        proof = f"; on held-out logs the error variance of {joint} falls by at least "
+        proof = f"{proof}{percent(gain, 0)} (95 %)" if gain > 0.0 else ""
         yield f"Refinement added {added}{proof}."

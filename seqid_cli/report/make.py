@@ -7,13 +7,11 @@ from seqid_cli.errors import UsageError
 from seqid_cli.params.io import Document, Source
 from seqid_cli.report.collection import Collection, collect
 from seqid_cli.report.judgement import judge
-from seqid_cli.report.sections.diagnosis import diagnosis
+from seqid_cli.report.sections.diagnosis import closed_loop, diagnosis
 from seqid_cli.report.sections.friction import friction
 from seqid_cli.report.sections.imu import imu
-from seqid_cli.report.sections.loop import closed_loop
-from seqid_cli.report.sections.overview import overview
 from seqid_cli.report.sections.parameters import parameters
-from seqid_cli.report.sections.pipeline import pipeline
+from seqid_cli.report.sections.pipeline import overview, pipeline
 from seqid_cli.report.sections.results import payload, plan
 from seqid_cli.report.sections.torque import torque
 from seqid_cli.report.torques import TorqueTable, find_torques
@@ -48,7 +46,7 @@ def make_report(
     judgement = judge(collection)
     sections = [
         overview(collection, judgement),
-        pipeline(collection, tables),
+        pipeline(collection),
         torque(collection, tables, notes),
         friction(collection),
         parameters(collection),

@@ -41,8 +41,8 @@ class Drawing:
         page = f"<style>{resource('style.css')} figure{{max-width:{_WIDTH}px}}</style>"
         for figure in self.figures:
             keys = "".join(
-                f'<span><span class="key {key.style}"></span>{escape(key.text)} </span>'
-                for key in figure.legend
+                f'<span><span class="key {style}"></span>{escape(text)} </span>'
+                for style, text in figure.legend.items()
             )
             title = f"<figcaption>{escape(figure.title)}</figcaption>"
             page += f"<figure>{title}{figure.drawing}{keys}</figure>"
@@ -52,19 +52,18 @@ class Drawing:
 
 def plot_friction(file: ParameterFile, joint: str) -> Drawing:
     """Draw the friction of a joint: a map, and cuts over velocity and over position."""
-    from seqid_cli.report.figures.friction import FIGURES
+    from seqid_cli.report.sections.friction import friction_figures
 
     known = file.stages.friction.joints if file.stages.friction else {}
     if joint not in known:
         names = ", ".join(known) or "none"
         raise UsageError(f"no friction of {joint!r} is in this file", hint=f"It has: {names}.")
-    place = _collection(file).place(joint)
-    return Drawing(tuple(draw(known[joint], place) for draw in FIGURES))
+    return Drawing(tuple(friction_figures(known[joint], _collection(file).place(joint))))
 
 
 def plot_evidence(file: DiagnosisFile) -> Drawing:
     """Draw the residuals behind the findings and the unexplained parts of a diagnosis."""
-    from seqid_cli.report.figures.evidence import evidence_figure
+    from seqid_cli.report.sections.diagnosis import evidence_figure
 
     collection = _collection(file)
     shown = [x.evidence for x in file.findings] + [x.evidence for x in file.unexplained]

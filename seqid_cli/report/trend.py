@@ -6,15 +6,12 @@ import numpy as np
 
 from seqid_cli.params.results.tables import changes
 from seqid_cli.params.results.trend import ChangeEntry, SeriesEntry, TrendFile
-from seqid_cli.report.figures.chart import Box, Panel, drawing
-from seqid_cli.report.figures.svg import line, padded
+from seqid_cli.report.chart import figure, padded, small_panel
 from seqid_cli.report.judgement import Judgement
-from seqid_cli.report.views import Figure, Group, Page, Section, table, table_of
-from seqid_cli.report.words import number, plural
+from seqid_cli.report.views import Figure, Group, Page, Section, Table, table
+from seqid_cli.report.words import Z95, number, plural
 
-_WIDTH, _HEIGHT = 640.0, 170.0
 _DAY = 86400.0
-_INTERVAL = 1.96  # standard errors
 
 
 def trend_page(file: TrendFile, path: str, *, title: str = "") -> Page:
@@ -49,7 +46,7 @@ def _overview(file: TrendFile, judgement: Judgement) -> Section:
     notes = list(file.notes)
     if inflated:
         notes.append(f"Standard errors were taken larger by these factors: {', '.join(inflated)}")
-    shown = table_of("Changes, the clearest first", changes(file.changes))
+    shown = Table("Changes, the clearest first", changes(file.changes))
     groups = [Group("changes", "All changes", tables=[shown], unfolded=True)]
     return Section("verdict", "What changed", lead, groups if file.changes else [], notes=notes)
 
@@ -60,25 +57,18 @@ def _key(entry: ChangeEntry | SeriesEntry) -> tuple[str, str, str, str]:
 
 def _figure(series: SeriesEntry) -> Figure:
     """Values with 95 % intervals over days since the first date."""
-    times = [datetime.fromisoformat(date).timestamp() for date in series.dates]
-    days = [(time - times[0]) / _DAY for time in times]
-    values, half = np.array(series.values), _INTERVAL * np.array(series.std_errors)
-    panel = Panel(
-        Box(64, 22, _WIDTH - 84, _HEIGHT),
-        padded(0.0, max(days[-1], 1.0), 0.02),
-        padded(float(min(values - half)), float(max(values + half))),
-        x_title=f"days since {series.dates[0][:10]}",
-        y_title=series.unit,
-        hover="time|d",
-    )
-    for x, y, low, high in zip(days, values, values - half, values + half, strict=True):
-        at = panel.x(x)
-        panel.add(line("whisker", at, panel.y(low), at, panel.y(high)))
-        panel.add(line("spot", at, panel.y(y), at, panel.y(y)))
+    times = np.array([datetime.fromisoformat(date).timestamp() for date in series.dates])
+    days = (times - times[0]) / _DAY
+    values, half = np.array(series.values), Z95 * np.array(series.std_errors)
+    x, x_range = (f"days since {series.dates[0][:10]}", ""), padded(0.0, max(days[-1], 1.0), 0.02)
+    y_range = padded(float(min(values - half)), float(max(values + half)))
+    panel = small_panel(x, x_range, series.unit, y_range)
+    panel.hover = "time|d"
+    panel.band(days, values - half, values + half, "cut0")
     what = " ".join(part for part in (series.joint, series.stage, series.name) if part)
     panel.line(days, values, "predicted", name=what, unit=series.unit)
     text = f"{what} from {number(values[0])} to {number(values[-1])} {series.unit}"
     rows = zip((date[:10] for date in series.dates), series.values, series.std_errors, strict=True)
     titles, kinds = "date | value [{unit}] | std error", "text number5 number2"
     shown = table(what, titles, kinds, rows, unit=series.unit)
-    return Figure(what, drawing(_WIDTH, _HEIGHT + 66, what, text, [panel]), table=shown)
+    return figure([panel], what, text, {}, shown)

@@ -7,17 +7,18 @@ the style sheet and the script by their hashes and forbids everything else.
 
 import base64
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.resources import files
-from typing import Any
+from typing import Any, NamedTuple
 
 from markupsafe import Markup
 
 from seqid_cli import __version__
 from seqid_cli.model.effects.units import UNTOLD
 from seqid_cli.params.document import now
-from seqid_cli.params.results.tables import Head, Values, heads, values
+from seqid_cli.params.results.tables import Values, heads, values
 from seqid_cli.params.schema import Verdict
 from seqid_cli.report.judgement import Judgement
 from seqid_cli.report.words import (
@@ -32,23 +33,27 @@ from seqid_cli.report.words import (
 )
 from seqid_cli.templates import filled
 
+Legend = Mapping[str, str]  # what a line is, by the class that it has in the drawing
+VALUE_HEADS = heads(
+    "parameter | value | std error | 95 % interval | unit", "text number number number text"
+)
+
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of finished text; `caption` names them, `style` is the class of the table."""
+    """Values under their heads; `caption` names them, `style` is the class of the table."""
 
     caption: str
-    heads: Sequence[Head]
-    rows: Sequence[Sequence[str]]
+    values: Values
     note: str = ""
     folded: bool = False
     style: str = ""
 
-
-def table_of(caption: str, found: Values, note: str = "", **more: Any) -> Table:
-    """Return values as a table of the page."""
-    cells = found.cells(number, percent, effect=effect_words, path=short_path, unit=unit_text)
-    return Table(caption, found.heads, cells, note, **more)
+    @cached_property
+    def rows(self) -> Sequence[Sequence[str]]:
+        """The values as text."""
+        words = {"effect": effect_words, "path": short_path, "unit": unit_text}
+        return self.values.cells(number, percent, **words)
 
 
 def table(
@@ -62,12 +67,7 @@ def table(
     **names: str,
 ) -> Table:
     """Return rows of values under `heads` as a table of the page."""
-    return table_of(caption, values(titles, kinds, rows, **names), note, style=style)
-
-
-VALUE_HEADS = heads(
-    "parameter | value | std error | 95 % interval | unit", "text number number number text"
-)
+    return Table(caption, values(titles, kinds, rows, **names), note, style=style)
 
 
 def value_row(name: str, value: float | None, error: float | None, unit: str) -> tuple[str, ...]:
@@ -79,31 +79,22 @@ def value_row(name: str, value: float | None, error: float | None, unit: str) ->
 
 
 @dataclass(frozen=True)
-class Key:
-    """One entry of a legend; `style` is the class that the line has in the drawing."""
-
-    style: str
-    text: str
-
-
-@dataclass(frozen=True)
 class Figure:
     """A drawing with its title, legend and the table of its values."""
 
     title: str
     drawing: Markup
-    legend: Sequence[Key] = ()
+    legend: Legend
     table: Table | None = None
     note: str = ""
     wide: bool = False
 
 
-@dataclass(frozen=True)
-class Absent:
+class Absent(NamedTuple):
     """Data that a section lacks, and the command that makes them."""
 
     text: str
-    command: str = ""
+    command: str
 
 
 @dataclass(frozen=True)
@@ -129,11 +120,6 @@ def badge(verdicts: Sequence[Verdict]) -> str:
     if not verdicts:
         return ""
     return "good" if all(verdict.good for verdict in verdicts) else "poor"
-
-
-def badge_text(state: str, text: str) -> Markup:
-    """Return a badge with its text for a cell of a table."""
-    return Markup('<span class="badge {}">{}</span>').format(state or "none", text)
 
 
 def reasons(verdicts: Sequence[Verdict]) -> str:
@@ -182,22 +168,21 @@ class Page:
     @property
     def html(self) -> str:
         """The page as one text."""
-        parts = style, script = resource("style.css"), resource("script.js")
-        own = [base64.b64encode(hashlib.sha256(part.encode()).digest()).decode() for part in parts]
+        parts = {"style": resource("style.css"), "script": resource("script.js")}
+        own = {
+            name: base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+            for name, text in parts.items()
+        }
         policy = (
-            f"default-src 'none'; style-src 'sha256-{own[0]}'; script-src 'sha256-{own[1]}'; "
+            f"default-src 'none'; style-src 'sha256-{own['style']}'; "
+            f"script-src 'sha256-{own['script']}'; "
             "img-src data:; base-uri 'none'; form-action 'none'"
         )
-        content = {
-            "page": self,
-            "version": __version__,
-            "style": style,
-            "script": script,
-            "policy": policy,
-            "created": now(),
-        }
-        filters = {"unit": unit_text}
-        return filled("seqid_cli.report", "report.html.j2", content, filters=filters, markup=True)
+        content = {"page": self, "version": __version__, "policy": policy, "created": now()}
+        filters = {"unit": unit_text, "short": short_path}
+        return filled(
+            "seqid_cli.report", "report.html.j2", content | parts, filters=filters, markup=True
+        )
 
 
 def resource(name: str) -> str:

@@ -11,11 +11,9 @@ from markupsafe import Markup, escape
 from seqid_cli import shares
 
 Z95 = 1.959963984540054  # of a two-sided 95 % interval
-_INDEXED = re.compile(r"(?P<stem>[A-Za-z]+)_(?P<index>[0-9]+)")
-_STEM = {"mx": ("m", "x"), "my": ("m", "y"), "mz": ("m", "z")}
-_RAISED = {"1": "\u00b9", "2": "\u00b2", "3": "\u00b3", "-": "\u207b"}
 MINUS = "\u2212"
 DASH = "\u2013"
+_RAISED = str.maketrans("123-", "\u00b9\u00b2\u00b3\u207b")
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -39,12 +37,18 @@ def percent(share: float | None, digits: int = 1) -> str:
     return shares.percent(share, digits).replace("-", MINUS)
 
 
+def _decimals(error: float) -> int | None:
+    """Decimals that two digits of a standard error allow; None where these are no help."""
+    if not (error > 0.0 and math.isfinite(error)):
+        return None
+    decimals = 1 - math.floor(math.log10(error))
+    return decimals if 0 <= decimals <= 9 else None
+
+
 def with_error(value: float, error: float) -> tuple[str, str]:
     """Return value and standard error with the decimals that two digits of the error allow."""
-    if not (error > 0.0 and math.isfinite(error) and math.isfinite(value)):
-        return number(value, 5), number(error, 2)
-    decimals = 1 - math.floor(math.log10(error))
-    if not 0 <= decimals <= 9 or abs(value) >= 1e9:
+    decimals = _decimals(error)
+    if decimals is None or not abs(value) < 1e9:
         return number(value, 5), number(error, 2)
     return f"{value:.{decimals}f}".replace("-", MINUS), f"{error:.{decimals}f}"
 
@@ -53,40 +57,28 @@ def interval(value: float, error: float) -> str:
     """Return the 95 % interval of a value with a normal standard error."""
     if not error > 0.0:
         return DASH
-    decimals = 1 - math.floor(math.log10(error))
     low, high = value - Z95 * error, value + Z95 * error
-    if not 0 <= decimals <= 9:
+    decimals = _decimals(error)
+    if decimals is None:
         return f"{number(low, 4)} to {number(high, 4)}"
     return f"{low:.{decimals}f} to {high:.{decimals}f}".replace("-", MINUS)
 
 
-def limits(ends: Sequence[float]) -> str:
-    """Return an interval from its ends, a dash where there is none."""
-    return f"{number(ends[0])} to {number(ends[1])}" if len(ends) == 2 else DASH
-
-
 def unit_text(unit: str) -> str:
     """Return a unit with raised powers and dots; nothing for a plain number."""
-    if unit in ("", "1"):
-        return ""
-    raised = re.sub(
-        r"\^(-?[0-9])", lambda found: "".join(_RAISED.get(c, f"^{c}") for c in found[1]), unit
-    )
-    return raised.replace(" ", "\u202f")
+    raised = re.sub(r"\^(-?[123])", lambda found: found[1].translate(_RAISED), unit)
+    return "" if unit == "1" else raised.replace(" ", "\u202f")
 
 
 def symbol(name: str) -> Markup:
     """Return a standard parameter such as `Ixx_2` with its index lowered, other names as is."""
-    match = _INDEXED.fullmatch(name)
+    match = re.fullmatch(r"([A-Za-z])([A-Za-z]*)_([0-9]+)", name)
     if match is None:
         return escape(name)
-    stem, index = match["stem"], match["index"]
-    if stem in _STEM:
-        base, axis = _STEM[stem]
-        return Markup("<i>{}</i>{}<sub>{}</sub>").format(base, axis, index)
-    return Markup("<i>{}</i><sub>{}</sub>").format(
-        stem[0], f"{stem[1:]}\u202f{index}" if stem[1:] else index
-    )
+    base, axes, index = match.groups()
+    if base == "m":  # the axis of a first moment stands beside it
+        return Markup("<i>m</i>{}<sub>{}</sub>").format(axes, index)
+    return Markup("<i>{}</i><sub>{}</sub>").format(base, f"{axes}\u202f{index}" if axes else index)
 
 
 def expression(terms: Mapping[str, float], fallback: str) -> Markup:
@@ -94,12 +86,13 @@ def expression(terms: Mapping[str, float], fallback: str) -> Markup:
     if not terms:
         return escape(fallback)
     text = Markup("")
-    for place, (name, factor) in enumerate(terms.items()):
-        sign = MINUS if factor < 0.0 else "+"
-        lead = ("" if sign == "+" else sign) if place == 0 else f" {sign} "
-        size = abs(factor)
-        times = "" if abs(size - 1.0) < 1e-9 else f"{size:.5g}\u202f"
-        text += escape(lead) + escape(times) + symbol(name)
+    for name, factor in terms.items():
+        sign, size = MINUS if factor < 0.0 else "+", abs(factor)
+        if text:
+            text += f" {sign} "
+        elif sign == MINUS:
+            text += sign
+        text += ("" if abs(size - 1.0) < 1e-9 else f"{size:.5g}\u202f") + symbol(name)
     return text
 
 
@@ -112,7 +105,7 @@ def listed(names: Sequence[str], most: int = 6) -> str:
     """Return names as a list in words, cut after `most`."""
     if len(names) > most:
         return ", ".join(names[:most]) + f" and {len(names) - most} more"
-    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else list(names))
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def effect_at(effect: str, joint: str | None) -> str:

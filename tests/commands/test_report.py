@@ -77,11 +77,11 @@ def test_torques_are_named_or_found(rig: Rig, good: list[str]) -> None:
 
 
 def test_a_fleet_has_a_page_of_its_own(rig: Rig) -> None:
-    names = []
     for cell in ("cell_1", "cell_2"):
         (rig.folder / cell).mkdir()
-        names += [f"{cell}/{name}" for name in write_documents(rig.folder / cell, good_documents())]
-    done = rig.run("report", *names, "--by", "folder", "-o", "r.html", "--json")
+        names = write_documents(rig.folder / cell, good_documents())
+    files = [f"{cell}/{name}" for cell in ("cell_1", "cell_2") for name in names]
+    done = rig.run("report", *files, "--by", "folder", "-o", "r.html", "--json")
     document = json.loads(done.out)
     assert (document["robot"], document["verdict"]) == ("cell_1, cell_2", "good")
     assert document["sentence"] == "2 robots. Good: cell_1 and cell_2."

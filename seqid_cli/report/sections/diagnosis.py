@@ -1,30 +1,36 @@
-"""Effects that the model lacks: findings with evidence, unexplained parts, events."""
+"""Effects that the model lacks, with their evidence, and the error before and after refinement."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
+
+import numpy as np
 
 from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.params.evidence_schema import EvidenceEntry
 from seqid_cli.params.io import Source
 from seqid_cli.params.results import tables
-from seqid_cli.params.results.diagnosis import DiagnosisFile, EventEntry, FindingEntry
+from seqid_cli.params.results.diagnosis import (
+    DiagnosisFile,
+    FindingEntry,
+    nothing_added,
+    over_words,
+)
+from seqid_cli.params.results.tables import Values
+from seqid_cli.report.chart import dots, figure, padded, small_panel
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.figures.chart import RowChart
-from seqid_cli.report.figures.evidence import evidence_figure, rivals_table
-from seqid_cli.report.judgement import known_effects, unexplained
+from seqid_cli.report.judgement import known_effects, unconfirmed, unexplained
 from seqid_cli.report.sections.parameters import value_rows
-from seqid_cli.report.views import VALUE_HEADS, Absent, Figure, Group, Key, Section, Table, table_of
+from seqid_cli.report.views import VALUE_HEADS, Absent, Figure, Group, Section, Table, table
 from seqid_cli.report.words import (
     effect_at,
     effect_words,
-    file_name,
     listed,
-    number,
     percent,
     plural,
     short_path,
+    unit_text,
 )
 
-_MOST_EVENTS = 200  # in a table, and in a row of the figure
-_MOST_LOGS = 20
+_MOST_EVENTS = 200
 _VERDICTS = {
     "nothing_missing": ("good", "nothing is missing"),
     "effect_found": ("open", "the model lacks an effect"),
@@ -53,13 +59,19 @@ def diagnosis(collection: Collection) -> Section:
 
 
 def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Group:
-    file, known = item.content, known_effects(collection)
+    file, known, robot = item.content, known_effects(collection), collection.robot
     badge, text = _VERDICTS[file.verdict]
     if file.verdict == "nothing_missing" and file.leaves_more:
         badge, text = "open", "no effect was found, but more than noise is left"
     if file.findings and all((f.effect, f.joint) in known for f in file.findings):
         badge, text = "good", "found, and in the refined model"
     left_out = len(file.events) - _MOST_EVENTS
+    tried = {f"what is unexplained at {part.joint}": part.rivals for part in file.unexplained}
+    tried |= {f"{name}": joint.tried for name, joint in file.joints.items()}
+    floors = {name: joint.noise_floor or 0.0 for name, joint in file.joints.items()}
+    errors = {"before": {name: joint.rmse for name, joint in file.joints.items()}}
+    if file.findings:
+        errors["after"] = {name: joint.rmse_explained for name, joint in file.joints.items()}
     more = f"and {left_out} more" if left_out > 0 else ""
     return Group(
         key,
@@ -73,18 +85,16 @@ def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Gro
                 evidence_figure(x.evidence, collection, "Unexplained torque")
                 for x in file.unexplained
             ),
-            against_floor(file, collection),
-            timeline(file.events),
+            _over_floor("Residual without and with the findings", errors, floors),
         ],
         tables=[
-            table_of("Residual per joint", tables.joint_residuals(file.joints, collection.robot)),
+            Table("Residual per joint", tables.joint_residuals(file.joints, robot)),
             *(
-                rivals_table(f"Tried for what is unexplained at {part.joint}", part.rivals)
-                for part in file.unexplained
+                Table(f"Tried for {what}", tables.rivals(terms), folded=True)
+                for what, terms in tried.items()
             ),
-            *(rivals_table(f"Tried at {name}", at.tried) for name, at in file.joints.items()),
-            table_of("Events", tables.events(file.events[:_MOST_EVENTS]), more),
-            table_of("Effects that these motions cannot show", tables.hidden(file.hidden)),
+            Table("Events", tables.events(file.events[:_MOST_EVENTS]), more),
+            Table("Effects that these motions cannot show", tables.hidden(file.hidden)),
         ],
         notes=[*(f"{unexplained(part)}." for part in file.unexplained), *file.notes],
     )
@@ -114,46 +124,103 @@ def _finding(key: str, item: FindingEntry, collection: Collection) -> Group:
         ],
         figures=[evidence_figure(item.evidence, collection)],
         tables=[
-            Table(f"Parameters of {title}", VALUE_HEADS, rows),
-            rivals_table("Tried in its place", item.rivals),
+            Table(f"Parameters of {title}", Values(VALUE_HEADS, rows)),
+            Table("Tried in its place", tables.rivals(item.rivals), folded=True),
         ],
         notes=[*notes, *([item.note] if item.note else [])],
         unfolded=True,
     )
 
 
-def against_floor(file: DiagnosisFile, collection: Collection) -> Figure | None:
-    """Draw each joint's residual as a multiple of its noise floor."""
-    shown = {
-        name: (entry.rmse / entry.noise_floor, (entry.rmse_explained or 0.0) / entry.noise_floor)
-        for name in collection.robot.joints
-        if (entry := file.joints.get(name)) is not None and entry.rmse and entry.noise_floor
+def closed_loop(collection: Collection) -> Section:
+    """Return the section on refinement."""
+    title = "Before and after refinement"
+    loop = next((x.file.closed_loop for x in collection.models if x.file.closed_loop), None)
+    if loop is None:
+        call = collection.call("refine", "LOG...", "--holdout", "LOG", output="refined.json")
+        absent = Absent("No refined file is among the files given.", call)
+        return Section("loop", title, absent=[absent])
+    lead = (
+        "Effects were chosen on blocks of time that were left out of the logs to fit. The held-out "
+        "logs were opened after the last decision: both errors are measured there, where joints "
+        "slide, on the same samples. The noise floor estimates what torque noise and encoder alone "
+        "leave. The gain is the part of the error's variance that the refined model takes away, "
+        "with its 95 % interval."
+    )
+    added = [(effect_at(item.effect, item.joint), item) for item in loop.rounds]
+    shown = [evidence_figure(x.evidence, collection, f"{name}: residual") for name, x in added]
+    faults = [": ".join(filter(None, (v.joint, v.reason))) for v in loop.verdicts if not v.good]
+    errors = {
+        style: {name: own.rmse for name, own in joints.items()}
+        for style, joints in (("before", loop.before), ("after", loop.after))
     }
-    if not shown:
-        return None
-    far = max(1.2, *(max(pair) for pair in shown.values()))
-    chart = RowChart(list(shown), far, "RMS residual as a multiple of the noise floor")
-    for row, (rmse, explained) in enumerate(shown.values()):
-        chart.bar(row, 0.0, rmse, "bar")
-        if file.findings and explained:
-            chart.dots(row, [explained])
-    chart.mark(1.0, "floor")
-    text = "; ".join(f"{name}: {number(rmse)}" for name, (rmse, _) in shown.items())
-    legend = [Key("bar", "residual"), Key("floor", "noise floor")]
-    legend += [Key("after", "with the findings")] if file.findings else []
-    return chart.figure("Residual against the noise floor", f"{text}, times the floor.", legend)
+    measured = listed([short_path(path) for path in loop.evaluated_on])
+    group = Group(
+        "loop-errors",
+        f"Added: {listed([name for name, _ in added])}" if added else nothing_added(loop),
+        lead="; ".join([*unconfirmed(loop), *faults]),
+        badge="poor" if loop.verdict == "poor" else "",
+        figures=[_over_floor("RMS error on held-out logs", errors, loop.noise_floor), *shown],
+        tables=[
+            Table("RMS error on the held-out logs", tables.loop_errors(loop, collection.robot)),
+            Table("What was tried", tables.rounds(loop)),
+            *(
+                Table(f"Tried in place of {name}", tables.rivals(x.rivals), folded=True)
+                for name, x in added
+            ),
+        ],
+        notes=[*([f"Measured on {measured}."] if measured else []), *loop.notes],
+        unfolded=True,
+    )
+    return Section("loop", title, lead, [group])
 
 
-def timeline(events: Sequence[EventEntry]) -> Figure | None:
-    """Draw the events over time, one row per log."""
-    if not events:
+def _over_floor(
+    title: str, errors: Mapping[str, Mapping[str, float | None]], floors: Mapping[str, float]
+) -> Figure | None:
+    """Draw the errors of each joint (by style) as multiples of its noise floor."""
+    rows = {
+        name: [(style, x / floor) for style, own in errors.items() if (x := own.get(name))]
+        for name, floor in floors.items()
+        if floor > 0.0
+    }
+    shown = {name: points for name, points in rows.items() if points}
+    legend = {**{style: style for style in errors}, "floor": "noise floor"}
+    return dots(title, shown, "RMS as a multiple of the noise floor", legend, mark=1.0)
+
+
+def evidence_figure(
+    shown: EvidenceEntry | None, collection: Collection, what: str = "Residual"
+) -> Figure | None:
+    """Draw a joint's residual over the effect's quantity, before and after it is taken off."""
+    if shown is None or len(shown.x) < 2 or not min(shown.x) < max(shown.x):
         return None
-    logs = list(dict.fromkeys(event.log for event in events))
-    names = [file_name(log) for log in logs[:_MOST_LOGS]]
-    chart = RowChart(names, max(event.end for event in events), "time since its log's start, s")
-    for row, log in enumerate(logs[:_MOST_LOGS]):
-        for event in [event for event in events if event.log == log][:_MOST_EVENTS]:
-            tooltip = f"{event.start:.2f} to {event.end:.2f} s: {', '.join(event.joints)}"
-            chart.bar(row, event.start, event.end, "span event", tooltip)
-    text = f"{plural(len(events), 'event')} in {plural(len(logs), 'log')}; the table lists them."
-    return chart.figure("Events: something pushed the arm", text, [Key("event", "pushed")])
+    unit = collection.place(shown.joint).unit
+    quantity, sided = over_words(shown), " times direction" if shown.sided else ""
+    curves = {"before": ("residual", "faint", shown.before, shown.before_spread)}
+    if shown.after:
+        curves["after"] = ("predicted", "cut0", shown.after, shown.after_spread)
+    edges = {name: (np.subtract(y, d), np.add(y, d)) for name, (*_, y, d) in curves.items()}
+    ends = np.concatenate([np.zeros(1), *(edge for both in edges.values() for edge in both)])
+    x_range, y_range = (min(shown.x), max(shown.x)), padded(float(ends.min()), float(ends.max()))
+    x, y_title = (quantity, unit_text(shown.unit)), f"residual{sided}, {unit}"
+    panel = small_panel(x, x_range, y_title, y_range)
+    for name, (_, band, *_) in curves.items():
+        panel.band(shown.x, *edges[name], band)
+    for name, (style, _, y, _) in curves.items():
+        panel.line(shown.x, y, style, name=name, unit=unit)
+    title = f"{what} of {shown.joint} over {quantity}"
+    text = "Means of bins, in bands of one standard deviation, on blocks left out of the fit."
+    legend = {style: f"{name} it is taken off" for name, (style, *_) in curves.items()}
+    none = [None] * len(shown.x)
+    after = (shown.after or none, shown.after_spread or none)
+    bins = table(
+        title,
+        "{quantity} [{x}] | samples | before [{y}] | spread [{y}] | after [{y}] | spread [{y}]",
+        "number count number number number number",
+        zip(shown.x, shown.count, shown.before, shown.before_spread, *after, strict=True),
+        quantity=quantity,
+        x=shown.unit,
+        y=unit,
+    )
+    return figure([panel], title, text, legend, bins, note=text)

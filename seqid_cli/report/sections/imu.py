@@ -1,12 +1,11 @@
 """How accelerometers and IMUs are mounted on the links, and how well that is known."""
 
-import math
 from collections.abc import Sequence
 
 from seqid_cli.params.schema import ImuCalibration, MotionUse, RobotId, Verdict
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.views import Absent, Group, Section, Table, badge, reasons, table
-from seqid_cli.report.words import number, short_path, with_error
+from seqid_cli.report.words import MINUS, number, short_path, with_error
 
 _CALL = "seqid imu-calib LOG... -r robot.toml -p gravity.json -o imu.json"
 
@@ -14,9 +13,8 @@ _CALL = "seqid imu-calib LOG... -r robot.toml -p gravity.json -o imu.json"
 def imu(collection: Collection) -> Section:
     """Return the section on IMU calibration."""
     title = "IMU calibration"
-    model = collection.model
-    stage = model.stages.imu if model else None
-    if stage is None:
+    stages = collection.model.stages if collection.model else None
+    if stages is None or stages.imu is None:
         text = "No IMU stage is in the files given; robots without IMUs have none."
         return Section("imu", title, absent=[Absent(text, _CALL)])
     lead = (
@@ -25,15 +23,15 @@ def imu(collection: Collection) -> Section:
         "about the joint's axis: 1 if both agree (Eq. 31)."
     )
     groups = [
-        _group(place, name, item, [v for v in stage.verdicts if v.joint == name])
-        for place, (name, item) in enumerate(stage.imus.items())
+        _group(place, name, item, [v for v in stages.imu.verdicts if v.joint == name])
+        for place, (name, item) in enumerate(stages.imu.imus.items(), start=1)
     ]
-    uses = model.stages.inertia.motion_use if model and model.stages.inertia else []
+    uses = stages.inertia.motion_use if stages.inertia else []
     skipped: dict[str, list[str]] = {}  # remarks on IMUs that took no part, with their logs
     for use in uses:
         for warning in use.warnings:
             skipped.setdefault(warning, []).append(short_path(use.log))
-    notes = [*stage.notes, *(f"{text} ({', '.join(logs)})" for text, logs in skipped.items())]
+    notes = [*stages.imu.notes, *(f"{text} ({', '.join(logs)})" for text, logs in skipped.items())]
     motion = [_motion(uses, collection.robot)]
     return Section("imu", title, lead, groups, tables=motion, notes=notes)
 
@@ -48,52 +46,41 @@ def _group(place: int, name: str, item: ImuCalibration, verdicts: Sequence[Verdi
     if item.time_offset_s:
         facts.append(("clock offset", f"{number(1e3 * item.time_offset_s)} ms"))
     references = [
-        (joint, *with_error(x.gain, x.gain_std_error), *_fixed((x.axis + [0.0] * 3)[:3], 3))
+        (joint, *with_error(x.gain, x.gain_std_error), *_fixed((x.axis + [0.0] * 3)[:3]))
         for joint, x in item.references.items()
     ]
     errors = item.std_errors_deg if len(item.std_errors_deg) == 3 else [item.std_error_deg] * 3
     rows = [
-        (axis, *_fixed(row, 4), error)
+        (axis, *_fixed(row), error)
         for axis, row, error in zip("xyz", item.rotation, errors, strict=True)
     ]
-    trace = sum(item.rotation[i][i] for i in range(3))
-    angle = math.degrees(math.acos(min(max((trace - 1.0) / 2.0, -1.0), 1.0)))
+    titles = "link axis | IMU x | IMU y | IMU z | std error [\u00b0]"
+    gains, counts = "joint | gain | std error | axis x | y | z", "text count count count count"
     return Group(
-        f"imu-{place + 1}",
+        f"imu-{place}",
         name,
         lead=reasons(verdicts),
         badge=badge(verdicts),
         facts=facts,
         tables=[
-            table(
-                f"Rotation of {name}",
-                "link axis | IMU x | IMU y | IMU z | std error [\u00b0]",
-                "text count count count number2",
-                rows,
-                f"Turned by {angle:.1f}\u00b0 in all.",
-            ),
-            table(
-                f"Joint axes as {name} sees them",
-                "joint | gain | std error | axis x | y | z",
-                "text count count count count count",
-                references,
-            ),
+            table(f"Rotation of {name}", titles, "text count count count number2", rows),
+            table(f"Joint axes as {name} sees them", gains, f"{counts} count", references),
         ],
         notes=[f"Not determined: {what}" for what in item.not_determined],
     )
 
 
-def _fixed(values: Sequence[float], decimals: int) -> list[str]:
-    return [f"{value:.{decimals}f}".replace("-", "\u2212") for value in values]
+def _fixed(values: Sequence[float]) -> list[str]:
+    return [f"{value:.4f}".replace("-", MINUS) for value in values]
 
 
 def _motion(uses: Sequence[MotionUse], robot: RobotId) -> Table:
-    rows = []
-    for use in uses:
-        what = (short_path(use.log), use.source, ", ".join(use.imus))
-        for joint, error in use.acceleration_error.items():
-            rows.append((*what, joint, error, use.encoder_error.get(joint)))
-            what = ("", "", "")  # is said once
+    rows = [
+        (short_path(use.log), use.source, ", ".join(use.imus), joint, error, alone)
+        for use in uses
+        for joint, error in use.acceleration_error.items()
+        for alone in [use.encoder_error.get(joint)]
+    ]
     titles = "log | motion from | IMUs | joint | std error of acceleration [{unit}]"
     titles += " | by encoders alone [{unit}]"
     unit = robot.unit("rad/s^2", *(row[3] for row in rows))

@@ -7,27 +7,15 @@ from markupsafe import Markup
 from seqid_cli.model.effects.units import UNEXPLAINED, setting_units, smooth_in_words
 from seqid_cli.params.results.diagnosis import FindingEntry
 from seqid_cli.params.results.tables import Head, Values, heads, of_joints
-from seqid_cli.params.schema import EffectOfJoint, Parameter, RigidStage
+from seqid_cli.params.schema import EffectOfJoint, RigidStage
 from seqid_cli.report.collection import Collection, Model
-from seqid_cli.report.figures.chart import drawing
-from seqid_cli.report.figures.svg import Scale, circle, line
-from seqid_cli.report.views import (
-    VALUE_HEADS,
-    Absent,
-    Group,
-    Section,
-    Table,
-    badge,
-    table_of,
-    value_row,
-)
+from seqid_cli.report.views import VALUE_HEADS, Absent, Group, Section, Table, badge, value_row
 from seqid_cli.report.words import (
     DASH,
     Z95,
     effect_at,
     effect_words,
     expression,
-    interval,
     listed,
     number,
     plural,
@@ -37,7 +25,6 @@ from seqid_cli.report.words import (
     with_error,
 )
 
-_FORMULA = Markup('<span class="formula">{}</span>')
 _TITLES = {"gravity": "Gravity", "inertia": "Inertia"}
 _MADE_BY = {
     "gravity": "seqid gravity LOG... -r robot.toml -p friction.json -o gravity.json",
@@ -71,98 +58,67 @@ def parameters(collection: Collection) -> Section:
             for item in model.stages.effects
             for row in value_rows(item)
         ]
-        effects = Table(
-            "Effects that refinement added", (*heads("effect", "text"), *VALUE_HEADS), rows
-        )
+        found = Values([*heads("effect", "text"), *VALUE_HEADS], rows)
+        effects = Table("Effects that refinement added", found)
         groups.append(Group("effects", "Effects", tables=[effects]))
     return Section("parameters", "Parameters", _LEAD, groups, absent=absent_stages)
 
 
 def _rigid(name: str, stage: RigidStage, collection: Collection) -> Group:
-    facts, own = [], stage.verdicts
+    title, own, facts, state = _TITLES[name], stage.verdicts, [], ""
     if stage.parameters:
         whole = f" of {stage.structural_rank}" if stage.structural_rank else ""
-        facts = [
-            ("rank", f"{stage.rank}{whole}"),
-            ("condition", number(stage.condition)),
-            ("method", stage.method),
-            *([("cut-off", f"{number(stage.cutoff_hz)} Hz")] if stage.cutoff_hz else []),
-        ]
+        facts = [("rank", f"{stage.rank}{whole}"), ("condition", number(stage.condition))]
+        facts.append(("method", stage.method))
+        facts += [("cut-off", f"{number(stage.cutoff_hz)} Hz")] if stage.cutoff_hz else []
+        state = badge(own)
     notes = list(stage.notes)
     if stage.not_excited:
         notes.insert(0, f"Not determined by these logs: {listed(stage.not_excited, 40)}.")
-    state = badge(own) if stage.parameters else ""
     reasons = {v.joint: v.reason for v in own}
     rows = [(n, x, reasons.get(n, "")) for n, x in stage.rmse.items()]
     titles = "joint | RMS error [{unit}] | verdict"
     errors = of_joints(titles, "text number text", rows, collection.robot)
-    fit = table_of(f"{_TITLES[name]}: error of the fit per joint", errors)
     return Group(
         f"{name}-parameters",
-        _TITLES[name],
+        title,
         lead="; ".join(v.reason for v in own if not v.joint and not v.good),
         badge=state,
         badge_text=state if stage.parameters else "nothing to identify",
         facts=facts,
-        tables=[_table(name, stage, collection.models[1:]), fit],
+        tables=[
+            _table(name, stage, collection.models[1:]),
+            Table(f"{title}: error of the fit per joint", errors),
+        ],
         notes=notes,
         unfolded=True,
     )
 
 
 def _table(name: str, stage: RigidStage, others: Sequence[Model]) -> Table:
-    mine, earlier = {item.name: item.value for item in stage.parameters}, []
+    """The parameters of a stage, beside them those of other models where they differ."""
+    mine, columns = {item.name: item.value for item in stage.parameters}, [*VALUE_HEADS]
+    columns += heads("stands for", "text")
+    earlier = []
     for model in others:
         theirs = getattr(model.stages, name)
         known = {item.name: item for item in theirs.parameters} if theirs else {}
         if any(mine.get(item.name, item.value) != item.value for item in known.values()):
-            texts = {n: with_error(x.value, x.std_error)[0] for n, x in known.items()}
-            earlier.append((model, texts))
-    alone = stage.encoder_std_errors
-    columns = [
-        *VALUE_HEADS,
-        *heads("interval beside zero | stands for", "text text"),
-        *(heads("std error, encoders alone", "number2") if alone else ()),
-        *(Head(f"in {short_path(model.path)}", "number") for model, _ in earlier),
-    ]
-    rows = [
-        (
-            symbol(item.name),
-            *with_error(item.value, item.std_error),
-            interval(item.value, item.std_error),
-            unit_text(item.unit),
-            _glyph(item),
-            _FORMULA.format(expression(item.terms, item.expression or item.name)),
-            *([alone.get(item.name)] if alone else []),
-            *(texts.get(item.name) for _, texts in earlier),
-        )
-        for item in stage.parameters
-    ]
+            earlier.append({n: with_error(x.value, x.std_error)[0] for n, x in known.items()})
+            columns.append(Head(f"in {short_path(model.path)}", "number"))
+    rows = []
+    for item in stage.parameters:
+        _, *estimate = value_row("", item.value, item.std_error, item.unit)
+        sum_of = expression(item.terms, item.expression or item.name)
+        formula = Markup('<span class="formula">{}</span>').format(sum_of)
+        rows.append((symbol(item.name), *estimate, formula, *(x.get(item.name) for x in earlier)))
     unclear = [p.name for p in stage.parameters if abs(p.value) < Z95 * p.std_error]
     note = ""
     if unclear:
-        note = (
-            f"{plural(len(unclear), 'interval')} of {len(stage.parameters)} "
-            f"{'holds' if len(unclear) == 1 else 'hold'} zero: {listed(unclear, 12)}."
-        )
-    return table_of(f"{_TITLES[name]}: base parameters", Values(columns, rows), note)
-
-
-def _glyph(item: Parameter) -> Markup:
-    """Draw an interval beside zero, as large as its row, so that size and sign can be compared."""
-    half = Z95 * item.std_error
-    low, high = item.value - half, item.value + half
-    scale = Scale(-abs(item.value) - half, abs(item.value) + half, 3.0, 117.0)
-    style = "unclear" if low <= 0.0 <= high else "clear"
-    zero, middle = scale(0.0), scale(item.value)
-    marks = [
-        line("rule zero", zero, 0, zero, 16),
-        line("stem", zero, 8, middle, 8),
-        line(f"whisker {style}", scale(low), 8, scale(high), 8),
-        circle(f"point {style}", middle, 8, 3),
-    ]
-    text = f"{number(low)} to {number(high)} {item.unit}, drawn beside zero"
-    return drawing(120, 16, f"Interval of {item.name}", text, marks, style="glyph")
+        hold = "holds" if len(unclear) == 1 else "hold"
+        count = f"{plural(len(unclear), 'interval')} of {len(stage.parameters)}"
+        note = f"{count} {hold} zero: {listed(unclear, 12)}."
+    return Table(f"{_TITLES[name]}: base parameters", Values(columns, rows), note)
 
 
 def value_rows(item: EffectOfJoint | FindingEntry) -> list[tuple[str, ...]]:

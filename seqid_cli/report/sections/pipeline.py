@@ -1,114 +1,87 @@
-"""The way from the logs to the model: which command made which file from which."""
+"""The head of the page with the joints at a glance; the files behind it and who made them."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+
+from markupsafe import Markup
 
 from seqid_cli.params.document import COMMAND_OF, present
+from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results.plan import PlanFile
 from seqid_cli.params.schema import InputLog, ParameterFile
-from seqid_cli.report.collection import WRITTEN_BY, Collection, Model, models_of, of_kind
-from seqid_cli.report.judgement import stage_verdicts
-from seqid_cli.report.torques import TorqueTable
-from seqid_cli.report.views import Group, Section, Table, badge, badge_text, table
-from seqid_cli.report.words import effect_at, file_name, listed, plural
+from seqid_cli.report.chart import element
+from seqid_cli.report.collection import WRITTEN_BY, Collection, kind_of, models_of
+from seqid_cli.report.judgement import Judgement
+from seqid_cli.report.views import Section, Table, badge, table
+from seqid_cli.report.words import file_name, number, percent, plural, short_path
 
 _MOST_LOGS = 500
 
 
-def pipeline(collection: Collection, tables: Sequence[TorqueTable]) -> Section:
+def overview(collection: Collection, judgement: Judgement) -> Section:
+    """Return the section with the verdict."""
+    glance = _glance(collection) if collection.predictions else None
+    return Section("verdict", "Verdict", judgement=judgement, glance=glance)
+
+
+def _glance(collection: Collection) -> Table:
+    used = collection.predictions[0]
+    made = ", ".join(short_path(item.path) for item in used.content.parameters)
+    errors, rows = used.content.joints, []
+    largest = max([0.01, *(error.relative_rmse or 0.0 for error in errors.values())])
+    for k, name in enumerate(collection.robot.joints, start=1):
+        if name not in errors:
+            continue
+        error, entry = errors[name], collection.residual(used, name)
+        share, unit = error.relative_rmse, collection.place(name).unit
+        floor = None if entry is None else entry.noise_floor
+        state = badge([verdict for verdict in used.content.verdicts if verdict.joint == name])
+        width = 100.0 * min((share or 0.0) / largest, 1.0)
+        bar = element("rect", class_=f"bar {state}", y=2, width=width, height=8)
+        named = (element("title", f"Error of {name}"), element("desc", percent(share)))
+        told = Markup('<span class="badge {}">{}</span>')
+        rows.append(
+            (
+                Markup('<a href="#torque-{}">{}</a>').format(k, name),
+                None if error.rmse is None else f"{number(error.rmse)} {unit}",
+                share,
+                element("svg", *named, bar, class_="glyph", viewBox="0 0 100 12", role="img"),
+                None if floor is None else f"{number(floor)} {unit}",
+                told.format(state or "none", state or "not judged"),
+            )
+        )
+    caption = f"Predicted torque, joint by joint ({short_path(used.path)}, made with {made})"
+    titles = "joint | RMS error | of RMS torque | drawn | noise floor | verdict"
+    return table(caption, titles, "text number share text number text", rows, style="glance")
+
+
+def pipeline(collection: Collection) -> Section:
     """Return the section on files and commands."""
-    titles, rows = "command | read | wrote | verdict", _steps(collection, tables)
-    steps = table("Commands in their order", titles, "text text text text", rows)
+    titles = "file | made by | from | holds | written | version | SHA-256"
+    rows, kinds = map(_file, collection.sources), "text text text text text text text"
     return Section(
         "pipeline",
         "Pipeline and files",
         lead="Each step builds on the one before. Hashes are SHA-256; two files with the same hash "
         "are the same to the last bit.",
-        groups=[Group("steps", "Step by step", tables=[steps])],
-        tables=[_files(collection), _logs(collection)],
+        tables=[table("The files of this report", titles, kinds, rows), _logs(collection)],
     )
 
 
-def _steps(collection: Collection, tables: Sequence[TorqueTable]) -> Iterator[Sequence[str]]:
-    if collection.model is not None:
-        yield from _stage_steps(collection, collection.model)
-    for prediction in collection.predictions:
-        state = badge(prediction.content.verdicts)
-        torques = [table.path for table in tables if table.prediction == prediction]
-        made = ", ".join(map(file_name, (prediction.path, *torques)))
-        yield _step("predict", prediction.content.inputs, made, state, state or "not judged")
-    if not collection.predictions:
-        yield _step("predict")
-    for item in collection.diagnoses:
-        found = item.content.verdict
-        state = "good" if found == "nothing_missing" else "open"
-        text = found.replace("_", " ")
-        yield _step("diagnose", item.content.inputs, file_name(item.path), state, text)
-    if not collection.diagnoses:
-        yield _step("diagnose")
-    for model in collection.models:
-        if model.kind == "refined":
-            logs = [x for x in model.file.inputs if COMMAND_OF.get(x.stage, "refine") == "refine"]
-            effects = [effect_at(x.effect, x.joint) for x in model.stages.effects or []]
-            loop = model.file.closed_loop
-            state = "poor" if loop is not None and loop.verdict == "poor" else "good"
-            text = listed(effects) or "nothing added"
-            yield _step("refine", logs, file_name(model.path), state, text)
-
-
-def _step(
-    name: str,
-    logs: Sequence[InputLog] = (),
-    writes: str = "",
-    state: str = "",
-    text: str = "not given",
-) -> Sequence[str]:
+def _file(item: Source[Document]) -> Sequence[str]:
+    content = item.content
+    logs = [] if isinstance(content, PlanFile) else content.inputs
     samples = _thousands(sum(log.samples for log in logs))
     reads = f"{plural(len(logs), 'log')}, {samples} samples" if logs else ""
-    return f"seqid {name}", reads, writes, badge_text(state, text)
-
-
-def _stage_steps(collection: Collection, model: Model) -> Iterator[Sequence[str]]:
-    if model.kind == "simultaneous":
-        state = _state("inertia", model)
-        yield _step("simultaneous", model.file.inputs, file_name(model.path), *state)
-        return
-    known = {s.path: present(s.content.stages) for s in of_kind(collection.sources, ParameterFile)}
-    for name in ("friction", "gravity", "imu", "inertia"):
-        if getattr(model.stages, name) is None:
-            yield _step(COMMAND_OF[name])
-            continue
-        logs = [log for log in model.file.inputs if log.stage == name]
-        # A stage was made in the file with the fewest stages that holds it.
-        made = min((len(own), path) for path, own in known.items() if name in own)[1]
-        yield _step(COMMAND_OF[name], logs, file_name(made), *_state(name, model))
-
-
-def _state(name: str, model: Model) -> tuple[str, str]:
-    """Return the verdict on a stage as its badge and its text."""
-    if getattr(getattr(model.stages, name), "parameters", None) == []:
-        return "", "nothing to identify"
-    own = [verdict for stage, verdict in stage_verdicts(model.stages) if stage == name]
-    return badge(own), badge(own) or "not judged"
-
-
-def _thousands(count: int) -> str:
-    return f"{count:,}".replace(",", "\u202f")
-
-
-def _files(collection: Collection) -> Table:
-    rows = []
-    for item in collection.sources:
-        content = item.content
-        if isinstance(content, ParameterFile):
-            holds = ", ".join(present(content.stages))
-        else:
-            used = [f"{file_name(x.path)} {x.sha256[:12]}" for x in models_of(content)]
-            holds = f"of {', '.join(used)}"
-        kind, tool = content.schema.removeprefix("seqid/"), content.tool
-        made = f"{tool.name} {tool.version}"
-        rows.append((item.path, kind, holds, content.created, made, item.sha256))
-    titles = "file | kind | holds | written | by | SHA-256"
-    return table("The files of this report", titles, "text text text text text text", rows)
+    if isinstance(content, ParameterFile):
+        stages = present(content.stages)
+        kind, holds = kind_of(content), ", ".join(stages)
+        made = {"refined": "refine", "simultaneous": "simultaneous"}
+        command = made.get(kind) or COMMAND_OF[next(reversed(stages), "friction")]
+    else:
+        used = [f"of {file_name(x.path)} {x.sha256[:12]}" for x in models_of(content)]
+        command, holds = WRITTEN_BY[type(content)], ", ".join(used)
+    tool = f"{content.tool.name} {content.tool.version}"
+    return item.path, f"seqid {command}", reads, holds, content.created, tool, item.sha256
 
 
 def _logs(collection: Collection) -> Table:
@@ -126,3 +99,7 @@ def _logs(collection: Collection) -> Table:
     note = f"and {len(rows) - _MOST_LOGS} more" if len(rows) > _MOST_LOGS else ""
     titles, kinds = "read by | log | samples | SHA-256", "text text count text"
     return table("The logs behind them", titles, kinds, rows[:_MOST_LOGS], note)
+
+
+def _thousands(count: int) -> str:
+    return f"{count:,}".replace(",", "\u202f")

@@ -19,8 +19,7 @@ from tests.unit.logs import format_writers as formats
 from tests.unit.logs.samples import grid, make_motion
 from tests.unit.logs.writers import rewrite, write_mcap
 from tests.unit.params.documents import JOINTS, diagnosis_file, full_file
-from tests.unit.report.pages import prediction_file, write_torques
-from tests.unit.report.test_parts import payload_file, plan_file
+from tests.unit.report.pages import payload_file, plan_file, prediction_file, write_torques
 
 MCAP, PARQUET, BAG = (*BINARY, *[record] * 8), (*BINARY, *[column] * 16), (*BINARY, *[word] * 16)
 SQLITE, JSON, XML = (*BINARY, *[row] * 16), (*TEXT, *[value] * 20), (*TEXT, *[element] * 20)

@@ -58,8 +58,12 @@ def states(n: int) -> Array:
 
 
 def written(arm: Arm, kind: str) -> Exported:
-    robot, stages = arm
-    return export(robot, stages, kind=kind)
+    return export(*arm, kind=kind)
+
+
+def agree(found: Array, expected: Array, share: float = 1e-9) -> None:
+    """Assert that torques are the same to a share of the largest."""
+    np.testing.assert_allclose(found, expected, rtol=0, atol=share * np.abs(expected).max())
 
 
 def rigid(arm: Arm) -> Array:

@@ -11,7 +11,6 @@ import pinocchio as pin
 import pytest
 
 from seqid_cli.export.code import identifier
-from seqid_cli.export.formats import export
 from seqid_cli.export.observer import thresholds
 from seqid_cli.logs.read import read_recording
 from seqid_cli.model.torque import TorqueModel, friction_surfaces
@@ -20,9 +19,10 @@ from seqid_cli.robot.types import Array, Robot
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.small import NAMES_GANTRY, urdf_gantry
 from tests.plants.robots.stages import SAMPLES, friction_stage
-from tests.unit.export.arms import Arm, made, pinocchio_model, rigid, sample, states, written
+from tests.unit.export.arms import Arm, agree, made, pinocchio_model, sample, states, written
 
-needs_cc = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler here")
+CC = shutil.which("cc")
+needs_cc = pytest.mark.skipif(CC is None, reason="no C compiler here")
 DT = 2e-3
 
 
@@ -52,55 +52,36 @@ def run_c(folder: Path, robot: Robot, text: str, body: str, rows: Array) -> Arra
     return np.array([[float(word) for word in line.split()] for line in ran.stdout.splitlines()])
 
 
-def c_torques(folder: Path, robot: Robot, text: str) -> Array:
-    rows = np.concatenate(states(robot.n), axis=1)
-    return run_c(folder, robot, text, "ARM_torque(x, x + N, x + 2 * N, y);", rows)
-
-
-def module_of(text: str) -> ModuleType:
+def numpy_module(arm: Arm) -> ModuleType:
     module = ModuleType("arm")
-    exec(compile(text, "arm.py", "exec"), module.__dict__)
+    exec(compile(written(arm, "numpy module").text, "arm.py", "exec"), module.__dict__)
     return module
 
 
-def numpy_torques(robot: Robot, text: str) -> Array:
-    module = module_of(text)
-    return np.array([module.torque(*row) for row in zip(*states(robot.n), strict=True)])
-
-
-def test_the_numpy_module_computes_the_predicted_torque(arm: Arm) -> None:
+def check_torques(arm: Arm, folder: Path) -> None:
+    """Both forms of code compute what the model predicts."""
     robot, stages = arm
-    q, dq, _ = states(robot.n)
-    expected = rigid(arm) + TorqueModel.from_stages(stages, robot).friction(q, dq)
-    torque = numpy_torques(robot, written(arm, "numpy module").text)
-    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
-
-
-@needs_cc
-def test_the_c_header_computes_the_predicted_torque(arm: Arm, tmp_path: Path) -> None:
-    robot, stages = arm
-    q, dq, ddq = states(robot.n)
-    model = TorqueModel.from_stages(stages, robot)
+    model, (q, dq, ddq) = TorqueModel.from_stages(stages, robot), states(robot.n)
     expected = model.rigid(q, dq, ddq) + model.friction(q, dq)
-    torque = c_torques(tmp_path, robot, written(arm, "C header").text)
-    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+    module = numpy_module(arm)
+    rows = zip(q, dq, ddq, strict=True)
+    agree(np.array([module.torque(*row) for row in rows]), expected, 1e-10)
+    if CC is not None:
+        body, text = "ARM_torque(x, x + N, x + 2 * N, y);", written(arm, "C header").text
+        agree(run_c(folder, robot, text, body, np.hstack([q, dq, ddq])), expected, 1e-10)
 
 
-@needs_cc
+def test_code_computes_the_predicted_torque(arm: Arm, tmp_path: Path) -> None:
+    check_torques(arm, tmp_path)
+
+
 @pytest.mark.parametrize("log", [False, True])
 def test_code_keeps_directions_speed_scales_and_coupled_rotors(tmp_path: Path, log: bool) -> None:
     robot, stages = made(tmp_path, urdf_gantry(), NAMES_GANTRY, 8, known=True)
     stages.inertia.rotor_coupling = "gyroscopic"
     stages.friction = friction_stage(robot, directional=True, log=log)
     stages.friction.joints.pop("reach")
-    q, dq, ddq = states(robot.n)
-    model = TorqueModel.from_stages(stages, robot)
-    expected = model.rigid(q, dq, ddq) + model.friction(q, dq)
-    done = export(robot, stages, kind="C header")
-    torque = c_torques(tmp_path, robot, done.text)
-    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
-    torque = numpy_torques(robot, export(robot, stages, kind="numpy module").text)
-    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+    check_torques((robot, stages), tmp_path)
 
 
 def frictionless(arm: Arm) -> Arm:
@@ -109,28 +90,15 @@ def frictionless(arm: Arm) -> Arm:
     return arm
 
 
-def c_observed(folder: Path, arm: Arm, rows: Array) -> Array:
-    """External torque after each row (q, tau) of samples DT apart; the first is the start."""
-    body = (
-        f"if (row == 0) ARM_observer_start(&o, x, x + N); else ARM_observe(&o, x, x + N, {DT!r});"
-        " for (i = 0; i < N; ++i) y[i] = o.external[i];"
-    )
-    return run_c(folder, arm[0], written(arm, "C header").text, body, rows)
-
-
-def numpy_observed(module: ModuleType, rows: Array, dt: float = DT) -> tuple[Array, Array]:
-    """External torque, and whether an alarm is raised at a joint, both (N, n)."""
+def numpy_observed(module: ModuleType, rows: Array) -> Array:
+    """External torque (N, n) after each row (q, tau) of samples DT apart, from the first on."""
     q, tau = np.split(rows, 2, axis=1)
     observer = module.Observer(q[0], tau[0])
-    found, alarms = [observer.external], [np.zeros(q.shape[1], dtype=bool)]
+    found = [observer.external]
     for row in zip(q[1:], tau[1:], strict=True):
-        alarms.append(observer.update(*row, dt))
+        observer.update(*row, DT)
         found.append(observer.external)
-    return np.array(found), np.array(alarms)
-
-
-def numpy_module(arm: Arm) -> ModuleType:
-    return module_of(written(arm, "numpy module").text)
+    return np.array(found)
 
 
 @pytest.mark.slow
@@ -150,15 +118,17 @@ def test_momentum_and_what_changes_it_are_those_of_pinocchio(arm: Arm) -> None:
 
 
 @needs_cc
-def test_both_observers_are_the_same(tmp_path: Path) -> None:
-    for rig in ("one_joint", "six_joint"):
-        (tmp_path / rig).mkdir()
-        arm = sample(rig)
-        q, _, tau = states(arm[0].n)
-        rows = np.concatenate([0.01 * q, tau], axis=1)
-        expected, _ = numpy_observed(numpy_module(arm), rows)
-        found = c_observed(tmp_path / rig, arm, rows)
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * np.abs(expected).max())
+@pytest.mark.parametrize("rig", ["one_joint", "six_joint"])
+def test_both_observers_are_the_same(tmp_path: Path, rig: str) -> None:
+    arm = sample(rig)
+    q, _, tau = states(arm[0].n)
+    rows = np.hstack([0.01 * q, tau])
+    body = (
+        f"if (row == 0) ARM_observer_start(&o, x, x + N); else ARM_observe(&o, x, x + N, {DT!r});"
+        " for (i = 0; i < N; ++i) y[i] = o.external[i];"
+    )
+    found = run_c(tmp_path, arm[0], written(arm, "C header").text, body, rows)
+    agree(found, numpy_observed(numpy_module(arm), rows), 1e-9)
 
 
 @pytest.mark.slow
@@ -176,7 +146,7 @@ def test_a_push_in_mujoco_is_what_the_observer_finds() -> None:
         data.ctrl[:] = motors
         data.qfrc_applied[:] = push * (k >= 150)
         mujoco.mj_step(model, data, nstep=4)
-    found, _ = numpy_observed(numpy_module(arm), np.array(rows))
+    found = numpy_observed(numpy_module(arm), np.array(rows))
     assert np.abs(found[100:150]).max() < 0.3  # the release at the start has died away
     np.testing.assert_allclose(found[-1], push, atol=0.3)
 
@@ -198,13 +168,12 @@ def test_new_logs_raise_no_alarm_and_a_collision_does(tmp_path: Path, rig: str) 
         )
         push = 3.0 * (limits.limit + limits.stiction) * (log.t > 0.5 * log.t[-1])[:, None]
         pushed = log.tau - push  # the controller holds the motion, and the motors give way
-        for tau, from_ in ((log.tau, None), (pushed, 0.5 * log.t[-1])):
-            rows = np.concatenate([log.q, tau], axis=1)
-            alarms = log.t[run_c(tmp_path, robot, header.text, body, rows)[:, 0] >= 0]
-            if from_ is None:
-                assert len(alarms) == 0
-            else:
-                assert from_ < alarms[0] < from_ + 4.0 / limits.gain
+        quiet, alarms = (
+            log.t[run_c(tmp_path, robot, header.text, body, np.hstack([log.q, tau]))[:, 0] >= 0]
+            for tau in (log.tau, pushed)
+        )
+        assert len(quiet) == 0
+        assert 0.5 * log.t[-1] < alarms[0] < 0.5 * log.t[-1] + 4.0 / limits.gain
 
 
 def test_limits_follow_from_noise_encoder_and_band() -> None:

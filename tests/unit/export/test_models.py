@@ -9,6 +9,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from seqid_cli.export.formats import export
+from seqid_cli.export.model import ExportModel
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.model.effects.fitted import FittedEffect, as_stage
 from seqid_cli.model.effects.registry import CATALOGUE
@@ -19,6 +20,7 @@ from tests.plants.robots.small import NAMES_6R, urdf_6r
 from tests.plants.robots.stages import inertia_stage, random_bodies, save_robot, stages_of
 from tests.unit.export.arms import (
     Arm,
+    agree,
     made,
     mujoco_torque,
     pinocchio_torque,
@@ -32,21 +34,21 @@ from tests.unit.export.arms import (
 def test_pinocchio_finds_the_identified_torque_in_the_urdf(arm: Arm) -> None:
     done = written(arm, "URDF")
     assert done.model.nearest.exact
+    check_bodies(done.model)
     torque = pinocchio_torque(arm[0], done.text, done.model.armature)
-    np.testing.assert_allclose(torque, rigid(arm), rtol=0, atol=1e-9 * np.abs(torque).max())
+    agree(torque, rigid(arm))
 
 
 def test_mujoco_finds_the_identified_torque_in_the_mjcf(arm: Arm) -> None:
     torque = mujoco_torque(arm[0], written(arm, "MJCF").text)
-    np.testing.assert_allclose(torque, rigid(arm), rtol=0, atol=1e-8 * np.abs(torque).max())
+    agree(torque, rigid(arm), 1e-8)
 
 
-def test_every_link_is_a_body_that_can_exist(arm: Arm) -> None:
-    model = written(arm, "URDF").model
-    for own, whole in zip(model.nearest.links, model.bodies, strict=True):
-        for phi in (own, whole):
-            J = pseudo_inertia(phi)
-            assert np.linalg.eigvalsh(J)[0] > 1e-9 * np.trace(J)
+def check_bodies(model: ExportModel) -> None:
+    """Every link is a body that can exist."""
+    for phi in (*model.nearest.links, *model.bodies):
+        J = pseudo_inertia(phi)
+        assert np.linalg.eigvalsh(J)[0] > 1e-9 * np.trace(J)
     assert (model.nearest.rotor >= 0.0).all()
 
 
@@ -70,7 +72,7 @@ def test_ros2_parameters_read_back_as_the_same_bodies(arm: Arm) -> None:
     q, dq, ddq = states(robot.n)
     chain = robot.chain
     torque = inverse_dynamics(chain, robot.gravity, np.array(phi), q, dq, ddq) + armature * ddq
-    np.testing.assert_allclose(torque, rigid(arm), rtol=0, atol=1e-9 * np.abs(torque).max())
+    agree(torque, rigid(arm))
 
 
 def test_the_solver_of_ros2_finds_its_chain_in_the_exported_urdf(arm: Arm) -> None:
@@ -94,7 +96,7 @@ def test_the_solver_of_ros2_finds_its_chain_in_the_exported_urdf(arm: Arm) -> No
     torque = pinocchio_torque(robot, urdf.text, np.zeros(robot.n))
     expected = rigid(arm) - urdf.model.armature * states(robot.n)[2]
     if len(arm[0].joints) != 4:  # KDL leaves out what the gripper's fingers carry
-        np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+        agree(torque, expected, 1e-8)
 
 
 def test_ros2_control_commands_the_torque_of_every_joint(arm: Arm) -> None:
@@ -109,15 +111,6 @@ def test_ros2_control_commands_the_torque_of_every_joint(arm: Arm) -> None:
         given = {e.get("name"): float(e.text or "") for e in joint.findall("param")}
         expected = {"armature": armature, "coulomb": fit.coulomb, "viscous": fit.viscous}
         assert given == pytest.approx(expected)
-
-
-def test_a_system_that_the_urdf_has_stays_the_only_one(tmp_path: Path) -> None:
-    own = '<ros2_control name="driver" type="system"/></robot>'
-    robot = save_robot(tmp_path, urdf_6r().replace("</robot>", own), NAMES_6R)
-    assert robot.nominal is not None
-    done = export(robot, stages_of(robot, robot.nominal), kind="URDF")
-    systems = ElementTree.fromstring(done.text).findall("ros2_control")
-    assert [system.get("name") for system in systems] == ["driver"]
 
 
 def with_effect(name: str, joint: int, settings: dict[str, float], c: list[float]) -> Arm:
@@ -169,7 +162,7 @@ def test_mujoco_pulls_at_a_spring_as_the_effect_does(law: str) -> None:
     k, zero, cubic, squared = [*SPRINGS[law], 0.0, 0.0][:4]
     expected[:, 2] += zero + k * q + squared * q**2 + cubic * q**3
     torque = mujoco_torque(arm[0], done.text)
-    np.testing.assert_allclose(torque, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+    agree(torque, expected, 1e-8)
 
 
 def test_mujoco_lets_the_link_fall_through_its_backlash() -> None:
@@ -204,12 +197,11 @@ def test_what_no_body_has_is_projected_and_reported(tmp_path: Path) -> None:
     q, dq, ddq = states(robot.n)
     own = inverse_dynamics(robot.chain, robot.gravity, model.bodies, q, dq, ddq)
     own += model.armature * ddq
-    np.testing.assert_allclose(torque, own, rtol=0, atol=1e-9 * np.abs(torque).max())
+    agree(torque, own)
     told = next(d for d in model.deviations if d.name == "Izz_6")
     assert told.exported > told.identified
     assert "Izz_6: identified" in done.text
-    for phi in model.nearest.links:
-        assert np.linalg.eigvalsh(pseudo_inertia(phi))[0] > 0.0
+    check_bodies(model)
 
 
 def test_a_gravity_file_takes_inertias_from_the_urdf(tmp_path: Path) -> None:
@@ -226,7 +218,7 @@ def test_a_gravity_file_takes_inertias_from_the_urdf(tmp_path: Path) -> None:
     q = states(robot.n)[0]
     expected = TorqueModel.from_stages(Stages(gravity=gravity), robot).rigid(q, zero, zero)
     found = inverse_dynamics(robot.chain, robot.gravity, done.model.bodies, q, zero, zero)
-    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+    agree(found, expected)
 
 
 def test_what_torque_does_not_show_stays_as_in_the_cad(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Pieces of the export: pseudo-inertias, the conic problem, friction, effects, the URDF's XML."""
 
+from collections.abc import Callable
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -26,6 +27,7 @@ from tests.plants.robots.made import friction_joint
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.small import NAMES_6R, joint, link, urdf, urdf_6r
 from tests.plants.robots.stages import random_bodies, save_robot, stages_of
+from tests.unit.export.arms import agree, sample, states
 from tests.unit.logs.samples import make_robot
 
 
@@ -73,41 +75,36 @@ def test_the_solution_is_the_minimum_of_the_divergence() -> None:
             assert not other < best - 1e-6
 
 
-def surface(forward: list[list[float]], backward: list[list[float]]) -> FrictionSurface:
-    directional = forward != backward
-    return FrictionSurface.from_stage(
-        friction_joint(
-            forward,
-            backward,
-            max_error=0.1,
-            rmse=0.1,
-            position_range=[-1.0, 1.0],
-            speed_range=[0.1, 2.1],
-            sign_width=0.001,
-            directional=directional,
-        )
+@pytest.mark.parametrize(
+    ("forward", "backward", "coulomb", "viscous", "offset", "rel"),
+    [
+        ([3.1, 1.0], [3.1, 1.0], 2.0, 1.0, 0.0, 1e-6),  # 3.1 + (v - 1.1): 2 + v
+        ([2.0, -0.5], [2.0, -0.5], 2.0, 0.0, 0.0, 1e-3),  # no negative damping
+        ([2.5], [1.5], 2.0, 0.0, 0.5, 1e-6),  # the offset does not flip with the direction
+    ],
+)
+def test_friction_becomes_coulomb_viscous_and_an_offset(
+    forward: list[float],
+    backward: list[float],
+    coulomb: float,
+    viscous: float,
+    offset: float,
+    rel: float,
+) -> None:
+    joint = friction_joint(
+        [forward],
+        [backward],
+        max_error=0.1,
+        rmse=0.1,
+        position_range=[-1.0, 1.0],
+        speed_range=[0.1, 2.1],
+        sign_width=0.001,
+        directional=forward != backward,
     )
-
-
-def test_coulomb_and_viscous_friction_come_out_as_they_are() -> None:
-    fit = simple_friction(surface([[3.1, 1.0]], [[3.1, 1.0]]))  # 3.1 + (v - 1.1): 2 + v
-    assert fit.coulomb == pytest.approx(2.0)
-    assert fit.viscous == pytest.approx(1.0)
-    assert fit.rms_misfit < 1e-12
-    assert fit.offset == pytest.approx(0.0, abs=1e-12)
-
-
-def test_friction_that_falls_with_speed_gets_no_negative_damping() -> None:
-    fit = simple_friction(surface([[2.0, -0.5]], [[2.0, -0.5]]))
-    assert fit.viscous == 0.0
-    assert fit.coulomb == pytest.approx(2.0, rel=1e-3)
-    assert fit.rms_misfit > 0.1
-
-
-def test_the_part_that_does_not_flip_is_told() -> None:
-    fit = simple_friction(surface([[2.5]], [[1.5]]))
-    assert fit.offset == pytest.approx(0.5)
-    assert fit.coulomb == pytest.approx(2.0)
+    fit = simple_friction(FrictionSurface.from_stage(joint))
+    assert fit.coulomb == pytest.approx(coulomb, rel=rel)
+    assert (fit.viscous, fit.offset) == pytest.approx((viscous, offset), abs=1e-12)
+    assert (fit.rms_misfit < 1e-12) == (viscous > 0.0)
 
 
 def branched() -> str:
@@ -128,6 +125,7 @@ def branched() -> str:
         joint("slide", "palm", "finger", kind="prismatic", axis="1 0 0", rpy="0.4 0 0"),
         joint("eye", "base", "camera", kind="fixed"),
         joint("second", "camera", "other"),
+        '<ros2_control name="driver" type="system"/>',
     )
 
 
@@ -138,6 +136,7 @@ def test_urdf_keeps_all_but_inertials_dynamics_and_drives_of_the_arm(tmp_path: P
     done = export(robot, stages_of(robot, robot.nominal), kind="URDF")
     before, after = ElementTree.fromstring(text), ElementTree.fromstring(done.text)
     assert "<!-- by hand -->" in done.text
+    assert [system.get("name") for system in after.findall("ros2_control")] == ["driver"]
     inertials = {e.get("name"): e.find("inertial") is not None for e in after.findall("link")}
     assert inertials == {
         "base": True, "upper": True, "lower": True, "flange": False, "palm": False,
@@ -197,34 +196,22 @@ def test_rotor_inertia_goes_into_the_transmission_that_is_there(tmp_path: Path) 
     assert f"armature {real(101.0**2 * 2e-4)}" in done.text
 
 
-def payload(robot_last: list[float]) -> EffectOfJoint:
-    robot = sample_robot("two_joint")
-    effect = FittedEffect(
-        CATALOGUE["payload"], None, {"from_log": 0.0}, np.array(robot_last), np.eye(10)
-    )
-    return as_stage(effect, robot)
-
-
 def test_a_payload_is_part_of_the_last_link() -> None:
-    robot = sample_robot("two_joint")
-    rng = np.random.default_rng(6)
+    robot, rng = sample_robot("two_joint"), np.random.default_rng(6)
     phi, load = random_bodies(rng, 2), random_bodies(rng, 1)[0]
     stages = stages_of(robot, phi)
-    stages.effects = [payload(load.tolist())]
+    item = FittedEffect(CATALOGUE["payload"], None, {"from_log": 0.0}, load, np.eye(10))
+    stages.effects = [as_stage(item, robot)]
     model = export(robot, stages, kind="MJCF").model
     assert any("added to the inertial parameters: payload" in note for note in model.notes)
-    heavier = phi.copy()
-    heavier[1] += load
-    q, dq, ddq = rng.normal(size=(3, 20, 2))
+    phi[1] += load
+    q, dq, ddq = states(2)
     found = inverse_dynamics(robot.chain, robot.gravity, model.bodies, q, dq, ddq)
-    expected = inverse_dynamics(robot.chain, robot.gravity, heavier, q, dq, ddq)
-    np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+    agree(found, inverse_dynamics(robot.chain, robot.gravity, phi, q, dq, ddq), 1e-8)
 
 
 def test_a_rotor_inertia_that_was_wrong_is_corrected() -> None:
-    robot = sample_robot("six_joint")
-    assert robot.nominal is not None
-    stages = stages_of(robot, robot.nominal)
+    robot, stages = sample("six_joint")
     effect = CATALOGUE["rotor_inertia"]
     item = FittedEffect(effect, 3, {"coupling": 0.0}, np.array([1.5e-5]), np.eye(1))
     stages.effects = [as_stage(item, robot)]
@@ -235,40 +222,19 @@ def test_a_rotor_inertia_that_was_wrong_is_corrected() -> None:
 
 
 def test_effects_without_a_place_are_named() -> None:
-    robot = sample_robot("two_joint")
-    stages = stages_of(robot, random_bodies(np.random.default_rng(7), 2))
-    effect = EffectOfJoint(
-        effect="stribeck",
-        joint="joint_2",
-        settings={"stribeck_speed": 0.1, "exponent": 2.0},
-        coefficients=[0.5],
-    )
-    stages.effects = [effect]
+    robot, stages = sample("two_joint")
+    settings = {"stribeck_speed": 0.1, "exponent": 2.0}
+    stages.effects = [
+        EffectOfJoint(effect="stribeck", joint="joint_2", settings=settings, coefficients=[0.5])
+    ]
     done = export(robot, stages, kind="URDF")
     note = "is left out: stribeck (joint_2)"
     assert any(note in text for text in done.model.notes)
     assert note in done.text
 
 
-def test_without_inertia_and_cad_there_is_nothing_to_write() -> None:
-    robot = sample_robot("two_joint")
-    stages = stages_of(robot, random_bodies(np.random.default_rng(8), 2))
-    with pytest.raises(ConfigError, match="no inertia stage"):
-        export(robot, Stages(friction=stages.friction), kind="URDF")
-
-
-def test_parameters_of_another_robot_are_refused(tmp_path: Path) -> None:
-    robot = sample_robot("six_joint")
-    other = save_robot(tmp_path, urdf_6r(), NAMES_6R)  # rotors free, other geometry
-    stages = stages_of(robot, random_bodies(np.random.default_rng(9), 6))
-    stages.inertia.parameters[0].name = "mz_1"
-    with pytest.raises(ConfigError, match="'mz_1' is no base parameter"):
-        export(other, stages, kind="URDF")
-
-
 def test_parameters_that_the_logs_did_not_show_come_from_the_prior() -> None:
-    robot = sample_robot("two_joint")
-    stages = stages_of(robot, random_bodies(np.random.default_rng(10), 2))
+    robot, stages = sample("two_joint")
     gone = stages.inertia.parameters.pop()
     stages.inertia.covariance = [row[:-1] for row in stages.inertia.covariance[:-1]]
     model = export(robot, stages, kind="URDF").model
@@ -277,11 +243,30 @@ def test_parameters_that_the_logs_did_not_show_come_from_the_prior() -> None:
                for note in model.notes)  # fmt: skip
 
 
-def test_numbers_of_no_arm_are_refused() -> None:
-    robot = sample_robot("two_joint")
-    stages = stages_of(robot, random_bodies(np.random.default_rng(10), 2))
+def without_inertia(stages: Stages) -> None:
+    stages.inertia = None
+
+
+def of_another_robot(stages: Stages) -> None:
+    stages.inertia.parameters[0].name = "mz_1"
+
+
+def of_no_arm(stages: Stages) -> None:
     stages.inertia.representative["Izz_2"] = 1e200
-    with pytest.raises(ConfigError, match="1e\\+200"):
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (without_inertia, "no inertia stage"),  # nor a URDF with masses
+        (of_another_robot, "'mz_1' is no base parameter"),
+        (of_no_arm, "1e\\+200"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused(change: Callable[[Stages], None], message: str) -> None:
+    robot, stages = sample("two_joint")
+    change(stages)
+    with pytest.raises(ConfigError, match=message):
         export(robot, stages, kind="URDF")
 
 
@@ -305,16 +290,16 @@ def test_torque_scale_of_any_size_is_solved() -> None:
         stages = stages_of(robot, scale * phi)
         model = export(robot, stages, kind="MJCF").model
         assert model.nearest.exact
-        q, dq, ddq = np.random.default_rng(12).normal(size=(3, 10, 2))
-        torque = TorqueModel.from_stages(stages, robot).rigid(q, dq, ddq)
+        q, dq, ddq = states(2)
         found = inverse_dynamics(robot.chain, robot.gravity, model.bodies, q, dq, ddq)
-        found += model.armature * ddq
-        np.testing.assert_allclose(found, torque, atol=1e-9 * np.abs(torque).max())
+        agree(
+            found + model.armature * ddq, TorqueModel.from_stages(stages, robot).rigid(q, dq, ddq)
+        )
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
-    [("a -- b", "a - - b"), ("*/ int x; /*", "* / int x; / *"), ("l\nm\\", "l m/"), ("a-", "a")],
+    [("a -- b", "a - - b"), ("*/ int x; /*", "* / int x; / *"), ("l\nm\\", "l.m."), ("a-", "a")],
 )
 def test_names_cannot_leave_a_comment(text: str, expected: str) -> None:
     assert plain(text) == expected

@@ -6,9 +6,9 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.identify.prediction.predict import LogPrediction
 from seqid_cli.identify.prediction.torques_parquet import parquet_writer
@@ -39,11 +39,11 @@ from seqid_cli.params.results.prediction import (
     LogPredictionError,
     PredictionFile,
 )
-from seqid_cli.params.schema import ParameterFile, Verdict
+from seqid_cli.params.schema import Verdict
 from tests.plants.robots.made import made_prediction
 from tests.unit.params.documents import JOINTS, diagnosis_file, full_file, inertia_file, log, robot
 
-Array = NDArray[np.float64]
+D = TypeVar("D")
 
 LOGS = ("validation/a.parquet", "validation/b.parquet")
 RATE_HZ = 250.0
@@ -55,6 +55,11 @@ SPIKE = 0.9  # N m, in one sample of the elbow
 def source(path: str, content: Document) -> Source[Document]:
     """Return a document as if it had been read."""
     return Source(path, hashlib.sha256(encode(content).encode()).hexdigest(), content)
+
+
+def made(kind: type[D], schema: str, **content: Any) -> D:
+    """Return a document about the robot."""
+    return kind(schema=schema, created=now(), tool=tool(), robot=robot(), **content)
 
 
 def prediction_file(*, shares: Sequence[float] = (0.02, 0.05)) -> PredictionFile:
@@ -71,27 +76,18 @@ def prediction_file(*, shares: Sequence[float] = (0.02, 0.05)) -> PredictionFile
         )
         for name, share in zip(JOINTS, shares, strict=True)
     }
-    logs = [
-        LogPredictionError(
-            path=path, sha256=path.ljust(64, "0"), samples=SAMPLES, cutoff_hz=30.0, joints=joints
-        )
-        for path in LOGS
-    ]
-    verdicts = [
-        Verdict(joint=name, good=share < 0.3, reason="" if share < 0.3 else f"misses {share:.0%}")
-        for name, share in zip(JOINTS, shares, strict=True)
-    ]
-    return PredictionFile(
-        schema=PREDICTION_SCHEMA,
-        created=now(),
-        tool=tool(),
-        robot=robot(),
+    own = {"samples": SAMPLES, "cutoff_hz": 30.0, "joints": joints}
+    logs = [LogPredictionError(path=path, sha256=path.ljust(64, "0"), **own) for path in LOGS]
+    poor = {name: f"misses {x:.0%}" for name, x in zip(JOINTS, shares, strict=True) if x >= 0.3}
+    return made(
+        PredictionFile,
+        PREDICTION_SCHEMA,
         inputs=[log(path, "") for path in LOGS],
         parameters=[FileId(path="elsewhere/inertia.json", sha256="0" * 64)],
         stages=["friction", "gravity", "imu", "inertia"],
         joints=joints,
         logs=logs,
-        verdicts=verdicts,
+        verdicts=[Verdict(joint=x, good=x not in poor, reason=poor.get(x, "")) for x in JOINTS],
     )
 
 
@@ -119,12 +115,8 @@ def good_documents() -> list[Source[Document]]:
 
 def all_documents() -> list[Source[Document]]:
     """Return one document of every kind, of which a refined file shows every section."""
-    refined: ParameterFile = full_file()
-    return [
-        *good_documents(),
-        source("diagnosis.json", diagnosis_file()),
-        source("refined.json", refined),
-    ]
+    more = {"diagnosis.json": diagnosis_file(), "refined.json": full_file()}
+    return [*good_documents(), *(source(path, content) for path, content in more.items())]
 
 
 def before_and_after() -> list[Source[Document]]:
@@ -138,29 +130,22 @@ def before_and_after() -> list[Source[Document]]:
 
 def payload_file(used: FileId) -> PayloadFile:
     """Return a payload of a model."""
-    joint = JointWithPayload(
-        before=2.5, after=0.125, relative=0.0625, samples=100, friction_change=0.04
-    )
-    return PayloadFile(
-        schema=PAYLOAD_SCHEMA,
-        created=now(),
-        tool=tool(),
-        robot=robot(),
+    errors = {"before": 2.5, "after": 0.125, "relative": 0.0625, "friction_change": 0.04}
+    centre = ((0.01, 0.001), (0.02, 0.001), (None, None))
+    return made(
+        PayloadFile,
+        PAYLOAD_SCHEMA,
         inputs=[log("loaded.parquet", "")],
         models=[used],
         payload=CarriedBodyEntry(
             frame="of joint elbow",
             mass=Measured(value=2.345, std_error=0.012, unit="kg"),
-            center_of_mass=[
-                Measured(value=0.01, std_error=0.001, unit="m"),
-                Measured(value=0.02, std_error=0.001, unit="m"),
-                Measured(value=None, std_error=None, unit="m"),
-            ],
+            center_of_mass=[Measured(value=x, std_error=e, unit="m") for x, e in centre],
         ),
         parameters=[],
         covariance=[],
         settings={"urscript": "set_payload(2.345, [0.01, 0.02, 0.0])"},
-        joints=dict.fromkeys(JOINTS, joint),
+        joints=dict.fromkeys(JOINTS, JointWithPayload(samples=100, **errors)),
         verdicts=[Verdict(good=True, reason="mass 2.345 kg, standard error 0.012 kg")],
         notes=["friction differs from the model's"],
     )
@@ -179,14 +164,11 @@ def plan_file() -> PlanFile:
         torque={name: [10.0, 20.0] for name in JOINTS},
     )
     limit = JointLimits(position=[-1.0, 1.0], speed=1.0, acceleration=2.0, torque=40.0, moves=True)
-    error = PredictedParameter(
-        name="Izz_2", joint="elbow", unit="kg m^2", std_error=0.0375, value=None
-    )
-    return PlanFile(
-        schema=PLAN_SCHEMA,
-        created=now(),
-        tool=tool(),
-        robot=robot(),
+    about = {"name": "Izz_2", "joint": "elbow", "unit": "kg m^2"}
+    error = PredictedParameter(std_error=0.0375, value=None, **about)
+    return made(
+        PlanFile,
+        PLAN_SCHEMA,
         what="inertia",
         seed=1,
         parameters=[],

@@ -8,7 +8,6 @@ from seqid_cli.params.encode import encode
 from seqid_cli.params.io import read_any
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.report.collection import collect
-from seqid_cli.report.sections.pipeline import pipeline
 from tests.unit.params.documents import (
     diagnosis_file,
     friction_file,
@@ -28,17 +27,13 @@ from tests.unit.report.pages import (
 
 def test_stages_of_one_branch_join_and_the_refined_model_leads() -> None:
     documents = [source("friction.json", friction_file()), *all_documents()]
-    found = collect(documents)
+    found = collect([*documents, *documents])
+    assert len(found.sources) == len(documents)  # each counts once
     assert [model.kind for model in found.models] == ["refined", "identified"]
     assert found.models[1].path == "inertia.json"
     assert found.models[1].sources[0].path == "friction.json"
     assert [item.path for item in found.predictions] == ["prediction.json"]
     assert [item.path for item in found.diagnoses] == ["diagnosis.json"]
-
-
-def test_the_same_file_twice_counts_once() -> None:
-    documents = good_documents()
-    assert len(collect([*documents, *documents]).sources) == 2
 
 
 def test_other_joints_are_another_robot() -> None:
@@ -48,23 +43,20 @@ def test_other_joints_are_another_robot() -> None:
         collect([*good_documents(), source("other.json", other)])
 
 
-def test_files_that_disagree_on_a_stage_are_models_of_their_own() -> None:
-    other, rest = gravity_file(), friction_file()
-    for file in (other, rest):
+def test_files_that_disagree_are_models_of_their_own() -> None:
+    other, rest, refined, again = gravity_file(), friction_file(), full_file(), full_file()
+    for file in (other, rest, refined):
         file.stages.friction.joints["elbow"].rmse = 0.7
-    files = {"inertia.json": inertia_file(), "other.json": other, "friction.json": rest}
+    again.closed_loop.after["elbow"].rmse = 0.15
+    files = {"inertia": inertia_file(), "other": other, "friction": rest}
+    files |= {"refined": refined, "again": again}
     models = collect([source(path, file) for path, file in files.items()]).models
     assert [[item.path for item in model.sources] for model in models] == [
-        ["inertia.json"],
-        ["friction.json", "other.json"],
+        ["refined"],
+        ["again"],
+        ["inertia"],
+        ["friction", "other"],
     ]
-
-
-def test_refined_files_of_different_outcome_are_models_of_their_own() -> None:
-    other = full_file()
-    other.closed_loop.after["elbow"].rmse = 0.15
-    models = collect([source("refined.json", full_file()), source("other.json", other)]).models
-    assert [model.path for model in models] == ["refined.json", "other.json"]
 
 
 def test_the_best_model_is_judged_and_its_prediction_leads() -> None:
@@ -75,30 +67,16 @@ def test_the_best_model_is_judged_and_its_prediction_leads() -> None:
     assert labels == ["after: refined.json", "before: inertia.json"]
 
 
-def test_a_refined_file_may_differ_from_what_it_started_from() -> None:
-    refined = full_file()
-    refined.stages.friction.joints["elbow"].rmse = 0.7
-    found = collect([source("inertia.json", inertia_file()), source("refined.json", refined)])
-    assert len(found.models) == 2
-
-
 @pytest.mark.parametrize("place", ["joints", "findings", "unexplained", "logs"])
 def test_joints_that_the_robot_has_not_are_an_error(place: str) -> None:
-    if place == "logs":
-        prediction = prediction_file()
-        prediction.logs[1].joints = {"wrist": prediction.joints["elbow"]}
-        document = source("x.json", prediction)
-    else:
-        diagnosis = diagnosis_file()
-        if place == "joints":
-            diagnosis.joints["wrist"] = diagnosis.joints["elbow"]
-        elif place == "findings":
-            diagnosis.findings[0].joint = "wrist"
-        else:
-            diagnosis.unexplained[0].joint = "wrist"
-        document = source("x.json", diagnosis)
+    diagnosis, prediction = diagnosis_file(), prediction_file()
+    prediction.logs[1].joints = {"wrist": prediction.joints["elbow"]}
+    if place == "joints":
+        diagnosis.joints["wrist"] = diagnosis.joints["elbow"]
+    elif place != "logs":
+        getattr(diagnosis, place)[0].joint = "wrist"
     with pytest.raises(ConfigError, match=rf"x\.json: \$\.{place}.*'wrist'"):
-        check_consistency(document.content, document.path)
+        check_consistency(prediction if place == "logs" else diagnosis, "x.json")
 
 
 def test_evidence_needs_as_many_torques_as_places() -> None:
@@ -147,13 +125,3 @@ def test_a_reference_to_another_file_does_not_count_as_stale() -> None:
     moved = prediction_file()
     moved.parameters = [FileId(path="moved/inertia.json", sha256=parameters.sha256)]
     assert collect([parameters, source("prediction.json", moved)]).warnings == ()
-
-
-def test_what_has_no_verdict_is_not_called_good() -> None:
-    file, prediction = friction_file(), prediction_file()
-    file.stages.friction.verdicts, prediction.verdicts = [], []
-    found = collect([source("friction.json", file), source("prediction.json", prediction)])
-    steps = pipeline(found, []).groups[0].tables[0].rows
-    told = {row[0]: row[-1] for row in steps}
-    for command in ("seqid friction", "seqid predict"):
-        assert "not judged" in told[command]

@@ -11,7 +11,7 @@ from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.schema import ParameterFile, Verdict
 from seqid_cli.report.collection import collect
 from seqid_cli.report.judgement import Judgement, judge
-from seqid_cli.report.sections.loop import closed_loop
+from seqid_cli.report.sections.diagnosis import closed_loop
 from tests.transcripts import check_text
 from tests.unit.params.documents import diagnosis_file, full_file, inertia_file, log
 from tests.unit.report.pages import (

@@ -2,22 +2,15 @@ import base64
 import hashlib
 import itertools
 import re
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from importlib.resources import files
-from pathlib import Path
 
 import pytest
 
 from seqid_cli.params.schema import RigidStage
 from seqid_cli.report.make import make_report
-from tests.unit.params.documents import friction_file, inertia_file
-from tests.unit.report.pages import (
-    all_documents,
-    prediction_file,
-    source,
-    write_torques,
-)
+from tests.unit.params.documents import friction_file
+from tests.unit.report.pages import all_documents, source, write_torques
 
 HOSTILE = "<script>alert(1)</script>\"'&{{7*7}}"
 VOID = {"meta", "link", "br", "input", "img"}
@@ -127,52 +120,29 @@ def test_headings_are_in_order_and_ids_are_unique(page: str) -> None:
     assert ("html", {"lang": "en"}) in found.tags
 
 
-def hostile_documents() -> list[object]:
-    documents = all_documents()
-    name = HOSTILE
+def test_names_from_files_stay_text() -> None:
+    """Of robots, logs and parameters, in notes, and of joints."""
+    documents, joints = all_documents(), friction_file()
     for item in documents:
-        content = item.content
-        content.robot.name = name
-        for entry in content.inputs:
-            entry.path = name
-    inertia = inertia_file().stages.inertia
-    assert inertia is not None
-    for item in documents:
+        item.content.robot.name = HOSTILE
+        for entry in item.content.inputs:
+            entry.path = HOSTILE
         stages = getattr(item.content, "stages", None)
         for stage in (getattr(stages, "gravity", None), getattr(stages, "inertia", None)):
             if isinstance(stage, RigidStage):
-                stage.parameters[0].name = name
-                stage.parameters[0].expression = name
-                stage.parameters[0].terms = {name: 2.0}
-                stage.parameters[0].unit = name
-                stage.notes = [name]
-                stage.not_excited = [name]
-    return list(documents)
-
-
-def test_names_from_files_stay_text(tmp_path: Path) -> None:
-    joint = HOSTILE
-    documents = hostile_documents()
-    prediction = prediction_file()
-    prediction.robot.name = joint
-    prediction.notes = [joint]
-    html = make_report(documents, title=joint).html  # type: ignore[arg-type]
-    assert "alert(1)</script>" not in html
-    assert "&lt;script&gt;alert(1)" in html
-    assert "49" not in re.findall(r"<title>(.*?)</title>", html)[0]
-    tags = [tag for tag, _ in outline(html).tags]
-    assert tags.count("script") == 1
-
-
-def test_hostile_joint_names_stay_text(tmp_path: Path) -> None:
-    file = friction_file()
-    file.robot.joints = [HOSTILE, "elbow"]
-    joints = file.stages.friction.joints
-    file.stages.friction.joints = {HOSTILE: joints["shoulder"], "elbow": joints["elbow"]}
-    file.stages.friction.verdicts = []
-    html = make_report([source("f.json", file)]).html
-    assert [tag for tag, _ in outline(html).tags].count("script") == 1
-    assert "&lt;script&gt;alert(1)" in html
+                first = stage.parameters[0]
+                first.name = first.expression = first.unit = HOSTILE
+                first.terms, stage.notes, stage.not_excited = {HOSTILE: 2.0}, [HOSTILE], [HOSTILE]
+    friction = joints.stages.friction
+    joints.robot.joints = [HOSTILE, "elbow"]
+    friction.joints = {HOSTILE: friction.joints["shoulder"], "elbow": friction.joints["elbow"]}
+    friction.verdicts = []
+    for own, title in ((documents, HOSTILE), ([source("f.json", joints)], "")):
+        html = make_report(own, title=title).html
+        assert "alert(1)</script>" not in html
+        assert "&lt;script&gt;alert(1)" in html
+        assert "49" not in re.findall(r"<title>(.*?)</title>", html)[0]
+        assert [tag for tag, _ in outline(html).tags].count("script") == 1
 
 
 @pytest.mark.parametrize(
@@ -202,7 +172,7 @@ def test_odd_surfaces_do_no_harm(odd: dict[str, object]) -> None:
     assert "<svg" in elbow or "not finite" in elbow
 
 
-def _luminance(color: str) -> float:
+def luminance(color: str) -> float:
     text = color.lstrip("#")
     text = "".join(2 * sign for sign in text) if len(text) == 3 else text
     parts = [int(text[k : k + 2], 16) / 255 for k in (0, 2, 4)]
@@ -210,28 +180,19 @@ def _luminance(color: str) -> float:
     return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
 
 
-def contrast(one: str, other: str) -> float:
-    """Return the contrast ratio of two colours by WCAG 2."""
-    light, dark = sorted((_luminance(one), _luminance(other)), reverse=True)
-    return (light + 0.05) / (dark + 0.05)
-
-
-def themes() -> Iterator[dict[str, str]]:
-    style = (files("seqid_cli.report") / "templates" / "style.css").read_text()
-    for block in re.findall(r":root\{(.*?)\}", style, re.DOTALL):
-        yield dict(re.findall(r"--([\w-]+):(#\w+)", block))
-
-
 def test_colours_contrast_in_both_themes() -> None:
-    found = list(themes())
-    assert len(found) == 2
-    for theme in found:
-        for name in ("ink", "soft", "link", "good", "poor", "open"):
-            for ground in ("paper", "card"):
-                assert contrast(theme[name], theme[ground]) >= 4.5, (name, ground)
-        for name in ("good", "poor", "open", "none"):
-            assert contrast(theme[name], theme[f"{name}-fill"]) >= 4.5, name
-        assert contrast(theme["ink"], theme["none-fill"]) >= 4.5
-        for name in ("predicted", "residual", "cut0", "cut1", "cut2", "before", "after"):
-            assert contrast(theme[name], theme["paper"]) >= 3.0, name
-        assert contrast(theme["residual"], theme["residual-fill"]) >= 3.0
+    """By the contrast ratio of WCAG 2: text 4.5, lines 3."""
+    style = (files("seqid_cli.report") / "templates" / "style.css").read_text()
+    blocks = re.findall(r":root\{(.*?)\}", style, re.DOTALL)
+    assert len(blocks) == 2
+    badges = ("good", "poor", "open", "none")
+    lines = ("predicted", "residual", "cut0", "cut1", "cut2", "before", "after")
+    words = ("ink", "soft", "link", "good", "poor", "open")
+    pairs = [(name, ground, 4.5) for name in words for ground in ("paper", "card")]
+    pairs += [(name, f"{name}-fill", 4.5) for name in badges] + [("ink", "none-fill", 4.5)]
+    pairs += [(name, "paper", 3.0) for name in lines] + [("residual", "residual-fill", 3.0)]
+    for block in blocks:
+        theme = dict(re.findall(r"--([\w-]+):(#\w+)", block))
+        for name, ground, least in pairs:
+            dark, light = sorted(luminance(theme[x]) for x in (name, ground))
+            assert (light + 0.05) / (dark + 0.05) >= least, (name, ground)

@@ -12,8 +12,8 @@ from seqid_cli.errors import ConfigError, UsageError
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.report.collection import collect
-from seqid_cli.report.figures.torque import extremes, pieces
 from seqid_cli.report.make import make_report
+from seqid_cli.report.sections.torque_figures import extremes, pieces
 from seqid_cli.report.words import (
     command,
     expression,
@@ -21,7 +21,6 @@ from seqid_cli.report.words import (
     listed,
     number,
     percent,
-    symbol,
     unit_text,
     with_error,
 )
@@ -58,39 +57,37 @@ def test_lines_break_at_gaps_and_missing_values() -> None:
     assert pieces(np.array([1.0, 1.0]), np.array([True, True])) == [slice(0, 2)]
 
 
-def test_numbers_carry_as_many_digits_as_their_error() -> None:
-    assert with_error(1.234567, 0.0123) == ("1.235", "0.012")
-    assert with_error(-4.21669, 0.00283) == ("\u22124.2167", "0.0028")
-    assert with_error(2.0, 0.0) == ("2.0000", "0")
-    assert interval(1.0, 0.1) == "0.80 to 1.20"
-    assert interval(1.0, 0.0) == "\u2013"
-    assert number(None) == number(float("nan")) == "\u2013"
-    assert number(-1.5e-7) == "\u22121.50e\u22127"
-    assert number(1234567.0) == "1.23e6"
-    assert percent(0.0234) == "2.3 %"
-
-
-def test_expressions_are_formulas_with_lowered_indices() -> None:
-    text = expression({"Izz_2": 1.0, "m_3": -0.425, "mx_3": 2.0}, "")
-    assert text == (
-        "<i>I</i><sub>zz\u202f2</sub> \u2212 0.425\u202f<i>m</i><sub>3</sub>"
-        " + 2\u202f<i>m</i>x<sub>3</sub>"
-    )
-    assert expression({}, "<b>") == "&lt;b&gt;"
-    assert expression({"<b>_1": 1.0}, "") == "&lt;b&gt;_1"
-    assert symbol("<script>") == "&lt;script&gt;"
-
-
-def test_units_lists_and_commands_in_words() -> None:
-    assert unit_text("kg m^2") == "kg\u202fm\u00b2"
-    assert unit_text("1") == ""
-    assert listed(["a"]) == "a"
-    assert listed(["a", "b", "c"]) == "a, b and c"
-    assert listed(list("abcdefgh"), 2) == "a, b and 6 more"
-    assert command("seqid", "predict", "LOG...", "-p", "a b.json") == (
-        "seqid predict LOG... -p 'a b.json'"
-    )
-    assert [unit_text(unit) for unit in ("rad/s^2", "N m")] == ["rad/s\u00b2", "N\u202fm"]
+@pytest.mark.parametrize(
+    ("shown", "expected"),
+    [
+        (with_error(1.234567, 0.0123), ("1.235", "0.012")),
+        (with_error(-4.21669, 0.00283), ("\u22124.2167", "0.0028")),
+        (with_error(2.0, 0.0), ("2.0000", "0")),
+        (interval(1.0, 0.1), "0.80 to 1.20"),
+        (interval(1.0, 0.0), "\u2013"),
+        (number(None), "\u2013"),
+        (number(float("nan")), "\u2013"),
+        (number(-1.5e-7), "\u22121.50e\u22127"),
+        (number(1234567.0), "1.23e6"),
+        (percent(0.0234), "2.3 %"),
+        (unit_text("kg m^2"), "kg\u202fm\u00b2"),
+        (unit_text("rad/s^2"), "rad/s\u00b2"),
+        (unit_text("1"), ""),
+        (listed(["a"]), "a"),
+        (listed(["a", "b", "c"]), "a, b and c"),
+        (listed(list("abcdefgh"), 2), "a, b and 6 more"),
+        (command("seqid", "LOG...", "-p", "a b.json"), "seqid LOG... -p 'a b.json'"),
+        (expression({"m_3": -0.425}, ""), "\u22120.425\u202f<i>m</i><sub>3</sub>"),
+        (
+            expression({"Izz_2": 1.0, "mx_3": 2.0}, ""),
+            "<i>I</i><sub>zz\u202f2</sub> + 2\u202f<i>m</i>x<sub>3</sub>",
+        ),
+        (expression({}, "<b>"), "&lt;b&gt;"),
+        (expression({"<b>_1": 1.0}, ""), "&lt;b&gt;_1"),
+    ],
+)
+def test_numbers_names_and_formulas_as_they_are_shown(shown: object, expected: object) -> None:
+    assert shown == expected
 
 
 def test_without_them_there_is_no_such_section() -> None:

@@ -10,17 +10,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from msgspec.structs import replace
-from scipy.signal import lfilter
 
 from seqid_cli.errors import InputError, UsageError
-from seqid_cli.model.effects.spectral_lines import Signal
 from seqid_cli.params.encode import encode
 from seqid_cli.params.io import Document, Source
-from seqid_cli.report.collection import collect
-from seqid_cli.report.figures.torque import Place, certain_lines, over_quantity, over_time, spectrum
+from seqid_cli.report.collection import Place, collect
 from seqid_cli.report.make import make_report
 from seqid_cli.report.plots import plot_torques
-from seqid_cli.report.torques import Series, TorqueTable
+from seqid_cli.report.sections.torque_figures import over_quantity, over_time, spectrum
+from seqid_cli.report.torques import TorqueTable
 from tests import Array
 from tests.unit.params.documents import JOINTS, inertia_file
 from tests.unit.report.pages import (
@@ -55,23 +53,19 @@ def test_what_the_real_writer_wrote_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_array_equal(series[1].velocity, made.dq[:, 1])
 
 
-def test_older_files_have_no_motion(tmp_path: Path) -> None:
-    path = write_torques(tmp_path / "t.parquet")
+def test_motion_that_is_not_known_is_not_drawn(tmp_path: Path) -> None:
+    """Of a file that holds none, and of an older one, which also lacks what was used."""
+    path = write_torques(tmp_path / "t.parquet", motion=False)
+    (first, _) = opened(path).series("shoulder")
+    assert np.isnan(first.position).all()
+    assert over_quantity([first], PLACE, "position", "rad") is None
     table = pq.read_table(path)
     kept = [name for name in table.column_names if not name.endswith(("position", "velocity"))]
     pq.write_table(table.select([name for name in kept if name != "used"]), path)
     (first, _) = opened(path).series("shoulder")
     assert first.position is None
     assert first.used.all()
-    html = make_report(good_documents(), torques=[path]).html
-    assert "holds no position and velocity" in html
-
-
-def test_unknown_motion_is_missing_not_zero(tmp_path: Path) -> None:
-    (first, _) = opened(write_torques(tmp_path / "t.parquet", motion=False)).series("shoulder")
-    assert first.position is not None
-    assert np.isnan(first.position).all()
-    assert over_quantity([first], PLACE, "position", "rad") is None
+    assert "Spectrum of the residual" in make_report(good_documents(), torques=[path]).html
 
 
 Write = Callable[[Path], object]
@@ -105,27 +99,24 @@ def columns(**given: object) -> Write:
     [
         (partial(write_torques, joints=["a", "b"]), r"is about joints a, b.*inertia\.json"),
         (
-            partial(write_torques, logs=(LOGS[0], "c.parquet")),
-            r"holds the log c\.parquet, which prediction\.json",
+            partial(write_torques, logs=(LOGS[0], "c")),
+            r"prediction\.json: c with 4000 samples",
         ),
-        (
-            partial(write_torques, logs=LOGS[:1]),
-            r"lacks the log validation/b\.parquet.*prediction\.json",
-        ),
-        (cut, rf"{SAMPLES - 10} samples of .*counts {SAMPLES}"),
+        (partial(write_torques, logs=LOGS[:1]), r"validation/b\.parquet .* is in that only"),
+        (cut, rf"{LOGS[0]} with 3990 samples is in this file only"),
         (changed("t", lambda x: x[::-1]), "goes back"),
         (changed("t", lambda x: np.where(x == 0.0, np.nan, x)), "missing"),
         (changed("elbow.torque", lambda x: np.where(x > 1.0, np.inf, x)), r"elbow\.torque is inf"),
         *(
-            (partial(Path.write_bytes, data=content), "cannot be read as Parquet")
+            (partial(Path.write_bytes, data=content), "is no torque file: ")
             for content in (b"", b"PAR1", b"PAR1" + b"\0" * 64 + b"PAR1", b"{}")
         ),
-        (columns(x=[1.0] * 3), r"columns t \(a number\) and log \(text\) are needed"),
-        (columns(t=["a"] * 3, log=["a"] * 3), "are needed, it has t, log, shoulder"),
-        (columns(t=[0.0] * 3, log=[{"a": 1}] * 3), "is no torque file"),
-        (columns(t=[0.0] * 3, log=[None] * 3), "is no torque file"),
-        (columns(t=[0.0] * 3, log=["a", None, "a"]), "must name 1 to 10000 logs without gaps"),
-        (columns(t=[0.0, 1.0, 2.0], log=["a", "b", "a"]), "must follow each other"),
+        (columns(x=[1.0] * 3), "is no torque file: .*log"),
+        (columns(t=["a"] * 3, log=["a"] * 3), "its column t must hold numbers"),
+        *(
+            (columns(t=[0.0] * 3, log=log), "is no torque file: ")
+            for log in ([{"a": 1}] * 3, [None] * 3, ["a", None, "a"], ["a", "b", "a"], [1.0] * 3)
+        ),
     ],
 )
 def test_what_does_not_fit_is_refused_with_its_file(
@@ -187,23 +178,13 @@ def test_torques_of_two_models_share_a_plot(tmp_path: Path) -> None:
     assert table.count("(2.0 %)") == table.count("(5.0 %)") == 2
 
 
-def test_torques_beside_are_found_by_their_model(tmp_path: Path) -> None:
-    documents, (before, _) = of_two_models(tmp_path)
-    before.rename(tmp_path / "torques.parquet")
-    report = make_report(documents)
-    assert report.torques == [str(tmp_path / "torques.parquet")]
-    collection = collect(documents)
-    assert collection.model_of(collection.predictions[1]) is not None
-
-
-def test_torques_of_another_model_are_refused(tmp_path: Path) -> None:
+def test_torques_belong_to_the_model_that_they_name(tmp_path: Path) -> None:
     documents, (before, _) = of_two_models(tmp_path)
     rest = [item for item in documents if not item.path.endswith("before.json")]
     with pytest.raises(InputError, match=r"is of another model than .*after\.json"):
         make_report(rest, torques=[before])
-
-
-def test_two_torque_files_of_one_prediction_are_refused(tmp_path: Path) -> None:
+    before.rename(tmp_path / "torques.parquet")
+    assert make_report(documents).torques == [str(tmp_path / "torques.parquet")]
     documents, torques = of_two_models(tmp_path, told=False)
     with pytest.raises(UsageError, match=r"before\.parquet, .*after\.parquet"):
         make_report(documents, torques=torques)
@@ -221,12 +202,9 @@ def test_a_notebook_draws_the_torques_of_both(tmp_path: Path) -> None:
         plot_torques(files, torques, "wrist")
 
 
-def _series(path: Path) -> list[Series]:
-    return opened(write_torques(path / "t.parquet")).series("elbow")
-
-
 def test_the_one_bad_sample_is_drawn(tmp_path: Path) -> None:
-    figure = over_time({"": _series(tmp_path)[0]}, PLACE, [(1.0, 2.0)], 60)
+    series = opened(write_torques(tmp_path / "t.parquet")).series("elbow")[0]
+    figure = over_time({"": series}, PLACE, [(1.0, 2.0)], 60)
     text = str(figure.drawing)
     line = text.split('data-name="residual"')[0].rpartition("<polyline")[2]
     heights = [
@@ -242,35 +220,20 @@ def test_the_one_bad_sample_is_drawn(tmp_path: Path) -> None:
     assert len(figure.table.rows) == 20
 
 
-def test_the_line_in_the_residual_is_found_and_its_size(tmp_path: Path) -> None:
-    figure = spectrum(_series(tmp_path), PLACE, 30.0, 300)
-    assert figure is not None
-    assert figure.table is not None
-    (row,) = figure.table.rows
-    assert float(row[0]) == pytest.approx(LINE_HZ, abs=0.05)
-    assert float(row[1]) == pytest.approx(0.1, rel=0.1)
-
-
-def test_noise_shows_lines_as_rarely_as_promised() -> None:
-    rng = np.random.default_rng(0)
-    alarms = 0
-    for trial in range(200):
-        slope = (1.0, 0.9)[trial % 2]  # white, and steeply falling with frequency
-        values = lfilter([1.0], [1.0, -slope if slope < 1.0 else 0.0], rng.normal(size=(2, 2500)))
-        signals = [Signal(row, 250.0) for row in values]
-        alarms += bool(certain_lines(signals, 45.0))
-    assert alarms <= 7  # expected 2 at the promised rate of 1 %
-
-
-@pytest.mark.parametrize("quantity", ["position", "velocity"])
-def test_residuals_over_a_quantity_are_those_of_the_samples(tmp_path: Path, quantity: str) -> None:
-    series = _series(tmp_path)
-    figure = over_quantity(series, PLACE, quantity, "rad")
-    assert figure is not None
-    assert figure.table is not None
-    used = np.concatenate([item.residual[item.used] for item in series])
-    most = max(float(str(row[5]).replace("\u2212", "-")) for row in figure.table.rows)
-    assert most == pytest.approx(used.max(), rel=0.01)
+def test_figures_hold_the_line_and_the_extremes_of_the_residual(tmp_path: Path) -> None:
+    series = opened(write_torques(tmp_path / "t.parquet")).series("elbow")
+    drawn = spectrum(series, PLACE, 30.0, 300)
+    assert drawn is not None
+    assert drawn.table is not None
+    frequency, _ = max(drawn.table.values.rows, key=lambda row: row[1])
+    assert frequency == pytest.approx(LINE_HZ, abs=0.2)
+    assert f"Strongest at {frequency:.2f} Hz" in drawn.note
+    most = max(item.residual[item.used].max() for item in series)
+    for quantity in ("position", "velocity"):
+        figure = over_quantity(series, PLACE, quantity, "rad")
+        assert figure is not None
+        assert figure.table is not None
+        assert max(row[5] for row in figure.table.values.rows) == pytest.approx(most, rel=1e-9)
 
 
 def test_many_logs_show_the_worst_only(tmp_path: Path) -> None:

@@ -1,1 +1,0 @@
-"""Drawings of the report: SVG, charts, and the figures of each kind of result."""

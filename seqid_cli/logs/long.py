@@ -12,9 +12,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.checks.lost_samples import mended
+from seqid_cli.logs.clocks import BURSTS, GAP_INTERVALS, GAP_LEAST_S
 from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.raw import Array, BlockReader, Mask, RawLog, Stamps, Stream, TimeSource, joined
 from seqid_cli.logs.read import ABSURD, with_torque
@@ -29,11 +31,13 @@ from seqid_cli.logs.storage.files import (
 from seqid_cli.logs.storage.temporary import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
-from seqid_cli.logs.timebase import JITTER_LIMIT, Base, base_of, resample
+from seqid_cli.logs.thinned import Thinned
+from seqid_cli.logs.timebase import JITTER_LIMIT, UNIFORM, Base, resample
 from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
 
 MARGIN = 64  # rows on either side of a block, over which a spline forgets its ends
+GROUP = 256  # rows whose distance from the base is remembered by its extremes
 READERS: dict[str, BlockReader] = {"parquet": parquet.read_blocks, "mcap": reader.read_blocks}
 
 
@@ -95,6 +99,7 @@ class LongLog:
     samples: int
     jitter: float
     exact: bool  # the stamps lie on the base
+    gaps: int
     partial: str = ""
     warnings: tuple[str, ...] = ()
     spool: Spool | None = field(default=None, repr=False, compare=False)
@@ -141,7 +146,7 @@ class LongLog:
             start += len(kept)
 
     def _resampled(self, rows: Iterator[Stream]) -> Iterator[Block]:
-        pending, start = _as_stream(_NONE, np.zeros((0, 0))), 0
+        pending, start = _as_stream(np.zeros(0, np.int64), np.zeros((0, 0))), 0
         for part in rows:
             pending = joined([pending, part])
             if len(pending) > 4 * MARGIN:
@@ -162,14 +167,16 @@ class LongLog:
     def _between(self, rows: Stream, start: int, stop: int) -> Iterator[Block]:
         for low in range(start, stop, parquet.BLOCK_ROWS):
             count = min(parquet.BLOCK_ROWS, stop - low)
-            window = Base(self.start_ns, self.step_s, count, self.jitter, False, first=low)
+            window = Base(
+                self.start_ns, self.step_s, count, self.jitter, False, _NONE, (), first=low
+            )
             # Only the rows around the window: a hole may be much longer than a block.
             found = resample(self._around(rows, low, low + count), _ALL, window)
             n = self.robot.n
             yield Block(low, found.values[:, :n], found.values[:, n:], found.valid)
 
 
-_NONE: Stamps = np.zeros(0, np.int64)
+_NONE: NDArray[np.intp] = np.zeros(0, np.intp)
 _ALL = "position and torque"
 _SOURCES = ("current", "torque")
 
@@ -179,16 +186,83 @@ def _as_stream(stamps: Stamps, values: Array) -> Stream:
     return Stream("joints", stamps, {_ALL: values})
 
 
-def _base(stamps: Stamps, where: str, *, stretch: float = 20.0) -> Base:
-    """Lay the base of a log; raises UnevenError where the whole log is to be tidied first."""
-    if len(stamps) < 2:
-        raise UnevenError
-    if int(stamps[-1] - stamps[0]) > stretch * len(stamps) * float(np.median(np.diff(stamps))):
-        raise UnevenError
-    base = base_of(stamps, where, least_seconds=0.0)
-    if base.jitter > JITTER_LIMIT:
-        raise UnevenError
-    return base
+@dataclass
+class Scan:
+    """What the first pass remembers of the stamps."""
+
+    count: int = 0
+    first: int = 0
+    last: int = 0
+    usual: float = 0.0  # ns, the median step of the first block
+    sums: Array = field(default_factory=lambda: np.zeros(2))  # of steps below the least gap
+    beyond: list[Array] = field(default_factory=list)  # steps above it
+    surplus: float = 0.0  # samples missing in longer steps
+    steps: Thinned = field(default_factory=Thinned)
+    off: list[Array] = field(default_factory=list)  # (groups, 3): row, least and most distance
+    partial: str = ""
+    warnings: list[str] = field(default_factory=list)
+
+    def push(self, stamps: Stamps, raw: RawLog) -> None:
+        """Take the stamps of the next rows, and what was said of them."""
+        self.partial = raw.partial or self.partial
+        self.warnings += [note for note in raw.warnings if note not in self.warnings]
+        before = np.full(int(self.count > 0), self.last)
+        steps = np.diff(stamps, prepend=before).astype(np.float64)
+        if not self.count:
+            if not len(steps):
+                raise UnevenError
+            self.first, self.usual = int(stamps[0]), float(np.median(steps))
+        self._note_steps(steps)
+        index = self.count + np.arange(len(stamps))
+        off = (stamps - self.first) - index * self.usual
+        starts = np.arange(0, len(off), GROUP)
+        least, most = (extreme.reduceat(off, starts) for extreme in (np.minimum, np.maximum))
+        self.off.append(np.stack([index[starts], least, most], axis=1))
+        self.count += len(stamps)
+        self.last = int(stamps[-1])
+
+    def _note_steps(self, steps: Array, *, most_gaps: int = 100000) -> None:
+        self.steps.push(steps)
+        far = steps > GAP_LEAST_S * 1e9
+        near = steps[~far] if far.any() else steps
+        if far.any():
+            self.beyond.append(steps[far])
+            if sum(map(len, self.beyond)) > most_gaps:
+                raise UnevenError
+        self.sums += (near.sum(), np.square(near - self.usual).sum())
+        longer = near[near > 1.5 * self.usual]
+        self.surplus += float((np.rint(longer / self.usual) - 1).sum())
+
+    def base(self, *, stretch: float = 20.0) -> tuple[int, float, int, float, bool, int]:
+        """Lay the base as `timebase.make_base` does: start, step, samples, jitter, exact, gaps."""
+        if self.count < 2:
+            raise UnevenError
+        beyond = np.concatenate(self.beyond) if self.beyond else np.zeros(0)
+        median = float(np.median(self.steps.rows))
+        limit = max(GAP_INTERVALS * median, GAP_LEAST_S * 1e9)
+        gap = beyond > limit
+        if abs(median / self.usual - 1) > 0.02 or gap.sum() > BURSTS * (self.count - 1):
+            raise UnevenError
+        regular = beyond[~gap]
+        number = self.count - 1 - int(gap.sum())
+        total = self.sums[0] + regular.sum()
+        mean = total / number - self.usual
+        spread = (self.sums[1] + np.square(regular - self.usual).sum()) / number - mean**2
+        jitter = float(np.sqrt(max(spread, 0.0)) / median)
+        if jitter > JITTER_LIMIT:
+            raise UnevenError
+        intervals = number + self.surplus + float((np.rint(regular / median) - 1).clip(0).sum())
+        step = total / round(intervals) * 1e-9
+        span = (self.last - self.first) * 1e-9
+        if span / step > stretch * self.count:
+            raise UnevenError
+        samples = int(np.floor(span / step + 1e-6)) + 1
+        row, least, most = np.concatenate(self.off).T
+        drift = step * 1e9 - self.usual
+        reach = np.maximum(np.abs(least - row * drift), np.abs(most - row * drift))
+        on_base = bool(reach.max() + GROUP * abs(drift) <= UNIFORM * step * 1e9)
+        exact = samples == self.count and on_base
+        return self.first, step, samples, jitter, exact, int(gap.sum())
 
 
 def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:
@@ -226,28 +300,32 @@ def open_long(
     kind, file = check_log(path), storage_file(path)
     if kind not in READERS:
         return None
-    stamps: list[Stamps] = []
-    warnings: list[str] = []
-    spool, partial, rate_hz = Spool(), "", 0.0
+    scan, spool = Scan(), Spool()
     try:
         state = state_of(file)
         with unchanged(file, state):
             for raw, rows in _rows(file, kind, robot, time_source):
-                stamps.append(rows.stamp_ns)
-                warnings += raw.warnings
-                partial = raw.partial or partial
+                scan.push(rows.stamp_ns, raw)
                 spool.push(rows.stamp_ns, rows.channels[_ALL])
                 if watch is not None:
-                    rate_hz = rate_hz or 1e9 / float(np.median(np.diff(rows.stamp_ns)))
-                    watch(rate_hz, rows.channels[_ALL][:, : robot.n])
-        base = _base(np.concatenate(stamps or [_NONE]), str(path))
+                    watch(1e9 / scan.usual, rows.channels[_ALL][:, : robot.n])
+        base = scan.base()
     except UnevenError:
         return None
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    about = (base.start_ns, base.step_s, base.count, base.jitter, base.exact)
-    said = (partial, tuple(dict.fromkeys(warnings)), spool if spool.complete else None)
-    return LongLog(path, file, kind, robot, time_source, *about, *said, state=state)
+    return LongLog(
+        path,
+        file,
+        kind,
+        robot,
+        time_source,
+        *base,
+        partial=scan.partial,
+        warnings=tuple(scan.warnings),
+        spool=spool if spool.complete else None,
+        state=state,
+    )
 
 
 def _rows(

@@ -4,20 +4,27 @@ import numpy as np
 
 from seqid_cli.logs.raw import Array
 
+MOST = 262_144
+
 
 class Thinned:
     """Keeps every row until there are too many, then every second one, every fourth, and so on.
 
-    Beyond `most` rows at least half as many are kept, spread over the whole stream, whatever the
-    parts that they come in.
+    Up to `most` rows statistics are exact; beyond, they are those of at least half as many rows
+    spread over the whole stream. What is kept depends on the rows alone, not on how they came.
     """
 
-    def __init__(self, most: int) -> None:
+    def __init__(self, most: int = MOST) -> None:
         self._most = most
         self._parts: list[Array] = []
         self._every = 1
         self._seen = 0
         self._kept = 0
+
+    def push(self, rows: Array) -> None:
+        """Take the next rows (M, ...)."""
+        first, step = self.next_kept()
+        self.push_kept(rows[first::step].copy(order="K"), len(rows))
 
     def next_kept(self) -> tuple[int, int]:
         """Which of the next rows to keep: the first of them, and every so many."""

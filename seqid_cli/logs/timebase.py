@@ -33,8 +33,9 @@ class Base:
     step_s: float
     count: int
     jitter: float
-    exact: bool  # whether the joint samples lie on it
-    gaps: tuple[tuple[float, float], ...] = ()
+    exact: bool  # whether `rows` lie on it
+    rows: NDArray[np.intp]  # the joint samples that it is made of
+    gaps: tuple[tuple[float, float], ...]
     first: int = 0  # number of its first sample
 
     @property
@@ -52,18 +53,19 @@ class Resampled:
     gaps: tuple[tuple[float, float], ...] = ()
 
 
-def make_base(joints: Stream, where: str) -> Base:
-    """Lay the base through joint samples in the order of time, with `position` (M, n)."""
-    return base_of(joints.stamp_ns[_base_rows(joints)], where)
-
-
-def base_of(
-    stamps: Stamps, where: str, *, least_seconds: float = 0.5, most_samples: int = 200000000
+def make_base(
+    joints: Stream,
+    where: str,
+    *,
+    least_seconds: float = 0.5,
+    most_samples: int = 200000000,
 ) -> Base:
-    """Lay the base through the stamps (M,) of samples that hold all joints."""
+    """Lay the base through joint samples in the order of time, with `position` (M, n)."""
+    rows = _base_rows(joints)
+    stamps = joints.stamp_ns[rows]
     span = int(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0
-    if len(stamps) < LEAST_SAMPLES or span < least_seconds:
-        text = f"only {len(stamps)} samples over {span:.3g} s hold all joints; at least "
+    if len(rows) < LEAST_SAMPLES or span < least_seconds:
+        text = f"only {len(rows)} samples over {span:.3g} s hold all joints; at least "
         text += f"{LEAST_SAMPLES} over {least_seconds} s are needed"
         raise InputError(text, hint="Record longer, or leave this log out.", where=where)
     step, jitter, gaps = _own_step(stamps)
@@ -71,8 +73,8 @@ def base_of(
     if count > most_samples:
         text = f"{span:.3g} s at {1.0 / step:.3g} Hz are {count} samples, more than {most_samples}"
         raise InputError(text, hint="Split the log.", where=where)
-    exact = count == len(stamps) and _on_base(stamps, step)
-    return Base(int(stamps[0]), step, count, jitter, exact, gaps)
+    exact = count == len(rows) and _on_base(stamps, step)
+    return Base(int(stamps[0]), step, count, jitter, exact, rows, gaps)
 
 
 def resample(stream: Stream, quantity: str, base: Base) -> Resampled:

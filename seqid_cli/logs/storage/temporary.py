@@ -27,13 +27,14 @@ class Spool:
     def __init__(self, most_bytes: int = 1 << 31, share: float = 0.25) -> None:
         self._file: IO[bytes] | None = None
         self._shapes: list[tuple[int, int]] = []
+        self._size = 0
         try:
             free = shutil.disk_usage(tempfile.gettempdir()).free
-            self._left = min(most_bytes, share * free)
+            self._most = min(most_bytes, share * free)
             self._file = tempfile.TemporaryFile(prefix="seqid-", buffering=0)  # noqa: SIM115
             weakref.finalize(self, self._file.close)
         except OSError:
-            return
+            self._give_up()
 
     @property
     def complete(self) -> bool:
@@ -44,14 +45,23 @@ class Spool:
         """Take the next rows: stamps (M,) ns, values (M, c)."""
         if self._file is None:
             return
-        self._left -= stamps.nbytes + values.nbytes
+        size = stamps.nbytes + values.nbytes
         try:
-            if self._left < 0:
+            if self._size + size > self._most:
                 raise OSError("too many rows")
+            # Room that is asked for at once costs a third of what it costs page by page.
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(self._file.fileno(), self._size, size)
             stamps.tofile(self._file)
             np.ascontiguousarray(values.T).tofile(self._file)
-            self._shapes.append(values.shape)
         except OSError:
+            self._give_up()
+            return
+        self._size += size
+        self._shapes.append(values.shape)
+
+    def _give_up(self) -> None:
+        if self._file is not None:
             self._file.close()
             self._file = None
 

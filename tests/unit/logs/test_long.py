@@ -42,6 +42,7 @@ def check(path: Path, robot: Robot, *, tolerance: float = 0.0) -> LongLog:
     np.testing.assert_array_equal(found.valid, whole.valid)
     assert log.rate_hz == pytest.approx(whole.rate_hz, rel=1e-12)
     assert log.samples == len(whole.t)
+    assert log.gaps == len(whole.health.gaps)
     assert log.sha256 == whole.sha256
     assert log.warnings == whole.health.warnings
     return log
@@ -71,6 +72,7 @@ def test_uneven_stamps_and_a_gap(tmp_path: Path) -> None:
     t[1_700:] += 1.5
     log = check(write(tmp_path / "log.parquet", t), make_robot(), tolerance=1e-9)
     assert not log.exact
+    assert log.gaps == 1
 
 
 def test_mcap(tmp_path: Path) -> None:

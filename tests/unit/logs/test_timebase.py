@@ -118,7 +118,7 @@ def test_too_short(tmp_path: Path, count: int, rate: float) -> None:
 def on_base(t: Array, values: Array, rate_hz: float) -> tuple[Array, Array]:
     """Values on a base of another rate over the same time, and its moments."""
     count = int(t[-1] * rate_hz + 1e-6) + 1
-    base = Base(T0, 1.0 / rate_hz, count, 0.0, False)
+    base = Base(T0, 1.0 / rate_hz, count, 0.0, False, np.zeros(0, np.intp), ())
     return resample(stream(t, values), "position", base).values, base.t
 
 

@@ -212,7 +212,7 @@ def candidates_of(
     n = narrow[0].robot.n
     full = [scene.full or scene for scene in narrow]
     whole = [full_residual(scene, r) for scene, r in zip(narrow, left, strict=True)]
-    asked = {own.name: own.joint for own in narrow[0].robot.effects}  # where the file wants its own
+    asked = {x.name: x.joint for x in narrow[0].robot.effects if x.joint is not None}
     for effect in effects:
         scenes, residual = (full, whole) if effect.wide else (narrow, left)
         joints: list[int | None] = [None] if effect.arm else list(range(n))

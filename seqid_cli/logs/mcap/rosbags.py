@@ -87,7 +87,7 @@ class BagScan(Scan):
 
 
 def _reason(error: Exception) -> str:
-    return " ".join(str(error).split())[:120] or type(error).__name__
+    return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 read_blocks = partial(reader.read_blocks, scan=BagScan)

@@ -7,7 +7,7 @@ from collections.abc import Collection, Sequence
 
 from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor
-from seqid_cli.model.effects.units import UNEXPLAINED, UNTOLD, setting_units, smooth_in_words
+from seqid_cli.model.effects.units import UNEXPLAINED, UNTOLD, smooth_in_words
 from seqid_cli.params.evidence_schema import EvidenceEntry, RefinementRound
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.diagnosis import (
@@ -111,6 +111,8 @@ def _findings(
 
 def parameters_text(item: FindingEntry | EffectOfJoint) -> str:
     """Return the parameters of an effect with their errors, and its settings."""
+    from seqid_cli.model.effects.registry import setting_units  # help of commands needs none
+
     if not item.parameters:
         return "not determined by these logs"
     if item.effect == UNEXPLAINED:

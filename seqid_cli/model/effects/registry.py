@@ -84,3 +84,9 @@ def catalogue_of(robot: Robot) -> Mapping[str, Effect]:
                 hint="Give it another name; those of the catalogue are looked for anyway.",
             )
     return {**CATALOGUE, **{asked.name: own_effect(asked, robot) for asked in robot.effects}}
+
+
+def setting_units(effect: str) -> dict[str, str]:
+    """Return the units of an effect's settings, in which its torque is not linear."""
+    settings = CATALOGUE[effect].settings if effect in CATALOGUE else ()
+    return {setting.name: setting.unit for setting in settings}

@@ -24,14 +24,6 @@ class Value:
     unit: str
 
 
-def setting_units(effect: str) -> dict[str, str]:
-    """Return the units of an effect's settings, in which its torque is not linear."""
-    from seqid_cli.model.effects.registry import CATALOGUE
-
-    settings = CATALOGUE[effect].settings if effect in CATALOGUE else ()
-    return {setting.name: setting.unit for setting in settings}
-
-
 def smooth_in_words(coefficients: Sized, settings: Mapping[str, str | float | int | bool]) -> str:
     """Say on what a smooth term that no effect explains depends; its numbers tell a person nothing.
 

@@ -195,8 +195,9 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
     """Describe one effect that was taken."""
     what, model = taken.term.what, found.model
     assert isinstance(what, Candidate)
-    name, effect = named(taken), what.effect
-    joints = joints_below(taken.term.channels, found.ground.n)
+    effect, joints = what.effect, joints_below(taken.term.channels, found.ground.n)
+    left = model.rms()[joints] / np.maximum(found.floor.rms[joints], 1e-12)
+    name = named(taken, float(np.max(left, initial=1.0)))
     found_there = model.coefficients(taken.term), model.covariance(taken.term)
     values = effect.reported(robot, what.joint, what.settings, *found_there)
     return FindingEntry(

@@ -102,9 +102,9 @@ class Taken:
     is what the model without it leaves of every channel's blocks, each fitted to all others.
     `evidence` is the log evidence for it and `share` the part of the squared error that it takes
     away, both no more than beside a base that may leave the file, and beyond the file as it is.
-    `instead` are effects that other finished models have in its place, and how far these are
-    behind in log evidence. `untried` are effects that look alike and that these logs lack the
-    channels to look for.
+    `instead` are effects that may stand in its place, no rivals, and how far these are behind in
+    log evidence. `untried` are effects that look alike and that these logs lack the channels to
+    look for.
     """
 
     one: Ranked

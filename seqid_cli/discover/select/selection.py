@@ -29,7 +29,7 @@ from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
 from seqid_cli.discover.select.naming import TOLD, reality
 from seqid_cli.discover.select.noise import Noise
 from seqid_cli.discover.select.results import Key, Options, Ranked, Selected, Taken, Weighed, again
-from seqid_cli.discover.select.rows import scatter
+from seqid_cli.discover.select.rows import Part, scatter
 from seqid_cli.discover.select.search import Search, is_wide
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.select.tuning import Tried, Tuner
@@ -329,7 +329,7 @@ class Selection:
             linear.left_out,
             evidence=own.evidence,
             share=own.share,
-            instead=self._instead_of(term),
+            instead=self._instead_of(term) | self._as_share(own),
             untried=self._untried(term),
         )
 
@@ -345,6 +345,22 @@ class Selection:
                 for one in terms:
                     if not one.smooth and one.key not in had and one.channels & term.channels:
                         found[one.name] = min(behind, found.get(one.name, np.inf))
+        return found
+
+    def _as_share(self, own: Weighed) -> dict[str, float]:
+        """Effects that may be a share of another term of the joint; how far these are behind.
+
+        In log evidence, by name. What differs between the directions goes with friction over the
+        position, which a file without friction trials does not have.
+        """
+        model, j, rows, found = self.model, own.term.joint, self.model.ground.stage.rows, {}
+        for effect in (one for one in self.catalogue if own.term.name in one.alike):
+            whole = [one for one in model.terms if one.key == (effect.share_of, j)]
+            if whole and j is not None:
+                way = rows.of(j, [np.sign(scene.motion.dq[:, j]) for scene in rows.scenes])
+                torque = way * whole[0].part.torque(j, model.coefficients(whole[0]))
+                (share,) = own.linear.predicted([Part({j: torque[:, None]}, np.eye(1))])
+                found[effect.name] = own.one.predicted.total - share.total
         return found
 
     def _untried(self, term: Term) -> tuple[str, ...]:

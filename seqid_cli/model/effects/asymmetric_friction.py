@@ -25,6 +25,7 @@ class AsymmetricFriction(FrictionLaw):
 
     name = "asymmetric_friction"
     over = "velocity"
+    share_of = "position_dependent_friction"
     linear = (
         Coefficient("coulomb_asymmetry", "N m"),
         Coefficient("viscous_asymmetry", "N m s/rad"),

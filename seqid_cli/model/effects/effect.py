@@ -151,6 +151,8 @@ class Effect(abc.ABC):
         Whether it turns with the direction of motion, so that it is shown times the direction.
     alike : tuple of str
         Names that this one can be taken for in principle, whatever the motion.
+    share_of : str
+        Effect of whose torque it is a share, the same in both directions, beside what the file has.
     by_motion : bool
         Whether the joints' motion alone makes it show, so that moves can be planned for it; not
         time, warmth or somebody's hand.
@@ -180,6 +182,7 @@ class Effect(abc.ABC):
     over: Over = "torque"
     sided: bool = False
     alike: tuple[str, ...] = ()
+    share_of: str = ""
     by_motion: bool = True
     separate_by: str
 

@@ -97,15 +97,15 @@ def diagnose(
 
 def described(found: Investigation, robot: Robot) -> DiagnosisFile:
     """Turn a selection and events into findings, unexplained parts and a verdict."""
-    findings = [_finding(found, robot, taken) for taken in found.found.effects]
+    sure = [taken for taken in found.found.effects if named(taken).confidence >= TOLD]
+    findings = [_finding(found, robot, taken) for taken in sure]
     functions = [_unexplained(found, robot, taken) for taken in found.found.smooth]
     first = {part.joint: part for part in sorted(functions, key=lambda part: part.share)}
     rest = sorted(first.values(), key=lambda part: -part.share)  # the largest of each joint
     ordinary = expected(found)
     excess = excess_residuals(found, ordinary)
-    if found.events:
-        findings.append(_contact(found, robot))
-    findings = [one for one in findings if one.confidence >= TOLD]
+    if found.events and (contact := _contact(found, robot)).confidence >= TOLD:
+        findings.append(contact)
     findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
     found_at = touched(found)
     rest += [_excess(found, robot, one) for one in excess if one.joint not in found_at]

@@ -229,6 +229,20 @@ class Linear:
             self._known[id(part)] = gained, told
         return self._known[id(part)]
 
+    def varied(self, part: Part, *, spread: float = 0.3) -> float:
+        """Log evidence that a part has another size in every block, by a share of `spread`."""
+        at, blocks = self._at(part), self.rows.blocks
+        C, D, d = np.zeros((self.size, blocks)), np.zeros(blocks), np.zeros(blocks)
+        for c in part.columns:
+            (index, known), torque = self._own[c], part.torque(c, self.theta[at])
+            weighted, left = torque * self.weight[c], self._left(c, slice(None), self.theta)
+            for k, rows in enumerate(self.rows.at[c]):
+                C[index, k] += np.concatenate([own[rows].T @ weighted[rows] for own in known])
+                D[k] += torque[rows] @ weighted[rows]
+                d[k] += left[rows] @ weighted[rows]
+        Z = self._halved(self._whole[0], C)
+        return float(bayes_factor(np.diag(D) - Z.T @ Z, d, np.eye(blocks) / spread**2)[0])
+
     @cached_property
     def evidence(self) -> float:
         """Log density of the rows, their weights' part aside."""

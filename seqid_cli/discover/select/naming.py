@@ -2,10 +2,7 @@
 
 That a term is more than the errors of a model which lacks nothing goes with the share of the
 squared error that it takes away where it was not fitted, and with its gain in log predictive
-density: a logistic regression on cases of which the truth is known (docs/discovery.md). Where the
-finished model leaves more than the noise floor, some law in it is not exact, and a term may stand
-for the error of another one's law: its odds fall with what is left.
-
+density: a logistic regression on cases of which the truth is known (docs/discovery.md).
 How sure its name is follows from the gains of all effects that touch the same channels, over drawn
 weights of the blocks (D. B. Rubin, "The Bayesian bootstrap", Annals of Statistics 9, 1981). The
 gains are tempered: no law is exactly the effect's, and of a large effect the rows tell laws apart
@@ -14,6 +11,9 @@ where one is clearly better than all effects, it is what the selection takes. An
 alike and that these logs lack the channels for cannot be ruled out: it is as likely as the name.
 Effects that another finished model has in its place, or that are a share of another term, count by
 their evidence.
+
+An effect has the same size all the time. Where the finished model leaves more than the noise floor,
+and a term has another size in every block, it may stand for the error of another law.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from scipy.special import expit
 
 from seqid_cli.typing import Array
 
@@ -43,34 +44,32 @@ class Named:
     others: tuple[str, ...] = ()
 
 
-def reality(
-    share: float,
-    gain: float,
-    left: float = 1.0,
-    *,
-    of_share: float = 0.7,
-    of_gain: float = 1.1,
-    of_left: float = 0.8,
-) -> float:
+def reality(share: float, gain: float, *, of_share: float = 0.7, of_gain: float = 1.1) -> float:
     """Probability that a term is more than the errors of a model that lacks nothing.
 
-    `share` is what it takes away of the squared error, `gain` the log evidence for it, and `left`
-    the RMS that the model leaves at its joints in noise floors. The log odds are the parts
-    `of_share` of the logit, `of_gain` of the logarithm to base 10, less `of_left` of the natural
-    logarithm.
+    `share` is what it takes away of the squared error, `gain` the log evidence for it. The log odds
+    are the parts `of_share`, its logit, and `of_gain`, its logarithm to base 10.
     """
     share = float(np.clip(share, 1e-3, 1.0 - 1e-3))
     odds = of_share * np.log(share / (1.0 - share)) + of_gain * np.log10(max(gain, 1.0))
-    odds -= of_left * np.log(max(left, 1.0))
     return float(1.0 / (1.0 + np.exp(-odds)))
 
 
+def steadiness(varied: float, left: float, *, holds: float = 0.7) -> float:
+    """Probability that a term is no error of another law.
+
+    `varied` is the log evidence that its size is another one in every block, `left` what the model
+    leaves in noise floors, and `holds` the share of names that hold where both are large.
+    """
+    return float(1.0 - (1.0 - holds) * expit(varied) * (1.0 - 1.0 / max(left, 1.0)))
+
+
 def named(taken: Taken, left: float = 1.0) -> Named:
-    """How sure a term is to be there, and to be what its name says; `left` as in `reality`."""
+    """How sure a term is to be there, and to be what its name says; `left` as in `steadiness`."""
     shares = _shares(taken)
     own = shares.pop(taken.term.name, 0.0)
     others = {name: share for name, share in shares.items() if share > SELDOM}
-    there = reality(taken.share, taken.evidence, left)
+    there = reality(taken.share, taken.evidence) * steadiness(taken.varied, left)
     every = (*others, *(name for name in taken.untried if name not in others))
     by_itself = there * own / (1.0 + len(taken.untried))
     return Named(there * (own + sum(others.values())), by_itself, every)

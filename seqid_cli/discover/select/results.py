@@ -103,8 +103,8 @@ class Taken:
     `evidence` is the log evidence for it and `share` the part of the squared error that it takes
     away, both no more than beside a base that may leave the file, and beyond the file as it is.
     `instead` are effects that may stand in its place, no rivals, and how far these are behind in
-    log evidence. `untried` are effects that look alike and that these logs lack the channels to
-    look for.
+    log evidence. `varied` is the log evidence that its size is another one in every block.
+    `untried` are effects that look alike and that these logs lack the channels to look for.
     """
 
     one: Ranked
@@ -113,6 +113,7 @@ class Taken:
     evidence: float
     share: float
     instead: Mapping[str, float]
+    varied: float
     untried: tuple[str, ...] = ()
 
     @property

@@ -330,6 +330,7 @@ class Selection:
             evidence=own.evidence,
             share=own.share,
             instead=self._instead_of(term) | self._as_share(own),
+            varied=self.model.linear.varied(term.part),
             untried=self._untried(term),
         )
 

@@ -32,14 +32,8 @@ OPEN = 1e-6  # of the largest singular value: what gravity's trials leave open
 class FileTrials:
     """The steady motion from which a file's friction and gravity were identified.
 
-    Parameters
-    ----------
-    scene : Scene
-        Any data set with the file's model.
-    base : Base
-        Columns of the rigid body and of friction, whose coefficients are told.
-    stages : Stages
-        The file's.
+    `scene`: any data set with the file's model. `base`: whose coefficients are told. `stages`: the
+    file's.
     """
 
     def __init__(self, scene: Scene, base: Base, stages: Stages) -> None:

@@ -109,14 +109,7 @@ class Whole:
 
 
 def base_of(rows: Rows, stages: Stages) -> Base:
-    """Compute the base columns of all rows.
-
-    Parameters
-    ----------
-    rows : Rows
-    stages : Stages
-        The parameter file's, for what it knows and how friction is described.
-    """
+    """Compute the base columns of all rows; `stages` are the parameter file's."""
     robot = rows.scenes[0].robot
     basis = free_basis(robot)
     motions = [scene.motion for scene in rows.scenes]

@@ -65,22 +65,10 @@ HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 def diagnose(
     recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: DiscoverOptions
 ) -> DiagnosisFile:
-    """Find what a model lacks on these logs.
+    """Find what a model lacks on these logs; effects that it has are not missing.
 
-    Parameters
-    ----------
-    recordings : iterable of Recording
-        Logs with torque or current.
-    robot : Robot
-    stages : Stages
-        The model: at least friction or a rigid body; effects that it has are not missing.
-    options : DiscoverOptions
-
-    Raises
-    ------
-    InputError
-        If a log carries neither torque nor current, or if all logs' torque is an echo of the
-        command (see `usable_logs`).
+    Raises InputError: a log carries neither torque nor current, or all logs' torque is an echo of
+    the command (see `usable_logs`).
     """
     motion = options.motion
     known = fitted_effects(stages, robot, unexplained=True)

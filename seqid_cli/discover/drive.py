@@ -23,15 +23,11 @@ from seqid_cli.typing import Array
 
 @dataclass(frozen=True)
 class DriveRows:
-    """Rows of each joint's drive.
+    """Rows of each joint's drive; empty where no joint has a torque sensor.
 
-    Attributes
-    ----------
-    y : tuple of (M_j,) arrays
-        What the file's model leaves of motor torque less the sensor's [N m]; M_j is zero where a
-        joint has no sensor. Empty where no joint has.
-    columns : tuple of (M_j, 3) arrays
-        The sensor's torque, the rotor's acceleration, a constant.
+    `y[j]` (M_j,) is what the file's model leaves of motor torque less the sensor's [N m], M_j zero
+    without a sensor; `columns[j]` (M_j, 3) the sensor's torque, the rotor's acceleration, a
+    constant.
     """
 
     y: tuple[Array, ...] = ()

@@ -67,12 +67,8 @@ def investigate(
 ) -> Investigation:
     """Select what a model lacks, and find events in what is left.
 
-    What is less likely than `least` is not told; `selection` says what decides.
-
-    Raises
-    ------
-    InputError
-        If a log carries neither torque nor current.
+    What is less likely than `least` is not told; `selection` says what decides. Raises InputError:
+    a log carries neither torque nor current.
     """
     step("filtering the logs", 0, 10)  # tenths of the time that it mostly takes
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))

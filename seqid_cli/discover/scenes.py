@@ -33,22 +33,9 @@ def scenes_of(
     *,
     options: InertiaOptions,
 ) -> list[Scene]:
-    """Build the data set of every log.
+    """Build the data set of every log, with the model as it stands.
 
-    Parameters
-    ----------
-    recordings : iterable of Recording
-        Logs with torque or current.
-    robot : Robot
-    stages : Stages
-        The model as it stands.
-    options : InertiaOptions
-        Cut-off and source of the motion.
-
-    Raises
-    ------
-    InputError
-        If a log carries neither torque nor current.
+    Raises InputError: a log carries neither torque nor current.
     """
     logs = list(recordings)
     motions = []

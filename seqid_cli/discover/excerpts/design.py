@@ -28,21 +28,10 @@ WHOLE = 0.9  # share of an excerpt that must be free of gaps
 def excerpts_of(
     logs: Sequence[ResidualSurvey], samples: float, *, most: int = 16
 ) -> list[list[Range]]:
-    """Choose excerpts of logs.
+    """Choose at most `most` excerpts of logs, of about so many samples together.
 
-    Parameters
-    ----------
-    logs : sequence of ResidualSurvey
-    samples : float
-        Of all excerpts together, about.
-    most : int
-        Number of excerpts.
-
-    Returns
-    -------
-    list of list of (float, float)
-        Per log, first and last moment of its excerpts in the order of time, s since its first
-        sample. All of it where that is little enough.
+    Returns, per log, first and last moment of each in the order of time, s since the first sample;
+    all of it where that is little enough.
     """
     total, lengths = sum(log.samples for log in logs), [log.whole.length for log in logs]
     if total <= samples:

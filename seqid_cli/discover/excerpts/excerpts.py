@@ -80,25 +80,11 @@ def take_excerpts(
     most_values: int = MOST_VALUES,
     places: bool = True,
 ) -> Excerpts:
-    """Hold logs, or excerpts of them where they are too long.
+    """Hold logs with torque, or excerpts of them where they are too long.
 
-    Parameters
-    ----------
-    recordings : LogSet, or iterable of Recording
-        With torque. Long logs of a set are passed over instead of read.
-    robot : Robot
-    stages : Stages
-        The model.
-    options : InertiaOptions
-    most_values : int
-        Samples times joints that are held, as `MOST_VALUES` counts them.
-    places : bool
-        Whether places that stand out are wanted.
-
-    Raises
-    ------
-    InputError
-        If a log cannot be read or carries neither torque nor current.
+    Long logs of a `LogSet` are passed over instead of read. `most_values`: samples times joints
+    that are held, as `MOST_VALUES` counts them. `places`: whether places that stand out are wanted.
+    Raises InputError: a log cannot be read or carries neither torque nor current.
     """
     channels = sum(len(imu.positions) + 3 * imu.gyro for imu in robot.imus)
     most = most_values / (robot.n + ARM + CHANNEL * channels)
@@ -182,19 +168,7 @@ def _read(
 def about_places(
     surveys: Sequence[ResidualSurvey], ranges: Sequence[Sequence[Range]]
 ) -> list[list[Range]]:
-    """Excerpts about the strongest places that stand out and lie in no other.
-
-    Parameters
-    ----------
-    surveys : sequence of ResidualSurvey
-    ranges : sequence of sequence of (float, float)
-        The other excerpts of each log.
-
-    Returns
-    -------
-    list of list of (float, float)
-        Per log.
-    """
+    """Excerpts, per log, about the strongest places that stand out and lie in none of `ranges`."""
     places = [(place, k) for k, survey in enumerate(surveys) for place in survey.places]
     result: list[list[Range]] = [[] for _ in surveys]
     for place, k in sorted(places, key=lambda found: -found[0].score):

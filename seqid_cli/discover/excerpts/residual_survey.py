@@ -36,21 +36,11 @@ MOST_PLACES = 12  # of one log
 class ResidualSurvey:
     """What a pass over one log remembers.
 
-    Attributes
-    ----------
-    path, whole
-        The log.
-    samples, rate_hz, kind
-        Its length, rate and file format; `kind` is empty for one that is read as a whole.
-    squares, counts : (B, n) arrays
-        Sum of the squared residual [(N m)^2] over each `BLOCK_S`, and how many samples are in it;
-        those at which a joint certainly slides.
-    travel : (B, n, 2) array
-        The way [rad] that each joint slides in each block, forward and backward.
-    usable : (B,) array
-        Samples of each block without a gap, once the filters have settled.
-    places : tuple of Interval
-        Where the residual stands out, the strongest first; s since the first sample.
+    `kind` is its file format; empty for a log that is read as a whole. By block of `BLOCK_S`:
+    `squares`, `counts` (B, n), the sum of the squared residual [(N m)^2] over samples at which a
+    joint certainly slides, and their number; `travel` (B, n, 2), the way [rad] that it slides
+    forward and backward; `usable` (B,), samples without a gap, once the filters have settled.
+    `places` are where the residual stands out, the strongest first; s since the first sample.
     """
 
     path: Path
@@ -73,25 +63,11 @@ def residual_survey(
     stages: Stages,
     options: InertiaOptions,
 ) -> ResidualSurvey:
-    """Pass over one log.
+    """Pass over one log with torque; which `number` of a set it is makes no difference.
 
-    Parameters
-    ----------
-    log : Recording or SurveyedLog
-        With torque.
-    number : int
-        Which of a set it is; makes no difference.
-    robot : Robot
-    stages : Stages
-        The model, with its effects: of a log that is passed over, those that can be told part by
-        part.
-    options : InertiaOptions
-        Cut-off; the motion is that of the encoders.
-
-    Raises
-    ------
-    InputError
-        If the log carries neither torque nor current, or no stretch is long enough to filter.
+    The motion is that of the encoders. Of a log that is passed over, the model has those of its
+    effects that can be told part by part. Raises InputError: the log carries neither torque nor
+    current, or no stretch is long enough to filter.
     """
     del number
     model = TorqueModel.from_stages(stages, robot)

@@ -26,11 +26,7 @@ SEED = 0
 def encoder_residuals(recordings: Sequence[Recording], scenes: Sequence[Scene]) -> list[Array]:
     """Residuals (N, n) N m that a right model has where only the encoder is noisy, drawn once.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-    `scenes` : sequence of `Scene`
-        Of the same logs, with the model that is to be right.
+    `scenes` are of the same logs, with the model that is to be right.
     """
     rng = np.random.default_rng(SEED)
     return [_drawn(log, scene, rng) for log, scene in zip(recordings, scenes, strict=True)]

@@ -56,13 +56,9 @@ class NoiseFloor:
         return float(self.low[joint]), float(self.high[joint])
 
     def doubts(self, left: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
-        """Joints at which a model leaves less than the interval's lower end.
+        """Joints at which a model leaves less, `left` (n,) N m RMS, than the interval's lower end.
 
-        Parameters
-        ----------
-        left : (n,) array
-            RMS, N m, of what a model leaves of the samples that the floor is of; NaN where unknown.
-        joints : sequence of Joint
+        NaN where unknown; of the samples that the floor is of.
         """
         return tuple(
             f"joint {joint.name}: {rest:.3g} {joint.unit('N m')} is left, less than the noise "
@@ -85,24 +81,11 @@ def noise_floor(
 ) -> NoiseFloor:
     """Find the noise floor of every joint where it slides; an estimate of its own.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        With torque.
-    `scenes` : sequence of `Scene`
-        Of the same logs.
-    residual : sequence of (N, n) arrays
-        Low-passed residual [N m] at the data sets' samples after all that was found has been taken
-        out; zero where it does not count.
-    echo : sequence of (N, n) arrays
-        The part of it that the encoder's noise makes [N m], see `encoder_residuals`.
-    rows : Rows, optional
-        Those that the floor is of; by default all samples at which a joint slides.
-    judged : int, optional
-        How many of the logs the floor is of, the first ones; the others only help to find the
-        noise. By default all.
-    encoder_error : float
-        Relative standard error of the encoder's part.
+    `residual`, `echo` (N, n) N m per log, at the samples of its data set: what is left after all
+    that was found has been taken out, zero where it does not count; the part of it that the
+    encoder's noise makes (see `encoder_residuals`), known to a relative standard error of
+    `encoder_error`. The floor is of `rows`, by default of all samples at which a joint slides, and
+    of the first `judged` logs, by default of all: the others only help to find the noise.
     """
     logs = list(zip(recordings, scenes, residual, echo, strict=True))
     rests = [_rests(recording, scene) for recording, scene, *_ in logs]

@@ -82,17 +82,11 @@ class Level:
 
 
 def level_of(spectra: Sequence[Spectrum], reference_hz: float, *, cost: float = 1.0) -> Level:
-    """White and 1/f^a noise, of which spectra show at least as much as there is.
+    """White and 1/f^a noise of a joint, of which spectra show at least as much as there is.
 
-    Parameters
-    ----------
-    spectra : sequence of Spectrum
-        Of the same joint's noise; one at least.
-    reference_hz : float
-        Frequency f0 at which r is the ratio of 1/f^a noise to white noise.
-    cost : float
-        Log-likelihood that a parameter more must gain (Akaike's criterion): the excess of a band,
-        noise that is not white, an exponent other than 1.
+    r is the ratio of 1/f^a noise to white noise at `reference_hz`. `cost` is the log-likelihood
+    that a parameter more must gain (Akaike's criterion): the excess of a band, noise that is not
+    white, an exponent other than 1.
     """
     bands = [spectrum.bands for spectrum in spectra]
     frequency = np.concatenate([one.frequency for one in bands])

@@ -53,15 +53,8 @@ class Spectrum:
     ) -> Spectrum:
         """Spectrum of values (N,) over stretches, below the Nyquist frequency; none of no stretch.
 
-        Parameters
-        ----------
-        values : (N,) array
-        starts : sequence of int
-            First samples of the stretches of `length` samples; the trend of each is removed.
-        length : int
-        rate_hz : float
-        robust : bool
-            Taper the stretches, as motion leaks, and take the median over them instead of the mean.
+        The stretches have `length` samples from each of `starts` on; the trend of each is removed.
+        `robust` tapers them, as motion leaks, and takes the median over them instead of the mean.
         """
         frequency = np.fft.rfftfreq(length, 1.0 / rate_hz).astype(np.float64)
         kept = (np.arange(len(frequency)) >= SLOWEST) & (frequency < 0.5 * NYQUIST_SHARE * rate_hz)

@@ -26,19 +26,9 @@ def confirm(
 ) -> ClosedLoop:
     """Measure a refinement on logs that had no say in it.
 
-    Parameters
-    ----------
-    found : Refinement
-    held_out : sequence of Recording
-        Never fitted.
-    whole : WholeLogs, optional
-        The held-out logs as they are, where `held_out` are pieces of them.
-
-    Returns
-    -------
-    ClosedLoop
-        Errors before and after on the same samples; each round with its own gain beside the model
-        before it, confirmed where that is certainly more than nothing.
+    `whole`: the held-out logs as they are, where `held_out` are pieces of them. Errors before and
+    after are on the same samples. Each round has its own gain beside the model before it, and is
+    confirmed where that is certainly more than nothing.
     """
     robot, options = found.material.robot, found.material.options
     held_out, notes = usable_logs(held_out, robot)

@@ -30,10 +30,7 @@ def read_earlier(
 ) -> Earlier:
     """Read the logs of earlier stages; one that is fitted anyway is not read a second time.
 
-    Raises
-    ------
-    InputError
-        A log cannot be read.
+    Raises InputError: a log cannot be read.
     """
     at_hand = by_digest(fitted.recordings)
     held = {sha256 for sha256, some in at_hand.items() if some[0].whole is None}

@@ -184,10 +184,7 @@ class WholeLogs:
     def error(self, stages: Stages, *, options: InertiaOptions) -> HeldOutError | None:
         """Error of a model on all samples; None where it cannot be predicted part by part.
 
-        Raises
-        ------
-        InputError
-            A log can no longer be read.
+        Raises InputError: a log can no longer be read.
         """
         model = TorqueModel.from_stages(stages, self.robot)
         effects = fitted_effects(stages, self.robot, unexplained=True)

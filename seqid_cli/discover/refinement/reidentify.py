@@ -56,19 +56,10 @@ def refitted(
 ) -> Refitted:
     """Fit effects and model together.
 
-    Parameters
-    ----------
-    material : Material
-    model : Refitted
-        The model as it stands.
-    candidates : sequence of Candidate
-        All effects that it is to have; none is a model identified anew.
-    late : frozenset of Key
-        Those of them that the logs of the earlier stages do not have.
-    kept : bool
-        Whether the stages are right as they are, and only the effects are fitted.
-    beaten : callable, optional
-        Whether a model need not be improved any more that has been through a single turn.
+    `candidates` are all effects that the model is to have; none is a model identified anew. `late`
+    are those of them that the logs of the earlier stages do not have. `kept`: the stages are right
+    as they are, and only the effects are fitted. `beaten`: whether a model need not be improved any
+    more that has been through a single turn.
     """
     if kept:
         return _with_values(material, model.stages, candidates, late, HELD)

@@ -79,21 +79,8 @@ def refine(
 ) -> Refinement:
     """Add effects to a model, each decided on left-out blocks of the logs.
 
-    Parameters
-    ----------
-    training : sequence of Recording
-        Logs to fit.
-    robot : Robot
-    file : ParameterFile
-        The model as it comes in.
-    earlier : mapping of stage name to recordings
-        Logs that the file's stages were identified from, where they are at hand.
-    options : DiscoverOptions
-
-    Raises
-    ------
-    InputError
-        If a log carries neither torque nor current.
+    `file`: the model as it comes in. `earlier`: logs that its stages were identified from, by
+    stage, where they are at hand. Raises InputError: a log carries neither torque nor current.
     """
     training, notes = usable_logs(training, robot)
     options = on_the_same_samples(options, file.stages, robot)

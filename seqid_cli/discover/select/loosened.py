@@ -10,13 +10,9 @@ from seqid_cli.typing import Array
 class Loosened:
     """A solved model while parts of what is held get other precisions, one after the other.
 
-    With C the covariance of some of it, t their values and D what their precision grows by,
-    all by those of before, the log evidence grows by (log det(P + D) - log det P
-    - log det(1 + D C) - t' (1 + D C)^-1 D t) / 2.
-
-    Parameters
-    ----------
-    linear : Linear
+    With C the covariance of some of it, t their values and D what their precision grows by, all by
+    those of before, the log evidence grows by (log det(P + D) - log det P - log det(1 + D C) - t'
+    (1 + D C)^-1 D t) / 2.
     """
 
     def __init__(self, linear: Linear) -> None:

@@ -126,13 +126,7 @@ class Ground:
 
 
 class Model:
-    """Base and terms, fitted together with the noise that they leave.
-
-    Parameters
-    ----------
-    ground : Ground
-    hold : Hold
-    """
+    """Base and terms, fitted together with the noise that they leave."""
 
     def __init__(self, ground: Ground, hold: Hold) -> None:
         self.ground, self.hold = ground, hold

@@ -32,15 +32,7 @@ class _Shape:
 class Search:
     """Candidates for a model's next term.
 
-    Parameters
-    ----------
-    model : Model
-    catalogue : sequence of Effect
-
-    Attributes
-    ----------
-    visible : dict
-        Largest share of each effect's torque that the model did not absorb.
+    `visible` is the largest share of each effect's torque that the model did not absorb.
     """
 
     def __init__(self, model: Model, catalogue: Sequence[Effect]) -> None:

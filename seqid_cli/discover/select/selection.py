@@ -105,19 +105,9 @@ def _known(ground: Ground) -> tuple[Effect, ...]:
 
 
 class Selection:
-    """Terms are taken and taken back, one by one.
+    """Terms are taken and taken back, one by one; the model may have some to begin with.
 
-    Parameters
-    ----------
-    model : Model
-        Without terms, or with those to begin with.
-    options : Options
-    catalogue : sequence of Effect
-
-    Attributes
-    ----------
-    others : list of (float, tuple of Term)
-        Terms of other finished models, and the log evidence by which these are behind.
+    `others` are terms of other finished models, and the log evidence by which these are behind.
     """
 
     def __init__(self, model: Model, options: Options, catalogue: Sequence[Effect]) -> None:

@@ -41,18 +41,9 @@ TENSOR_SIZE = 6  # the same per quantity of a product
 class SmoothFunction:
     """A smooth function that might be what the residual of a joint is.
 
-    Attributes
-    ----------
-    joint : int
-        Whose torque.
-    quantities : tuple of str
-        What it depends on, as the contract spells it, the strongest meaning first.
-    label : str
-        The same in words.
-    axes, factor
-        The functions that it is made of: see `model.effects.smooth.shape`.
-    mixing : (K, k) array
-        The combinations of them that are its columns.
+    It depends on `quantities`, as the contract spells them, the strongest meaning first; `label`
+    says the same in words. It is made of functions of `axes` and `factor` (see
+    `model.effects.smooth.shape`) in the combinations `mixing` (K, k).
     """
 
     joint: int
@@ -211,18 +202,11 @@ def smooth_products(rows: Rows, j: int) -> list[SmoothFunction]:
 
 
 def knots_of(x: Array, fold: Index, count: int) -> tuple[float, ...] | None:
-    """Knots half way between equal steps and equal shares of x; None if x hardly varies.
+    """Knots half way between equal steps and equal shares of x (M,); None if x hardly varies.
 
     Equal shares alone would crowd at rest and turning points, equal steps leave pieces empty. The
-    outer knots are such that without any one fold some rows still lie beyond them: what one fold
-    alone has seen cannot be judged by leaving it out.
-
-    Parameters
-    ----------
-    x, fold : (M,) arrays
-        The quantity at the rows and the fold of each.
-    count : int
-        Number of knots.
+    outer knots are such that without any one `fold` (M,) some rows still lie beyond them: what one
+    fold alone has seen cannot be judged by leaving it out.
     """
     if len(x) < 10 * count:
         return None
@@ -240,19 +224,10 @@ def knots_of(x: Array, fold: Index, count: int) -> tuple[float, ...] | None:
 
 
 def smoothest(basis: Array, abscissae: Array) -> Array:
-    """Combinations of splines (M, K), smoothest first, orthonormal over the rows.
+    """Combinations (K, K) of splines at rows (M, K), orthonormal over these, smoothest first.
 
-    Parameters
-    ----------
-    basis : (M, K) array
-        Splines at the rows; they sum to one.
-    abscissae : (K,) array
-        Greville abscissae.
-
-    Returns
-    -------
-    (K, K) array
-        One combination per column: the constant, nearly the straight line, and so on.
+    The splines sum to one; `abscissae` (K,) are Greville's. One combination per column: the
+    constant, nearly the straight line, and so on.
     """
     K = basis.shape[1]
     G = basis.T @ basis / len(basis)

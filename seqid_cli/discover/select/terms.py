@@ -64,12 +64,7 @@ class Term:
 def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[Term]:
     """Make terms of candidates; those without columns are left out.
 
-    Parameters
-    ----------
-    stage : Stage
-    candidates : sequence of Candidate
-    size : (channels,) array
-        RMS [N m] of what the file leaves: no term is likely to be much more.
+    No term is likely to be much more than `size` (channels,) N m, what the file leaves.
     """
     known, found, n = stage.known, list[Term](), stage.rows.n
     for candidate, columns in zip(candidates, stage.columns(candidates), strict=True):

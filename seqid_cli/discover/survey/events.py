@@ -85,15 +85,9 @@ class Interval:
 
 
 def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
-    """Find what stands out against the rest of the logs, by data set and time.
+    """Find what stands out, by data set and time, in the scaled residual (M_j,) of joints' rows.
 
     What fills more than a small share of a log is no event but something that the model lacks.
-
-    Parameters
-    ----------
-    rows : Rows
-    left_out : sequence of (M_j,) arrays
-        Scaled residual of each joint's rows.
     """
     tracks, found = tracks_of(rows, left_out), list[Interval]()
     every = [windows_of(tracks, length) for length in LENGTHS_S]
@@ -119,13 +113,7 @@ def _occasions(events: Sequence[Interval]) -> list[tuple[float, float]]:
 
 
 def standing_out(all_windows: Sequence[Windows]) -> list[Interval]:
-    """Places of one log (number 0) that stand out against the rest of it, however many.
-
-    Parameters
-    ----------
-    all_windows : sequence of Windows
-        Of the log, by length.
-    """
+    """Places of one log (number 0) that stand out against the rest of it, however many."""
     return _places(0, [(windows, scores(windows)) for windows in all_windows])
 
 

@@ -27,16 +27,9 @@ BURST = 4.0  # times the usual RMS, over a period of the cut-off
 class HighBand:
     """Rows above the cut-off.
 
-    Attributes
-    ----------
-    used : tuple of (N, n) masks
-        Per data set, at the log's own rate.
-    block : tuple of (M_j,) index arrays
-        Block of each row of each joint.
-    y : tuple of (M_j,) arrays
-        Measured torque above the cut-off [N m].
-    weight : (n,) array
-        Factor on each joint's noise.
+    `used` (N, n) by data set at the log's own rate; by joint `block` and `y` (M_j,): the block of
+    each row, the measured torque above the cut-off [N m]. `weight` (n,) is a factor on each joint's
+    noise.
     """
 
     used: tuple[Mask, ...]
@@ -131,14 +124,7 @@ def _full(scene: Scene) -> Scene:
 
 
 def full_residual(scene: Scene, left: Array) -> Array:
-    """Residual (N, n) at the log's own rate: below the cut-off `left`, above it what is measured.
-
-    Parameters
-    ----------
-    `scene` : `Scene`
-    left : (N', n) array
-        Low-passed residual at the data set's rate.
-    """
+    """Residual (N, n) at the log's own rate: `left` (N', n), above the cut-off the measured."""
     full = _full(scene)
     slow = [np.interp(full.motion.t, scene.motion.t, left[:, j]) for j in range(left.shape[1])]
     total = _above(full) + np.stack(slow, axis=1)

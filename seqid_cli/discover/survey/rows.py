@@ -42,17 +42,9 @@ MOST_OUTSIDE = 0.6  # share of the logs outside the identified friction, from wh
 class Rows:
     """Which samples of each data set count, joint by joint.
 
-    Attributes
-    ----------
-    `scenes` : tuple of `Scene`
-    picked : tuple of (M,) index arrays
-        Per data set, the samples that are kept of all N.
-    used : tuple of (M, n) masks
-        Per data set, the kept samples at which each joint counts.
-    block : tuple of (M,) index arrays
-        Per data set, the block (counted over all of them) of each kept sample.
-    fold : (blocks,) index array
-        The fold of each block.
+    By data set: `picked` (M,), the samples that are kept of all N; `used` (M, n), whether each
+    joint counts there; `block` (M,), the block of each, counted over all data sets. `fold`
+    (blocks,) is the fold of each block.
     """
 
     scenes: tuple[Scene, ...]

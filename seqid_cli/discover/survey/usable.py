@@ -14,22 +14,8 @@ def usable_logs(
 ) -> tuple[list[Recording], tuple[str, ...]]:
     """Leave out logs whose torque is an echo of the command (see `logs.checks.echo`).
 
-    A log that comes in pieces is one if half of these are.
-
-    Parameters
-    ----------
-    recordings : iterable of Recording
-    robot : Robot
-
-    Returns
-    -------
-    tuple of list of Recording and tuple of str
-        What is left, and a note on every log that was left out.
-
-    Raises
-    ------
-    InputError
-        If nothing is left.
+    A log that comes in pieces is one if half of these are. Returns what is left, and a note on
+    every log that was left out. Raises InputError: nothing is left.
     """
     kept: list[Recording] = []
     left_out: list[tuple[str, str]] = []

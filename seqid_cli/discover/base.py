@@ -53,14 +53,11 @@ class Base:
     whole: tuple[Whole, ...]
     start: Array
 
-    def rigid_hold(self, inflation: float) -> Array:
-        """Rows (m, b) that hold the rigid parameters to within so many standard errors."""
-        return np.vstack([self.prior_rigid / inflation, np.diag(self.bounds[0])])
-
-    def friction_hold(self, joint: int, inflation: float) -> Array:
-        """Rows (m_j, k_j) that hold a joint's friction to within so many standard errors."""
-        own = self.prior_friction[joint] / inflation
-        return np.vstack([own, np.diag(self.bounds[1][joint])])
+    def hold(self, number: int, inflation: float) -> Array:
+        """Rows that hold rigid body (0) or friction (from 1) to so many standard errors."""
+        prior = (self.prior_rigid, *self.prior_friction)[number]
+        bound = (self.bounds[0], *self.bounds[1])[number]
+        return np.vstack([prior / inflation, np.diag(bound)])
 
     @cached_property
     def bounds(self) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.motion.filters.butterworth import single
 from seqid_cli.typing import Array
+
+if TYPE_CHECKING:
+    from seqid_cli.discover.select.terms import Term
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,7 @@ class Stage:
         self.high = high_band(rows)
         self.drive = drive_rows(rows)
         self._made: dict[tuple[object, ...], Channels] = {}
+        self.smooth: dict[tuple[int, bool], list[Term]] = {}  # see `smooth_terms`
         self.known: dict[tuple[object, ...], tuple[Array, dict[int, Array]]] = {}  # see `effects`
 
     @property
@@ -164,19 +168,19 @@ class Stage:
 
     def _computed(self, candidates: Sequence[Candidate], passes: int) -> list[Channels]:
         """Columns of candidates that are low-passed alike, all in one go."""
-        kept: dict[int, list[Array]] = {}
         owners: dict[int, list[tuple[int, int]]] = {}  # by joint: candidate, number of its columns
-        for number, scene in enumerate(self.scenes):
+
+        def together(scene: Scene) -> dict[int, Array]:
             raw = [c.columns(scene) for c in candidates]
-            joints = sorted({joint for columns in raw for joint in columns})
-            for j in joints:
+            side_by_side = {}
+            for j in sorted({joint for columns in raw for joint in columns}):
                 own = [(i, columns[j]) for i, columns in enumerate(raw) if j in columns]
-                rows = self.rows.filtered(number, np.hstack([single(X) for _, X in own]), passes)
-                kept.setdefault(j, []).append(rows[self.rows.used[number][:, j]])
                 owners[j] = [(i, X.shape[1]) for i, X in own]
+                side_by_side[j] = np.hstack([single(X) for _, X in own])
+            return side_by_side
+
         result: list[dict[int, Array]] = [{} for _ in candidates]
-        for j, parts in kept.items():
-            whole = self.rows.whitened(j, np.concatenate(parts))
+        for j, whole in self.rows.columns(map(together, self.scenes), passes).items():
             edges = np.cumsum([width for _, width in owners[j]])
             for (i, _), X in zip(owners[j], np.split(whole, edges[:-1], axis=1), strict=True):
                 result[i][j] = np.ascontiguousarray(X)

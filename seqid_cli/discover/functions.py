@@ -101,15 +101,11 @@ def refine(
         check_output(target, files)
     needs = ("friction", "inertia", *imu_stage_for(options.source))
     inputs = prepare(logs, robot, parameters, options, needs=needs, stored=False, **keywords)
-    search = replace(
-        _search(inputs, options),
-        max_effects=options.rounds,
-        with_unexplained=options.with_unexplained,
-    )
+    rounds, smooth = options.rounds, options.with_unexplained
+    search = replace(_search(inputs, options), max_effects=rounds, with_unexplained=smooth)
     file = _refined(inputs, held_out, search)
     if target is not None:
-        sources = [*inputs.sources, *files]
-        write_json_atomic(target, file, inputs=sources)
+        write_json_atomic(target, file, inputs=[*inputs.sources, *files])
     return file
 
 
@@ -118,7 +114,8 @@ def _search(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
     from seqid_cli.identify.options import InertiaOptions
 
     filtering = inherited(inputs.stages, options.cutoff_hz)
-    return DiscoverOptions(InertiaOptions(filtering, source=options.source_for_effects))
+    source = "needed" if options.source == "auto" else options.source
+    return DiscoverOptions(InertiaOptions(filtering, source=source))
 
 
 def _excerpts(

@@ -55,6 +55,11 @@ class Investigation:
         """RMS (n,) N m of the file's own residual."""
         return self.ground.base.start
 
+    @property
+    def touched(self) -> set[int]:
+        """Joints that something was found at."""
+        return {c % self.ground.n for taken in self.found.taken for c in taken.term.channels}
+
 
 def investigate(
     logs: Sequence[Recording],
@@ -88,7 +93,10 @@ def investigate(
         found.run()
     told = found.told(least)
     step("estimating the noise", 9, 10)
-    return Investigation(tuple(logs), told, floor_of(logs, told.model), tuple(events))
+    rows, left = told.model.ground.stage.rows, told.model.left()
+    echo = encoder_residuals(logs, rows.scenes)
+    floor = noise_floor(logs, rows.scenes, left, echo, rows=rows)
+    return Investigation(tuple(logs), told, floor, tuple(events))
 
 
 def investigate_beside(
@@ -115,13 +123,6 @@ def investigate_beside(
         found.finish()
         told = found.told(0.0)
     return replace(before, logs=tuple(logs), found=told), look
-
-
-def floor_of(logs: Sequence[Recording], model: Model) -> NoiseFloor:
-    """Noise floor with all that was found taken out."""
-    rows = model.ground.stage.rows
-    echo = encoder_residuals(logs, rows.scenes)
-    return noise_floor(logs, rows.scenes, model.left(), echo, rows=rows)
 
 
 def guessed(model: Model) -> list[Mask]:

@@ -24,10 +24,7 @@ SEED = 0
 
 
 def encoder_residuals(recordings: Sequence[Recording], scenes: Sequence[Scene]) -> list[Array]:
-    """Residuals (N, n) N m that a right model has where only the encoder is noisy, drawn once.
-
-    `scenes` are of the same logs, with the model that is to be right.
-    """
+    """Residuals (N, n) N m that a right model has where only the encoder is noisy, drawn once."""
     rng = np.random.default_rng(SEED)
     return [_drawn(log, scene, rng) for log, scene in zip(recordings, scenes, strict=True)]
 
@@ -59,10 +56,7 @@ def _drawn(recording: Recording, scene: Scene, rng: np.random.Generator) -> Arra
 def encoder_readings(
     q: Array, step: Array, density: Array, rate_hz: float, rng: np.random.Generator
 ) -> Array:
-    """Positions (N, n) as an encoder of some step (n,) reports them, with what else is white.
-
-    `density` (n,) rad^2 / Hz is one-sided, of all noise.
-    """
+    """Positions (N, n) as an encoder reports them, with white noise of density (n,) rad^2 / Hz."""
     power, counting = 0.5 * density * rate_hz, step**2 / 12.0
     # The quantisation of a slow joint is tones; no more than its own size counts as white noise.
     white = np.sqrt(np.where(power > 2.0 * counting, power - counting, 0.0))

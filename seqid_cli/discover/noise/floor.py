@@ -21,8 +21,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.discover.noise.level import Slid, level_of
-from seqid_cli.discover.noise.spectra import Spectrum, power_gain, stretches
+from seqid_cli.discover.noise.spectra import Slid, Spectrum, level_of, power_gain, stretches
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
@@ -56,10 +55,7 @@ class NoiseFloor:
         return float(self.low[joint]), float(self.high[joint])
 
     def doubts(self, left: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
-        """Joints at which a model leaves less, `left` (n,) N m RMS, than the interval's lower end.
-
-        NaN where unknown; of the samples that the floor is of.
-        """
+        """Joints at which a model leaves less, RMS (n,) N m, than the interval's lower end."""
         return tuple(
             f"joint {joint.name}: {rest:.3g} {joint.unit('N m')} is left, less than the noise "
             f"floor's interval, {low:.3g} to {high:.3g} {joint.unit('N m')}: the floor's estimate "

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from seqid_cli.errors import InputError, SeqidError, UsageError
+from seqid_cli.errors import SeqidError, UsageError
 from seqid_cli.logs.given import Logs, expanded, listed
 from seqid_cli.logs.storage.files import check_log
 from seqid_cli.logs.storage.remote import TableLog
@@ -100,15 +100,6 @@ def find_earlier(
     return EarlierLogs(paths, by_stage, notes)
 
 
-def log_sha256(path: Path) -> str:
-    """SHA-256 of a log, as recordings carry it. Raises InputError: it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"cannot be read ({error})", where=str(path)) from error
-
-
 def _places(log: InputLog, folders: Sequence[Path]) -> list[Path]:
     """Where a log of a parameter file may be; nothing for what is no path."""
     places = (Path(log.path), *(folder / log.path for folder in folders))
@@ -121,8 +112,9 @@ def _find(log: InputLog, folders: Sequence[Path]) -> Path | None:
     for path in _places(log, folders):  # the name comes from a file: nothing else is opened
         with contextlib.suppress(SeqidError, OSError):
             check_log(path)
-            if log_sha256(path) == log.sha256:
-                return path
+            with path.open("rb") as file:
+                if hashlib.file_digest(file, "sha256").hexdigest() == log.sha256:
+                    return path
     return None
 
 

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from seqid_cli.discover.noise.level import LEVEL
+from seqid_cli.discover.noise.spectra import LEVEL
 from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF
 from seqid_cli.typing import Array, Index
 

@@ -1,14 +1,6 @@
 """Forward and backward selection of what a model lacks.
 
-A term is taken if it surely predicts blocks of time that were left out better than the model
-without it, by so much of their squared error that it matters. Of terms that do so equally well, the
-one of the fewest parameters is taken, and of these the one of the largest evidence; smooth
-functions have many. What does not hold beside terms that came later is taken back.
-
-The base is held to the file in one of two ways to begin with: as the file says, or loosely, as
-files need it that have taken up an effect. Of each finished model the evidence says how loosely the
-rigid body and each joint's friction are held; then the selection goes on. The evidence of the
-models decides.
+docs/discovery.md says which conditions admit a term, and how the base is held to the file.
 
 References: J. Piironen, A. Vehtari, "Comparison of Bayesian predictive methods for model
 selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes factors", JASA 90,
@@ -357,20 +349,15 @@ class Selection:
         return model.is_detail(one.term) or 2.0 * gain < max(laws, default=0.0)
 
     def _known_to(self, term: Term, beside: Term) -> float:
-        """Share of a term's torque to which its law is known, beside another term."""
-        if not _alike(term, beside):
+        """Share of a term's torque to which its law is known; less well beside a like term."""
+        what, other = term.what, beside.what
+        if not (isinstance(what, Candidate) and isinstance(other, Candidate)):
             return self.options.law
-        free = isinstance(term.what, Candidate) and term.what.effect.apart
-        return self.options.apart if free else self.options.likeness
-
-
-def _alike(one: Term, other: Term) -> bool:
-    """Whether two effects look like each other, as one does at another joint."""
-    what, beside = one.what, other.what
-    if not (isinstance(what, Candidate) and isinstance(beside, Candidate)):
-        return False
-    elsewhere = one.name == other.name and one.joint != other.joint
-    return elsewhere or other.name in what.effect.alike or one.name in beside.effect.alike
+        elsewhere = term.name == beside.name and term.joint != beside.joint
+        alike = beside.name in what.effect.alike or term.name in other.effect.alike
+        if not (elsewhere or alike):
+            return self.options.law
+        return self.options.apart if what.effect.apart else self.options.likeness
 
 
 def _ranked(linear: Linear, tried: Sequence[Tried]) -> list[Ranked]:

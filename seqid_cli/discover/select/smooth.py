@@ -112,54 +112,38 @@ class SmoothFunction:
 
 def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
     """Return functions of everything measured, of one quantity each, for a joint's torque."""
-    every = [*_of_joint(rows, joint), *_of_others(rows, joint), *_of_time(rows, joint)]
-    return [one for one in every if one is not None]
-
-
-def _of_joint(rows: Rows, j: int) -> list[SmoothFunction | None]:
-    alone: tuple[Measure, ...] = ("position", "velocity", "acceleration", "load", "temperature")
-    sided: tuple[Measure, ...] = ("position", "load_size", "speed", "temperature")
-    names = {"load_size": "load", "speed": "velocity"}
-    return [
-        *(_smooth(rows, j, (measure,), measure, measure) for measure in alone),
-        *(
-            _smooth(rows, j, (name, "direction"), measure, f"{name} x direction")
-            for measure, name in ((measure, names.get(measure, measure)) for measure in sided)
-        ),
+    own: tuple[Measure, ...] = ("position", "velocity", "acceleration", "load", "temperature")
+    every: list[tuple[Measure, int, tuple[str, ...], str]]
+    every = [(measure, joint, (measure,), measure) for measure in own]
+    sided: list[tuple[Measure, str]] = [
+        ("position", "position"),
+        ("load_size", "load"),
+        ("speed", "velocity"),
+        ("temperature", "temperature"),
     ]
-
-
-def _of_others(rows: Rows, j: int) -> list[SmoothFunction | None]:
-    measures: tuple[Measure, ...] = ("position", "velocity", "acceleration")
-    found = []
+    every += [(m, joint, (name, "direction"), f"{name} x direction") for m, name in sided]
     for k, name in enumerate(rows.scenes[0].robot.joint_names):
-        if k != j:
+        if k != joint:
             other = f"other_joint:{name}"
-            found += [_smooth(rows, j, (other,), m, f"{m} of {name}", k) for m in measures]
+            every += [(m, k, (other,), f"{m} of {name}") for m in own[:3]]
             # rubs more where another joint stands, as rails do that are not parallel
             label = f"position of {name} x direction"
-            found.append(_smooth(rows, j, (other, "direction"), "position", label, k))
-    return found
-
-
-def _of_time(rows: Rows, j: int) -> list[SmoothFunction | None]:
+            every.append(("position", k, (other, "direction"), label))
     clocks: list[tuple[Measure, str]] = [("time", "time since the log's start")]
     if len(rows.scenes) > 1:
         clocks.append(("session_time", "time of all logs"))
-    ways = (("time",), ""), (("time", "direction"), " x direction")
-    return [_smooth(rows, j, q, m, label + way) for m, label in clocks for q, way in ways]
+    for measure, label in clocks:
+        every.append((measure, joint, ("time",), label))
+        every.append((measure, joint, ("time", "direction"), f"{label} x direction"))
+    found = [_smooth(rows, joint, *one) for one in every]
+    return [one for one in found if one is not None]
 
 
 def _smooth(
-    rows: Rows,
-    joint: int,
-    quantities: tuple[str, ...],
-    measure: Measure,
-    label: str,
-    owner: int | None = None,
+    rows: Rows, joint: int, measure: Measure, owner: int, quantities: tuple[str, ...], label: str
 ) -> SmoothFunction | None:
     """A function of one quantity; none where that is not known or constant."""
-    axis, x = _axis(rows, joint, measure, joint if owner is None else owner, SIZE - 1)
+    axis, x = _axis(rows, joint, measure, owner, SIZE - 1)
     if axis is None:
         return None
     factor: Factor = "direction" if "direction" in quantities else "one"

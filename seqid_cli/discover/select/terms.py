@@ -15,10 +15,7 @@ from seqid_cli.typing import Array
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """An effect at a joint with its settings, or a smooth function, and its columns.
-
-    `joint` is None for an effect of the whole arm.
-    """
+    """An effect at a joint (None: the whole arm) or a smooth function, and its columns."""
 
     what: Candidate | SmoothFunction
     part: Part
@@ -80,19 +77,13 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
 
 
 def smooth_terms(stage: Stage, joint: int, size: Array, *, products: bool = False) -> list[Term]:
-    """Smooth functions of everything measured, or of two quantities, for one joint.
-
-    What bends more is smaller beforehand.
-    """
-    rows = stage.rows
-    key = f"smooth {'products' if products else 'terms'} {joint}"
-    if key not in rows.made:
+    """Smooth functions of everything measured, or of two quantities, for one joint."""
+    rows, key = stage.rows, (joint, products)
+    if key not in stage.smooth:
         functions = smooth_products if products else smooth_functions
         made = functions(rows, joint) if rows.count(joint) else []
-        rows.made[key] = [_smooth_term(stage, one, size) for one in made]
-    found = rows.made[key]
-    assert isinstance(found, list)
-    return found
+        stage.smooth[key] = [_smooth_term(stage, one, size) for one in made]
+    return stage.smooth[key]
 
 
 def _smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:

@@ -74,10 +74,7 @@ class Interval:
         return float(np.sum(there[:, list(self.joints)] ** 2))
 
     def energy(self, scene: Scene, scaled: Array) -> float:
-        """Squared residual (N, n) of its joints in it, beyond noise, by samples as far as rows.
-
-        `scaled` is in units of each joint's noise.
-        """
+        """Squared residual (N, n), in units of noise, of its joints in it beyond noise."""
         motion = scene.motion
         thin = SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz / motion.rate_hz
         own = scaled[self.inside(scene)][:, list(self.joints)]
@@ -93,7 +90,7 @@ def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
     every = [windows_of(tracks, length) for length in LENGTHS_S]
     scored = [(windows, scores(windows)) for windows in every]
     for number in range(len(rows.scenes)):
-        events = _places(number, scored)
+        events = places(number, scored)
         length = max(w.length_s * np.count_nonzero(w.scene == number) / OVERLAP for w in every)
         occasions = _occasions(events)
         taken = sum(end - start for start, end in occasions)
@@ -110,11 +107,6 @@ def _occasions(events: Sequence[Interval]) -> list[tuple[float, float]]:
         start, end = found.pop() if near else (event.start, event.end)
         found.append((start, max(end, event.end)))
     return found
-
-
-def standing_out(all_windows: Sequence[Windows]) -> list[Interval]:
-    """Places of one log (number 0) that stand out against the rest of it, however many."""
-    return _places(0, [(windows, scores(windows)) for windows in all_windows])
 
 
 def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
@@ -239,8 +231,11 @@ def _robust_size(values: Array) -> float:
     return float(max(PER_MEDIAN * median, most / MOST))
 
 
-def _places(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interval]:
-    """Windows of one data set above the gate and what belongs to them, joined over all lengths."""
+def places(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interval]:
+    """Where one data set stands out, however often, over windows of all lengths with their scores.
+
+    Windows above the gate and what belongs to them.
+    """
     found = list[Interval]()
     for windows, z in scored:
         here = windows.scene == number

@@ -117,11 +117,6 @@ class Rows:
         kept = self.picked[number] // every
         return motion.filtered(values, passes, every=every)[kept]
 
-    @cached_property
-    def made(self) -> dict[str, object]:
-        """What others have computed of these rows and want to keep with them."""
-        return {}
-
     def without(self, masks: Sequence[Mask]) -> Rows:
         """The same rows without some samples of each data set: (N,) of all joints, or (N, n)."""
         used = tuple(

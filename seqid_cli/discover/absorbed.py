@@ -63,10 +63,7 @@ class FileTrials:
         return np.asarray(np.linalg.pinv(F), dtype=np.float64)
 
     def _by_direction(self, joint: int, even: Array) -> Array:
-        """What a surface of two directions takes of torque (N, k) that both ways have.
-
-        An offset and a slope over the speed, beside gravity (see `fit_gravity`).
-        """
+        """What a surface of two directions takes of torque (N, k) both ways (see `fit_gravity`)."""
         surface, trials = self.scene.model.surfaces[joint], self._trials(joint)
         assert surface is not None
         if not surface.directional:

@@ -219,10 +219,7 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
 
 
 def _excess(found: Investigation, robot: Robot, joint: int, times: float) -> UnexplainedPart:
-    """Describe what is left at a joint, so many times what is expected.
-
-    By the smooth term that it is most like, however little that predicts.
-    """
+    """Describe what is left at a joint by the smooth term that it is most like."""
     name, share = robot.joint_names[joint], 1.0 - times**-2
     given = found.ground.stage, joint, found.ground.size
     terms = [*smooth_terms(*given), *smooth_terms(*given, products=True)]

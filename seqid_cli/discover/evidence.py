@@ -14,10 +14,8 @@ import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
-from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.results import Options, Ranked, Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.discover.select.terms import Term
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
@@ -66,11 +64,19 @@ class _Over:
 
 
 def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEntry:
-    """Bin what the model leaves of a term's joint without it, and with it."""
-    term, model = taken.term, found.model
-    theta, channel = model.linear.theta[model.where(term)], _channel_of(term, model)
-    j, stage = channel % model.ground.n, model.ground.stage
-    narrow = channel // model.ground.n != 1
+    """Bin what the model leaves of a term's joint without it, and with it.
+
+    Of its own joint, or of the one that shows it most where it is of the whole arm.
+    """
+    term, model, stage, n = taken.term, found.model, found.ground.stage, found.ground.n
+    theta = model.linear.theta[model.where(term)]
+    shown = {
+        c: float(model.noise.weight[c] @ term.part.torque(c, theta) ** 2)
+        for c in term.channels
+        if term.joint in (c % n, None)
+    }
+    channel = max(shown, key=lambda c: shown[c])
+    j, narrow = channel % n, channel // n != 1
     take = stage.rows.of if narrow else stage.high.of
     scenes = stage.scenes if narrow else [scene.full or scene for scene in stage.scenes]
     over = _over(term.what, theta[term.part.at(channel)], scenes, j)
@@ -102,17 +108,6 @@ def pushed(found: Investigation, robot: Robot) -> EvidenceEntry | None:
     j = max(event.joints, key=lambda k: float(np.mean(left[near, k] ** 2)))
     x = found.logs[event.scene].offset + t[near]
     return _binned(robot, j, _Over("time", j), x, left[near, j])
-
-
-def _channel_of(term: Term, model: Model) -> int:
-    """The rows that show a term most: of its own joint, or of any where it is of the whole arm."""
-    n, theta, weight = model.ground.n, model.linear.theta[model.where(term)], model.noise.weight
-    shown = {
-        c: float(weight[c] @ term.part.torque(c, theta) ** 2)
-        for c in term.channels
-        if term.joint in (c % n, None)
-    }
-    return max(shown, key=lambda c: shown[c])
 
 
 def _over(what: What, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:

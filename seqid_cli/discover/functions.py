@@ -148,8 +148,7 @@ def _refined(
     found = find_earlier(previous.inputs, folders, at_hand=at_hand, held_out=files)
     earlier = read_earlier(inputs, found, fitted, search.motion)
     count = sum(map(len, earlier.by_stage.values()))
-    told = f"{len(fitted.recordings)} logs to fit, {count} of earlier stages"
-    training.tell("detail", text=told)
+    training.tell("detail", text=f"{len(fitted.recordings)} logs to fit, {count} of earlier stages")
     decided = decide(fitted.recordings, robot, previous, earlier=earlier.by_stage, options=search)
 
     # Nothing is decided any more: now the held-out logs are opened.

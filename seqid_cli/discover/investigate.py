@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.noise.encoder import encoder_residuals
-from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor, rms
+from seqid_cli.discover.noise.floor import NoiseFloor, encoder_residuals, noise_floor, rms
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import HELD, Ground, Model
@@ -70,11 +69,7 @@ def investigate(
     least: float = TOLD,
     selection: Options | None = None,
 ) -> Investigation:
-    """Select what a model lacks, and find events in what is left.
-
-    What is less likely than `least` is not told; `selection` says what decides. Raises InputError:
-    a log carries neither torque nor current.
-    """
+    """Select what a model lacks, and find events in what is left; tell what is likely."""
     step("filtering the logs", 0, 10)  # tenths of the time that it mostly takes
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
     step("choosing effects", 4, 10)

@@ -82,10 +82,7 @@ def notes_of(
 def file_notes(
     found: Investigation, robot: Robot, ordinary: Array, named: Collection[str]
 ) -> tuple[str, ...]:
-    """Joints at which the file leaves more than `ordinary` (n,) N m though nothing is missing.
-
-    Those that findings touch or that are `named` elsewhere are not among them.
-    """
+    """Joints at which the file leaves more than `ordinary` though nothing is found or `named`."""
     notes, found_at = [], found.touched
     for j, left in enumerate(np.minimum(found.model.rms(), found.start)):
         name, times = robot.joint_names[j], found.start[j] / max(ordinary[j], 1e-12)
@@ -104,10 +101,7 @@ def file_notes(
 
 
 def _free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
-    """Joints without a finding that a model fitted to these logs surely predicts worse.
-
-    By as much of the squared error as an effect must gain.
-    """
+    """Joints without a finding that a model fitted to these logs surely predicts worse."""
     found_at, left, worse = found.touched, found.model.rms(), list[str]()
     rows, told = found.ground.rows, Options()
     for j, joint in ((j, x) for j, x in enumerate(robot.joints) if j not in found_at):
@@ -127,10 +121,7 @@ def _free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
 
 
 def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[str, ...]:
-    """Joints that the logs take beyond their identified friction, where more than noise is left.
-
-    No effect is looked for there; `ordinary` (n,) N m is what a right model leaves.
-    """
+    """Joints beyond their identified friction, where more than `ordinary` (n,) N m is left."""
     scenes, shown = found.ground.stage.scenes, found.model.shown()
     sliding = np.concatenate([scene.slides for scene in scenes])
     outside = np.concatenate(extrapolated(scenes)) & sliding

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from seqid_cli.discover.noise.encoder import encoder_residuals
+from seqid_cli.discover.noise.floor import encoder_residuals
 from seqid_cli.discover.select.results import Options
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
@@ -38,10 +38,7 @@ def scenes_of(
     *,
     options: InertiaOptions,
 ) -> list[Scene]:
-    """Build the data set of every log, with the model as it stands.
-
-    Raises InputError: a log carries neither torque nor current.
-    """
+    """Build the data set of every log with torque or current, with the model as it stands."""
     logs = list(recordings)
     motions = []
     for log in logs:
@@ -91,11 +88,7 @@ def with_own_cutoffs(
 
 
 def _is_coarse(log: Recording, scene: Scene, *, most: float = Options.improvement) -> bool:
-    """Whether the encoders' noise makes a part of what the model leaves of a log's torque.
-
-    Columns of effects are made from the same noise: a share from which terms count, `most`, and
-    they are found in it.
-    """
+    """Whether encoder noise makes a share, of which terms count, of what the model leaves."""
     if scene.motion.source != "encoder":
         return False
     assert scene.motion.tau is not None

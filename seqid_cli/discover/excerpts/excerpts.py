@@ -79,7 +79,15 @@ class Excerpts:
             f"{pieces} pieces spread over the time and varied in motion{about}; "
             "the rest was passed over once"
         )
-        return (said, _residual_note(self.surveys, robot), *_time_notes(self.surveys, robot))
+        counts = sum(survey.counts.sum(axis=0) for survey in self.surveys)
+        squares = sum(survey.squares.sum(axis=0) for survey in self.surveys)
+        known = ", ".join(
+            f"{joint.name} {np.sqrt(s / c):.3g} {joint.unit('N m')}"
+            for joint, s, c in zip(robot.joints, squares, counts, strict=True)
+            if c
+        )
+        of_all = f"RMS residual of all logs as a whole, where joints slide: {known}"
+        return (said, of_all, *_time_notes(self.surveys, robot))
 
 
 def take_excerpts(
@@ -191,17 +199,6 @@ def about_places(
             low, high = place.start - ABOUT_S, place.end + ABOUT_S
             result[k].append((max(low, 0.0), min(high, surveys[k].whole.length)))
     return result
-
-
-def _residual_note(surveys: Sequence[ResidualSurvey], robot: Robot) -> str:
-    counts = sum(survey.counts.sum(axis=0) for survey in surveys)
-    squares = sum(survey.squares.sum(axis=0) for survey in surveys)
-    known = [
-        f"{joint.name} {np.sqrt(s / c):.3g} {joint.unit('N m')}"
-        for joint, s, c in zip(robot.joints, squares, counts, strict=True)
-        if c
-    ]
-    return f"RMS residual of all logs as a whole, where joints slide: {', '.join(known)}"
 
 
 def _time_notes(surveys: Sequence[ResidualSurvey], robot: Robot) -> Iterator[str]:

@@ -3,7 +3,7 @@
 The torque is predicted part by part (see `identify.prediction`). Kept are sums over short blocks
 of time, and the strongest places at which the residual stands out against all others of a span of
 the log (see `survey.events`). None of it says what the model lacks. It says where to look (see
-`design`).
+`excerpts`).
 """
 
 from collections.abc import Iterable

@@ -125,11 +125,7 @@ class Level:
     reference_hz: float
 
     def rms(self, slid: Slid) -> Array:
-        """RMS of the low-passed noise of some logs, ends of its 95 % interval, the most (4,), N m.
-
-        That noise scatters about its mean in so short a time is in the interval. The most is what
-        any shape would make, however unlikely.
-        """
+        """RMS of the low-passed noise, ends of its 95 % interval, the most of any shape (4,)."""
         total = sum(seconds for _, seconds in slid)
         passed, scatter = np.zeros(len(RATIO)), np.zeros(len(RATIO))
         for motion, seconds in slid:

@@ -6,8 +6,7 @@ import numpy as np
 from msgspec import structs
 
 from seqid_cli.discover.base import residual_of
-from seqid_cli.discover.noise.encoder import encoder_residuals
-from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
+from seqid_cli.discover.noise.floor import NoiseFloor, encoder_residuals, noise_floor
 from seqid_cli.discover.refinement.held_out import HeldOutError, WholeLogs, gain, held_out_error
 from seqid_cli.discover.refinement.loop import Refinement, with_effects
 from seqid_cli.discover.scenes import scenes_of, usable_logs, with_own_cutoffs
@@ -78,11 +77,7 @@ def _confirmed(found: Refinement, errors: Sequence[HeldOutError]) -> list[Refine
 
 
 def excess_note(times: Mapping[str, float], *, smooth: bool) -> tuple[str, ...]:
-    """Say which joints are left with more than noise, and what to do; nothing where none is.
-
-    `times`: how many times the noise floor each joint's error is. `smooth`: whether smooth terms
-    were allowed already.
-    """
+    """Say which joints have so many `times` the noise floor left, and what to do."""
     said = [f"{name} ({x:.1f} times)" for name, x in times.items() if x > MORE_THAN_NOISE]
     if not said:
         return ()

@@ -24,7 +24,7 @@ from seqid_cli.discover.noise.spectra import LEVEL
 from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.predict import LogPrediction, local_effects, predict
+from seqid_cli.identify.prediction.predict import local_effects, predict
 from seqid_cli.identify.regression.equations import LONG, open_if_long, streams
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.long import likely_rows
@@ -120,48 +120,26 @@ def held_out_error(
     *,
     options: InertiaOptions,
 ) -> HeldOutError:
-    """Predict logs, smooth terms included, and add up the squared errors, block by block.
-
-    Two models are compared on the same samples where `options.slides_from` is given.
-    """
-    sums: list[BlockSums] = []
+    """Predict logs, smooth terms included, and add up the squared errors, block by block."""
+    found, samples, seen = list[HeldOutError](), 0, 0
     logs = cast("Iterable[Recording]", recordings)  # those that are passed over are predicted alike
     every = predict(logs, robot, stages, options=options, unexplained=True, sliding_only=True)
     for log in every:
-        if log.part == 0:
-            sums.append(BlockSums.of(log))
-        sums[-1].add(log)
-    return joined(own.error for own in sums)
-
-
-@dataclass
-class BlockSums:
-    """Sums over the blocks of one log, whose samples come in parts."""
-
-    error: HeldOutError
-    samples: int
-    seen: int = 0
-
-    @classmethod
-    def of(cls, first: LogPrediction) -> BlockSums:
-        """Begin with nothing; blocks of a short log are shorter, of one that is not held longer."""
-        length = float(first.t[-1] - first.t[0])
-        length *= 1.0 if first.last else first.samples / len(first.t)
-        count = int(np.clip(round(length / BLOCK_S), FEWEST_BLOCKS, MOST_BLOCKS))
-        zero = np.zeros((count, first.tau.shape[1]))
-        return cls(HeldOutError(*(zero.copy() for _ in range(4))), first.samples)
-
-    def add(self, log: LogPrediction) -> None:
-        """Add the next samples, those at which joints slide."""
-        blocks = len(self.error.squares)
-        at = np.arange(self.seen, self.seen + len(log.t))
-        self.seen += len(log.t)
-        block = np.minimum(at * blocks // self.samples, blocks - 1)
+        if log.part == 0:  # blocks of a short log are shorter, of one that is not held longer
+            length = float(log.t[-1] - log.t[0])
+            length *= 1.0 if log.last else log.samples / len(log.t)
+            blocks = int(np.clip(round(length / BLOCK_S), FEWEST_BLOCKS, MOST_BLOCKS))
+            found.append(HeldOutError(*np.zeros((4, blocks, robot.n))))
+            samples, seen = log.samples, 0
+        blocks = len(found[-1].squares)
+        block = np.minimum(np.arange(seen, seen + len(log.t)) * blocks // samples, blocks - 1)
+        seen += len(log.t)
         square, counts, beyond = log.residual**2, log.sliding, log.sliding & log.outside
-        every = np.where(counts, square, 0.0), counts, np.where(beyond, square, 0.0), beyond
-        for total, values in zip(self.error.parts, every, strict=True):
-            for own, value in zip(total.T, values.T, strict=True):
+        values = np.where(counts, square, 0.0), counts, np.where(beyond, square, 0.0), beyond
+        for total, of_joints in zip(found[-1].parts, values, strict=True):
+            for own, value in zip(total.T, of_joints.T, strict=True):
                 own += np.bincount(block, weights=value, minlength=blocks)
+    return joined(found)
 
 
 def joined(errors: Iterable[HeldOutError]) -> HeldOutError:
@@ -178,10 +156,7 @@ class WholeLogs:
     time_source: TimeSource = "header"
 
     def error(self, stages: Stages, *, options: InertiaOptions) -> HeldOutError | None:
-        """Error of a model on all samples; None where it cannot be predicted part by part.
-
-        Raises InputError: a log can no longer be read.
-        """
+        """Error of a model on all samples; None where it cannot be predicted part by part."""
         model = TorqueModel.from_stages(stages, self.robot)
         effects = fitted_effects(stages, self.robot, unexplained=True)
         if not (streams(stages, options) and local_effects(model, effects)):

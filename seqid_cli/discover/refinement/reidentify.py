@@ -255,10 +255,7 @@ def _stages(material: Material, model: Refitted, fit: Callable[[], Model], *, la
 
 
 def _sequential(material: Material, model: Refitted, *, last: bool) -> Stages:
-    """Friction, gravity and inertia again; only the last time is inertia asked at other cut-offs.
-
-    That adds to its errors, and says something of its verdict.
-    """
+    """Friction, gravity and inertia again; the last time also inertia at other cut-offs."""
     robot, motion, stages = material.robot, material.options.motion, model.stages
     new = Stages(friction=stages.friction, gravity=stages.gravity, imu=stages.imu)
     new.inertia = stages.inertia
@@ -291,10 +288,7 @@ def _friction(
     freed: Sequence[Recording],
     old: FrictionStage,
 ) -> FrictionStage:
-    """Friction again, of the joints whose torque or position the effects change in its logs.
-
-    `known` are the logs with the effects, `freed` those without.
-    """
+    """Friction again, of the joints whose torque or position the effects change in its logs."""
     changed = np.any([changed_joints(known[identity(log)], log) for log in freed], axis=0)
     travel = np.array([np.ptp(log.q, axis=0) for log in freed])
     moves = travel > MOVES * travel.max(axis=0)

@@ -4,8 +4,7 @@ The effects that an investigation names are tried one after the other, and fitte
 with the model (see `reidentify`). One that does not help the model fitted anew, or by which other
 joints lose more than its own gain, is refused, with that reason.
 
-Held-out logs play no part in any of this: `refine` is not given them. What they say of the result
-is in `confirm`.
+Held-out logs play no part in this: what they say of the result is in `confirm`.
 """
 
 from collections.abc import Mapping, Sequence

@@ -130,11 +130,7 @@ def _best_settings(tried: Sequence[Tried]) -> list[Tried]:
 
 
 def _shortlist(tried: Iterable[Tried], *, close: float = 0.5) -> tuple[list[Tried], float]:
-    """Those of the largest evidence that the base does not absorb.
-
-    Also the evidence from which one is so near to the best that its settings are searched: a share
-    `close` of it.
-    """
+    """Those of the largest evidence that are seen, and the evidence from which one is `close`."""
     seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE]
     first = sorted(seen, key=lambda t: -t.evidence)[:SHORTLIST]
     return first, close * max((t.evidence for t in first), default=0.0)

@@ -271,11 +271,7 @@ class Selection:
         return {own.term: self._taken(own) for own in weighed if self._is_told(own, least)}
 
     def _law_of(self, smooth: Term, told: Collection[Term]) -> Term | None:
-        """An effect that a function hides, though it alone explains as much as both: its law errs.
-
-        No law is exactly an effect's, and beside a function that has the rest of it, an effect of
-        the same quantity adds nothing.
-        """
+        """An effect that a function hides, though it alone explains as much: its law errs."""
         model, found = self.model, list[Tried]()
         for term in model.terms:
             what, beside = term.what, term.channels & smooth.channels
@@ -316,10 +312,7 @@ class Selection:
         )
 
     def _instead_of(self, term: Term) -> dict[str, float]:
-        """Effects that other finished models have where they lack a term; how far these are behind.
-
-        In log evidence, by name.
-        """
+        """Effects that other finished models have instead; how far these are behind, by name."""
         found: dict[str, float] = {}
         had = {one.key for one in self.model.terms}
         for behind, terms in self.others:
@@ -338,10 +331,7 @@ class Selection:
         return tuple(one.name for one in likely if one.possible(scenes, term.joint))
 
     def _of_a_law(self, one: Ranked) -> bool:
-        """Whether it takes away no more than the error of a law: the model's, or a term's.
-
-        Of a term that gains more; that is known less well where the two look alike.
-        """
+        """Whether it may be the error of a law: the model's, or a term's that gains more."""
         model, channels, gain = self.model, one.term.channels, one.predicted.total
         others = [t for t in model.terms if t.channels & channels and t is not one.term]
         greater = [t for t in others if again(t, model).predicted.total > gain]

@@ -1,8 +1,5 @@
 """Smooth functions of one or two quantities: rivals of the catalogue's effects.
 
-Where such a function predicts the residual better than any physical effect does, the residual
-depends on that quantity in a way that the catalogue does not know.
-
 Splines are held beyond what more than one fold of the rows has seen, and combined so that each
 bends more than the one before (eigenvectors of the second differences, Demmler and Reinsch 1975),
 the constant first: not every base has an offset.
@@ -161,7 +158,7 @@ def _axis(
     if len(known) < len(values):
         return None, np.zeros(0)
     x = rows.of(joint, known)
-    knots = knots_of(x, rows.folds_of(joint), size - 1)
+    knots = knots_of(x, rows.fold[rows.blocks_of(joint)], size - 1)
     return (None if knots is None else Axis(measure, owner, knots)), x
 
 
@@ -218,13 +215,7 @@ def smoothest(basis: Array, abscissae: Array) -> Array:
     G[np.diag_indices(K)] += RIDGE * np.trace(G) / K
     one = np.ones(K)
     null = np.linalg.qr(np.column_stack([G @ one, np.eye(K)[:, : K - 1]]))[0][:, 1:]
-    bend = _second_differences(abscissae) @ null
+    first = np.diff(np.eye(K), axis=0) / np.diff(abscissae)[:, None]
+    bend = np.ptp(abscissae) * np.diff(first, axis=0) @ null  # second differences
     _, vectors = eigh(bend.T @ bend, null.T @ G @ null)
     return np.column_stack([one / np.sqrt(one @ G @ one), null @ vectors])
-
-
-def _second_differences(x: Array) -> Array:
-    """Second divided differences (K - 2, K) at abscissae x, which a straight line makes zero."""
-    first = np.diff(np.eye(len(x)), axis=0) / np.diff(x)[:, None]
-    second: Array = np.diff(first, axis=0) * np.ptp(x)
-    return second

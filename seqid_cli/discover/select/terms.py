@@ -59,10 +59,7 @@ class Term:
 
 
 def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[Term]:
-    """Make terms of candidates; those without columns are left out.
-
-    No term is likely to be much more than `size` (channels,) N m, what the file leaves.
-    """
+    """Make terms of candidates; none is likely to be much more than `size` (channels,) N m."""
     known, found, n = stage.known, list[Term](), stage.rows.n
     for candidate, columns in zip(candidates, stage.columns(candidates), strict=True):
         if columns and next(iter(columns.values())).shape[1] and any(map(len, columns.values())):

@@ -55,12 +55,14 @@ class Tuner:
         terms = list(terms)
         gained = self.linear.gained([term.part for term in terms])
         every = [Tried(t, g) for t, g in zip(terms, gained, strict=True)]
-        return [one for one in every if self._plausible(one)]
-
-    def _plausible(self, tried: Tried) -> bool:
-        c = tried.candidate
-        found = tried.gained.coefficients[: c.size]
-        return c.effect.plausible(self.stage.scenes, c.joint, c.settings, found)
+        return [
+            one
+            for one in every
+            for c in [one.candidate]
+            if c.effect.plausible(
+                self.stage.scenes, c.joint, c.settings, one.gained.coefficients[: c.size]
+            )
+        ]
 
     def tuned(self, tried: Tried, spacing: float = SPACING) -> Tried:
         """Search the continuous settings, then follow those that have more values."""
@@ -111,10 +113,7 @@ class Tuner:
         return best
 
     def _usual(self, tried: Tried, setting: Setting, *, needed: float = 3.0) -> Tried:
-        """The same with a usual value of a setting, or none, where no other does clearly better.
-
-        A setting that is not asked for must gain a log evidence of `needed`.
-        """
+        """The same with a usual value of a setting, or none, where no other does clearly better."""
         every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
         near = [one for one in every if one and one.evidence > (1.0 - USUAL) * tried.evidence]
         bare = None if setting.asked else self._moved(tried, but=setting.name)

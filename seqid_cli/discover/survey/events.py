@@ -156,16 +156,12 @@ def combined(z: Array) -> Array:
     best = np.max(np.abs(z), axis=1)
     squares = np.cumsum(z**2, axis=1)
     for k in range(2, z.shape[1] + 1):
-        best = np.maximum(best, gaussian(squares[:, k - 1], k))
+        # Normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty 1931).
+        spread = 2.0 / (9.0 * k)
+        deviate = (np.cbrt(squares[:, k - 1] / k) - 1.0 + spread) / np.sqrt(spread)
+        best = np.maximum(best, deviate)
     result: Array = best
     return result
-
-
-def gaussian(square: Array, k: int) -> Array:
-    """Normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty 1931)."""
-    spread = 2.0 / (9.0 * k)
-    deviate: Array = (np.cbrt(square / k) - 1.0 + spread) / np.sqrt(spread)
-    return deviate
 
 
 def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[Index, Array]:
@@ -220,15 +216,11 @@ def _class_size(windows: Windows, j: int) -> Array:
     for members in (*(speed == k for k in range(SPEEDS)), *windows.reverses.T):
         inside = np.abs(m[members & known])
         if len(inside):
-            own = _robust_size(inside) if len(inside) >= FEWEST else float(np.max(inside))
+            median, most = np.quantile(inside, (0.5, 0.9))  # of bursts as well
+            few = len(inside) < FEWEST
+            own = np.max(inside) if few else max(PER_MEDIAN * median, most / MOST)
             size[members] = np.maximum(size[members], own)
     return size
-
-
-def _robust_size(values: Array) -> float:
-    """Standard deviation of Gaussian values of which these are the magnitudes, bursts included."""
-    median, most = np.quantile(values, (0.5, 0.9))
-    return float(max(PER_MEDIAN * median, most / MOST))
 
 
 def places(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interval]:

@@ -67,10 +67,6 @@ class Rows:
         parts = [b[u[:, joint]] for b, u in zip(self.block, self.used, strict=True)]
         return np.concatenate(parts)
 
-    def folds_of(self, joint: int) -> Index:
-        """Fold of every row of a joint."""
-        return self.fold[self.blocks_of(joint)]
-
     def of(self, joint: int, values: Sequence[Array]) -> Array:
         """Stack the joint's rows of filtered values (N, ...), one array per data set."""
         parts = [v[p][u[:, joint]] for v, p, u in zip(values, self.picked, self.used, strict=True)]

@@ -35,7 +35,7 @@ class FileTrials:
     def __init__(self, scene: Scene, base: Base, stages: Stages) -> None:
         self.scene, self.base, self.stages = scene, base, stages
         self._trials = cache(partial(_steady, scene))  # of a joint, all ahead, then the way back
-        self._friction = cache(self._friction_of)
+        self._fits: dict[int, Array] = {}
 
     def absorbed(self, effect: Effect, joint: Joint, settings: Settings) -> dict[int, Array]:
         """Coefficients (., k) of rigid body (0) and friction (from 1) per unit of an effect."""
@@ -57,10 +57,12 @@ class FileTrials:
             columns = columns - self.base.friction[joint][:, : len(friction)] @ friction
         return columns if gravity is None else columns - self.base.rigid[joint] @ gravity
 
-    def _friction_of(self, joint: int) -> Array:
+    def _friction(self, joint: int) -> Array:
         """Coefficients of a joint's surface (entries, N) per torque in its trials."""
-        F = surface_columns(self._trials(joint), joint)
-        return np.asarray(np.linalg.pinv(F), dtype=np.float64)
+        if joint not in self._fits:
+            F = surface_columns(self._trials(joint), joint)
+            self._fits[joint] = np.asarray(np.linalg.pinv(F), dtype=np.float64)
+        return self._fits[joint]
 
     def _by_direction(self, joint: int, even: Array) -> Array:
         """What a surface of two directions takes of torque (N, k) both ways (see `fit_gravity`)."""

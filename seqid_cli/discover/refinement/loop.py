@@ -92,7 +92,7 @@ class Refinement:
     def error_everywhere(self, model: Refitted) -> HeldOutError:
         """The same, beside those on logs of earlier stages, without what came late."""
         lasting = tuple(model.lasting)
-        key = model if lasting else id(model.stages)
+        key: Refitted | int = model if lasting else id(model.stages)
         if key not in self._before:
             self._before[key] = self._error(self.logs_before, replace(model, effects=lasting))
         return joined([self.error_of(model), self._before[key]])

@@ -80,7 +80,7 @@ class Tuner:
         ]
         return max([tried, *self.tried(lacking)], key=lambda one: one.evidence)
 
-    def _moved(self, tried: Tried, but: str = "", **settings: float) -> Tried | None:
+    def _moved(self, tried: Tried, but: str = "", /, **settings: float) -> Tried | None:
         """The same with other values of some settings, and without one."""
         now = {name: x for name, x in tried.candidate.settings.items() if name != but}
         found = self.tried([replace(tried.candidate, settings={**now, **settings})])
@@ -116,7 +116,7 @@ class Tuner:
         """The same with a usual value of a setting, or none, where no other does clearly better."""
         every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
         near = [one for one in every if one and one.evidence > (1.0 - USUAL) * tried.evidence]
-        bare = None if setting.asked else self._moved(tried, but=setting.name)
+        bare = None if setting.asked else self._moved(tried, setting.name)
         if bare is not None and bare.evidence > tried.evidence - needed:
             return bare
         return max(near, key=lambda one: one.evidence, default=tried)

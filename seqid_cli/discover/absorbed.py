@@ -13,7 +13,7 @@ and the deviations of friction and gravity from the file are held to -P and -p t
 """
 
 from dataclasses import replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 from itertools import product
 
 import numpy as np
@@ -30,28 +30,15 @@ OPEN = 1e-6  # of the largest singular value: what gravity's trials leave open
 
 
 class FileTrials:
-    """The steady motion from which a file's friction and gravity were identified.
-
-    Parameters
-    ----------
-    scene : Scene
-        Any data set with the file's model.
-    base : Base
-        Columns of the rigid body and of friction, whose coefficients are told.
-    stages : Stages
-        The file's.
-    """
+    """The steady motion from which a file's friction and gravity were identified."""
 
     def __init__(self, scene: Scene, base: Base, stages: Stages) -> None:
         self.scene, self.base, self.stages = scene, base, stages
-        self._made: dict[int, Scene] = {}
+        self._trials = cache(partial(_steady, scene))  # of a joint, all ahead, then the way back
         self._fits: dict[int, Array] = {}
 
     def absorbed(self, effect: Effect, joint: Joint, settings: Settings) -> dict[int, Array]:
-        """Coefficients (., k) that are in the file per unit coefficient of an effect.
-
-        By part of the base: of the rigid body (0), and of friction of each joint (from 1).
-        """
+        """Coefficients (., k) of rigid body (0) and friction (from 1) per unit of an effect."""
         first, found, both = joint or 0, dict[int, Array](), dict[int, Array]()
         touched = effect.steady_columns(self._trials(first), joint, settings)
         for j in (j for j in touched if has_trials(self.scene, j)):
@@ -73,16 +60,12 @@ class FileTrials:
     def _friction(self, joint: int) -> Array:
         """Coefficients of a joint's surface (entries, N) per torque in its trials."""
         if joint not in self._fits:
-            trials = self._trials(joint)
-            F = surface_columns(trials, joint)
+            F = surface_columns(self._trials(joint), joint)
             self._fits[joint] = np.asarray(np.linalg.pinv(F), dtype=np.float64)
         return self._fits[joint]
 
     def _by_direction(self, joint: int, even: Array) -> Array:
-        """What a surface of two directions takes of torque (N, k) that both ways have.
-
-        An offset and a slope over the speed, beside gravity (see `fit_gravity`).
-        """
+        """What a surface of two directions takes of torque (N, k) both ways (see `fit_gravity`)."""
         surface, trials = self.scene.model.surfaces[joint], self._trials(joint)
         assert surface is not None
         if not surface.directional:
@@ -122,12 +105,6 @@ class FileTrials:
         name = self.scene.robot.joint_names[joint]
         error = max(self.stages.friction.joints[name].rmse, 1e-12)
         return float(1.0 / (error * np.sqrt(self._trials(joint).samples)))
-
-    def _trials(self, joint: int) -> Scene:
-        """A joint at the speeds and places of its trials, all ahead first, then the way back."""
-        if joint not in self._made:
-            self._made[joint] = _steady(self.scene, joint)
-        return self._made[joint]
 
 
 def _steady(scene: Scene, joint: int) -> Scene:

@@ -7,7 +7,7 @@ Per joint the rows are
 deviations of the rigid base parameters (shared by all joints) and of the joint's own friction from
 their values in the parameter file, and a time offset between torque and position. The last is a
 nuisance: left out, clean logs show effects. So is what reversals leave of friction, which the rows
-are whitened for (see `turning`).
+are whitened for (see `reversals`).
 """
 
 from __future__ import annotations
@@ -23,10 +23,8 @@ from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.identify.regression.least_squares import whitened
 from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.motion.filters.differentiation import differentiate
-from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import Basis, base_regressor, free_basis, loaded_columns
-from seqid_cli.robot.types import Robot
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array
 
@@ -53,14 +51,11 @@ class Base:
     whole: tuple[Whole, ...]
     start: Array
 
-    def rigid_hold(self, inflation: float) -> Array:
-        """Rows (m, b) that hold the rigid parameters to within so many standard errors."""
-        return np.vstack([self.prior_rigid / inflation, np.diag(self.bounds[0])])
-
-    def friction_hold(self, joint: int, inflation: float) -> Array:
-        """Rows (m_j, k_j) that hold a joint's friction to within so many standard errors."""
-        own = self.prior_friction[joint] / inflation
-        return np.vstack([own, np.diag(self.bounds[1][joint])])
+    def hold(self, number: int, inflation: float) -> Array:
+        """Rows that hold rigid body (0) or friction (from 1) to so many standard errors."""
+        prior = (self.prior_rigid, *self.prior_friction)[number]
+        bound = (self.bounds[0], *self.bounds[1])[number]
+        return np.vstack([prior / inflation, np.diag(bound)])
 
     @cached_property
     def bounds(self) -> tuple[Array, tuple[Array, ...], tuple[Array, ...]]:
@@ -109,18 +104,15 @@ class Whole:
 
 
 def base_of(rows: Rows, stages: Stages) -> Base:
-    """Compute the base columns of all rows.
-
-    Parameters
-    ----------
-    rows : Rows
-    stages : Stages
-        The parameter file's, for what it knows and how friction is described.
-    """
+    """Compute the base columns of all rows; `stages` are the parameter file's."""
     robot = rows.scenes[0].robot
     basis = free_basis(robot)
     motions = [scene.motion for scene in rows.scenes]
-    H = [_filtered_regressor(motion, robot, basis) for motion in motions]
+    H, loaded = [], loaded_columns(robot, basis)
+    for motion in motions:  # a joint's columns of links before it stay zero
+        own_H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)
+        H.append(np.zeros_like(own_H))
+        H[-1][:, loaded] = motion.filtered(own_H[:, loaded])
     timing = [
         differentiate(scene.modelled_filtered, motion.rate_hz, motion.valid)[0]
         for scene, motion in zip(rows.scenes, motions, strict=True)
@@ -149,15 +141,6 @@ def base_of(rows: Rows, stages: Stages) -> Base:
         ),
         start=np.array([np.sqrt(np.mean(own**2)) if len(own) else 0.0 for own in y]),
     )
-
-
-def _filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Array:
-    """Base regressor (N, n, b), low-passed; a joint's columns of links before it stay zero."""
-    H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)
-    loaded = loaded_columns(robot, basis)
-    result = np.zeros_like(H)
-    result[:, loaded] = motion.filtered(H[:, loaded])
-    return result
 
 
 def residual_of(scene: Scene) -> Array:

@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from seqid_cli.discover.absorbed import FileTrials
-from seqid_cli.discover.base import has_trials
-from seqid_cli.discover.drive import drive_rows
-from seqid_cli.discover.select.rows import Channels
+from seqid_cli.discover.base import LIKELY, has_trials, residual_of
+from seqid_cli.discover.select.rows import Channels, Part
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
 from seqid_cli.discover.survey.rows import TOGETHER, Rows
 from seqid_cli.model.effects.effect import Columns, Effect
@@ -20,6 +19,66 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
 from seqid_cli.motion.filters.butterworth import single
 from seqid_cli.typing import Array
+
+
+@dataclass(frozen=True)
+class DriveRows:
+    """Rows of each joint's drive, where a torque sensor behind the gear tells what the link takes.
+
+    The motor's torque less the sensor's is what the drive takes,
+
+        tau_m - tau_l = k tau_l + I ddq + f(dq, q, tau_l) + c,
+
+    friction f and the rotor's inertia I, with an error k by which motor and sensor disagree about a
+    torque and a zero c of the sensor. What a model gets wrong of the link, and what else acts on
+    it, is not in these rows: it does not hide an effect of the drive there, nor pass for one.
+
+    `y[j]` (M_j,) is what the file's model leaves of motor torque less the sensor's [N m], M_j zero
+    without a sensor; `columns[j]` (M_j, 3) the sensor's torque, the rotor's acceleration, a
+    constant.
+    """
+
+    y: tuple[Array, ...] = ()
+    columns: tuple[Array, ...] = ()
+
+    def of(self, joint: int) -> bool:
+        """Whether a joint has such rows."""
+        return bool(self.y) and len(self.y[joint]) > 0
+
+    def part(self, joint: int, channel: int, size: float, *, disagree: float = 0.05) -> Part:
+        """What is free beside friction; `size` [N m] is what the file leaves.
+
+        By `disagree` motor and sensor may tell another torque: the robot file says so, by its
+        torque constants, and what leaves it tells against the file.
+        """
+        X = self.columns[joint]
+        likely = np.mean(X**2, axis=0) / (LIKELY * size) ** 2
+        own, of_file = np.diag(likely), np.diag([disagree**-2.0, 0.0, 0.0])
+        own[0, 0] = 0.0
+        return Part({channel: X}, own + of_file, own)
+
+
+def drive_rows(rows: Rows) -> DriveRows:
+    """Take the rows of drives whose joints have a torque sensor in all logs."""
+    if any(scene.sensor is None for scene in rows.scenes):
+        return DriveRows()
+    every = [_values(scene) for scene in rows.scenes]
+    own = [rows.torque(j, [values[:, j] for values in every]) for j in range(rows.n)]
+    known = [X if np.isfinite(X).all() else X[:0] for X in own]
+    return DriveRows(tuple(X[:, 0] for X in known), tuple(X[:, 1:] for X in known))
+
+
+def _values(scene: Scene) -> Array:
+    """What the file leaves of the drive's torque, then its columns: (N, n, 4), low-passed."""
+    motion = scene.motion
+    assert scene.sensor is not None
+    sensor = motion.filtered(scene.sensor)
+    left = residual_of(scene) - sensor + motion.filtered(scene.modelled_load)
+    return np.stack([left, sensor, motion.filtered(motion.ddq), np.ones_like(left)], axis=-1)
+
+
+if TYPE_CHECKING:
+    from seqid_cli.discover.select.terms import Term
 
 
 @dataclass(frozen=True)
@@ -108,16 +167,14 @@ MOST_COLUMNS = 2_000_000  # candidates times samples that are worked out togethe
 
 
 class Stage:
-    """Rows and data sets on which candidates are tried, with the columns made so far.
-
-    `file` tells what the parameter file has absorbed of effects.
-    """
+    """Rows and data sets on which candidates are tried, and what the `file` has of these."""
 
     def __init__(self, rows: Rows, file: FileTrials | None = None) -> None:
         self.rows, self.file = rows, file
         self.high = high_band(rows)
         self.drive = drive_rows(rows)
         self._made: dict[tuple[object, ...], Channels] = {}
+        self.smooth: dict[tuple[int, bool], list[Term]] = {}  # see `smooth_terms`
         self.known: dict[tuple[object, ...], tuple[Array, dict[int, Array]]] = {}  # see `effects`
 
     @property
@@ -164,19 +221,19 @@ class Stage:
 
     def _computed(self, candidates: Sequence[Candidate], passes: int) -> list[Channels]:
         """Columns of candidates that are low-passed alike, all in one go."""
-        kept: dict[int, list[Array]] = {}
         owners: dict[int, list[tuple[int, int]]] = {}  # by joint: candidate, number of its columns
-        for number, scene in enumerate(self.scenes):
+
+        def together(scene: Scene) -> dict[int, Array]:
             raw = [c.columns(scene) for c in candidates]
-            joints = sorted({joint for columns in raw for joint in columns})
-            for j in joints:
+            side_by_side = {}
+            for j in sorted({joint for columns in raw for joint in columns}):
                 own = [(i, columns[j]) for i, columns in enumerate(raw) if j in columns]
-                rows = self.rows.filtered(number, np.hstack([single(X) for _, X in own]), passes)
-                kept.setdefault(j, []).append(rows[self.rows.used[number][:, j]])
                 owners[j] = [(i, X.shape[1]) for i, X in own]
+                side_by_side[j] = np.hstack([single(X) for _, X in own])
+            return side_by_side
+
         result: list[dict[int, Array]] = [{} for _ in candidates]
-        for j, parts in kept.items():
-            whole = self.rows.whitened(j, np.concatenate(parts))
+        for j, whole in self.rows.columns(map(together, self.scenes), passes).items():
             edges = np.cumsum([width for _, width in owners[j]])
             for (i, _), X in zip(owners[j], np.split(whole, edges[:-1], axis=1), strict=True):
                 result[i][j] = np.ascontiguousarray(X)

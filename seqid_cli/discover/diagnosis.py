@@ -12,32 +12,17 @@ import numpy as np
 from msgspec import structs
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.evidence import evidence_of, left_over, pushed
+from seqid_cli.discover.evidence import evidence_of, left_over, pushed, rivals_of, tried_at
 from seqid_cli.discover.investigate import Investigation, investigate
 from seqid_cli.discover.noise.whiteness import white
-from seqid_cli.discover.notes import (
-    Excess,
-    absorbed_notes,
-    deflection_notes,
-    excess_notes,
-    excess_residuals,
-    expected,
-    file_notes,
-    free_base_notes,
-    looks_like,
-    offset_notes,
-    outside_notes,
-    shown_offsets,
-    touched,
-)
+from seqid_cli.discover.notes import deflection_notes, excess_residuals, expected, notes_of
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.rivals import rivals_of, tried_at
-from seqid_cli.discover.scenes import with_own_cutoffs
+from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.results import Taken
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.discover.survey.usable import usable_logs
+from seqid_cli.discover.select.terms import smooth_terms
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.model.effects.effect import Effect
@@ -65,23 +50,7 @@ HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 def diagnose(
     recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: DiscoverOptions
 ) -> DiagnosisFile:
-    """Find what a model lacks on these logs.
-
-    Parameters
-    ----------
-    recordings : iterable of Recording
-        Logs with torque or current.
-    robot : Robot
-    stages : Stages
-        The model: at least friction or a rigid body; effects that it has are not missing.
-    options : DiscoverOptions
-
-    Raises
-    ------
-    InputError
-        If a log carries neither torque nor current, or if all logs' torque is an echo of the
-        command (see `usable_logs`).
-    """
+    """Find what a model lacks on these logs (see `usable_logs`); what it has is not missing."""
     motion = options.motion
     known = fitted_effects(stages, robot, unexplained=True)
     kept, notes = usable_logs(recordings, robot)
@@ -107,11 +76,8 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
     if found.events and (contact := _contact(found, robot)).confidence >= TOLD:
         findings.append(contact)
     findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
-    found_at = touched(found)
-    rest += [_excess(found, robot, one) for one in excess if one.joint not in found_at]
-    offsets = shown_offsets(found)
-    named_already = {part.joint for part in rest}
-    named_already |= {robot.joint_names[j] for j in (*offsets, *(one.joint for one in excess))}
+    rest += [_excess(found, robot, j, x) for j, x in excess.items() if j not in found.touched]
+    visible = sorted(found.found.visible.items(), key=lambda x: x[1])
     return DiagnosisFile(
         schema=DIAGNOSIS_SCHEMA,
         created=now(),
@@ -136,33 +102,31 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
         ],
         hidden=[
             HiddenEntry(effect=name, joint=robot.name_of(joint), visible=share)
-            for (name, joint), share in sorted(found.found.visible.items(), key=lambda x: x[1])
+            for (name, joint), share in visible
             if share < HIDDEN
         ],
-        notes=[
-            *offset_notes(offsets, robot),
-            *excess_notes(excess, robot),
-            *file_notes(found, robot, ordinary, named_already),
-            *absorbed_notes(found, robot),
-            *outside_notes(found, robot, ordinary),
-            *free_base_notes(found, robot),
-            *found.floor.doubts(np.minimum(found.model.rms(), found.start), robot.joints),
-        ],
+        notes=notes_of(found, robot, ordinary, excess, {part.joint for part in rest}),
     )
 
 
 def _contact(found: Investigation, robot: Robot) -> FindingEntry:
-    """The finding that stands for all events."""
-    effect, scenes, left = (
-        CATALOGUE["external_contact"],
-        found.ground.stage.scenes,
-        found.model.left(),
-    )
+    """The finding that stands for all events.
+
+    A push stands alone. Where much more than noise is left all along, the largest moment of it may
+    be nothing else: it is no surer than its share in what is unknown at its joints.
+    """
+    effect, rows, left = CATALOGUE["external_contact"], found.ground.stage.rows, found.model.left()
     floor = np.maximum(found.floor.rms, 1e-12)
-    energies = [e.energy(scenes[e.scene], left[e.scene] / floor) for e in found.events]
+    energies = [e.energy(rows.scenes[e.scene], left[e.scene] / floor) for e in found.events]
+    unknown = np.maximum((found.model.rms() / floor) ** 2 - 1.0, 0.0)
+    beyond = unknown * [rows.count(j) for j in range(rows.n)]
+    apart = [
+        energy / max(energy + sum(beyond[j] for j in event.joints), 1e-300)
+        for event, energy in zip(found.events, energies, strict=True)
+    ]
     inside = sum(energies)
     gained = sum(max(taken.one.predicted.total, 0.0) for taken in found.found.taken)
-    confidence = max(event.certainty for event in found.events) * _apart(found, energies)
+    confidence = float(max(event.certainty for event in found.events) * max(apart))
     return FindingEntry(
         effect=effect.name,
         joint=None,
@@ -175,20 +139,6 @@ def _contact(found: Investigation, robot: Robot) -> FindingEntry:
         note=f"{len(found.events)} interval(s), left out of the search",
         evidence=pushed(found, robot),
     )
-
-
-def _apart(found: Investigation, energies: Sequence[float]) -> float:
-    """Share of the clearest event in what it and all else unknown at its joints amount to.
-
-    A push stands alone. Where much more than noise is left all along, the largest moment of it may
-    be nothing else.
-    """
-    unknown = np.maximum((found.model.rms() / np.maximum(found.floor.rms, 1e-12)) ** 2 - 1.0, 0.0)
-    beyond = [unknown[j] * found.ground.stage.rows.count(j) for j in range(found.ground.n)]
-    shares = [0.0]
-    for event, energy in zip(found.events, energies, strict=True):
-        shares.append(energy / max(energy + sum(beyond[j] for j in event.joints), 1e-300))
-    return float(max(shares))
 
 
 def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
@@ -224,13 +174,12 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
 def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int | None) -> str:
     """What to record, and the command that plans it against the first rival where it can."""
     known = catalogue_of(robot)
-    whole = joint is None
     rivals = [
         name
         for name in others
         if name in known
         and known[name].by_motion
-        and (not whole or known[name].arm or known[name].shared)
+        and (joint is not None or known[name].arm or known[name].shared)
     ]
     if not rivals or not effect.by_motion:
         return effect.separate_by
@@ -241,10 +190,7 @@ def separate_by(effect: Effect, others: Sequence[str], robot: Robot, joint: int 
 
 
 def share_above(before: Array, after: Array, floor: Array) -> float:
-    """Share of the variance above the noise floor that goes from `before` to `after`, (n,) N m.
-
-    All of it where no more than the floor is left.
-    """
+    """Share of the variance (n,) above the noise floor that goes; all where no more is left."""
     scale = np.maximum(after, 1e-12)
     above = float(np.sum((before**2 - floor**2) / scale**2))
     gone = float(np.sum((before**2 - after**2) / scale**2))
@@ -273,26 +219,27 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
     )
 
 
-def _excess(found: Investigation, robot: Robot, excess: Excess) -> UnexplainedPart:
-    """Describe the excess residual of a joint."""
-    name, what = robot.joint_names[excess.joint], looks_like(found, excess.joint)
-    if what is None:
-        return UnexplainedPart(joint=name, depends_on=[], share=excess.share)
-    return UnexplainedPart(
-        joint=name,
-        depends_on=list(what.quantities),
-        share=excess.share,
-        evidence=left_over(found, robot, what),
-    )
+def _excess(found: Investigation, robot: Robot, joint: int, times: float) -> UnexplainedPart:
+    """Describe what is left at a joint by the smooth term that it is most like."""
+    name, share = robot.joint_names[joint], 1.0 - times**-2
+    given = found.ground.stage, joint, found.ground.size
+    terms = [*smooth_terms(*given), *smooth_terms(*given, products=True)]
+    gained = found.model.linear.gained([term.part for term in terms])
+    best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
+    if best is None:
+        return UnexplainedPart(joint=name, depends_on=[], share=share)
+    what = best[0].what
+    assert isinstance(what, SmoothFunction)
+    shown, on = left_over(found, robot, what), list(what.quantities)
+    return UnexplainedPart(joint=name, depends_on=on, share=share, evidence=shown)
 
 
 def _joints(found: Investigation, robot: Robot) -> dict[str, ResidualEntry]:
     """The residual of each joint; without a sample there is nothing to compute numbers from."""
-    model, rows, floor = found.model, found.ground.stage.rows, found.floor
-    entries = {}
-    whites, left = white(rows, model.left()), model.rms()
+    rows, floor, entries = found.ground.stage.rows, found.floor, {}
+    whites, left = white(rows, found.model.left()), found.model.rms()
     for j, name in enumerate(robot.joint_names):
-        samples, tried = rows.count(j), tried_at(found, robot, j)
+        samples = rows.count(j)
         entries[name] = ResidualEntry(
             rmse=float(found.start[j]) if samples else None,
             noise_floor=float(floor.rms[j]) if samples else None,
@@ -300,6 +247,6 @@ def _joints(found: Investigation, robot: Robot) -> dict[str, ResidualEntry]:
             white=bool(whites[j]),
             rmse_explained=float(left[j]) if samples else None,
             samples=samples,
-            tried=tried,
+            tried=tried_at(found, robot, j),
         )
     return entries

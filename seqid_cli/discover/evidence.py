@@ -1,11 +1,12 @@
-"""What a finding rests on, for people to see: residuals over what the effect goes with.
+"""What a finding rests on, for people to see: residuals over what the effect goes with, and rivals.
 
 Before is what the model leaves without the effect, its base fitted anew, after is what it leaves
 with it: both on blocks of time that were left out of the fit, so that they show what the gain says.
-After must be flat, where the law is the right one.
+After must be flat, where the law is the right one. Of what was tried and not taken one line says
+why, with its number.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -13,19 +14,19 @@ import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
-from seqid_cli.discover.select.model import Model
-from seqid_cli.discover.select.results import Taken
+from seqid_cli.discover.select.results import Options, Ranked, Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.discover.select.terms import Term
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
-from seqid_cli.params.evidence_schema import EvidenceEntry
+from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
 from seqid_cli.robot.types import Robot
+from seqid_cli.shares import percent
 from seqid_cli.typing import Array, Index
 
 Take = Callable[[int, Sequence[Array]], Array]  # a joint's samples that count, of all logs
 What = Candidate | SmoothFunction
 
+MOST = 6  # rivals of each list that are told
 CELLS = 80  # of the quantity's range, that bins are made of
 LEAST = 0.02  # of the samples, up to which cells are joined into one bin
 GAP = 2  # cells without a sample, that no bin goes over
@@ -57,18 +58,30 @@ class _Over:
     sided: bool = False
     values: Sequence[Array] = ()
 
+    def sign(self, scenes: Sequence[Scene], j: int, take: Take) -> Array | float:
+        """Direction of motion at a joint's rows where it counts, else 1."""
+        return np.sign(take(j, [s.motion.dq[:, j] for s in scenes])) if self.sided else 1.0
+
 
 def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEntry:
-    """Bin what the model leaves of a term's joint without it, and with it."""
-    term, model = taken.term, found.model
-    theta, channel = model.linear.theta[model.where(term)], _channel_of(term, model)
-    j, stage = channel % model.ground.n, model.ground.stage
-    narrow = channel // model.ground.n != 1
+    """Bin what the model leaves of a term's joint without it, and with it.
+
+    Of its own joint, or of the one that shows it most where it is of the whole arm.
+    """
+    term, model, stage, n = taken.term, found.model, found.ground.stage, found.ground.n
+    theta = model.linear.theta[model.where(term)]
+    shown = {
+        c: float(model.noise.weight[c] @ term.part.torque(c, theta) ** 2)
+        for c in term.channels
+        if term.joint in (c % n, None)
+    }
+    channel = max(shown, key=lambda c: shown[c])
+    j, narrow = channel % n, channel // n != 1
     take = stage.rows.of if narrow else stage.high.of
     scenes = stage.scenes if narrow else [scene.full or scene for scene in stage.scenes]
     over = _over(term.what, theta[term.part.at(channel)], scenes, j)
     x = take(j, over.values) if over.values else term.part.torque(channel, theta)
-    sign = _sign(over, scenes, j, take)
+    sign = over.sign(scenes, j, take)
     return _binned(
         robot, j, over, x, taken.left[channel] * sign, model.linear.left_out[channel] * sign
     )
@@ -80,7 +93,7 @@ def left_over(found: Investigation, robot: Robot, what: SmoothFunction) -> Evide
     over = _over(what, np.zeros(0), scenes, j)
     y = take(j, [r[:, j] for r in found.model.left()])
     x = take(j, over.values) if over.values else y
-    return _binned(robot, j, over, x, y * _sign(over, scenes, j, take))
+    return _binned(robot, j, over, x, y * over.sign(scenes, j, take))
 
 
 def pushed(found: Investigation, robot: Robot) -> EvidenceEntry | None:
@@ -95,24 +108,6 @@ def pushed(found: Investigation, robot: Robot) -> EvidenceEntry | None:
     j = max(event.joints, key=lambda k: float(np.mean(left[near, k] ** 2)))
     x = found.logs[event.scene].offset + t[near]
     return _binned(robot, j, _Over("time", j), x, left[near, j])
-
-
-def _channel_of(term: Term, model: Model) -> int:
-    """The rows that show a term most: of its own joint, or of any where it is of the whole arm."""
-    n, theta, weight = model.ground.n, model.linear.theta[model.where(term)], model.noise.weight
-    shown = {
-        c: float(weight[c] @ term.part.torque(c, theta) ** 2)
-        for c in term.channels
-        if term.joint in (c % n, None)
-    }
-    return max(shown, key=lambda c: shown[c])
-
-
-def _sign(over: _Over, scenes: Sequence[Scene], j: int, take: Take) -> Array | float:
-    """Direction of motion at a joint's rows where it counts, else 1."""
-    if not over.sided:
-        return 1.0
-    return np.sign(take(j, [scene.motion.dq[:, j] for scene in scenes]))
 
 
 def _over(what: What, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
@@ -187,3 +182,66 @@ def _bins(x: Array) -> list[Index]:
 
 def _each(what: Callable[[Array], np.floating], parts: Sequence[Array]) -> list[float]:
     return [float(f"{what(part):.{DIGITS}g}") for part in parts]
+
+
+def rivals_of(robot: Robot, taken: Taken, alike: Collection[str] = ()) -> list[RivalEntry]:
+    """What was tried in a term's place; `alike` are the effects that could be it as well."""
+    others = _each_once(r for r in taken.rivals if r.term.key != taken.term.key)
+    told = [one for one in others if one.term.name in alike]
+    told += [one for one in others if one not in told]
+    ranked = sorted(told[:MOST], key=lambda one: -one.predicted.total)
+    return [_rival(robot, one, _beside(one, taken, alike)) for one in ranked]
+
+
+def tried_at(found: Investigation, robot: Robot, joint: int) -> list[RivalEntry]:
+    """What was tried at a joint beside all that was taken, the largest gain first."""
+    n = found.ground.n
+    here = [r for r in found.found.tried if any(c % n == joint for c in r.term.channels)]
+    ranked = sorted(_each_once(here), key=lambda one: -one.predicted.total)
+    return [_rival(robot, one, _lacking(one)) for one in ranked[:MOST]]
+
+
+def _each_once(some: Iterable[Ranked]) -> list[Ranked]:
+    """The first of every name at every joint; one smooth function, the best, for all."""
+    kept: dict[object, Ranked] = {}
+    for one in some:
+        kept.setdefault("smooth" if one.term.smooth else one.term.key, one)
+    return list(kept.values())
+
+
+def _rival(robot: Robot, one: Ranked, why_not: str) -> RivalEntry:
+    joint = robot.name_of(one.term.joint)
+    name = f"some function of {one.term.name}" if one.term.smooth else one.term.name
+    return RivalEntry(effect=name, joint=joint, log_gain=one.predicted.total, why_not=why_not)
+
+
+def _beside(one: Ranked, taken: Taken, alike: Collection[str]) -> str:
+    """Why a rival was not taken in a term's place."""
+    reach = one.predicted.total / max(taken.one.predicted.total, 1e-300)
+    if one.term.name in alike:
+        return f"these logs cannot tell the two apart: it reaches {percent(reach)} of the gain"
+    if reach <= 0.0:
+        return "predicts nothing in its place"
+    if reach < 1.0 - Options().tie:
+        return f"explains {percent(1.0 - reach)} less"
+    more, own = one.term.freedom, taken.term.freedom
+    if more > own:
+        return f"needs {more} parameters, not {own}, to reach {percent(reach)} of the gain"
+    return f"no better: it reaches {percent(reach)} of the gain"
+
+
+def _lacking(one: Ranked) -> str:
+    """Why something was not taken beside all that was."""
+    options, told = Options(), one.predicted
+    if told.total <= 0.0:
+        return "predicts left-out blocks worse than the model without it"
+    if told.doubt >= options.doubt:
+        chance, most = percent(told.doubt), percent(options.doubt)
+        return f"gains nothing in {chance} of drawn blocks of time; {most} is allowed at most"
+    if one.gained.evidence <= options.chance:
+        evidence = one.gained.evidence
+        return f"log evidence of {evidence:.1f}, as of noise; {options.chance:g} is asked at least"
+    if told.share <= options.improvement:
+        share, least = percent(told.share), percent(options.improvement)
+        return f"takes away {share} of the squared error; {least} is asked at least"
+    return "was taken, and removed again: not worth it once all was fitted together"

@@ -101,15 +101,11 @@ def refine(
         check_output(target, files)
     needs = ("friction", "inertia", *imu_stage_for(options.source))
     inputs = prepare(logs, robot, parameters, options, needs=needs, stored=False, **keywords)
-    search = replace(
-        _search(inputs, options),
-        max_effects=options.rounds,
-        with_unexplained=options.with_unexplained,
-    )
+    rounds, smooth = options.rounds, options.with_unexplained
+    search = replace(_search(inputs, options), max_effects=rounds, with_unexplained=smooth)
     file = _refined(inputs, held_out, search)
     if target is not None:
-        sources = [*inputs.sources, *files]
-        write_json_atomic(target, file, inputs=sources)
+        write_json_atomic(target, file, inputs=[*inputs.sources, *files])
     return file
 
 
@@ -118,7 +114,8 @@ def _search(inputs: Inputs, options: DiagnoseOptions) -> DiscoverOptions:
     from seqid_cli.identify.options import InertiaOptions
 
     filtering = inherited(inputs.stages, options.cutoff_hz)
-    return DiscoverOptions(InertiaOptions(filtering, source=options.source_for_effects))
+    source = "needed" if options.source == "auto" else options.source
+    return DiscoverOptions(InertiaOptions(filtering, source=source))
 
 
 def _excerpts(
@@ -151,8 +148,7 @@ def _refined(
     found = find_earlier(previous.inputs, folders, at_hand=at_hand, held_out=files)
     earlier = read_earlier(inputs, found, fitted, search.motion)
     count = sum(map(len, earlier.by_stage.values()))
-    told = f"{len(fitted.recordings)} logs to fit, {count} of earlier stages"
-    training.tell("detail", text=told)
+    training.tell("detail", text=f"{len(fitted.recordings)} logs to fit, {count} of earlier stages")
     decided = decide(fitted.recordings, robot, previous, earlier=earlier.by_stage, options=search)
 
     # Nothing is decided any more: now the held-out logs are opened.

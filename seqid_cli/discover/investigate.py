@@ -10,8 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.noise.encoder import encoder_residuals
-from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor, rms
+from seqid_cli.discover.noise.floor import NoiseFloor, encoder_residuals, noise_floor, rms
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import HELD, Ground, Model
@@ -55,6 +54,11 @@ class Investigation:
         """RMS (n,) N m of the file's own residual."""
         return self.ground.base.start
 
+    @property
+    def touched(self) -> set[int]:
+        """Joints that something was found at."""
+        return {c % self.ground.n for taken in self.found.taken for c in taken.term.channels}
+
 
 def investigate(
     logs: Sequence[Recording],
@@ -65,15 +69,7 @@ def investigate(
     least: float = TOLD,
     selection: Options | None = None,
 ) -> Investigation:
-    """Select what a model lacks, and find events in what is left.
-
-    What is less likely than `least` is not told; `selection` says what decides.
-
-    Raises
-    ------
-    InputError
-        If a log carries neither torque nor current.
-    """
+    """Select what a model lacks, and find events in what is left; tell what is likely."""
     step("filtering the logs", 0, 10)  # tenths of the time that it mostly takes
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
     step("choosing effects", 4, 10)
@@ -92,7 +88,10 @@ def investigate(
         found.run()
     told = found.told(least)
     step("estimating the noise", 9, 10)
-    return Investigation(tuple(logs), told, floor_of(logs, told.model), tuple(events))
+    rows, left = told.model.ground.stage.rows, told.model.left()
+    echo = encoder_residuals(logs, rows.scenes)
+    floor = noise_floor(logs, rows.scenes, left, echo, rows=rows)
+    return Investigation(tuple(logs), told, floor, tuple(events))
 
 
 def investigate_beside(
@@ -119,13 +118,6 @@ def investigate_beside(
         found.finish()
         told = found.told(0.0)
     return replace(before, logs=tuple(logs), found=told), look
-
-
-def floor_of(logs: Sequence[Recording], model: Model) -> NoiseFloor:
-    """Noise floor with all that was found taken out."""
-    rows = model.ground.stage.rows
-    echo = encoder_residuals(logs, rows.scenes)
-    return noise_floor(logs, rows.scenes, model.left(), echo, rows=rows)
 
 
 def guessed(model: Model) -> list[Mask]:

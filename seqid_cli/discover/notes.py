@@ -1,7 +1,6 @@
 """What a diagnosis says beside its findings, and where more is left than noise and encoder make."""
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -10,8 +9,6 @@ from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.spectra import DETAIL
 from seqid_cli.discover.select.results import Options
 from seqid_cli.discover.select.rows import doubt_of
-from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.discover.select.terms import smooth_terms
 from seqid_cli.discover.survey.rows import extrapolated
 from seqid_cli.identify.imu_calibration.calibrate import deflecting
 from seqid_cli.identify.prediction.predict import OUTSIDE_NOTE
@@ -26,74 +23,67 @@ OFFSET_SHOWS = 0.7  # of what is left: torque of a time offset that is worth a n
 EXCESS = 2.5  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
 
 
-@dataclass(frozen=True)
-class Excess:
-    """One joint with excess residual, and what is left there over what is expected."""
-
-    joint: int
-    times: float
-
-    @property
-    def share(self) -> float:
-        """Part of the squared residual that is not expected."""
-        return 1.0 - self.times**-2
-
-
 def expected(found: Investigation) -> Array:
-    """RMS (n,) N m that the residual would have with a right model.
-
-    The noise floor, and a detail of the torque itself.
-    """
+    """RMS (n,) N m that a right model leaves: the noise floor and a detail of the torque."""
     rows = found.ground.stage.rows
     torque = [scene.modelled_filtered for scene in rows.scenes]
     detail = [DETAIL * rms(rows.torque(j, [tau[:, j] for tau in torque])) for j in range(rows.n)]
     return np.hypot(found.floor.rms, detail)
 
 
-def excess_residuals(found: Investigation, ordinary: Array) -> tuple[Excess, ...]:
-    """Joints with more than `ordinary` (n,) N m left after all that was found, the largest first.
+def excess_residuals(found: Investigation, ordinary: Array) -> dict[int, float]:
+    """Joints with more than `ordinary` (n,) N m left after all that was found, and how many times.
 
-    Joints that the file alone fits as well as expected are left out, and those where the noise
-    floor may be as large, for all that so short a log tells of it.
+    The largest first. Joints that the file alone fits as well as expected are left out, and those
+    where the noise floor may be as large, for all that so short a log tells of it.
     """
     left = np.minimum(found.model.rms(), found.start)
-    times, most = left / np.maximum(ordinary, 1e-12), found.floor.interval
-    larger = [
-        Excess(j, float(times[j]))
-        for j in np.flatnonzero(times > EXCESS).tolist()
-        if left[j] > most(j)[1]
+    times, most = left / np.maximum(ordinary, 1e-12), found.floor.high
+    order = np.argsort(-times, kind="stable").tolist()
+    return {j: float(times[j]) for j in order if times[j] > EXCESS and left[j] > most[j]}
+
+
+def notes_of(
+    found: Investigation,
+    robot: Robot,
+    ordinary: Array,
+    excess: Mapping[int, float],
+    unexplained: Collection[str],
+) -> list[str]:
+    """All that a diagnosis says beside its findings and `unexplained` joints."""
+    offsets, names = shown_offsets(found), robot.joint_names
+    named = {*unexplained, *(names[j] for j in (*offsets, *excess))}
+    return [
+        *(
+            f"joint {names[j]}: torque is {1e3 * abs(offset):.1f} ms "
+            f"{'early' if offset > 0 else 'late'} against position, less than a sample, and taken "
+            "for the logger's own; logs at a higher rate would tell a skew or a lag"
+            for j, offset in offsets.items()
+        ),
+        *(
+            f"joint {names[j]}: what is left is {times:.1f} times what torque noise and encoder "
+            "account for"
+            for j, times in excess.items()
+        ),
+        *file_notes(found, robot, ordinary, named),
+        *(
+            f"{robot.name_of(one.term.joint) or 'all joints'}: {one.term.name} was there when the "
+            "file was identified, which has absorbed a part of it: refine identifies the stages "
+            "anew"
+            for one in found.found.effects
+            if one.term.absorbed
+        ),
+        *outside_notes(found, robot, ordinary),
+        *_free_base_notes(found, robot),
+        *found.floor.doubts(np.minimum(found.model.rms(), found.start), robot.joints),
     ]
-    return tuple(sorted(larger, key=lambda one: -one.times))
-
-
-def looks_like(found: Investigation, joint: int) -> SmoothFunction | None:
-    """The smooth term that a joint's residual is most like, however little it predicts."""
-    ground = found.ground
-    given = ground.stage, joint, ground.size
-    terms = [*smooth_terms(*given), *smooth_terms(*given, products=True)]
-    gained = found.model.linear.gained([term.part for term in terms])
-    best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
-    what = best[0].what if best else None
-    return what if isinstance(what, SmoothFunction) else None
-
-
-def excess_notes(excess: Sequence[Excess], robot: Robot) -> tuple[str, ...]:
-    """Joints at which more is left than noise accounts for."""
-    return tuple(
-        f"joint {robot.joint_names[one.joint]}: what is left is {one.times:.1f} times what torque "
-        "noise and encoder account for"
-        for one in excess
-    )
 
 
 def file_notes(
     found: Investigation, robot: Robot, ordinary: Array, named: Collection[str]
 ) -> tuple[str, ...]:
-    """Joints at which the file leaves more than `ordinary` (n,) N m though nothing is missing.
-
-    Those that findings touch or that are `named` elsewhere are not among them.
-    """
-    notes, found_at = [], touched(found)
+    """Joints at which the file leaves more than `ordinary` though nothing is found or `named`."""
+    notes, found_at = [], found.touched
     for j, left in enumerate(np.minimum(found.model.rms(), found.start)):
         name, times = robot.joint_names[j], found.start[j] / max(ordinary[j], 1e-12)
         if times <= EXCESS or j in found_at or name in named:
@@ -110,22 +100,9 @@ def file_notes(
     return tuple(notes)
 
 
-def absorbed_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
-    """Effects that were there when the file was identified, as its stages show."""
-    told = [one.term for one in found.found.effects if one.term.absorbed]
-    return tuple(
-        f"{robot.name_of(term.joint) or 'all joints'}: {term.name} was there when the file was "
-        "identified, which has absorbed a part of it: refine identifies the stages anew"
-        for term in told
-    )
-
-
-def free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
-    """Joints without a finding that a model fitted to these logs surely predicts worse.
-
-    By as much of the squared error as an effect must gain.
-    """
-    found_at, left, worse = touched(found), found.model.rms(), list[str]()
+def _free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
+    """Joints without a finding that a model fitted to these logs surely predicts worse."""
+    found_at, left, worse = found.touched, found.model.rms(), list[str]()
     rows, told = found.ground.rows, Options()
     for j, joint in ((j, x) for j, x in enumerate(robot.joints) if j not in found_at):
         free, file = (
@@ -144,10 +121,7 @@ def free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
 
 
 def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[str, ...]:
-    """Joints that the logs take beyond their identified friction, where more than noise is left.
-
-    No effect is looked for there; `ordinary` (n,) N m is what a right model leaves.
-    """
+    """Joints beyond their identified friction, where more than `ordinary` (n,) N m is left."""
     scenes, shown = found.ground.stage.scenes, found.model.shown()
     sliding = np.concatenate([scene.slides for scene in scenes])
     outside = np.concatenate(extrapolated(scenes)) & sliding
@@ -166,19 +140,6 @@ def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[
                 "noise and encoder account for is left there, and no effect was looked for in it; "
                 "identify friction with trials there"
             )
-    return tuple(notes)
-
-
-def offset_notes(offsets: Mapping[int, float], robot: Robot) -> tuple[str, ...]:
-    """Joints whose torque and position are apart by less than a sample, and by how many s."""
-    notes = []
-    for j, offset in offsets.items():
-        name, side = robot.joint_names[j], "early" if offset > 0 else "late"
-        notes.append(
-            f"joint {name}: torque is {1e3 * abs(offset):.1f} ms {side} against position, less "
-            "than a sample, and taken for the logger's own; logs at a higher rate would tell a "
-            "skew or a lag"
-        )
     return tuple(notes)
 
 
@@ -206,8 +167,3 @@ def shown_offsets(found: Investigation) -> dict[int, float]:
         if model.timed[j] and size > OFFSET_SHOWS * float(model.noise.sigma[j]):
             shown[j] = offset
     return shown
-
-
-def touched(found: Investigation) -> set[int]:
-    """Joints that something was found at."""
-    return {c % found.ground.n for taken in found.found.taken for c in taken.term.channels}

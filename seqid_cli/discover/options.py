@@ -15,11 +15,6 @@ class DiagnoseOptions(LogOptions):
 
     source: Source = "auto"
 
-    @property
-    def source_for_effects(self) -> str:
-        """The source as the search takes it."""
-        return "needed" if self.source == "auto" else self.source
-
 
 @dataclass(frozen=True, kw_only=True)
 class RefineOptions(DiagnoseOptions):

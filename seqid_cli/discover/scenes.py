@@ -1,13 +1,18 @@
-"""From recordings to data sets: filtered motion, the model's torque, one clock for all logs."""
+"""From recordings to data sets: filtered motion, the model's torque, one clock for all logs.
+
+Logs whose torque says nothing about the model are left out, and said to be.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from seqid_cli.discover.noise.encoder import encoder_residuals
+from seqid_cli.discover.noise.floor import encoder_residuals
 from seqid_cli.discover.select.results import Options
+from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.checks.echo import REMEDY, WARNING, echoes
 from seqid_cli.logs.pieces import by_log, whole_of
 from seqid_cli.logs.recording import Recording, torque_of
 from seqid_cli.model.effects.scene import (
@@ -33,23 +38,7 @@ def scenes_of(
     *,
     options: InertiaOptions,
 ) -> list[Scene]:
-    """Build the data set of every log.
-
-    Parameters
-    ----------
-    recordings : iterable of Recording
-        Logs with torque or current.
-    robot : Robot
-    stages : Stages
-        The model as it stands.
-    options : InertiaOptions
-        Cut-off and source of the motion.
-
-    Raises
-    ------
-    InputError
-        If a log carries neither torque nor current.
-    """
+    """Build the data set of every log with torque or current, with the model as it stands."""
     logs = list(recordings)
     motions = []
     for log in logs:
@@ -99,11 +88,7 @@ def with_own_cutoffs(
 
 
 def _is_coarse(log: Recording, scene: Scene, *, most: float = Options.improvement) -> bool:
-    """Whether the encoders' noise makes a part of what the model leaves of a log's torque.
-
-    Columns of effects are made from the same noise: a share from which terms count, `most`, and
-    they are found in it.
-    """
+    """Whether encoder noise makes a share, of which terms count, of what the model leaves."""
     if scene.motion.source != "encoder":
         return False
     assert scene.motion.tau is not None
@@ -139,3 +124,27 @@ def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:
         return [recording.offset for recording in recordings], False
     starts = np.array([recording.start for recording in recordings])
     return [float(x) for x in starts - starts.min()], True
+
+
+def usable_logs(
+    recordings: Iterable[Recording], robot: Robot
+) -> tuple[list[Recording], tuple[str, ...]]:
+    """Leave out logs whose torque is an echo of the command (see `logs.checks.echo`).
+
+    A log that comes in pieces is one if half of these are. Returns what is left, and a note on
+    every log that was left out. Raises InputError: nothing is left.
+    """
+    kept: list[Recording] = []
+    left_out: list[tuple[str, str]] = []
+    for pieces in by_log(recordings):
+        every = [echoes(robot, x.t, x.q, x.tau, x.valid) for x in pieces if x.tau is not None]
+        echoed = [", ".join(robot.joint_names[j] for j in found) for found in every if len(found)]
+        if 2 * len(echoed) >= len(pieces) and echoed:
+            left_out.append((str(pieces[0].path), echoed[0]))
+        else:
+            kept += pieces
+    if left_out and not kept:
+        path, first = left_out[0]
+        others = f" (and {len(left_out) - 1} more logs)" if len(left_out) > 1 else ""
+        raise InputError(f"joint {first}: {WARNING}{others}", where=path, hint=REMEDY)
+    return kept, tuple(f"{p} is left out: joint {j}: {WARNING}; {REMEDY}" for p, j in left_out)

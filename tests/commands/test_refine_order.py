@@ -11,7 +11,7 @@ import pytest
 from seqid_cli.__main__ import main
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement import rounds as deciding
-from seqid_cli.discover.refinement.rounds import Refinement
+from seqid_cli.discover.refinement.loop import Refinement
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.io import read_parameters, write_json_atomic
 from seqid_cli.params.schema import InputLog, ParameterFile

@@ -1,20 +1,28 @@
 """What is diagnosed of logs of any length: all of them, or excerpts that memory bounds.
 
 Logs that fit are held as they are. Of others a pass over each tells how the model's residual runs
-(see `residual_survey`). Excerpts are spread over the time (see `design`), and each becomes a
-recording of its own. Short ones about places at which the residual stands out are added: there
-pushes may be.
+(see `residual_survey`). Every log is divided into as many parts as it is to have excerpts, so that
+whatever comes and goes slowly (warm-up, a drift, a tool) is seen from the first to the last. In
+each part the excerpt is taken in which the joints travel most,
+
+    U = sum_j sum_d sqrt(s_jd),
+
+s_jd being the way that joint j slides in direction d: a way of every joint counts for more than the
+same way of one. The residual has no say in it: excerpts that were taken because the model is wrong
+there would make it look more wrong than it is. Short ones about places at which the residual stands
+out are added: there pushes may be.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from seqid_cli.discover.excerpts.design import excerpts_of
 from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey, residual_survey
+from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import open_if_long
@@ -26,7 +34,10 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.remote import StoredLog, local_copy
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Index
 
+PIECE_S = 20.0  # two periods of most trajectories, and long beside what the filters lose
+WHOLE = 0.9  # share of an excerpt that must be free of gaps
 # What is held of logs, in samples times joints, if an arm counts as ARM joints more than it has, a
 # channel of an IMU as CHANNEL of one, and every second as PER_SECOND samples more: a search takes
 # half a kB for each of these at the log's own rate, and more than that for each second at the rate
@@ -68,7 +79,15 @@ class Excerpts:
             f"{pieces} pieces spread over the time and varied in motion{about}; "
             "the rest was passed over once"
         )
-        return (said, _residual_note(self.surveys, robot), *_time_notes(self.surveys, robot))
+        counts = sum(survey.counts.sum(axis=0) for survey in self.surveys)
+        squares = sum(survey.squares.sum(axis=0) for survey in self.surveys)
+        known = ", ".join(
+            f"{joint.name} {np.sqrt(s / c):.3g} {joint.unit('N m')}"
+            for joint, s, c in zip(robot.joints, squares, counts, strict=True)
+            if c
+        )
+        of_all = f"RMS residual of all logs as a whole, where joints slide: {known}"
+        return (said, of_all, *_time_notes(self.surveys, robot))
 
 
 def take_excerpts(
@@ -80,25 +99,11 @@ def take_excerpts(
     most_values: int = MOST_VALUES,
     places: bool = True,
 ) -> Excerpts:
-    """Hold logs, or excerpts of them where they are too long.
+    """Hold logs with torque, or excerpts of them where they are too long.
 
-    Parameters
-    ----------
-    recordings : LogSet, or iterable of Recording
-        With torque. Long logs of a set are passed over instead of read.
-    robot : Robot
-    stages : Stages
-        The model.
-    options : InertiaOptions
-    most_values : int
-        Samples times joints that are held, as `MOST_VALUES` counts them.
-    places : bool
-        Whether places that stand out are wanted.
-
-    Raises
-    ------
-    InputError
-        If a log cannot be read or carries neither torque nor current.
+    Long logs of a `LogSet` are passed over instead of read. `most_values`: samples times joints
+    that are held, as `MOST_VALUES` counts them. `places`: whether places that stand out are wanted.
+    Raises InputError: a log cannot be read or carries neither torque nor current.
     """
     channels = sum(len(imu.positions) + 3 * imu.gyro for imu in robot.imus)
     most = most_values / (robot.n + ARM + CHANNEL * channels)
@@ -182,19 +187,7 @@ def _read(
 def about_places(
     surveys: Sequence[ResidualSurvey], ranges: Sequence[Sequence[Range]]
 ) -> list[list[Range]]:
-    """Excerpts about the strongest places that stand out and lie in no other.
-
-    Parameters
-    ----------
-    surveys : sequence of ResidualSurvey
-    ranges : sequence of sequence of (float, float)
-        The other excerpts of each log.
-
-    Returns
-    -------
-    list of list of (float, float)
-        Per log.
-    """
+    """Excerpts, per log, about the strongest places that stand out and lie in none of `ranges`."""
     places = [(place, k) for k, survey in enumerate(surveys) for place in survey.places]
     result: list[list[Range]] = [[] for _ in surveys]
     for place, k in sorted(places, key=lambda found: -found[0].score):
@@ -208,17 +201,6 @@ def about_places(
     return result
 
 
-def _residual_note(surveys: Sequence[ResidualSurvey], robot: Robot) -> str:
-    counts = sum(survey.counts.sum(axis=0) for survey in surveys)
-    squares = sum(survey.squares.sum(axis=0) for survey in surveys)
-    known = [
-        f"{joint.name} {np.sqrt(s / c):.3g} {joint.unit('N m')}"
-        for joint, s, c in zip(robot.joints, squares, counts, strict=True)
-        if c
-    ]
-    return f"RMS residual of all logs as a whole, where joints slide: {', '.join(known)}"
-
-
 def _time_notes(surveys: Sequence[ResidualSurvey], robot: Robot) -> Iterator[str]:
     """The residual in parts of the time, where it has changed from the first to the last."""
     for survey in (one for one in surveys if len(one.squares) >= TENTHS):
@@ -230,3 +212,41 @@ def _time_notes(surveys: Sequence[ResidualSurvey], robot: Robot) -> Iterator[str
         for j in np.flatnonzero((low > 0.0) & (high > CHANGES * low)).tolist():
             numbers, name = " ".join(f"{x:.3g}" for x in parts[:, j]), robot.joint_names[j]
             yield f"{survey.path}: RMS residual of {name} in tenths of the time: {numbers}"
+
+
+def excerpts_of(
+    logs: Sequence[ResidualSurvey], samples: float, *, most: int = 16
+) -> list[list[Range]]:
+    """Choose at most `most` excerpts, of about so many samples together; per log, by time."""
+    total, lengths = sum(log.samples for log in logs), [log.whole.length for log in logs]
+    if total <= samples:
+        return [[(0.0, length)] for length in lengths]
+    seconds = samples * sum(lengths) / total
+    count = int(np.clip(round(seconds / PIECE_S), 1, most))
+    # Another log tells more that is new than more of the same one.
+    weight = np.cumsum(np.sqrt(lengths))
+    parts = np.diff(np.round(count * weight / weight[-1]), prepend=0.0).astype(int)
+    return [list(_of_log(log, k, seconds / count)) for log, k in zip(logs, parts, strict=True)]
+
+
+def _of_log(log: ResidualSurvey, parts: int, length: float) -> Iterator[Range]:
+    """The excerpt of most travel in each part of a log, of this length or of the whole log's."""
+    whole = max(log.whole.length, 1e-9)
+    piece, parts = min(length, whole), min(parts, max(1, int(whole / length)))
+    size = max(1, round(piece / BLOCK_S))
+    blocks = np.column_stack([log.travel.reshape(len(log.travel), -1), log.usable])
+    sums = np.vstack([np.zeros(blocks.shape[1]), np.cumsum(blocks, axis=0)])
+
+    def within(first: Index) -> Array:
+        """Sums (P, k) over the blocks of excerpts."""
+        return np.asarray(sums[np.minimum(first + size, len(blocks))] - sums[first])
+
+    most = np.max(within(np.arange(max(1, len(blocks) - size + 1)))[:, -1])
+    for low, high in pairwise(np.linspace(0.0, whole, parts + 1)):
+        starts = np.arange(low, max(high - piece, low) + 1e-9, BLOCK_S)
+        found = within((starts / BLOCK_S).astype(np.intp))
+        worth = np.sqrt(np.maximum(found[:, :-1], 0.0)).sum(axis=1)
+        worth[found[:, -1] < WHOLE * most] = -1.0
+        if worth.max() >= 0.0:
+            start = float(starts[np.argmax(worth)])
+            yield start, start + piece

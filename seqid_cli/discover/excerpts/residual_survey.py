@@ -3,7 +3,7 @@
 The torque is predicted part by part (see `identify.prediction`). Kept are sums over short blocks
 of time, and the strongest places at which the residual stands out against all others of a span of
 the log (see `survey.events`). None of it says what the model lacks. It says where to look (see
-`design`).
+`excerpts`).
 """
 
 from collections.abc import Iterable
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from seqid_cli.discover.survey.event_windows import Track, joined, windows_of
-from seqid_cli.discover.survey.events import LENGTHS_S, Interval, standing_out
+from seqid_cli.discover.survey.events import LENGTHS_S, Interval, places, scores
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import LogPrediction, Predictor, predict
@@ -36,21 +36,11 @@ MOST_PLACES = 12  # of one log
 class ResidualSurvey:
     """What a pass over one log remembers.
 
-    Attributes
-    ----------
-    path, whole
-        The log.
-    samples, rate_hz, kind
-        Its length, rate and file format; `kind` is empty for one that is read as a whole.
-    squares, counts : (B, n) arrays
-        Sum of the squared residual [(N m)^2] over each `BLOCK_S`, and how many samples are in it;
-        those at which a joint certainly slides.
-    travel : (B, n, 2) array
-        The way [rad] that each joint slides in each block, forward and backward.
-    usable : (B,) array
-        Samples of each block without a gap, once the filters have settled.
-    places : tuple of Interval
-        Where the residual stands out, the strongest first; s since the first sample.
+    `kind` is its file format; empty for a log that is read as a whole. By block of `BLOCK_S`:
+    `squares`, `counts` (B, n), the sum of the squared residual [(N m)^2] over samples at which a
+    joint certainly slides, and their number; `travel` (B, n, 2), the way [rad] that it slides
+    forward and backward; `usable` (B,), samples without a gap, once the filters have settled.
+    `places` are where the residual stands out, the strongest first; s since the first sample.
     """
 
     path: Path
@@ -73,30 +63,16 @@ def residual_survey(
     stages: Stages,
     options: InertiaOptions,
 ) -> ResidualSurvey:
-    """Pass over one log.
+    """Pass over one log with torque; which `number` of a set it is makes no difference.
 
-    Parameters
-    ----------
-    log : Recording or SurveyedLog
-        With torque.
-    number : int
-        Which of a set it is; makes no difference.
-    robot : Robot
-    stages : Stages
-        The model, with its effects: of a log that is passed over, those that can be told part by
-        part.
-    options : InertiaOptions
-        Cut-off; the motion is that of the encoders.
-
-    Raises
-    ------
-    InputError
-        If the log carries neither torque nor current, or no stretch is long enough to filter.
+    The motion is that of the encoders. Of a log that is passed over, the model has those of its
+    effects that can be told part by part. Raises InputError: the log carries neither torque nor
+    current, or no stretch is long enough to filter.
     """
     del number
     model = TorqueModel.from_stages(stages, robot)
     n, seen, held, tracks = robot.n, 0, 0, list[Track]()
-    blocks, sums, places = list[Index](), list[Array](), list[Interval]()
+    blocks, sums, found = list[Index](), list[Array](), list[Interval]()
     for part in _parts(log, robot, stages, model, options):
         left, counts = part.tau - part.predicted, part.sliding & part.used[:, None]
         step = float(part.t[1] - part.t[0]) if len(part.t) > 1 else 0.0
@@ -110,10 +86,10 @@ def residual_survey(
         seen, held = seen + len(part.t), held + len(kept)
         if held >= 2 * SPAN:
             whole = joined(tracks)
-            places += _standing_out(whole[:SPAN])
+            found += _standing_out(whole[:SPAN])
             rest = np.searchsorted(whole.t, whole.t[SPAN - 1] - OVERLAP_S)
             tracks, held = [whole[int(rest) :]], len(whole.t) - int(rest)
-    places += _standing_out(joined(tracks))
+    found += _standing_out(joined(tracks))
     at = np.concatenate(blocks)
     table = np.zeros((int(at.max()) + 1, 4 * n + 1))
     np.add.at(table, at, np.concatenate(sums))
@@ -127,7 +103,7 @@ def residual_survey(
         counts=table[:, n : 2 * n],
         travel=table[:, 2 * n : 4 * n].reshape(-1, 2, n).swapaxes(1, 2),
         usable=table[:, -1],
-        places=_strongest(places),
+        places=_strongest(found),
     )
 
 
@@ -166,14 +142,14 @@ def _standing_out(track: Track) -> list[Interval]:
     """Places of one span at which the residual stands out."""
     if len(track.t) < SAMPLES_PER_CUTOFF or not np.isfinite(track.values[-1]).any():
         return []
-    windows = [windows_of([track], length) for length in LENGTHS_S]
-    return standing_out([w for w in windows if len(w.centre)])
+    every = [windows_of([track], length) for length in LENGTHS_S]
+    return places(0, [(windows, scores(windows)) for windows in every if len(windows.centre)])
 
 
-def _strongest(places: Iterable[Interval]) -> tuple[Interval, ...]:
+def _strongest(found: Iterable[Interval]) -> tuple[Interval, ...]:
     """The strongest places, each once: spans overlap."""
     kept: list[Interval] = []
-    for place in sorted(places, key=lambda p: -p.score):
+    for place in sorted(found, key=lambda p: -p.score):
         if all(place.end < other.start or place.start > other.end for other in kept):
             kept.append(place)
     return tuple(kept[:MOST_PLACES])

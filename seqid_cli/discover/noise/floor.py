@@ -1,8 +1,11 @@
 """How small the residual could become: noise in the band, that no model explains.
 
-It is torque noise and what the encoder's noise makes of the motion. The latter is drawn (see
-`encoder`). Torque noise is a property of a joint's drive, white and 1/f^a, looked for in all logs
-together (see `level`); how much of it passes a log's low-pass depends on the log. It shows in
+It is torque noise and what the encoder's noise makes of the motion. For the latter the positions of
+a log, low-passed at a little more than its cut-off, are taken as the truth. Their torque is the
+model's, with friction that flips within one sample. The encoder's noise is drawn anew on them, and
+what comes back is predicted from it. Torque noise is a property of a joint's drive, white and
+1/f^a, looked for in all logs together (see `spectra`); how much of it passes a log's low-pass
+depends on the log. It shows in
 
 rests
     in which all joints stand for several periods of the cut-off: the raw torque;
@@ -21,18 +24,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seqid_cli.discover.noise.level import Slid, level_of
-from seqid_cli.discover.noise.spectra import Spectrum, power_gain, stretches
+from seqid_cli.discover.noise.spectra import Slid, Spectrum, level_of, power_gain, stretches
 from seqid_cli.discover.survey.rows import Rows
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
+from seqid_cli.model.torque import sampled_friction
 from seqid_cli.motion.filters.bandwidth import encoder_step
-from seqid_cli.motion.filters.differentiation import runs, shrink
+from seqid_cli.motion.filters.butterworth import Lowpass
+from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segmentation import unmoved
 from seqid_cli.robot.types import Joint
 from seqid_cli.typing import Array, Mask
 
+BEYOND = 1.5  # of the cut-off, up to which positions are believed
+SHARP = 1e-9  # width of the sign [rad/s]
+SEED = 0
 STRETCH = 4.0  # periods of the cut-off: of a rest, at least, and per spectrum while joints move
 LEAST_SHARE = 0.1  # of the residual's power that stays noise, whatever the encoder explains
 UNKNOWN = np.array([0.0, 0.0, 0.0, np.inf])
@@ -56,14 +63,7 @@ class NoiseFloor:
         return float(self.low[joint]), float(self.high[joint])
 
     def doubts(self, left: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
-        """Joints at which a model leaves less than the interval's lower end.
-
-        Parameters
-        ----------
-        left : (n,) array
-            RMS, N m, of what a model leaves of the samples that the floor is of; NaN where unknown.
-        joints : sequence of Joint
-        """
+        """Joints at which a model leaves less, RMS (n,) N m, than the interval's lower end."""
         return tuple(
             f"joint {joint.name}: {rest:.3g} {joint.unit('N m')} is left, less than the noise "
             f"floor's interval, {low:.3g} to {high:.3g} {joint.unit('N m')}: the floor's estimate "
@@ -85,24 +85,11 @@ def noise_floor(
 ) -> NoiseFloor:
     """Find the noise floor of every joint where it slides; an estimate of its own.
 
-    Parameters
-    ----------
-    recordings : sequence of Recording
-        With torque.
-    `scenes` : sequence of `Scene`
-        Of the same logs.
-    residual : sequence of (N, n) arrays
-        Low-passed residual [N m] at the data sets' samples after all that was found has been taken
-        out; zero where it does not count.
-    echo : sequence of (N, n) arrays
-        The part of it that the encoder's noise makes [N m], see `encoder_residuals`.
-    rows : Rows, optional
-        Those that the floor is of; by default all samples at which a joint slides.
-    judged : int, optional
-        How many of the logs the floor is of, the first ones; the others only help to find the
-        noise. By default all.
-    encoder_error : float
-        Relative standard error of the encoder's part.
+    `residual`, `echo` (N, n) N m per log, at the samples of its data set: what is left after all
+    that was found has been taken out, zero where it does not count; the part of it that the
+    encoder's noise makes (see `encoder_residuals`), known to a relative standard error of
+    `encoder_error`. The floor is of `rows`, by default of all samples at which a joint slides, and
+    of the first `judged` logs, by default of all: the others only help to find the noise.
     """
     logs = list(zip(recordings, scenes, residual, echo, strict=True))
     rests = [_rests(recording, scene) for recording, scene, *_ in logs]
@@ -149,10 +136,7 @@ def _noise(spectra: Sequence[Spectrum], slid: Slid, reference_hz: float) -> Arra
 
 
 def _rests(recording: Recording, scene: Scene, *, settling: float = 1.2) -> tuple[list[int], int]:
-    """First samples, and length, of pieces of equal length in which all joints stand.
-
-    Without `settling` periods of the cut-off at both ends of a rest, in which a move dies away.
-    """
+    """First samples, and length, of pieces in which all joints stand, away from moves."""
     period = recording.rate_hz / scene.motion.lowpass.cutoff_hz
     still = unmoved(recording.q, encoder_resolution(scene.robot), round(STRETCH * period))
     quiet = shrink(still & recording.valid, round(settling * period))
@@ -164,11 +148,7 @@ def _rests(recording: Recording, scene: Scene, *, settling: float = 1.2) -> tupl
 def _above(
     recording: Recording, scene: Scene, joint: int, *, above: float = 1.5, up_to: float = 10.0
 ) -> Spectrum:
-    """The raw torque above the cut-off where the joint slides, away from reversals.
-
-    If it never does for long, of all the log. From `above` cut-offs on the motion makes little;
-    what lies beyond `up_to` tells little of the band.
-    """
+    """The raw torque above the cut-off where the joint slides; if never for long, of all."""
     assert recording.tau is not None
     rate, cutoff, samples = recording.rate_hz, scene.motion.lowpass.cutoff_hz, len(recording.t)
     length = min(round(STRETCH * rate / cutoff), samples)
@@ -210,3 +190,45 @@ def _rounding(recording: Recording, joint: int) -> float:
     """Density of the noise that rounding the torque makes."""
     assert recording.tau is not None
     return float(encoder_step(recording.tau[:, [joint]])[0] ** 2 / 12.0 / recording.rate_hz)
+
+
+def encoder_residuals(recordings: Sequence[Recording], scenes: Sequence[Scene]) -> list[Array]:
+    """Residuals (N, n) N m that a right model has where only the encoder is noisy, drawn once."""
+    rng = np.random.default_rng(SEED)
+    return [_drawn(log, scene, rng) for log, scene in zip(recordings, scenes, strict=True)]
+
+
+def _drawn(recording: Recording, scene: Scene, rng: np.random.Generator) -> Array:
+    motion, rate, valid = scene.motion, recording.rate_hz, recording.valid
+    lowpass, every = Lowpass(motion.lowpass.cutoff_hz, rate), round(rate / motion.rate_hz)
+    truth = Lowpass(BEYOND * motion.lowpass.cutoff_hz, rate)(recording.q, valid)
+    step, density = encoder_step(recording.q), motion.cutoff.noise_density
+    read = encoder_readings(truth, step, density, rate, rng)
+
+    def seen(angle: Array) -> tuple[Array, ...]:
+        """Motion as it is estimated from such readings."""
+        low = lowpass(angle, valid)
+        return tuple(x[::every] for x in (low, *differentiate(low, rate, valid)))
+
+    q, dq, _ = seen(read)
+    friction = sampled_friction(scene.model.surfaces, replace(motion, q=q, dq=dq))
+    rigid = scene.model.rigid(*seen(read if motion.source == "encoder" else truth))
+    sharp = [s and replace(s, sign_width=SHARP) for s in scene.model.surfaces]
+    v, a = differentiate(truth, rate, valid)
+    torque = scene.model.rigid(truth, v, a)
+    torque += replace(scene.model, surfaces=sharp).friction(truth, v)
+    right = lowpass(lowpass(torque, valid), valid)[::every]
+    residual: Array = right - motion.filtered(rigid) - motion.filtered(friction, times=2)
+    return residual
+
+
+def encoder_readings(
+    q: Array, step: Array, density: Array, rate_hz: float, rng: np.random.Generator
+) -> Array:
+    """Positions (N, n) as an encoder reports them, with white noise of density (n,) rad^2 / Hz."""
+    power, counting = 0.5 * density * rate_hz, step**2 / 12.0
+    # The quantisation of a slow joint is tones; no more than its own size counts as white noise.
+    white = np.sqrt(np.where(power > 2.0 * counting, power - counting, 0.0))
+    q = q + white * rng.standard_normal(q.shape)
+    unit, phase = np.where(step > 0, step, 1.0), rng.random(len(step))
+    return np.where(step > 0, (np.round(q / unit + phase) - phase) * unit, q)

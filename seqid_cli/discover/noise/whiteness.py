@@ -30,19 +30,9 @@ NUGGET = 1e-6
 def white(rows: Rows, residual: Sequence[Array], *, false_alarm: float = FALSE_ALARM) -> Mask:
     """Test every joint's residual for being low-passed white noise.
 
-    Parameters
-    ----------
-    rows : Rows
-        Only samples that count are looked at.
-    residual : sequence of (N, n) arrays
-        Low-passed twice, at the data sets' samples, N m.
-    false_alarm : float
-        Share of white residuals that are called coloured.
-
-    Returns
-    -------
-    (n,) bool array
-        False where the hypothesis is rejected; True where there are too few samples to.
+    `residual` (N, n) N m per data set, low-passed twice; only samples that count are looked at.
+    `false_alarm` is the share of white residuals that are called coloured. Returns (n,): False
+    where the hypothesis is rejected, True where there are too few samples to.
     """
     return np.array([_p_value(rows, residual, j) for j in range(rows.n)]) >= false_alarm
 

@@ -1,23 +1,22 @@
 """What held-out logs say of a refinement: opened after the last decision, they change none."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from msgspec import structs
 
 from seqid_cli.discover.base import residual_of
-from seqid_cli.discover.noise.encoder import encoder_residuals
-from seqid_cli.discover.noise.floor import NoiseFloor, noise_floor
+from seqid_cli.discover.noise.floor import NoiseFloor, encoder_residuals, noise_floor
 from seqid_cli.discover.refinement.held_out import HeldOutError, WholeLogs, gain, held_out_error
-from seqid_cli.discover.refinement.loop import with_effects
-from seqid_cli.discover.refinement.rounds import Refinement
-from seqid_cli.discover.scenes import scenes_of, with_own_cutoffs
-from seqid_cli.discover.survey.usable import usable_logs
+from seqid_cli.discover.refinement.loop import Refinement, with_effects
+from seqid_cli.discover.scenes import scenes_of, usable_logs, with_own_cutoffs
+from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
+from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
-from seqid_cli.params.schema import ClosedLoop, JointRmse, Stages
+from seqid_cli.params.schema import ClosedLoop, Stages
+from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
 
 
@@ -26,47 +25,59 @@ def confirm(
 ) -> ClosedLoop:
     """Measure a refinement on logs that had no say in it.
 
-    Parameters
-    ----------
-    found : Refinement
-    held_out : sequence of Recording
-        Never fitted.
-    whole : WholeLogs, optional
-        The held-out logs as they are, where `held_out` are pieces of them.
-
-    Returns
-    -------
-    ClosedLoop
-        Errors before and after on the same samples; each round with its own gain beside the model
-        before it, confirmed where that is certainly more than nothing.
+    `whole`: the held-out logs as they are, where `held_out` are pieces of them. Errors before and
+    after are on the same samples. Each round has its own gain beside the model before it, and is
+    confirmed where that is certainly more than nothing.
     """
     robot, options = found.material.robot, found.material.options
     held_out, notes = usable_logs(held_out, robot)
     motion = with_own_cutoffs(held_out, robot, found.came, options.motion)
-    material = replace(found.material, options=replace(options, motion=motion))
-    found = replace(found, material=material)
     models = [found.came, *(with_effects(m, robot) for m in (found.without, *found.steps[1:]))]
-    errors, more = _errors(found, models, held_out, whole)
-    rounds, names, number = list(found.rounds), robot.joint_names, 1
+    errors, more = _errors(models, robot, motion, held_out, whole)
+    rounds, names = _confirmed(found, errors[1:]), robot.joint_names
+    before, after = errors[0], errors[-1] if found.added else errors[0]
+    new, floor = after.rmse(), _floor(found, held_out, motion)
+    judged = [j for j in range(robot.n) if np.isfinite(new[j])]
+    changes = {names[j]: gain(before, after, [j]) for j in judged}
+    lost = [f"{name} ({percent(-g.value)})" for name, g in changes.items() if g.loses]
+    said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
+    times = {names[j]: float(new[j] / floor.rms[j]) for j in judged}
+    accepted = [told for told in rounds if told.accepted]
+    return ClosedLoop(
+        verdict="good" if all(told.confirmed for told in accepted) else "poor",
+        rounds=accepted,
+        refused=[told for told in rounds if not told.accepted],
+        before=before.by_joint(names),
+        after=after.by_joint(names),
+        noise_floor={names[j]: float(floor.rms[j]) for j in judged},
+        noise_floor_interval={names[j]: list(floor.interval(j)) for j in judged},
+        gain_interval={name: g.limits for name, g in changes.items() if g.limits},
+        evaluated_on=list(dict.fromkeys(str(log.path) for log in held_out)),
+        notes=[
+            *(*found.notes, *notes, *more),
+            *((said,) if lost else ()),
+            *excess_note(times, smooth=options.with_unexplained),
+            *floor.doubts(new, robot.joints),
+        ],
+    )
+
+
+def _confirmed(found: Refinement, errors: Sequence[HeldOutError]) -> list[RefinementRound]:
+    """The rounds, each effect that was added with what it gains on the held-out logs."""
+    robot, rounds, number = found.material.robot, list(found.rounds), 0
     for k, told in enumerate(rounds):
         if told.accepted:
-            own = [names.index(told.joint)] if told.joint is not None else range(robot.n)
+            own = range(robot.n) if told.joint is None else [robot.joint_names.index(told.joint)]
             change = gain(errors[number], errors[number + 1], own)
             number += 1
             rounds[k] = structs.replace(
                 told, held_out_gain=change.value, interval=change.limits, confirmed=change.certain
             )
-    errors = errors if found.steps[1:] else errors[:1]
-    logs = tuple(dict.fromkeys(str(log.path) for log in held_out))
-    return _closed(found, rounds, errors, _floor(found, held_out), logs, (*notes, *more))
+    return rounds
 
 
 def excess_note(times: Mapping[str, float], *, smooth: bool) -> tuple[str, ...]:
-    """Say which joints are left with more than noise, and what to do; nothing where none is.
-
-    `times`: how many times the noise floor each joint's error is. `smooth`: whether smooth terms
-    were allowed already.
-    """
+    """Say which joints have so many `times` the noise floor left, and what to do."""
     said = [f"{name} ({x:.1f} times)" for name, x in times.items() if x > MORE_THAN_NOISE]
     if not said:
         return ()
@@ -76,13 +87,13 @@ def excess_note(times: Mapping[str, float], *, smooth: bool) -> tuple[str, ...]:
 
 
 def _errors(
-    found: Refinement,
     models: Sequence[Stages],
+    robot: Robot,
+    options: InertiaOptions,
     held_out: Sequence[Recording],
     whole: WholeLogs | None,
 ) -> tuple[list[HeldOutError], tuple[str, ...]]:
     """Errors of all models: of the held-out logs as a whole, where they can be had."""
-    options, robot = found.material.options.motion, found.material.robot
     there = [whole.error(stages, options=options) for stages in models if whole is not None]
     known = [error for error in there if error is not None]
     if len(known) == len(models):
@@ -91,64 +102,14 @@ def _errors(
     return [held_out_error(held_out, robot, stages, options=options) for stages in models], note
 
 
-def _closed(
-    found: Refinement,
-    rounds: list[RefinementRound],
-    errors: Sequence[HeldOutError],
-    floor: NoiseFloor,
-    logs: tuple[str, ...],
-    notes: tuple[str, ...],
-) -> ClosedLoop:
-    names = found.material.robot.joint_names
-    before, after = errors[0], errors[-1]
-    new = after.rmse()
-    judged = [j for j in range(len(names)) if np.isfinite(new[j])]
-    changes = {names[j]: gain(before, after, [j]) for j in judged}
-    lost = [f"{name} ({percent(-g.value)})" for name, g in changes.items() if g.loses]
-    said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
-    times = {names[j]: float(new[j] / floor.rms[j]) for j in judged}
-    more = excess_note(times, smooth=found.material.options.with_unexplained)
-    return ClosedLoop(
-        verdict="good" if all(told.confirmed for told in rounds if told.accepted) else "poor",
-        rounds=[told for told in rounds if told.accepted],
-        refused=[told for told in rounds if not told.accepted],
-        before=_by_joint(before, names),
-        after=_by_joint(after, names),
-        noise_floor={names[j]: float(floor.rms[j]) for j in judged},
-        noise_floor_interval={names[j]: list(floor.interval(j)) for j in judged},
-        gain_interval={name: g.limits for name, g in changes.items() if g.limits},
-        evaluated_on=list(logs),
-        notes=[
-            *found.notes,
-            *notes,
-            *((said,) if lost else ()),
-            *more,
-            *floor.doubts(new, found.material.robot.joints),
-        ],
-    )
-
-
-def _by_joint(error: HeldOutError, names: Sequence[str]) -> dict[str, JointRmse]:
-    """Errors of the joints that slide."""
-    columns = (error.rmse(), error.rmse_inside(), error.rmse_outside(), error.share_outside())
-    every = zip(names, np.stack(columns, axis=1).tolist(), strict=True)
-    return {
-        name: JointRmse(
-            rmse=rmse,
-            rmse_inside=inside if np.isfinite(inside) else None,
-            rmse_outside=outside if np.isfinite(outside) else None,
-            share_outside=share,
-        )
-        for name, (rmse, inside, outside, share) in every
-        if np.isfinite(rmse)
-    }
-
-
-def _floor(found: Refinement, held_out: Sequence[Recording]) -> NoiseFloor:
+def _floor(found: Refinement, held_out: Sequence[Recording], options: InertiaOptions) -> NoiseFloor:
     """Noise floor of the held-out logs; the training logs help to find it."""
-    material, model = found.material, found.steps[-1]
-    logs = [*held_out, *material.training]
-    freed = [material.without(log, model.stages, model.effects) for log in logs]
-    scenes = scenes_of(freed, material.robot, model.stages, options=material.options.motion)
+    material, model = found.material, found.model
+    given, motion = (material.robot, model.stages), options.motion
+    freed = [
+        without_effects(log, *given, model.effects, motion=motion, source=options.source)
+        for log in (*held_out, *material.training)
+    ]
+    scenes = scenes_of(freed, *given, options=options)
     left, echo = [residual_of(scene) for scene in scenes], encoder_residuals(freed, scenes)
     return noise_floor(freed, scenes, left, echo, judged=len(held_out))

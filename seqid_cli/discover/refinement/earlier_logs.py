@@ -28,13 +28,7 @@ class Earlier:
 def read_earlier(
     inputs: Inputs, found: EarlierLogs, fitted: Excerpts, options: InertiaOptions
 ) -> Earlier:
-    """Read the logs of earlier stages; one that is fitted anyway is not read a second time.
-
-    Raises
-    ------
-    InputError
-        A log cannot be read.
-    """
+    """Read the logs of earlier stages; one that is fitted anyway is not read a second time."""
     at_hand = by_digest(fitted.recordings)
     held = {sha256 for sha256, some in at_hand.items() if some[0].whole is None}
     trials = {sha256 for stage in TRIALS for sha256 in found.by_stage.get(stage, ())}

@@ -20,11 +20,11 @@ from typing import cast
 import numpy as np
 from scipy.stats import t as student_t
 
-from seqid_cli.discover.noise.level import LEVEL
+from seqid_cli.discover.noise.spectra import LEVEL
 from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.prediction.predict import LogPrediction, local_effects, predict
+from seqid_cli.identify.prediction.predict import local_effects, predict
 from seqid_cli.identify.regression.equations import LONG, open_if_long, streams
 from seqid_cli.inspect.screening import read_screened, screened_long
 from seqid_cli.logs.long import likely_rows
@@ -34,9 +34,9 @@ from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.blocks import SurveyedLog
-from seqid_cli.params.schema import Stages
+from seqid_cli.params.schema import JointRmse, Stages
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array, Index, Mask
+from seqid_cli.typing import Array
 
 FEWEST_BLOCKS = 8  # of joined blocks: with fewer their spread tells little
 MOST_BLOCKS = 1000  # of a log that comes in parts
@@ -65,18 +65,22 @@ class HeldOutError:
         """RMS error (n,) N m as `predict` reports it; NaN for a joint that never slides."""
         return _rms(self.squares, self.samples)
 
-    def rmse_inside(self) -> Array:
-        """The same (n,) within the positions and speeds at which friction was identified."""
-        return _rms(self.squares - self.outside, self.samples - self.outside_samples)
-
-    def rmse_outside(self) -> Array:
-        """The same (n,) beyond them."""
-        return _rms(self.outside, self.outside_samples)
-
-    def share_outside(self) -> Array:
-        """Share (n,) of the samples that lie beyond them."""
-        beyond, every = (x.sum(axis=0) for x in (self.outside_samples, self.samples))
-        return np.asarray(beyond / np.maximum(every, 1.0))
+    def by_joint(self, names: Sequence[str]) -> dict[str, JointRmse]:
+        """Errors of the joints that slide, also apart within and beyond the identified friction."""
+        inside = _rms(self.squares - self.outside, self.samples - self.outside_samples)
+        outside = _rms(self.outside, self.outside_samples)
+        share = self.outside_samples.sum(axis=0) / np.maximum(self.samples.sum(axis=0), 1.0)
+        every = np.stack([self.rmse(), inside, outside, share], axis=1).tolist()
+        return {
+            name: JointRmse(
+                rmse=whole,
+                rmse_inside=within if np.isfinite(within) else None,
+                rmse_outside=beyond if np.isfinite(beyond) else None,
+                share_outside=part,
+            )
+            for name, (whole, within, beyond, part) in zip(names, every, strict=True)
+            if np.isfinite(whole)
+        }
 
 
 def _rms(squares: Array, samples: Array) -> Array:
@@ -116,61 +120,31 @@ def held_out_error(
     *,
     options: InertiaOptions,
 ) -> HeldOutError:
-    """Predict logs, smooth terms included, and add up the squared errors, block by block.
-
-    Two models are compared on the same samples where `options.slides_from` is given.
-    """
-    sums: list[BlockSums] = []
+    """Predict logs, smooth terms included, and add up the squared errors, block by block."""
+    found, samples, seen = list[HeldOutError](), 0, 0
     logs = cast("Iterable[Recording]", recordings)  # those that are passed over are predicted alike
     every = predict(logs, robot, stages, options=options, unexplained=True, sliding_only=True)
     for log in every:
-        if log.part == 0:
-            sums.append(BlockSums.of(log))
-        sums[-1].add(log, log.sliding)
-    return joined(own.error for own in sums)
-
-
-@dataclass
-class BlockSums:
-    """Sums over the blocks of one log, whose samples come in parts."""
-
-    error: HeldOutError
-    samples: int
-    seen: int = 0
-
-    @classmethod
-    def of(cls, first: LogPrediction) -> BlockSums:
-        """Begin with nothing; blocks of a short log are shorter, of one that is not held longer."""
-        length = float(first.t[-1] - first.t[0])
-        length *= 1.0 if first.last else first.samples / len(first.t)
-        count = int(np.clip(round(length / BLOCK_S), FEWEST_BLOCKS, MOST_BLOCKS))
-        zero = np.zeros((count, first.tau.shape[1]))
-        return cls(HeldOutError(*(zero.copy() for _ in range(4))), first.samples)
-
-    def add(self, log: LogPrediction, counts: Mask) -> None:
-        """Add the next samples, those of `counts` (N, n)."""
-        blocks = len(self.error.squares)
-        at = np.arange(self.seen, self.seen + len(log.t))
-        self.seen += len(log.t)
-        block = np.minimum(at * blocks // self.samples, blocks - 1)
-        square = log.residual**2
-        squares, samples, outside, outside_samples = self.error.parts
-        for mask, total, number in (
-            (counts, squares, samples),
-            (counts & log.outside, outside, outside_samples),
-        ):
-            total += _by_block(block, blocks, np.where(mask, square, 0.0))
-            number += _by_block(block, blocks, mask.astype(np.float64))
+        if log.part == 0:  # blocks of a short log are shorter, of one that is not held longer
+            length = float(log.t[-1] - log.t[0])
+            length *= 1.0 if log.last else log.samples / len(log.t)
+            blocks = int(np.clip(round(length / BLOCK_S), FEWEST_BLOCKS, MOST_BLOCKS))
+            found.append(HeldOutError(*np.zeros((4, blocks, robot.n))))
+            samples, seen = log.samples, 0
+        blocks = len(found[-1].squares)
+        block = np.minimum(np.arange(seen, seen + len(log.t)) * blocks // samples, blocks - 1)
+        seen += len(log.t)
+        square, counts, beyond = log.residual**2, log.sliding, log.sliding & log.outside
+        values = np.where(counts, square, 0.0), counts, np.where(beyond, square, 0.0), beyond
+        for total, of_joints in zip(found[-1].parts, values, strict=True):
+            for own, value in zip(total.T, of_joints.T, strict=True):
+                own += np.bincount(block, weights=value, minlength=blocks)
+    return joined(found)
 
 
 def joined(errors: Iterable[HeldOutError]) -> HeldOutError:
     """The blocks of all logs."""
     return HeldOutError(*map(np.vstack, zip(*(error.parts for error in errors), strict=True)))
-
-
-def _by_block(block: Index, count: int, values: Array) -> Array:
-    columns = [np.bincount(block, weights=v, minlength=count) for v in values.T]
-    return np.stack(columns, axis=1)
 
 
 @dataclass(frozen=True)
@@ -182,13 +156,7 @@ class WholeLogs:
     time_source: TimeSource = "header"
 
     def error(self, stages: Stages, *, options: InertiaOptions) -> HeldOutError | None:
-        """Error of a model on all samples; None where it cannot be predicted part by part.
-
-        Raises
-        ------
-        InputError
-            A log can no longer be read.
-        """
+        """Error of a model on all samples; None where it cannot be predicted part by part."""
         model = TorqueModel.from_stages(stages, self.robot)
         effects = fitted_effects(stages, self.robot, unexplained=True)
         if not (streams(stages, options) and local_effects(model, effects)):
@@ -258,10 +226,7 @@ def _within_and_beyond(every: Array, beyond: Array, joints: Sequence[int]) -> Ar
 
 
 def gain_of(old: Array, new: Array) -> Gain:
-    """Gain from squared errors (B,) of every block before and after, in any unit.
-
-    Of a single block the interval is everything.
-    """
+    """Gain from squared errors (B,) by block; of a single one the interval is everything."""
     there = (old > 0.0) | (new > 0.0)
     old, new = old[there], new[there]
     total = max(float(old.sum()), 1e-300)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from seqid_cli.errors import InputError, SeqidError, UsageError
+from seqid_cli.errors import SeqidError, UsageError
 from seqid_cli.logs.given import Logs, expanded, listed
 from seqid_cli.logs.storage.files import check_log
 from seqid_cli.logs.storage.remote import TableLog
@@ -28,14 +28,8 @@ _NAMED = 3  # logs that a note names
 def held_out_logs(logs: Logs, held_out: Logs) -> tuple[Path | Recording, ...]:
     """Return the held-out logs, after making sure that none of them is to be fitted.
 
-    None is opened: by its place alone a log is known until the last decision has been made.
-
-    Raises
-    ------
-    UsageError
-        A log is in both lists.
-    InputError
-        A path stands for no log.
+    None is opened: by its place alone a log is known until the last decision has been made. Raises
+    UsageError: a log is in both lists; InputError: a path stands for no log.
     """
     files = expanded(listed(held_out))
     fitted = {_place(file): file for file in expanded(listed(logs))}
@@ -53,13 +47,7 @@ def _place(log: Path | Recording) -> object:
 
 
 def check_unseen(held_out: Mapping[str, Path], fitted: Mapping[str, Path]) -> None:
-    """Make sure that no held-out log is a copy of one that was fitted; both by SHA-256.
-
-    Raises
-    ------
-    UsageError
-        One is.
-    """
+    """Raise UsageError if a held-out log is a copy of one that was fitted; both by SHA-256."""
     for sha256, path in held_out.items():
         if sha256 in fitted:
             raise _in_both(path, fitted[sha256])
@@ -93,17 +81,9 @@ def find_earlier(
 ) -> EarlierLogs:
     """Look for the logs of earlier stages, unchanged, where the parameter file says they are.
 
-    Parameters
-    ----------
-    inputs : sequence of InputLog
-        As the parameter file lists them; a relative path is tried from the working directory and
-        then from each of `folders`.
-    folders : sequence of Path
-        Folders of the parameter files.
-    at_hand : mapping of SHA-256 to Path
-        Logs that were given to be fitted, wherever earlier stages had them from.
-    held_out : sequence of Path
-        Logs never to be fitted; they are not opened.
+    A relative path of `inputs` is tried from the working directory and then from each of `folders`,
+    those of the parameter files. `at_hand` are logs that were given to be fitted, wherever earlier
+    stages had them from; `held_out` those that are never to be fitted, and are not opened.
     """
     unseen = {path.resolve() for path in held_out}
     known = [log for log in inputs if unseen & {p.resolve() for p in _places(log, folders)}]
@@ -120,21 +100,6 @@ def find_earlier(
     return EarlierLogs(paths, by_stage, notes)
 
 
-def log_sha256(path: Path) -> str:
-    """SHA-256 of a log, as recordings carry it.
-
-    Raises
-    ------
-    InputError
-        It cannot be read.
-    """
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"cannot be read ({error})", where=str(path)) from error
-
-
 def _places(log: InputLog, folders: Sequence[Path]) -> list[Path]:
     """Where a log of a parameter file may be; nothing for what is no path."""
     places = (Path(log.path), *(folder / log.path for folder in folders))
@@ -147,8 +112,9 @@ def _find(log: InputLog, folders: Sequence[Path]) -> Path | None:
     for path in _places(log, folders):  # the name comes from a file: nothing else is opened
         with contextlib.suppress(SeqidError, OSError):
             check_log(path)
-            if log_sha256(path) == log.sha256:
-                return path
+            with path.open("rb") as file:
+                if hashlib.file_digest(file, "sha256").hexdigest() == log.sha256:
+                    return path
     return None
 
 

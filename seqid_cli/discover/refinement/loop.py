@@ -1,4 +1,4 @@
-"""The state of a refinement: the model as it grows, and what was tried.
+"""The state of a refinement: the model as it grows, and what comes of one effect more.
 
 Held-out logs play no part here.
 """
@@ -12,79 +12,64 @@ from functools import cached_property
 import msgspec
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.refinement.held_out import HeldOutError, gain, held_out_error, joined
-from seqid_cli.discover.refinement.material import Key, Material, Refitted, identity, unique
-from seqid_cli.discover.refinement.reidentify import refitted
+from seqid_cli.discover.refinement.held_out import (
+    LEAST_GAIN,
+    Gain,
+    HeldOutError,
+    doubt,
+    gain,
+    held_out_error,
+    joined,
+)
+from seqid_cli.discover.refinement.reidentify import (
+    Key,
+    Material,
+    Refitted,
+    identity,
+    refitted,
+    unique,
+)
+from seqid_cli.discover.select.naming import reality
+from seqid_cli.discover.select.results import Options, Taken
+from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect, as_stage
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 
-
-@dataclass(frozen=True, eq=False)
-class Account:
-    """A model with one effect more, the model `without` it, and when the effects came.
-
-    `late` are those that came after the file was identified; `kept` says whether the stages stayed
-    as they were in this fit. It is not finished where it is clearly worse than a `rival`.
-    """
-
-    loop: Loop
-    candidates: tuple[Candidate, ...]
-    late: frozenset[Key]
-    kept: bool
-    rival: Account | None = None
-
-    @cached_property
-    def model(self) -> Refitted:
-        """Fitted to all logs."""
-        loop, rival = self.loop, self.rival
-        asked = loop.material, loop.model, self.candidates
-        beaten = None if rival is None else rival.beats
-        return refitted(*asked, late=self.late, kept=self.kept, beaten=beaten)
-
-    @cached_property
-    def without(self) -> Refitted:
-        """The model as it stands; before the first effect by the same recipe as this one."""
-        loop = self.loop
-        return loop.model if self.kept or loop.added else loop.anew
-
-    @property
-    def error(self) -> HeldOutError:
-        """Squared errors on the logs that are fitted."""
-        return self.loop.error_of(self.model)
-
-    @property
-    def everywhere(self) -> HeldOutError:
-        """The same, beside those on the logs of earlier stages: they tell when effects came."""
-        return self.loop.error_everywhere(self.model)
-
-    def beats(self, other: Refitted) -> bool:
-        """Whether all logs are predicted better than by another model, and not by chance."""
-        joints = range(self.loop.material.robot.n)
-        return gain(self.loop.error_everywhere(other), self.everywhere, joints).certain
+ALL_ALONG = "was there all along"
+LATE = "came after the file was identified"
+PROBABLE = 0.5  # probability of being there from which an effect is added
 
 
 @dataclass
-class Loop:
-    """The model as it grows and what was tried.
+class Refinement:
+    """What is decided before any held-out log is opened.
 
-    `steps` are the file's model, then one after each effect; `without` is what the first of these
-    is compared with.
+    `material` is what models are fitted to, `came` the stages at first. `steps` are the model as it
+    came in and that after each effect that was added; `without` is what the first effect had to be
+    better than: the model as it came in, or the same identified anew.
     """
 
     material: Material
+    came: Stages
     steps: list[Refitted]
     without: Refitted
     rounds: list[RefinementRound] = field(default_factory=list)
+    notes: tuple[str, ...] = ()
     _errors: dict[Refitted, HeldOutError] = field(default_factory=dict)
-    _before: list[tuple[Refitted, HeldOutError]] = field(default_factory=list)
+    _before: dict[Refitted | int, HeldOutError] = field(default_factory=dict)
 
     @property
     def model(self) -> Refitted:
         """The model as it stands."""
         return self.steps[-1]
+
+    @property
+    def stages(self) -> Stages:
+        """The refined model."""
+        return with_effects(self.model, self.material.robot)
 
     @property
     def added(self) -> int:
@@ -105,8 +90,12 @@ class Loop:
         return self._errors[model]
 
     def error_everywhere(self, model: Refitted) -> HeldOutError:
-        """The same, beside those on the logs of earlier stages; what came late is not in these."""
-        return joined([self.error_of(model), self._error_before(model)])
+        """The same, beside those on logs of earlier stages, without what came late."""
+        lasting = tuple(model.lasting)
+        key: Refitted | int = model if lasting else id(model.stages)
+        if key not in self._before:
+            self._before[key] = self._error(self.logs_before, replace(model, effects=lasting))
+        return joined([self.error_of(model), self._before[key]])
 
     @cached_property
     def logs_before(self) -> list[Recording]:
@@ -115,25 +104,101 @@ class Loop:
         every = unique([log for own in self.material.earlier.values() for log in own])
         return [x for x in every if identity(x) not in fitted and x.tau is not None]
 
-    def _error_before(self, model: Refitted) -> HeldOutError:
-        """Squared errors on those; models that differ in what came late alone have the same."""
-        lasting = replace(model, effects=tuple(model.lasting))
-        for known, error in self._before:
-            if known.stages is lasting.stages and not (known.effects or lasting.effects):
-                return error
-        self._before.append((lasting, self._error(self.logs_before, lasting)))
-        return self._before[-1][1]
-
     def _error(self, logs: Sequence[Recording], model: Refitted) -> HeldOutError:
         robot, options = self.material.robot, self.material.options.motion
         return held_out_error(logs, robot, with_effects(model, robot), options=options)
 
-    def accept(self, told: RefinementRound, account: Account) -> None:
-        """Take an effect into the model."""
-        if not self.added:
-            self.without = account.without
-        self.steps.append(account.model)
-        self.rounds.append(told)
+
+@dataclass(frozen=True, eq=False)
+class Account:
+    """A model with one effect more, what was `taken` for it, and when the effects came.
+
+    `late` are those that came after the file was identified; `kept` says whether the stages stayed
+    as they were in this fit. It is not finished where it is clearly worse than a `rival`.
+    """
+
+    loop: Refinement
+    taken: Taken
+    candidates: tuple[Candidate, ...]
+    late: frozenset[Key]
+    kept: bool
+    rival: Account | None = None
+
+    @cached_property
+    def model(self) -> Refitted:
+        """Fitted to all logs."""
+        asked = self.loop.material, self.loop.model, self.candidates
+        beaten = self.rival.beats if self.rival else None
+        return refitted(*asked, late=self.late, kept=self.kept, beaten=beaten)
+
+    @cached_property
+    def without(self) -> Refitted:
+        """The model as it stands; before the first effect by the same recipe as this one."""
+        return self.loop.model if self.kept or self.loop.added else self.loop.anew
+
+    def beats(self, other: Refitted) -> bool:
+        """Whether all logs are predicted better than by another model, and not by chance."""
+        before, after = map(self.loop.error_everywhere, (other, self.model))
+        return gain(before, after, range(self.loop.material.robot.n)).certain
+
+    @cached_property
+    def _errors(self) -> tuple[HeldOutError, HeldOutError]:
+        return self.loop.error_of(self.without), self.loop.error_of(self.model)
+
+    @cached_property
+    def change(self) -> Gain:
+        """Gain at the effect's joints on the logs that are fitted."""
+        return gain(*self._errors, self._own)
+
+    @property
+    def _own(self) -> list[int]:
+        return joints_below(self.taken.term.channels, self.loop.material.robot.n)
+
+    @cached_property
+    def gains(self) -> bool:
+        """Whether it gains enough, and not by chance."""
+        doubted = doubt(*self._errors, self._own)
+        return self.change.value >= LEAST_GAIN and doubted <= Options.doubt
+
+    @property
+    def likely(self) -> bool:
+        """Whether the effect is likelier there than not, by what is gained."""
+        share = max(self.change.value, self.taken.share)
+        return reality(share, self.taken.evidence) > PROBABLE
+
+    @cached_property
+    def losing(self) -> list[int]:
+        """Joints that lose more than all others gain."""
+        joints = range(self.loop.material.robot.n)
+        if gain(*self._errors, joints).value > 0.0:
+            return []
+        return [j for j in joints if gain(*self._errors, [j]).loses]
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it is worth it."""
+        return self.gains and self.likely and not self.losing
+
+    @property
+    def reason(self) -> str:
+        """When the effect came; why it is refused, if it is."""
+        candidate, names = effect_of(self.taken), self.loop.material.robot.joint_names
+        if self.accepted:
+            return LATE if candidate.key in self.late else ALL_ALONG
+        if candidate.effect.wide and abs(self.change.value) < LEAST_GAIN:
+            return "lies above the low-pass, where the model is not judged"
+        if not self.gains:
+            return "the model identified anew with it is not certainly better"
+        if not self.likely:
+            return "is less likely than not"
+        lost = ", ".join(names[j] for j in self.losing)
+        return f"the model identified anew with it predicts {lost} worse"
+
+
+def effect_of(taken: Taken) -> Candidate:
+    """The effect that a term is."""
+    assert isinstance(taken.term.what, Candidate)
+    return taken.term.what
 
 
 def with_effects(model: Refitted, robot: Robot) -> Stages:

@@ -6,7 +6,7 @@ import numpy as np
 from seqid_cli.discover.select.model import Model
 from seqid_cli.identify.rigid.parameters import representative_of
 from seqid_cli.identify.rigid.simultaneous import surface_entries
-from seqid_cli.params.schema import FrictionJoint, Stages
+from seqid_cli.params.schema import FrictionJoint, RigidStage, Stages
 from seqid_cli.robot.base_parameters import standard_names
 from seqid_cli.typing import Array
 
@@ -55,36 +55,31 @@ def _values(stages: Stages, fit: Model) -> tuple[Array, Array]:
 def moved(stages: Stages, fit: Model, theta: Array) -> Stages:
     """The stages with deviations of the base, ordered as `fit` has them, added to what they say."""
     robot, where = fit.ground.stage.scenes[0].robot, fit.linear.where
-    n = robot.n
-    friction = None
+    result, basis, change = Stages(imu=stages.imu), fit.ground.base.basis, theta[where[0]]
     if stages.friction is not None:
         joints = dict(stages.friction.joints)
-        for j, name in enumerate(robot.joint_names):
+        for name, own in zip(robot.joint_names, where[1:], strict=False):
             if name in joints:
-                joints[name] = _moved_friction(joints[name], theta[where[1 + j]])
-        friction = msgspec.structs.replace(stages.friction, joints=joints)
-    rigid = fit.ground.base.basis
-    change = theta[where[0]]
-    result = Stages(friction=friction, imu=stages.imu)
-    values = dict(zip(rigid.names, change, strict=True))
-    for name in ("gravity", "inertia"):
-        stage = getattr(stages, name)
-        if stage is not None:
-            own = [
-                msgspec.structs.replace(p, value=float(p.value + values.get(p.name, 0.0)))
-                for p in stage.parameters
-            ]
-            anew = dict(stage.representative)
-            setattr(
-                result, name, msgspec.structs.replace(stage, parameters=own, representative=anew)
-            )
+                joints[name] = _moved_friction(joints[name], theta[own])
+        result.friction = msgspec.structs.replace(stages.friction, joints=joints)
+    by_name = dict(zip(basis.names, change, strict=True))
+
+    def moved_rigid(stage: RigidStage | None) -> RigidStage | None:
+        if stage is None:
+            return None
+        own = [
+            msgspec.structs.replace(p, value=float(p.value + by_name.get(p.name, 0.0)))
+            for p in stage.parameters
+        ]
+        anew = dict(stage.representative)
+        return msgspec.structs.replace(stage, parameters=own, representative=anew)
+
+    result.gravity, result.inertia = moved_rigid(stages.gravity), moved_rigid(stages.inertia)
     last = result.inertia or result.gravity
     if last is not None:
-        now = np.array([last.representative.get(x, 0.0) for x in standard_names(n)])
-        added = representative_of(rigid, change, np.zeros(n))
-        total = now + np.array([added.get(x, 0.0) for x in standard_names(n)])
-        names = standard_names(n)
-        last.representative = {x: float(v) for x, v in zip(names, total, strict=True) if v != 0.0}
+        now, added = last.representative, representative_of(basis, change, np.zeros(robot.n))
+        total = {x: now.get(x, 0.0) + added.get(x, 0.0) for x in standard_names(robot.n)}
+        last.representative = {x: float(v) for x, v in total.items() if v != 0.0}
     return result
 
 

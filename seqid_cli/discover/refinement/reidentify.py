@@ -12,37 +12,120 @@ fitted, beside a base that may move within the errors that the file gives.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 
 import msgspec
 import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.refinement.material import (
-    Key,
-    Material,
-    Refitted,
-    changed_joints,
-    identity,
-    unique,
-)
+from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.moved_stages import held, moved
-from seqid_cli.discover.scenes import shared_starts
-from seqid_cli.discover.select.model import FIRM, FREE, HELD, Hold, Model
+from seqid_cli.discover.scenes import scenes_of, shared_starts
+from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Hold, Model
+from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.identify.rigid.simultaneous import TERMS, identify_simultaneous
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.apply import session_of
-from seqid_cli.model.effects.fitted import FittedEffect
+from seqid_cli.model.effects.apply import session_of, without_effects
+from seqid_cli.model.effects.fitted import Fitted, FittedEffect
 from seqid_cli.params.schema import FrictionStage, Stages
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
+Key = tuple[str, int | None]  # name of an effect, and its joint
 MOVES = 0.01  # of a joint's largest travel, from which a log is one of its own
+
+
+@dataclass(frozen=True, eq=False)
+class Refitted:
+    """A model with effects: the stages without them, the effects, and which of these came late."""
+
+    stages: Stages
+    effects: tuple[Fitted, ...]
+    late: frozenset[Key] = frozenset()
+
+    @property
+    def lasting(self) -> list[Fitted]:
+        """Effects that were there all along."""
+        return [f for f in self.effects if key_of(f) not in self.late]
+
+
+def key_of(fitted: Fitted) -> Key | None:
+    """What tells a fitted effect from the others; None for a smooth term."""
+    return (fitted.effect.name, fitted.joint) if isinstance(fitted, FittedEffect) else None
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a model is identified from; `earlier` are the logs at hand of the earlier stages."""
+
+    training: tuple[Recording, ...]
+    earlier: Mapping[str, Sequence[Recording]]
+    robot: Robot
+    options: DiscoverOptions
+    _grounds: list[tuple[Stages, Ground]] = field(
+        init=False, default_factory=list, compare=False, repr=False
+    )
+
+    def ground(self, stages: Stages) -> Ground:
+        """Rows of the training logs with the base of these stages; the last two are kept."""
+        known = next((pair for pair in self._grounds if pair[0] is stages), None)
+        others = [pair for pair in self._grounds if pair is not known]
+        if known is None:
+            options = self.options.motion
+            rows = rows_of(scenes_of(self.training, self.robot, stages, options=options))
+            known = stages, Ground.of(rows, stages)
+        self._grounds[:] = [known, *others[:1]]
+        return known[1]
+
+    def without(self, log: Recording, stages: Stages, effects: Sequence[Fitted]) -> Recording:
+        """A log without the torque of some effects."""
+        motion = self.options.motion
+        given = log, self.robot, stages, effects
+        return without_effects(*given, motion=motion.motion, source=motion.source)
+
+    def freed(self, log: Recording, model: Refitted) -> Recording:
+        """A log without effects: any, if it is fitted, else those that were there all along."""
+        fitted = identity(log) in map(identity, self.training)
+        return self.without(log, model.stages, model.effects if fitted else model.lasting)
+
+    def now(self, model: Refitted) -> list[Recording]:
+        """The training logs without any effect."""
+        return [self.freed(log, model) for log in self.training]
+
+    def logs_of(self, stage: str) -> list[Recording]:
+        """The logs of an earlier stage, each once; those that are fitted last."""
+        fitted = {identity(log) for log in self.training}
+        logs = unique(self.earlier.get(stage, ()))
+        return sorted(logs, key=lambda log: identity(log) in fitted)
+
+    @property
+    def known(self) -> bool:
+        """Whether the file was identified from all of the training logs."""
+        logs = {identity(log) for stage in self.earlier.values() for log in stage}
+        return all(identity(log) in logs for log in self.training)
+
+
+def changed_joints(log: Recording, freed: Recording) -> Mask:
+    """Joints (n,) whose torque or position the effects have changed."""
+    assert log.tau is not None
+    assert freed.tau is not None
+    changed: Mask = np.any((log.tau != freed.tau) | (log.q != freed.q), axis=0)
+    return changed
+
+
+def unique(logs: Sequence[Recording]) -> list[Recording]:
+    """Logs in their order, each once."""
+    return list({identity(log): log for log in logs}.values())
+
+
+def identity(log: Recording) -> tuple[str, str]:
+    """What tells a log from others."""
+    return log.sha256, str(log.path)
 
 
 def refitted(
@@ -56,19 +139,10 @@ def refitted(
 ) -> Refitted:
     """Fit effects and model together.
 
-    Parameters
-    ----------
-    material : Material
-    model : Refitted
-        The model as it stands.
-    candidates : sequence of Candidate
-        All effects that it is to have; none is a model identified anew.
-    late : frozenset of Key
-        Those of them that the logs of the earlier stages do not have.
-    kept : bool
-        Whether the stages are right as they are, and only the effects are fitted.
-    beaten : callable, optional
-        Whether a model need not be improved any more that has been through a single turn.
+    `candidates` are all effects that the model is to have; none is a model identified anew. `late`
+    are those of them that the logs of the earlier stages do not have. `kept`: the stages are right
+    as they are, and only the effects are fitted. `beaten`: whether a model need not be improved any
+    more that has been through a single turn.
     """
     if kept:
         return _with_values(material, model.stages, candidates, late, HELD)
@@ -181,10 +255,7 @@ def _stages(material: Material, model: Refitted, fit: Callable[[], Model], *, la
 
 
 def _sequential(material: Material, model: Refitted, *, last: bool) -> Stages:
-    """Friction, gravity and inertia again; only the last time is inertia asked at other cut-offs.
-
-    That adds to its errors, and says something of its verdict.
-    """
+    """Friction, gravity and inertia again; the last time also inertia at other cut-offs."""
     robot, motion, stages = material.robot, material.options.motion, model.stages
     new = Stages(friction=stages.friction, gravity=stages.gravity, imu=stages.imu)
     new.inertia = stages.inertia
@@ -217,10 +288,7 @@ def _friction(
     freed: Sequence[Recording],
     old: FrictionStage,
 ) -> FrictionStage:
-    """Friction again, of the joints whose torque or position the effects change in its logs.
-
-    `known` are the logs with the effects, `freed` those without.
-    """
+    """Friction again, of the joints whose torque or position the effects change in its logs."""
     changed = np.any([changed_joints(known[identity(log)], log) for log in freed], axis=0)
     travel = np.array([np.ptp(log.q, axis=0) for log in freed])
     moves = travel > MOVES * travel.max(axis=0)

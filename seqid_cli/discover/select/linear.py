@@ -48,15 +48,7 @@ BATCH = 200  # terms that are tried at once
 
 
 class Linear:
-    """Parts of a model, fitted to weighted rows.
-
-    Parameters
-    ----------
-    rows : Rows
-    parts : sequence of Part
-    weight : sequence of (M_c,) arrays
-        Precision of each row [1 / (N m)^2].
-    """
+    """Parts of a model, fitted to rows of precision `weight` (M_c,) [1 / (N m)^2] by channel."""
 
     def __init__(self, rows: Rows, parts: Sequence[Part], weight: Sequence[Array]) -> None:
         self.rows, self.parts, self.weight = rows, tuple(parts), tuple(weight)

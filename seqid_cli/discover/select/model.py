@@ -12,8 +12,8 @@ from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import Base, base_of
 from seqid_cli.discover.candidates import Candidate, Stage, candidates_of
 from seqid_cli.discover.noise.spectra import DETAIL
+from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
 from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.loosened import Loosened
 from seqid_cli.discover.select.noise import Noise, settled
 from seqid_cli.discover.select.rows import Part, Rows
 from seqid_cli.discover.select.terms import Term, effects
@@ -28,12 +28,8 @@ OWN_OFFSET = 0.75  # sample periods: time offset that every drive has, and no ef
 
 @dataclass(frozen=True)
 class Hold:
-    """By how many of the file's standard errors the base may move from it.
+    """By how many of the file's errors rigid body and `own` friction of each joint may move."""
 
-    `own` is the friction of each joint, where it is not held like the rigid body.
-    """
-
-    name: str
     rigid: float = 1.0
     own: tuple[float, ...] = ()
 
@@ -58,9 +54,9 @@ class Hold:
         return float(sum(np.log(max(scale, 1.0)) ** 2 for scale in scales)) / (2.0 * spread**2)
 
 
-HELD = Hold("held")
-FREE = Hold("free", max(SCALES))
-FIRM = Hold("firm", 0.1)
+HELD = Hold()
+FREE = Hold(max(SCALES))
+FIRM = Hold(0.1)
 
 
 @dataclass(frozen=True)
@@ -106,8 +102,7 @@ class Ground:
 
     def precision(self, hold: Hold, number: int) -> Array:
         """Precision (k, k) beforehand of the rigid body (0), or friction of a joint (from 1)."""
-        base, own = self.base, hold.of(number - 1) if number else hold.rigid
-        rows = base.friction_hold(number - 1, own) if number else base.rigid_hold(own)
+        rows = self.base.hold(number, hold.of(number - 1) if number else hold.rigid)
         return rows.T @ rows
 
     def parts(self, hold: Hold, timed: Sequence[bool]) -> list[Part]:
@@ -126,13 +121,7 @@ class Ground:
 
 
 class Model:
-    """Base and terms, fitted together with the noise that they leave.
-
-    Parameters
-    ----------
-    ground : Ground
-    hold : Hold
-    """
+    """Base and terms, fitted together with the noise that they leave."""
 
     def __init__(self, ground: Ground, hold: Hold) -> None:
         self.ground, self.hold = ground, hold
@@ -157,10 +146,7 @@ class Model:
             self.settle()
 
     def rescale(self) -> bool:
-        """Hold the rigid body, and each joint's friction, as loosely as the evidence says.
-
-        Returns whether anything changes.
-        """
+        """Hold the base as loosely as the evidence says; return whether anything changes."""
         first = self.hold
         best, _ = self._best_hold(self.linear)
         self.hold = best if best.doubt(self.ground.n) else HELD
@@ -266,10 +252,7 @@ class Model:
 
     @cached_property
     def deviation(self) -> list[Array]:
-        """What the base adds to the file's model (N, n) N m, at all samples of every scene.
-
-        Beside terms less what the file has absorbed of them (see `shown`).
-        """
+        """What the base adds to the file's model (N, n) N m, at all samples of every scene."""
         return self._deviation(self.linear.held)
 
     def _deviation(self, theta: Array) -> list[Array]:
@@ -282,10 +265,7 @@ class Model:
         return [term.what for term in self.terms if isinstance(term.what, Candidate)]
 
     def shown(self, without: Term | None = None) -> list[Array]:
-        """Torque (N, n) N m of all terms but one, low-passed, at all samples of every scene.
-
-        Less what the file has absorbed of them.
-        """
+        """Torque (N, n) N m of all terms but one beside the file, at all samples of every scene."""
         scenes, linear = self.ground.stage.scenes, self.linear
         total = [np.zeros_like(scene.motion.q) for scene in scenes]
         absorbed = np.zeros(linear.size)
@@ -298,10 +278,7 @@ class Model:
         return total
 
     def left(self, without: Term | None = None) -> list[Array]:
-        """What is left (N, n) N m at all samples of every scene; zero where a joint may stick.
-
-        `without` a term it has that one's torque.
-        """
+        """What is left (N, n) N m without a term, by scene; zero where a joint may stick."""
         parts = zip(self.ground.base.whole, self.deviation, self.shown(without), strict=True)
         left = [whole.residual - base - terms for whole, base, terms in parts]
         return [
@@ -334,3 +311,40 @@ class Model:
 def rms_of_rows(left: Sequence[Array]) -> Array:
     """RMS (channels,) N m of what is left (M_c,) of channels; zero where there are no rows."""
     return np.array([np.sqrt(np.mean(r**2)) if len(r) else 0.0 for r in left])
+
+
+class Loosened:
+    """A solved model while parts of what is held get other precisions, one after the other.
+
+    With C the covariance of some of it, t their values and D what their precision grows by, all by
+    those of before, the log evidence grows by (log det(P + D) - log det P - log det(1 + D C) - t'
+    (1 + D C)^-1 D t) / 2.
+    """
+
+    def __init__(self, linear: Linear) -> None:
+        self.theta = linear.held
+        self.covariance = linear.lift @ linear.covariance @ linear.lift.T
+        self._told = np.diag(linear.sums[0])  # by the rows
+
+    def gained(self, at: slice, before: Array, after: Array) -> float:
+        """Log evidence that other precisions (k, k) of some parameters gain."""
+        t, K, spread = self.theta[at], *self._change(at, after - before)
+        grown = self._half_log_det(at, after) - self._half_log_det(at, before)
+        return grown - 0.5 * float(spread + t @ K @ t)
+
+    def hold(self, at: slice, before: Array, after: Array) -> None:
+        """Have them hold from now on."""
+        C, K = self.covariance[:, at], self._change(at, after - before)[0]
+        self.theta -= C @ (K @ self.theta[at])
+        self.covariance -= C @ K @ C.T
+
+    def _half_log_det(self, at: slice, precision: Array) -> float:
+        scale = scale_of(np.diag(precision) + self._told[at])
+        return half_log_det(factored(precision * np.outer(scale, scale))) - float(
+            np.log(scale).sum()
+        )
+
+    def _change(self, at: slice, more: Array) -> tuple[Array, float]:
+        """(1 + D C)^-1 D and the logarithm of the determinant of 1 + D C."""
+        M = np.eye(len(more)) + more @ self.covariance[at, at]
+        return np.asarray(np.linalg.solve(M, more)), float(np.linalg.slogdet(M)[1])

@@ -87,20 +87,9 @@ def slow_noise(
 ) -> Part:
     """Torque noise that is slower than a block of time: an offset and cosines, of 1/f power.
 
-    Each log has its own. Blocks that are left out tell nothing of it, and a function of time would
-    pass for an effect.
-
-    Parameters
-    ----------
-    stage : Stage
-    channel : int
-        Rows of a joint, or of its drive.
-    size : float
-        Standard deviation [N m] of their noise.
-    slow : float
-        What of it is slower than `waves` half periods of a log.
-    waves : int
-        Number of functions per log, the offset among them.
+    Each log has its own `waves` functions, whose torque is `slow` times `size`, the standard
+    deviation [N m] of the channel's noise. Blocks that are left out tell nothing of it, and a
+    function of time would pass for an effect.
     """
     rows = stage.rows
     joint = channel % rows.n

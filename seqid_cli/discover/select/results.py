@@ -57,10 +57,7 @@ def again(term: Term, model: Model) -> Ranked:
 
 
 class Weighed:
-    """What a term of a model does beside all others, the lesser of two figures each.
-
-    Beside a base that may leave the file instead, and beside the file as it is.
-    """
+    """What a term does beside all others: the less of beside a free base, and beside the file."""
 
     def __init__(self, term: Term, model: Model) -> None:
         self.term, self.model = term, model

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from seqid_cli.discover.noise.level import LEVEL
+from seqid_cli.discover.noise.spectra import LEVEL
 from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF
 from seqid_cli.typing import Array, Index
 
@@ -26,16 +26,9 @@ DRAWS, SEED = 400, 0  # of weights of the blocks
 class Rows:
     """What is to be explained.
 
-    Attributes
-    ----------
-    y : tuple of (M_c,) arrays
-        Torque of every channel [N m; N where prismatic].
-    block : tuple of (M_c,) index arrays
-        Block of time of every row, ascending.
-    blocks : int
-        Number of blocks.
-    views : tuple of int
-        Of each channel, how many channels show the same; once where it is empty.
+    `y[c]` (M_c,) is the torque of channel c [N m; N where prismatic], `block[c]` (M_c,) the block
+    of time of each row, ascending, of `blocks`. `views` says of each channel how many channels show
+    the same; one where it is empty.
     """
 
     y: tuple[Array, ...]

@@ -30,18 +30,7 @@ class _Shape:
 
 
 class Search:
-    """Candidates for a model's next term.
-
-    Parameters
-    ----------
-    model : Model
-    catalogue : sequence of Effect
-
-    Attributes
-    ----------
-    visible : dict
-        Largest share of each effect's torque that the model did not absorb.
-    """
+    """Candidates for a model's next term; `visible` is the largest share of each effect."""
 
     def __init__(self, model: Model, catalogue: Sequence[Effect]) -> None:
         self.model, self.catalogue = model, catalogue
@@ -112,20 +101,15 @@ class Search:
         Functions of two quantities are asked for where one of a single quantity explains anything
         (marginality: J. A. Nelder, Journal of the Royal Statistical Society A 140, 1977).
         """
-        found = []
-        for j in joints_below(channels, self.model.ground.n):
-            own = self._smooth_tried(linear, j, had)
-            if any(one.evidence > 0.0 for one in own):
-                own += self._smooth_tried(linear, j, had, products=True)
+        ground, found = self.model.ground, list[Tried]()
+        for j in joints_below(channels, ground.n):
+            own = list[Tried]()
+            for products in (False, True):
+                if not products or any(one.evidence > 0.0 for one in own):
+                    terms = smooth_terms(ground.stage, j, ground.size, products=products)
+                    own += _tried(linear, [term for term in terms if term.key not in had])
             found += sorted(own, key=lambda one: -one.evidence)[:SMOOTH_SHORTLIST]
         return found
-
-    def _smooth_tried(
-        self, linear: Linear, joint: int, had: Collection[Key], *, products: bool = False
-    ) -> list[Tried]:
-        g = self.model.ground
-        terms = smooth_terms(g.stage, joint, g.size, products=products)
-        return _tried(linear, [term for term in terms if term.key not in had])
 
     def _tuner(self, linear: Linear) -> Tuner:
         return Tuner(self.model.ground.stage, linear, self.model.ground.size)
@@ -146,11 +130,7 @@ def _best_settings(tried: Sequence[Tried]) -> list[Tried]:
 
 
 def _shortlist(tried: Iterable[Tried], *, close: float = 0.5) -> tuple[list[Tried], float]:
-    """Those of the largest evidence that the base does not absorb.
-
-    Also the evidence from which one is so near to the best that its settings are searched: a share
-    `close` of it.
-    """
+    """Those of the largest evidence that are seen, and the evidence from which one is `close`."""
     seen = [t for t in tried if t.gained.visible > LEAST_VISIBLE]
     first = sorted(seen, key=lambda t: -t.evidence)[:SHORTLIST]
     return first, close * max((t.evidence for t in first), default=0.0)

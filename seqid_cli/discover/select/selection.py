@@ -1,14 +1,6 @@
 """Forward and backward selection of what a model lacks.
 
-A term is taken if it surely predicts blocks of time that were left out better than the model
-without it, by so much of their squared error that it matters. Of terms that do so equally well, the
-one of the fewest parameters is taken, and of these the one of the largest evidence; smooth
-functions have many. What does not hold beside terms that came later is taken back.
-
-The base is held to the file in one of two ways to begin with: as the file says, or loosely, as
-files need it that have taken up an effect. Of each finished model the evidence says how loosely the
-rigid body and each joint's friction are held; then the selection goes on. The evidence of the
-models decides.
+docs/discovery.md says which conditions admit a term, and how the base is held to the file.
 
 References: J. Piironen, A. Vehtari, "Comparison of Bayesian predictive methods for model
 selection", Statistics and Computing 27, 2017; R. E. Kass, A. E. Raftery, "Bayes factors", JASA 90,
@@ -105,19 +97,9 @@ def _known(ground: Ground) -> tuple[Effect, ...]:
 
 
 class Selection:
-    """Terms are taken and taken back, one by one.
+    """Terms are taken and taken back, one by one; the model may have some to begin with.
 
-    Parameters
-    ----------
-    model : Model
-        Without terms, or with those to begin with.
-    options : Options
-    catalogue : sequence of Effect
-
-    Attributes
-    ----------
-    others : list of (float, tuple of Term)
-        Terms of other finished models, and the log evidence by which these are behind.
+    `others` are terms of other finished models, and the log evidence by which these are behind.
     """
 
     def __init__(self, model: Model, options: Options, catalogue: Sequence[Effect]) -> None:
@@ -289,11 +271,7 @@ class Selection:
         return {own.term: self._taken(own) for own in weighed if self._is_told(own, least)}
 
     def _law_of(self, smooth: Term, told: Collection[Term]) -> Term | None:
-        """An effect that a function hides, though it alone explains as much as both: its law errs.
-
-        No law is exactly an effect's, and beside a function that has the rest of it, an effect of
-        the same quantity adds nothing.
-        """
+        """An effect that a function hides, though it alone explains as much: its law errs."""
         model, found = self.model, list[Tried]()
         for term in model.terms:
             what, beside = term.what, term.channels & smooth.channels
@@ -335,10 +313,7 @@ class Selection:
         )
 
     def _instead_of(self, term: Term) -> dict[str, float]:
-        """Effects that other finished models have where they lack a term; how far these are behind.
-
-        In log evidence, by name.
-        """
+        """Effects that other finished models have instead; how far these are behind, by name."""
         found: dict[str, float] = {}
         had = {one.key for one in self.model.terms}
         for behind, terms in self.others:
@@ -373,10 +348,7 @@ class Selection:
         return tuple(one.name for one in likely if one.possible(scenes, term.joint))
 
     def _of_a_law(self, one: Ranked) -> bool:
-        """Whether it takes away no more than the error of a law: the model's, or a term's.
-
-        Of a term that gains more; that is known less well where the two look alike.
-        """
+        """Whether it may be the error of a law: the model's, or a term's that gains more."""
         model, channels, gain = self.model, one.term.channels, one.predicted.total
         others = [t for t in model.terms if t.channels & channels and t is not one.term]
         greater = [t for t in others if again(t, model).predicted.total > gain]
@@ -384,20 +356,15 @@ class Selection:
         return model.is_detail(one.term) or 2.0 * gain < max(laws, default=0.0)
 
     def _known_to(self, term: Term, beside: Term) -> float:
-        """Share of a term's torque to which its law is known, beside another term."""
-        if not _alike(term, beside):
+        """Share of a term's torque to which its law is known; less well beside a like term."""
+        what, other = term.what, beside.what
+        if not (isinstance(what, Candidate) and isinstance(other, Candidate)):
             return self.options.law
-        free = isinstance(term.what, Candidate) and term.what.effect.apart
-        return self.options.apart if free else self.options.likeness
-
-
-def _alike(one: Term, other: Term) -> bool:
-    """Whether two effects look like each other, as one does at another joint."""
-    what, beside = one.what, other.what
-    if not (isinstance(what, Candidate) and isinstance(beside, Candidate)):
-        return False
-    elsewhere = one.name == other.name and one.joint != other.joint
-    return elsewhere or other.name in what.effect.alike or one.name in beside.effect.alike
+        elsewhere = term.name == beside.name and term.joint != beside.joint
+        alike = beside.name in what.effect.alike or term.name in other.effect.alike
+        if not (elsewhere or alike):
+            return self.options.law
+        return self.options.apart if what.effect.apart else self.options.likeness
 
 
 def _ranked(linear: Linear, tried: Sequence[Tried]) -> list[Ranked]:

@@ -1,8 +1,5 @@
 """Smooth functions of one or two quantities: rivals of the catalogue's effects.
 
-Where such a function predicts the residual better than any physical effect does, the residual
-depends on that quantity in a way that the catalogue does not know.
-
 Splines are held beyond what more than one fold of the rows has seen, and combined so that each
 bends more than the one before (eigenvectors of the second differences, Demmler and Reinsch 1975),
 the constant first: not every base has an offset.
@@ -41,18 +38,9 @@ TENSOR_SIZE = 6  # the same per quantity of a product
 class SmoothFunction:
     """A smooth function that might be what the residual of a joint is.
 
-    Attributes
-    ----------
-    joint : int
-        Whose torque.
-    quantities : tuple of str
-        What it depends on, as the contract spells it, the strongest meaning first.
-    label : str
-        The same in words.
-    axes, factor
-        The functions that it is made of: see `model.effects.smooth.shape`.
-    mixing : (K, k) array
-        The combinations of them that are its columns.
+    It depends on `quantities`, as the contract spells them, the strongest meaning first; `label`
+    says the same in words. It is made of functions of `axes` and `factor` (see
+    `model.effects.smooth.shape`) in the combinations `mixing` (K, k).
     """
 
     joint: int
@@ -121,54 +109,38 @@ class SmoothFunction:
 
 def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
     """Return functions of everything measured, of one quantity each, for a joint's torque."""
-    every = [*_of_joint(rows, joint), *_of_others(rows, joint), *_of_time(rows, joint)]
-    return [one for one in every if one is not None]
-
-
-def _of_joint(rows: Rows, j: int) -> list[SmoothFunction | None]:
-    alone: tuple[Measure, ...] = ("position", "velocity", "acceleration", "load", "temperature")
-    sided: tuple[Measure, ...] = ("position", "load_size", "speed", "temperature")
-    names = {"load_size": "load", "speed": "velocity"}
-    return [
-        *(_smooth(rows, j, (measure,), measure, measure) for measure in alone),
-        *(
-            _smooth(rows, j, (name, "direction"), measure, f"{name} x direction")
-            for measure, name in ((measure, names.get(measure, measure)) for measure in sided)
-        ),
+    own: tuple[Measure, ...] = ("position", "velocity", "acceleration", "load", "temperature")
+    every: list[tuple[Measure, int, tuple[str, ...], str]]
+    every = [(measure, joint, (measure,), measure) for measure in own]
+    sided: list[tuple[Measure, str]] = [
+        ("position", "position"),
+        ("load_size", "load"),
+        ("speed", "velocity"),
+        ("temperature", "temperature"),
     ]
-
-
-def _of_others(rows: Rows, j: int) -> list[SmoothFunction | None]:
-    measures: tuple[Measure, ...] = ("position", "velocity", "acceleration")
-    found = []
+    every += [(m, joint, (name, "direction"), f"{name} x direction") for m, name in sided]
     for k, name in enumerate(rows.scenes[0].robot.joint_names):
-        if k != j:
+        if k != joint:
             other = f"other_joint:{name}"
-            found += [_smooth(rows, j, (other,), m, f"{m} of {name}", k) for m in measures]
+            every += [(m, k, (other,), f"{m} of {name}") for m in own[:3]]
             # rubs more where another joint stands, as rails do that are not parallel
             label = f"position of {name} x direction"
-            found.append(_smooth(rows, j, (other, "direction"), "position", label, k))
-    return found
-
-
-def _of_time(rows: Rows, j: int) -> list[SmoothFunction | None]:
+            every.append(("position", k, (other, "direction"), label))
     clocks: list[tuple[Measure, str]] = [("time", "time since the log's start")]
     if len(rows.scenes) > 1:
         clocks.append(("session_time", "time of all logs"))
-    ways = (("time",), ""), (("time", "direction"), " x direction")
-    return [_smooth(rows, j, q, m, label + way) for m, label in clocks for q, way in ways]
+    for measure, label in clocks:
+        every.append((measure, joint, ("time",), label))
+        every.append((measure, joint, ("time", "direction"), f"{label} x direction"))
+    found = [_smooth(rows, joint, *one) for one in every]
+    return [one for one in found if one is not None]
 
 
 def _smooth(
-    rows: Rows,
-    joint: int,
-    quantities: tuple[str, ...],
-    measure: Measure,
-    label: str,
-    owner: int | None = None,
+    rows: Rows, joint: int, measure: Measure, owner: int, quantities: tuple[str, ...], label: str
 ) -> SmoothFunction | None:
     """A function of one quantity; none where that is not known or constant."""
-    axis, x = _axis(rows, joint, measure, joint if owner is None else owner, SIZE - 1)
+    axis, x = _axis(rows, joint, measure, owner, SIZE - 1)
     if axis is None:
         return None
     factor: Factor = "direction" if "direction" in quantities else "one"
@@ -186,7 +158,7 @@ def _axis(
     if len(known) < len(values):
         return None, np.zeros(0)
     x = rows.of(joint, known)
-    knots = knots_of(x, rows.folds_of(joint), size - 1)
+    knots = knots_of(x, rows.fold[rows.blocks_of(joint)], size - 1)
     return (None if knots is None else Axis(measure, owner, knots)), x
 
 
@@ -211,18 +183,11 @@ def smooth_products(rows: Rows, j: int) -> list[SmoothFunction]:
 
 
 def knots_of(x: Array, fold: Index, count: int) -> tuple[float, ...] | None:
-    """Knots half way between equal steps and equal shares of x; None if x hardly varies.
+    """Knots half way between equal steps and equal shares of x (M,); None if x hardly varies.
 
     Equal shares alone would crowd at rest and turning points, equal steps leave pieces empty. The
-    outer knots are such that without any one fold some rows still lie beyond them: what one fold
-    alone has seen cannot be judged by leaving it out.
-
-    Parameters
-    ----------
-    x, fold : (M,) arrays
-        The quantity at the rows and the fold of each.
-    count : int
-        Number of knots.
+    outer knots are such that without any one `fold` (M,) some rows still lie beyond them: what one
+    fold alone has seen cannot be judged by leaving it out.
     """
     if len(x) < 10 * count:
         return None
@@ -240,32 +205,17 @@ def knots_of(x: Array, fold: Index, count: int) -> tuple[float, ...] | None:
 
 
 def smoothest(basis: Array, abscissae: Array) -> Array:
-    """Combinations of splines (M, K), smoothest first, orthonormal over the rows.
+    """Combinations (K, K) of splines at rows (M, K), orthonormal over these, smoothest first.
 
-    Parameters
-    ----------
-    basis : (M, K) array
-        Splines at the rows; they sum to one.
-    abscissae : (K,) array
-        Greville abscissae.
-
-    Returns
-    -------
-    (K, K) array
-        One combination per column: the constant, nearly the straight line, and so on.
+    The splines sum to one; `abscissae` (K,) are Greville's. One combination per column: the
+    constant, nearly the straight line, and so on.
     """
     K = basis.shape[1]
     G = basis.T @ basis / len(basis)
     G[np.diag_indices(K)] += RIDGE * np.trace(G) / K
     one = np.ones(K)
     null = np.linalg.qr(np.column_stack([G @ one, np.eye(K)[:, : K - 1]]))[0][:, 1:]
-    bend = _second_differences(abscissae) @ null
+    first = np.diff(np.eye(K), axis=0) / np.diff(abscissae)[:, None]
+    bend = np.ptp(abscissae) * np.diff(first, axis=0) @ null  # second differences
     _, vectors = eigh(bend.T @ bend, null.T @ G @ null)
     return np.column_stack([one / np.sqrt(one @ G @ one), null @ vectors])
-
-
-def _second_differences(x: Array) -> Array:
-    """Second divided differences (K - 2, K) at abscissae x, which a straight line makes zero."""
-    first = np.diff(np.eye(len(x)), axis=0) / np.diff(x)[:, None]
-    second: Array = np.diff(first, axis=0) * np.ptp(x)
-    return second

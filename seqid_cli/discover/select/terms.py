@@ -15,10 +15,7 @@ from seqid_cli.typing import Array
 
 @dataclass(frozen=True, eq=False)
 class Term:
-    """An effect at a joint with its settings, or a smooth function, and its columns.
-
-    `joint` is None for an effect of the whole arm.
-    """
+    """An effect at a joint (None: the whole arm) or a smooth function, and its columns."""
 
     what: Candidate | SmoothFunction
     part: Part
@@ -62,15 +59,7 @@ class Term:
 
 
 def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[Term]:
-    """Make terms of candidates; those without columns are left out.
-
-    Parameters
-    ----------
-    stage : Stage
-    candidates : sequence of Candidate
-    size : (channels,) array
-        RMS [N m] of what the file leaves: no term is likely to be much more.
-    """
+    """Make terms of candidates; none is likely to be much more than `size` (channels,) N m."""
     known, found, n = stage.known, list[Term](), stage.rows.n
     for candidate, columns in zip(candidates, stage.columns(candidates), strict=True):
         if columns and next(iter(columns.values())).shape[1] and any(map(len, columns.values())):
@@ -85,19 +74,13 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
 
 
 def smooth_terms(stage: Stage, joint: int, size: Array, *, products: bool = False) -> list[Term]:
-    """Smooth functions of everything measured, or of two quantities, for one joint.
-
-    What bends more is smaller beforehand.
-    """
-    rows = stage.rows
-    key = f"smooth {'products' if products else 'terms'} {joint}"
-    if key not in rows.made:
+    """Smooth functions of everything measured, or of two quantities, for one joint."""
+    rows, key = stage.rows, (joint, products)
+    if key not in stage.smooth:
         functions = smooth_products if products else smooth_functions
         made = functions(rows, joint) if rows.count(joint) else []
-        rows.made[key] = [_smooth_term(stage, one, size) for one in made]
-    found = rows.made[key]
-    assert isinstance(found, list)
-    return found
+        stage.smooth[key] = [_smooth_term(stage, one, size) for one in made]
+    return stage.smooth[key]
 
 
 def _smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:

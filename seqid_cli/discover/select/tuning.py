@@ -55,12 +55,14 @@ class Tuner:
         terms = list(terms)
         gained = self.linear.gained([term.part for term in terms])
         every = [Tried(t, g) for t, g in zip(terms, gained, strict=True)]
-        return [one for one in every if self._plausible(one)]
-
-    def _plausible(self, tried: Tried) -> bool:
-        c = tried.candidate
-        found = tried.gained.coefficients[: c.size]
-        return c.effect.plausible(self.stage.scenes, c.joint, c.settings, found)
+        return [
+            one
+            for one in every
+            for c in [one.candidate]
+            if c.effect.plausible(
+                self.stage.scenes, c.joint, c.settings, one.gained.coefficients[: c.size]
+            )
+        ]
 
     def tuned(self, tried: Tried, spacing: float = SPACING) -> Tried:
         """Search the continuous settings, then follow those that have more values."""
@@ -78,16 +80,11 @@ class Tuner:
         ]
         return max([tried, *self.tried(lacking)], key=lambda one: one.evidence)
 
-    def _at(self, tried: Tried, settings: dict[str, float]) -> Tried | None:
-        found = self.tried([replace(tried.candidate, settings=settings)])
+    def _moved(self, tried: Tried, but: str = "", /, **settings: float) -> Tried | None:
+        """The same with other values of some settings, and without one."""
+        now = {name: x for name, x in tried.candidate.settings.items() if name != but}
+        found = self.tried([replace(tried.candidate, settings={**now, **settings})])
         return found[0] if found else None
-
-    def _moved(self, tried: Tried, **settings: float) -> Tried | None:
-        return self._at(tried, {**tried.candidate.settings, **settings})
-
-    def _without(self, tried: Tried, setting: Setting) -> Tried | None:
-        every = tried.candidate.settings.items()
-        return self._at(tried, {name: value for name, value in every if name != setting.name})
 
     def _searched(self, tried: Tried, setting: Setting, spacing: float) -> Tried:
         """Golden-section search over one setting, by ratio where it is logarithmic."""
@@ -116,13 +113,10 @@ class Tuner:
         return best
 
     def _usual(self, tried: Tried, setting: Setting, *, needed: float = 3.0) -> Tried:
-        """The same with a usual value of a setting, or none, where no other does clearly better.
-
-        A setting that is not asked for must gain a log evidence of `needed`.
-        """
+        """The same with a usual value of a setting, or none, where no other does clearly better."""
         every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
         near = [one for one in every if one and one.evidence > (1.0 - USUAL) * tried.evidence]
-        bare = None if setting.asked else self._without(tried, setting)
+        bare = None if setting.asked else self._moved(tried, setting.name)
         if bare is not None and bare.evidence > tried.evidence - needed:
             return bare
         return max(near, key=lambda one: one.evidence, default=tried)

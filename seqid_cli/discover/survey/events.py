@@ -74,10 +74,7 @@ class Interval:
         return float(np.sum(there[:, list(self.joints)] ** 2))
 
     def energy(self, scene: Scene, scaled: Array) -> float:
-        """Squared residual (N, n) of its joints in it, beyond noise, by samples as far as rows.
-
-        `scaled` is in units of each joint's noise.
-        """
+        """Squared residual (N, n), in units of noise, of its joints in it beyond noise."""
         motion = scene.motion
         thin = SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz / motion.rate_hz
         own = scaled[self.inside(scene)][:, list(self.joints)]
@@ -85,21 +82,15 @@ class Interval:
 
 
 def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
-    """Find what stands out against the rest of the logs, by data set and time.
+    """Find what stands out, by data set and time, in the scaled residual (M_j,) of joints' rows.
 
     What fills more than a small share of a log is no event but something that the model lacks.
-
-    Parameters
-    ----------
-    rows : Rows
-    left_out : sequence of (M_j,) arrays
-        Scaled residual of each joint's rows.
     """
     tracks, found = tracks_of(rows, left_out), list[Interval]()
     every = [windows_of(tracks, length) for length in LENGTHS_S]
     scored = [(windows, scores(windows)) for windows in every]
     for number in range(len(rows.scenes)):
-        events = _places(number, scored)
+        events = places(number, scored)
         length = max(w.length_s * np.count_nonzero(w.scene == number) / OVERLAP for w in every)
         occasions = _occasions(events)
         taken = sum(end - start for start, end in occasions)
@@ -116,17 +107,6 @@ def _occasions(events: Sequence[Interval]) -> list[tuple[float, float]]:
         start, end = found.pop() if near else (event.start, event.end)
         found.append((start, max(end, event.end)))
     return found
-
-
-def standing_out(all_windows: Sequence[Windows]) -> list[Interval]:
-    """Places of one log (number 0) that stand out against the rest of it, however many.
-
-    Parameters
-    ----------
-    all_windows : sequence of Windows
-        Of the log, by length.
-    """
-    return _places(0, [(windows, scores(windows)) for windows in all_windows])
 
 
 def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
@@ -176,16 +156,12 @@ def combined(z: Array) -> Array:
     best = np.max(np.abs(z), axis=1)
     squares = np.cumsum(z**2, axis=1)
     for k in range(2, z.shape[1] + 1):
-        best = np.maximum(best, gaussian(squares[:, k - 1], k))
+        # Normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty 1931).
+        spread = 2.0 / (9.0 * k)
+        deviate = (np.cbrt(squares[:, k - 1] / k) - 1.0 + spread) / np.sqrt(spread)
+        best = np.maximum(best, deviate)
     result: Array = best
     return result
-
-
-def gaussian(square: Array, k: int) -> Array:
-    """Normal deviate of a chi square with k degrees of freedom (Wilson and Hilferty 1931)."""
-    spread = 2.0 / (9.0 * k)
-    deviate: Array = (np.cbrt(square / k) - 1.0 + spread) / np.sqrt(spread)
-    return deviate
 
 
 def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[Index, Array]:
@@ -240,19 +216,18 @@ def _class_size(windows: Windows, j: int) -> Array:
     for members in (*(speed == k for k in range(SPEEDS)), *windows.reverses.T):
         inside = np.abs(m[members & known])
         if len(inside):
-            own = _robust_size(inside) if len(inside) >= FEWEST else float(np.max(inside))
+            median, most = np.quantile(inside, (0.5, 0.9))  # of bursts as well
+            few = len(inside) < FEWEST
+            own = np.max(inside) if few else max(PER_MEDIAN * median, most / MOST)
             size[members] = np.maximum(size[members], own)
     return size
 
 
-def _robust_size(values: Array) -> float:
-    """Standard deviation of Gaussian values of which these are the magnitudes, bursts included."""
-    median, most = np.quantile(values, (0.5, 0.9))
-    return float(max(PER_MEDIAN * median, most / MOST))
+def places(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interval]:
+    """Where one data set stands out, however often, over windows of all lengths with their scores.
 
-
-def _places(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interval]:
-    """Windows of one data set above the gate and what belongs to them, joined over all lengths."""
+    Windows above the gate and what belongs to them.
+    """
     found = list[Interval]()
     for windows, z in scored:
         here = windows.scene == number

@@ -27,16 +27,9 @@ BURST = 4.0  # times the usual RMS, over a period of the cut-off
 class HighBand:
     """Rows above the cut-off.
 
-    Attributes
-    ----------
-    used : tuple of (N, n) masks
-        Per data set, at the log's own rate.
-    block : tuple of (M_j,) index arrays
-        Block of each row of each joint.
-    y : tuple of (M_j,) arrays
-        Measured torque above the cut-off [N m].
-    weight : (n,) array
-        Factor on each joint's noise.
+    `used` (N, n) by data set at the log's own rate; by joint `block` and `y` (M_j,): the block of
+    each row, the measured torque above the cut-off [N m]. `weight` (n,) is a factor on each joint's
+    noise.
     """
 
     used: tuple[Mask, ...]
@@ -50,15 +43,12 @@ class HighBand:
 
 
 def high_band(rows: Rows) -> HighBand:
-    """Take the rows above the cut-off where the joints slide, in the blocks that `rows` keeps.
-
-    Of long logs some of these blocks, so that memory is bounded.
-    """
+    """Take the rows above the cut-off where joints slide, in blocks of `rows`."""
     used, blocks, high = [], [], []
-    thin = max(1, -(-sum(_full(scene).samples for scene in rows.scenes) // MOST_SAMPLES))
+    thin = max(1, -(-sum((scene.full or scene).samples for scene in rows.scenes) // MOST_SAMPLES))
     parts = zip(rows.scenes, rows.picked, rows.used, rows.block, strict=True)
     for scene, picked, counts, block in parts:
-        full = _full(scene)
+        full = scene.full or scene
         every = round(full.motion.rate_hz / scene.motion.rate_hz)
         nearest = np.clip(
             np.searchsorted(picked * every, np.arange(full.samples), side="right") - 1,
@@ -92,7 +82,7 @@ def both_bands(
     below: dict[int, list[Array]] = {}
     above: dict[int, list[Array]] = {}
     for scene, columns in zip(rows.scenes, per_scene, strict=True):
-        full = _full(scene)
+        full = scene.full or scene
         every = round(full.motion.rate_hz / scene.motion.rate_hz)
         for joint, X in columns.items():
             low = full.motion.filtered(X, times=2)
@@ -126,20 +116,9 @@ def _bursts(above: Array, counting: Mask, full: Scene) -> Mask:
     return np.asarray(local > BURST**2 * np.array(usual))
 
 
-def _full(scene: Scene) -> Scene:
-    return scene if scene.full is None else scene.full
-
-
 def full_residual(scene: Scene, left: Array) -> Array:
-    """Residual (N, n) at the log's own rate: below the cut-off `left`, above it what is measured.
-
-    Parameters
-    ----------
-    `scene` : `Scene`
-    left : (N', n) array
-        Low-passed residual at the data set's rate.
-    """
-    full = _full(scene)
+    """Residual (N, n) at the log's own rate: `left` (N', n), above the cut-off the measured."""
+    full = scene.full or scene
     slow = [np.interp(full.motion.t, scene.motion.t, left[:, j]) for j in range(left.shape[1])]
     total = _above(full) + np.stack(slow, axis=1)
     total[~full.motion.usable] = 0.0

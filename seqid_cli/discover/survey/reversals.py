@@ -65,22 +65,10 @@ class Reversal:
 
 
 def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Reversal]:
-    """Find what is uncertain in one joint's rows of one data set.
+    """Find what is uncertain in one joint's rows of one data set with torque.
 
-    Parameters
-    ----------
-    `scene` : `Scene`
-        With torque.
-    picked : (M,) array of int
-        Samples that are kept as rows.
-    used : (M,) mask
-        Rows at which the joint counts; those of the result are these alone.
-    joint : int
-
-    Returns
-    -------
-    list of Reversal
-        None where friction is small beside torque noise, or either is unknown.
+    Rows are the samples `picked` (M,), of which those of the mask `used` (M,) count; those of the
+    result are these alone. None where friction is small beside torque noise, or either is unknown.
     """
     noise, number = _noise(scene, joint), np.cumsum(used) - 1
     uncertain = [(start, pulses / noise) for start, pulses in _uncertain(scene, joint)]

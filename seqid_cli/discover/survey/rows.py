@@ -42,17 +42,9 @@ MOST_OUTSIDE = 0.6  # share of the logs outside the identified friction, from wh
 class Rows:
     """Which samples of each data set count, joint by joint.
 
-    Attributes
-    ----------
-    `scenes` : tuple of `Scene`
-    picked : tuple of (M,) index arrays
-        Per data set, the samples that are kept of all N.
-    used : tuple of (M, n) masks
-        Per data set, the kept samples at which each joint counts.
-    block : tuple of (M,) index arrays
-        Per data set, the block (counted over all of them) of each kept sample.
-    fold : (blocks,) index array
-        The fold of each block.
+    By data set: `picked` (M,), the samples that are kept of all N; `used` (M, n), whether each
+    joint counts there; `block` (M,), the block of each, counted over all data sets. `fold`
+    (blocks,) is the fold of each block.
     """
 
     scenes: tuple[Scene, ...]
@@ -74,10 +66,6 @@ class Rows:
         """Block of every row of a joint."""
         parts = [b[u[:, joint]] for b, u in zip(self.block, self.used, strict=True)]
         return np.concatenate(parts)
-
-    def folds_of(self, joint: int) -> Index:
-        """Fold of every row of a joint."""
-        return self.fold[self.blocks_of(joint)]
 
     def of(self, joint: int, values: Sequence[Array]) -> Array:
         """Stack the joint's rows of filtered values (N, ...), one array per data set."""
@@ -124,11 +112,6 @@ class Rows:
         every = stride_of(motion)
         kept = self.picked[number] // every
         return motion.filtered(values, passes, every=every)[kept]
-
-    @cached_property
-    def made(self) -> dict[str, object]:
-        """What others have computed of these rows and want to keep with them."""
-        return {}
 
     def without(self, masks: Sequence[Mask]) -> Rows:
         """The same rows without some samples of each data set: (N,) of all joints, or (N, n)."""

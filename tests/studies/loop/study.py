@@ -17,7 +17,7 @@ from statistics import median
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.held_out import held_out_error
-from seqid_cli.discover.refinement.material import Material
+from seqid_cli.discover.refinement.reidentify import Material
 from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
 from tests.plants.robots.identified import sequential
 from tests.studies.loop.logs import KINDS, Case, case_of, recorded

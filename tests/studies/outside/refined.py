@@ -17,7 +17,7 @@ from typing import Any
 from seqid_cli import discover
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.held_out import held_out_error
-from seqid_cli.discover.refinement.material import Material
+from seqid_cli.discover.refinement.reidentify import Material
 from seqid_cli.discover.refinement.rounds import on_the_same_samples
 from seqid_cli.errors import SeqidWarning
 from seqid_cli.logs.read import read_recording

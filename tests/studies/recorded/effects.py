@@ -11,7 +11,7 @@ from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.confirm import confirm
 from seqid_cli.discover.refinement.rounds import refine
-from seqid_cli.discover.survey.usable import usable_logs
+from seqid_cli.discover.scenes import usable_logs
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous

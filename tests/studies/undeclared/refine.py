@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from seqid_cli.discover.candidates import candidates_of
 from seqid_cli.discover.refinement.loop import with_effects
-from seqid_cli.discover.refinement.material import Material, Refitted
-from seqid_cli.discover.refinement.reidentify import refitted
+from seqid_cli.discover.refinement.reidentify import Material, Refitted, refitted
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Model
 from seqid_cli.discover.select.tuning import Tuner

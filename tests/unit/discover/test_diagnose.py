@@ -254,7 +254,7 @@ def test_what_noise_does_not_account_for_is_never_nothing() -> None:
     """A hump that no effect is allowed to explain."""
     logs = humped()
     found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
-    assert excess_residuals(found, expected(found)) == ()
+    assert excess_residuals(found, expected(found)) == {}
     (taken,) = found.found.taken
     found.model.terms.remove(taken.term)
     found.model.settle()
@@ -265,7 +265,7 @@ def test_what_noise_does_not_account_for_is_never_nothing() -> None:
     assert said.unexplained[0].depends_on
     assert any("elbow" in note and "account for" in note for note in said.notes)
     unknown = replace(found.floor, high=np.full(logs.robot.n, np.inf))  # as of too short logs
-    assert excess_residuals(replace(bare, floor=unknown), expected(bare)) == ()
+    assert excess_residuals(replace(bare, floor=unknown), expected(bare)) == {}
 
 
 def test_a_floor_above_what_is_left_stands_and_is_called_doubtful() -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seqid_cli.discover.drive import drive_rows
+from seqid_cli.discover.candidates import drive_rows
 from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.selection import select
 from seqid_cli.discover.survey.rows import rows_of

@@ -6,8 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.discover.excerpts.design import PIECE_S, excerpts_of
-from seqid_cli.discover.excerpts.excerpts import ABOUT_S, INNER_S, about_places
+from seqid_cli.discover.excerpts.excerpts import (
+    ABOUT_S,
+    INNER_S,
+    PIECE_S,
+    about_places,
+    excerpts_of,
+)
 from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.discover.survey.rows import BLOCK_S

@@ -18,7 +18,8 @@ from seqid_cli.discover.refinement.held_out import (
     gain_of,
     likelier,
 )
-from seqid_cli.discover.refinement.rounds import ALL_ALONG, LATE, quiet, refine
+from seqid_cli.discover.refinement.loop import ALL_ALONG, LATE
+from seqid_cli.discover.refinement.rounds import quiet, refine
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions

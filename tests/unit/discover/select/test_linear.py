@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.loosened import Loosened
+from seqid_cli.discover.select.model import Loosened
 from seqid_cli.discover.select.rows import Part, Rows
 from tests import Array
 

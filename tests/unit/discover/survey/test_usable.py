@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from seqid_cli.discover.survey.usable import usable_logs
+from seqid_cli.discover.scenes import usable_logs
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording, Whole
 from tests.plants.robots.two_joint import two_joint_robot

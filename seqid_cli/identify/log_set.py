@@ -62,16 +62,9 @@ class LogSet:
     @classmethod
     def of(cls, inputs: Inputs, *, imus: bool | None = None) -> "LogSet":
         """The logs of a function; `imus` where the stages before do not say it."""
-        options = inputs.options
-        logs = cls(
-            inputs.logs,
-            inputs.robot,
-            options.time_source,
-            inputs.stages.imu is not None if imus is None else imus,
-            options.skip_failed,
-            inputs.executor,
-            inputs.on_progress,
-        )
+        options, known = inputs.options, inputs.stages.imu is not None
+        reading = options.time_source, known if imus is None else imus, options.skip_failed
+        logs = cls(inputs.logs, inputs.robot, *reading, inputs.executor, inputs.on_progress)
         for error in inputs.missing:
             logs.left_out.append(str(error))
             logs.tell("failed", log=error.where, error=error)

@@ -29,18 +29,21 @@ CELLS = 17  # per axis, at which two surfaces are compared
 
 @dataclass(frozen=True)
 class SurfaceFit:
-    """One surface from trials, to be had with any orders up to those of `prior` (size, l + 1)."""
+    """One surface from trials, to be had with any orders up to the `highest`."""
 
     reduced: Reduced
-    prior: Array
-    normal: Normal
     sizes: Sizes
+    highest: Orders
 
-    @classmethod
-    def of(cls, reduced: Reduced, sizes: Sizes, highest: Orders) -> "SurfaceFit":
-        """Set up; `highest` are the orders of the surface that is taken as the whole one."""
-        prior = sizes.prior(reduced.scaling, reduced.size, highest)
-        return cls(reduced, prior, Normal.of(reduced, sizes, highest.velocity), sizes)
+    @cached_property
+    def prior(self) -> Array:
+        """Standard deviations (size, l + 1) of the entries of the whole surface."""
+        return self.sizes.prior(self.reduced.scaling, self.reduced.size, self.highest)
+
+    @cached_property
+    def normal(self) -> Normal:
+        """The normal equations of these entries."""
+        return Normal.of(self.reduced, self.sizes, self.highest.velocity)
 
     @cached_property
     def whole(self) -> tuple[Array, Array]:
@@ -66,9 +69,9 @@ class SurfaceFit:
 
     def leaving_out(self, orders: Orders) -> Iterator[tuple[float, Array]]:
         """Each inner speed u, with the entries of a surface fitted to the others."""
-        order = self.prior.shape[1] - 1
         for u in self.reduced.levels[1:-1]:
-            part = Normal.of(self.reduced.subset(self.reduced.u == u), self.sizes, order)
+            own = self.reduced.subset(self.reduced.u == u)
+            part = Normal.of(own, self.sizes, self.highest.velocity)
             yield float(u), self._solved(self.normal.N - part.N, self.normal.b - part.b, orders)
 
     def deviation(self, orders: Orders) -> float:
@@ -83,7 +86,7 @@ class SurfaceFit:
         over_position = self.reduced.scaling.over_position
         order = over_position.order(self.reduced.size)
         D = self.whole[0].reshape(self.prior.shape)[: self.reduced.size]
-        levels = D @ self.reduced.over_speed(self.prior.shape[1] - 1).T
+        levels = D @ self.reduced.over_speed(self.highest.velocity).T
         off = [
             item.friction - over_position.values(item.q, order) @ levels[:, k]
             for k, item in enumerate(data)
@@ -96,7 +99,7 @@ class SurfaceFit:
         over_position, share = self.reduced.scaling.over_position, np.linspace(0.0, 1.0, CELLS)
         order = over_position.order(self.reduced.size)
         X = over_position.values(over_position.at(share), order)
-        T = np.polynomial.chebyshev.chebvander(2.0 * share - 1.0, self.prior.shape[1] - 1)
+        T = np.polynomial.chebyshev.chebvander(2.0 * share - 1.0, self.highest.velocity)
         X = np.hstack([X, np.zeros((CELLS, len(self.prior) - X.shape[1]))])
         columns = tensor(np.repeat(X, CELLS, axis=0), np.tile(T, (CELLS, 1)))
         variance = np.einsum("nk,kl,nl->n", columns, self.whole[1], columns, optimize=True)
@@ -144,7 +147,7 @@ def fit_surfaces(
     """
     highest = highest_orders(sets, position, velocity)
     sizes, evidence = Evidence(sets, highest).strongest(near)
-    return [SurfaceFit.of(own, sizes, highest) for own in sets], evidence
+    return [SurfaceFit(own, sizes, highest) for own in sets], evidence
 
 
 def choose_orders(
@@ -160,10 +163,8 @@ def choose_orders(
     the user fixes. `accept`: whether orders are good enough to stop at; else it is asked whether
     the surface stays the same to `DEVIATION`.
     """
-    first = fits[0].reduced
-    highest = highest_orders([fit.reduced for fit in fits], position, velocity)
+    highest, size = fits[0].highest, fits[0].reduced.scaling.over_position.size
     good = accept or (lambda orders: all(fit.deviation(orders) <= DEVIATION for fit in fits))
-    size = first.scaling.over_position.size
     lowest = Orders(
         0 if position is None else position,
         min(1, highest.velocity) if velocity is None else velocity,

@@ -223,28 +223,20 @@ class Evidence:
         logs = self._polished(np.asarray(found.x, dtype=np.float64))
         return self.sizes(logs), -self(logs)[0]
 
-    def _polished(
-        self,
-        logs: Array,
-        *,
-        near: float = 0.1,
-        newton: int = 20,
-        done: float = 1e-10,
-        trial_step: float = 0.0001,
-    ) -> Array:
+    def _polished(self, logs: Array) -> Array:
         """The maximum to the last digits, by Newton's method: the likelihood is flat about it."""
-        slope = self(logs)[1]
-        steps = trial_step * np.eye(len(logs))
-        curvature = np.stack([(self(logs + step)[1] - slope) / trial_step for step in steps])
+        slope, difference = self(logs)[1], 1e-4
+        steps = difference * np.eye(len(logs))
+        curvature = np.stack([(self(logs + step)[1] - slope) / difference for step in steps])
         curvature = 0.5 * (curvature + curvature.T)
         if np.linalg.eigvalsh(curvature)[0] <= 0.0:
             return logs
-        for _ in range(newton):
+        for _ in range(20):
             step = np.linalg.solve(curvature, self(logs)[1])
-            if np.abs(step).max() > near:
+            if np.abs(step).max() > 0.1:  # not near the maximum
                 break
             logs = logs - step
-            if np.abs(step).max() < done:
+            if np.abs(step).max() < 1e-10:
                 break
         return logs
 

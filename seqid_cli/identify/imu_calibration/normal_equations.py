@@ -14,15 +14,13 @@ from functools import lru_cache
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 
-from seqid_cli.identify.imu_calibration.segments import REACH, Segment
+from seqid_cli.identify.imu_calibration.segments import Segment
 from seqid_cli.identify.imu_calibration.sensor_model import Constants, design, mounted
 from seqid_cli.motion.filters.butterworth import Lowpass
-from seqid_cli.motion.filters.differentiation import FIRST, SECOND
 from seqid_cli.motion.imu.sensor import link_slopes, link_state
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Index, Mask
 
-WIDTH = 2 * REACH + 1
 ROBUST = 4.685  # Tukey's constant, 95 % efficient on normal noise
 WEIGHED = 1.0 - 6.0 / ROBUST**2 + 15.0 / ROBUST**4  # what his weights leave of its mean square
 
@@ -71,7 +69,7 @@ class Rows:
 class Linearised:
     """A segment about one point: residual `r` (N, C), `J` and border `G`, all whitened.
 
-    `J` (N, C, 3, m) is in q, dq, ddq of the moving joints. The border (N, C, b) is in the
+    `J` (N, C, 3 m) is in q, dq, ddq of the moving joints. The border (N, C, b) is in the
     constants, then in `Local.own`. `off` (M,) is the residual of the segment's rows, `weights`
     (N, C) are robust, zero where a reading does not count. `deflection` has rows of the residual,
     `jolts` of the raw readings' roughness over the root of their number at a node.
@@ -112,10 +110,9 @@ class Reduced:
     def followed(self, moves: Array) -> Array:
         """What moves (cells, k) of the trajectory make of the readings, (N, C, k)."""
         linear, segment = self.linear, self.linear.segment
-        shape = segment.samples + 2 * REACH, len(segment.moving), moves.shape[1]
-        flat = _at_samples(segment, moves.reshape(shape))
-        flat = flat.reshape(segment.samples, 3 * shape[1], shape[2])
-        return np.asarray(linear.J.reshape(*linear.r.shape, 3 * shape[1]) @ flat)
+        shape = segment.samples, linear.J.shape[2], moves.shape[1]
+        flat = (segment.at_samples @ moves).reshape(shape)
+        return np.asarray(linear.J @ flat)
 
     def through(self, columns: Array) -> Array:
         """Columns (..., b) of the border in the constants alone, (..., p)."""
@@ -134,27 +131,14 @@ class Reduced:
         return Local(trajectory, local.own + change)
 
 
-def _stencils(segment: Segment) -> Array:
-    """Weights (3, 9) of nine nodes in q, dq and ddq at the middle one."""
-    spacing = segment.spacing
-    return np.stack([np.eye(WIDTH)[REACH], FIRST / spacing, SECOND / spacing**2])
-
-
-def _at_samples(segment: Segment, nodes: Array) -> Array:
-    """q, dq, ddq (N, 3, ...) at the samples from values at the nodes (N + 2 REACH, ...)."""
-    out = np.zeros((segment.samples, 3, *nodes.shape[1:]))
-    weights = _stencils(segment)
-    for kind, o in zip(*np.nonzero(weights), strict=True):
-        out[:, kind] += weights[kind, o] * nodes[o : o + segment.samples]
-    return out
-
-
 def residual(
     segment: Segment, robot: Robot, imu: Imu, constants: Constants, local: Local
 ) -> tuple[Array, Mask, Array, Array]:
     """Readings minus prediction (N, C), which count, the joints' motion and the link's (N, 15)."""
     motion, count = segment.motion.copy(), len(constants.bias)
-    motion[:, list(segment.moving)] = _at_samples(segment, local.trajectory).transpose(1, 2, 0)
+    shape, moving = (segment.samples, 3, len(segment.moving)), list(segment.moving)
+    moved = (segment.at_samples @ local.trajectory.ravel()).reshape(shape)
+    motion[:, moving] = moved.transpose(1, 2, 0)
     motion[0, list(segment.locked)] += local.own[count:, None]
     x = link_state(robot, imu.after_joint, motion)
     y, good = segment.readings.at(segment.t + constants.delay)
@@ -209,7 +193,7 @@ def linearise(
     return Linearised(
         segment=segment,
         r=whiten(r[:, :, None])[:, :, 0],
-        J=whiten(J.reshape(*r.shape, 3 * J.shape[3])).reshape(J.shape),
+        J=whiten(J.reshape(*r.shape, 3 * J.shape[3])),
         G=whiten(G),
         off=segment.value - segment.rows @ local.trajectory.ravel(),
         outliers=good & (np.abs(u) >= 1.0),
@@ -268,8 +252,12 @@ def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
     S, g = rows.T @ rows, rows.T @ linear.r.ravel()
     solved = np.zeros((0, len(g) + 1))
     if segment.moving:
-        right = _right_sides(linear)
-        factor = cholesky_banded(_band(linear), lower=True, check_finite=False)
+        across = linear.J.transpose(0, 2, 1)
+        pulls = across @ np.concatenate([G, linear.r[:, :, None]], axis=2)
+        right = segment.at_samples.T @ pulls.reshape(-1, len(g) + 1)
+        right[:, -1] += segment.rows.T @ (segment.information * linear.off)
+        band = segment.band(across @ linear.J)
+        factor = cholesky_banded(band, lower=True, check_finite=False)
         solved = cho_solve_banded((factor, True), right, check_finite=False)
         both = right[:, :-1].T @ solved
         S, g = S - both[:, :-1], g - both[:, -1]
@@ -289,35 +277,3 @@ def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
         g[:p] - follow.T @ pull,
         S[:p, :p] - S[:p, p:] @ follow,
     )
-
-
-def _right_sides(linear: Linearised) -> Array:
-    """What the border and the residual pull at the trajectory with, (cells, b + 1)."""
-    segment, J, G = linear.segment, linear.J, linear.G
-    J3 = np.moveaxis(J.reshape(*J.shape[:2], -1), 1, 2)  # (N, 3 m, C)
-    cross = J3 @ np.concatenate([G, linear.r[:, :, None]], axis=2)
-    # Transpose of `_at_samples`: (N, 3, ...) to (N + 2 REACH, ...).
-    values = cross.reshape(len(G), 3, J.shape[3], -1)
-    out = np.zeros((segment.samples + 2 * REACH, *values.shape[2:]))
-    weights = _stencils(segment)
-    for kind, o in zip(*np.nonzero(weights), strict=True):
-        out[o : o + segment.samples] += weights[kind, o] * values[:, kind]
-    right = out.reshape(-1, values.shape[-1])
-    right[:, -1] += segment.rows.T @ (segment.information * linear.off)
-    return right
-
-
-def _band(linear: Linearised) -> Array:
-    """Lower band of the trajectory's normal equations, joints interleaved."""
-    segment, J = linear.segment, linear.J
-    m, n, weights = len(segment.moving), segment.samples, _stencils(segment)
-    JJ = np.einsum("ncdi,ncej->nijde", J, J, optimize=True)
-    both = np.einsum("do,ep->deop", weights, weights).reshape(-1, WIDTH * WIDTH)
-    blocks = (JJ.reshape(-1, len(both)) @ both).reshape(n, m, m, WIDTH, WIDTH)
-    H = blocks.transpose(0, 3, 1, 4, 2).reshape(n, WIDTH * m, WIDTH * m)
-    band = np.zeros((n + 2 * REACH, m, WIDTH * m))
-    for k in range(WIDTH * m):  # LAPACK's: entry r of cell k is of it and of k + r
-        band[k // m : k // m + n, k % m, : WIDTH * m - k] += H[:, k:, k]
-    lower = band.reshape(-1, WIDTH * m).T
-    lower[: 4 * m] += segment.band
-    return lower

@@ -15,12 +15,19 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import binary_dilation, median_filter
-from scipy.sparse import coo_array, csr_array, diags_array
+from scipy.sparse import bsr_array, coo_array, csr_array, diags_array, eye_array, kron
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.filters.butterworth import Lowpass
-from seqid_cli.motion.filters.differentiation import SIDE, differentiate, runs, shrink
+from seqid_cli.motion.filters.differentiation import (
+    FIRST,
+    SECOND,
+    SIDE,
+    differentiate,
+    runs,
+    shrink,
+)
 from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.motion.smoother.chunk import JERK, EncoderView, bridged, encoder_view
 from seqid_cli.robot.types import Imu, Robot
@@ -168,12 +175,31 @@ class Segment:
         return int(self.readings.values.shape[1])
 
     @cached_property
-    def band(self) -> Array:
-        """Lower band (4 m, cells) of the information that the rows hold."""
-        normal = self.rows.T @ diags_array(self.information) @ self.rows
-        band = np.zeros((4 * len(self.moving), normal.shape[0]))
-        for k, lower in enumerate(band):
-            lower[: len(lower) - k] = normal.diagonal(-k)
+    def at_samples(self) -> csr_array:
+        """q, dq, ddq of the moving joints at the samples (N * 3 * m) of positions at the nodes."""
+        size, width = self.samples, 2 * REACH + 1
+        spacing = self.spacing
+        weights = np.stack([np.eye(width)[REACH], FIRST / spacing, SECOND / spacing**2])
+        rows = np.repeat(np.arange(3 * size), width)
+        columns = np.arange(size)[:, None, None] + np.tile(np.arange(width), (3, 1))
+        place = (np.tile(weights, (size, 1, 1)).ravel(), (rows, columns.ravel()))
+        one = coo_array(place, shape=(3 * size, size + 2 * REACH))
+        return csr_array(kron(one, eye_array(len(self.moving))))
+
+    @cached_property
+    def normal(self) -> csr_array:
+        """What the rows tell of the positions at the nodes, joints interleaved."""
+        return csr_array(self.rows.T @ diags_array(self.information) @ self.rows)
+
+    def band(self, blocks: Array) -> Array:
+        """Lower band of all that is told of them, by `blocks` (N, 3 m, 3 m) of the samples too."""
+        count = np.arange(len(blocks) + 1)
+        inner = bsr_array((blocks, count[:-1], count)).tocsr()
+        whole = (self.normal + self.at_samples.T @ inner @ self.at_samples).tocoo()
+        below = whole.row >= whole.col
+        row, column = whole.row[below], whole.col[below]
+        band = np.zeros(((2 * REACH + 1) * len(self.moving), whole.shape[0]))
+        band[row - column, column] = whole.data[below]
         return band
 
 

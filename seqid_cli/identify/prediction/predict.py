@@ -18,9 +18,9 @@ from scipy.special import beta
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import (
-    chosen_cutoff,
     motion_use,
     open_if_long,
+    plan_of,
     streams,
     torque_motion,
 )
@@ -30,7 +30,7 @@ from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.model.effects.apply import added_torque, scene_of_log
 from seqid_cli.model.effects.fitted import Fitted, fitted_effects
 from seqid_cli.model.torque import Predicted, TorqueModel, sliding
-from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, motion_blocks, overlapping
+from seqid_cli.motion.blocks import Plan, SurveyedLog, motion_blocks, overlapping
 from seqid_cli.motion.motion import Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.types import Robot
@@ -150,12 +150,10 @@ class Predictor:
 
     def __call__(self, log: Recording | SurveyedLog, _: int) -> Iterable[LogPrediction]:
         """Predict a log, by whatever number."""
-        robot, filtering = self.model.robot, self.options.motion
+        robot = self.model.robot
+        every = replace(self.options.motion, samples_per_cutoff=float("inf"))
         if isinstance(log, SurveyedLog):
-            cutoff, step = chosen_cutoff(log, robot, filtering)
-            plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=float("inf"))
-            return LongPrediction(replace(log, survey=None), plan, self)
-        every = replace(filtering, samples_per_cutoff=float("inf"))
+            return LongPrediction(replace(log, survey=None), plan_of(log, robot, every), self)
         imu, source = self.stages.imu, self.options.source
         motion = torque_motion(log, robot, every, imu=imu, source=source)
         part = self.part(motion, log, slice(None))

@@ -19,8 +19,7 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.motion.blocks import SurveyedLog, open_surveyed
-from seqid_cli.motion.filters.bandwidth import Cutoff
+from seqid_cli.motion.blocks import Plan, SurveyedLog, make_plan, open_surveyed
 from seqid_cli.motion.filters.survey import Survey
 from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import Motion, as_asked, decimated, encoder_resolution
@@ -63,11 +62,12 @@ def survey_of(log: Recording | SurveyedLog) -> Survey:
     return log.survey
 
 
-def chosen_cutoff(log: SurveyedLog, robot: Robot, options: MotionOptions) -> tuple[Cutoff, Array]:
-    """Choose the cut-off of a log; returns it and the noise steps (n,) rad."""
+def plan_of(log: SurveyedLog, robot: Robot, options: MotionOptions) -> Plan:
+    """How a log that is passed over is filtered."""
     resolution, survey = encoder_resolution(robot), survey_of(log)
     cutoff = as_asked(survey.cutoff(resolution), log.path, log.rate_hz, options)
-    return cutoff, survey.noise_step(resolution)
+    kept, step = options.samples_per_cutoff, survey.noise_step(resolution)
+    return make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=kept)
 
 
 def torque_motion(
@@ -103,58 +103,41 @@ def cutoff_note(uses: Sequence[MotionUse], options: MotionOptions) -> str:
     )
 
 
-class FilteredColumns:
-    """Filtered base regressors of consecutive parts of one log, all in the same memory.
-
-    `longest`: samples of a part, at most. `reach`: samples on either side that the low-pass
-    remembers. `beside`: one more column (N, n) of a motion, filtered already.
-    """
-
-    def __init__(
-        self,
-        robot: Robot,
-        basis: Basis,
-        longest: int,
-        reach: int,
-        beside: Callable[[Motion], Array] | None = None,
-    ) -> None:
-        self._robot, self._basis, self._reach, self._beside = robot, basis, reach, beside
-        spare = 0 if beside is None else 1
-        loaded = np.pad(loaded_columns(robot, basis), ((0, 0), (0, spare)))
-        self._only = np.flatnonzero(loaded)
-        # What is never written to is never given to the process.
-        self._room = np.zeros((*loaded.shape, longest + 2 * reach))
-        self._rows = self._room.reshape(loaded.size, -1)
-        self._spare = spare
-
-    def of(self, motion: Motion, start: int, stop: int) -> Array:
-        """Rows (stop - start, n, b) of samples [start, stop), valid until the next call.
-
-        `motion` must hold as many samples on both sides as the low-pass remembers, where there are
-        any.
-        """
-        low, high = max(0, start - self._reach), min(stop + self._reach, motion.samples)
-        near, inner = motion.part(slice(low, high)), slice(start - low, stop - low)
-        state = self._robot, self._basis, near.q, near.dq, near.ddq
-        base_regressor(*state, spare=self._spare, out=self._room)
-        filtered = self._rows[:, : near.samples]
-        motion.lowpass.filter_rows(filtered, near.valid, only=self._only)
-        H = self._room.transpose(2, 0, 1)[inner]
-        if self._beside is not None:
-            H[:, :, -1] = self._beside(near)[inner]
-        return H
-
-
-def filtered_regressor(motion: Motion, robot: Robot, basis: Basis) -> Iterator[tuple[slice, Array]]:
+def filtered_regressor(
+    motion: Motion,
+    robot: Robot,
+    basis: Basis,
+    *,
+    within: tuple[int, int] | None = None,
+    chunk: int = CHUNK,
+    reach: int | None = None,
+    beside: Callable[[Motion], Array] | None = None,
+) -> Iterator[tuple[slice, Array]]:
     """Base regressor of a log in chunks, each filtered with enough overlap to have no seams.
 
-    Yields: samples of the chunk, in time order, and their H (N, n, b), filtered like `motion.tau`
-    and valid until the next.
+    `within`: first and last of the samples that are wanted. `reach`: samples on either side that
+    the low-pass remembers. `beside`: one more column (N, n) of a motion, filtered already. Yields:
+    samples of the chunk, in time order, and their H (N, n, b), filtered like `motion.tau` and valid
+    until the next.
     """
-    columns = FilteredColumns(robot, basis, min(CHUNK, motion.samples), motion.lowpass.memory)
-    for start in range(0, motion.samples, CHUNK):
-        where = slice(start, min(start + CHUNK, motion.samples))
-        yield where, columns.of(motion, where.start, where.stop)
+    first, last = (0, motion.samples) if within is None else within
+    reach = motion.lowpass.memory if reach is None else reach
+    spare = 0 if beside is None else 1
+    loaded = np.pad(loaded_columns(robot, basis), ((0, 0), (0, spare)))
+    only = np.flatnonzero(loaded)
+    # What is never written to is never given to the process.
+    room = np.zeros((*loaded.shape, min(chunk, last - first) + 2 * reach))
+    rows = room.reshape(loaded.size, -1)
+    for start in range(first, last, chunk):
+        stop = min(start + chunk, last)
+        low, high = max(0, start - reach), min(stop + reach, motion.samples)
+        near, inner = motion.part(slice(low, high)), slice(start - low, stop - low)
+        base_regressor(robot, basis, near.q, near.dq, near.ddq, spare=spare, out=room)
+        motion.lowpass.filter_rows(rows[:, : near.samples], near.valid, only=only)
+        H = room.transpose(2, 0, 1)[inner]
+        if beside is not None:
+            H[:, :, -1] = beside(near)[inner]
+        yield slice(start, stop), H
 
 
 def blocks(samples: int, rate_hz: float, *, block_s: float = 1.0) -> Iterator[slice]:

@@ -15,10 +15,10 @@ import numpy as np
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.regression.equations import (
     CHUNK,
-    FilteredColumns,
     blocks,
-    chosen_cutoff,
+    filtered_regressor,
     motion_use,
+    plan_of,
     torque_motion,
 )
 from seqid_cli.identify.regression.least_squares import MOST_BLOCKS, Accumulator, Solution, solve
@@ -26,7 +26,7 @@ from seqid_cli.identify.rigid.posterior import Posterior, gravity_prior
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import friction_surfaces, known_rotors, sampled_friction, sliding
-from seqid_cli.motion.blocks import SurveyedLog, make_plan, motion_blocks, overlapping
+from seqid_cli.motion.blocks import SurveyedLog, motion_blocks, overlapping
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.base_parameters import free_basis, gear_ratios
@@ -84,15 +84,11 @@ class InertiaEquations:
             parts: Iterable[Motion] = [motion]
             lowpass, samples = motion.lowpass, motion.samples
         else:
-            cutoff, step = chosen_cutoff(log, self.robot, options)
-            kept = options.samples_per_cutoff
-            plan = make_plan(log.rate_hz, cutoff, step, samples_per_cutoff=kept)
+            plan = plan_of(log, self.robot, options)
             parts = motion_blocks(log.blocks(), plan)
             lowpass, samples = plan.kept_lowpass, -(-log.samples // plan.factor)
         reach = int(forgotten * lowpass.memory) + lowpass.settling
         size = CHUNK * int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
-        longest, column = min(size, samples), self.coupling_column
-        columns = FilteredColumns(self.robot, self.basis, longest, reach, column)
         block = lowpass.rate_hz  # samples of a second; longer where blocks would be merged anyway
         while samples > MOST_BLOCKS * block and block < CHUNK / 2:
             block *= 2.0
@@ -103,14 +99,21 @@ class InertiaEquations:
         held = samples if isinstance(log, Recording) else 2 * size
         for motion, start, stop in overlapping(parts, held, 2 * reach):
             y = self.right_side(motion)
-            for first in range(start, stop, size):
-                end = min(first + size, stop)
-                low, high = max(0, first - reach), min(motion.samples, end + reach)
+            columns = filtered_regressor(
+                motion,
+                self.robot,
+                self.basis,
+                within=(start, stop),
+                chunk=size,
+                reach=reach,
+                beside=self.coupling_column,
+            )
+            for part, H in columns:
+                low, high = max(0, part.start - reach), part.stop + reach
                 slides = sliding(motion.part(slice(low, high)), self.slowest)
-                H = columns.of(motion, first, end)
-                for at in range(first, end, CHUNK):
-                    own = slice(at, min(at + CHUNK, end))
-                    inner = H[own.start - first : own.stop - first], y[own]
+                for at in range(part.start, part.stop, CHUNK):
+                    own = slice(at, min(at + CHUNK, part.stop))
+                    inner = H[own.start - part.start : own.stop - part.start], y[own]
                     used = slides[own.start - low : own.stop - low]
                     self.add_chunk(rows, motion.part(own), *inner, used, block / lowpass.rate_hz)
             moving |= motion.moving.any(axis=0)

@@ -87,7 +87,7 @@ def data_of(
 
 def fit_of(data: list[SpeedData], sizes: Sizes = TRUE) -> SurfaceFit:
     reduced = reduce_trials(data, SCALING)
-    return SurfaceFit.of(reduced, sizes, highest_orders([reduced], None, None))
+    return SurfaceFit(reduced, sizes, highest_orders([reduced], None, None))
 
 
 def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.identify.regression.equations import FilteredColumns
+from seqid_cli.identify.regression.equations import filtered_regressor
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.base_parameters import base_regressor, free_basis
@@ -14,7 +14,6 @@ from tests.plants.robots.made import made_motion
 from tests.plants.robots.seven_joint import RATE_HZ, motion, write_arm
 
 LOWPASS = Lowpass(25.0, RATE_HZ)
-MARGIN = LOWPASS.memory
 PART = 1024
 SAMPLES = 9_500
 
@@ -34,10 +33,9 @@ def test_parts_are_as_of_the_whole(tmp_path: Path, gap: slice) -> None:
     H = base_regressor(robot, basis, whole.q, whole.dq, whole.ddq)
     expected = LOWPASS(H, whole.valid)
     # The column beside shows which samples it was asked for.
-    columns = FilteredColumns(robot, basis, PART, MARGIN, lambda motion: motion.q**2)
-    for start in range(0, SAMPLES, PART):
-        stop = min(start + PART, SAMPLES)
-        found = columns.of(whole, start, stop)
+    parts = filtered_regressor(whole, robot, basis, chunk=PART, beside=lambda motion: motion.q**2)
+    for own, found in parts:
+        start, stop = own.start, own.stop
         assert found.shape == (stop - start, 7, basis.size + 1)
         inside = whole.valid[start:stop]
         off = np.abs(found[:, :, :-1] - expected[start:stop])[inside]

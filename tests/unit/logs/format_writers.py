@@ -172,7 +172,12 @@ def joint_states(data: Data, dq: Array | None = None) -> list[Message]:
 
 
 def mcap_dynamic(path: Path, data: Data) -> Path:
-    """control_msgs/msg/DynamicJointState, joints in another order, with other interfaces."""
+    """control_msgs/msg/DynamicJointState."""
+    return write_messages(path.with_suffix(".mcap"), dynamic_states(data), encoding="cdr")
+
+
+def dynamic_states(data: Data) -> list[Message]:
+    """Messages with the joints in another order, and with another interface."""
     kinds = ["position", "velocity", "effort", "estop"]
     messages = []
     for i, stamp in enumerate(data.stamps_ns):
@@ -182,7 +187,7 @@ def mcap_dynamic(path: Path, data: Data) -> Path:
             header=header(stamp), joint_names=list(data.joints[::-1]), interface_values=values
         )
         messages.append(("/dynamic_joint_states", stamp, message))
-    return write_messages(path.with_suffix(".mcap"), messages, encoding="cdr")
+    return messages
 
 
 def mcap_foxglove_protobuf(

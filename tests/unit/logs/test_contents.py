@@ -38,19 +38,16 @@ def test_other_formats(tmp_path: Path, label: str) -> None:
     np.testing.assert_allclose(recording.q[:, order], MOTION.q, rtol=2.0**-23)
 
 
-def test_names_of_few_letters_stand_for_a_quantity_of_several_joints(tmp_path: Path) -> None:
-    columns = {"time": MOTION.t, "elbow_q": MOTION.t, "wrist_q": MOTION.t}
+@pytest.mark.parametrize(
+    ("columns", "joints"),
+    [
+        ("elbow_q wrist_q", ("elbow", "wrist")),
+        ("freq_q", ()),  # few letters stand for a quantity of several joints
+        ("angle", ("joint_1",)),
+        ("level", ()),
+    ],
+)
+def test_joints_of_a_table(tmp_path: Path, columns: str, joints: tuple[str, ...]) -> None:
     path = tmp_path / "log.parquet"
-    pq.write_table(pa.table(columns), path)
-    assert guess(survey(path)).joints == ("elbow", "wrist")
-    pq.write_table(pa.table({"time": MOTION.t, "freq_q": MOTION.t}), path)
-    assert guess(survey(path)).joints == ()
-
-
-def test_nothing_known(tmp_path: Path) -> None:
-    path = tmp_path / "log.parquet"
-    pq.write_table(pa.table({"time": MOTION.t, "angle": MOTION.t}), path)
-    found = guess(survey(path))
-    assert (found.joints, found.patterns) == (("joint_1",), {"position": "angle"})
-    pq.write_table(pa.table({"time": MOTION.t, "level": MOTION.t}), path)
-    assert guess(survey(path)).joints == ()
+    pq.write_table(pa.table(dict.fromkeys(["time", *columns.split()], MOTION.t)), path)
+    assert guess(survey(path)).joints == joints

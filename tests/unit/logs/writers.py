@@ -289,13 +289,6 @@ def rewrite(
     return target
 
 
-def payloads(path: Path) -> list[bytes]:
-    """The messages of a file, in its order."""
-    with path.open("rb") as file:
-        read = NonSeekingReader(file).iter_messages(log_time_order=False)
-        return [message.data for _, _, message in read]
-
-
 def _vector(values: Array) -> SimpleNamespace:
     return SimpleNamespace(x=float(values[0]), y=float(values[1]), z=float(values[2]))
 

@@ -1,5 +1,9 @@
+"""Parameter files: what is written is read back, and what is wrong is named by its place."""
+
 import json
 import re
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 
 import pytest
@@ -11,16 +15,13 @@ from seqid_cli.params.encode import encode, plain
 from seqid_cli.params.io import read_parameters, write_json_atomic
 from tests.unit.params.documents import full_file, gravity_file, imu_file
 
-Path_ = tuple[str | int, ...]
 
-
-def edited(at: Path_, value: object) -> object:
+def edited(key: str, value: object) -> str:
+    """The full file with another value at a place such as `robot.joints.1`."""
     document = json.loads(encode(full_file()))
-    place = document
-    for key in at[:-1]:
-        place = place[key]
-    place[at[-1]] = value
-    return document
+    *at, last = [int(word) if word.isdigit() else word for word in key.split(".")]
+    reduce(getitem, at, document)[last] = value
+    return json.dumps(document)
 
 
 def problem(path: Path, text: str | bytes) -> ConfigError:
@@ -66,6 +67,7 @@ def test_what_is_no_parameter_file(tmp_path: Path, text: str | bytes, message: s
 
 
 LOOP, ELBOW = "closed_loop", "stages.friction.joints.elbow"
+SHOWN = f"{LOOP}.rounds.0.evidence"
 SESSION, IT = "stages.effects.0.session", "$.stages.effects[0].session"
 WRONG = [  # a key of the full file, its value, what is said of it, or of another key: $...
     ("robot.joints.1", 4, "Expected `str`, got `int`"),
@@ -85,12 +87,8 @@ WRONG = [  # a key of the full file, its value, what is said of it, or of anothe
     (SESSION, {"logs": ["a"], "starts": [0.0]}, f"{IT}.origin"),
     (SESSION, {"logs": ["a"], "origin": 5.0}, f"{IT}.origin"),
     (f"{LOOP}.rounds.0.joint", "knee", "joint 'k"),
-    (f"{LOOP}.rounds.0.evidence.of", "knee", "joint 'knee'"),
-    (
-        f"{LOOP}.rounds.0.evidence.after",
-        [0.1],
-        "$.closed_loop.rounds[0].evidence: x, count, before and",
-    ),
+    (f"{SHOWN}.of", "knee", "joint 'knee'"),
+    (f"{SHOWN}.after", [0.1], "$.closed_loop.rounds[0].evidence: x, count, before and"),
     (f"{LOOP}.rounds.0.accepted", False, ""),
     (f"{LOOP}.refused.0.interval", [1.0], "mu"),
     (f"{LOOP}.before", {"knee": {"rmse": 1.0}}, "joint 'knee'"),
@@ -102,8 +100,7 @@ WRONG = [  # a key of the full file, its value, what is said of it, or of anothe
 def test_wrong_content_is_named_by_its_key(
     tmp_path: Path, key: str, value: object, message: str
 ) -> None:
-    at = tuple(int(word) if word.isdigit() else word for word in key.split("."))
-    error = problem(tmp_path / "p.json", json.dumps(edited(at, value)))
+    error = problem(tmp_path / "p.json", edited(key, value))
     named = re.sub(r"\.(\d+)", r"[\1]", f"$.{key}")
     assert error.message.startswith(message if message.startswith("$") else f"{named}: {message}")
 
@@ -117,37 +114,34 @@ def test_a_closed_loop_needs_no_more_than_the_contract(tmp_path: Path) -> None:
         "evaluated_on": ["v.parquet"],
     }
     path = tmp_path / "p.json"
-    path.write_text(json.dumps(edited(("closed_loop",), older)))
+    path.write_text(edited("closed_loop", older))
     loop = read_parameters(path).closed_loop
-    assert [(item.effect, item.accepted) for item in loop.rounds] == [
-        ("stribeck", True),
-        ("payload", True),
-    ]
+    assert [item.effect for item in loop.rounds if item.accepted] == ["stribeck", "payload"]
     assert plain(loop.before) == older["before"]
 
 
 def test_a_missing_file_a_folder_and_a_huge_file(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="does not exist"):
-        read_parameters(tmp_path / "no.json")
-    with pytest.raises(ConfigError, match="is not a file"):
-        read_parameters(tmp_path)
-    with pytest.raises(ConfigError, match=r"cannot be read|does not exist"):
-        read_parameters(Path("a\0b"))
     with (tmp_path / "huge").open("wb") as file:
         file.truncate(2**30)
-    with pytest.raises(ConfigError, match="the limit is"):
-        read_parameters(tmp_path / "huge")
+    for path, message in (
+        (tmp_path / "no.json", "does not exist"),
+        (tmp_path, "is not a file"),
+        (Path("a\0b"), "cannot be read|does not exist"),
+        (tmp_path / "huge", "the limit is"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            read_parameters(path)
 
 
 def test_older_files_are_migrated_step_by_step(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "p.json"
-    path.write_text(json.dumps(edited(("robot", "joint_names"), [])))
+    path.write_text(edited("robot.joint_names", []))
 
     def second(document: dict[str, object]) -> dict[str, object]:
-        robot = {key: value for key, value in document["robot"].items() if key != "joint_names"}
-        return document | {"robot": robot}
+        del document["robot"]["joint_names"]
+        return document
 
     def third(document: dict[str, object]) -> dict[str, object]:
         return document | {"schema": "seqid/params@3", "created": "migrated"}

@@ -1,4 +1,4 @@
-"""The regressor against Pinocchio, against Newton-Euler and, for rotors, against Lagrange."""
+"""Chains and regressors against Pinocchio and, for rotors, against Lagrange."""
 
 from collections.abc import Callable
 
@@ -8,16 +8,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from seqid_cli.robot.kinematics import link_motion
-from seqid_cli.robot.regressor import (
-    inverse_dynamics,
-    rotor_regressor,
-    torque_regressor,
+from seqid_cli.robot.kinematics import (
+    chain_from_dh,
+    forward,
+    link_motion,
+    rotation_about,
+    tidy_position,
+    tidy_rotation,
 )
+from seqid_cli.robot.regressor import inverse_dynamics, rotor_regressor, torque_regressor
 from seqid_cli.robot.types import Array, Chain
 from tests.plants.robots.small import oracle_regressor, random_model, states
 
 MIXED = [False, False, True, False, False, True, False]
+X, Z = np.eye(3)[[0, 2]]
 
 
 @settings(deadline=None, max_examples=40)
@@ -25,29 +29,43 @@ MIXED = [False, False, True, False, False, True, False]
     prismatic=st.lists(st.booleans(), min_size=1, max_size=8),
     seed=st.integers(min_value=0, max_value=2**32 - 1),
 )
-def test_regressor_is_pinocchios_on_any_chain(prismatic: list[bool], seed: int) -> None:
+def test_regressor_and_newton_euler_are_pinocchios_on_any_chain(
+    prismatic: list[bool], seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     model, chain = random_model(rng, prismatic)
-    model.gravity.linear = rng.normal(size=3) * 5.0
+    model.gravity.linear = gravity = rng.normal(size=3) * 5.0
     q, dq, ddq = states(rng, 5, chain.n)
-    Y = torque_regressor(chain, model.gravity.linear.copy(), q, dq, ddq)
-    expected = oracle_regressor(model, q, dq, ddq)
-    assert Y.shape == (5, chain.n, 10 * chain.n)
-    np.testing.assert_allclose(Y, expected, rtol=0.0, atol=1e-12 * max(1.0, abs(expected).max()))
-
-
-def test_newton_euler_is_regressor_times_parameters_and_pinocchios_rnea() -> None:
-    rng = np.random.default_rng(1)
-    model, chain = random_model(rng, MIXED)
-    gravity = model.gravity.linear.copy()
-    phi = np.array([inertia.toDynamicParameters() for inertia in model.inertias[1:]])
-    q, dq, ddq = states(rng, 20, chain.n)
-    tau = inverse_dynamics(chain, gravity, phi, q, dq, ddq)
-    data = model.createData()
-    rnea = [pin.rnea(model, data, *state).copy() for state in zip(q, dq, ddq, strict=True)]
     Y = torque_regressor(chain, gravity, q, dq, ddq)
-    np.testing.assert_allclose(tau, rnea, rtol=1e-11, atol=1e-10)
-    np.testing.assert_allclose(Y @ phi.ravel(), rnea, rtol=1e-11, atol=1e-10)
+    expected = oracle_regressor(model, q, dq, ddq)
+    size = max(1.0, abs(expected).max())
+    np.testing.assert_allclose(Y, expected, rtol=0.0, atol=1e-12 * size)
+    phi = np.array([inertia.toDynamicParameters() for inertia in model.inertias[1:]])
+    tau = inverse_dynamics(chain, gravity, phi, q, dq, ddq)
+    np.testing.assert_allclose(tau, expected @ phi.ravel(), rtol=1e-11, atol=1e-10)
+
+
+def test_dh_frames_are_products_of_the_four_moves() -> None:
+    def move(axis: Array, angle: float, slide: float) -> Array:
+        return pin.SE3(rotation_about(axis, angle), slide * axis).homogeneous
+
+    rows = [(0.3, 0.2, 0.5, -0.7), (-1.1, 0.1, 0.4, 0.9)]
+    q = np.array([0.6, 0.25])
+    T = np.eye(4)
+    for alpha, a, d, theta in [(0.3, 0.2, 0.5, -0.7 + q[0]), (-1.1, 0.1, 0.4 + q[1], 0.9)]:
+        T = T @ move(X, alpha, a) @ move(Z, theta, d)
+    frames = forward(chain_from_dh(rows, [1]), q[None])
+    np.testing.assert_allclose(frames.R[0, 1], T[:3, :3], atol=1e-14)
+    np.testing.assert_allclose(frames.p[0, 1], T[:3, 3], atol=1e-14)
+
+
+@pytest.mark.parametrize("angle", [1.5708, 1.570796, -1.5708, 3.14159])
+def test_rounded_quarter_turns_become_exact_and_real_misalignment_is_kept(angle: float) -> None:
+    R = tidy_rotation(rotation_about(X, angle))
+    assert set(np.unique(R)) <= {-1.0, 0.0, 1.0}
+    for skewed in (R @ rotation_about(Z, 0.3), rotation_about(X, 1e-4)):
+        np.testing.assert_allclose(tidy_rotation(skewed), skewed, atol=1e-8)
+    np.testing.assert_array_equal(tidy_position(np.array([1e-5, 4e-17, -0.2])), [1e-5, 0.0, -0.2])
 
 
 def _spin_energy(chain: Chain, q: Array, dq: Array, i: int, ratio: float) -> float:
@@ -60,9 +78,8 @@ def _spin_energy(chain: Chain, q: Array, dq: Array, i: int, ratio: float) -> flo
 
 
 def _gradient(function: Callable[[Array], Array | float], at: Array, h: float = 1e-4) -> Array:
-    return np.array([function(at + h * e) - function(at - h * e) for e in np.eye(len(at))]) / (
-        2 * h
-    )
+    steps = h * np.eye(len(at))
+    return np.array([function(at + step) - function(at - step) for step in steps]) / (2 * h)
 
 
 def _lagrange(chain: Chain, q: Array, dq: Array, ddq: Array, i: int, ratio: float) -> Array:
@@ -81,9 +98,8 @@ def _lagrange(chain: Chain, q: Array, dq: Array, ddq: Array, i: int, ratio: floa
 def test_gyroscopic_rotor_is_lagranges(seed: int, prismatic: list[bool]) -> None:
     rng = np.random.default_rng(seed)
     _, chain = random_model(rng, prismatic)
-    n = chain.n
-    q, dq, ddq = states(rng, 1, n)
-    ratio = rng.uniform(-5.0, 5.0, size=n)
+    q, dq, ddq = states(rng, 1, chain.n)
+    ratio = rng.uniform(-5.0, 5.0, size=chain.n)
     Y = rotor_regressor(chain, q, dq, ddq, ratio, "gyroscopic")[0]
     for i in np.flatnonzero(~chain.prismatic):
         expected = _lagrange(chain, q[0], dq[0], ddq[0], int(i), ratio[i])

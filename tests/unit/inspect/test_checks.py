@@ -19,11 +19,9 @@ from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
 def test_a_driver_that_subtracts_gravity_is_told_from_a_mounting(tmp_path: Path, log: str) -> None:
     folder = SAMPLES / "six_joint"
     robot = load_robot(folder / "robot.toml")
-    assert robot.nominal is not None
     columns = read_columns(folder / f"{log}.parquet")
     q = np.column_stack([columns[f"{name}.position"] for name in SIX])
-    still = np.zeros_like(q)
-    weight = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)
+    weight = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, 0.0 * q, 0.0 * q)
     for joint, own in zip(robot.joints, weight.T, strict=True):
         current = columns.pop(f"{joint.name}.current")
         columns[f"{joint.name}.torque"] = current * joint.torque_per_ampere - own

@@ -6,19 +6,19 @@ import pytest
 from seqid_cli.inspect.parts import serve_together
 from seqid_cli.params.results.inspection import InspectedLog
 
-ELBOW = {"name": "elbow", "moves": True, "low": -1.0, "high": 1.0, "top_speed": 1.0}
-UNSAID = {"encoder_step": None, "effort_rms": None, "temperature": None}
-
 
 def log(speed: float, *serves: str, backward: int = 1, effort: str = "torque") -> InspectedLog:
     """Return a log of one joint that moves at one speed."""
+    unsaid = dict.fromkeys(("encoder_step", "effort_rms", "temperature"))
+    moving = {"moves": True, "low": -1.0, "high": 1.0, "top_speed": 1.0, "effort": effort}
     moves = {"joint": "elbow", "forward": 1, "backward": backward, "postures": 1}
-    given = {
-        "joints": [{**ELBOW, **UNSAID, "effort": effort}],
+    document = {
+        "joints": [{"name": "elbow"} | moving | unsaid],
         "moves": [{**moves, "slowest": speed, "fastest": speed}],
+        "serves": serves,
     }
     known = {"path": f"{speed}", "sha256": "", "format": "csv", "verdict": "good"}
-    return msgspec.convert({**known, **given, "serves": serves}, InspectedLog)
+    return msgspec.convert(known | document, InspectedLog)
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,15 @@
-"""The sample logs in every format: the same recording, and the same parameters."""
+"""Logs in every format: the same recording, and what they hold without a robot file."""
 
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from seqid_cli.inspect.guess import guess, stand_in
+from seqid_cli.logs.contents import survey
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import check_log, expand
@@ -14,6 +17,7 @@ from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT, Array
 from tests.unit.logs.format_writers import EXACT, FLOAT32, Data
+from tests.unit.logs.samples import JOINTS, grid, make_motion, write_motion
 
 ONE, SIX = (ROOT / "sample_logs" / name for name in ("one_joint", "six_joint"))
 FLOAT32_STEP = 2.0**-23
@@ -69,3 +73,43 @@ def test_same_recording(tmp_path: Path, label: str, folder: Path, name: str) -> 
     kinds = {"parquet": "parquet", "lerobot": "parquet", "csv": "csv", "rosbag1": "rosbag1"}
     kind = "rosbag2" if label == "rosbag2 sqlite" else kinds.get(label.split()[0], "mcap")
     assert check_log(renamed) == recording.format == kind
+
+
+MOTION = make_motion(grid(100))
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "json"])
+def test_mcap(tmp_path: Path, encoding: str) -> None:
+    found = survey(write_motion(tmp_path / "log.mcap", MOTION, encoding=encoding))
+    assert found.joints == JOINTS
+    counts = {channel.name: channel.samples for channel in found.channels}
+    assert counts["/joint_states"] == counts["/array/accel_2"] == 100
+
+
+@pytest.mark.parametrize("label", ["csv", "csv rtde", "csv libfranka", "rosbag1", "lerobot"])
+def test_other_formats(tmp_path: Path, label: str) -> None:
+    data = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)
+    path = ({**EXACT, **FLOAT32})[label](tmp_path / "log", data)
+    surveyed = survey(path)
+    found = guess(surveyed)
+    named = label in ("csv", "rosbag1")
+    assert set(found.joints) == set(JOINTS if named else ("joint_1", "joint_2", "joint_3"))
+    assert {channel.samples for channel in surveyed.channels} == {100}
+    recording = read_recording(path, stand_in(found, source=path))
+    order = [found.joints.index(name) for name in JOINTS] if named else [0, 1, 2]
+    np.testing.assert_allclose(recording.q[:, order], MOTION.q, rtol=2.0**-23)
+
+
+@pytest.mark.parametrize(
+    ("columns", "joints"),
+    [
+        ("elbow_q wrist_q", ("elbow", "wrist")),
+        ("freq_q", ()),  # few letters stand for a quantity of several joints
+        ("angle", ("joint_1",)),
+        ("level", ()),
+    ],
+)
+def test_joints_of_a_table(tmp_path: Path, columns: str, joints: tuple[str, ...]) -> None:
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table(dict.fromkeys(["time", *columns.split()], MOTION.t)), path)
+    assert guess(survey(path)).joints == joints

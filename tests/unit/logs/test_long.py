@@ -154,19 +154,10 @@ def test_pieces_of_a_log_that_is_passed_over_are_cut_out_of_it(form: str, tmp_pa
             assert_same(one, other)
     assert (found[0].temperature is None) == (form == "mcap")
     assert set(found[0].accelerometers) == {"array", "hand"}
-
-
-def test_a_piece_keeps_its_place(tmp_path: Path) -> None:
-    held = read_recording(written(tmp_path), ROBOT)
-    pieces = cut(held, RANGES)
-    assert [piece.offset for piece in pieces] == pytest.approx([3.0, 12.0, 6.0])
-    assert [piece.start for piece in pieces] == pytest.approx([43.0, 52.0, 46.0])
-    assert [piece.t[0] for piece in pieces] == [0.0] * 3
-    assert [float(piece.t[-1]) for piece in pieces] == pytest.approx([4.5, 2.0, 3.0])
-    assert len({piece.sha256 for piece in [held, *pieces]}) == 4
-    assert {whole_of(piece) for piece in pieces} == {whole_of(held)}
-    held.tau[310] = 77.0  # a piece does not keep the log in memory
-    assert pieces[0].tau[10, 0] != 77.0
+    rows = [slice(round(100 * begin), round(100 * end) + 1) for begin, end in RANGES]
+    for one, own in zip(found, rows, strict=True):
+        np.testing.assert_array_equal(one.q, held.q[own])
+        np.testing.assert_allclose(one.t + one.offset, held.t[own], atol=1e-9)
 
 
 def test_pieces_of_uneven_stamps(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
-"""Parquet logs: names, types, missing values, damage."""
+"""Parquet logs: names, types, lists, episodes that are never joined, missing values, damage."""
 
 import datetime as dt
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,21 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.robot.types import Channels
-from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot, write_motion
+from tests.unit.logs.format_writers import Data, lerobot_table
+from tests.unit.logs.samples import (
+    ARRAY,
+    GYRO,
+    JOINTS,
+    curve,
+    grid,
+    make_motion,
+    make_robot,
+    write_motion,
+)
 
 MOTION = make_motion(grid())
+LISTS = pa.list_(pa.float32())
+Table = pa.Table | dict[str, object]
 COLUMNS: dict[str, object] = {
     "t": MOTION.t,
     **{f"{name}.position": MOTION.q[:, i] for i, name in enumerate(JOINTS)},
@@ -23,9 +36,9 @@ TORQUES = {f"{name}.torque": MOTION.tau[:, i] for i, name in enumerate(JOINTS)}
 CURRENTS = {f"{name}.current": MOTION.dq[:, i] for i, name in enumerate(JOINTS)}
 
 
-def read(folder: Path, columns: dict[str, object], channels: Channels | None = None) -> Recording:
+def read(folder: Path, columns: Table, channels: Channels | None = None) -> Recording:
     path = folder / "log.parquet"
-    pq.write_table(pa.table(list(columns.values()), list(columns)), path)
+    pq.write_table(pa.table(columns), path)
     imus = (ARRAY, GYRO)
     robot = make_robot(constants=[0.1, 0.2, 0.3], gear_ratio=10.0, channels=channels, imus=imus)
     return read_recording(path, robot)
@@ -202,3 +215,113 @@ def test_damaged_footer_and_pages(tmp_path: Path, at: slice) -> None:
     path.write_bytes(data)
     with pytest.raises(InputError, match="damaged"):
         read_recording(path, make_robot())
+
+
+def episode(shift: float, count: int = 200) -> Data:
+    t = MOTION.t[:count]
+    q = curve(t, 3, shift)
+    return Data(t, JOINTS, q, q, q, 10.0 * q)
+
+
+def test_episodes_become_stretches_with_gaps(tmp_path: Path) -> None:
+    episodes = [episode(0.0), episode(5.0, 60), episode(9.0, 90)]
+    recording = read(tmp_path, lerobot_table(episodes))
+    assert warned(recording, "3 episodes")
+    starts = np.flatnonzero(np.diff(recording.valid.astype(int), prepend=0) > 0)
+    ends = np.flatnonzero(np.diff(recording.valid.astype(int), append=0) < 0) + 1
+    assert (ends - starts).tolist() == [200, 60, 90]
+    for start, end, data in zip(starts, ends, episodes, strict=True):
+        np.testing.assert_allclose(recording.q[start:end], data.q, atol=2e-5)
+    assert [end - start > 1.0 for start, end in recording.health.gaps] == [True, True]
+
+
+def test_rows_without_an_episode_are_left_out(tmp_path: Path) -> None:
+    table = lerobot_table([episode(0.0)])
+    numbers = pa.array([0] * 180 + [None] * 20, pa.int64())
+    place = table.schema.get_field_index("episode_index")
+    table = table.set_column(place, "episode_index", numbers)
+    recording = read(tmp_path, table)
+    assert len(recording.t) == 180
+    assert warned(recording, "20 rows without episode_index")
+
+
+def read_set(folder: Path, names: object, length: int) -> Recording:
+    """Read a data set that names the motors; the last of `length` values is a gripper."""
+    info = folder / "meta" / "info.json"
+    info.parent.mkdir(parents=True)
+    info.write_text(json.dumps({"features": {"observation.state": {"names": names}}}))
+    states = pa.array(list(curve(MOTION.t, length).astype(np.float32)), LISTS)
+    table = {"observation.state": states, "timestamp": MOTION.t.astype(np.float32)}
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    return read(folder / "data" / "chunk-000", table)
+
+
+ORDER = [1, 3, 0]  # of the joints among the motors
+MOTORS = ["wrist", "shoulder", "gripper", "elbow"]
+
+
+@pytest.mark.parametrize(
+    ("names", "columns"),
+    [
+        ([f"{name}.pos" for name in MOTORS], ORDER),
+        ({"motors": MOTORS}, ORDER),
+        *((names, [0, 1, 2]) for names in (None, 7, ["a", "b"], [["a"]], {"x": [], "y": []})),
+    ],
+)
+def test_joints_are_matched_by_the_names_of_the_data_set(
+    tmp_path: Path, names: object, columns: list[int]
+) -> None:
+    recording = read_set(tmp_path, names, 4)
+    np.testing.assert_allclose(recording.q, curve(MOTION.t, 4)[:, columns], atol=1e-6)
+    assert warned(recording, "in the order of the robot file") == (columns != ORDER)
+
+
+def test_lists_of_another_length_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no column 'observation\.state\[2\]'"):
+        read_set(tmp_path, None, 2)
+    rows = [row.tolist() for row in MOTION.q]
+    rows[17] = rows[17][:2]
+    table = {"t": MOTION.t, "observation.state": pa.array(rows, LISTS)}
+    with pytest.raises(InputError, match=r"row 18: 'observation\.state' holds 2 values") as caught:
+        read(tmp_path, table)
+    assert caught.value.hint
+
+
+@pytest.mark.parametrize("kind", [LISTS, pa.list_(pa.float64(), 3), pa.large_list(pa.float64())])
+def test_missing_lists_and_values(tmp_path: Path, kind: pa.DataType) -> None:
+    rows: list[object] = [row.tolist() for row in MOTION.q]
+    rows[0] = None
+    rows[40] = [None, *MOTION.q[40, 1:].tolist()]
+    rows[60] = [float("nan")] * 3
+    recording = read(tmp_path, {"t": MOTION.t, "q": pa.array(rows, kind)})
+    assert len(recording.t) == 199
+    np.testing.assert_allclose(recording.q, MOTION.q[1:], atol=2e-5)
+
+
+def test_joint_state_messages_in_a_table(tmp_path: Path) -> None:
+    names = ["wrist", "elbow", "shoulder"]
+    rows = {
+        "timestamp": MOTION.t,
+        "name": [names] * 200,
+        "position": list(MOTION.q[:, ::-1]),
+        "velocity": [[]] * 200,
+        "effort": list(MOTION.tau[:, ::-1]),
+    }
+    recording = read(tmp_path, rows)
+    np.testing.assert_array_equal(recording.q, MOTION.q)
+    np.testing.assert_array_equal(recording.tau, MOTION.tau)
+    assert recording.dq is None
+    rows["name"] = [names] * 100 + [names[::-1]] * 100
+    with pytest.raises(InputError, match="change from row to row"):
+        read(tmp_path, rows)
+
+
+@pytest.mark.parametrize("form", ["{name}/{kind}", "{kind}.{name}"])
+@pytest.mark.parametrize("current", [False, True])
+def test_effort_is_what_the_robot_file_says(tmp_path: Path, form: str, current: bool) -> None:
+    columns = {"time": MOTION.t, form.format(name="gripper", kind="position"): MOTION.t}
+    for name, q, tau in zip(JOINTS, MOTION.q.T, MOTION.tau.T, strict=True):
+        columns |= {form.format(name=name, kind="position"): q}
+        columns |= {form.format(name=name, kind="effort"): tau}
+    recording = read(tmp_path, columns, Channels(effort="current") if current else Channels())
+    np.testing.assert_allclose(recording.tau, MOTION.tau * ([1.0, 2.0, 3.0] if current else 1.0))

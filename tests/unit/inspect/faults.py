@@ -1,15 +1,13 @@
 """Faults to plant into sound logs, each with the finding that it must lead to."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from seqid_cli.robot.kinematics import link_motion
-from seqid_cli.robot.types import Robot
 from tests import ROOT
 from tests.unit.inspect import planting as p
 from tests.unit.inspect.planting import Columns, Plant
@@ -29,14 +27,14 @@ class Fault:
     plant: Plant
     base: str = WAVES
     channel: str | None = None
-    robot: Mapping[str, str] | None = None  # replacements in robot.toml
+    robot: Mapping[str, str] = field(default_factory=dict)  # replacements in robot.toml
     triad: bool = False  # imu_b as an ordinary IMU with a gyro
     rig: str = "six_joint"
 
     @property
-    def of_imus(self) -> bool:
-        """Whether IMUs play a part in it."""
-        return self.triad or self.joint.startswith("imu")
+    def without_imus(self) -> bool:
+        """Whether IMUs play no part in it."""
+        return self.rig == "six_joint" and not self.triad and not self.joint.startswith("imu")
 
 
 def read_columns(path: Path) -> Columns:
@@ -50,43 +48,8 @@ def write_columns(path: Path, columns: Columns) -> None:
     pq.write_table(pa.table({name: pa.array(values) for name, values in columns.items()}), path)
 
 
-def with_extras(columns: Columns, joints: tuple[str, ...] = SIX) -> Columns:
-    """Add what other loggers have: velocities and temperatures."""
-    t = columns["t"]
-    kernel = np.hanning(9) / np.hanning(9).sum()
-    for k, name in enumerate(joints):
-        slope = np.gradient(columns[f"{name}.position"], t)
-        columns[f"{name}.velocity"] = np.convolve(slope, kernel, mode="same")
-        columns[f"{name}.temperature"] = 30.0 + k + 0.01 * np.round(t)
-    return columns
-
-
-def with_triad(columns: Columns, robot: Robot, rng: np.random.Generator) -> Columns:
-    """Turn the array imu_b into an ordinary IMU: its triad at the origin, and a gyro beside it."""
-    t = columns["t"]
-    q = np.column_stack([columns[f"{name}.position"] for name in SIX])
-    dq = np.gradient(q, t, axis=0)
-    dq = np.apply_along_axis(lambda x: np.convolve(x, np.hanning(11) / 5.0, "same"), 0, dq)
-    w = link_motion(robot.chain, robot.gravity, q.T, dq.T, np.zeros_like(dq.T)).w[-1].T
-    for k, axis in enumerate("xyz"):
-        columns[f"imu_b.a{axis}"] = columns[f"imu_b.a{k + 1}"]
-        columns[f"imu_b.g{axis}"] = w[:, k] + rng.normal(0.0, 0.003, len(t))
-    for k in range(1, 13):
-        del columns[f"imu_b.a{k}"]
-    return columns
-
-
-def triad_toml(text: str) -> str:
-    """Write imu_b of a robot file as an ordinary IMU."""
-    start = text.index('name = "imu_b"')
-    end = text.index("[channels]")
-    imu = 'name = "imu_b"\nafter_joint = "wrist_3"\ngyro = true\n\n'
-    return text[:start] + imu + text[end:]
-
-
 NO_LIMITS = {"position_limits = [-2.4, 2.4]\n": ""}
 DEGREES = 180.0 / np.pi
-PAIR = ("wrist_1", "wrist_2")
 
 FAULTS = (
     Fault("degrees against limits", "position_in_degrees", "elbow",
@@ -192,33 +155,25 @@ FAULTS = (
           rig="two_joint"),
 )  # fmt: skip
 
+BY_NAME = {fault.name: fault for fault in FAULTS}
 # Faults of different channels that share a log, so that one inspection finds them all.
 TOGETHER = (
-    (
-        "degrees against limits",
-        "wraps",
-        "freeze",
-        "velocity in degrees",
-        "torque missing",
-        "kelvin",
-    ),
-    ("motor side", "spikes", "velocity sign", "limits exceeded", "torque held", "temperature off"),
-    ("lost counts", "velocity scale", "speed limit", "torque clipped"),
-    ("resolution", "velocity zero", "torque quantised"),
-    ("position held", "position missing", "torque zero"),
-    ("velocities swapped", "torque constant"),
-    ("rows exchanged", "rows repeated", "torque stuck"),
-    ("IMU stuck", "IMU clipped", "IMU values missing"),
-    ("IMU stuck for a while", "IMU empty"),
-    ("IMU channel flipped", "IMU scale"),
+    "degrees against limits; wraps; freeze; velocity in degrees; torque missing; kelvin",
+    "motor side; spikes; velocity sign; limits exceeded; torque held; temperature off",
+    "lost counts; velocity scale; speed limit; torque clipped",
+    "resolution; velocity zero; torque quantised",
+    "position held; position missing; torque zero",
+    "velocities swapped; torque constant",
+    "rows exchanged; rows repeated; torque stuck",
+    "IMU stuck; IMU clipped; IMU values missing",
+    "IMU stuck for a while; IMU empty",
+    "IMU channel flipped; IMU scale",
 )
 
 
-def groups() -> tuple[tuple[Fault, ...], ...]:
+def groups() -> list[list[Fault]]:
     """All faults: those that share a log, and each of the others by itself."""
-    by_name = {fault.name: fault for fault in FAULTS}
-    assert len(by_name) == len(FAULTS)
-    shared = {name for names in TOGETHER for name in names}
-    return tuple(tuple(by_name[name] for name in names) for names in TOGETHER) + tuple(
-        (fault,) for fault in FAULTS if fault.name not in shared
-    )
+    assert len(BY_NAME) == len(FAULTS)
+    shared = [[BY_NAME[name] for name in names.split("; ")] for names in TOGETHER]
+    known = {fault.name for own in shared for fault in own}
+    return shared + [[fault] for fault in FAULTS if fault.name not in known]

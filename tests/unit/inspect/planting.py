@@ -5,7 +5,6 @@ from fnmatch import fnmatch
 from typing import Concatenate, ParamSpec
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tests import Array
 
@@ -18,11 +17,7 @@ def planter(
     change: Callable[Concatenate[Columns, np.random.Generator, P], None],
 ) -> Callable[P, Plant]:
     """Make plants of a change to columns that takes more than these."""
-
-    def made(*args: P.args, **named: P.kwargs) -> Plant:
-        return lambda columns, rng: change(columns, rng, *args, **named)
-
-    return made
+    return lambda *args, **named: lambda columns, rng: change(columns, rng, *args, **named)
 
 
 @planter
@@ -31,6 +26,15 @@ def changed(
 ) -> None:
     """The columns whose names are like a pattern, each changed alike."""
     columns.update({n: change(values) for n, values in columns.items() if fnmatch(n, pattern)})
+
+
+@planter
+def both(columns: Columns, rng: np.random.Generator, *plants: Plant) -> None:
+    for plant in plants:
+        plant(columns, rng)
+
+
+nothing = both()
 
 
 def times(factor: float, *patterns: str) -> Plant:
@@ -69,13 +73,17 @@ def delayed(pattern: str, samples: int) -> Plant:
     return changed(pattern, lambda x: np.roll(x, samples))
 
 
-@planter
-def both(columns: Columns, rng: np.random.Generator, *plants: Plant) -> None:
-    for plant in plants:
-        plant(columns, rng)
+def jump(pattern: str, size: float) -> Plant:
+    return changed(pattern, lambda x: x + size * (np.arange(len(x)) >= len(x) // 2))
 
 
-nothing = both()
+def frozen(pattern: str, samples: int) -> Plant:
+    def stop(x: Array) -> Array:
+        slope = np.gradient(np.convolve(x, np.ones(25) / 25, "same"))
+        fast = int(np.argmax(np.abs(slope[100:-100]))) + 100
+        return np.concatenate([x[:fast], np.full(samples, x[fast]), x[fast + samples :]])
+
+    return changed(pattern, stop)
 
 
 @planter
@@ -100,22 +108,9 @@ def stuck(columns: Columns, _: np.random.Generator, name: str, seconds: float) -
 
 
 @planter
-def frozen(columns: Columns, _: np.random.Generator, name: str, samples: int) -> None:
-    q = columns[name]
-    slope = np.gradient(np.convolve(q, np.ones(25) / 25, "same"))
-    fast = int(np.argmax(np.abs(slope[100:-100])))
-    q[fast + 100 : fast + 100 + samples] = q[fast + 100]
-
-
-@planter
 def spikes(columns: Columns, rng: np.random.Generator, name: str, size: float) -> None:
     at = rng.choice(len(columns[name]) - 200, 4, replace=False) + 100
     columns[name][at] += size * np.array([1.0, -1.0, 1.0, -1.0])
-
-
-@planter
-def jump(columns: Columns, _: np.random.Generator, name: str, size: float) -> None:
-    columns[name][len(columns[name]) // 2 :] += size
 
 
 @planter
@@ -124,35 +119,32 @@ def missing(columns: Columns, rng: np.random.Generator, name: str, share: float)
     columns[name][inside] = np.nan
 
 
-def taken(columns: Columns, rows: NDArray[np.intp] | NDArray[np.bool_]) -> None:
-    """Some rows of all columns, in an order."""
-    columns.update({name: values[rows] for name, values in columns.items()})
-
-
 @planter
-def cut(columns: Columns, _: np.random.Generator, start: float, stop: float) -> None:
+def cut(columns: Columns, rng: np.random.Generator, start: float, stop: float) -> None:
     t = columns["t"] - columns["t"][0]
-    taken(columns, (t < start) | (t > stop))
+    changed("*", lambda x: x[(t < start) | (t > stop)])(columns, rng)
 
 
 def jittered(columns: Columns, rng: np.random.Generator) -> None:
     t = columns["t"]
-    taken(columns, np.sort(rng.choice(len(t), int(0.6 * len(t)), replace=False)))
+    kept = np.sort(rng.choice(len(t), int(0.6 * len(t)), replace=False))
+    changed("*", lambda x: x[kept])(columns, rng)
     # Bursts of stamps, as of a buffered reader: in order, but far from even.
-    kept = columns["t"]
-    steps = np.diff(kept).mean() * rng.exponential(1.0, len(kept)).clip(0.01, 4.0)
+    steps = np.diff(columns["t"]).mean() * rng.exponential(1.0, len(kept)).clip(0.01, 4.0)
     columns["t"] = t[0] + np.cumsum(steps)
 
 
-def exchanged_rows(columns: Columns, _: np.random.Generator) -> None:
-    order = np.arange(len(columns["t"]))
-    for at in (300, 900, 1500):
-        order[[at, at + 1]] = order[[at + 1, at]]
-    taken(columns, order)
+def exchanged(x: Array) -> Array:
+    order = np.arange(len(x))
+    order[[300, 301, 900, 901, 1500, 1501]] = [301, 300, 901, 900, 1501, 1500]
+    return x[order]
 
 
-def repeated_rows(columns: Columns, _: np.random.Generator) -> None:
-    taken(columns, np.sort(np.concatenate([np.arange(len(columns["t"])), [200, 700, 701, 702]])))
+def repeated(x: Array) -> Array:
+    return x[np.sort(np.concatenate([np.arange(len(x)), [200, 700, 701, 702]]))]
+
+
+exchanged_rows, repeated_rows = changed("*", exchanged), changed("*", repeated)
 
 
 @planter

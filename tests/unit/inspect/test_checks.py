@@ -1,14 +1,17 @@
-"""Checks on their own numbers, and the documents' table of what they find."""
+"""Checks on their own numbers, which stages logs serve, and the documents' table of codes."""
 
 import re
 import shutil
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
 from seqid_cli.inspect.findings import ERRORS, WARNINGS
 from seqid_cli.inspect.inspection import inspect_log
+from seqid_cli.inspect.parts import serve_together
+from seqid_cli.params.results.inspection import InspectedLog
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.regressor import inverse_dynamics
 from tests import ROOT
@@ -19,11 +22,9 @@ from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
 def test_a_driver_that_subtracts_gravity_is_told_from_a_mounting(tmp_path: Path, log: str) -> None:
     folder = SAMPLES / "six_joint"
     robot = load_robot(folder / "robot.toml")
-    assert robot.nominal is not None
     columns = read_columns(folder / f"{log}.parquet")
     q = np.column_stack([columns[f"{name}.position"] for name in SIX])
-    still = np.zeros_like(q)
-    weight = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, still, still)
+    weight = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, 0.0 * q, 0.0 * q)
     for joint, own in zip(robot.joints, weight.T, strict=True):
         current = columns.pop(f"{joint.name}.current")
         columns[f"{joint.name}.torque"] = current * joint.torque_per_ampere - own
@@ -60,3 +61,32 @@ def test_the_table_of_codes_is_the_packages_own() -> None:
     assert len(rows) == len(ERRORS) + len(WARNINGS)
     assert {code: remedy for code, severity, remedy in rows if severity == "error"} == ERRORS
     assert {code: remedy for code, severity, remedy in rows if severity == "warning"} == WARNINGS
+
+
+def log(speed: float, *serves: str, backward: int = 1, effort: str = "torque") -> InspectedLog:
+    """Return a log of one joint that moves at one speed."""
+    unsaid = dict.fromkeys(("encoder_step", "effort_rms", "temperature"))
+    moving = {"moves": True, "low": -1.0, "high": 1.0, "top_speed": 1.0, "effort": effort}
+    moves = {"joint": "elbow", "forward": 1, "backward": backward, "postures": 1}
+    document = {
+        "joints": [{"name": "elbow"} | moving | unsaid],
+        "moves": [{**moves, "slowest": speed, "fastest": speed}],
+        "serves": serves,
+    }
+    known = {"path": f"{speed}", "sha256": "", "format": "csv", "verdict": "good"}
+    return msgspec.convert(known | document, InspectedLog)
+
+
+@pytest.mark.parametrize(
+    ("logs", "served"),
+    [
+        ([log(0.1, "gravity"), log(0.2), log(0.4)], ["friction gravity", "friction", "friction"]),
+        ([log(0.1), log(0.2), log(0.21)], ["", "", ""]),
+        ([log(0.1), log(0.2), log(0.4, backward=0)], ["", "", ""]),
+        ([log(0.1), log(0.2), log(0.4, effort="")], ["", "", ""]),
+        ([log(0.1), log(0.2), log(0.4, "friction")], ["", "", "friction"]),
+    ],
+    ids=["one log per speed", "two speeds", "one way", "no torque", "one serves alone"],
+)
+def test_logs_serve_friction_together(logs: list[InspectedLog], served: list[str]) -> None:
+    assert [" ".join(one.serves) for one in serve_together(logs)] == served

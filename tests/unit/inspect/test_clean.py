@@ -10,19 +10,49 @@ from seqid_cli.robot.file import load_robot
 from tests.plants.robots.sample import sample_robot
 from tests.unit.inspect.faults import SAMPLES
 
-DATA = SAMPLES.parent / ".." / "shared" / "data"
-RIGS = ("one_joint", "two_joint", "six_joint")
-MANY = 5
-STAGES = ("friction", "gravity", "imu", "inertia", "validation", "changed")
+RIGS = {"one_joint": 1, "two_joint": 2, "six_joint": 6}  # joints of each
+SERVES = {"friction": "friction", "gravity": "gravity", "imu": "imu-calib"} | dict.fromkeys(
+    ("inertia", "validation", "changed"), "inertia"
+)
+FOLDERS = [(rig, stage) for rig in RIGS for stage in SERVES if (SAMPLES / rig / stage).is_dir()]
+
+
+def logs_of(*folders: Path) -> list[Path]:
+    """Return all logs, of a long row of like ones every fourth."""
+    files = expand([str(folder) for folder in folders])
+    return files[::4] if len(files) > 5 else files
+
+
+@pytest.mark.parametrize(
+    ("rig", "stage"),
+    [
+        pytest.param(*one, marks=[pytest.mark.slow] if one[0] == "six_joint" else [])
+        for one in FOLDERS
+    ],
+)
+def test_sample_logs_are_good(rig: str, stage: str) -> None:
+    report = inspect_logs(logs_of(SAMPLES / rig / stage), sample_robot(rig))
+    assert report.findings == []
+    assert all(SERVES[stage] in log.serves for log in report.logs)
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_sample_logs_are_good_without_a_robot_file(rig: str) -> None:
+    report = inspect_logs(logs_of(SAMPLES / rig / "validation", SAMPLES / rig / "imu"))
+    assert report.findings == []
+    assert {len(log.joints) for log in report.logs} == {RIGS[rig]}
+
+
 # What is really wrong with the recordings, looked at one by one.
 TRUE = {
     # the position advances by up to 1 rad between two samples: samples were lost without a gap
     "laas_cogging/acc_current": {"position_jump"},
     # one row per stop, at uneven times; the velocity is that of the standing motor
-    "ur5e_joints/joint_0_train": {"samples_lost"},
-    "ur5e_joints/joint_0_holdout": {"samples_lost"},
-    "ur5e_joints/joint_5_train": {"samples_lost"},
-    "ur5e_joints/joint_5_holdout": {"samples_lost"},
+    **{
+        f"ur5e_joints/joint_{j}_{part}": {"samples_lost"}
+        for j in (0, 5)
+        for part in ("train", "holdout")
+    },
     "laas_cogging/stopped_data": {"jitter", "velocity_zero"},
     "dfki_simple_pendulum/gravity_compensation": {"torque_echo"},
     "dfki_simple_pendulum/pd_1nm_torque_limited_swingup_failure": {"torque_echo"},
@@ -35,62 +65,15 @@ TRUE = {
 }
 
 
-def codes(path: Path, robot_file: Path | None) -> set[str]:
-    robot = load_robot(robot_file) if robot_file else None
-    return {finding.code for finding in inspect_log(path, robot).findings}
-
-
-def logs_of(*folders: Path) -> list[Path]:
-    """Return all logs, of a long row of like ones every fourth."""
-    files = expand([str(folder) for folder in folders])
-    return files[::4] if len(files) > MANY else files
-
-
 def name_of(path: Path) -> str:
     return f"{path.parent.name}/{path.stem}"
 
 
-FOLDERS = [(rig, stage) for rig in RIGS for stage in STAGES if (SAMPLES / rig / stage).is_dir()]
-
-
-@pytest.mark.parametrize(
-    ("rig", "stage"),
-    [
-        pytest.param(*one, marks=[pytest.mark.slow] if one[0] == "six_joint" else [])
-        for one in FOLDERS
-    ],
-)
-def test_sample_logs_are_good(rig: str, stage: str) -> None:
-    robot = sample_robot(rig)
-    report = inspect_logs(logs_of(SAMPLES / rig / stage), robot)
-    assert report.findings == []
-    served = {"friction": "friction", "gravity": "gravity", "imu": "imu-calib"}.get(
-        stage, "inertia"
-    )
-    assert all(served in log.serves for log in report.logs)
-
-
-@pytest.mark.parametrize("rig", RIGS)
-def test_sample_logs_are_good_without_a_robot_file(rig: str) -> None:
-    report = inspect_logs(logs_of(SAMPLES / rig / "validation", SAMPLES / rig / "imu"))
-    assert report.findings == []
-    assert {len(log.joints) for log in report.logs} == {1 + RIGS.index(rig) + 3 * (rig[0] == "s")}
-
-
-def robot_of(path: Path) -> Path:
-    """The robot file of the folder, or of the joint that a log is named after."""
-    common = path.parent / "robot.toml"
-    return (
-        common if common.exists() else path.with_name(f"{path.stem.rpartition('_')[0]}_robot.toml")
-    )
-
-
-RECORDED = sorted(DATA.glob("*/*.parquet")) if DATA.is_dir() else []
 # Logs of one robot are much alike: every fourth of the many of the UR10e, one of the TX40's two
 # long ones, and all with something wrong.
 CHOSEN = [
     path
-    for k, path in enumerate(RECORDED)
+    for k, path in enumerate(sorted((SAMPLES / "../../shared/data").glob("*/*.parquet")))
     if name_of(path) != "staubli_tx40/train"
     and (path.parent.name != "ur10e_innopolis" or k % 4 == 0 or name_of(path) in TRUE)
 ]
@@ -99,8 +82,12 @@ CHOSEN = [
 @pytest.mark.slow
 @pytest.mark.parametrize("path", CHOSEN, ids=[name_of(path) for path in CHOSEN])
 def test_findings_on_recorded_logs_are_true(path: Path) -> None:
+    robot_file = path.parent / "robot.toml"
+    if not robot_file.exists():  # one for each joint that a log is named after
+        robot_file = path.with_name(f"{path.stem.rpartition('_')[0]}_robot.toml")
     expected = TRUE.get(name_of(path), set())
-    assert codes(path, robot_of(path)) == expected
+    found = inspect_log(path, load_robot(robot_file)).findings
+    assert {finding.code for finding in found} == expected
     if expected or path.parent.name != "ur10e_innopolis":
-        alone = codes(path, None)  # the model's part is missing then
-        assert alone == expected - {"model_mismatch"}
+        alone = inspect_log(path).findings  # the model's part is missing then
+        assert {finding.code for finding in alone} == expected - {"model_mismatch"}

@@ -1,7 +1,7 @@
 """The same samples in every format that is read, each written by the format's own writer."""
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -21,7 +21,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from tests import Array
 from tests.unit.logs.writers import (
-    DEFINITIONS,
     Message,
     as_json,
     encoded,
@@ -46,10 +45,9 @@ class Data:
     torque: Array
 
     @property
-    def stamps_ns(self) -> list[int]:
+    def stamps_ns(self) -> NDArray[np.int64]:
         """Stamps of the rows as an epoch time."""
-        whole: NDArray[np.int64] = np.rint(self.t * 1e9).astype(np.int64) + T0_NS
-        return [int(stamp) for stamp in whole]
+        return np.rint(self.t * 1e9).astype(np.int64) + T0_NS
 
 
 Write = Callable[[Path, Data], Path]
@@ -62,8 +60,8 @@ def columns(
     patterns = {position: data.q, velocity: data.dq, current: data.current, torque: data.torque}
     found: dict[str, Array] = {time: data.t}
     for i, joint in enumerate(data.joints):
-        for pattern, values in patterns.items():
-            found |= {pattern.format(name=joint, i=i, k=i + 1): values[:, i]} if pattern else {}
+        own = {p.format(name=joint, i=i, k=i + 1): q[:, i] for p, q in patterns.items() if p}
+        found |= own
     return pa.table(found)
 
 
@@ -96,13 +94,13 @@ def lerobot_table(episodes: Sequence[Data]) -> pa.Table:
     kind, parts = pa.list_(pa.float32()), []
     for number, data in enumerate(episodes):
         count = len(data.t)
-        lists = {"state": data.q, "effort": data.current}
+        state, effort = (
+            pa.array(list(values.astype(np.float32)), kind) for values in (data.q, data.current)
+        )
         found = {
-            f"observation.{name}": pa.array(list(values.astype(np.float32)), kind)
-            for name, values in lists.items()
-        }
-        found |= {
-            "action": found["observation.state"],
+            "observation.state": state,
+            "observation.effort": effort,
+            "action": state,
             "timestamp": pa.array((data.t - data.t[0]).astype(np.float32)),
             "episode_index": pa.array(np.full(count, number)),
         }
@@ -123,13 +121,13 @@ def csv_rtde(path: Path, data: Data) -> Path:
     path = path.with_suffix(".csv")
     n = len(data.joints)
     vectors = ("actual_q", "actual_qd", "actual_current", "joint_temperatures", "target_q")
+    tool = [f"actual_tool_accelerometer_{i}" for i in range(3)]
     with path.open("w", newline="") as file:
         writer = csv.writer(file, delimiter=" ")
-        tool = [f"actual_tool_accelerometer_{i}" for i in range(3)]
         writer.writerow(["timestamp", *(f"{v}_{i}" for v in vectors for i in range(n)), *tool])
-        for i, t in enumerate(data.t.tolist()):
-            row = [*data.q[i], *data.dq[i], *data.current[i], *[31.5] * n, *data.q[i]]
-            writer.writerow([t + 1234.5, *map(float, row), 0.1, -0.2, 9.8])
+        for t, q, dq, current in zip(data.t, data.q, data.dq, data.current, strict=True):
+            row = [t + 1234.5, *q, *dq, *current, *[31.5] * n, *q, 0.1, -0.2, 9.8]
+            writer.writerow(map(float, row))
     return path
 
 
@@ -137,14 +135,12 @@ def csv_franka(path: Path, data: Data) -> Path:
     """libfranka: time in whole milliseconds, arrays in brackets."""
     path = path.with_suffix(".csv")
     n = len(data.joints)
-    groups = ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered")
-    names = ["time", "success_rate", *(f"state.{g}[{i}]" for g in groups for i in range(n))]
-    names += [f"cmd.q_d[{i}]" for i in range(n)]
-    lines = [",".join(names)]
-    for i, t in enumerate(data.t.tolist()):
-        q, dq, tau = data.q[i], data.dq[i], data.torque[i]
+    groups = [f"state.{g}" for g in ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered")]
+    names = [f"{group}[{i}]" for group in [*groups, "cmd.q_d"] for i in range(n)]
+    lines = [",".join(["time", "success_rate", *names])]
+    for t, q, dq, tau in zip(data.t, data.q, data.dq, data.torque, strict=True):
         row = np.concatenate([q, q, dq, dq, tau, tau * 0.0, q])
-        lines.append(f"{round(t * 1000)},1," + ",".join(f"{v:.17g}" for v in row))
+        lines.append(f"{round(float(t) * 1000)},1," + ",".join(f"{v:.17g}" for v in row))
     path.write_text("\n".join(lines) + "\n")
     return path
 
@@ -168,21 +164,27 @@ def mcap_json_bare(path: Path, data: Data) -> Path:
 
 def joint_states(data: Data, dq: Array | None = None) -> list[Message]:
     """Messages with the current as effort."""
-    return joint_messages(np.array(data.stamps_ns), data.joints, data.q, dq=dq, effort=data.current)
+    return joint_messages(data.stamps_ns, data.joints, data.q, dq=dq, effort=data.current)
 
 
 def mcap_dynamic(path: Path, data: Data) -> Path:
-    """control_msgs/msg/DynamicJointState, joints in another order, with other interfaces."""
+    """control_msgs/msg/DynamicJointState."""
+    return write_messages(path.with_suffix(".mcap"), dynamic_states(data), encoding="cdr")
+
+
+def dynamic_states(data: Data) -> list[Message]:
+    """Messages with the joints in another order, and with another interface."""
     kinds = ["position", "velocity", "effort", "estop"]
     messages = []
-    for i, stamp in enumerate(data.stamps_ns):
-        rows = np.stack([data.q[i], data.dq[i], data.current[i], np.zeros_like(data.q[i])], axis=1)
-        values = [SimpleNamespace(interface_names=kinds, values=row.tolist()) for row in rows[::-1]]
+    values = np.stack([data.q, data.dq, data.current, np.zeros_like(data.q)], axis=2)[:, ::-1]
+    for stamp, rows in zip(data.stamps_ns.tolist(), values.tolist(), strict=True):
         message = SimpleNamespace(
-            header=header(stamp), joint_names=list(data.joints[::-1]), interface_values=values
+            header=header(stamp),
+            joint_names=list(data.joints[::-1]),
+            interface_values=[SimpleNamespace(interface_names=kinds, values=row) for row in rows],
         )
         messages.append(("/dynamic_joint_states", stamp, message))
-    return write_messages(path.with_suffix(".mcap"), messages, encoding="cdr")
+    return messages
 
 
 def mcap_foxglove_protobuf(
@@ -191,18 +193,13 @@ def mcap_foxglove_protobuf(
     """foxglove.JointStates by the generated classes."""
     path = path.with_suffix(".mcap")
     with path.open("wb") as out, ProtobufWriter(out, chunk_size=chunk_size) as writer:
-        for i, stamp in enumerate(data.stamps_ns):
+        for i, stamp in enumerate(data.stamps_ns.tolist()):
             message = JointStates()
             message.timestamp.FromNanoseconds(stamp)
             for j, name in enumerate(data.joints):
-                message.joints.append(
-                    JointState(
-                        name=name,
-                        position=data.q[i, j],
-                        velocity=data.dq[i, j],
-                        effort=data.current[i, j],
-                    )
-                )
+                row = {"position": data.q, "velocity": data.dq, "effort": data.current}
+                own = {quantity: values[i, j] for quantity, values in row.items()}
+                message.joints.append(JointState(name=name, **own))
             writer.write_message(topic, message, stamp, stamp)
     return path
 
@@ -210,7 +207,7 @@ def mcap_foxglove_protobuf(
 def mcap_foxglove_json(path: Path, data: Data) -> Path:
     """foxglove.JointStates as JSON."""
     rows = []
-    for i, stamp in enumerate(data.stamps_ns):
+    for i, stamp in enumerate(data.stamps_ns.tolist()):
         sec, nsec = divmod(stamp, 10**9)
         joints = [
             {"name": n, "position": data.q[i, j], "velocity": None, "effort": data.current[i, j]}
@@ -228,10 +225,9 @@ def write_bag(
     *,
     plugin: StoragePlugin = StoragePlugin.SQLITE3,
     compression: CompressionMode | None = None,
-    definitions: Mapping[str, str] = DEFINITIONS,
 ) -> Path:
     """Write a ROS 1 bag, where the path ends with `.bag`, or the folder of a ROS 2 bag."""
-    topics, rows = encoded(messages, "cdr", definitions)
+    topics, rows = encoded(messages, "cdr")
     humble, noetic = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
     first = path.suffix == ".bag"
     writer = Bag1Writer(path) if first else Bag2Writer(path, version=9, storage_plugin=plugin)
@@ -241,8 +237,8 @@ def write_bag(
         links = {}
         for topic, (_, kind, _, definition) in topics.items():
             about = {"msgdef": definition.decode(), "rihs01": "RIHS01_0"}
-            more = {"typestore": noetic} if first else about
-            links[topic] = writer.add_connection(topic, kind, **more)
+            about = {"typestore": noetic} if first else about
+            links[topic] = writer.add_connection(topic, kind, **about)
         for topic, at, data in rows:
             content = bytes(humble.cdr_to_ros1(data, topics[topic][1])) if first else data
             writer.write(links[topic], at, content)

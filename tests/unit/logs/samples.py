@@ -7,7 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from seqid_cli.logs.raw import RawLog, TimeSource
+from seqid_cli.logs.raw import RawLog
+from seqid_cli.logs.read import read_whole
+from seqid_cli.logs.storage.files import check_log
 from seqid_cli.robot.types import Chain, Channels, Imu, Joint, Robot
 from tests import Array
 from tests.unit.logs.writers import write_mcap, write_parquet
@@ -32,16 +34,17 @@ def make_robot(
         Joint(name, torque_constant=constant, gear_ratio=gear_ratio)
         for name, constant in zip(names, each, strict=True)
     )
-    chain = Chain(
-        np.tile(np.eye(3), (n, 1, 1)),
-        np.zeros((n, 3)),
-        np.tile([0.0, 0.0, 1.0], (n, 1)),
-        np.zeros(n, np.bool_),
-    )
-    gravity = np.array([0.0, 0.0, -9.81])
-    source = Path("robot.toml")
+    turns, axes = np.tile(np.eye(3), (n, 1, 1)), np.tile([0.0, 0.0, 1.0], (n, 1))
+    chain = Chain(turns, np.zeros((n, 3)), axes, np.zeros(n, np.bool_))
     return Robot(
-        "arm", joints, chain, gravity, "0" * 64, source, tuple(imus), channels or Channels()
+        name="arm",
+        joints=joints,
+        chain=chain,
+        gravity=np.array([0.0, 0.0, -9.81]),
+        sha256="0" * 64,
+        source=Path("robot.toml"),
+        imus=tuple(imus),
+        channels=channels or Channels(),
     )
 
 
@@ -91,9 +94,6 @@ def grid(count: int = 200, rate_hz: float = 100.0) -> Array:
     return np.arange(count) / rate_hz
 
 
-def read_raw(path: Path, robot: Robot, time_source: TimeSource = "header") -> RawLog:
+def read_raw(path: Path, robot: Robot) -> RawLog:
     """Read a log as it was logged, as one block."""
-    from seqid_cli.logs.read import read_whole
-    from seqid_cli.logs.storage.files import check_log
-
-    return read_whole(path, check_log(path), robot, time_source)
+    return read_whole(path, check_log(path), robot, "header")

@@ -1,7 +1,7 @@
 """A few bytes that stand for gigabytes end in a message, before the gigabytes are there."""
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,6 @@ from seqid_cli.logs.mcap.chunks import CHUNK, RECORD, SMALL, DamageError, Unpack
 from seqid_cli.logs.mcap.records import MAGIC, PIECES, Scan
 from seqid_cli.logs.messages import parsers
 from seqid_cli.logs.messages.batch import NameMap
-from seqid_cli.logs.messages.parsers import LONGEST
 from seqid_cli.logs.tables.columns import ROOM, opened_table
 from seqid_cli.logs.tables.parquet import damaged, read_tables
 from seqid_cli.robot.file import load_robot
@@ -99,7 +98,8 @@ def test_a_hole_of_terabytes_is_not_read(opcode: int, tmp_path: Path) -> None:
 def test_a_definition_of_megabytes_is_not_parsed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parsers, "is_usual", None)
     monkeypatch.setattr(parsers, "schema_parser", None)
-    schema = Schema(1, b"float64 x\n" * LONGEST, "ros2msg", "sensor_msgs/msg/JointState")
+    text = b"float64 x\n" * parsers.LONGEST
+    schema = Schema(1, text, "ros2msg", "sensor_msgs/msg/JointState")
     assert parsers.decoder("cdr", schema, "joint_state", NameMap(())) is None
 
 
@@ -109,43 +109,41 @@ def test_too_little_memory_is_not_told_as_damage(tmp_path: Path) -> None:
     assert "malloc of size 64" in error.message
 
 
-@pytest.fixture
-def repeated(tmp_path: Path) -> Path:
-    """A table of one value, times a lot."""
-    rows = ROOM // 8
-    one = pa.DictionaryArray.from_arrays(pa.array(np.zeros(rows, dtype=np.int8)), pa.array([0.0]))
-    pq.write_table(pa.table({"time": one, "j.position": one}), tmp_path / "log.parquet")
-    return tmp_path / "log.parquet"
+def zeros(count: int) -> pa.Array:
+    return pa.array(np.zeros(count, np.int8))
 
 
+def one_value(rows: int = ROOM // 8) -> pa.Table:
+    one = pa.DictionaryArray.from_arrays(zeros(rows), pa.array([0.0]))
+    return pa.table({"time": one, "j.position": one})
+
+
+def lists(size: int = ROOM // 4, rows: int = 100) -> pa.Table:
+    offsets = pa.array(np.linspace(0, size, rows + 1).astype(np.int32))
+    values = pa.ListArray.from_arrays(offsets, zeros(size))
+    return pa.table({"time": np.arange(float(rows)), "position": values})
+
+
+@pytest.mark.parametrize("table", [one_value, pytest.param(lists, marks=pytest.mark.slow)])
 def test_a_table_of_one_value_is_refused(
-    repeated: Path, capsys: pytest.CaptureFixture[str]
+    table: Callable[[], pa.Table], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(InputError, match="times as many") as caught:
-        opened_table(repeated)
-    assert caught.value.where == str(repeated)
-    assert main(["inspect", str(repeated)]) == 2
-    said = capsys.readouterr().err
-    assert str(repeated) in said
-    assert "bug" not in said
-
-
-@pytest.mark.slow
-def test_lists_of_one_value_are_refused(tmp_path: Path) -> None:
-    values, rows = pa.array(np.zeros(ROOM // 4, np.int8)), 100
-    offsets = pa.array(np.linspace(0, len(values), rows + 1).astype(np.int32))
-    lists = pa.ListArray.from_arrays(offsets, values)
     path = tmp_path / "log.parquet"
-    pq.write_table(pa.table({"time": np.arange(float(rows)), "position": lists}), path)
-    with pytest.raises(InputError, match="times as many"):
+    pq.write_table(table(), path)
+    with pytest.raises(InputError, match="times as many") as caught:
         opened_table(path)
+    assert caught.value.where == str(path)
+    assert main(["inspect", str(path)]) == 2
+    said = capsys.readouterr().err
+    assert str(path) in said
+    assert "bug" not in said
 
 
 @pytest.mark.parametrize("plain", [True, False])
 def test_texts_are_refused_before_they_are_read(
     plain: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    texts = pa.DictionaryArray.from_arrays(pa.array(np.zeros(1000, np.int8)), pa.array(["x" * 9]))
+    texts = pa.DictionaryArray.from_arrays(zeros(1000), pa.array(["x" * 9]))
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table({"time": texts}), path, store_schema=not plain)
     monkeypatch.setattr(pq.ParquetFile, "read", None)

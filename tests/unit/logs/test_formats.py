@@ -1,12 +1,15 @@
-"""The sample logs in every format: the same recording, and the same parameters."""
+"""Logs in every format: the same recording, and what they hold without a robot file."""
 
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from seqid_cli.inspect.guess import guess, stand_in
+from seqid_cli.logs.contents import survey
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import check_log, expand
@@ -14,10 +17,9 @@ from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT, Array
 from tests.unit.logs.format_writers import EXACT, FLOAT32, Data
+from tests.unit.logs.samples import JOINTS, grid, make_motion, write_motion
 
-SAMPLES = ROOT / "sample_logs"
-ONE = SAMPLES / "one_joint"
-SIX = SAMPLES / "six_joint"
+ONE, SIX = (ROOT / "sample_logs" / name for name in ("one_joint", "six_joint"))
 FLOAT32_STEP = 2.0**-23
 
 
@@ -29,15 +31,13 @@ def robot(folder: Path) -> Robot:
 @cache
 def sample(folder: Path, name: str, every: int) -> Data:
     """A sample log; velocities are made up: it has none."""
-    table = pq.read_table(folder / f"{name}.parquet")
+    table = pq.read_table(folder / f"{name}.parquet")[::every]
     joints = robot(folder).joint_names
 
     def columns(quantity: str) -> Array:
-        return np.column_stack([table.column(f"{j}.{quantity}").to_numpy() for j in joints])[
-            ::every
-        ]
+        return np.column_stack([table.column(f"{j}.{quantity}").to_numpy() for j in joints])
 
-    t = np.rint(table.column("t").to_numpy()[::every] * 1e3) / 1e3
+    t = np.rint(table.column("t").to_numpy() * 1e3) / 1e3
     q, current = columns("position"), columns("current")
     constants = np.array([j.torque_per_ampere or 0.0 for j in robot(folder).joints])
     return Data(t, joints, q, np.gradient(q, t, axis=0), current, current * constants)
@@ -54,8 +54,7 @@ def check_arrays(recording: Recording, data: Data, label: str) -> None:
         np.testing.assert_allclose(recording.dq, data.dq, rtol=step, atol=0)
     assert (recording.dq is None) == (label in FLOAT32 or "json" in label)
     assert recording.valid.all()
-    assert recording.partial == ""
-    assert recording.health.gaps == ()
+    assert (recording.partial, recording.health.gaps) == ("", ())
 
 
 @pytest.mark.parametrize("label", [*EXACT, *FLOAT32])
@@ -65,21 +64,52 @@ def check_arrays(recording: Recording, data: Data, label: str) -> None:
 def test_same_recording(tmp_path: Path, label: str, folder: Path, name: str) -> None:
     data = sample(folder, name, 4 if folder == ONE else 1)
     path = ({**EXACT, **FLOAT32})[label](tmp_path / "log", data)
-    found = expand([str(tmp_path)])
-    assert len(found) == 1
-    check_arrays(read_recording(found[0], robot(folder)), data, label)
+    (found,) = expand([str(tmp_path)])
     if path.is_dir():
         check_arrays(read_recording(path, robot(folder)), data, label)
-
-
-@pytest.mark.parametrize("label", EXACT)
-def test_format_is_told_by_content(tmp_path: Path, label: str) -> None:
-    """The suffix does not matter."""
-    data = sample(ONE, "gravity/joint_1", 40)
-    EXACT[label](tmp_path / "log", data)
-    (path,) = expand([str(tmp_path)])
-    renamed = path.rename(tmp_path / "log.dat")
-    kinds = {"parquet": "parquet", "mcap": "mcap", "csv": "csv", "rosbag1": "rosbag1"}
+    renamed = found.rename(tmp_path / "log.dat")  # the suffix does not matter
+    recording = read_recording(renamed, robot(folder))
+    check_arrays(recording, data, label)
+    kinds = {"parquet": "parquet", "lerobot": "parquet", "csv": "csv", "rosbag1": "rosbag1"}
     kind = "rosbag2" if label == "rosbag2 sqlite" else kinds.get(label.split()[0], "mcap")
-    assert check_log(renamed) == kind
-    assert read_recording(renamed, robot(ONE)).format == kind
+    assert check_log(renamed) == recording.format == kind
+
+
+MOTION = make_motion(grid(100))
+
+
+@pytest.mark.parametrize("encoding", ["cdr", "json"])
+def test_mcap(tmp_path: Path, encoding: str) -> None:
+    found = survey(write_motion(tmp_path / "log.mcap", MOTION, encoding=encoding))
+    assert found.joints == JOINTS
+    counts = {channel.name: channel.samples for channel in found.channels}
+    assert counts["/joint_states"] == counts["/array/accel_2"] == 100
+
+
+@pytest.mark.parametrize("label", ["csv", "csv rtde", "csv libfranka", "rosbag1", "lerobot"])
+def test_other_formats(tmp_path: Path, label: str) -> None:
+    data = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)
+    path = ({**EXACT, **FLOAT32})[label](tmp_path / "log", data)
+    surveyed = survey(path)
+    found = guess(surveyed)
+    named = label in ("csv", "rosbag1")
+    assert set(found.joints) == set(JOINTS if named else ("joint_1", "joint_2", "joint_3"))
+    assert {channel.samples for channel in surveyed.channels} == {100}
+    recording = read_recording(path, stand_in(found, source=path))
+    order = [found.joints.index(name) for name in JOINTS] if named else [0, 1, 2]
+    np.testing.assert_allclose(recording.q[:, order], MOTION.q, rtol=2.0**-23)
+
+
+@pytest.mark.parametrize(
+    ("columns", "joints"),
+    [
+        ("elbow_q wrist_q", ("elbow", "wrist")),
+        ("freq_q", ()),  # few letters stand for a quantity of several joints
+        ("angle", ("joint_1",)),
+        ("level", ()),
+    ],
+)
+def test_joints_of_a_table(tmp_path: Path, columns: str, joints: tuple[str, ...]) -> None:
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table(dict.fromkeys(["time", *columns.split()], MOTION.t)), path)
+    assert guess(survey(path)).joints == joints

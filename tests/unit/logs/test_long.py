@@ -1,138 +1,107 @@
-"""Long logs passed over against the same logs read as a whole."""
+"""Long logs passed over, and pieces of logs, against the same logs read as a whole."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.errors import InputError
-from seqid_cli.logs import long as module
-from seqid_cli.logs.long import Block, LongLog, likely_rows, open_long
-from seqid_cli.logs.raw import RawLog, TimeSource
+from seqid_cli.logs.long import likely_rows, open_long
+from seqid_cli.logs.mcap import reader
+from seqid_cli.logs.pieces import cut, read_pieces, whole_of
 from seqid_cli.logs.read import read_recording
+from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage import temporary
 from seqid_cli.logs.tables import parquet
-from seqid_cli.motion.blocks import joined, open_surveyed
-from seqid_cli.robot.types import Robot
+from seqid_cli.motion.blocks import joined
 from tests import Array
-from tests.unit.logs.samples import JOINTS, curve, make_robot
-from tests.unit.logs.writers import write_mcap, write_parquet
+from tests.unit.logs.samples import (
+    ARRAY,
+    GYRO,
+    JOINTS,
+    curve,
+    grid,
+    make_motion,
+    make_robot,
+    write_motion,
+)
+from tests.unit.logs.writers import write_parquet
 
-SAMPLES = 3_000
-
-
-def all_of(log: LongLog) -> Block:
-    """All samples of a log."""
-    parts = list(log.blocks())
-    starts = np.cumsum([0, *(part.samples for part in parts)])
-    assert [part.start for part in parts] == starts[:-1].tolist()
-    return joined(parts)
-
-
-def check(path: Path, robot: Robot, *, tolerance: float = 0.0) -> LongLog:
-    """The samples, their base and the warnings are those of the whole log."""
-    whole, log = read_recording(path, robot), open_long(path, robot)
-    assert log is not None
-    assert whole.tau is not None
-    found = all_of(log)
-    np.testing.assert_allclose(found.q, whole.q, rtol=0, atol=tolerance)
-    np.testing.assert_allclose(found.tau, whole.tau, rtol=0, atol=20 * tolerance)
-    np.testing.assert_array_equal(found.valid, whole.valid)
-    assert log.rate_hz == pytest.approx(whole.rate_hz, rel=1e-12)
-    assert log.samples == len(whole.t)
-    assert log.gaps == len(whole.health.gaps)
-    assert log.sha256 == whole.sha256
-    assert log.warnings == whole.health.warnings
-    return log
+ROBOT = make_robot(imus=(ARRAY, GYRO))
+RANGES = [(3.0, 7.5), (12.0, 14.0), (6.0, 9.0)]  # two of them overlap
+SAMPLES, START = 2000, 40.0
+NOISE = np.random.default_rng(3).uniform(-1.0, 1.0, SAMPLES)
 
 
 @pytest.fixture(autouse=True)
 def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parquet, "BLOCK_ROWS", 700)
-    monkeypatch.setattr(parquet.read_tables, "__kwdefaults__", {"rows": 700})
-    monkeypatch.setattr(parquet.read_blocks, "__kwdefaults__", {"rows": 700})
+    monkeypatch.setattr(parquet, "BLOCK_ROWS", 300)
+    for read in (parquet.read_tables, parquet.read_blocks, reader.read_blocks):
+        monkeypatch.setitem(read.__kwdefaults__, "rows", 300)
 
 
-def write(path: Path, t: Array, *, torque: Array | None = None) -> Path:
-    """A Parquet log with torque."""
-    tau = 20 * curve(t, 3, 1.0) if torque is None else torque
-    return write_parquet(path, t, JOINTS, curve(t, 3), torque=tau)
+def written(folder: Path, form: str = "parquet") -> Path:
+    motion = make_motion(grid(SAMPLES))
+    if form == "mcap":
+        return write_motion(folder / "log.mcap", motion)
+    warm = 20.0 + 0.1 * motion.t[:, None] + np.arange(3.0)
+    later = replace(motion, t=START + motion.t)
+    return write_motion(folder / "log.parquet", later, temperature=warm)
 
 
-def test_even_stamps(tmp_path: Path) -> None:
-    log = check(write(tmp_path / "log.parquet", np.arange(SAMPLES) / 250.0), make_robot())
-    assert log.exact
+def without_imus(folder: Path) -> Path:
+    motion = replace(make_motion(grid(SAMPLES)), accelerometers={}, gyros={})
+    return write_motion(folder / "log.mcap", motion)
 
 
-def test_uneven_stamps_and_a_gap(tmp_path: Path) -> None:
-    rng = np.random.default_rng(3)
-    t = np.arange(SAMPLES) / 250.0 + rng.uniform(-4e-4, 4e-4, SAMPLES)
-    t[1_700:] += 1.5
-    log = check(write(tmp_path / "log.parquet", t), make_robot(), tolerance=1e-9)
-    assert not log.exact
-    assert log.gaps == 1
+def with_torque(folder: Path, t: Array, tau: Array | None = None) -> Path:
+    torque = 20 * curve(t, 3, 1.0) if tau is None else tau
+    return write_parquet(folder / "log.parquet", t, JOINTS, curve(t, 3), torque=torque)
 
 
-def test_mcap(tmp_path: Path) -> None:
-    t = np.arange(SAMPLES) / 250.0
-    path = write_mcap(
-        tmp_path / "log.mcap", t, JOINTS, curve(t, 3), encoding="cdr", effort=20 * curve(t, 3, 1.0)
-    )
-    check(path, make_robot(), tolerance=1e-12)
+def uneven(folder: Path) -> Path:
+    t = grid(SAMPLES, 250.0) + 4e-4 * NOISE
+    t[1_100:] += 1.5
+    return with_torque(folder, t)
+
+
+@pytest.mark.parametrize(
+    ("write", "gaps", "tolerance"),
+    [(written, 0, 0.0), (without_imus, 0, 1e-12), (uneven, 1, 1e-9)],
+    ids=["even", "mcap", "uneven"],
+)
+def test_samples_base_and_warnings_are_those_of_the_whole_log(
+    tmp_path: Path, write: Callable[[Path], Path], gaps: int, tolerance: float
+) -> None:
+    path = write(tmp_path)
+    whole, log = read_recording(path, make_robot()), open_long(path, make_robot())
+    assert SAMPLES <= likely_rows(path) < SAMPLES + 1
+    assert log is not None
+    parts = list(log.blocks())
+    starts = np.cumsum([0, *(part.samples for part in parts)])
+    assert [part.start for part in parts] == starts[:-1].tolist()
+    found = joined(parts)
+    np.testing.assert_allclose(found.q, whole.q, rtol=0, atol=tolerance)
+    np.testing.assert_allclose(found.tau, whole.tau, rtol=0, atol=20 * tolerance)
+    np.testing.assert_array_equal(found.valid, whole.valid)
+    assert log.exact == (write is not uneven)
+    assert log.rate_hz == pytest.approx(whole.rate_hz, rel=1e-12)
+    assert log.gaps == len(whole.health.gaps) == gaps
+    assert (log.samples, log.sha256) == (len(whole.t), whole.sha256)
+    assert log.warnings == whole.health.warnings
 
 
 @pytest.mark.parametrize("fault", ["nan", "backwards", "huge"])
 def test_what_has_to_be_read_as_a_whole(fault: str, tmp_path: Path) -> None:
-    t = np.arange(SAMPLES) / 250.0
+    t = grid(SAMPLES)
     tau = 20 * curve(t, 3, 1.0)
-    if fault == "nan":
-        tau[1_234, 1] = np.nan
-    elif fault == "huge":
-        tau[1_234, 1] = 1e12
-    else:
+    if fault == "backwards":
         t[1_234] = t[1_230]
-    assert open_long(write(tmp_path / "log.parquet", t, torque=tau), make_robot()) is None
-
-
-def test_how_long_a_log_is_without_reading_it(tmp_path: Path) -> None:
-    t = np.arange(SAMPLES) / 250.0
-    table = write(tmp_path / "log.parquet", t)
-    bag = write_mcap(
-        tmp_path / "log.mcap", t, JOINTS, curve(t, 3), encoding="cdr", effort=curve(t, 3)
-    )
-    for path in (table, bag):
-        assert likely_rows(path) >= SAMPLES
-        assert likely_rows(path) < SAMPLES + 1
-    table.write_bytes(table.read_bytes()[:-5] + b"xxxxx")
-    with pytest.raises(InputError, match=r"log\.parquet"):
-        likely_rows(table)
-
-
-@pytest.mark.parametrize("even", [True, False])
-@pytest.mark.parametrize("room", [True, False])
-def test_an_even_log_is_surveyed_while_its_base_is_laid(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, *, even: bool, room: bool
-) -> None:
-    if not room:
-        monkeypatch.setattr(temporary.Spool.__init__, "__defaults__", (0, 0.25))
-    samples = 6_000  # longer than the longest segment of a spectrum
-    jitter = 0.0 if even else np.random.default_rng(4).uniform(-4e-4, 4e-4, samples)
-    path = write(tmp_path / "log.parquet", np.arange(samples) / 250.0 + jitter)
-    passes, reader = [], module.READERS["parquet"]
-
-    def counted(path: Path, robot: Robot, time_source: TimeSource) -> Iterator[RawLog]:
-        passes.append(path)
-        return reader(path, robot, time_source)
-
-    monkeypatch.setitem(module.READERS, "parquet", counted)
-    log = open_surveyed(path, make_robot())
-    assert log is not None
-    assert log.survey is not None
-    assert len(passes) == (1 if even or room else 2)
-    assert log.survey.cutoff(np.zeros(3)).hz > 0
-    assert pq.read_metadata(path).num_rows == log.samples
+    else:
+        tau[1_234, 1] = {"nan": np.nan, "huge": 1e12}[fault]
+    assert open_long(with_torque(tmp_path, t, tau), make_robot()) is None
 
 
 @pytest.mark.parametrize("spooled", [False, True])
@@ -142,17 +111,72 @@ def test_a_log_that_changes_between_two_passes_is_refused(
     """Neither mixed with what was read before nor told as what the result is made of."""
     if not spooled:
         monkeypatch.setattr(temporary.Spool, "complete", False)
-    path = write(tmp_path / "log.parquet", np.arange(SAMPLES) / 100.0)
+    path = with_torque(tmp_path, grid(SAMPLES))
     log = open_long(path, make_robot())
     assert log is not None
     log.sha256  # noqa: B018  # as it was
-    other = write(tmp_path / "other.parquet", np.arange(SAMPLES) / 100.0)
-    other.replace(path)
+    with_torque(tmp_path, grid(SAMPLES)).rename(tmp_path / "other.parquet").replace(path)
     if not spooled:
         with pytest.raises(InputError, match="changed while"):
-            all_of(log)
+            list(log.blocks())
     with pytest.raises(InputError, match="changed while"):
         log.sha256  # noqa: B018
     path.unlink()
     with pytest.raises(InputError, match="cannot be read"):
         log.sha256  # noqa: B018
+
+
+def assert_same(one: Recording, other: Recording) -> None:
+    assert (one.sha256, one.whole) == (other.sha256, other.whole)
+    assert one.start == pytest.approx(other.start, abs=1e-6)
+    assert one.rate_hz == pytest.approx(other.rate_hz, rel=1e-9)
+    for name in ("t", "q", "tau", "dq", "temperature", "valid", "accelerometers", "gyros"):
+        mine, theirs = getattr(one, name), getattr(other, name)
+        if not isinstance(mine, dict):
+            mine, theirs = {name: mine}, {name: theirs}
+        assert mine.keys() == theirs.keys()
+        for key, values in mine.items():
+            assert (values is None) == (theirs[key] is None), key
+            if values is not None:
+                np.testing.assert_allclose(values, theirs[key], rtol=0, atol=1e-12, err_msg=key)
+
+
+@pytest.mark.parametrize("form", ["parquet", "mcap"])
+def test_pieces_of_a_log_that_is_passed_over_are_cut_out_of_it(form: str, tmp_path: Path) -> None:
+    path = written(tmp_path, form)
+    held, long = read_recording(path, ROBOT), open_long(path, ROBOT)
+    assert long is not None
+    assert whole_of(long) == whole_of(held)
+    expected = cut(held, RANGES)
+    for kind in (form, ""):  # of other formats they are cut
+        found = read_pieces(path, ROBOT, whole_of(long), RANGES, kind=kind)
+        for one, other in zip(found, expected, strict=True):
+            assert_same(one, other)
+    assert (found[0].temperature is None) == (form == "mcap")
+    assert set(found[0].accelerometers) == {"array", "hand"}
+    rows = [slice(round(100 * begin), round(100 * end) + 1) for begin, end in RANGES]
+    for one, own in zip(found, rows, strict=True):
+        np.testing.assert_array_equal(one.q, held.q[own])
+        np.testing.assert_allclose(one.t + one.offset, held.t[own], atol=1e-9)
+
+
+def test_pieces_of_uneven_stamps(tmp_path: Path) -> None:
+    path = with_torque(tmp_path, START + grid(SAMPLES) + 0.001 * NOISE)
+    held, long = read_recording(path, make_robot()), open_long(path, make_robot())
+    assert long is not None
+    for piece in read_pieces(path, make_robot(), whole_of(long), RANGES, kind="parquet"):
+        at = piece.start - held.start + piece.t
+        expected = np.column_stack([np.interp(at, held.t, q) for q in held.q.T])
+        np.testing.assert_allclose(piece.q, expected, atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    ("moved", "first", "said"),
+    [(0.0, 100.0, "no longer holds the rows 100 s on"), (15.0, 4.95, "only 5 samples")],
+)
+def test_rows_that_are_gone(tmp_path: Path, moved: float, first: float, said: str) -> None:
+    path = written(tmp_path)
+    whole = whole_of(read_recording(path, ROBOT))
+    whole = replace(whole, start=whole.start + moved)
+    with pytest.raises(InputError, match=said):
+        read_pieces(path, ROBOT, whole, [(first, first + 5.0)], kind="parquet")

@@ -19,17 +19,17 @@ T = np.arange(0.0, 20.0, 0.01)
 LIMITS = [(-3.0, 3.0), (-0.5, 6.0), None]
 
 
-def data(q: Array) -> Data:
+def written(path: Path, q: Array, write: Write = parquet) -> Path:
     column = q[:, None]
-    return Data(
-        T, robot(ONE).joint_names, column, np.gradient(column, 0.01, axis=0), column, column
-    )
+    dq = np.gradient(column, 0.01, axis=0)
+    return write(path, Data(T, robot(ONE).joint_names, column, dq, column, column))
 
 
 def limited(limits: tuple[float, float] | None, *, prismatic: bool = False) -> Robot:
     arm = robot(ONE)
-    joint = replace(arm.joints[0], position_limits=limits, prismatic=prismatic)
-    return replace(arm, joints=(joint,))
+    return replace(
+        arm, joints=(replace(arm.joints[0], position_limits=limits, prismatic=prismatic),)
+    )
 
 
 @pytest.mark.parametrize("write", [parquet, csv_own, mcap_cdr, rosbag2_sqlite])
@@ -39,35 +39,28 @@ def test_a_position_that_wraps_runs_on_within_the_limits(
 ) -> None:
     middle = sum(limits) / 2 if limits else 0.0
     q = middle - 2.0 * np.cos(T)
-    log = write(tmp_path / "log", data(q % TURN))
+    log = written(tmp_path / "log", q % TURN, write)
     read = read_recording(log, limited(limits))
     np.testing.assert_allclose(read.q[:, 0], q, atol=1e-12)
     wraps = np.count_nonzero(np.diff(q // TURN))
     assert wraps == 0 or any(f"wraps by whole turns {wraps}" in w for w in read.health.warnings)
     if write in (parquet, mcap_cdr):
-        long = open_long(log, limited(limits))
-        assert (long is None) == (not np.array_equal(q % TURN, q))
+        assert (open_long(log, limited(limits)) is None) == (not np.array_equal(q % TURN, q))
+    for lost in (-TURN, TURN):  # before the log: no wrap in it
+        log = written(tmp_path / "log", middle - 1.5 + np.sin(T) + lost)
+        found = read_recording(log, limited(limits)).q[:, 0]
+        np.testing.assert_allclose(found, middle - 1.5 + np.sin(T), atol=1e-12)
 
 
-@pytest.mark.parametrize("limits", LIMITS)
-def test_a_log_without_a_wrap_is_moved_by_the_turn_before_it(
-    tmp_path: Path, limits: tuple[float, float] | None
-) -> None:
-    q = (sum(limits) / 2 if limits else 0.0) - 1.5 + np.sin(T)
-    for lost in (-TURN, TURN):
-        log = parquet(tmp_path / "log", data(q + lost))
-        np.testing.assert_allclose(read_recording(log, limited(limits)).q[:, 0], q, atol=1e-12)
-
-
-@pytest.mark.parametrize("factor", [1.0, 180.0 / np.pi])
-def test_other_positions_stay_as_they_are(tmp_path: Path, factor: float) -> None:
-    q = factor * 2.9 * np.sin(T)
-    arm = limited((-3.0, 3.0))
-    log = parquet(tmp_path / "log", data(q))
-    assert np.array_equal(read_recording(log, arm).q[:, 0], q)
-    sliding = limited((-3.0, 3.0), prismatic=True)
-    log = parquet(tmp_path / "slides", data(q % TURN))
-    assert np.array_equal(read_recording(log, sliding).q[:, 0], q % TURN)
+@pytest.mark.parametrize(
+    ("q", "prismatic"),
+    [(2.9 * np.sin(T), False), (np.rad2deg(2.9 * np.sin(T)), False), (np.sin(T) % TURN, True)],
+    ids=["within the limits", "degrees", "slide"],
+)
+def test_other_positions_stay_as_they_are(tmp_path: Path, q: Array, prismatic: bool) -> None:
+    log = written(tmp_path / "log", q)
+    arm = limited((-3.0, 3.0), prismatic=prismatic)
+    np.testing.assert_array_equal(read_recording(log, arm).q[:, 0], q)
 
 
 @pytest.mark.parametrize("chance", [False, True])

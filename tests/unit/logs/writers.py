@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from tests import Array
 
+Encoding = Literal["cdr", "json"]
+Channel = str | tuple[str, str, str, bytes]  # encoding; name, encoding and text of its schema
 Message = tuple[str, int, SimpleNamespace]  # topic, log time in ns, content
 JOINT_STATE = "sensor_msgs/msg/JointState"
 IMU = "sensor_msgs/msg/Imu"
@@ -72,18 +74,19 @@ def write_parquet(
     Arrays are (N, n) per joint, (N, K) per accelerometer array and (N, 3) per gyro. An IMU that has
     a gyro and three accelerometers is written as a triad (`ax`, `ay`, `az`).
     """
+    gyros = gyros or {}
     columns: dict[str, Array] = {"t": np.asarray(t)}
     for quantity, values in {"position": q, "velocity": dq, **quantities}.items():
         if values is not None:
-            columns |= {
-                f"{j}.{quantity}": own for j, own in zip(joints, np.transpose(values), strict=True)
-            }
+            names = [f"{joint}.{quantity}" for joint in joints]
+            columns |= zip(names, np.transpose(values), strict=True)
     for imu, values in (accelerometers or {}).items():
-        triad = values.shape[1] == 3 and imu in (gyros or {})
-        names = ["ax", "ay", "az"] if triad else [f"a{k + 1}" for k in range(values.shape[1])]
-        columns |= {f"{imu}.{name}": values[:, k] for k, name in enumerate(names)}
-    for imu, values in (gyros or {}).items():
-        columns |= {f"{imu}.{name}": values[:, k] for k, name in enumerate(("gx", "gy", "gz"))}
+        count = values.shape[1]
+        triad = count == 3 and imu in gyros
+        names = [f"{imu}.a{axis}" for axis in ("xyz" if triad else range(1, count + 1))]
+        columns |= zip(names, values.T, strict=True)
+    for imu, values in gyros.items():
+        columns |= zip([f"{imu}.g{axis}" for axis in "xyz"], values.T, strict=True)
     pq.write_table(pa.table(columns), path)
     return path
 
@@ -94,7 +97,7 @@ def write_mcap(
     joints: Sequence[str],
     q: Array,
     *,
-    encoding: Literal["cdr", "json"],
+    encoding: Encoding,
     compression: str = "zstd",
     chunk_size: int = 1024 * 1024,
     log_offset_ns: int = 0,
@@ -102,14 +105,13 @@ def write_mcap(
     **channels: Any,
 ) -> Path:
     """Write the topics of `arm_messages`."""
-    messages = arm_messages(t, joints, q, **channels)
-    messages = [(topic, stamp + log_offset_ns, content) for topic, stamp, content in messages]
-    if zero_stamps:
-        for _, _, content in messages:
+    messages = []
+    for topic, stamp, content in arm_messages(t, joints, q, **channels):
+        if zero_stamps:
             content.header.stamp = SimpleNamespace(sec=0, nanosec=0)
-    return write_messages(
-        path, messages, encoding=encoding, compression=compression, chunk_size=chunk_size
-    )
+        messages.append((topic, stamp + log_offset_ns, content))
+    storage = {"compression": compression, "chunk_size": chunk_size}
+    return write_messages(path, messages, encoding=encoding, **storage)
 
 
 def arm_messages(
@@ -128,37 +130,37 @@ def arm_messages(
     An accelerometer array (N, K), K a multiple of 3, becomes `/<imu>/accel_1` ...; an IMU that is
     in `gyros` becomes `/<imu>/data` with its three accelerometers and its gyro.
     """
+    accelerometers, gyros = accelerometers or {}, gyros or {}
     stamps = t0_ns + np.rint(np.asarray(t) * 1e9).astype(np.int64)
     streams = [joint_messages(stamps, joints, q, dq=dq, effort=effort)]
-    for imu, values in (accelerometers or {}).items():
-        if imu not in (gyros or {}):
-            for k in range(values.shape[1] // 3):
-                triad = values[:, 3 * k : 3 * k + 3]
-                streams.append(imu_messages(stamps, f"/{imu}/accel_{k + 1}", triad))
-    for imu, rates in (gyros or {}).items():
-        triad = (accelerometers or {}).get(imu, np.zeros_like(rates))
+    for imu, values in accelerometers.items():
+        for k in range(0 if imu in gyros else values.shape[1] // 3):
+            triad = values[:, 3 * k : 3 * k + 3]
+            streams.append(imu_messages(stamps, f"/{imu}/accel_{k + 1}", triad))
+    for imu, rates in gyros.items():
+        triad = accelerometers.get(imu, np.zeros_like(rates))
         streams.append(imu_messages(stamps, f"/{imu}/data", triad, rates))
     return [message for row in zip(*streams, strict=True) for message in row]
 
 
 def encoded(
     messages: Sequence[Message],
-    encoding: Literal["cdr", "json"],
+    encoding: Encoding,
     definitions: Mapping[str, str] = DEFINITIONS,
-) -> tuple[dict[str, tuple[str, str, str, bytes]], Iterator[tuple[str, int, bytes]]]:
+) -> tuple[dict[str, Channel], Iterator[tuple[str, int, bytes]]]:
     """Encode messages for `write_raw`; the type of each topic is told from their fields."""
-    kinds, schemas, encode = {}, {}, {}
+    topics: dict[str, Channel] = {}
+    encode: dict[str, Callable[[object], bytes]] = {}
     for topic, _, content in messages:
-        if topic not in kinds:
-            kinds[topic] = next(kind for name, kind in _TOLD_BY.items() if hasattr(content, name))
-    for kind in kinds.values():
-        if encoding == "json":
-            schemas[kind], encode[kind] = ("jsonschema", b'{"type":"object"}'), as_json
-        else:
-            schemas[kind] = "ros2msg", definitions[kind].encode()
-            encode[kind] = serialize_dynamic(kind, definitions[kind])[kind]
-    topics = {topic: (encoding, kind, *schemas[kind]) for topic, kind in kinds.items()}
-    return topics, ((topic, at, encode[kinds[topic]](content)) for topic, at, content in messages)
+        if topic not in topics:
+            kind = next(kind for name, kind in _TOLD_BY.items() if hasattr(content, name))
+            if encoding == "json":
+                schema, encode[topic] = ("jsonschema", b'{"type":"object"}'), as_json
+            else:
+                schema = "ros2msg", definitions[kind].encode()
+                encode[topic] = serialize_dynamic(kind, definitions[kind])[kind]
+            topics[topic] = (encoding, kind, *schema)
+    return topics, ((topic, at, encode[topic](content)) for topic, at, content in messages)
 
 
 def as_json(content: object) -> bytes:
@@ -170,14 +172,12 @@ def write_messages(
     path: Path,
     messages: Sequence[Message],
     *,
-    encoding: Literal["cdr", "json"],
-    compression: str = "zstd",
-    chunk_size: int = 1024 * 1024,
+    encoding: Encoding,
     definitions: Mapping[str, str] = DEFINITIONS,
+    **storage: Any,
 ) -> Path:
-    """Write messages in the given order."""
-    made = encoded(messages, encoding, definitions)
-    return write_raw(path, *made, chunk_size=chunk_size, compression=COMPRESSIONS[compression])
+    """Write messages in the given order; `storage`: see `write_raw`."""
+    return write_raw(path, *encoded(messages, encoding, definitions), **storage)
 
 
 def joint_messages(
@@ -190,24 +190,13 @@ def joint_messages(
     topic: str = "/joint_states",
 ) -> list[Message]:
     """JointState messages, one per row."""
-
-    def row(values: Array | None, i: int) -> list[float]:
-        return [] if values is None else [float(v) for v in values[i]]
-
-    return [
-        (
-            topic,
-            int(stamp),
-            SimpleNamespace(
-                header=header(int(stamp)),
-                name=list(joints),
-                position=row(q, i),
-                velocity=row(dq, i),
-                effort=row(effort, i),
-            ),
-        )
-        for i, stamp in enumerate(stamps_ns)
-    ]
+    quantities = {"position": q, "velocity": dq, "effort": effort}
+    messages = []
+    for i, stamp in enumerate(stamps_ns.tolist()):
+        rows = {n: [] if v is None else list(map(float, v[i])) for n, v in quantities.items()}
+        content = SimpleNamespace(header=header(stamp), name=list(joints), **rows)
+        messages.append((topic, stamp, content))
+    return messages
 
 
 def imu_messages(
@@ -215,22 +204,19 @@ def imu_messages(
 ) -> list[Message]:
     """Imu messages, one per row of (N, 3) m/s^2 and (N, 3) rad/s."""
     rates = np.zeros_like(accelerations) if rates is None else rates
-    return [
-        (
-            topic,
-            int(stamp),
-            SimpleNamespace(
-                header=header(int(stamp), "imu_link"),
-                orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0),
-                orientation_covariance=[-1.0] + [0.0] * 8,
-                angular_velocity=_vector(rates[i]),
-                angular_velocity_covariance=[0.0] * 9,
-                linear_acceleration=_vector(accelerations[i]),
-                linear_acceleration_covariance=[0.0] * 9,
-            ),
+    messages = []
+    for stamp, rate, acceleration in zip(stamps_ns.tolist(), rates, accelerations, strict=True):
+        content = SimpleNamespace(
+            header=header(stamp, "imu_link"),
+            orientation=SimpleNamespace(x=0.0, y=0.0, z=0.0, w=1.0),
+            orientation_covariance=[-1.0] + [0.0] * 8,
+            angular_velocity=_vector(rate),
+            angular_velocity_covariance=[0.0] * 9,
+            linear_acceleration=_vector(acceleration),
+            linear_acceleration_covariance=[0.0] * 9,
         )
-        for i, stamp in enumerate(stamps_ns)
-    ]
+        messages.append((topic, stamp, content))
+    return messages
 
 
 def header(stamp_ns: int, frame: str = "base_link") -> SimpleNamespace:
@@ -249,9 +235,9 @@ def rewrite(
     crc: bool = True,
     summary: bool = True,
     chunk_size: int = 1024 * 1024,
-    keep: Callable[[str], bool] = lambda topic: True,
 ) -> Path:
     """Copy an MCAP file message by message with other settings of the writer."""
+    summaries = ("use_statistics", "use_summary_offsets", "repeat_channels", "repeat_schemas")
     with source.open("rb") as file, target.open("wb") as out:
         writer = RawWriter(
             out,
@@ -261,46 +247,24 @@ def rewrite(
             use_chunking=chunking,
             enable_crcs=crc,
             enable_data_crcs=crc,
-            use_statistics=summary,
-            use_summary_offsets=summary,
-            repeat_channels=summary,
-            repeat_schemas=summary,
+            **dict.fromkeys(summaries, summary),
         )
         writer.start(profile="ros2")
-        channels: dict[int, int] = {}
-        for schema, channel, message in NonSeekingReader(file).iter_messages(log_time_order=False):
-            if not keep(channel.topic):
-                continue
-            if channel.id not in channels:
-                schema_id = 0
-                if schema is not None:
-                    schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
-                channels[channel.id] = writer.register_channel(
-                    channel.topic, channel.message_encoding, schema_id
+        links: dict[int, int] = {}
+        for schema, link, message in NonSeekingReader(file).iter_messages(log_time_order=False):
+            if link.id not in links:
+                own = schema and writer.register_schema(schema.name, schema.encoding, schema.data)
+                links[link.id] = writer.register_channel(
+                    link.topic, link.message_encoding, own or 0
                 )
-            writer.add_message(
-                channels[channel.id],
-                message.log_time,
-                message.data,
-                message.publish_time,
-                message.sequence,
-            )
+            stamps = message.publish_time, message.sequence
+            writer.add_message(links[link.id], message.log_time, message.data, *stamps)
         writer.finish()
     return target
 
 
-def payloads(path: Path) -> list[bytes]:
-    """The messages of a file, in its order."""
-    with path.open("rb") as file:
-        read = NonSeekingReader(file).iter_messages(log_time_order=False)
-        return [message.data for _, _, message in read]
-
-
 def _vector(values: Array) -> SimpleNamespace:
     return SimpleNamespace(x=float(values[0]), y=float(values[1]), z=float(values[2]))
-
-
-Channel = str | tuple[str, str, str, bytes]
 
 
 def write_raw(
@@ -309,14 +273,11 @@ def write_raw(
     messages: Iterable[tuple[str, int, bytes]],
     *,
     chunk_size: int = 1024 * 1024,
-    compression: CompressionType = CompressionType.ZSTD,
+    compression: str = "zstd",
 ) -> Path:
-    """Write messages (topic, log time in ns, bytes) as they are.
-
-    `topics`: the encoding of each, and name, encoding and text of its schema where it has one.
-    """
+    """Write messages (topic, log time in ns, bytes) as they are."""
     with path.open("wb") as out:
-        writer = RawWriter(out, chunk_size=chunk_size, compression=compression)
+        writer = RawWriter(out, chunk_size=chunk_size, compression=COMPRESSIONS[compression])
         writer.start(profile="ros2")
         channels = {}
         for topic, told in topics.items():

@@ -31,6 +31,7 @@ from seqid_cli.params.schema import (
 )
 
 JOINTS = ["shoulder", "elbow"]
+STRIBECK = {"stribeck_speed": 0.1, "exponent": 2.0}
 
 
 def robot() -> RobotId:
@@ -38,6 +39,7 @@ def robot() -> RobotId:
 
 
 def friction_joint() -> FrictionJoint:
+    surface = [[1.0], [1.0 / 3.0]]
     return FrictionJoint(
         position_order=1,
         velocity_order=0,
@@ -47,8 +49,8 @@ def friction_joint() -> FrictionJoint:
         speed_range=[0.1, 1.5],
         sign_width=0.01,
         directional=False,
-        positive=[[1.0], [1.0 / 3.0]],
-        negative=[[1.0], [1.0 / 3.0]],
+        positive=surface,
+        negative=surface,
         covariance=[[0.01, 0.0], [0.0, 0.02]],
     )
 
@@ -63,14 +65,10 @@ def friction_stage(*, good: bool = True) -> FrictionStage:
 
 def rigid_stage(unit: str = "kg m") -> RigidStage:
     parameter = Parameter(name="mx_1", value=1.25, std_error=0.01, unit=unit, joint="shoulder")
-    return RigidStage(
-        parameters=[parameter],
-        condition=12.5,
-        rank=1,
-        covariance=[[1e-4]],
-        rmse=dict.fromkeys(JOINTS, 0.2),
-        verdicts=[Verdict(joint=name, good=True) for name in JOINTS],
-    )
+    verdicts = [Verdict(joint=name, good=True) for name in JOINTS]
+    numbers = {"condition": 12.5, "rank": 1, "covariance": [[1e-4]]}
+    rmse = dict.fromkeys(JOINTS, 0.2)
+    return RigidStage(parameters=[parameter], rmse=rmse, verdicts=verdicts, **numbers)
 
 
 def imu_stage() -> ImuStage:
@@ -102,19 +100,26 @@ def inertia_file() -> ParameterFile:
 
 
 def full_file() -> ParameterFile:
-    file = inertia_file()
     effect = EffectOfJoint(
-        effect="stribeck",
-        joint="elbow",
-        settings={"stribeck_speed": 0.1, "exponent": 2.0},
-        coefficients=[0.5],
+        effect="stribeck", joint="elbow", settings=dict(STRIBECK), coefficients=[0.5]
     )
-    file = with_stage(file, robot(), [log("e", "effects")], effects=[effect])
+    file = with_stage(inertia_file(), robot(), [log("e", "effects")], effects=[effect])
     file.closed_loop = closed_loop()
     return file
 
 
 def closed_loop() -> ClosedLoop:
+    accepted = RefinementRound(
+        effect="stribeck",
+        joint="elbow",
+        confirmed=True,
+        training_gain=0.62,
+        training_interval=[0.55, 0.64],
+        held_out_gain=0.6,
+        interval=[0.5, 0.63],
+        evidence=evidence("elbow", "speed", "rad/s", sided=True),
+        rivals=[rival("spring", 9.0, "explains 97.0 % less")],
+    )
     refused = RefinementRound(
         effect="spring",
         joint="shoulder",
@@ -125,23 +130,7 @@ def closed_loop() -> ClosedLoop:
         reason="no gain on the held-out logs",
     )
     return ClosedLoop(
-        rounds=[
-            RefinementRound(
-                effect="stribeck",
-                joint="elbow",
-                confirmed=True,
-                training_gain=0.62,
-                training_interval=[0.55, 0.64],
-                held_out_gain=0.6,
-                interval=[0.5, 0.63],
-                evidence=evidence("elbow", "speed", "rad/s", sided=True),
-                rivals=[
-                    RivalEntry(
-                        effect="spring", joint="elbow", log_gain=9.0, why_not="explains 97.0 % less"
-                    )
-                ],
-            )
-        ],
+        rounds=[accepted],
         refused=[refused],
         before={"elbow": JointRmse(rmse=0.2, rmse_outside=0.4, share_outside=0.1)},
         after={"elbow": JointRmse(rmse=0.1, rmse_outside=0.2, share_outside=0.1)},
@@ -154,26 +143,19 @@ def closed_loop() -> ClosedLoop:
     )
 
 
+def rival(effect: str, gain: float, why_not: str, joint: str | None = "elbow") -> RivalEntry:
+    return RivalEntry(effect=effect, joint=joint, log_gain=gain, why_not=why_not)
+
+
 def evidence(joint: str, quantity: str, unit: str, *, sided: bool = False) -> EvidenceEntry:
-    x = [-1.0, 0.0, 1.0]
-    return EvidenceEntry(
-        joint=joint,
-        quantity=quantity,
-        of=joint,
-        unit=unit,
-        sided=sided,
-        x=x,
-        count=[50, 51, 50],
-        before=[0.5, -0.5, 0.5],
-        before_spread=[0.1, 0.2, 0.1],
-        after=[0.01, -0.02, 0.03],
-        after_spread=[0.09, 0.08, 0.07],
-    )
+    before = {"before": [0.5, -0.5, 0.5], "before_spread": [0.1, 0.2, 0.1]}
+    after = {"after": [0.01, -0.02, 0.03], "after_spread": [0.09, 0.08, 0.07]}
+    shown = {"joint": joint, "quantity": quantity, "of": joint, "unit": unit, "sided": sided}
+    return EvidenceEntry(**shown, x=[-1.0, 0.0, 1.0], count=[50, 51, 50], **before, **after)
 
 
 def diagnosis_file() -> DiagnosisFile:
-    shown = evidence("elbow", "speed", "rad/s", sided=True)
-    speed = EffectParameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")
+    told = "these logs cannot tell the two apart: it reaches 96.7 % of the gain"
     finding = FindingEntry(
         effect="stribeck",
         joint="elbow",
@@ -182,19 +164,14 @@ def diagnosis_file() -> DiagnosisFile:
         confusable_with=["presliding_hysteresis", "quadratic_drag"],
         separate_by="slow reversals at two accelerations",
         gain=0.7,
-        parameters=[speed],
-        settings={"stribeck_speed": 0.05, "exponent": 2.0},
+        parameters=[EffectParameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")],
+        settings={**STRIBECK, "stribeck_speed": 0.05},
         note="a remark",
         log_gain=300.0,
-        evidence=shown,
+        evidence=evidence("elbow", "speed", "rad/s", sided=True),
         rivals=[
-            RivalEntry(
-                effect="presliding_hysteresis",
-                joint="elbow",
-                log_gain=290.0,
-                why_not="these logs cannot tell the two apart: it reaches 96.7 % of the gain",
-            ),
-            RivalEntry(effect="payload", joint=None, log_gain=90.0, why_not="explains 70.0 % less"),
+            rival("presliding_hysteresis", 290.0, told),
+            rival("payload", 90.0, "explains 70.0 % less", None),
         ],
     )
     part = UnexplainedPart(
@@ -210,14 +187,7 @@ def diagnosis_file() -> DiagnosisFile:
         white=False,
         rmse_explained=0.12,
         samples=400,
-        tried=[
-            RivalEntry(
-                effect="spring",
-                joint="elbow",
-                log_gain=3.0,
-                why_not="gain of 0.9 standard errors; 2 are asked at least",
-            )
-        ],
+        tried=[rival("spring", 3.0, "gain of 0.9 standard errors; 2 are asked at least")],
     )
     still = ResidualEntry(rmse=None, noise_floor=None, white=True, rmse_explained=None, samples=0)
     return DiagnosisFile(

@@ -7,24 +7,19 @@ from pathlib import Path
 import msgspec
 
 from seqid_cli.params.files import write_text_atomic
-from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA, DiagnosisFile
-from seqid_cli.params.results.inspection import INSPECTION_SCHEMA, InspectionFile
-from seqid_cli.params.results.payload import PAYLOAD_SCHEMA, PayloadFile
-from seqid_cli.params.results.plan import PLAN_SCHEMA, PlanFile
-from seqid_cli.params.results.prediction import PREDICTION_SCHEMA, PredictionFile
-from seqid_cli.params.results.trend import TREND_SCHEMA, TrendFile
+from seqid_cli.params.results import diagnosis, inspection, payload, plan, prediction, trend
 from seqid_cli.params.schema import SCHEMA, ParameterFile
 from tests import ROOT
 
 SCHEMA_FOLDER = ROOT / "seqid_cli" / "params" / "schemas"
 DOCUMENTS: Mapping[str, type[msgspec.Struct]] = {
     SCHEMA: ParameterFile,
-    PREDICTION_SCHEMA: PredictionFile,
-    DIAGNOSIS_SCHEMA: DiagnosisFile,
-    INSPECTION_SCHEMA: InspectionFile,
-    PLAN_SCHEMA: PlanFile,
-    PAYLOAD_SCHEMA: PayloadFile,
-    TREND_SCHEMA: TrendFile,
+    prediction.PREDICTION_SCHEMA: prediction.PredictionFile,
+    diagnosis.DIAGNOSIS_SCHEMA: diagnosis.DiagnosisFile,
+    inspection.INSPECTION_SCHEMA: inspection.InspectionFile,
+    plan.PLAN_SCHEMA: plan.PlanFile,
+    payload.PAYLOAD_SCHEMA: payload.PayloadFile,
+    trend.TREND_SCHEMA: trend.TrendFile,
 }
 
 
@@ -49,12 +44,7 @@ def json_schema(name: str) -> dict[str, object]:
     }
 
 
-def main() -> None:
-    """Write every schema into the package."""
-    for name in DOCUMENTS:
-        text = json.dumps(json_schema(name), indent=2, sort_keys=True) + "\n"
-        write_text_atomic(schema_path(name), text)
-
-
 if __name__ == "__main__":
-    main()
+    for own in DOCUMENTS:
+        written = json.dumps(json_schema(own), indent=2, sort_keys=True) + "\n"
+        write_text_atomic(schema_path(own), written)

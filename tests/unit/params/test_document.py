@@ -3,6 +3,8 @@
 import json
 import math
 import re
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 
 import jsonschema
@@ -10,11 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from seqid_cli import __version__
+from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.units import UNTOLD
-from seqid_cli.params.document import present, refined, stale_stages, with_stage
+from seqid_cli.params import io
+from seqid_cli.params.document import join, present, refined, stale_stages, with_stage
 from seqid_cli.params.encode import LARGEST, encode, plain
-from seqid_cli.params.io import read_parameters
+from seqid_cli.params.io import read_parameters, write_json_atomic
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
 from seqid_cli.params.schema import SCHEMA, EffectOfJoint, Stages
 from tests.unit.params.documents import (
@@ -23,26 +26,14 @@ from tests.unit.params.documents import (
     friction_file,
     friction_stage,
     full_file,
+    gravity_file,
+    imu_file,
     inertia_file,
     log,
     rigid_stage,
     robot,
 )
 from tests.unit.params.generate import DOCUMENTS, json_schema, schema_path
-
-
-def test_a_stage_is_added_to_what_was_there() -> None:
-    before = friction_file()
-    after = with_stage(before, robot(), [log("b", "gravity")], gravity=rigid_stage())
-    assert after.stages.friction == before.stages.friction
-    assert after.stages.gravity == rigid_stage()
-    assert [(item.path, item.stage) for item in after.inputs] == [
-        ("a", "friction"),
-        ("b", "gravity"),
-    ]
-    assert before.stages.gravity is None
-    assert after.tool.version == __version__
-    assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", after.created)
 
 
 def test_what_rested_on_a_stage_goes_when_it_is_done_again() -> None:
@@ -76,36 +67,30 @@ def test_a_refined_file_keeps_every_input_and_replaces_the_stages() -> None:
     assert nothing.stages.effects == []  # that there are none is said
 
 
-REMEDY = "run python -m tests.unit.params.generate"
-
-
 @pytest.mark.parametrize("name", DOCUMENTS)
 def test_the_shipped_schema_is_the_generated_one(name: str) -> None:
     shipped = json.loads(schema_path(name).read_text())
-    assert shipped == json_schema(name), REMEDY
+    assert shipped == json_schema(name), "run python -m tests.unit.params.generate"
     jsonschema.Draft202012Validator.check_schema(shipped)
 
 
-def validator(name: str) -> jsonschema.Draft202012Validator:
-    return jsonschema.Draft202012Validator(json.loads(schema_path(name).read_text()))
+def refused_at(name: str, document: object) -> set[str]:
+    validator = jsonschema.Draft202012Validator(json.loads(schema_path(name).read_text()))
+    return {error.json_path for error in validator.iter_errors(document)}
 
 
-def test_the_schema_refuses_what_the_reader_refuses() -> None:
+def test_the_schema_refuses_what_breaks_the_contract() -> None:
     document = json.loads(encode(full_file()))
     document["schema"] = "seqid/params@2"
     document["stages"]["inertia"]["surprise"] = 1
     del document["robot"]["sha256"]
-    found = {error.json_path for error in validator(SCHEMA).iter_errors(document)}
-    assert found == {"$.schema", "$.robot", "$.stages.inertia"}
-
-
-def test_the_schema_refuses_a_diagnosis_that_breaks_the_contract() -> None:
+    assert refused_at(SCHEMA, document) == {"$.schema", "$.robot", "$.stages.inertia"}
     document = json.loads(encode(diagnosis_file()))
     document["verdict"] = "perhaps"
     del document["findings"][0]["separate_by"]
     document["joints"]["elbow"]["white"] = 1
-    found = {error.json_path for error in validator(DIAGNOSIS_SCHEMA).iter_errors(document)}
-    assert found == {"$.verdict", "$.findings[0]", "$.joints.elbow.white"}
+    places = {"$.verdict", "$.findings[0]", "$.joints.elbow.white"}
+    assert refused_at(DIAGNOSIS_SCHEMA, document) == places
 
 
 finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-LARGEST, max_value=LARGEST)
@@ -117,13 +102,11 @@ documents = st.recursive(
 
 
 @settings(deadline=None, max_examples=40)
-@given(documents)
-def test_text_is_json_of_the_rounded_document(document: object) -> None:
+@given(documents, finite)
+def test_text_is_json_of_the_document_rounded_once_to_twelve_digits(
+    document: object, value: float
+) -> None:
     assert json.loads(encode(document)) == plain(document)
-
-
-@given(finite)
-def test_twelve_digits_are_kept_and_rounding_is_final(value: float) -> None:
     rounded = plain(value)
     assert isinstance(rounded, float)
     assert rounded == pytest.approx(value, rel=1e-11, abs=0.0)
@@ -149,10 +132,151 @@ def test_a_number_that_is_not_finite_is_named(bad: float) -> None:
         encode({"a": [1, 2j]})
 
 
-def test_stages_that_are_not_there_are_left_out() -> None:
-    file = full_file()
-    file.stages.gravity = None
-    document = json.loads(encode(file))
-    assert list(document["stages"]) == ["friction", "imu", "inertia", "effects"]
-    assert document["stages"]["friction"]["cutoff_hz"] is None
-    assert document["closed_loop"]["rounds"][0]["effect"] == "stribeck"
+def edited(key: str, value: object) -> str:
+    """The full file with another value at a place such as `robot.joints.1`."""
+    document = json.loads(encode(full_file()))
+    *at, last = [int(word) if word.isdigit() else word for word in key.split(".")]
+    reduce(getitem, at, document)[last] = value
+    return json.dumps(document)
+
+
+def problem(path: Path, text: str | bytes) -> ConfigError:
+    path.write_bytes(text.encode() if isinstance(text, str) else text)
+    with pytest.raises(ConfigError) as caught:
+        read_parameters(path)
+    assert caught.value.where == str(path)
+    assert caught.value.hint
+    return caught.value
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "p.json"
+    write_json_atomic(path, full_file())
+    file = read_parameters(path)
+    assert plain(file) == plain(full_file()) | {"created": file.created}
+    before = path.read_bytes()
+    write_json_atomic(path, file)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "truncated at line 1, column 1"),
+        ('{"schema": "seqid/params@1",\n "created": nan}', "invalid character at line 2, column"),
+        ('{\n\n  "a": 1,}', "trailing comma in object at line 3, column 10"),
+        (b'{"schema": "\xff"}', "not UTF-8"),
+        ("[" * 100_000, "Expected `object`, got `array`"),
+        ('{"x":' + "[" * 100_000, "nested too deeply"),
+        ("[1, 2]", "Expected `object`, got `array`"),
+        (b"\x89MCAP0\r\n", "not valid JSON"),
+        ('{"a": 1e999}', "Number out of range"),
+        ("{}", "`schema` is missing"),
+        ('{"schema": 3}', "`schema` is 3"),
+        ('{"schema": "seqid/params@0"}', "`schema` is 'seqid/params@0'"),
+        ('{"schema": "seqid/prediction@1"}', "is a prediction file"),
+        ('{"schema": "seqid/params@7", "stages": []}', "newer version seqid/params@7; this seqid"),
+    ],
+)
+def test_what_is_no_parameter_file(tmp_path: Path, text: str | bytes, message: str) -> None:
+    assert message in problem(tmp_path / "p.json", text).message
+
+
+LOOP, ELBOW = "closed_loop", "stages.friction.joints.elbow"
+SHOWN = f"{LOOP}.rounds.0.evidence"
+SESSION, IT = "stages.effects.0.session", "$.stages.effects[0].session"
+WRONG = [  # a key of the full file, its value, what is said of it, or of another key: $...
+    ("robot.joints.1", 4, "Expected `str`, got `int`"),
+    ("stages.inertia.rnak", 4, "$.stages.inertia: Object contains unknown field"),
+    ("robot.joints.1", "shoulder", "$.robot.joints: must name each joint"),
+    (f"{ELBOW}.positive", [[1.0]], "must have 2 rows of 1"),
+    (f"{ELBOW}.sign_width", 0, "must be positive"),
+    (f"{ELBOW}.speed_range", [2.0, 1.0], "must be two numbers"),
+    (f"{ELBOW}.covariance", [[1.0]], "must be square with 2 or 4"),
+    ("stages.gravity.covariance", [[1.0, 2.0]], "must be square with 1"),
+    ("stages.gravity.parameters.0.std_error", -1, "must not be negative"),
+    ("stages.gravity.parameters.0.joint", "knee", "joint 'knee' is none of the robot's: shou"),
+    ("stages.imu.imus.imu_a.rotation.0.0", 1.0, "$.stages.imu.imus.imu_a.rotation: is no rotation"),
+    ("stages.effects.0.joint", "knee", "joint 'knee'"),
+    ("stages.effects.0.covariance", [[1.0, 0.0], [0.0, 1.0]], "must be square with 1"),
+    (SESSION, {"logs": ["a"], "starts": [0.0, 1.0], "origin": 0.0}, f"{IT}.starts"),
+    (SESSION, {"logs": ["a"], "starts": [0.0]}, f"{IT}.origin"),
+    (SESSION, {"logs": ["a"], "origin": 5.0}, f"{IT}.origin"),
+    (f"{LOOP}.rounds.0.joint", "knee", "joint 'k"),
+    (f"{SHOWN}.of", "knee", "joint 'knee'"),
+    (f"{SHOWN}.after", [0.1], "$.closed_loop.rounds[0].evidence: x, count, before and"),
+    (f"{LOOP}.rounds.0.accepted", False, ""),
+    (f"{LOOP}.refused.0.interval", [1.0], "mu"),
+    (f"{LOOP}.before", {"knee": {"rmse": 1.0}}, "joint 'knee'"),
+    (f"{LOOP}.gain_interval.elbow", [0.2, 0.1], "must be two numbers"),
+]
+
+
+@pytest.mark.parametrize(("key", "value", "message"), WRONG)
+def test_wrong_content_is_named_by_its_key(
+    tmp_path: Path, key: str, value: object, message: str
+) -> None:
+    error = problem(tmp_path / "p.json", edited(key, value))
+    named = re.sub(r"\.(\d+)", r"[\1]", f"$.{key}")
+    assert error.message.startswith(message if message.startswith("$") else f"{named}: {message}")
+
+
+def test_a_closed_loop_needs_no_more_than_the_contract(tmp_path: Path) -> None:
+    older = {
+        "rounds": [{"effect": "stribeck", "joint": "elbow"}, {"effect": "payload"}],
+        "before": {"elbow": {"rmse": 0.5}},
+        "after": {"elbow": {"rmse": 0.5}},
+        "noise_floor": {"elbow": 0.1},
+        "evaluated_on": ["v.parquet"],
+    }
+    path = tmp_path / "p.json"
+    path.write_text(edited("closed_loop", older))
+    loop = read_parameters(path).closed_loop
+    assert [item.effect for item in loop.rounds if item.accepted] == ["stribeck", "payload"]
+    assert plain(loop.before) == older["before"]
+
+
+def test_a_missing_file_a_folder_and_a_huge_file(tmp_path: Path) -> None:
+    with (tmp_path / "huge").open("wb") as file:
+        file.truncate(2**30)
+    for path, message in (
+        (tmp_path / "no.json", "does not exist"),
+        (tmp_path, "is not a file"),
+        (Path("a\0b"), "cannot be read|does not exist"),
+        (tmp_path / "huge", "the limit is"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            read_parameters(path)
+
+
+def test_older_files_are_migrated_step_by_step(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "p.json"
+    path.write_text(edited("robot.joint_names", []))
+
+    def second(document: dict[str, object]) -> dict[str, object]:
+        del document["robot"]["joint_names"]
+        return document
+
+    def third(document: dict[str, object]) -> dict[str, object]:
+        return document | {"schema": "seqid/params@3", "created": "migrated"}
+
+    monkeypatch.setattr(io, "PARAMS_VERSION", 3)
+    monkeypatch.setattr(io, "PARAMS_MIGRATIONS", {1: second, 2: third})
+    file = read_parameters(path)
+    assert (file.schema, file.created) == ("seqid/params@3", "migrated")
+    monkeypatch.setattr(io, "PARAMS_MIGRATIONS", {1: second})
+    with pytest.raises(ConfigError, match="old version seqid/params@1"):
+        read_parameters(path)
+
+
+def test_two_branches_are_joined_unless_they_disagree() -> None:
+    both = join([("g.json", gravity_file()), ("i.json", imu_file())])
+    assert both.stages.gravity == gravity_file().stages.gravity
+    assert both.stages.imu == imu_file().stages.imu
+    assert [log.path for log in both.inputs] == ["a", "b", "c"]
+    other = gravity_file()
+    other.stages.friction.joints["elbow"].rmse = 0.7
+    with pytest.raises(ConfigError, match=r"h.json: its friction stage differs from .*g\.json"):
+        join([("g.json", gravity_file()), ("h.json", other)])

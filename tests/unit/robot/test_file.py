@@ -9,10 +9,7 @@ import pytest
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests import ROOT
 from tests.plants.robots.small import NAMES_6R, urdf_6r
-
-DATA = ROOT / ".." / "shared" / "data"
 
 HEAD = 'schema = "seqid/robot@1"\nname = "two"\ngravity = [0.0, 0.0, -9.81]\n'
 DH = "dh = { alpha = 0.0, a = 0.1, d = 0.0, theta0 = 0.0 }\n"
@@ -28,34 +25,45 @@ def _load(folder: Path, text: str | bytes) -> Robot:
     return load_robot(path)
 
 
+FULL = f"""{HEAD}{ONE}torque_constant = 0.119
+gear_ratio = -101
+rotor_inertia = 1e-4
+encoder_resolution = 4.8e-5
+position_limits = [-2.8, 2]
+velocity_limit = 2
+{TWO}torque_constant = 0.119
+gear_ratio = -101
+prismatic = true
+{IMU}{SENSOR}
+[[imu]]
+name = "imu_b"
+after_joint = "one"
+gyro = true
+[channels]
+time = "timestamp"
+position = "q_{{index0}}"
+current = "{{name}}.i"
+effort = "current"
+"""
+
+
 def test_full_file(tmp_path: Path) -> None:
-    drive = "torque_constant = 0.119\ngear_ratio = -101\nrotor_inertia = 1e-4\n"
-    more = "encoder_resolution = 4.8e-5\nposition_limits = [-2.8, 2]\nvelocity_limit = 2\n"
-    channels = (
-        '[channels]\ntime = "timestamp"\nposition = "q_{index0}"\ncurrent = "{name}.i"\n'
-        'effort = "current"\n'
-    )
-    imus = f'{IMU}{SENSOR}[[imu]]\nname = "imu_b"\nafter_joint = "one"\ngyro = true\n'
-    text = HEAD + ONE + drive + more + TWO + drive + "prismatic = true\n" + imus + channels
-    robot = _load(tmp_path, text)
+    robot = _load(tmp_path, FULL)
     one = robot.joints[0]
     assert robot.joint_names == ("one", "two")
     assert (one.gear_ratio, one.rotor_inertia, one.position_limits) == (-101.0, 1e-4, (-2.8, 2.0))
     assert one.torque_per_ampere == pytest.approx(-0.119 * 101)
-    assert (one.prismatic, robot.joints[1].prismatic) == (False, True)
+    assert [joint.prismatic for joint in robot.joints] == [False, True]
     np.testing.assert_array_equal(robot.chain.prismatic, [False, True])
-    assert robot.imus[0].after_joint == 1
-    np.testing.assert_allclose(robot.imus[0].axes, [[0.0, 0.6, 0.8]])
-    np.testing.assert_array_equal(robot.imus[0].positions, [[0.0, 0.0, 0.1]])
-    assert robot.imus[1].gyro
-    np.testing.assert_array_equal(robot.imus[1].axes, np.eye(3))
-    np.testing.assert_array_equal(robot.imus[1].positions, np.zeros((3, 3)))
-    assert robot.channels.effort == "current"
-    assert robot.channels.position == "q_{index0}"
-    assert robot.channels.velocity is None
-    assert robot.nominal is None
-    assert robot.gravity.dtype == np.float64
-    assert robot.sha256 == hashlib.sha256(text.encode()).hexdigest()
+    array, gyro = robot.imus
+    assert (array.after_joint, gyro.gyro) == (1, True)
+    np.testing.assert_allclose(array.axes, [[0.0, 0.6, 0.8]])
+    np.testing.assert_array_equal(array.positions, [[0.0, 0.0, 0.1]])
+    np.testing.assert_array_equal(gyro.axes, np.eye(3))
+    np.testing.assert_array_equal(gyro.positions, np.zeros((3, 3)))
+    channels = robot.channels
+    assert (channels.effort, channels.position) == ("current", "q_{index0}")
+    assert channels.velocity is robot.nominal is None
 
 
 def test_sha256_covers_the_urdf(tmp_path: Path) -> None:
@@ -63,10 +71,9 @@ def test_sha256_covers_the_urdf(tmp_path: Path) -> None:
     joints = "".join(f'[[joint]]\nname = "{name}"\n' for name in NAMES_6R)
     text = f'{HEAD}urdf = "arm.urdf"\n{joints}'
     robot = _load(tmp_path, text)
-    expected = hashlib.sha256(text.encode() + urdf_6r().encode()).hexdigest()
-    assert robot.sha256 == expected
+    assert robot.sha256 == hashlib.sha256(text.encode() + urdf_6r().encode()).hexdigest()
     (tmp_path / "arm.urdf").write_text(urdf_6r() + "<!-- changed -->\n")
-    assert _load(tmp_path, text).sha256 != expected
+    assert _load(tmp_path, text).sha256 != robot.sha256
 
 
 OF_THE_JOINT = {  # what follows the keys of the first joint
@@ -90,42 +97,30 @@ OF_THE_JOINT = {  # what follows the keys of the first joint
     "torque_constant = 5e-324": r"torque_constant .* 1e-12 or more",
 }
 OFFERED = {"gear_ration = 2.0": "'gear_ratio'", "imu joint": "'two'"}  # in the hint
+BOTH = ONE + TWO
+MANY = "".join(ONE.replace('"one"', f'"j{k}"') for k in range(200))
+WRONG_IMU = IMU + "accelerometers = [ { position = [0, 0, 0], axes = [0, 0, 1] } ]\n"
+NO_AXIS = IMU + SENSOR.replace("3.0, 4.0", "0.0, 0.0")
+BY_INDEX = "torque_constant = 1.0\n" + TWO + '[channels]\ncurrent = "i_{index}"\n'
+NO_CONSTANT = r"channels.current .* joint\[1\].torque_constant \(joint 'two'\) is missing"
 CASES = {
     **{line: (f"{ONE}{line}\n", said) for line, said in OF_THE_JOINT.items()},
     "typo top": ('grafity = "x"\n' + ONE, "unknown key 'grafity'"),
-    "typo sensor": (
-        ONE + TWO + IMU + "accelerometers = [ { position = [0, 0, 0], axes = [0, 0, 1] } ]\n",
-        r"'imu\[0\].accelerometers\[0\].ax",
-    ),
+    "typo sensor": (BOTH + WRONG_IMU, r"'imu\[0\].accelerometers\[0\].ax"),
     "missing name": ("[[joint]]\n" + DH, r"key 'joint\[0\].name' is missing"),
     "no joint": ("joint = []\n", r"no \[\[joint\]\]"),
     "joint of numbers": ("joint = [3]\n", r"joint\[0\]: expected"),
-    "joints": (
-        "".join(ONE.replace('"one"', f'"j{k}"') for k in range(200)),
-        r"the robot has 200 \[\[joint\]\] tables",
-    ),
+    "joints": (MANY, r"the robot has 200 \[\[joint\]\] tables"),
     "duplicate": (ONE + ONE, r"joint\[1\].name 'one' is already the name of joint\[0\]"),
     "empty name": (ONE.replace('"one"', '" "'), r"joint\[0\].name is ' '"),
     "no geometry": ('[[joint]]\nname = "one"\n', r"neither urdf nor joint\[0\].dh \(joint 'one'\)"),
     "both": ('urdf = "a.urdf"\n' + ONE, r"both urdf and joint\[0\].dh"),
     "urdf missing": ('urdf = "no.urdf"\n[[joint]]\nname = "one"\n', "no.urdf: URDF not found"),
-    "imu joint": (
-        ONE + TWO + IMU.replace('"two"', '"tow"') + SENSOR,
-        r"imu\[0\].after_joint .*'tow'",
-    ),
-    "imu empty": (ONE + TWO + IMU, r"imu\[0\] .* neither accelerometers nor a gyro"),
-    "axis zero": (
-        ONE + TWO + IMU + SENSOR.replace("3.0, 4.0", "0.0, 0.0"),
-        r"imu\[0\].accelerometers\[0\].axis .* no direction",
-    ),
-    "pattern same": (
-        ONE + TWO + '[channels]\nposition = "q"\n',
-        "channels.position 'q' is the same",
-    ),
-    "current": (
-        ONE + "torque_constant = 1.0\n" + TWO + '[channels]\ncurrent = "i_{index}"\n',
-        r"channels.current .* joint\[1\].torque_constant \(joint 'two'\) is missing",
-    ),
+    "imu joint": (BOTH + IMU.replace('"two"', '"tow"') + SENSOR, r"imu\[0\].after_joint .*'tow'"),
+    "imu empty": (BOTH + IMU, r"imu\[0\] .* neither accelerometers nor a gyro"),
+    "axis zero": (BOTH + NO_AXIS, r"imu\[0\].accelerometers\[0\].axis .* no direction"),
+    "pattern same": (BOTH + '[channels]\nposition = "q"\n', "channels.position 'q' is the same"),
+    "current": (ONE + BY_INDEX, NO_CONSTANT),
     "syntax": ("a b\n" + ONE, r"not valid TOML: .*line 4"),
     "geometry overflows": (ONE.replace("0.1", "1e300"), r"dh\.a .* which no arm has"),
     "huge": (ONE + f"gear_ratio = 1{'0' * 400}\n", r"gear_ratio|too large"),
@@ -157,10 +152,10 @@ def test_schema_is_checked_before_anything_else(tmp_path: Path, schema: str, mes
         _load(tmp_path, f"{schema}\nkey_of_the_future = 1\n")
 
 
-def test_gravity_is_three_finite_numbers(tmp_path: Path) -> None:
-    for gravity in ("[0.0, -9.81]", "[0, 0, nan]"):
-        with pytest.raises(ConfigError, match="gravity"):
-            _load(tmp_path, HEAD.replace("[0.0, 0.0, -9.81]", gravity) + ONE)
+@pytest.mark.parametrize("gravity", ["[0.0, -9.81]", "[0, 0, nan]"])
+def test_gravity_is_three_finite_numbers(tmp_path: Path, gravity: str) -> None:
+    with pytest.raises(ConfigError, match="gravity"):
+        _load(tmp_path, HEAD.replace("[0.0, 0.0, -9.81]", gravity) + ONE)
 
 
 def test_files_that_cannot_be_read(tmp_path: Path) -> None:

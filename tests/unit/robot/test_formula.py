@@ -33,10 +33,12 @@ REFUSED = {
     "q / c1": "divides",
     "c1 ** 2 * q": "divides by a coefficient, or has a power",
     "sin(c1 * q)": "inside sin()",
-    "c * dp": "did you mean",
+    "c * sin(c1 * q)": "(column 5)",
+    "c1 * q + c2 * dp": "did you mean ... (column 15)",
+    "  c * dp": "did you mean ... (column 7)",
     "c * min(q)": "takes 2",
     "c * dq_3": "has 2 joints",
-    "c * q +": "cannot be read",
+    "c * q +": "cannot be read ... (column 8)",
     "c * q\0": "cannot be read",
     "c * " + "(" * 300 + "q" + ")" * 300: "long",
     "c * " + "-" * 100 + "q": "deep",
@@ -47,19 +49,11 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("text", REFUSED, ids=range(len(REFUSED)))
-def test_what_is_no_formula_is_refused_with_its_reason(text: str) -> None:
+def test_what_is_no_formula_is_refused_with_its_reason_and_column(text: str) -> None:
     with pytest.raises(FormulaError) as caught:
         parse_formula(text, 2)
-    assert REFUSED[text] in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("text", "column"),
-    [("c1 * q + c2 * dp", 15), ("  c * dp", 7), ("c * sin(c1 * q)", 5), ("c * q +", 8)],
-)
-def test_the_column_of_what_is_wrong_is_said(text: str, column: int) -> None:
-    with pytest.raises(FormulaError, match=rf"\(column {column}\)$"):
-        parse_formula(text, 2)
+    for said in REFUSED[text].split(" ... "):
+        assert said in str(caught.value)
 
 
 def test_coefficients_and_symbols_are_found() -> None:

@@ -1,4 +1,4 @@
-"""The regressor against Pinocchio, against Newton-Euler and, for rotors, against Lagrange."""
+"""Chains, regressors and base parameters against Pinocchio, Lagrange and the literature."""
 
 from collections.abc import Callable
 
@@ -8,16 +8,39 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from seqid_cli.robot.kinematics import link_motion
+from seqid_cli.robot.base_parameters import (
+    base_parameters,
+    base_regressor,
+    standard_names,
+    standard_regressor,
+)
+from seqid_cli.robot.kinematics import (
+    chain_from_dh,
+    forward,
+    link_motion,
+    rotation_about,
+    tidy_position,
+    tidy_rotation,
+)
 from seqid_cli.robot.regressor import (
+    gravity_regressor,
     inverse_dynamics,
     rotor_regressor,
     torque_regressor,
 )
-from seqid_cli.robot.types import Array, Chain
-from tests.plants.robots.small import oracle_regressor, random_model, states
+from seqid_cli.robot.types import Array, Chain, Robot
+from tests.plants.robots.small import (
+    HALF,
+    arm_6r,
+    oracle_regressor,
+    planar_2r,
+    random_model,
+    robot_from_chain,
+    states,
+)
 
 MIXED = [False, False, True, False, False, True, False]
+X, Z = np.eye(3)[[0, 2]]
 
 
 @settings(deadline=None, max_examples=40)
@@ -25,29 +48,43 @@ MIXED = [False, False, True, False, False, True, False]
     prismatic=st.lists(st.booleans(), min_size=1, max_size=8),
     seed=st.integers(min_value=0, max_value=2**32 - 1),
 )
-def test_regressor_is_pinocchios_on_any_chain(prismatic: list[bool], seed: int) -> None:
+def test_regressor_and_newton_euler_are_pinocchios_on_any_chain(
+    prismatic: list[bool], seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     model, chain = random_model(rng, prismatic)
-    model.gravity.linear = rng.normal(size=3) * 5.0
+    model.gravity.linear = gravity = rng.normal(size=3) * 5.0
     q, dq, ddq = states(rng, 5, chain.n)
-    Y = torque_regressor(chain, model.gravity.linear.copy(), q, dq, ddq)
-    expected = oracle_regressor(model, q, dq, ddq)
-    assert Y.shape == (5, chain.n, 10 * chain.n)
-    np.testing.assert_allclose(Y, expected, rtol=0.0, atol=1e-12 * max(1.0, abs(expected).max()))
-
-
-def test_newton_euler_is_regressor_times_parameters_and_pinocchios_rnea() -> None:
-    rng = np.random.default_rng(1)
-    model, chain = random_model(rng, MIXED)
-    gravity = model.gravity.linear.copy()
-    phi = np.array([inertia.toDynamicParameters() for inertia in model.inertias[1:]])
-    q, dq, ddq = states(rng, 20, chain.n)
-    tau = inverse_dynamics(chain, gravity, phi, q, dq, ddq)
-    data = model.createData()
-    rnea = [pin.rnea(model, data, *state).copy() for state in zip(q, dq, ddq, strict=True)]
     Y = torque_regressor(chain, gravity, q, dq, ddq)
-    np.testing.assert_allclose(tau, rnea, rtol=1e-11, atol=1e-10)
-    np.testing.assert_allclose(Y @ phi.ravel(), rnea, rtol=1e-11, atol=1e-10)
+    expected = oracle_regressor(model, q, dq, ddq)
+    size = max(1.0, abs(expected).max())
+    np.testing.assert_allclose(Y, expected, rtol=0.0, atol=1e-12 * size)
+    phi = np.array([inertia.toDynamicParameters() for inertia in model.inertias[1:]])
+    tau = inverse_dynamics(chain, gravity, phi, q, dq, ddq)
+    np.testing.assert_allclose(tau, expected @ phi.ravel(), rtol=1e-11, atol=1e-10)
+
+
+def test_dh_frames_are_products_of_the_four_moves() -> None:
+    def move(axis: Array, angle: float, slide: float) -> Array:
+        return pin.SE3(rotation_about(axis, angle), slide * axis).homogeneous
+
+    rows = [(0.3, 0.2, 0.5, -0.7), (-1.1, 0.1, 0.4, 0.9)]
+    q = np.array([0.6, 0.25])
+    T = np.eye(4)
+    for alpha, a, d, theta in [(0.3, 0.2, 0.5, -0.7 + q[0]), (-1.1, 0.1, 0.4 + q[1], 0.9)]:
+        T = T @ move(X, alpha, a) @ move(Z, theta, d)
+    frames = forward(chain_from_dh(rows, [1]), q[None])
+    np.testing.assert_allclose(frames.R[0, 1], T[:3, :3], atol=1e-14)
+    np.testing.assert_allclose(frames.p[0, 1], T[:3, 3], atol=1e-14)
+
+
+@pytest.mark.parametrize("angle", [1.5708, 1.570796, -1.5708, 3.14159])
+def test_rounded_quarter_turns_become_exact_and_real_misalignment_is_kept(angle: float) -> None:
+    R = tidy_rotation(rotation_about(X, angle))
+    assert set(np.unique(R)) <= {-1.0, 0.0, 1.0}
+    for skewed in (R @ rotation_about(Z, 0.3), rotation_about(X, 1e-4)):
+        np.testing.assert_allclose(tidy_rotation(skewed), skewed, atol=1e-8)
+    np.testing.assert_array_equal(tidy_position(np.array([1e-5, 4e-17, -0.2])), [1e-5, 0.0, -0.2])
 
 
 def _spin_energy(chain: Chain, q: Array, dq: Array, i: int, ratio: float) -> float:
@@ -60,9 +97,8 @@ def _spin_energy(chain: Chain, q: Array, dq: Array, i: int, ratio: float) -> flo
 
 
 def _gradient(function: Callable[[Array], Array | float], at: Array, h: float = 1e-4) -> Array:
-    return np.array([function(at + h * e) - function(at - h * e) for e in np.eye(len(at))]) / (
-        2 * h
-    )
+    steps = h * np.eye(len(at))
+    return np.array([function(at + step) - function(at - step) for step in steps]) / (2 * h)
 
 
 def _lagrange(chain: Chain, q: Array, dq: Array, ddq: Array, i: int, ratio: float) -> Array:
@@ -81,9 +117,8 @@ def _lagrange(chain: Chain, q: Array, dq: Array, ddq: Array, i: int, ratio: floa
 def test_gyroscopic_rotor_is_lagranges(seed: int, prismatic: list[bool]) -> None:
     rng = np.random.default_rng(seed)
     _, chain = random_model(rng, prismatic)
-    n = chain.n
-    q, dq, ddq = states(rng, 1, n)
-    ratio = rng.uniform(-5.0, 5.0, size=n)
+    q, dq, ddq = states(rng, 1, chain.n)
+    ratio = rng.uniform(-5.0, 5.0, size=chain.n)
     Y = rotor_regressor(chain, q, dq, ddq, ratio, "gyroscopic")[0]
     for i in np.flatnonzero(~chain.prismatic):
         expected = _lagrange(chain, q[0], dq[0], ddq[0], int(i), ratio[i])
@@ -100,3 +135,80 @@ def test_diagonal_rotor_loads_its_own_joint_only() -> None:
     coupled = rotor_regressor(chain, q, dq, ddq, ratio, "gyroscopic")
     slides = np.flatnonzero(chain.prismatic)
     np.testing.assert_array_equal(coupled[:, :, slides], Y[:, :, slides])
+
+
+def _arm(*rows: tuple[float, float, float], slides: tuple[int, ...] = (), ratio: float) -> Robot:
+    """An arm of (alpha, a, d) per joint."""
+    chain = chain_from_dh([(*row, 0.0) for row in rows], slides)
+    return robot_from_chain(chain, gear_ratio=ratio)
+
+
+SKEW = random_model(np.random.default_rng(3), [False, False, True, False])[1]
+ROBOTS = {
+    "planar": planar_2r(),
+    "arm_6r": arm_6r(gear_ratio=101.0),
+    "scara": _arm((0, 0, 0.4), (0, 0.3, 0), (0, 0.25, 0), (0, 0, 0), slides=(2,), ratio=50.0),
+    "skew": robot_from_chain(SKEW, gravity=np.array([1.0, 2.0, -9.0]), gear_ratio=-30.0),
+    "seven": _arm(
+        (0, 0, 0.333),
+        (-HALF, 0, 0),
+        (HALF, 0, 0.316),
+        (HALF, 0.0825, 0),
+        (-HALF, -0.0825, 0.384),
+        (HALF, 0, 0),
+        (HALF, 0.088, 0),
+        ratio=100.0,
+    ),
+}
+
+
+@pytest.mark.parametrize("rotors", ["none", "all", "last"])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_base_parameters_say_all_and_nothing_twice(name: str, rotors: str) -> None:
+    robot = ROBOTS[name]
+    rotor = {"none": [], "all": range(robot.n), "last": [robot.n - 1]}[rotors]
+    rng = np.random.default_rng(11)
+    basis = base_parameters(robot, rotor=rotor)
+    q, dq, ddq = states(rng, 200, robot.n)
+    phi = rng.normal(size=11 * robot.n)
+    phi[10 * robot.n :] *= np.isin(np.arange(robot.n), rotor)
+    tau = standard_regressor(robot, q, dq, ddq, coupling="diagonal") @ phi
+    H = base_regressor(robot, basis, q, dq, ddq)
+    np.testing.assert_allclose(H @ (basis.expression @ phi), tau, atol=1e-10 * abs(tau).max())
+    stacked = H.reshape(-1, basis.size)
+    assert np.linalg.matrix_rank(stacked / np.linalg.norm(stacked, axis=0)) == basis.size
+    identity = basis.expression @ basis.representative
+    np.testing.assert_allclose(identity, np.eye(basis.size), atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_gravity_parameters_are_those_of_gravity_alone(name: str) -> None:
+    robot = ROBOTS[name]
+    rng = np.random.default_rng(13)
+    basis = base_parameters(robot, rotor=range(robot.n))
+    g = int(basis.gravity.sum())
+    assert basis.gravity.tolist() == [True] * g + [False] * (basis.size - g)
+    q, _, _ = states(rng, 100, robot.n)
+    at_rest = base_regressor(robot, basis, q, np.zeros_like(q), np.zeros_like(q))
+    assert abs(at_rest[:, :, g:]).max(initial=0.0) < 1e-10
+    Y = gravity_regressor(robot.chain, robot.gravity, q)
+    phi = rng.normal(size=11 * robot.n)
+    expected = Y @ phi[: 10 * robot.n]
+    found = at_rest[:, :, :g] @ (basis.expression[:g] @ phi)
+    np.testing.assert_allclose(found, expected, atol=1e-10)
+    assert g == np.linalg.matrix_rank(Y.reshape(-1, 10 * robot.n), tol=1e-8)
+    inertias = [k for k, n in enumerate(standard_names(robot.n)) if n[0] == "I"]
+    assert not basis.expression[:g, inertias].any()
+
+
+def test_planar_arm_has_the_papers_five_parameters() -> None:
+    basis = base_parameters(planar_2r(), rotor=[0, 1])
+    assert not basis.gravity.any()
+    assert basis.names == ("Izz_1", "mx_2", "my_2", "Izz_2", "Ia_2")
+    # Eq. 44; N_2^2 is a factor of the column here
+    assert basis.terms(0) == pytest.approx({"Izz_1": 1.0, "m_2": 0.09, "Ia_1": 36.0})
+    assert [basis.expression_text(k) for k in range(1, 5)] == ["mx_2", "my_2", "Izz_2", "Ia_2"]
+    assert basis.expression_text(0) == "Izz_1 + 0.09*m_2 + 36*Ia_1"
+    basis = base_parameters(arm_6r(gear_ratio=101.0), rotor=range(6))
+    elbow = basis.expression_text(basis.names.index("mx_3"))
+    assert elbow == "mx_3 - 0.3922*m_4 - 0.3922*m_5 - 0.3922*m_6"

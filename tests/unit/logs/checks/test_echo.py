@@ -26,18 +26,15 @@ def gravity(q: Array) -> Array:
     return np.stack([9.0 * np.cos(q[:, 0]) + both, both], axis=1)
 
 
-def noisy(tau: Array, seed: int, size: float = 0.02) -> Array:
-    """With noise, and in steps, as a drive reports it."""
-    noise = np.random.default_rng(seed).normal(scale=size, size=tau.shape)
-    return np.asarray(np.round((tau + noise) / STEP) * STEP)
-
-
-def found(t: Array, q: Array, tau: Array) -> list[int]:
-    return echoes(two_joint_robot(), t, q, tau, np.ones(len(t), dtype=bool))
-
-
 def friction(dq: Array) -> Array:
     return np.asarray(0.5 * np.tanh(dq / 0.01) + 0.3 * dq)
+
+
+def found(t: Array, q: Array, tau: Array, seed: int) -> list[int]:
+    """Joints whose torque is an echo, with noise and in steps, as a drive reports it."""
+    noise = np.random.default_rng(seed).normal(scale=0.02, size=tau.shape)
+    logged = np.round((tau + noise) / STEP) * STEP
+    return echoes(two_joint_robot(), t, q, logged, np.ones(len(t), dtype=bool))
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -46,8 +43,8 @@ def test_torque_that_follows_the_position_is_told_by_joint(seed: int) -> None:
     by_hand = gravity(q)
     controlled = 8.0 * (0.4 - q) - 1.5 * dq  # stiffness and damping about a set point
     driven = by_hand + friction(dq) * [1.0, 0.0]
-    assert found(t, q, noisy(by_hand, seed)) == found(t, q, noisy(controlled, seed)) == [0, 1]
-    assert found(t, q, noisy(driven, seed)) == [1]
+    assert found(t, q, by_hand, seed) == found(t, q, controlled, seed) == [0, 1]
+    assert found(t, q, driven, seed) == [1]
 
 
 CASES = [(1.0, 1.0, 0.2), (1.0, 0.3, 0.2), (0.2, 1.0, 0.2), (0.2, 0.3, 0.2), (1.0, 0.0, 0.5)]
@@ -58,11 +55,10 @@ def test_torque_with_friction_or_inertia_is_none(
     speed: float, share: float, inertia: float
 ) -> None:
     t, q, dq, ddq = motion(speed=speed)
-    tau = gravity(q) + share * friction(dq) + inertia * ddq
-    assert found(t, q, noisy(tau, 6)) == []
+    assert found(t, q, gravity(q) + share * friction(dq) + inertia * ddq, 6) == []
 
 
 def test_joint_that_is_held_says_nothing() -> None:
     t, q, _, _ = motion()
     q[:, 1] = 0.3 + 1e-4 * np.sin(7.0 * t)
-    assert found(t, q, noisy(gravity(q), 10)) == [0]
+    assert found(t, q, gravity(q), 10) == [0]

@@ -1,11 +1,15 @@
-"""MCAP logs: clocks, topics, publishers, messages that cannot be decoded."""
+"""MCAP logs: clocks, topics, publishers, encodings, messages that cannot be decoded."""
 
-from dataclasses import replace
+from collections.abc import Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto as Field
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message_factory import GetMessages
+from rosbags.typesys import Stores, get_typestore
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap.reader import list_topics
@@ -22,10 +26,12 @@ from tests.unit.logs.samples import (
     write_motion,
 )
 from tests.unit.logs.writers import (
+    DEFINITIONS,
+    JOINT_STATE,
     Message,
+    encoded,
     imu_messages,
     joint_messages,
-    rewrite,
     write_messages,
     write_raw,
 )
@@ -42,24 +48,13 @@ def read(folder: Path, messages: list[Message], encoding: str = "cdr") -> Record
     return read_recording(write_messages(folder / "log.mcap", messages, encoding=encoding), ROBOT)
 
 
-def joints(motion: Motion = MOTION, **options: object) -> list[Message]:
-    return joint_messages(stamps(motion.t), JOINTS, motion.q, **options)
+def joints(motion: Motion = MOTION, names: Sequence[str] = JOINTS, **options: str) -> list[Message]:
+    return joint_messages(stamps(motion.t), names, motion.q[:, : len(names)], **options)
 
 
 def hand(motion: Motion, late_s: float = 0.0) -> list[Message]:
     readings = motion.accelerometers["hand"], motion.gyros["hand"]
     return imu_messages(stamps(motion.t + late_s), "/hand/data", *readings)
-
-
-def assert_holds(recording: Recording, motion: Motion) -> None:
-    np.testing.assert_allclose(recording.t, motion.t, atol=1e-9)
-    for name in ("q", "dq", "tau"):
-        atol = 2e-8 if name == "tau" else 1e-9
-        np.testing.assert_allclose(getattr(recording, name), getattr(motion, name), atol=atol)
-    for name in ("accelerometers", "gyros"):
-        for imu, values in getattr(motion, name).items():
-            np.testing.assert_allclose(getattr(recording, name)[imu], values, atol=1e-9)
-    assert recording.valid.all()
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 0.002])
@@ -81,12 +76,17 @@ def test_joint_states_split_over_two_messages(tmp_path: Path, delay_s: float) ->
 def test_header_stamps_log_times_and_zeros(tmp_path: Path) -> None:
     path = write_motion(tmp_path / "log.mcap", MOTION, log_offset_ns=3_000_000)
     assert read_recording(path, ROBOT).health.log_minus_header_s == pytest.approx(0.003)
-    assert_holds(read_recording(path, ROBOT, time_source="log"), MOTION)
+    by_log = read_recording(path, ROBOT, time_source="log")
     path = write_motion(tmp_path / "zero.mcap", MOTION, zero_stamps=True)
-    recording = read_recording(path, ROBOT)
-    assert_holds(recording, MOTION)
-    assert recording.health.log_minus_header_s is None
-    assert any("all zero" in warning for warning in recording.health.warnings)
+    without = read_recording(path, ROBOT)
+    assert without.health.log_minus_header_s is None
+    assert any("all zero" in warning for warning in without.health.warnings)
+    for recording in (by_log, without):
+        np.testing.assert_allclose(recording.t, MOTION.t, atol=1e-9)
+        np.testing.assert_allclose(recording.q, MOTION.q, atol=1e-9)
+        array = recording.accelerometers["array"]
+        np.testing.assert_allclose(array, MOTION.accelerometers["array"], atol=1e-9)
+        assert recording.valid.all()
 
 
 def test_messages_without_a_stamp_among_others_are_left_out(tmp_path: Path) -> None:
@@ -98,7 +98,7 @@ def test_messages_without_a_stamp_among_others_are_left_out(tmp_path: Path) -> N
     np.testing.assert_allclose(recording.q, MOTION.q, atol=1e-6)
 
 
-def test_imu_with_its_own_rate_and_span(tmp_path: Path) -> None:
+def test_imu_with_its_own_rate_span_and_clock(tmp_path: Path) -> None:
     motion, imu = make_motion(grid(300)), make_motion(0.5 + grid(600, 333.0))
     recording = read(tmp_path, joints(motion) + hand(imu))
     inside = (motion.t >= imu.t[0]) & (motion.t <= imu.t[-1])
@@ -107,66 +107,50 @@ def test_imu_with_its_own_rate_and_span(tmp_path: Path) -> None:
     wanted = motion.accelerometers["hand"][inside][3:-3]
     np.testing.assert_allclose(recording.accelerometers["hand"][inside][3:-3], wanted, atol=1e-4)
     assert any("/hand/data covers" in warning for warning in recording.health.warnings)
-
-
-def test_imu_on_another_clock_is_left_out(tmp_path: Path) -> None:
-    recording = read(tmp_path, joints() + hand(MOTION, late_s=1e6))
+    recording = read(tmp_path, joints() + hand(MOTION, late_s=1e6))  # of another clock
     assert recording.accelerometers == {}
     assert recording.valid.all()
     assert any("do not overlap" in warning for warning in recording.health.warnings)
 
 
-def test_half_an_accelerometer_array_is_an_error(tmp_path: Path) -> None:
-    source = write_motion(tmp_path / "source.mcap", MOTION)
-    path = rewrite(source, tmp_path / "log.mcap", keep=lambda topic: topic != "/array/accel_2")
-    with pytest.raises(InputError, match="/array/accel_2"):
-        read_recording(path, ROBOT)
-
-
-def test_no_joint_states_lists_the_topics(tmp_path: Path) -> None:
-    with pytest.raises(InputError) as caught:
-        read(tmp_path, joints(topic="/arm/joint_states"))
-    assert "/arm/joint_states (sensor_msgs/msg/JointState, 200)" in caught.value.message
-    assert "/arm/joint_states" in caught.value.hint
-    (topic,), _ = list_topics(tmp_path / "log.mcap")
-    assert (topic.topic, topic.encoding, topic.messages) == ("/arm/joint_states", "cdr", 200)
+ELSEWHERE = "/arm/joint_states (sensor_msgs/msg/JointState, 200)"
+HALF = imu_messages(stamps(MOTION.t), "/array/accel_1", MOTION.q)
 
 
 @pytest.mark.parametrize(
-    ("names", "message"),
-    [(["a", "b", "c"], "names in the log: a, b, c"), (JOINTS[:2], "no position of joint wrist")],
+    ("messages", "said"),
+    [
+        (joints(topic="/arm/joint_states"), ELSEWHERE),
+        (joints(names="abc"), "names in the log: a, b, c"),
+        (joints(names=JOINTS[:2]), "no position of joint wrist"),
+        (joints() + HALF, "/array/accel_2"),
+    ],
+    ids=["topic", "names", "a joint less", "half an array"],
 )
-def test_other_joint_names_are_listed(tmp_path: Path, names: list[str], message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        read(tmp_path, joint_messages(stamps(MOTION.t), names, MOTION.q[:, : len(names)]))
+def test_what_is_missing_is_said_with_what_is_there(
+    tmp_path: Path, messages: list[Message], said: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, messages)
+    assert said in caught.value.message
+    if said == ELSEWHERE:
+        assert "/arm/joint_states" in caught.value.hint
+        (topic,), _ = list_topics(tmp_path / "log.mcap")
+        assert (topic.topic, topic.encoding, topic.messages) == ("/arm/joint_states", "cdr", 200)
 
 
-@pytest.mark.parametrize("encoding", ["cdr", "json"])
-def test_messages_of_another_publisher_are_no_samples(tmp_path: Path, encoding: str) -> None:
-    motion = replace(MOTION, accelerometers={}, gyros={})
-    still = np.full((20, 1), 0.01)
-    gripper = joint_messages(stamps(motion.t[::10] + 0.0033), ["finger"], still)
-    both = [*joints(dq=motion.dq, effort=motion.tau), *gripper]
-    recording = read(tmp_path, sorted(both, key=lambda message: message[1]), encoding)
-    assert_holds(recording, motion)
-    assert not recording.health.resampled
-    assert recording.health.warnings == ()
-
-
-def test_unknown_encoding_is_named(tmp_path: Path) -> None:
-    messages = [("/joint_states", i, b"\0" * 40) for i in range(50)]
-    path = write_raw(tmp_path / "log.mcap", {"/joint_states": "cbor"}, messages)
-    with pytest.raises(InputError, match="cbor"):
-        read_recording(path, ROBOT)
-
-
-def test_malformed_messages_are_counted(tmp_path: Path) -> None:
+def test_messages_that_cannot_be_decoded_are_counted_and_their_encoding_named(
+    tmp_path: Path,
+) -> None:
     messages = joints()
     for _, _, content in messages[50:53]:
         content.position = [1.0, 2.0]
     recording = read(tmp_path, messages)
     assert "3 of 200 messages of /joint_states could not be decoded" in recording.partial
     np.testing.assert_allclose(recording.q, MOTION.q, atol=1e-4)
+    rows = [("/joint_states", i, b"\0" * 40) for i in range(50)]
+    with pytest.raises(InputError, match="cbor"):
+        read_recording(write_raw(tmp_path / "log.mcap", {"/joint_states": "cbor"}, rows), ROBOT)
 
 
 def test_json_with_other_spellings_of_the_stamp(tmp_path: Path) -> None:
@@ -183,3 +167,96 @@ def test_json_with_other_spellings_of_the_stamp(tmp_path: Path) -> None:
     recording = read(tmp_path, messages, "json")
     np.testing.assert_allclose(recording.t, MOTION.t, atol=3e-7)
     np.testing.assert_allclose(recording.tau, 1.0)
+
+
+T0 = 1_700_000_000
+
+
+def test_cdr_of_a_definition_with_other_fields(tmp_path: Path) -> None:
+    other = DEFINITIONS[JOINT_STATE].replace(
+        "string[] name", "uint8 mode\nstring[] name\n# not the usual one"
+    )
+    messages = joints()
+    for _, _, content in messages:
+        content.mode = 3
+    path = tmp_path / "log.mcap"
+    write_messages(path, messages, encoding="cdr", definitions={JOINT_STATE: other})
+    np.testing.assert_array_equal(read_recording(path, make_robot()).q, MOTION.q)
+
+
+def test_cdr_of_both_byte_orders_and_of_another_representation(tmp_path: Path) -> None:
+    humble, rows = get_typestore(Stores.ROS2_HUMBLE), []
+    for k, (topic, _, data) in enumerate(encoded(joints(), "cdr")[1]):
+        content = humble.deserialize_cdr(data, JOINT_STATE)
+        turned = humble.serialize_cdr(content, JOINT_STATE, little_endian=bool(k % 2))
+        rows.append((topic, k, bytes(turned)))
+    path = write_raw(tmp_path / "log.mcap", {"/joint_states": "cdr"}, rows)
+    recording = read_recording(path, make_robot())
+    np.testing.assert_array_equal(recording.q, MOTION.q)
+    assert recording.partial == ""
+    rows[50] = ("/joint_states", 50, b"\0\3" + rows[50][2][2:])
+    path = write_raw(tmp_path / "log.mcap", {"/joint_states": "cdr"}, rows)
+    partial = read_recording(path, make_robot()).partial
+    assert partial == "1 of 200 messages of /joint_states could not be decoded"
+
+
+TYPES = {  # their fields: type, or the name of a message; repeated where it ends with []
+    "Stamp": {"sec": Field.TYPE_INT32, "nanosec": Field.TYPE_UINT32},
+    "Header": {"stamp": "Stamp"},
+    "JointState": {
+        "header": "Header",
+        "name[]": Field.TYPE_STRING,
+        **{f"{name}[]": Field.TYPE_DOUBLE for name in ("position", "velocity", "effort")},
+    },
+    "Vector3": dict.fromkeys("xyz", Field.TYPE_DOUBLE),
+    "Imu": {"header": "Header", "angular_velocity": "Vector3", "linear_acceleration": "Vector3"},
+}
+
+
+def described() -> FileDescriptorSet:
+    """Describe the types; zeros are not written (proto3)."""
+    found = FileDescriptorSet()
+    file = found.file.add(name="ros.proto", package="ros", syntax="proto3")
+    for name, fields in TYPES.items():
+        message = file.message_type.add(name=name)
+        for number, (key, kind) in enumerate(fields.items(), start=1):
+            label = Field.LABEL_REPEATED if key.endswith("[]") else Field.LABEL_OPTIONAL
+            one = message.field.add(name=key.removesuffix("[]"), number=number, label=label)
+            if isinstance(kind, str):
+                one.type, one.type_name = Field.TYPE_MESSAGE, f".ros.{kind}"
+            else:
+                one.type = kind
+    return found
+
+
+def test_protobuf_with_the_fields_of_sensor_msgs(tmp_path: Path) -> None:
+    definition, messages = described(), []
+    types, text = GetMessages(definition.file), definition.SerializeToString()
+    state, imu = types["ros.JointState"], types["ros.Imu"]
+    for i, t in enumerate(MOTION.t):
+        header = {"stamp": {"sec": T0 + int(t), "nanosec": round(t % 1 * 1e9)}}
+        joints = state(header=header, name=JOINTS, position=MOTION.q[i], effort=MOTION.tau[i])
+        w, a = MOTION.gyros["hand"][i], MOTION.accelerometers["hand"][i]
+        vectors = {"angular_velocity": w, "linear_acceleration": a}
+        named = {name: dict(zip("xyz", own, strict=True)) for name, own in vectors.items()}
+        messages.append(("/joint_states", i, joints.SerializeToString()))
+        messages.append(("/hand/data", i, imu(header=header, **named).SerializeToString()))
+    topics = {"/joint_states": "ros.JointState", "/hand/data": "ros.Imu"}
+    channels = {topic: ("protobuf", kind, "protobuf", text) for topic, kind in topics.items()}
+    path = write_raw(tmp_path / "log.mcap", channels, messages)
+    recording = read_recording(path, make_robot(imus=(GYRO,)))
+    np.testing.assert_array_equal(recording.q, MOTION.q)
+    np.testing.assert_array_equal(recording.tau, MOTION.tau)
+    assert recording.dq is None
+    for name in ("gyros", "accelerometers"):
+        found, expected = getattr(recording, name)["hand"], getattr(MOTION, name)["hand"]
+        np.testing.assert_array_equal(found, expected)
+    np.testing.assert_allclose(recording.t, MOTION.t, atol=1e-9)
+
+
+@pytest.mark.parametrize("schema", [b"", b"\xff", b"\x0a\xff\xff\xff\xff\x7f"])
+def test_unusable_descriptors_are_an_error(tmp_path: Path, schema: bytes) -> None:
+    topics = {"/joint_states": ("protobuf", "ros.JointState", "protobuf", schema)}
+    path = write_raw(tmp_path / "log.mcap", topics, [("/joint_states", 0, b"")])
+    with pytest.raises(InputError, match="can be decoded"):
+        read_recording(path, make_robot())

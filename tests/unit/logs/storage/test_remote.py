@@ -6,14 +6,16 @@ import re
 import sys
 import tempfile
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from seqid_cli import identify
 from seqid_cli.commands.app import run
 from seqid_cli.errors import ConfigError, InputError, UsageError
+from seqid_cli.identify.regression.equations import open_if_long
+from seqid_cli.identify.rigid import inertia
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.logs.storage.remote import StoredLog, is_url, local_copy
 from tests import ROOT
@@ -55,12 +57,8 @@ def test_folders_and_globs_find_the_logs(store: str, end: str) -> None:
     found = [str(path) for path in expand([store + end], stored=True)]
     assert [path.split("/")[3] for path in found] == ["robot=r0", "robot=r1"]
     assert all(path.startswith("memory://lab/") for path in found)
-
-
-def test_one_object_is_taken_whatever_its_suffix(store: str) -> None:
-    assert [str(path) for path in expand([f"{store}/readme.txt"], stored=True)] == [
-        "memory://lab/readme.txt"
-    ]
+    one = f"{store}/readme.txt"  # whatever its suffix
+    assert [str(path) for path in expand([one], stored=True)] == [one]
 
 
 def test_the_result_is_that_of_local_logs_under_other_names(
@@ -78,13 +76,8 @@ def test_the_result_is_that_of_local_logs_under_other_names(
         for key in ("notes", "verdicts"):  # they name the logs
             stage[key] = re.sub(r"[^\s\"']+\.parquet", "", json.dumps(stage[key]))
     assert found[0] == found[1]
-    file = identify.inertia(
-        store,
-        RIG / "robot.toml",
-        RIG / "golden.json",
-        identify.RigidOptions(source="encoder"),
-        output=tmp_path / "o",
-    )
+    options = identify.RigidOptions(source="encoder")
+    file = identify.inertia(store, GIVEN[1], GIVEN[3], options, output=tmp_path / "o")
     assert file.inputs[-1].path == named[1]
 
 
@@ -102,57 +95,41 @@ def test_damage_is_told_under_the_name_of_the_object(
 def test_a_long_log_keeps_its_copy_until_it_is_done(
     store: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from seqid_cli.identify.regression import equations
-    from seqid_cli.identify.rigid import inertia
-
-    passed: list[str] = []
-    real = equations.open_if_long
-
-    def of_any_length(*arguments: Any, **named: Any) -> Any:
-        log = real(*arguments, **named, least=1)
-        passed.append(str(log.file))
-        return log
-
-    monkeypatch.setattr(inertia, "open_if_long", of_any_length)
+    monkeypatch.setattr(inertia, "open_if_long", partial(open_if_long, least=1))
     assert run(["inertia", store, *GIVEN, "--json", *ONE]) == 0
     stage = json.loads(capsys.readouterr().out)["stages"]["inertia"]
-    assert len(passed) == 2
     assert [use["log"].split("/")[3] for use in stage["motion_use"]] == ["robot=r0", "robot=r1"]
 
 
-def test_what_is_not_there_is_an_error(store: str) -> None:
+def test_what_is_not_there_and_commands_that_read_local_files_only(
+    store: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     for url in (f"{store}/none", f"{store}/*.mcap"):
         with pytest.raises(InputError, match="no log at this place") as caught:
             expand([url], stored=True)
         assert caught.value.where == url
-    with (
-        pytest.raises(InputError, match="does not exist"),
-        local_copy(StoredLog(f"{store}/none.parquet")),
-    ):
-        raise AssertionError
-
-
-def test_commands_that_read_local_files_only_say_so(
-    store: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert run(["inspect", store, "-r", str(RIG / "robot.toml")]) == 2
+    with pytest.raises(InputError, match="does not exist"):
+        local_copy(StoredLog(f"{store}/none.parquet")).__enter__()
+    assert run(["inspect", store, *GIVEN[:2]]) == 2
     assert "on object storage, which this command does not read" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("missing", "url", "message", "hint"),
+    [
+        ("gcsfs", "gs://bucket/logs", "not installed", "'seqid[gs]'"),
+        ("fsspec.core", "s3://bucket/logs", "not installed", "'seqid[s3]'"),
+        ("", "nonsense://bucket/logs", "no kind of storage that is known", ""),
+    ],
+)
 def test_packages_that_are_missing_are_named_with_the_extra(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, missing: str, url: str, message: str, hint: str
 ) -> None:
-    monkeypatch.setitem(sys.modules, "gcsfs", None)
-    with pytest.raises(UsageError, match="not installed") as caught:
-        expand(["gs://bucket/logs"], stored=True)
-    assert "'seqid[gs]'" in caught.value.hint
-    monkeypatch.setitem(sys.modules, "fsspec.core", None)
-    with pytest.raises(UsageError) as caught:
-        expand(["s3://bucket/logs"], stored=True)
-    assert "'seqid[s3]'" in caught.value.hint
-    monkeypatch.undo()
-    with pytest.raises(UsageError, match="no kind of storage that is known"):
-        expand(["nonsense://bucket/logs"], stored=True)
+    if missing:
+        monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(UsageError, match=message) as caught:
+        expand([url], stored=True)
+    assert hint in caught.value.hint
 
 
 class NoCredentialsError(Exception):
@@ -170,5 +147,5 @@ def test_a_store_that_refuses_is_told_once_whatever_was_asked_for(
     told = capsys.readouterr().err
     assert told.count("refuses access") == 1
     assert ".parquet: the store refuses access (NoCredentialsError: Unable to locate" in told
-    with pytest.raises(ConfigError), local_copy(StoredLog(f"{store}/1.parquet")):
-        raise AssertionError
+    with pytest.raises(ConfigError):
+        local_copy(StoredLog(f"{store}/1.parquet")).__enter__()

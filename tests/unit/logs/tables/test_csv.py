@@ -37,21 +37,17 @@ def beside(more: str, header: str) -> bytes:
     return text([row + "," + more for row in ROWS], f"{HEADER},{header}")
 
 
-def changed(row: int, column: int, word: str, *, blank: int = 0) -> bytes:
-    rows = [line.split(",") for line in ROWS]
-    rows[row][column] = word
-    found = [",".join(each) for each in rows]
-    found[row - 10] += "\n" * blank
-    return text(found)
-
-
-def written(folder: Path, content: bytes) -> Path:
-    (folder / "log.csv").write_bytes(content)
-    return folder / "log.csv"
+def changed(column: int, words: dict[int, str]) -> list[str]:
+    """Rows with other words in a column."""
+    rows = [row.split(",") for row in ROWS]
+    for row, word in words.items():
+        rows[row][column] = word
+    return [",".join(row) for row in rows]
 
 
 def read(folder: Path, content: bytes, channels: Channels | None = None) -> Recording:
-    return read_recording(written(folder, content), make_robot(channels=channels))
+    (folder / "log.csv").write_bytes(content)
+    return read_recording(folder / "log.csv", make_robot(channels=channels))
 
 
 SPELLINGS = {
@@ -76,6 +72,7 @@ SPELLINGS |= {
     "delimiter at the end of the names": text([row + "," for row in ROWS], HEADER + ","),
     "latin-1": beside("20", "temp [\xb0C]").decode().encode("latin-1"),
     "texts": beside("moving", "state"),
+    "empty columns": beside(",0.1", "shoulder.velocity,gripper.position"),
 }
 
 
@@ -83,34 +80,29 @@ SPELLINGS |= {
 def test_every_spelling_gives_the_same(tmp_path: Path, content: bytes) -> None:
     recording = read(tmp_path, content)
     np.testing.assert_array_equal(recording.q, MOTION.q)
+    assert recording.dq is None
     assert (recording.format, recording.partial, recording.health.warnings) == ("csv", "", ())
 
 
-def test_missing_values(tmp_path: Path) -> None:
-    rows = [line.split(",") for line in ROWS]
-    for i, word in enumerate(["", "nan", "NaN", "-nan", "null", "None", "inf", "1e400", "NA"]):
-        rows[20 + 15 * i][2] = word
-    recording = read(tmp_path, text([",".join(row) for row in rows]))
+@pytest.mark.parametrize(
+    "word", ["", "nan", "NaN", "-nan", "null", "None", "inf", "1e400", "NA", "9" * 400]
+)
+def test_missing_values_and_too_large_numbers(tmp_path: Path, word: str) -> None:
+    recording = read(tmp_path, text(changed(2, {20: word, 50: word})))
     assert recording.valid.all()
     np.testing.assert_allclose(recording.q, MOTION.q, atol=1e-6)
     assert recording.partial == ""
-
-
-def test_columns_without_any_value_and_other_columns(tmp_path: Path) -> None:
-    recording = read(tmp_path, beside(",moving,0.1", "shoulder.velocity,note,gripper.position"))
-    np.testing.assert_array_equal(recording.q, MOTION.q)
-    assert recording.dq is None
+    infinite = any("infinite" in warning for warning in recording.health.warnings)
+    assert infinite == (word in ("1e400", "9" * 400))
 
 
 START = dt.datetime(2026, 3, 1, 12, tzinfo=dt.UTC)
 WHOLE_NS = (np.rint(MOTION.t * 1e9).astype(np.int64) + 1_700_000_000_000_000_000).tolist()
+SECONDS = [repr(float(t)) for t in MOTION.t]
+CLOCK = [START + dt.timedelta(seconds=float(t)) for t in MOTION.t]
 TIMES = {
-    "time": [repr(float(t)) for t in MOTION.t],
-    "__time": [repr(float(t)) for t in MOTION.t],
-    "Zeit [s]": [repr(float(t)) for t in MOTION.t],
-    "Timestamp": [
-        (START + dt.timedelta(seconds=float(t))).strftime("%Y-%m-%d %H:%M:%S.%f") for t in MOTION.t
-    ],
+    **dict.fromkeys(["time", "__time", "Zeit [s]"], SECONDS),
+    "Timestamp": [moment.strftime("%Y-%m-%d %H:%M:%S.%f") for moment in CLOCK],
     "time_ms": [str(round(t * 1e3)) for t in MOTION.t],
     "t_us": [str(round(t * 1e6)) for t in MOTION.t],
     "timestamp [ns]": [str(round(t * 1e9)) for t in MOTION.t],
@@ -147,9 +139,9 @@ def test_names_of_the_robot_file_win(tmp_path: Path, pattern: str, names: str) -
 
 @pytest.mark.parametrize("torque", ["{}.torque", "effort.{}", "{}/tau"])
 def test_what_the_robot_file_leaves_out_is_found_by_name(tmp_path: Path, torque: str) -> None:
-    rows = lines(table=np.column_stack([TABLE, MOTION.tau]))
     header = ["t", "enc_0", "enc_1", "enc_2", *(torque.format(name) for name in JOINTS)]
-    recording = read(tmp_path, text(rows, ",".join(header)), Channels(position="enc_{index0}"))
+    content = text(lines(table=np.column_stack([TABLE, MOTION.tau])), ",".join(header))
+    recording = read(tmp_path, content, Channels(position="enc_{index0}"))
     np.testing.assert_array_equal(recording.q, MOTION.q)
     np.testing.assert_array_equal(recording.tau, MOTION.tau)
 
@@ -181,16 +173,13 @@ def test_columns_without_names_are_read_by_their_numbers(tmp_path: Path) -> None
         np.testing.assert_array_equal(recording.q, MOTION.q[:, order])
 
 
-def test_a_last_line_without_an_end_is_left_out_and_told(tmp_path: Path) -> None:
+def test_lines_that_are_left_out_are_told(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     recording = read(tmp_path, text(ROWS)[:-5])
     np.testing.assert_array_equal(recording.q, MOTION.q[:-1])
     assert recording.partial == ""
     assert any("may be cut short" in warning for warning in recording.health.warnings)
-
-
-def test_lines_that_are_left_out_are_told(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
     recording = read(tmp_path, text([*ROWS[:-1], ROWS[-1].split(",")[0] + ",0.1"]))
     assert len(recording.t) == 199
     assert recording.partial == "line 201 has 2 fields, the header 4; 1 of 200 lines were left out"
@@ -202,19 +191,13 @@ def test_lines_that_are_left_out_are_told(
     assert capfd.readouterr() == ("", "")
 
 
-def test_too_large_numbers_are_missing(tmp_path: Path) -> None:
-    recording = read(tmp_path, changed(50, 1, "9" * 400))
-    assert any("infinite" in warning for warning in recording.health.warnings)
-    np.testing.assert_allclose(recording.q, MOTION.q, atol=1e-6)
-
-
 NUL = text(ROWS)[:3000] + b"\0" * 50 + text(ROWS)[3000:]
 FAULT = "'fault' is no number"
 REFUSED = [
     (text([row.replace(".", ",") for row in ROWS]), "decimal commas", "semicolons"),
-    (changed(99, 0, "later"), "line 101, column 't': 'later' is no number", "Correct"),
-    (changed(40, 2, "fault"), f"line 42, column 'elbow.position': {FAULT}", "Correct"),
-    (changed(40, 2, "fault", blank=2), f"line 44, column 'elbow.position': {FAULT}", "Correct"),
+    (text(changed(0, {99: "later"})), "line 101, column 't': 'later' is no number", "Correct"),
+    (text(changed(2, {40: "fault"})), f"line 42, column 'elbow.position': {FAULT}", "Correct"),
+    (text(["\n", *changed(2, {40: "fault"})]), f"line 44, column 'elbow.position': {FAULT}", ""),
     (
         text([row + ",1.0" * (i in (10, 50, 90)) for i, row in enumerate(ROWS)]),
         "line 12 has 5 fields, the header 4; so do 3 of 200",
@@ -252,8 +235,9 @@ def test_what_cannot_be_read_is_refused(
 
 
 def test_line_without_end_at_once(tmp_path: Path) -> None:
-    path = written(tmp_path, b"t,q_0," * 200_000)
-    with path.open("ab") as file:  # a sparse file: 10 GB that take no room
+    path = tmp_path / "log.csv"
+    with path.open("wb") as file:  # a sparse file: 10 GB that take no room
+        file.write(b"t,q_0," * 200_000)
         file.truncate(10 << 30)
     with pytest.raises(InputError, match="longer than 1048576 bytes"):
         check_log(path)

@@ -1,6 +1,7 @@
-"""Parquet logs: names, types, missing values, damage."""
+"""Parquet logs: names, types, lists, episodes that are never joined, missing values, damage."""
 
 import datetime as dt
+import json
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +13,21 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.robot.types import Channels
-from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot, write_motion
+from tests.unit.logs.format_writers import Data, lerobot_table
+from tests.unit.logs.samples import (
+    ARRAY,
+    GYRO,
+    JOINTS,
+    curve,
+    grid,
+    make_motion,
+    make_robot,
+    write_motion,
+)
 
 MOTION = make_motion(grid())
+LISTS = pa.list_(pa.float32())
+Table = pa.Table | dict[str, object]
 COLUMNS: dict[str, object] = {
     "t": MOTION.t,
     **{f"{name}.position": MOTION.q[:, i] for i, name in enumerate(JOINTS)},
@@ -23,11 +36,16 @@ TORQUES = {f"{name}.torque": MOTION.tau[:, i] for i, name in enumerate(JOINTS)}
 CURRENTS = {f"{name}.current": MOTION.dq[:, i] for i, name in enumerate(JOINTS)}
 
 
-def read(folder: Path, columns: dict[str, object], channels: Channels | None = None) -> Recording:
+def read(folder: Path, columns: Table, channels: Channels | None = None) -> Recording:
     path = folder / "log.parquet"
     pq.write_table(pa.table(columns), path)
-    robot = make_robot(constants=[0.1, 0.2, 0.3], gear_ratio=10.0, channels=channels)
+    imus = (ARRAY, GYRO)
+    robot = make_robot(constants=[0.1, 0.2, 0.3], gear_ratio=10.0, channels=channels, imus=imus)
     return read_recording(path, robot)
+
+
+def warned(recording: Recording, *words: str) -> bool:
+    return any(all(word in text for word in words) for text in recording.health.warnings)
 
 
 def test_default_names(tmp_path: Path) -> None:
@@ -69,17 +87,13 @@ def test_every_form_of_time(tmp_path: Path, time: object) -> None:
     np.testing.assert_allclose(recording.q, MOTION.q, atol=2e-6)
 
 
-def test_coarse_float_time_is_told_with_its_step(tmp_path: Path) -> None:
+def test_coarse_time_and_rows_without_time_are_told(tmp_path: Path) -> None:
     t = (MOTION.t + 40_000.0).astype(np.float32)
-    warnings = read(tmp_path, COLUMNS | {"t": t}).health.warnings
-    assert any("0.00391 s" in warning and "float64" in warning for warning in warnings)
-
-
-def test_rows_without_time_are_left_out(tmp_path: Path) -> None:
-    t: list[float | None] = list(MOTION.t)
-    t[10], t[11] = None, float("nan")
-    recording = read(tmp_path, COLUMNS | {"t": pa.array(t, pa.float64())})
-    assert any("2 rows without" in warning for warning in recording.health.warnings)
+    assert warned(read(tmp_path, COLUMNS | {"t": t}), "0.00391 s", "float64")
+    some: list[float | None] = list(MOTION.t)
+    some[10], some[11] = None, float("nan")
+    recording = read(tmp_path, COLUMNS | {"t": pa.array(some, pa.float64())})
+    assert warned(recording, "2 rows without")
     np.testing.assert_allclose(recording.q, MOTION.q, atol=1e-5)
 
 
@@ -95,6 +109,10 @@ def test_integer_decimal_and_nested_columns(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(tmp_path, columns).q, np.tile(counts[:, None], (1, 3)))
 
 
+TWICE = pa.StructArray.from_arrays([pa.array(MOTION.t)] * 2, ["position"] * 2)
+OTHERS = "neither torque nor current of joint shoulder, wrist, but of others"
+
+
 @pytest.mark.parametrize(
     ("more", "channels", "message"),
     [
@@ -103,12 +121,9 @@ def test_integer_decimal_and_nested_columns(tmp_path: Path) -> None:
             for value in ("a", dt.date(2026, 1, 1), [1.0], True)
         ),
         ({"elbow.position": None, "Elbow.positions": MOTION.t}, None, "Elbow.positions"),
+        ({"elbow": TWICE}, None, "'elbow.position' is there"),
         ({}, Channels(current="i_{index}"), "'i_1'"),
-        (
-            {"elbow.torque": MOTION.t},
-            None,
-            "neither torque nor current of joint shoulder, wrist, but of others",
-        ),
+        ({"elbow.torque": MOTION.t}, None, OTHERS),
         (dict.fromkeys(COLUMNS, pa.array([], pa.float64())), None, ": 0 samples, all without it"),
     ],
 )
@@ -121,13 +136,6 @@ def test_what_cannot_be_read_is_refused(
     assert message in caught.value.message
     assert caught.value.hint
     assert caught.value.where == str(tmp_path / "log.parquet")
-
-
-def test_a_column_that_is_there_twice_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "log.parquet"
-    pq.write_table(pa.table([pa.array(MOTION.t)] * 5, names=["t", *COLUMNS]), path)
-    with pytest.raises(InputError, match="2 times"):
-        read_recording(path, make_robot())
 
 
 @pytest.mark.parametrize(
@@ -147,36 +155,33 @@ def test_torque_wins_unless_current_is_declared(
     assert read(tmp_path, COLUMNS).tau is None
 
 
-FORMS = [("hand{}a{}", "hand{}g{}", mark, ends) for mark in "./_" for ends in ("xyz", "123")]
+FORMS = [
+    (f"hand{mark}a{{}}", f"hand{mark}g{{}}", ends) for mark in "./_" for ends in ("xyz", "123")
+]
 FORMS += [
-    (f"{stem}{{0}}linear_acceleration{{0}}{{1}}", f"{stem}{{0}}angular_velocity{{0}}{{1}}", *more)
-    for stem, *more in (("hand", ".", "xyz"), ("hand", "/", "xyz"), ("/hand/data", "/", "xyz"))
+    (f"{stem}linear_acceleration{stem[-1]}{{}}", f"{stem}angular_velocity{stem[-1]}{{}}", "xyz")
+    for stem in ("hand.", "hand/", "/hand/data/")
 ]
 
 
-@pytest.mark.parametrize(("accelerometer", "gyro", "mark", "ends"), FORMS)
-def test_names_of_imus(tmp_path: Path, accelerometer: str, gyro: str, mark: str, ends: str) -> None:
-    columns: dict[str, object] = dict(COLUMNS)
-    for k, axis in enumerate("xyz"):
-        columns[accelerometer.format(mark, ends[k])] = MOTION.accelerometers["hand"][:, k]
-        columns[gyro.format(mark, axis)] = MOTION.gyros["hand"][:, k]
-    pq.write_table(pa.table(columns), tmp_path / "log.parquet")
-    recording = read_recording(tmp_path / "log.parquet", make_robot(imus=(GYRO, ARRAY)))
+@pytest.mark.parametrize(("accelerometer", "gyro", "ends"), FORMS)
+def test_names_of_imus(tmp_path: Path, accelerometer: str, gyro: str, ends: str) -> None:
+    a, w = MOTION.accelerometers["hand"], MOTION.gyros["hand"]
+    columns = COLUMNS | {accelerometer.format(end): a[:, k] for k, end in enumerate(ends)}
+    columns |= {gyro.format(axis): w[:, k] for k, axis in enumerate("xyz")}
+    recording = read(tmp_path, columns)
     assert list(recording.accelerometers) == ["hand"]
-    np.testing.assert_array_equal(recording.accelerometers["hand"], MOTION.accelerometers["hand"])
-    np.testing.assert_array_equal(recording.gyros["hand"], MOTION.gyros["hand"])
+    np.testing.assert_array_equal(recording.accelerometers["hand"], a)
+    np.testing.assert_array_equal(recording.gyros["hand"], w)
 
 
 @pytest.mark.parametrize("dropped", ["array.a3", "hand.az", "hand.gx"])
 def test_half_an_imu_names_the_columns(tmp_path: Path, dropped: str) -> None:
-    robot = make_robot(imus=(ARRAY, GYRO))
     path = write_motion(tmp_path / "log.parquet", MOTION)
-    table = pq.read_table(path)
-    pq.write_table(table.drop_columns([dropped]), path)
+    pq.write_table(pq.read_table(path).drop_columns([dropped]), path)
     with pytest.raises(InputError, match=dropped):
-        read_recording(path, robot)
-    pq.write_table(table.select(list(COLUMNS)), path)
-    assert read_recording(path, robot).accelerometers == {}
+        read_recording(path, make_robot(imus=(ARRAY, GYRO)))
+    assert read(tmp_path, COLUMNS).accelerometers == {}
 
 
 def test_missing_values_are_bridged_or_marked(tmp_path: Path) -> None:
@@ -184,18 +189,19 @@ def test_missing_values_are_bridged_or_marked(tmp_path: Path) -> None:
     elbow[20:22] = [None, float("nan")]
     elbow[100:130] = [None] * 30
     recording = read(tmp_path, COLUMNS | {"elbow.position": pa.array(elbow, pa.float64())})
-    invalid = np.zeros(200, np.bool_)
-    invalid[100:130] = True
-    np.testing.assert_array_equal(recording.valid, ~invalid)
-    np.testing.assert_allclose(recording.q[~invalid], MOTION.q[~invalid], atol=1e-6)
+    np.testing.assert_array_equal(np.flatnonzero(~recording.valid), np.arange(100, 130))
+    valid = recording.valid
+    np.testing.assert_allclose(recording.q[valid], MOTION.q[valid], atol=1e-6)
     np.testing.assert_allclose(recording.health.gaps, [(0.99, 1.30)], atol=1e-9)
 
 
 def test_optional_channel_of_some_joints(tmp_path: Path) -> None:
     own = MOTION.q[:, 1]
-    recording = read(tmp_path, COLUMNS | {"elbow.velocity": own, "elbow.temperature": own})
-    assert recording.dq is None
-    assert "velocity is logged for some joints only; it is left out" in recording.health.warnings
+    names = ("velocity", "load", "temperature")
+    recording = read(tmp_path, COLUMNS | {f"elbow.{name}": own for name in names})
+    for name in ("velocity", "load"):
+        assert warned(recording, f"{name} is logged for some joints only; it is left out")
+    assert recording.dq is recording.load is None
     assert recording.valid.all()
     assert np.isnan(recording.temperature[:, [0, 2]]).all()
     np.testing.assert_array_equal(recording.temperature[:, 1], own)
@@ -209,3 +215,113 @@ def test_damaged_footer_and_pages(tmp_path: Path, at: slice) -> None:
     path.write_bytes(data)
     with pytest.raises(InputError, match="damaged"):
         read_recording(path, make_robot())
+
+
+def episode(shift: float, count: int = 200) -> Data:
+    t = MOTION.t[:count]
+    q = curve(t, 3, shift)
+    return Data(t, JOINTS, q, q, q, 10.0 * q)
+
+
+def test_episodes_become_stretches_with_gaps(tmp_path: Path) -> None:
+    episodes = [episode(0.0), episode(5.0, 60), episode(9.0, 90)]
+    recording = read(tmp_path, lerobot_table(episodes))
+    assert warned(recording, "3 episodes")
+    starts = np.flatnonzero(np.diff(recording.valid.astype(int), prepend=0) > 0)
+    ends = np.flatnonzero(np.diff(recording.valid.astype(int), append=0) < 0) + 1
+    assert (ends - starts).tolist() == [200, 60, 90]
+    for start, end, data in zip(starts, ends, episodes, strict=True):
+        np.testing.assert_allclose(recording.q[start:end], data.q, atol=2e-5)
+    assert [end - start > 1.0 for start, end in recording.health.gaps] == [True, True]
+
+
+def test_rows_without_an_episode_are_left_out(tmp_path: Path) -> None:
+    table = lerobot_table([episode(0.0)])
+    numbers = pa.array([0] * 180 + [None] * 20, pa.int64())
+    place = table.schema.get_field_index("episode_index")
+    table = table.set_column(place, "episode_index", numbers)
+    recording = read(tmp_path, table)
+    assert len(recording.t) == 180
+    assert warned(recording, "20 rows without episode_index")
+
+
+def read_set(folder: Path, names: object, length: int) -> Recording:
+    """Read a data set that names the motors; the last of `length` values is a gripper."""
+    info = folder / "meta" / "info.json"
+    info.parent.mkdir(parents=True)
+    info.write_text(json.dumps({"features": {"observation.state": {"names": names}}}))
+    states = pa.array(list(curve(MOTION.t, length).astype(np.float32)), LISTS)
+    table = {"observation.state": states, "timestamp": MOTION.t.astype(np.float32)}
+    (folder / "data" / "chunk-000").mkdir(parents=True)
+    return read(folder / "data" / "chunk-000", table)
+
+
+ORDER = [1, 3, 0]  # of the joints among the motors
+MOTORS = ["wrist", "shoulder", "gripper", "elbow"]
+
+
+@pytest.mark.parametrize(
+    ("names", "columns"),
+    [
+        ([f"{name}.pos" for name in MOTORS], ORDER),
+        ({"motors": MOTORS}, ORDER),
+        *((names, [0, 1, 2]) for names in (None, 7, ["a", "b"], [["a"]], {"x": [], "y": []})),
+    ],
+)
+def test_joints_are_matched_by_the_names_of_the_data_set(
+    tmp_path: Path, names: object, columns: list[int]
+) -> None:
+    recording = read_set(tmp_path, names, 4)
+    np.testing.assert_allclose(recording.q, curve(MOTION.t, 4)[:, columns], atol=1e-6)
+    assert warned(recording, "in the order of the robot file") == (columns != ORDER)
+
+
+def test_lists_of_another_length_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"no column 'observation\.state\[2\]'"):
+        read_set(tmp_path, None, 2)
+    rows = [row.tolist() for row in MOTION.q]
+    rows[17] = rows[17][:2]
+    table = {"t": MOTION.t, "observation.state": pa.array(rows, LISTS)}
+    with pytest.raises(InputError, match=r"row 18: 'observation\.state' holds 2 values") as caught:
+        read(tmp_path, table)
+    assert caught.value.hint
+
+
+@pytest.mark.parametrize("kind", [LISTS, pa.list_(pa.float64(), 3), pa.large_list(pa.float64())])
+def test_missing_lists_and_values(tmp_path: Path, kind: pa.DataType) -> None:
+    rows: list[object] = [row.tolist() for row in MOTION.q]
+    rows[0] = None
+    rows[40] = [None, *MOTION.q[40, 1:].tolist()]
+    rows[60] = [float("nan")] * 3
+    recording = read(tmp_path, {"t": MOTION.t, "q": pa.array(rows, kind)})
+    assert len(recording.t) == 199
+    np.testing.assert_allclose(recording.q, MOTION.q[1:], atol=2e-5)
+
+
+def test_joint_state_messages_in_a_table(tmp_path: Path) -> None:
+    names = ["wrist", "elbow", "shoulder"]
+    rows = {
+        "timestamp": MOTION.t,
+        "name": [names] * 200,
+        "position": list(MOTION.q[:, ::-1]),
+        "velocity": [[]] * 200,
+        "effort": list(MOTION.tau[:, ::-1]),
+    }
+    recording = read(tmp_path, rows)
+    np.testing.assert_array_equal(recording.q, MOTION.q)
+    np.testing.assert_array_equal(recording.tau, MOTION.tau)
+    assert recording.dq is None
+    rows["name"] = [names] * 100 + [names[::-1]] * 100
+    with pytest.raises(InputError, match="change from row to row"):
+        read(tmp_path, rows)
+
+
+@pytest.mark.parametrize("form", ["{name}/{kind}", "{kind}.{name}"])
+@pytest.mark.parametrize("current", [False, True])
+def test_effort_is_what_the_robot_file_says(tmp_path: Path, form: str, current: bool) -> None:
+    columns = {"time": MOTION.t, form.format(name="gripper", kind="position"): MOTION.t}
+    for name, q, tau in zip(JOINTS, MOTION.q.T, MOTION.tau.T, strict=True):
+        columns |= {form.format(name=name, kind="position"): q}
+        columns |= {form.format(name=name, kind="effort"): tau}
+    recording = read(tmp_path, columns, Channels(effort="current") if current else Channels())
+    np.testing.assert_allclose(recording.tau, MOTION.tau * ([1.0, 2.0, 3.0] if current else 1.0))

@@ -1,9 +1,4 @@
-"""What reading a log costs: CPU time against the usual readers, and memory against length.
-
-Every measurement is a process of its own; the cases of a comparison take turns, so that all of
-them meet the same machine. CPU time is user and system time without imports, the median of the
-rounds; peak memory is that of the whole process.
-"""
+"""What reading a log costs: CPU time against the usual readers, and memory against length."""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -20,7 +15,6 @@ Subject = tuple[str, str, Path, int, int]  # row's name, case, file, count, row 
 
 
 def study(chosen: Namespace) -> str:
-    """Return the tables."""
     size, rounds = (20_000, 1) if chosen.quick else (1_000_000, ROUNDS)
     with TemporaryDirectory() as name:
         folder = Path(name)

@@ -1,8 +1,4 @@
-"""What the numerical kernels cost against the library calls that one would use instead.
-
-The two of a comparison take turns in one process; CPU time is the median of the turns. Of the
-motion smoother the least of several runs counts: a busy machine only ever adds to it.
-"""
+"""What the numerical kernels cost against the library calls that one would use instead."""
 
 import time
 from argparse import Namespace
@@ -30,15 +26,12 @@ Job = Callable[[], object]
 
 
 def study(chosen: Namespace) -> str:
-    """Return the tables."""
     rounds = 1 if chosen.quick else 9
     rows = [*_regressor(rounds), *_least_squares(rounds, quick=chosen.quick)]
     return table(["", "CPU", "unit", "faster", "largest difference"], rows)
 
 
 def _cpu(jobs: list[Job], rounds: int) -> list[float]:
-    """CPU seconds of jobs that take turns."""
-
     def spent(job: Job) -> float:
         before = time.process_time()
         job()
@@ -48,7 +41,6 @@ def _cpu(jobs: list[Job], rounds: int) -> list[float]:
 
 
 def _regressor(rounds: int) -> list[list[str]]:
-    """Torque regressor of seven joints."""
     rng = np.random.default_rng(1)
     with TemporaryDirectory() as name:
         robot = load_robot(write_arm(Path(name)))
@@ -119,7 +111,6 @@ def _least_squares(rounds: int, *, quick: bool) -> list[list[str]]:
 
 
 def _accumulated(H: Array, y: Array) -> Accumulator:
-    """Rows added in blocks of a second."""
     joint = Accumulator(H.shape[1])
     for start in range(0, len(y), 1000):
         part = slice(start, start + 1000)
@@ -137,7 +128,6 @@ REPEATS = 3
 
 
 def smoother(chosen: Namespace) -> str:
-    """Table over the rigs: the least of several runs; a busy machine only ever adds to it."""
     seconds = 4.0 if chosen.quick else SECONDS
     rigs = {
         "one joint, one array": Rig(1, 2400, seconds=seconds),

@@ -45,7 +45,6 @@ Runs = list[dict[str, Any]]  # cpu_s, peak MiB, found: values and standard error
 
 
 def study(chosen: Namespace) -> str:
-    """Return the tables."""
     sizes = (20_000, 30_000, 40_000) if chosen.quick else (COMPARED, LONGER, LONGEST)
     rounds = 1 if chosen.quick else ROUNDS
     with TemporaryDirectory() as name:
@@ -134,7 +133,6 @@ def _ours(robot_path: Path, arrays: Path) -> Told:
 
 
 def write_arrays(path: Path, robot_path: Path, samples: int) -> Path:
-    """Write motion and noisy torque (N, 7) as arrays."""
     robot = load_robot(robot_path)
     assert robot.nominal is not None
     q, dq, ddq = motion(np.arange(samples) / RATE_HZ)

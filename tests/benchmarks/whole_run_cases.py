@@ -1,9 +1,4 @@
-"""Whole runs, one case per process: `python -m tests.benchmarks.whole_run_cases CASE ROBOT LOG`.
-
-Imports and loading the robot do not count.
-`straightforward` solves the same equations with what `decimated` wrote beside the log: its cut-off
-and the weights of the joints, so that their answers can be compared.
-"""
+"""Whole runs, one case per process: `python -m tests.benchmarks.whole_run_cases CASE ROBOT LOG`."""
 
 import json
 import sys
@@ -30,7 +25,6 @@ def decimated(robot_path: Path, log: Path) -> Callable[[], Found]:
 
 
 def full_rate(robot_path: Path, log: Path) -> Callable[[], Found]:
-    """The inertia stage with every sample."""
     return _streaming(robot_path, log, np.inf)
 
 

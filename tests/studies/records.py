@@ -32,30 +32,7 @@ def results(
     told: Callable[[R], object] = lambda _: "",
     failed: Callable[[R], bool] = lambda _: False,
 ) -> dict[str, R]:
-    """Run the cases that the file does not hold yet, shuffled: tables of a part of them are fair.
-
-    Parameters
-    ----------
-    cases : mapping of str to C
-        Every case by its key.
-    work : callable
-        Makes the result of a case.
-    kind : type
-        What msgspec decodes a result to.
-    path : Path or None
-        Where results are kept, one JSON line for each; None keeps nothing.
-    sources : str
-        Hash of what decides a result; results of other sources do not count.
-    run, limit
-        Whether to run cases, and how many at most.
-    told, failed : callable
-        What the screen says of a result; whether its case is to be run again.
-
-    Returns
-    -------
-    dict of str to R
-        Results of the cases that have one, in the order of the cases.
-    """
+    """Run the cases that the file does not hold, shuffled: tables of a part of them are fair."""
     kept = {key: r for key, made_by, r in _lines(path, kind) if made_by == sources}
     left = [key for key in cases if key not in kept or failed(kept[key])] if run else []
     left = [left[k] for k in np.random.default_rng(0).permutation(len(left))][:limit]
@@ -69,7 +46,6 @@ def results(
 
 
 def seeds_of(text: str) -> range:
-    """Seeds `A:B`, B left out; A alone is one seed."""
     first, _, last = text.replace("-", ":").partition(":")
     return range(int(first), int(last) if last else int(first) + 1)
 
@@ -77,7 +53,6 @@ def seeds_of(text: str) -> range:
 def mapped(
     work: Callable[[C], R], cases: Mapping[str, C], processes: int
 ) -> Iterator[tuple[str, R]]:
-    """Yield the cases' keys and results as they come."""
     if processes <= 1 or len(cases) < 2:
         yield from ((key, work(case)) for key, case in cases.items())
         return

@@ -26,7 +26,6 @@ class Spread:
 
 
 def spread(errors: ArrayLike) -> Spread:
-    """Summarise signed errors (K,)."""
     e = np.asarray(errors, dtype=np.float64)
     size = np.abs(e)
     std = float(np.std(e, ddof=1)) if len(e) > 1 else float("nan")
@@ -34,12 +33,10 @@ def spread(errors: ArrayLike) -> Spread:
 
 
 def rms(values: ArrayLike) -> float:
-    """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))
 
 
 def share_within(z: ArrayLike, limit: float) -> float:
-    """Share of values whose magnitude is at most `limit`."""
     return float(np.mean(np.abs(np.asarray(z, dtype=np.float64)) <= limit))
 
 
@@ -54,7 +51,6 @@ def number(value: float, digits: int = 2) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table; first column to the left, others to the right."""
     for row in rows:
         if len(row) != len(header):
             raise ValueError(f"row {row[0]!r} has {len(row)} cells, the header {len(header)}")
@@ -77,7 +73,6 @@ def grouped(
 
 
 def counted(cases: Sequence[T]) -> str:
-    """How many there are, as a cell."""
     return str(len(cases))
 
 
@@ -87,7 +82,6 @@ def median_of(value: Callable[[T], float], digits: int = 2) -> Callable[[Sequenc
 
 
 def write(page: str, name: str, content: str) -> None:
-    """Put the content of study `name` into a page of docs/."""
     path = ROOT / "docs" / page
     path.write_text(placed(path.read_text(encoding="utf-8"), name, content), encoding="utf-8")
 
@@ -100,13 +94,7 @@ def show(page: str, name: str, content: str, *, kept: bool) -> None:
 
 
 def placed(document: str, name: str, content: str) -> str:
-    """The document with `content` between the markers of study `name`.
-
-    Raises
-    ------
-    ValueError
-        If the document does not have the two markers exactly once.
-    """
+    """The document with `content` between the markers of study `name`."""
     start, end = f"<!-- study:{name} -->", "<!-- /study -->"
     pattern = re.compile(re.escape(start) + r"(?:(?!<!-- study:).)*?" + re.escape(end), re.DOTALL)
     if document.count(start) != 1 or not pattern.search(document):

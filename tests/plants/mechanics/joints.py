@@ -1,13 +1,13 @@
 """One control period of an arm, rigid (leapfrog) or with springs in its joints (substeps)."""
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from tests import Array
 from tests.plants.friction.surface import Friction, Law, stick_slip
-from tests.plants.mechanics.hidden import Hidden, Spring, TorqueSource
-from tests.plants.mechanics.rigid import Arm, Rigid
+from tests.plants.mechanics.hidden import Hidden, TorqueSource
+from tests.plants.mechanics.rigid import Rigid
 
 FINEST = 0.5  # rad of the fastest vibration per substep
 
@@ -20,18 +20,6 @@ class Row(NamedTuple):
     ddq: Array
     friction: Array
     angle: Array
-
-
-class Mechanics(Protocol):
-    """Keeps the state between control periods."""
-
-    def reading_angle(self) -> Array:
-        """Angle of the drives, which the controller reads now, (n,) rad."""
-        ...
-
-    def step(self, t: float, tau: Array) -> Row:
-        """Advance by one period with the drives' torque (n,) N m; `t` is the row's instant."""
-        ...
 
 
 class RigidJoints:
@@ -49,8 +37,7 @@ class RigidJoints:
         self._rigid, self._law, self._sources, self._dt = rigid, law, sources, dt
         self._reflected = rigid.arm.reflected
         self._a = hidden.coupling
-        if self._a is not None:
-            self._back = np.linalg.inv(self._a)
+        self._back = np.linalg.inv(self._a) if self._a is not None else None
         self._q, self._half = start.copy(), np.zeros(len(start))
         self._ddq, self._load, self._sign = (np.zeros(len(start)) for _ in range(3))
         self._first = True
@@ -80,7 +67,7 @@ class RigidJoints:
 
     def _slip(self, t: float, q: Array, dq: Array, mass: Array, push: Array) -> tuple[Array, Array]:
         """Acceleration and friction torque at the joints, (n,) each."""
-        if self._a is None:
+        if self._a is None or self._back is None:
             dry = self._law(t, q, dq, self._load)
             force = push - dry.smooth
             ddq, rub, self._sign = stick_slip(mass, force, self._half, self._dt, dry, self._sign)
@@ -114,15 +101,16 @@ class ElasticJoints:
     ) -> None:
         if hidden.coupling is not None:
             raise ValueError("a plant with springs cannot have coupled transmissions as well")
-        self._rigid, self._law, self._sources = rigid, law, sources
+        self._rigid, self._law, self._sources, self._dt = rigid, law, sources, dt
+        self._reflected = rigid.arm.reflected
         self._springs = hidden.springs
         self._joints = np.array([spring.joint for spring in hidden.springs])
         self._n = n = len(start)
-        self._reflected = rigid.arm.reflected
         self._drive = np.arange(n)  # which coordinate a joint's friction and motor act on
         self._drive[self._joints] = n + np.arange(len(self._joints))
-        self._dt = dt
-        self._parts = substeps(rigid, hidden, start, dt)
+        fastest = max(np.sqrt(s.stiffness / swung(rigid, s.joint, start)) for s in hidden.springs)
+        parts = int(np.ceil(fastest * dt / FINEST))
+        self._parts = max(2, parts + parts % 2)  # even
         self._x = self._at_rest(start)
         self._v, self._a = np.zeros_like(self._x), np.zeros_like(self._x)
         self._sign, self._load = np.zeros_like(self._x), np.zeros(n)
@@ -137,11 +125,9 @@ class ElasticJoints:
         return np.concatenate([q, drive])
 
     def reading_angle(self) -> Array:
-        """Angle of the drives, which the controller reads now, (n,) rad."""
         return self._x[self._drive]
 
     def step(self, t: float, tau: Array) -> Row:
-        """Advance by one period with the drives' torque (n,) N m; `t` is the row's instant."""
         n, h, drive = self._n, self._dt / self._parts, self._drive
         now = self._v + 0.5 * h * self._a
         mass = np.zeros((len(self._x), len(self._x)))
@@ -189,21 +175,8 @@ class ElasticJoints:
         return rub
 
     def _row(self, h: float, friction: Array) -> Row:
-        """Truth at this substep's instant."""
         n, rate = self._n, self._v + 0.5 * h * self._a
         return Row(self._x[:n].copy(), rate[:n], self._a[:n].copy(), friction, self._x[self._drive])
-
-
-def substeps(rigid: Rigid, hidden: Hidden, start: Array, dt: float) -> int:
-    """Even number of substeps that resolves the fastest vibration of the springs."""
-    rates = [vibration(rigid, spring, start) for spring in hidden.springs]
-    parts = int(np.ceil(max(rates) * dt / FINEST))
-    return max(2, parts + parts % 2)
-
-
-def vibration(rigid: Rigid, spring: Spring, q: Array) -> float:
-    """Fastest vibration of drive against link with the other joints free, rad/s."""
-    return float(np.sqrt(spring.stiffness / swung(rigid, spring.joint, q)))
 
 
 def swung(rigid: Rigid, joint: int, q: Array) -> float:
@@ -213,11 +186,3 @@ def swung(rigid: Rigid, joint: int, q: Array) -> float:
     mass = mass.copy()
     mass[joint, joint] -= reflected[joint]
     return float(1.0 / (np.linalg.inv(mass)[joint, joint] + 1.0 / reflected[joint]))
-
-
-def mechanics(
-    arm: Arm, law: Law, sources: tuple[TorqueSource, ...], hidden: Hidden, start: Array, dt: float
-) -> Mechanics:
-    """Choose how the arm's joints are modelled."""
-    kind = ElasticJoints if hidden.springs else RigidJoints
-    return kind(Rigid(arm), law, sources, hidden, start, dt)

@@ -9,12 +9,15 @@ import numpy as np
 
 from tests import Array
 from tests.plants.arms.rigs import (
+    DOWN,
     GRAVITY,
-    UR5E_CENTRE,
+    UR5E_ACCELERATION,
+    UR5E_BODIES,
+    UR5E_COULOMB,
     UR5E_DH,
-    UR5E_GYRATION,
-    UR5E_MASS,
     UR5E_NAMES,
+    UR5E_ROTORS,
+    UR5E_SPEED,
     mounting,
     off_nominal,
     standard_parameters,
@@ -57,14 +60,11 @@ class Case:
 
     @property
     def label(self) -> str:
-        """Short name."""
         return f"{self.rig}-{self.seed}-{self.noise}-{self.encoder}"
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """The arm of a case, its trials, and in words what was drawn beside numbers."""
-
     plant: Plant
     trials: Sequence[Trial]
     traits: dict[str, bool]
@@ -72,7 +72,6 @@ class Drawn:
 
 
 def case_of(rig: str, seed: int) -> Case:
-    """The case of a seed; noise and encoder change from seed to seed."""
     return Case(rig, seed, *list(product(NOISES, ENCODERS))[seed % 4])
 
 
@@ -173,8 +172,7 @@ def _one(rng: np.random.Generator, number: int) -> Drawn:
     link = _flat_link(rng, rng.uniform(0.08, 0.2), rng.uniform(0.05, 0.1), rng.uniform(0.05, 0.1))
     gear = np.exp(rng.uniform(np.log(5.0), np.log(60.0), 1))
     rotor = link[9] * rng.uniform(0.03, 0.6, 1) / gear**2
-    down = np.array([0.0, 0.0, -GRAVITY])
-    arm = Arm(("joint_1",), np.array([[tilt, 0, 0, 0]]), link[None], down, gear, rotor)
+    arm = Arm(("joint_1",), np.array([[tilt, 0, 0, 0]]), link[None], DOWN, gear, rotor)
     coulomb = rng.uniform(0.02, 0.04, 1)
     top, push = rng.uniform(6.0, 9.0, 1), rng.uniform(40.0, 70.0, 1)
     plant = _small_plant(rng, arm, link[9] + arm.reflected, coulomb, top, push)
@@ -183,7 +181,7 @@ def _one(rng: np.random.Generator, number: int) -> Drawn:
         plant = replace(plant, imus=_arrays(rng, {0: np.array([0.06, 0.012, 0.008])}))
     home = [np.zeros(1)]
     trials = [
-        *friction_trials(plant, home, speeds=int(rng.integers(8, 13))),
+        *friction_trials(plant, home[0], speeds=int(rng.integers(8, 13))),
         *gravity_trials(plant, home, speeds=(0.1, 0.2)),
         *(imu_trials(plant, home) if imus else ()),
         *inertia_trials(plant, home, rng, seconds=float(rng.uniform(8.0, 14.0))),
@@ -192,11 +190,7 @@ def _one(rng: np.random.Generator, number: int) -> Drawn:
 
 
 def _planar(rng: np.random.Generator, number: int) -> Drawn:
-    """Two parallel axes; every second arm tilted, two of four without accelerometers.
-
-    Whether the rotors act on the links that carry them is drawn; their inertias are known. The two
-    inertia logs last 20 to 32 s together.
-    """
+    """Two parallel axes; every second arm tilted, two of four without accelerometers."""
     length = rng.uniform(0.2, 0.4)
     upper = _flat_link(rng, rng.uniform(0.4, 0.9), rng.uniform(0.3, 0.6) * length, 0.4 * length)
     fore = _flat_link(rng, rng.uniform(0.1, 0.3), rng.uniform(0.05, 0.12), rng.uniform(0.03, 0.06))
@@ -225,7 +219,7 @@ def _planar(rng: np.random.Generator, number: int) -> Drawn:
     postures = [np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9)]
     slow = gravity_trials(plant, postures[1:4], speeds=(0.1,)) if tilted else []
     trials = [
-        *friction_trials(plant, postures[:1], speeds=int(rng.integers(8, 13))),
+        *friction_trials(plant, postures[0], speeds=int(rng.integers(8, 13))),
         *slow,
         *(imu_trials(plant, postures, turns=1) if imus else ()),
         *inertia_trials(
@@ -247,16 +241,13 @@ def _six(rng: np.random.Generator, number: int) -> Drawn:
             tuple(np.array(g) * rng.uniform(0.85, 1.15, 3)),
             mounting(*rng.uniform(-0.1, 0.1, 3)),
         )
-        for m, c, g in zip(UR5E_MASS, UR5E_CENTRE, UR5E_GYRATION, strict=True)
+        for m, c, g in UR5E_BODIES
     ]
-    rotors = np.array([1.0e-4, 1.0e-4, 8.0e-5, 2.4e-5, 2.4e-5, 2.2e-5]) * rng.uniform(0.7, 1.3, 6)
+    rotors = UR5E_ROTORS * rng.uniform(0.7, 1.3, 6)
     gear = rng.uniform(80.0, 120.0, 6)
-    down = np.array([0.0, 0.0, -GRAVITY])
     coupled = bool(rng.uniform() < 0.5)
-    arm = Arm(UR5E_NAMES, dh, np.array(bodies), down, gear, rotors, rotor_coupling=coupled)
-    top = np.array([2.2, 2.2, 2.6, 3.1, 3.1, 3.1])
-    push = np.array([9.0, 9.0, 12.0, 22.0, 22.0, 25.0])
-    coulomb = np.array([8.2, 9.4, 6.6, 1.9, 1.7, 1.4]) * rng.uniform(0.6, 1.4, 6)
+    arm = Arm(UR5E_NAMES, dh, np.array(bodies), DOWN, gear, rotors, rotor_coupling=coupled)
+    coulomb = UR5E_COULOMB * rng.uniform(0.6, 1.4, 6)
     drive = rng.uniform(0.09, 0.13, 6)
     hiss = rng.uniform(0.06, 0.14, 6) * coulomb / (drive * gear)
     inertia = np.diag(Rigid(arm).terms(SIX_POSTURES[0], np.zeros(6))[0])
@@ -264,22 +255,22 @@ def _six(rng: np.random.Generator, number: int) -> Drawn:
     plant = Plant(
         arm=arm,
         nominal=off_nominal(arm, 0.12),
-        friction=_surface(rng, coulomb, top),
+        friction=_surface(rng, coulomb, UR5E_SPEED),
         gains=gains_for(inertia, bandwidth=20.0, observer=120.0),
         torque_constant=drive,
         encoder_step=np.zeros(6),
         current_noise=hiss,
         coulomb_guess=0.9 * coulomb,
         position_limits=np.tile([-2.0, 2.0], (6, 1)) + SIX_CENTRE[:, None],
-        velocity_limits=top,
-        acceleration_limits=push,
+        velocity_limits=UR5E_SPEED,
+        acceleration_limits=UR5E_ACCELERATION,
         current_step=0.2 * hiss,
         imus=_arrays(rng, levers),
     )
     postures, rate = list(SIX_POSTURES), 500.0
     pairs = list(combinations(range(6), 2))
     trials = [
-        *friction_trials(plant, postures[:1], rate_hz=rate, speeds=7, lowest=0.12),
+        *friction_trials(plant, postures[0], rate_hz=rate, speeds=7, lowest=0.12),
         *gravity_trials(plant, postures[:4], rate_hz=rate, speeds=(0.3,)),
         *imu_trials(plant, postures[:5], rate_hz=rate, turns=1),
         *inertia_trials(plant, postures, rng, pairs=pairs, rate_hz=rate, seconds=4.0),

@@ -23,7 +23,6 @@ ROUND = 250  # inputs of a target before the next has its turn
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run until the count or the time is reached; 1 if something was found."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies.fuzz", description=__doc__)
     parser.add_argument("--count", type=int, default=10**9, help="inputs of each kind")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="of CPU time, in all")
@@ -62,7 +61,6 @@ def _kept(tallies: Mapping[str, Tally], folder: Path) -> int:
 
 
 def rows(tallies: Mapping[str, Tally]) -> list[list[str]]:
-    """How each kind was answered."""
     cells = []
     for name, tally in tallies.items():
         codes, every = tally.codes, tally.outcomes
@@ -75,7 +73,6 @@ def rows(tallies: Mapping[str, Tally]) -> list[list[str]]:
 
 
 def _tell(text: str) -> None:
-    """Say how far it is."""
     sys.stderr.write(text + "\n")
 
 

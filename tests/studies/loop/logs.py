@@ -1,8 +1,4 @@
-"""Arms with an undeclared effect in all of their logs, whose friction trials reach less far.
-
-The sequential experiments run at a part of the travel and of the speed that training and held-out
-logs use, as trials in a lab do; the effect is there from the first log on.
-"""
+"""Arms with an undeclared effect in all of their logs, whose friction trials reach less far."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,8 +27,6 @@ PAUSE = 60.0  # s between logs
 
 @dataclass(frozen=True)
 class Case:
-    """One arm: its effect at a joint; the seed decides the rest."""
-
     rig: str
     kind: str
     joint: int
@@ -40,18 +34,15 @@ class Case:
 
     @property
     def condition(self) -> Condition:
-        """The case as the study of undeclared effects describes plants."""
         effects = ((self.kind, self.joint, 1.0),)
         return Condition("starts", self.rig, self.seed, effects, "sequential_with")
 
     @property
     def key(self) -> str:
-        """A name to search for."""
         return f"{self.rig}/{self.kind}@{self.joint}/seed {self.seed}"
 
 
 def case_of(rig: str, kind: str, seed: int) -> Case:
-    """The case of a kind and a seed; the joint goes round with both."""
     joints = declared(Condition("starts", rig, seed, (), "sequential_with")).arm.n
     return Case(rig, kind, (seed + KINDS.index(kind)) % joints, seed)
 
@@ -69,7 +60,7 @@ def references(case: Case) -> list[tuple[str, Reference, int]]:
     postures = list(0.8 * np.array(TWO_POSTURES if case.rig == "two" else SIX_POSTURES))
     pairs = [(0, 1)] * 3 if case.rig == "two" else None
     trials = [
-        *friction_trials(small, postures[:1], speeds=SPEEDS, lowest=SLOWEST),
+        *friction_trials(small, postures[0], speeds=SPEEDS, lowest=SLOWEST),
         *gravity_trials(small, postures[:POSTURES], speeds=(0.3,)),
         *inertia_trials(small, postures, rng, pairs=pairs, seconds=5.0),
     ]
@@ -87,7 +78,6 @@ def references(case: Case) -> list[tuple[str, Reference, int]]:
 
 
 def recorded(case: Case, cache: Path) -> Logs:
-    """Simulate a case's logs, or read them from the cache."""
     plant, _ = built(case.condition)
     found: dict[str, list[Recording]] = {}
     start = 20.0

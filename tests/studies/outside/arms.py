@@ -58,7 +58,6 @@ class Imu:
 
     @property
     def corners(self) -> Array:
-        """Places of the triads in the IMU's frame [m]."""
         return np.vstack([np.zeros(3), 0.05 * np.eye(3)])[: 1 if self.gyro else 4]
 
 
@@ -79,21 +78,17 @@ class Arm:
 
     @property
     def n(self) -> int:
-        """Joints that move."""
         return len(self.drives)
 
     @property
     def names(self) -> list[str]:
-        """The joints that move."""
         return [f"j{k + 1}" for k in range(self.n)]
 
     def of(self, quantity: str) -> Array:
-        """A quantity of every drive: (n,)."""
         return np.array([getattr(drive, quantity) for drive in self.drives])
 
 
 def published_links(name: str) -> tuple[Link, ...]:
-    """The links of a published arm."""
     rows = json.loads(PUBLISHED.read_text(encoding="utf-8"))["arms"][name]
     return tuple(
         Link(
@@ -190,7 +185,6 @@ def drawn_imus(rng: np.random.Generator, n: int) -> tuple[Imu, ...]:
 
 
 def drawn_arm(rng: np.random.Generator, label: str, n: int, imus: bool) -> Arm:
-    """An arm: `label` is "drawn", or the name of a published one whose first n joints move."""
     links = drawn_links(rng, n) if label == "drawn" else published_links(label)
     return Arm(
         label,

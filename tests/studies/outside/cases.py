@@ -34,7 +34,6 @@ class AstrayError(ArithmeticError):
 
 
 def write(path: Path, arm: Arm, log: Log, t: Array) -> None:
-    """Write a log as Parquet or MCAP, with torques or currents."""
     own: dict[str, Any] = {"accelerometers": log.accelerometers, "gyros": log.gyros}
     effort = log.torque / (arm.of("ratio") * arm.of("constant")) if arm.currents else log.torque
     if path.suffix == ".mcap":
@@ -63,7 +62,6 @@ class Recorder:
         (self.folder / "arm.urdf").write_text(urdf(self.case.arm))
 
     def record(self, motion: Array, effects: Sequence[Effect]) -> Path:
-        """Simulate a motion and write the log."""
         case, self.count = self.case, self.count + 1
         log = simulate(case.arm, motion, 100 * case.outline.seed + self.count, effects, self.clock)
         asked = motion[:: round(len(motion) / len(log.q))][: len(log.q)]
@@ -124,12 +122,10 @@ class Prepared:
 
     @property
     def robot(self) -> Path:
-        """The robot file."""
         return self.recorder.robot
 
 
 def prepared(case: Case, folder: Path) -> Prepared:
-    """Record, identify, and record the logs that are asked about."""
     recorder = Recorder(case, folder)
     if case.outline.flow == "single":
         logs = recorder.moves(1, 20.0, case.effects)
@@ -144,10 +140,7 @@ def prepared(case: Case, folder: Path) -> Prepared:
 def answered(
     seed: int, cache: Path, keep: bool = False, coarser: float = 1.0, whole: bool = False
 ) -> dict[str, Any]:
-    """Record, identify, record on, diagnose: what was hidden and what was found.
-
-    The diagnosis is kept in the cache; the logs and files as well if they are to be kept.
-    """
+    """Record, identify, record on, diagnose: what was hidden and what was found."""
     cache.mkdir(parents=True, exist_ok=True)
     case = drawn(seed, coarser, whole)
     start = time.process_time()
@@ -177,7 +170,6 @@ def answered(
 
 
 def poor(file: Path) -> str:
-    """What is poor of the stages, or "good"."""
     stages = read_parameters(file).stages
     named = ((name, getattr(stages, name)) for name in ("friction", "gravity", "imu", "inertia"))
     found = [
@@ -191,7 +183,6 @@ def poor(file: Path) -> str:
 
 
 def told(found: DiagnosisFile) -> dict[str, Any]:
-    """What a diagnosis says, as far as it is judged."""
     return {
         "verdict": found.verdict,
         "findings": [

@@ -1,7 +1,4 @@
-"""What a model can lack, and how it acts on the simulated arm: by MuJoCo's own means.
-
-Every function of `KINDS` draws one effect at joint `j` of an arm, its size still open.
-"""
+"""What a model can lack, and how it acts on the simulated arm: by MuJoCo's own means."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -29,14 +26,12 @@ def kind(draw: Draw) -> Draw:
 
 
 def found(root: ET.Element, path: str) -> ET.Element:
-    """The element of an MJCF that must be there."""
     element = root.find(path)
     assert element is not None, path
     return element
 
 
 def joint_of(root: ET.Element, arm: Arm, j: int) -> ET.Element:
-    """A joint of the arm's MJCF."""
     return found(root, f".//joint[@name='{arm.names[j]}']")
 
 

@@ -64,7 +64,6 @@ def one_step(row: Row) -> bool:
 
 
 def related(name: str, kind: str) -> bool:
-    """Whether two effects are of one family."""
     return name == kind or any({name, kind} <= group for group in FAMILIES)
 
 
@@ -92,7 +91,6 @@ def finding_is(
 
 
 def surely_wrong(row: Row) -> bool:
-    """Whether a name that is not even of a hidden effect's family is stated with certainty."""
     return any(
         finding["confidence"] >= SURE and finding_is(row, finding) == "wrong"
         for finding in row.get("findings", ())
@@ -142,10 +140,7 @@ def label(row: Row, number: int) -> Label:
 
 
 def _left(row: Row, joint: str) -> float:
-    """RMSE in noise floors, at a joint or at the worst of all.
-
-    Of what the file, moved by no more than its own errors, and right findings leave.
-    """
+    """RMSE in noise floors, at a joint or at the worst of all."""
     chosen = [entry for name, entry in row["residuals"].items() if _here(name, joint)]
     left = [min(rmse, more) / floor for rmse, floor, more in chosen if rmse and floor and more]
     return max(left, default=0.0)

@@ -52,17 +52,12 @@ class Effect:
     scale: float = 1.0  # 1 is a usual size, `most` what the effect can be at the most
 
     def make(self, scale: float) -> "Effect":
-        """The effect in a size."""
         return replace(self, scale=scale)
 
 
 @dataclass(frozen=True)
 class Log:
-    """What was logged, and the truth beside it.
-
-    t (N,) s, q (N, n) rad, torque (N, n) N m, temperature (N, n) degC, per IMU its accelerometers
-    (N, K) m/s^2 and its gyro (N, 3) rad/s; true_torque (N, n) N m is the motors'.
-    """
+    """What was logged, and the truth beside it."""
 
     t: Array
     q: Array
@@ -74,7 +69,6 @@ class Log:
 
 
 def built(arm: Arm, effects: Sequence[Effect] = ()) -> mujoco.MjModel:
-    """The arm with what the effects change of it."""
     root = mjcf(arm)
     for effect in effects:
         if effect.xml:
@@ -83,7 +77,6 @@ def built(arm: Arm, effects: Sequence[Effect] = ()) -> mujoco.MjModel:
 
 
 def _motors(arm: Arm, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
-    """Degrees of freedom of the motors and of the links that they move."""
     kinds = mujoco.mjtObj.mjOBJ_JOINT
     links = [mujoco.mj_name2id(model, kinds, name) for name in arm.names]
     motors = [mujoco.mj_name2id(model, kinds, f"{name}_motor") for name in arm.names]
@@ -95,10 +88,7 @@ def _motors(arm: Arm, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
 
 
 def _controller(arm: Arm, reference: Array, rate: Array) -> tuple[Array, Array]:
-    """Inertia (n,) that the loops are tuned to, and what is fed forward (N, n).
-
-    Both are of the plain arm: nobody has told the controller what changed.
-    """
+    """Inertia (n,) that the loops are tuned to, and what is fed forward (N, n)."""
     model = built(arm)
     model.dof_frictionloss[:] = 0.0
     data = mujoco.MjData(model)
@@ -117,10 +107,7 @@ def _controller(arm: Arm, reference: Array, rate: Array) -> tuple[Array, Array]:
 def simulate(
     arm: Arm, reference: Array, seed: int, effects: Sequence[Effect] = (), start: float = 0.0
 ) -> Log:
-    """Follow a motion (N, n) at 1 kHz: PD, with most of the rigid arm's torque fed forward.
-
-    `start` [s] is when in the session the log begins.
-    """
+    """Follow a motion (N, n) at 1 kHz: PD, with most of the rigid arm's torque fed forward."""
     model = built(arm, effects)
     data = mujoco.MjData(model)
     motor, link = _motors(arm, model)

@@ -36,7 +36,6 @@ Rows = Sequence[Row]
 
 
 def tables(rows: Rows) -> str:
-    """Markdown: what is asked, clean cases, groups, effects, confidences."""
     makers = (asked_table, clean_table, group_table, effect_table, confidence_table)
     return "\n\n".join(text for text in (make(rows) for make in makers) if text)
 
@@ -54,12 +53,10 @@ def _failed(rows: Rows) -> str:
 
 
 def _found(rows: Rows) -> list[list[str]]:
-    """How well each effect was found, case by case."""
     return [[label(row, k) for k in range(len(row["kinds"]))] for row in _well(rows)]
 
 
 def asked_table(rows: Rows) -> str:
-    """What matters most, of all cases that did not fail."""
     well, found = _well(rows), _found(rows)
     alone = [own[0] for own in found if len(own) == 1]
     pairs = [set(own) for own in found if len(own) == 2]
@@ -84,7 +81,6 @@ def asked_table(rows: Rows) -> str:
 
 
 def clean_table(rows: Rows) -> str:
-    """How often nothing is told of arms that lack nothing."""
     clean = [row for row in rows if not row["kinds"]]
     return grouped(
         "group",
@@ -102,7 +98,6 @@ def clean_table(rows: Rows) -> str:
 
 
 def group_table(rows: Rows) -> str:
-    """Shares of hidden effects by how well they were found, per group of cases."""
     hidden = [row for row in rows if row["kinds"]]
 
     def share_of(key: str) -> Callable[[Rows], str]:
@@ -126,7 +121,6 @@ def group_table(rows: Rows) -> str:
 
 
 def effect_table(rows: Rows) -> str:
-    """The same per effect, with its median share of the torque."""
     every = [(row, k) for row in _well(rows) for k in range(len(row["kinds"]))]
 
     def count_of(key: str) -> Callable[[Sequence[tuple[Row, int]]], str]:
@@ -144,7 +138,6 @@ def effect_table(rows: Rows) -> str:
 
 
 def confidence_table(rows: Rows) -> str:
-    """Stated confidences against how often they were right."""
     findings = [(item, finding_is(row, item)) for row in _well(rows) for item in row["findings"]]
     lines = []
     for low, high in BINS:

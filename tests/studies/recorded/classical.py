@@ -49,7 +49,6 @@ CASES = (
 
 
 def missing(case: Case, folder: Path) -> str:
-    """What is said of a robot whose logs are not there, else nothing."""
     there = all((folder / name).is_file() for name in (*case.train, *case.held_out))
     return "" if there else f"{case.name}: left out, its logs are not beside the project."
 
@@ -65,7 +64,6 @@ def predicted(case: Case, folder: Path, cutoff_hz: float | None = None) -> HeldO
 
 
 def study(chosen: Namespace | None = None, data: Path = DATA) -> str:
-    """One table per robot; a robot whose logs are not there is named and left out."""
     del chosen  # it is quick anyway
     return "\n\n".join(_part(case, data / case.folder) for case in CASES)
 

@@ -53,11 +53,7 @@ def row(
 
 @dataclass(frozen=True)
 class Asked:
-    """A question about an arm: is one of the effects named at one of the joints (from 0)?
-
-    And is the held-out error of the first of these within `limit` [N m]; `there` is False where
-    none is to be named or kept.
-    """
+    """A question about an arm: is one of the effects named at one of the joints (from 0)?"""
 
     text: str
     effects: frozenset[str]
@@ -79,7 +75,6 @@ class Closed:
     refined_s: float
 
     def answer(self, asked: Asked) -> list[str]:
-        """The row of a question."""
         names = [self.robot.joint_names[joint] for joint in asked.joints]
         found = [f for f in self.named.findings if f.effect in asked.effects and f.joint in names]
         given = (self.name, asked.text, _told(found))
@@ -94,7 +89,6 @@ class Closed:
 
 
 def diagnosed(logs: Sequence[Recording], robot: Robot, most: int) -> DiagnosisFile:
-    """What the classical fit of these logs lacks on them."""
     motion = MotionOptions()
     friction, inertia = identify_simultaneous(logs, robot, options=motion, offset=True)
     options = DiscoverOptions(InertiaOptions(motion), max_effects=most)
@@ -175,10 +169,6 @@ NOTE = (
 
 
 def study(chosen: Namespace | None = None, data: Path = DATA) -> str:
-    """What was asked and what came out, then one table per robot; there is no quick way to them.
-
-    A robot whose logs are not there is named and left out.
-    """
     del chosen
     answers: list[list[str]] = []
     parts: list[str] = []
@@ -236,7 +226,6 @@ def closed(case: Case, folder: Path) -> Closed:
 
 
 def rendered(found: Closed) -> str:
-    """Table of one robot, and what was refused."""
     loop, rows = found.loop, []
     for k, joint in enumerate(found.robot.joint_names):
         before, after = loop.before[joint].rmse, loop.after[joint].rmse

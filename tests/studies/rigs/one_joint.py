@@ -27,11 +27,6 @@ FACTORS = (1, 4)
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is identified: the parameter, its unit, the source of motion, the paper's error in %.
-
-    Without a source it is of the gravity stage, whose slow logs alone are in the bound.
-    """
-
     name: str
     unit: float
     paper: str
@@ -49,15 +44,12 @@ PAPER_MNM = dict(zip(METHODS, ("8.16", "8.73", ""), strict=True))
 
 @dataclass(frozen=True)
 class Repetition:
-    """Results of one rig built anew: by quantity, and of held-out torque."""
-
     estimates: dict[str, Estimate]
     bounds: dict[str, list[float]]  # friction known, and its form alone
     torque: Torque
 
 
 def repetition(factor: int, number_of: int) -> Repetition:
-    """Build the rig, record, identify with every source, predict."""
     rng = np.random.default_rng([SEED, factor, number_of])
     plant = another(one_joint(quadrature_factor=factor), rng)
     experiment = run(
@@ -86,7 +78,6 @@ def repetition(factor: int, number_of: int) -> Repetition:
 
 
 def study(chosen: Namespace) -> str:
-    """All tables of this rig."""
     repetitions = 1 if chosen.quick else REPETITIONS
     results = {f: [repetition(f, k) for k in range(repetitions)] for f in FACTORS}
     parameters, bounds, torques = {}, [], []

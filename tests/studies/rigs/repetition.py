@@ -55,7 +55,6 @@ def surface_of(plant: Plant) -> SurfaceFriction:
 
 
 def parameter_table(rows: Mapping[str, tuple[Sequence[Estimate], str]]) -> str:
-    """Errors of the repetitions next to the paper's, by quantity."""
     lines = []
     for label, (found, paper) in rows.items():
         s = spread([100 * e.error for e in found])

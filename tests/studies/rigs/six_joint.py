@@ -20,8 +20,6 @@ EVERY = 4  # control periods per recorded row: 250 Hz
 
 @dataclass(frozen=True)
 class Repetition:
-    """Results of one arm built anew."""
-
     torque: Torque
     z: dict[str, list[float]]  # errors over standard errors of every base parameter, by stage
     rank: str
@@ -29,7 +27,6 @@ class Repetition:
 
 
 def repetition(number_of: int) -> Repetition:
-    """Build the arm, record, identify, predict."""
     rng = np.random.default_rng([SEED, number_of])
     plant = another(six_joint(), rng)
     experiment = run(
@@ -52,7 +49,6 @@ def repetition(number_of: int) -> Repetition:
 
 
 def study(chosen: Namespace) -> str:
-    """All tables of this arm; there is no quick way to them."""
     del chosen
     found = [repetition(k) for k in range(REPETITIONS)]
     ranks = ", ".join(sorted({r.rank for r in found}))

@@ -11,10 +11,9 @@ from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage
 from tests.plants.arms.rigs import two_joint
 from tests.plants.robots.identified import sequential
-from tests.plants.robots.lab import run, true_standard, true_value
+from tests.plants.robots.lab import run, true_friction, true_standard, true_value
 from tests.plants.samples import two_joint_trials
 from tests.plants.simulate import Plant
-from tests.studies.coverage.score import true_friction
 from tests.studies.rigs.repetition import (
     METHODS,
     Estimate,
@@ -49,15 +48,12 @@ class SurfaceError:
 
 @dataclass(frozen=True)
 class Repetition:
-    """Results of one rig built anew; errors are shares of the true values."""
-
     estimates: dict[str, Estimate]
     surfaces: dict[str, SurfaceError]  # by joint and orders
     torque: Torque
 
 
 def repetition(number_of: int) -> Repetition:
-    """Build the rig, record, identify, predict."""
     rng = np.random.default_rng([SEED, number_of])
     plant = another(two_joint(), rng)
     experiment = run("two_joint", plant, two_joint_trials(plant, rng), SEED + number_of)
@@ -97,7 +93,6 @@ def surface_error(plant: Plant, stage: FrictionStage, joint: int) -> SurfaceErro
 
 
 def study(chosen: Namespace) -> str:
-    """All tables of this rig."""
     found = [repetition(k) for k in range(1 if chosen.quick else REPETITIONS)]
     parameters = {
         symbol: ([r.estimates[name] for r in found], paper)

@@ -44,7 +44,6 @@ class Logs:
 
 
 def logs_of(condition: Condition, cache: Path) -> Logs:
-    """Simulate a case's logs, or read them from the cache."""
     sensors = SENSORS[condition.sensors]
     plant, _ = built(condition)
     found: dict[bool, list[Recording]] = {False: [], True: []}
@@ -62,7 +61,6 @@ def logs_of(condition: Condition, cache: Path) -> Logs:
 
 
 def robot_for(condition: Condition) -> Robot:
-    """The robot file of a case."""
     return robot_of(condition.rig, declared(condition))
 
 
@@ -107,17 +105,15 @@ def stored(
 
 
 def plant_sources() -> str:
-    """Hash of the simulator's sources, so that a change of physics makes new logs."""
     return sources_of(Path(plants.__file__).parent, but=("samples",))
 
 
 def sequential_trials(plant: Plant, rig: str) -> list[Trial]:
-    """Experiments for friction, gravity and inertia."""
     postures = list(TWO_POSTURES if rig == "two" else SIX_POSTURES)
     rng = np.random.default_rng(TRIAL_SEED)
     pairs = [(0, 1)] * 3 if rig == "two" else None
     return [
-        *friction_trials(plant, postures[:1], lowest=0.08),
+        *friction_trials(plant, postures[0], lowest=0.08),
         *gravity_trials(plant, postures[:5], speeds=(0.3,)),
         *inertia_trials(plant, postures, rng, pairs=pairs, seconds=5.0),
     ]
@@ -151,7 +147,6 @@ def earlier_logs(condition: Condition, cache: Path) -> Mapping[str, Sequence[Rec
 
 
 def stages_of(condition: Condition, cache: Path) -> Stages:
-    """The parameter file that the case starts from, see `Condition`."""
     logs, robot = earlier_logs(condition, cache), robot_for(condition)
     if condition.simple_friction:
         return simultaneous(logs["friction"], robot)

@@ -19,37 +19,16 @@ FAILED = replace(diagnosis_file(), findings=[], unexplained=[], joints={}, event
 
 
 def named(finding: FindingEntry, truth: Truth) -> bool:
-    """Whether the finding is of the true kind, or says that it might be."""
     return truth.kind is not None and truth.kind in (finding.effect, *finding.confusable_with)
 
 
 def right(finding: FindingEntry, truth: Truth) -> bool:
-    """Whether it is of the true kind at the right joint; None is the whole arm's."""
     return named(finding, truth) and finding.joint in truth.joints
 
 
 @dataclass(frozen=True)
 class Judged:
-    """A case and how its diagnosis is judged; by its first effect if not said otherwise.
-
-    Attributes
-    ----------
-    right, kind_right, own_name, first_right : bool
-        The first finding has kind and joint; the kind; both without help of confusable ones; both
-        of any of the effects.
-    found, all_found : bool
-        Some finding has kind and joint of any effect; every effect has one of its own.
-    quiet, alarm, silent : bool
-        The verdict is that nothing is missing; there is a finding; there is none.
-    explained_away, all_quantities : bool
-        The verdict is unexplained, with some quantity that the effect depends on named at a right
-        joint; with all of them.
-    sure_and_wrong : bool
-        Some finding of confidence above `SURE` is none of the true effects.
-    seen, loud : bool
-        All effects leave something to find in these logs; one makes some joint's held-out RMSE half
-        larger.
-    """
+    """A case and how its diagnosis is judged; by its first effect if not said otherwise."""
 
     record: Record
     diagnosis: DiagnosisFile
@@ -73,7 +52,6 @@ class Judged:
 
     @property
     def condition(self) -> Condition:
-        """The case."""
         return self.record.condition
 
 

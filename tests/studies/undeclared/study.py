@@ -23,7 +23,6 @@ PARTS = ("discover", "identify", "model", "motion", "robot")  # what a diagnosis
 
 
 def study(arguments: Namespace) -> str:
-    """Run what is not there yet; return the tables."""
     cases = cases_of(arguments)
     sources = package_sources(*PARTS) + plant_sources()
     found = results(
@@ -59,7 +58,6 @@ def run_case(condition: Condition, cache: Path) -> Record:
 
 
 def _told(record: Record) -> str:
-    """One line per case to the screen, so that a long study shows how it goes."""
     if record.diagnosis is None:
         return record.error
     named = [f"{f.effect}@{f.joint} {f.confidence:.2f}" for f in record.diagnosis.findings]
@@ -68,7 +66,6 @@ def _told(record: Record) -> str:
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options that only this study has, or others of simulated arms as well."""
     add = parser.add_argument_group("undeclared effects").add_argument
     folder = Path(tempfile.gettempdir()) / "seqid-study"
     add("--cache", type=Path, default=folder, help="logs and results (%(default)s)")
@@ -85,14 +82,12 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def cases_of(arguments: Namespace) -> list[Condition]:
-    """Cases that the options leave."""
     every = quick() if arguments.quick else matrix()
     chosen = [case for case in every if _chosen(case, arguments)]
     return [replace(case, seed=case.seed + arguments.fresh) for case in chosen]
 
 
 def whole(arguments: Namespace) -> bool:
-    """Whether no case of the study is left out."""
     return cases_of(arguments) == list(matrix())
 
 

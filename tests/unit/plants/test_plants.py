@@ -31,7 +31,7 @@ def plant(request: pytest.FixtureRequest) -> Plant:
 def busy(plant: Plant, seconds: float = 2.0, rate_hz: float = 1000.0) -> Reference:
     """All joints move."""
     rng = np.random.default_rng(3)
-    trials = validation_trials(plant, rng, runs=1, seconds=seconds, points=1, rate_hz=rate_hz)
+    trials = validation_trials(plant, rng, seconds=seconds, points=1, rate_hz=rate_hz)
     return trials[0].reference
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests import Array
-from tests.plants.arms.rated import rated_torque
 from tests.plants.arms.vertical import vertical_two_joint
+from tests.plants.effects.friction import rated_torque
 from tests.plants.effects.registry import REGISTRY, inject
 from tests.plants.mechanics.hidden import Hidden, Spring
 from tests.plants.motions.trajectories import Reference, periodic

@@ -3,7 +3,6 @@
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -14,29 +13,12 @@ from tests import ROOT
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Statistics of signed errors of repetitions, in the unit of the errors."""
-
-    median: float  # of the magnitudes
-    worst: float
-    mean: float  # signed: the bias
-    std: float  # about the mean
-    count: int
-
-
-def spread(errors: ArrayLike) -> Spread:
-    e = np.asarray(errors, dtype=np.float64)
-    size = np.abs(e)
-    std = float(np.std(e, ddof=1)) if len(e) > 1 else float("nan")
-    return Spread(float(np.median(size)), float(size.max()), float(e.mean()), std, len(e))
-
-
 def rms(values: ArrayLike) -> float:
     return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))
 
 
 def share_within(z: ArrayLike, limit: float) -> float:
+    """Share of values whose magnitude is at most `limit`."""
     return float(np.mean(np.abs(np.asarray(z, dtype=np.float64)) <= limit))
 
 
@@ -51,6 +33,7 @@ def number(value: float, digits: int = 2) -> str:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table; first column to the left, others to the right."""
     for row in rows:
         if len(row) != len(header):
             raise ValueError(f"row {row[0]!r} has {len(row)} cells, the header {len(header)}")
@@ -76,21 +59,12 @@ def counted(cases: Sequence[T]) -> str:
     return str(len(cases))
 
 
-def median_of(value: Callable[[T], float], digits: int = 2) -> Callable[[Sequence[T]], str]:
-    """A cell with the median of a value over a group."""
-    return lambda group: number(float(np.median([value(one) for one in group])), digits)
-
-
-def write(page: str, name: str, content: str) -> None:
-    path = ROOT / "docs" / page
-    path.write_text(placed(path.read_text(encoding="utf-8"), name, content), encoding="utf-8")
-
-
 def show(page: str, name: str, content: str, *, kept: bool) -> None:
     """Print the content of study `name`; where it is `kept`, put it into a page of docs/."""
     sys.stdout.write(content + "\n")
     if kept:
-        write(page, name, content)
+        path = ROOT / "docs" / page
+        path.write_text(placed(path.read_text(encoding="utf-8"), name, content), encoding="utf-8")
 
 
 def placed(document: str, name: str, content: str) -> str:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +38,6 @@ from tests.plants.samples import SIX_POSTURES
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
 from tests.plants.simulate import Plant, simulate
 
-RIGS = ("one", "planar", "six")
 NOISES = ("white", "coloured")
 ENCODERS = ("fine", "coarse")
 HALF = 0.5  # of the current noise's variance is 1/f where it is coloured
@@ -94,13 +93,8 @@ def record(case: Case, drawn: Drawn, folder: Path) -> None:
     (folder / "robot.toml").write_text(text, encoding="ascii")
     for number, trial in enumerate(drawn.trials):
         state = np.random.SeedSequence([STREAM[case.rig], case.seed, number]).generate_state(1)
-        log = simulate(
-            drawn.plant,
-            trial.reference,
-            int(state[0]),
-            every=drawn.every,
-            imus=trial.imus,
-        )
+        own = {"every": drawn.every, "imus": trial.imus}
+        log = simulate(drawn.plant, trial.reference, int(state[0]), **own)
         write_log(folder / trial.stage / f"{trial.name}.parquet", drawn.plant, log)
 
 
@@ -127,27 +121,19 @@ def _surface(rng: np.random.Generator, coulomb: Array, top: Array) -> SurfaceFri
 
 def _arrays(rng: np.random.Generator, levers: dict[int, Array]) -> tuple[AccelerometerArray, ...]:
     """Tetrahedral arrays on the links `levers` names, turned at random."""
-    positions, axes = tetrahedral_array(0.05)
-    return tuple(
-        AccelerometerArray(
-            f"imu_{'ab'[number]}",
-            link,
-            positions,
-            axes,
-            mounting(*rng.uniform(-1.2, 1.2, 3)),
-            lever * rng.uniform(0.8, 1.2, 3),
-            bias=0.02,
-        )
-        for number, (link, lever) in enumerate(levers.items())
-    )
+    arrays = []
+    for number, (link, lever) in enumerate(levers.items()):
+        place = mounting(*rng.uniform(-1.2, 1.2, 3)), lever * rng.uniform(0.8, 1.2, 3)
+        name = f"imu_{'ab'[number]}"
+        arrays.append(AccelerometerArray(name, link, *tetrahedral_array(0.05), *place, bias=0.02))
+    return tuple(arrays)
 
 
-def _small_plant(
+def _plant(
     rng: np.random.Generator, arm: Arm, inertia: Array, coulomb: Array, top: Array, push: Array
 ) -> Plant:
     """Drives, controller and limits of a rig of the paper's size, all (n,)."""
-    n = arm.n
-    bandwidth = float(rng.uniform(12.0, 25.0))
+    n, bandwidth = arm.n, float(rng.uniform(12.0, 25.0))
     drive = rng.uniform(0.015, 0.04, n)
     hiss = rng.uniform(0.08, 0.2, n) * coulomb / (drive * arm.gear)
     return Plant(
@@ -175,7 +161,7 @@ def _one(rng: np.random.Generator, number: int) -> Drawn:
     arm = Arm(("joint_1",), np.array([[tilt, 0, 0, 0]]), link[None], DOWN, gear, rotor)
     coulomb = rng.uniform(0.02, 0.04, 1)
     top, push = rng.uniform(6.0, 9.0, 1), rng.uniform(40.0, 70.0, 1)
-    plant = _small_plant(rng, arm, link[9] + arm.reflected, coulomb, top, push)
+    plant = _plant(rng, arm, link[9] + arm.reflected, coulomb, top, push)
     imus = number % 2 == 0
     if imus:
         plant = replace(plant, imus=_arrays(rng, {0: np.array([0.06, 0.012, 0.008])}))
@@ -212,19 +198,18 @@ def _planar(rng: np.random.Generator, number: int) -> Drawn:
     coulomb = rng.uniform([0.03, 0.015], [0.06, 0.04])
     top, push = rng.uniform([4.0, 6.0], [7.0, 9.0]), rng.uniform([20.0, 40.0], [40.0, 70.0])
     inertia = np.array([outer.sum(), fore[9]]) + arm.reflected
-    plant = _small_plant(rng, arm, inertia, coulomb, top, push)
+    plant = _plant(rng, arm, inertia, coulomb, top, push)
     if imus:
         levers = {0: np.array([0.7 * length, 0.01, 0.02]), 1: np.array([0.08, -0.01, 0.01])}
         plant = replace(plant, imus=_arrays(rng, levers))
     postures = [np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9)]
     slow = gravity_trials(plant, postures[1:4], speeds=(0.1,)) if tilted else []
+    twice = [(0, 1), (0, 1)]
     trials = [
         *friction_trials(plant, postures[0], speeds=int(rng.integers(8, 13))),
         *slow,
         *(imu_trials(plant, postures, turns=1) if imus else ()),
-        *inertia_trials(
-            plant, postures[1:], rng, pairs=[(0, 1), (0, 1)], seconds=float(rng.uniform(10, 16))
-        ),
+        *inertia_trials(plant, postures[1:], rng, pairs=twice, seconds=float(rng.uniform(10, 16))),
     ]
     traits = {"tilted": tilted, "imus": imus, "rotor_coupling": arm.rotor_coupling}
     return Drawn(plant, trials, traits)
@@ -232,17 +217,12 @@ def _planar(rng: np.random.Generator, number: int) -> Drawn:
 
 def _six(rng: np.random.Generator, number: int) -> Drawn:
     """An arm of a UR5e's kind, bodies, lengths, drives and friction drawn; shorter, fewer logs."""
-    del number
     dh = UR5E_DH * np.array([1.0, *rng.uniform(0.85, 1.15, 2), 1.0])
-    bodies = [
-        standard_parameters(
-            m * rng.uniform(0.7, 1.3),
-            tuple(np.array(c) * rng.uniform(0.8, 1.2, 3)),
-            tuple(np.array(g) * rng.uniform(0.85, 1.15, 3)),
-            mounting(*rng.uniform(-0.1, 0.1, 3)),
-        )
-        for m, c, g in UR5E_BODIES
-    ]
+    bodies = []
+    for m, c, g in UR5E_BODIES:
+        mass, centre = m * rng.uniform(0.7, 1.3), np.array(c) * rng.uniform(0.8, 1.2, 3)
+        radii, turn = np.array(g) * rng.uniform(0.85, 1.15, 3), rng.uniform(-0.1, 0.1, 3)
+        bodies.append(standard_parameters(mass, tuple(centre), tuple(radii), mounting(*turn)))
     rotors = UR5E_ROTORS * rng.uniform(0.7, 1.3, 6)
     gear = rng.uniform(80.0, 120.0, 6)
     coupled = bool(rng.uniform() < 0.5)
@@ -268,11 +248,10 @@ def _six(rng: np.random.Generator, number: int) -> Drawn:
         imus=_arrays(rng, levers),
     )
     postures, rate = list(SIX_POSTURES), 500.0
-    pairs = list(combinations(range(6), 2))
     trials = [
         *friction_trials(plant, postures[0], rate_hz=rate, speeds=7, lowest=0.12),
         *gravity_trials(plant, postures[:4], rate_hz=rate, speeds=(0.3,)),
         *imu_trials(plant, postures[:5], rate_hz=rate, turns=1),
-        *inertia_trials(plant, postures, rng, pairs=pairs, rate_hz=rate, seconds=4.0),
+        *inertia_trials(plant, postures, rng, rate_hz=rate, seconds=4.0),
     ]
     return Drawn(plant, trials, {"rotor_coupling": coupled}, every=2)

@@ -116,14 +116,10 @@ def friction_rows(plant: Plant, stage: FrictionStage, rng: np.random.Generator) 
 def imu_rows(plant: Plant, stage: ImuStage) -> list[Row]:
     """Mountings as small rotations about the link's axes, deg; the truth is none."""
     rows = []
-    for imu in plant.imus:
-        if imu.name in stage.imus:
-            angles = zip("xyz", *turned(imu, stage.imus[imu.name]), strict=True)
-            rows += [
-                row("imu", f"{imu.name} {axis}", angle, error, 0.0)
-                for axis, angle, error in angles
-                if error < VAGUE_DEG
-            ]
+    for imu in (imu for imu in plant.imus if imu.name in stage.imus):
+        for axis, angle, error in zip("xyz", *turned(imu, stage.imus[imu.name]), strict=True):
+            if error < VAGUE_DEG:
+                rows.append(row("imu", f"{imu.name} {axis}", angle, error, 0.0))
     return rows
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tests import Array
-from tests.studies.coverage.cases import ENCODERS, NOISES, RIGS, case_of
+from tests.studies.coverage.cases import ENCODERS, NOISES, case_of
 from tests.studies.coverage.score import Result, Row, score, z_of
 from tests.studies.records import package_sources, results, seeds_of
 from tests.studies.tables import number, rms, table
@@ -24,14 +24,13 @@ def study(chosen: Namespace) -> str:
     seeds = seeds_of(chosen.seeds or (QUICK if chosen.quick else SEEDS))
     if seeds:
         kind_of(seeds)
-    rigs = [chosen.rig] if chosen.rig else ["planar"] if chosen.quick else list(RIGS)
+    rigs = [chosen.rig] if chosen.rig else ["planar"] if chosen.quick else list(NAMES)
     parts, program = [], package_sources()
     for rig in rigs:
-        if rig not in RIGS:
-            raise SystemExit(f"coverage has no rig {rig!r}, only {', '.join(RIGS)}")
-        cases = [case_of(rig, seed) for seed in seeds]
+        if rig not in NAMES:
+            raise SystemExit(f"coverage has no rig {rig!r}, only {', '.join(NAMES)}")
         kept = results(
-            {case.label: case for case in cases},
+            {case.label: case for case in (case_of(rig, seed) for seed in seeds)},
             score,
             Result,
             chosen.cache / "coverage" / f"{rig}.jsonl",
@@ -40,32 +39,23 @@ def study(chosen: Namespace) -> str:
             processes=chosen.processes,
             told=lambda result: f"{result['cpu_s']} s {result.get('failed', '')}",
         )
-        found = list(kept.values())
-        if found:
-            parts.append(f"### {NAMES[rig]}\n\n{summary(found, program)}\n\n{tables_of(found)}")
+        if found := list(kept.values()):
+            made, cpu = sorted(r["seed"] for r in found), np.mean([r["cpu_s"] for r in found])
+            parts.append(
+                f"### {NAMES[rig]}\n\n{len(made)} {kind_of(made)} seeds, {made[0]} to {made[-1]}; "
+                f"{cpu:.1f} s of CPU each; package {program[:12]}.\n\n{tables_of(found)}"
+            )
     return "\n\n".join(parts)
 
 
 def whole(chosen: Namespace) -> bool:
-    parts = (chosen.rig, chosen.seeds)
-    return not (chosen.quick or any(parts))
-
-
-def summary(results: Sequence[Result], program: str) -> str:
-    seeds = sorted(r["seed"] for r in results)
-    cpu = sum(r["cpu_s"] for r in results) / len(results)
-    return (
-        f"{len(seeds)} {kind_of(seeds)} seeds, {seeds[0]} to {seeds[-1]}; {cpu:.1f} s of CPU each; "
-        f"package {program[:12]}."
-    )
+    return not (chosen.quick or chosen.rig or chosen.seeds)
 
 
 def kind_of(seeds: Sequence[int]) -> str:
     least, most = min(seeds), max(seeds)
-    if least in TUNING and most in TUNING:
-        return "tuning"
-    if least >= FIRST_JUDGING:
-        return "judging"
+    if most in TUNING or least >= FIRST_JUDGING:
+        return "tuning" if most in TUNING else "judging"
     raise SystemExit(
         f"seeds {least} to {most}: give seeds below {TUNING.stop} (tuning) or from "
         f"{FIRST_JUDGING} on (judging), not both"

@@ -5,13 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from seqid_cli.logs.recording import Recording
 from tests.plants.motions.experiments import friction_trials, gravity_trials, inertia_trials
 from tests.plants.motions.trajectories import Reference
 from tests.plants.motions.trials import moves, waves
 from tests.plants.samples import SIX_POSTURES
 from tests.studies.undeclared.cases import Condition, built, declared
-from tests.studies.undeclared.logs import TWO_POSTURES, Logs, robot_for, stored
+from tests.studies.undeclared.logs import TWO_POSTURES, Logs, in_turn, robot_for
 
 KINDS = ("load_dependent_friction", "gear_efficiency", "thermal_friction", "torque_ripple")
 KINDS += ("spring",)
@@ -78,14 +77,11 @@ def references(case: Case) -> list[tuple[str, Reference, int]]:
 
 
 def recorded(case: Case, cache: Path) -> Logs:
-    plant, _ = built(case.condition)
-    found: dict[str, list[Recording]] = {}
-    start = 20.0
-    for number, (part, reference, every) in enumerate(references(case)):
-        what = f"loop|{case.rig}|{case.condition.effects!r}|{part}/{number}"
-        seed = 10_000 + 1000 * case.seed + number
-        log = stored(cache, what, plant, reference, seed, every=every, start=round(start, 3))
-        found.setdefault(part, []).append(log)
-        start += reference.duration + PAUSE
+    seed, label = 10_000 + 1000 * case.seed, f"loop|{case.rig}|{case.condition.effects!r}"
+    plan = [
+        (part, f"{label}|{part}/{k}", reference, seed + k, every)
+        for k, (part, reference, every) in enumerate(references(case))
+    ]
+    found = in_turn(cache, built(case.condition)[0], plan, PAUSE)
     training, held_out = (tuple(found.pop(part)) for part in ("training", "held_out"))
     return Logs(robot_for(case.condition), training, held_out, earlier=found)

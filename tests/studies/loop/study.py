@@ -17,7 +17,7 @@ from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
 from tests.plants.robots.identified import sequential
 from tests.studies.loop.logs import KINDS, Case, case_of, recorded
 from tests.studies.records import results
-from tests.studies.tables import counted, grouped, median_of, number
+from tests.studies.tables import counted, grouped, number
 from tests.studies.undeclared.cases import built
 from tests.studies.undeclared.refine import NEAR, file_of, told_model
 
@@ -107,7 +107,8 @@ def rendered(found: Sequence[Result]) -> str:
         groups[f"all, {rig} joints"] = mine
 
     def middle(*names: str) -> dict[str, Callable[[Sequence[Result]], str]]:
-        return {name: median_of(attrgetter(name)) for name in names}
+        medians = {name: partial(map, attrgetter(name)) for name in names}
+        return {name: lambda own, of=of: number(median(of(own))) for name, of in medians.items()}
 
     columns = {
         "cases": counted,

@@ -77,6 +77,7 @@ def built(arm: Arm, effects: Sequence[Effect] = ()) -> mujoco.MjModel:
 
 
 def _motors(arm: Arm, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
+    """Degrees of freedom of the motors and of the links that they move."""
     kinds = mujoco.mjtObj.mjOBJ_JOINT
     links = [mujoco.mj_name2id(model, kinds, name) for name in arm.names]
     motors = [mujoco.mj_name2id(model, kinds, f"{name}_motor") for name in arm.names]
@@ -153,11 +154,7 @@ def simulate(
 
 
 def _logged(
-    arm: Arm,
-    times: Array,
-    truth: tuple[Array, Array, Array, Array],
-    seed: int,
-    effects: Sequence[Effect],
+    arm: Arm, times: Array, truth: Sequence[Array], seed: int, effects: Sequence[Effect]
 ) -> Log:
     rng = np.random.default_rng([seed, 5])
     q, tau, warmth, sensed = truth
@@ -169,7 +166,17 @@ def _logged(
     rows = slice(None, None, round(1.0 / (STEP_S * arm.rate_hz)))
     noise = arm.noise * arm.of("coulomb") * rng.normal(size=told[rows].shape)
     counts = arm.of("count")
-    accelerometers, gyros = _imus(arm, sensed[rows], rng)
+    accelerometers, gyros, at = {}, {}, 0  # the sensors' numbers come IMU by IMU
+    for k, imu in enumerate(arm.imus):
+        count = 3 * len(imu.corners)
+        clean = sensed[rows, at : at + count]
+        noisy = clean + imu.bias[:count] + imu.noise * rng.normal(size=clean.shape)
+        accelerometers[f"imu{k}"] = noisy
+        at += count
+        if imu.gyro:
+            clean = sensed[rows, at : at + 3]
+            gyros[f"imu{k}"] = clean + 0.002 * rng.normal(size=clean.shape)
+            at += 3
     return Log(
         times[rows],
         counts * np.round(q[rows] / counts),
@@ -179,20 +186,3 @@ def _logged(
         gyros,
         tau[rows],
     )
-
-
-def _imus(
-    arm: Arm, sensed: Array, rng: np.random.Generator
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Split the sensors' numbers (N, S) by IMU, with bias and noise."""
-    accelerometers, gyros, at = {}, {}, 0
-    for k, imu in enumerate(arm.imus):
-        count = 3 * len(imu.corners)
-        clean = sensed[:, at : at + count]
-        noise = imu.noise * rng.normal(size=clean.shape)
-        accelerometers[f"imu{k}"] = clean + imu.bias[:count] + noise
-        at += count
-        if imu.gyro:
-            gyros[f"imu{k}"] = sensed[:, at : at + 3] + 0.002 * rng.normal(size=(len(sensed), 3))
-            at += 3
-    return accelerometers, gyros

@@ -63,9 +63,8 @@ def errors(factor: int, seed: int, *, short: bool = False) -> dict[str, float]:
     """Error of the inertia, % of the true one, by each way."""
     rng = np.random.default_rng([SEED, factor, seed])
     plant = rig(factor, seed, rng)
-    experiment = run(
-        "one_joint", plant, trials(plant, rng, short=short), SEED + 100 * factor + seed
-    )
+    motions = trials(plant, rng, short=short)
+    experiment = run("one_joint", plant, motions, SEED + 100 * factor + seed)
     logs, robot = experiment.recordings, experiment.robot
     stages = before_inertia(logs, robot)
     found = {

@@ -1,7 +1,7 @@
 """The paper's planar two-joint rig (Sec. 4.2): Table IV and the friction surfaces."""
 
 from argparse import Namespace
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,8 +37,7 @@ ORDERS = {
 }
 
 
-@dataclass(frozen=True)
-class SurfaceError:
+class SurfaceError(NamedTuple):
     """Identified friction against the true one inside the identified range, share of its RMS."""
 
     rms: float
@@ -46,8 +45,7 @@ class SurfaceError:
     orders: str
 
 
-@dataclass(frozen=True)
-class Repetition:
+class Repetition(NamedTuple):
     estimates: dict[str, Estimate]
     surfaces: dict[str, SurfaceError]  # by joint and orders
     torque: Torque
@@ -110,13 +108,12 @@ def study(chosen: Namespace) -> str:
         cells = [*np.median(values, axis=0), *values.max(axis=0)]
         torques.append([method, *(number(float(x), 3) for x in cells)])
     joints = [f"{what} {joint}" for what in ("median", "worst") for joint in two_joint().arm.names]
+    surface = ["friction surface", "median of RMS error %", "largest error %", "m, l"]
     return "\n\n".join(
         [
             f"{len(found)} rigs; errors in % of the true value.",
             parameter_table(parameters),
-            table(
-                ["friction surface", "median of RMS error %", "largest error %", "m, l"], surfaces
-            ),
+            table(surface, surfaces),
             table(["held-out torque RMSE, mN m", *joints], torques),
         ]
     )

@@ -103,7 +103,7 @@ class Record:
     condition: Condition
     diagnosis: DiagnosisFile | None
     excess: tuple[tuple[float, ...], ...]
-    seconds: Mapping[str, float]
+    seconds: float  # of the diagnosis
     error: str = ""
 
 

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -56,8 +56,7 @@ def logs_of(condition: Condition, cache: Path) -> Logs:
                 cache, what, plant, drill.reference, seed, every=sensors.every, start=drill.start
             )
             found[drill.held_out].append(recording)
-    robot = robot_for(condition)
-    return Logs(robot, tuple(found[False]), tuple(found[True]))
+    return Logs(robot_for(condition), tuple(found[False]), tuple(found[True]))
 
 
 def robot_for(condition: Condition) -> Robot:
@@ -119,20 +118,27 @@ def sequential_trials(plant: Plant, rig: str) -> list[Trial]:
     ]
 
 
-def experiments_of(condition: Condition, cache: Path) -> Mapping[str, list[Recording]]:
-    """The sequential experiments' recordings, stage by stage, minutes of pauses between them."""
-    usual, (plant, _) = declared(condition), built(condition)
+def in_turn(
+    cache: Path, plant: Plant, plan: Iterable[tuple[str, str, Reference, int, int]], pause: float
+) -> dict[str, list[Recording]]:
+    """Recordings by part, `pause` s apart; each of a part, label, motion, seed and `every`."""
     found: dict[str, list[Recording]] = {}
     start = FIRST_START
-    for number, trial in enumerate(sequential_trials(usual, condition.rig)):
-        what = f"{_plant_label(condition)}|{trial.stage}/{trial.name}"
-        seed = TRIAL_SEED + number
-        recording = stored(
-            cache, what, plant, trial.reference, seed, every=TRIAL_EVERY, start=round(start, 3)
-        )
-        found.setdefault(trial.stage, []).append(recording)
-        start += trial.reference.duration + PAUSE
+    for part, what, reference, seed, every in plan:
+        log = stored(cache, what, plant, reference, seed, every=every, start=round(start, 3))
+        found.setdefault(part, []).append(log)
+        start += reference.duration + pause
     return found
+
+
+def experiments_of(condition: Condition, cache: Path) -> Mapping[str, list[Recording]]:
+    """The sequential experiments' recordings, by stage."""
+    label, every = _plant_label(condition), TRIAL_EVERY
+    plan = [
+        (t.stage, f"{label}|{t.stage}/{t.name}", t.reference, TRIAL_SEED + k, every)
+        for k, t in enumerate(sequential_trials(declared(condition), condition.rig))
+    ]
+    return in_turn(cache, built(condition)[0], plan, PAUSE)
 
 
 def earlier_logs(condition: Condition, cache: Path) -> Mapping[str, Sequence[Recording]]:

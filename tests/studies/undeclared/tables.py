@@ -97,8 +97,7 @@ def tables(records: Sequence[Record], wanted: int) -> str:
 def _seconds(records: Sequence[Record]) -> str:
     parts = []
     for rig, name in RIGS.items():
-        own = [r.seconds for r in records if r.condition.rig == rig]
-        spent = [seconds["diagnose"] for seconds in own if "diagnose" in seconds]
+        spent = [r.seconds for r in records if r.condition.rig == rig and r.diagnosis]
         if spent:
             middle, longest = number(float(np.median(spent))), number(max(spent))
             parts.append(f"{name}: median {middle} s, longest {longest} s")

@@ -44,12 +44,16 @@ def study(chosen: Namespace) -> str:
             ("pyarrow iter_batches", "iter_batches", columns, half, 0),
             ("seqid, by blocks", "parquet_blocks", fewer, half // 2, 0),
         ]
-        title = "JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB"
-        parts = [_compared(title, "message", cdr, rounds)]
-        title = "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)"
-        parts.append(_compared(title, "message", others, rounds))
-        title = "Parquet, 14 of 29 columns, zstd, row groups of 131,072"
-        return "\n\n".join([*parts, _compared(title, "row", tables, rounds)])
+        parts = (
+            ("JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB", "message", cdr),
+            (
+                "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)",
+                "message",
+                others,
+            ),
+            ("Parquet, 14 of 29 columns, zstd, row groups of 131,072", "row", tables),
+        )
+        return "\n\n".join(_compared(*part, rounds) for part in parts)
 
 
 def _told(case: str, path: Path, count: int) -> Told:

@@ -31,13 +31,15 @@ def study(chosen: Namespace) -> str:
     return table(["", "CPU", "unit", "faster", "largest difference"], rows)
 
 
-def _cpu(jobs: list[Job], rounds: int) -> list[float]:
-    def spent(job: Job) -> float:
-        before = time.process_time()
-        job()
-        return time.process_time() - before
+def _spent(job: Job) -> float:
+    """CPU seconds."""
+    before = time.process_time()
+    job()
+    return time.process_time() - before
 
-    return [median(own) for own in in_turns([partial(spent, job) for job in jobs], rounds)]
+
+def _cpu(jobs: list[Job], rounds: int) -> list[float]:
+    return [median(own) for own in in_turns([partial(_spent, job) for job in jobs], rounds)]
 
 
 def _regressor(rounds: int) -> list[list[str]]:
@@ -54,16 +56,10 @@ def _regressor(rounds: int) -> list[list[str]]:
             out[i] = pin.computeJointTorqueRegressor(model, data, q[i], dq[i], ddq[i])
         return out
 
-    def batch() -> Array:
-        return torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
-
-    def needed() -> Array:
-        return base_regressor(robot, basis, q, dq, ddq)
-
-    def selected() -> Array:
-        return loop()[:, :, np.flatnonzero(basis.representative.any(axis=1))]
-
-    one, chosen, every, base = _cpu([loop, selected, batch, needed], rounds)
+    columns = np.flatnonzero(basis.representative.any(axis=1))
+    batch = partial(torque_regressor, robot.chain, robot.gravity, q, dq, ddq)
+    needed = partial(base_regressor, robot, basis, q, dq, ddq)
+    one, chosen, every, base = _cpu([loop, lambda: loop()[:, :, columns], batch, needed], rounds)
     per, unit = 1e6 / len(q), "us/sample"
     error = float(np.abs(loop() - batch()).max() / np.abs(batch()).max())
     return [
@@ -136,11 +132,9 @@ def smoother(chosen: Namespace) -> str:
     }
     rows = []
     for label, rig in rigs.items():
-        c, times = case(rig), []
-        for _ in range(1 if chosen.quick else REPEATS):
-            start = time.process_time()
-            smoothed_motion(c.recording, c.robot, c.stage)
-            times.append(time.process_time() - start)
-        span, cpu = float(np.ptp(c.recording.t)), min(times)
+        c = case(rig)
+        job = partial(_spent, partial(smoothed_motion, c.recording, c.robot, c.stage))
+        cpu = min(job() for _ in range(1 if chosen.quick else REPEATS))
+        span = float(np.ptp(c.recording.t))
         rows.append([label, f"{span:.0f}", f"{cpu:.2f}", f"{span / cpu:.0f}"])
     return table(["rig, 1 kHz", "log, s", "CPU, s", "times faster than real time"], rows)

@@ -111,11 +111,9 @@ def _instrument(imu: AccelerometerArray, case: Case) -> AccelerometerArray:
 def instruments(scene: Scene, seed: int) -> list[AccelerometerArray]:
     """The IMUs of one seed."""
     found = []
-    for number, imu in enumerate(scene.plant.imus):
-        assert imu.faults is not None
-        faults = replace(imu.faults, seed=1000 * seed + number)
-        gyro = replace(imu.gyro_faults, seed=1000 * seed + 500 + number)
-        found.append(replace(imu, faults=faults, gyro_faults=gyro))
+    for number, imu in enumerate(scene.plant.imus, start=1000 * seed):
+        gyro = replace(imu.gyro_faults, seed=500 + number)
+        found.append(replace(imu, faults=replace(imu.faults, seed=number), gyro_faults=gyro))
     return found
 
 
@@ -136,8 +134,7 @@ def recordings(scene: Scene, seed: int) -> list[Recording]:
             gyros |= {} if gyro is None else {imu.name: gyro}
         q = quantise(truth.angle + phase, scene.case.step) - phase
         seen = replace(log, q=q, accelerometers=accelerometers)
-        own = recording_of(scene.plant, f"imu/{number}", seen)
-        found.append(replace(own, gyros=gyros))
+        found.append(replace(recording_of(scene.plant, f"imu/{number}", seen), gyros=gyros))
     return found
 
 

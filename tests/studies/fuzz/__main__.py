@@ -42,7 +42,9 @@ def main(arguments: Sequence[str]) -> int:
                 parts = repr((target.name, chosen.seed, done)).encode()
                 seed = int.from_bytes(hashlib.sha256(parts).digest()[:6])
                 fuzz(target, folder, min(ROUND, chosen.count - done), seed, tally)
-                _tell(f"{target.name}: {len(tally.outcomes)}, {len(tally.finds)} finds")
+                sys.stderr.write(
+                    f"{target.name}: {len(tally.outcomes)}, {len(tally.finds)} finds\n"
+                )
             done += ROUND
     show("trust.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write)
     return 1 if _kept(tallies, chosen.keep) else 0
@@ -56,7 +58,7 @@ def _kept(tallies: Mapping[str, Tally], folder: Path) -> int:
         (folder / stem).write_bytes(find.data)
         report = f"{find.why}\n{' '.join(find.line)}\n{find.damage}\n{find.said}\n"
         (folder / f"{stem}.txt").write_text(report, encoding="utf-8", errors="backslashreplace")
-        _tell(f"{folder / stem}: {find.why}")
+        sys.stderr.write(f"{folder / stem}: {find.why}\n")
     return len(finds)
 
 
@@ -70,10 +72,6 @@ def rows(tallies: Mapping[str, Tally]) -> list[list[str]]:
         peak = max((outcome.peak for outcome in every), default=0) >> 10
         cells.append([name, *map(str, counts), f"{slowest:.1f}", str(peak)])
     return cells
-
-
-def _tell(text: str) -> None:
-    sys.stderr.write(text + "\n")
 
 
 if __name__ == "__main__":

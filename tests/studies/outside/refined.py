@@ -32,9 +32,9 @@ def refined_case(seed: int, folder: Path) -> dict[str, Any]:
     ready = prepared(case, folder)
     held_out = ready.recorder.moves(2, 18.0, case.effects)
     clock = time.process_time()
-    loop = discover.refine(ready.logs, held_out, ready.robot, ready.file)
+    loop = discover.refine(ready.logs, held_out, ready.recorder.robot, ready.file)
     row["seconds"] = round(time.process_time() - clock, 1)
-    robot, file = load_robot(ready.robot), read_parameters(ready.file)
+    robot, file = load_robot(ready.recorder.robot), read_parameters(ready.file)
     earlier: dict[str, list[Any]] = {}
     for log in file.inputs:
         earlier.setdefault(log.stage, []).append(read_recording(Path(log.path), robot))

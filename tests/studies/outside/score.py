@@ -27,35 +27,21 @@ FAMILIES: tuple[frozenset[str], ...] = tuple(
         "external_contact drift",
     )
 )
-QUANTITIES: Mapping[str, str] = {  # that an unexplained residual may rightly be said to depend on
-    "stribeck": "velocity direction",
-    "asymmetric_friction": "direction",
-    "load_dependent_friction": "load",
-    "gear_efficiency": "load",
-    "friction_change": "direction velocity",
-    "position_dependent_friction": "position",
-    "thermal_friction": "temperature time velocity",
-    "quadratic_drag": "velocity",
-    "nonlinear_viscous": "velocity",
-    "presliding_hysteresis": "velocity direction",
-    "spring": "position",
-    "payload": "position load acceleration",
-    "base_tilt": "position",
-    "rotor_inertia": "acceleration",
-    "transmission_coupling": "other_joint",
-    "joint_elasticity": "acceleration load",
-    "backlash": "load acceleration",
-    "torque_ripple": "position",
-    "external_contact": "time",
-    "torque_constant": "load acceleration",
-    "torque_saturation": "load",
-    "torque_bias": "time",
-    "drift": "time",
-    "periodic_disturbance": "time_frequency time",
-    "time_skew": "acceleration",
-    "actuator_lag": "acceleration",
-    "encoder_eccentricity": "position",
-}
+_DEPENDS = (  # what an unexplained residual may rightly be said to depend on, for which effects
+    ("position", "spring base_tilt torque_ripple encoder_eccentricity position_dependent_friction"),
+    ("velocity", "quadratic_drag nonlinear_viscous"),
+    ("velocity direction", "stribeck presliding_hysteresis friction_change"),
+    ("direction", "asymmetric_friction"),
+    ("load", "load_dependent_friction gear_efficiency torque_saturation"),
+    ("acceleration", "rotor_inertia time_skew actuator_lag"),
+    ("acceleration load", "joint_elasticity backlash torque_constant"),
+    ("position load acceleration", "payload"),
+    ("temperature time velocity", "thermal_friction"),
+    ("other_joint", "transmission_coupling"),
+    ("time", "external_contact torque_bias drift"),
+    ("time_frequency time", "periodic_disturbance"),
+)
+QUANTITIES = {kind: set(asked.split()) for asked, kinds in _DEPENDS for kind in kinds.split()}
 
 
 def one_step(row: Row) -> bool:
@@ -131,7 +117,7 @@ def label(row: Row, number: int) -> Label:
     unexplained = [entry[1] for entry in row["unexplained"] if _here(entry[0], joint)]
     if kind != "position_dependent_friction":
         unexplained = [each for each in unexplained if not _of_position(row, each)]
-    asked = set(QUANTITIES[kind].split())
+    asked = QUANTITIES[kind]
     if any(asked & {quantity.partition(":")[0] for quantity in each} for each in unexplained):
         return "quantity"
     if near or unexplained:

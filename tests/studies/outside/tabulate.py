@@ -1,6 +1,7 @@
 """The tables of `docs/outside.md`: answers by group and by effect, and stated confidences."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -48,10 +49,6 @@ def _well(rows: Rows) -> list[Row]:
     return [row for row in rows if not row["error"]]
 
 
-def _failed(rows: Rows) -> str:
-    return str(len(rows) - len(_well(rows)))
-
-
 def _found(rows: Rows) -> list[list[str]]:
     return [[label(row, k) for k in range(len(row["kinds"]))] for row in _well(rows)]
 
@@ -92,7 +89,7 @@ def clean_table(rows: Rows) -> str:
             "cases": counted,
             "silent": lambda own: _share([silent(row) for row in _well(own)]),
             "a wrong name, surely": lambda own: str(sum(map(surely_wrong, _well(own)))),
-            "failed": _failed,
+            "failed": lambda own: str(len(own) - len(_well(own))),
         },
     )
 
@@ -100,12 +97,9 @@ def clean_table(rows: Rows) -> str:
 def group_table(rows: Rows) -> str:
     hidden = [row for row in rows if row["kinds"]]
 
-    def share_of(key: str) -> Callable[[Rows], str]:
-        def cell(own: Rows) -> str:
-            hits = [x == key for found in _found(own) for x in found]
-            return _share(hits) if any(hits) else ""
-
-        return cell
+    def share_of(key: str, own: Rows) -> str:
+        hits = [x == key for found in _found(own) for x in found]
+        return _share(hits) if any(hits) else ""
 
     return grouped(
         "group",
@@ -113,9 +107,9 @@ def group_table(rows: Rows) -> str:
         {
             "cases": counted,
             "effects": lambda own: str(sum(map(len, _found(own)))),
-            **{name: share_of(key) for key, name in LABELS.items()},
+            **{name: partial(share_of, key) for key, name in LABELS.items()},
             "a wrong name, surely": lambda own: _share([surely_wrong(row) for row in _well(own)]),
-            "failed": _failed,
+            "failed": lambda own: str(len(own) - len(_well(own))),
         },
     )
 
@@ -123,8 +117,8 @@ def group_table(rows: Rows) -> str:
 def effect_table(rows: Rows) -> str:
     every = [(row, k) for row in _well(rows) for k in range(len(row["kinds"]))]
 
-    def count_of(key: str) -> Callable[[Sequence[tuple[Row, int]]], str]:
-        return lambda own: str(sum(label(row, k) == key for row, k in own) or "")
+    def count_of(key: str, own: Sequence[tuple[Row, int]]) -> str:
+        return str(sum(label(row, k) == key for row, k in own) or "")
 
     return grouped(
         "effect",
@@ -132,7 +126,7 @@ def effect_table(rows: Rows) -> str:
         {
             "times": counted,
             "size": lambda own: percent(float(np.median([r["shares"][k] for r, k in own])), 1),
-            **{name: count_of(key) for key, name in LABELS.items()},
+            **{name: partial(count_of, key) for key, name in LABELS.items()},
         },
     )
 

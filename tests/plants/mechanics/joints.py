@@ -35,6 +35,7 @@ class _Joints:
     dt: float
 
 
+@dataclass
 class RigidJoints(_Joints):
     """Drives and links move as one; friction may act on combinations of the joints' rates."""
 
@@ -85,6 +86,7 @@ class RigidJoints(_Joints):
         return back @ spin, a.T @ (rub + dry.smooth)
 
 
+@dataclass
 class ElasticJoints(_Joints):
     """Some drives turn apart from their links; drives' own coordinates come after the links'.
 

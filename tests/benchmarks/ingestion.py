@@ -44,7 +44,6 @@ def study(chosen: Namespace) -> str:
             ("pyarrow iter_batches", "iter_batches", columns, half, 0),
             ("seqid, by blocks", "parquet_blocks", fewer, half // 2, 0),
         ]
-        states = "foxglove.JointStates"
         parts = (
             ("JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB", "message", cdr),
             (

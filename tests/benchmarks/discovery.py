@@ -1,8 +1,4 @@
-"""What diagnosing and refining cost: two and six joints, minutes at the logs' own rate, two IMUs.
-
-The sample robots are identified from their sample logs; then they have an effect, and are recorded
-on moves of all joints. The held-out logs are two more of 20 s.
-"""
+"""What diagnosing and refining cost: two and six joints, minutes of logs, two IMUs."""
 
 import json
 import os
@@ -46,7 +42,6 @@ SUBJECTS = (
 
 
 def study(chosen: Namespace) -> str:
-    """Return the table."""
     rows = []
     for subject in SUBJECTS[: 1 if chosen.quick else None]:
         with TemporaryDirectory() as name:
@@ -90,6 +85,5 @@ def recorded(subject: Subject, folder: Path) -> tuple[list[str], int]:
 
 
 def _run(*arguments: str) -> float:
-    """CPU s of a command."""
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     return child_cpu_s([sys.executable, "-m", "seqid_cli", *arguments], environment)

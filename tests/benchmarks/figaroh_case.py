@@ -1,8 +1,4 @@
-"""FIGAROH on given arrays, by an interpreter that has it: `python figaroh_case.py URDF ARRAYS`.
-
-It stands alone: that interpreter need not have this project. Regressor, base parameters and
-solution are FIGAROH's own functions, as its examples call them.
-"""
+"""FIGAROH on given arrays, by an interpreter that has it: `python figaroh_case.py URDF ARRAYS`."""
 
 import json
 import resource
@@ -32,7 +28,6 @@ def held_mib() -> float:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Identify and print what it took."""
     pin = import_module("pinocchio")
     regressor = import_module("figaroh.tools.regressor")
     decomposition = import_module("figaroh.tools.qrdecomposition")

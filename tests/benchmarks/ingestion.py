@@ -1,9 +1,4 @@
-"""What reading a log costs: CPU time against the usual readers, and memory against length.
-
-Every measurement is a process of its own; the cases of a comparison take turns, so that all of
-them meet the same machine. CPU time is user and system time without imports, the median of the
-rounds; peak memory is that of the whole process.
-"""
+"""What reading a log costs: CPU time against the usual readers, and memory against length."""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -20,7 +15,6 @@ Subject = tuple[str, str, Path, int, int]  # row's name, case, file, count, row 
 
 
 def study(chosen: Namespace) -> str:
-    """Return the tables."""
     size, rounds = (20_000, 1) if chosen.quick else (1_000_000, ROUNDS)
     with TemporaryDirectory() as name:
         folder = Path(name)
@@ -50,12 +44,16 @@ def study(chosen: Namespace) -> str:
             ("pyarrow iter_batches", "iter_batches", columns, half, 0),
             ("seqid, by blocks", "parquet_blocks", fewer, half // 2, 0),
         ]
-        title = "JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB"
-        parts = [_compared(title, "message", cdr, rounds)]
-        title = "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)"
-        parts.append(_compared(title, "message", others, rounds))
-        title = "Parquet, 14 of 29 columns, zstd, row groups of 131,072"
-        return "\n\n".join([*parts, _compared(title, "row", tables, rounds)])
+        parts = (
+            ("JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB", "message", cdr),
+            (
+                "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)",
+                "message",
+                others,
+            ),
+            ("Parquet, 14 of 29 columns, zstd, row groups of 131,072", "row", tables),
+        )
+        return "\n\n".join(_compared(*part, rounds) for part in parts)
 
 
 def _told(case: str, path: Path, count: int) -> Told:

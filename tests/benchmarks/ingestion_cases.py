@@ -1,7 +1,4 @@
-"""What is measured, one case per process: `python -m tests.benchmarks.ingestion_cases CASE FILE`.
-
-Every case turns the same numbers of a file into arrays. Imports are not counted.
-"""
+"""What is measured, one case a process: `python -m tests.benchmarks.ingestion_cases CASE FILE`."""
 
 import json
 import struct
@@ -49,18 +46,15 @@ def seqid_blocks(path: Path, **options: Any) -> int:
 
 
 def seqid(path: Path) -> int:
-    """Read everything into arrays."""
     return seqid_blocks(path, rows=None)
 
 
 def mcap_ros2(path: Path) -> int:
-    """mcap with mcap-ros2-support."""
     decoded = _decoded(path, "mcap_ros2.decoder")
     return _gathered(_ros(topic, message) for topic, message in decoded)
 
 
 def rosbags(path: Path) -> int:
-    """rosbags' AnyReader."""
     types = import_module("rosbags.typesys")
     store = types.get_typestore(types.Stores.ROS2_HUMBLE)
     with import_module("rosbags.highlevel").AnyReader([path], default_typestore=store) as reader:
@@ -71,8 +65,6 @@ def rosbags(path: Path) -> int:
 
 
 def json_loads(path: Path) -> int:
-    """mcap with json.loads."""
-
     def messages() -> Iterator[Message]:
         with path.open("rb") as file:
             for _, _, message in import_module("mcap.reader").make_reader(file).iter_messages():
@@ -85,8 +77,6 @@ def json_loads(path: Path) -> int:
 
 
 def mcap_protobuf(path: Path) -> int:
-    """mcap with mcap-protobuf-support."""
-
     def messages() -> Iterator[Message]:
         for topic, message in _decoded(path, "mcap_protobuf.decoder"):
             row: list[float] = []
@@ -98,13 +88,11 @@ def mcap_protobuf(path: Path) -> int:
 
 
 def iter_batches(path: Path) -> int:
-    """pyarrow's own batches, 14 of 29 columns."""
     with import_module("pyarrow.parquet").ParquetFile(path) as file:
         return _columns(file.iter_batches(65_536, columns=list(TABLE_COLUMNS)))
 
 
 def parquet_blocks(path: Path) -> int:
-    """Blocks of 14 of 29 columns."""
     return _columns(import_module("seqid_cli.logs.tables.parquet").read_tables(path, TABLE_COLUMNS))
 
 
@@ -127,7 +115,6 @@ def _ros(topic: str, message: Any) -> Message:
 
 
 def _gathered(messages: Iterable[Message]) -> int:
-    """Messages as arrays, topic by topic."""
     stamps: list[int] = []
     rows: dict[str, list[list[float]]] = {}
     for topic, stamp, row in messages:
@@ -155,7 +142,6 @@ CASES: dict[Callable[[Path], int], list[str]] = {  # and what they import
 
 
 def main(name: str, path: Path) -> None:
-    """Measure one case once; print CPU seconds, peak MiB and what the case counted."""
     (case,) = (case for case in CASES if case.__name__ == name)
     for needed in CASES[case]:
         import_module(needed)

@@ -1,8 +1,4 @@
-"""What the numerical kernels cost against the library calls that one would use instead.
-
-The two of a comparison take turns in one process; CPU time is the median of the turns. Of the
-motion smoother the least of several runs counts: a busy machine only ever adds to it.
-"""
+"""What the numerical kernels cost against the library calls that one would use instead."""
 
 import time
 from argparse import Namespace
@@ -30,25 +26,23 @@ Job = Callable[[], object]
 
 
 def study(chosen: Namespace) -> str:
-    """Return the tables."""
     rounds = 1 if chosen.quick else 9
     rows = [*_regressor(rounds), *_least_squares(rounds, quick=chosen.quick)]
     return table(["", "CPU", "unit", "faster", "largest difference"], rows)
 
 
+def _spent(job: Job) -> float:
+    """CPU seconds."""
+    before = time.process_time()
+    job()
+    return time.process_time() - before
+
+
 def _cpu(jobs: list[Job], rounds: int) -> list[float]:
-    """CPU seconds of jobs that take turns."""
-
-    def spent(job: Job) -> float:
-        before = time.process_time()
-        job()
-        return time.process_time() - before
-
-    return [median(own) for own in in_turns([partial(spent, job) for job in jobs], rounds)]
+    return [median(own) for own in in_turns([partial(_spent, job) for job in jobs], rounds)]
 
 
 def _regressor(rounds: int) -> list[list[str]]:
-    """Torque regressor of seven joints."""
     rng = np.random.default_rng(1)
     with TemporaryDirectory() as name:
         robot = load_robot(write_arm(Path(name)))
@@ -62,16 +56,10 @@ def _regressor(rounds: int) -> list[list[str]]:
             out[i] = pin.computeJointTorqueRegressor(model, data, q[i], dq[i], ddq[i])
         return out
 
-    def batch() -> Array:
-        return torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
-
-    def needed() -> Array:
-        return base_regressor(robot, basis, q, dq, ddq)
-
-    def selected() -> Array:
-        return loop()[:, :, np.flatnonzero(basis.representative.any(axis=1))]
-
-    one, chosen, every, base = _cpu([loop, selected, batch, needed], rounds)
+    columns = np.flatnonzero(basis.representative.any(axis=1))
+    batch = partial(torque_regressor, robot.chain, robot.gravity, q, dq, ddq)
+    needed = partial(base_regressor, robot, basis, q, dq, ddq)
+    one, chosen, every, base = _cpu([loop, lambda: loop()[:, :, columns], batch, needed], rounds)
     per, unit = 1e6 / len(q), "us/sample"
     error = float(np.abs(loop() - batch()).max() / np.abs(batch()).max())
     return [
@@ -119,7 +107,6 @@ def _least_squares(rounds: int, *, quick: bool) -> list[list[str]]:
 
 
 def _accumulated(H: Array, y: Array) -> Accumulator:
-    """Rows added in blocks of a second."""
     joint = Accumulator(H.shape[1])
     for start in range(0, len(y), 1000):
         part = slice(start, start + 1000)
@@ -137,7 +124,6 @@ REPEATS = 3
 
 
 def smoother(chosen: Namespace) -> str:
-    """Table over the rigs: the least of several runs; a busy machine only ever adds to it."""
     seconds = 4.0 if chosen.quick else SECONDS
     rigs = {
         "one joint, one array": Rig(1, 2400, seconds=seconds),
@@ -146,11 +132,9 @@ def smoother(chosen: Namespace) -> str:
     }
     rows = []
     for label, rig in rigs.items():
-        c, times = case(rig), []
-        for _ in range(1 if chosen.quick else REPEATS):
-            start = time.process_time()
-            smoothed_motion(c.recording, c.robot, c.stage)
-            times.append(time.process_time() - start)
-        span, cpu = float(np.ptp(c.recording.t)), min(times)
+        c = case(rig)
+        job = partial(_spent, partial(smoothed_motion, c.recording, c.robot, c.stage))
+        cpu = min(job() for _ in range(1 if chosen.quick else REPEATS))
+        span = float(np.ptp(c.recording.t))
         rows.append([label, f"{span:.0f}", f"{cpu:.2f}", f"{span / cpu:.0f}"])
     return table(["rig, 1 kHz", "log, s", "CPU, s", "times faster than real time"], rows)

@@ -1,8 +1,4 @@
-"""Long logs for the measurements, with the bytes that the formats' own writers make.
-
-The first message of every topic is written by the library of its encoding; the others are copies
-of it with other stamps and numbers, because writing a million of them one by one takes minutes.
-"""
+"""Long logs for the measurements, with the bytes that the formats' own writers make."""
 
 from itertools import product
 from pathlib import Path
@@ -46,7 +42,6 @@ def joint_values(count: int, rng: np.random.Generator) -> Array:
 
 
 def template(path: Path, message: Message, encoding: str = "cdr") -> bytes:
-    """The payload of one message as the library of its encoding writes it."""
     write_messages(path, [message], encoding=encoding)  # type: ignore[arg-type]
     with path.open("rb") as file:
         ((_, _, written),) = make_reader(file).iter_messages()
@@ -103,7 +98,6 @@ def _put_doubles(rows: NDArray[np.uint8], at: int, values: Array) -> None:
 
 
 def write_json(path: Path, messages: int) -> Path:
-    """JointState as JSON."""
     d = made(messages, 2)
     more = {"dq": d.dq, "effort": d.torque, "chunk_size": CHUNK}
     return write_mcap(path, d.t, d.joints, d.q, encoding="json", **more)  # type: ignore[arg-type]

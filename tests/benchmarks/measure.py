@@ -24,13 +24,11 @@ def child_cpu_s(command: Sequence[str], environment: Mapping[str, str] = os.envi
 
 
 def told_by(command: Sequence[str]) -> Told:
-    """What a command prints as JSON in its last line."""
     done = subprocess.run(command, capture_output=True, check=True, text=True)
     return json.loads(done.stdout.splitlines()[-1])
 
 
 def module(name: str, *arguments: object) -> list[str]:
-    """The command line of a module beside this one."""
     return [sys.executable, "-m", f"tests.benchmarks.{name}", *map(str, arguments)]
 
 
@@ -50,5 +48,4 @@ def in_turns(jobs: Sequence[Callable[[], T]], rounds: int) -> list[list[T]]:
 
 
 def middle(runs: Sequence[Told], key: str) -> float:
-    """Median over the runs of one job."""
     return median(run[key] for run in runs)

@@ -45,7 +45,6 @@ Runs = list[dict[str, Any]]  # cpu_s, peak MiB, found: values and standard error
 
 
 def study(chosen: Namespace) -> str:
-    """Return the tables."""
     sizes = (20_000, 30_000, 40_000) if chosen.quick else (COMPARED, LONGER, LONGEST)
     rounds = 1 if chosen.quick else ROUNDS
     with TemporaryDirectory() as name:
@@ -108,14 +107,19 @@ def _gaps(run: dict[str, Any], reference: dict[str, Any]) -> list[float]:
 def _against_figaroh(folder: Path, robot_path: Path, *, quick: bool, rounds: int) -> str:
     """The same arrays to both: regressor, base parameters, solution; or why there is no table."""
     other = os.environ.get(INTERPRETER, "")
-    if not other or not _has_figaroh(other):
+    has_it = [other, "-c", "import figaroh"]
+    if not other or subprocess.run(has_it, capture_output=True, check=False).returncode:
         return LEFT_OUT
     samples = SAMPLES // 20 if quick else SAMPLES
-    arrays = write_arrays(folder / "arrays.npz", robot_path, samples)
-    urdf = robot_path.with_name("arm.urdf")
-    program = [other, figaroh_case.__file__, str(urdf), str(arrays)]
-    jobs = [lambda: told_by(program), lambda: _ours(robot_path, arrays)]
-    theirs, ours = in_turns(jobs, rounds)
+    arrays, robot = folder / "arrays.npz", load_robot(robot_path)
+    q, dq, ddq = motion(np.arange(samples) / RATE_HZ)
+    tau = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, dq, ddq)
+    tau += NOISE * np.random.default_rng(7).normal(size=tau.shape)
+    np.savez(arrays, q=q, dq=dq, ddq=ddq, tau=tau)
+    program = [other, figaroh_case.__file__, str(robot_path.with_name("arm.urdf")), str(arrays)]
+    own = module("whole_run_cases", "arrays", robot_path, arrays)
+    theirs, told = in_turns([lambda: told_by(program), lambda: told_by(own)], rounds)
+    ours: Any = [run | run["found"] for run in told]
     rows = [_beside("FIGAROH 1.0.2", theirs, theirs), _beside("seqid", ours, theirs)]
     heads = ["", "CPU s", "times less", "peak MiB", "above its imports and the arrays, MiB"]
     gap = abs(ours[0]["rms"] / theirs[0]["rms"] - 1)
@@ -126,30 +130,6 @@ def _against_figaroh(folder: Path, robot_path: Path, *, quick: bool, rounds: int
         f"Both find {ours[0]['size']:.0f} base parameters; the RMS of what they leave differs by "
         f"{gap:.0e} of itself. seqid gives standard errors as well."
     )
-
-
-def _ours(robot_path: Path, arrays: Path) -> Told:
-    told: Any = told_by(module("whole_run_cases", "arrays", robot_path, arrays))
-    return told | told["found"]
-
-
-def write_arrays(path: Path, robot_path: Path, samples: int) -> Path:
-    """Write motion and noisy torque (N, 7) as arrays."""
-    robot = load_robot(robot_path)
-    assert robot.nominal is not None
-    q, dq, ddq = motion(np.arange(samples) / RATE_HZ)
-    tau = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, dq, ddq)
-    tau += NOISE * np.random.default_rng(7).normal(size=tau.shape)
-    np.savez(path, q=q, dq=dq, ddq=ddq, tau=tau)
-    return path
-
-
-def _has_figaroh(interpreter: str) -> bool:
-    command = [interpreter, "-c", "import figaroh"]
-    try:
-        return subprocess.run(command, capture_output=True, check=False).returncode == 0
-    except OSError:
-        return False
 
 
 def _beside(name: str, runs: Sequence[Told], reference: Sequence[Told]) -> list[str]:

@@ -1,13 +1,9 @@
-"""Whole runs, one case per process: `python -m tests.benchmarks.whole_run_cases CASE ROBOT LOG`.
-
-Imports and loading the robot do not count.
-`straightforward` solves the same equations with what `decimated` wrote beside the log: its cut-off
-and the weights of the joints, so that their answers can be compared.
-"""
+"""Whole runs, one case per process: `python -m tests.benchmarks.whole_run_cases CASE ROBOT LOG`."""
 
 import json
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -24,17 +20,8 @@ ROWS = 2048  # samples of arrays that are worked on at a time
 Found = dict[str, tuple[float, float]]  # value and standard error (0: not told)
 
 
-def decimated(robot_path: Path, log: Path) -> Callable[[], Found]:
+def seqid(robot_path: Path, log: Path, samples_per_cutoff: float = 10.0) -> Callable[[], Found]:
     """The inertia stage as the command runs it."""
-    return _streaming(robot_path, log, 10.0)
-
-
-def full_rate(robot_path: Path, log: Path) -> Callable[[], Found]:
-    """The inertia stage with every sample."""
-    return _streaming(robot_path, log, np.inf)
-
-
-def _streaming(robot_path: Path, log: Path, samples_per_cutoff: float) -> Callable[[], Found]:
     from seqid_cli.identify.options import InertiaOptions
     from seqid_cli.identify.rigid.inertia import identify_inertia
     from seqid_cli.motion.blocks import open_surveyed
@@ -51,14 +38,10 @@ def _streaming(robot_path: Path, log: Path, samples_per_cutoff: float) -> Callab
             raise RuntimeError(f"{log} cannot be passed over")
         stage = identify_inertia([opened], robot, known_friction(), options=options)
         settings = {"cutoff_hz": stage.cutoff_hz, "sigma": list(stage.rmse.values())}
-        _settings_of(log).write_text(json.dumps(settings), encoding="utf-8")
+        log.with_suffix(".json").write_text(json.dumps(settings), encoding="utf-8")
         return {p.name: (p.value, p.std_error) for p in stage.parameters}
 
     return run
-
-
-def _settings_of(log: Path) -> Path:
-    return log.with_suffix(".json")
 
 
 def straightforward(robot_path: Path, log: Path) -> Callable[[], Found]:
@@ -77,7 +60,7 @@ def straightforward(robot_path: Path, log: Path) -> Callable[[], Found]:
     basis = free_basis(robot)
     surfaces = friction_surfaces(known_friction(), robot)
     model = pin.buildModelFromUrdf(str(robot_path.with_name("arm.urdf")))
-    settings = json.loads(_settings_of(log).read_text(encoding="utf-8"))
+    settings = json.loads(log.with_suffix(".json").read_text(encoding="utf-8"))
     sos = butter(4, settings["cutoff_hz"], fs=RATE_HZ, output="sos")
     settling = int(np.ceil(0.6 * RATE_HZ / settings["cutoff_hz"])) + 4
 
@@ -143,7 +126,12 @@ def arrays(robot_path: Path, path: Path) -> Callable[[], dict[str, float]]:
     return run
 
 
-CASES = {case.__name__: case for case in (decimated, full_rate, straightforward, arrays)}
+CASES = {
+    "decimated": seqid,
+    "full_rate": partial(seqid, samples_per_cutoff=np.inf),  # every sample
+    "straightforward": straightforward,
+    "arrays": arrays,
+}
 
 if __name__ == "__main__":
     name, robot_file, *log_file = sys.argv[1:]

@@ -17,21 +17,16 @@ RIGS: Mapping[str, Callable[..., Plant]] = {
 
 @dataclass(frozen=True)
 class Case:
-    """Everything that decides a run's logs.
-
-    `effects` are (name in the registry, joint, size), put in one after the other; none is the clean
-    plant. The seed decides motions, noise and contacts.
-    """
+    """Everything that decides a run's logs; the seed decides motions, noise and contacts."""
 
     rig: str
     seed: int
-    effects: tuple[tuple[str, int, float], ...] = ()
+    effects: tuple[tuple[str, int, float], ...] = ()  # name, joint, size; put in one by one
     simple_friction: bool = True
     seconds: float = 20.0
 
 
 def declared_plant(case: Case) -> Plant:
-    """The rig as its robot file says."""
     return RIGS[case.rig](simple_friction=case.simple_friction)
 
 

@@ -1,7 +1,4 @@
-"""The robot's own position controller: an observer on the encoder, PD, and a feedforward.
-
-It knows a nominal model only, so that the arm follows as a real one does: not perfectly.
-"""
+"""The robot's own position controller: an observer on the encoder, PD, a nominal feedforward."""
 
 from dataclasses import dataclass
 
@@ -23,11 +20,8 @@ class Gains:
 
 def gains_for(inertia: Array, *, bandwidth: float, observer: float) -> Gains:
     """Critically damped PD of `bandwidth` rad/s on the given inertias (n,) kg m^2."""
-    return Gains(
-        stiffness=inertia * bandwidth**2,
-        damping=2.0 * inertia * bandwidth,
-        observer=np.full_like(inertia, observer),
-    )
+    rate = np.full_like(inertia, observer)
+    return Gains(inertia * bandwidth**2, 2.0 * inertia * bandwidth, rate)
 
 
 def feedforward(nominal: Rigid, reference: Reference, coulomb: Array) -> Array:
@@ -41,17 +35,11 @@ class Controller:
     """Torque command from the encoder, one call per control period."""
 
     def __init__(self, gains: Gains, dt: float) -> None:
-        self._gains = gains
-        self._dt = dt
-        self._error = np.zeros_like(gains.stiffness)
-        self._rate = np.zeros_like(gains.stiffness)
+        self._gains, self._dt = gains, dt
+        self._error, self._rate = (np.zeros_like(gains.stiffness) for _ in range(2))
 
     def torque(self, encoder: Array, wanted: Array, ahead: Array) -> Array:
-        """Return the command (n,) N m.
-
-        `encoder` (n,) rad is the quantised position, `wanted` (n,) rad that of the reference,
-        `ahead` (n,) N m the feedforward.
-        """
+        """Command from encoder and reference, rad, and feedforward, N m."""
         gains = self._gains
         surprise = encoder - wanted - self._error
         self._error = self._error + self._dt * (self._rate + 2.0 * gains.observer * surprise)

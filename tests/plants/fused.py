@@ -1,6 +1,5 @@
 """Rigs, encoders and faulty IMUs for motion from all sensors, read off a simulated truth."""
 
-from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -24,26 +23,19 @@ GYRO_NOISE, GYRO_BIAS = 0.005, 0.02  # rad/s
 
 @dataclass(frozen=True)
 class Fault:
-    """What is wrong with the IMUs beyond noise.
+    """What is wrong with the IMUs beyond noise; the first of each channel, standard deviations."""
 
-    `bias` m/s^2 and `gain`, `tilt_deg` of each channel are standard deviations; the bias drifts by
-    `drift` m/s^2 over the log; stamps are late by `delay_s`; `lost` stops the last IMU midway;
-    accelerometers saturate at `limit` m/s^2.
-    """
-
-    bias: float = 0.02
-    drift: float = 0.0
+    bias: float = 0.02  # m/s^2
+    drift: float = 0.0  # m/s^2, of the bias over the log
     gain: float = 0.0
     tilt_deg: float = 0.0
-    delay_s: float = 0.0
-    lost: bool = False
-    limit: float = np.inf
+    delay_s: float = 0.0  # by which stamps are late
+    lost: bool = False  # the last IMU stops midway
+    limit: float = np.inf  # m/s^2, where accelerometers saturate
 
 
 @dataclass(frozen=True)
 class Case:
-    """One log of one rig."""
-
     plant: Plant
     robot: Robot
     recording: Recording
@@ -69,23 +61,16 @@ def _arrays(plant: Plant, layout: str) -> tuple[AccelerometerArray, ...]:
     if layout == "two" or plant.arm.n < 6:
         return plant.imus
     links = range(plant.arm.n) if layout == "each" else [plant.arm.n - 1]
+    turns = [(0.3 - 0.2 * link, 0.5 * link, 0.4) for link in links]
+    levers = [(0.05, 0.02, -0.03 + 0.01 * link) for link in links]
     return tuple(
-        array_on(
-            f"imu_{link + 1}",
-            link,
-            (0.3 - 0.2 * link, 0.5 * link, 0.4),
-            (0.05, 0.02, -0.03 + 0.01 * link),
-            size=0.06,
-            bias=0.02,
-        )
-        for link in links
+        array_on(f"imu_{link + 1}", link, turn, lever, size=0.06, bias=0.02)
+        for link, turn, lever in zip(links, turns, levers, strict=True)
     )
 
 
 def built(rig: Rig) -> Plant:
-    """The plant of a rig."""
-    make: Mapping[int, Callable[[], Plant]] = {1: one_joint, 2: two_joint, 6: six_joint}
-    plant = make[rig.joints]()
+    plant = {1: one_joint, 2: two_joint, 6: six_joint}[rig.joints]()
     if rig.counts:
         plant = replace(plant, encoder_step=np.full(rig.joints, 2 * np.pi / rig.counts))
     return replace(plant, imus=_arrays(plant, rig.layout))
@@ -94,7 +79,7 @@ def built(rig: Rig) -> Plant:
 def reference(rig: Rig, plant: Plant, rng: np.random.Generator) -> Reference:
     """Inertia trials of one or two joints, a validation run of six."""
     if rig.joints == 6:
-        return validation_trials(plant, rng, runs=1, seconds=rig.seconds)[0].reference
+        return validation_trials(plant, rng, seconds=rig.seconds)[0].reference
     posture = np.array([0.0, 0.5])[: rig.joints]
     return inertia_trials(plant, [posture], rng, seconds=rig.seconds)[0].reference
 
@@ -133,7 +118,6 @@ def readings(
 
 
 def case(rig: Rig) -> Case:
-    """Record a rig."""
     plant = built(rig)
     log = simulated(replace(rig, gyro=False, fault=Fault()))
     rng = np.random.default_rng(1000)
@@ -150,11 +134,9 @@ def case(rig: Rig) -> Case:
         imus.append(imu)
         accelerometers[imu.name] = values
     if rig.fault.lost:
-        last = imus[-1].name
-        for readings_of in (accelerometers, gyros):
-            if last in readings_of:
-                half = len(log.t) // 2
-                readings_of[last][half:] = readings_of[last][half]
+        last, half = imus[-1].name, len(log.t) // 2
+        for values in (each[last] for each in (accelerometers, gyros) if last in each):
+            values[half:] = values[half]
     recording = replace(recording_of(plant, "rig", log), accelerometers=accelerometers, gyros=gyros)
     robot = replace(robot, imus=tuple(imus))
     return Case(plant, robot, recording, stage_of(plant, rng), log.truth.ddq, log)
@@ -162,15 +144,9 @@ def case(rig: Rig) -> Case:
 
 def stage_of(plant: Plant, rng: np.random.Generator, off_deg: float = 0.1) -> ImuStage:
     """Calibration of the mounting alone, a tenth of a degree off."""
-    found: Mapping[str, ImuCalibration] = {
-        imu.name: ImuCalibration(
-            rotation=(
-                imu.rotation
-                @ Rotation.from_rotvec(np.radians(off_deg) * rng.standard_normal(3)).as_matrix()
-            ).tolist(),
-            std_error_deg=0.1,
-            noise_density=0.05,
-        )
-        for imu in plant.imus
-    }
-    return ImuStage(imus=dict(found))
+    found = {}
+    for imu in plant.imus:
+        off = Rotation.from_rotvec(np.radians(off_deg) * rng.standard_normal(3)).as_matrix()
+        rotation = (imu.rotation @ off).tolist()
+        found[imu.name] = ImuCalibration(rotation=rotation, std_error_deg=0.1, noise_density=0.05)
+    return ImuStage(imus=found)

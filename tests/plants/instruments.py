@@ -1,10 +1,6 @@
-"""IMUs whose sensors have faults, on arms that swing, and what a calibration finds of them.
+"""IMUs whose sensors have faults, on arms that swing, and what a calibration finds of them."""
 
-The arm's motion is simulated once per case; encoders (their codes' phase), instruments (gains,
-axes, biases) and noise are drawn anew for every seed.
-"""
-
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -30,9 +26,7 @@ SPAN = 0.4  # share of the joints' ranges that a swing takes
 ROBOTS = {"one": one_joint, "two": two_joint, "six": six_joint}
 TURNS: Mapping[str, int] = {"one": 4, "two": 3, "six": 1}
 FAULTS = Faults(bias=0.15, drift=0.002, turn_on=0.01, scale=0.01, tilt=np.deg2rad(0.5), spikes=2e-4)
-GYRO_FAULTS = Faults(
-    bias=0.01, drift=1e-4, turn_on=1e-3, scale=0.005, tilt=np.deg2rad(0.3), spikes=2e-4
-)
+GYRO_FAULTS = Faults(0, 0.01, 1e-4, 1e-3, scale=0.005, tilt=np.deg2rad(0.3), spikes=2e-4)
 POSTURES: Mapping[str, Sequence[Sequence[float]]] = {
     "one": [[0.0], [0.0], [0.0]],
     "two": [[0.0, angle] for angle in (-1.6, -0.8, 0.0, 0.8, 1.6)],
@@ -59,10 +53,7 @@ class Case:
     joint: int = 0  # that has it
 
 
-DRIVES: Mapping[str, Callable[[Plant, int, float], Plant]] = {
-    "elastic": elastic,
-    "backlash": backlash,
-}
+DRIVES = {"elastic": elastic, "backlash": backlash}
 COARSE = Case("one joint, 400 counts", "one", 2 * np.pi / 400)
 FINE = Case("one joint, 17 bits", "one", 2 * np.pi / 2**17)
 GYRO = Case("six joints, 17 bits, gyro", "six", 2 * np.pi / 2**17, gyro=True)
@@ -73,8 +64,6 @@ BACKLASH = replace(STIFF, label="backlash joint 2", hidden="backlash", joint=1)
 
 @dataclass(frozen=True)
 class Scene:
-    """A case whose motion is simulated."""
-
     case: Case
     plant: Plant
     robot: Robot
@@ -97,7 +86,6 @@ class Score:
 
 @cache
 def scene_of(case: Case) -> Scene:
-    """Simulate the arm's motion of a case."""
     plant = ROBOTS[case.robot]()
     if case.hidden is not None:
         plant = DRIVES[case.hidden](plant, case.joint, 1.0)
@@ -106,16 +94,8 @@ def scene_of(case: Case) -> Scene:
     moves = [(posture, 0) for posture in postures]
     moves += [(postures[0], joint) for joint in range(1, plant.arm.n)]
     turns = case.turns or TURNS[case.robot]
-    logs = [
-        simulate(
-            plant,
-            swing(plant, posture, joint, turns, share=SPAN, rate_hz=1000.0),
-            number,
-            every=EVERY,
-            imus=False,
-        )
-        for number, (posture, joint) in enumerate(moves)
-    ]
+    swings = [swing(plant, *move, turns, share=SPAN, rate_hz=1000.0) for move in moves]
+    logs = [simulate(plant, x, k, every=EVERY, imus=False) for k, x in enumerate(swings)]
     robot = robot_of(case.robot, replace(plant, encoder_step=np.full(plant.arm.n, case.step)))
     return Scene(case, plant, robot, logs)
 
@@ -124,24 +104,16 @@ def _instrument(imu: AccelerometerArray, case: Case) -> AccelerometerArray:
     faults = replace(FAULTS, delay=case.delay)
     if not case.gyro:
         return replace(imu, faults=faults)
-    return replace(
-        imu,
-        positions=np.zeros((3, 3)),
-        axes=np.eye(3),
-        faults=faults,
-        gyro_noise=0.003,
-        gyro_faults=replace(GYRO_FAULTS, delay=case.delay),
-    )
+    own = {"gyro_noise": 0.003, "gyro_faults": replace(GYRO_FAULTS, delay=case.delay)}
+    return replace(imu, positions=np.zeros((3, 3)), axes=np.eye(3), faults=faults, **own)
 
 
 def instruments(scene: Scene, seed: int) -> list[AccelerometerArray]:
     """The IMUs of one seed."""
     found = []
-    for number, imu in enumerate(scene.plant.imus):
-        assert imu.faults is not None
-        faults = replace(imu.faults, seed=1000 * seed + number)
-        gyro = replace(imu.gyro_faults, seed=1000 * seed + 500 + number)
-        found.append(replace(imu, faults=faults, gyro_faults=gyro))
+    for number, imu in enumerate(scene.plant.imus, start=1000 * seed):
+        gyro = replace(imu.gyro_faults, seed=500 + number)
+        found.append(replace(imu, faults=replace(imu.faults, seed=number), gyro_faults=gyro))
     return found
 
 
@@ -162,13 +134,11 @@ def recordings(scene: Scene, seed: int) -> list[Recording]:
             gyros |= {} if gyro is None else {imu.name: gyro}
         q = quantise(truth.angle + phase, scene.case.step) - phase
         seen = replace(log, q=q, accelerometers=accelerometers)
-        own = recording_of(scene.plant, f"imu/{number}", seen)
-        found.append(replace(own, gyros=gyros))
+        found.append(replace(recording_of(scene.plant, f"imu/{number}", seen), gyros=gyros))
     return found
 
 
 def calibrated(scene: Scene, seed: int) -> ImuStage:
-    """Calibrate the IMUs of one seed."""
     return calibrate_imus(recordings(scene, seed), scene.robot, options=MotionOptions())
 
 
@@ -179,16 +149,14 @@ def scored(imu: AccelerometerArray, found: ImuCalibration) -> Score:
     sigma = np.array(found.std_errors_deg)
     known = sigma < 5.0
     k = len(imu.axes)
-    gain = _z(found.accelerometer_scale, found.accelerometer_scale_std_errors, imu.faults.gains(k))
-    errors = found.accelerometer_bias_std_errors
-    bias = _z(found.accelerometer_bias, errors, imu.faults.biases(k))
+    scales, biases = found.accelerometer_scale_std_errors, found.accelerometer_bias_std_errors
     late = found.time_offset_s - imu.faults.delay
     return Score(
         turn_deg=float(np.linalg.norm(off[known])),
         z_turn=tuple((off[known] / sigma[known]).tolist()),
         z_delay=(late / found.time_offset_std_error_s,) if found.time_offset_std_error_s else (),
-        z_gain=gain,
-        z_bias=bias,
+        z_gain=_z(found.accelerometer_scale, scales, imu.faults.gains(k)),
+        z_bias=_z(found.accelerometer_bias, biases, imu.faults.biases(k)),
         delay_error=abs(late),
         holdout=found.holdout or None,
         outliers=found.outliers,
@@ -196,11 +164,7 @@ def scored(imu: AccelerometerArray, found: ImuCalibration) -> Score:
 
 
 def true_mounting(imu: AccelerometerArray) -> Array:
-    """Mounting of the frame that the calibration means.
-
-    Of an array it is that of the sensors' places. Accelerometers at one point have none but their
-    axes, whose common turn is the mounting's.
-    """
+    """Mounting of the frame that the calibration means."""
     if np.ptp(imu.positions, axis=0).max() > 0 or imu.faults is None:
         return imu.rotation
     turn = 0.5 * np.sum(np.cross(imu.axes, imu.faults.axes(imu.axes)), axis=0)
@@ -216,7 +180,6 @@ def _z(found: list[float | None], errors: list[float | None], truth: Array) -> t
 
 
 def scores(of: tuple[Case, int]) -> list[Score]:
-    """All IMUs of one case and seed."""
     case, seed = of
     scene = scene_of(case)
     stage = calibrated(scene, seed)

@@ -1,7 +1,4 @@
-"""Planned moves on a plant: as references, and recorded as a robot's controller would run them.
-
-`python -m tests.plants.planned plan.json OUT` records a plan for a sample robot, a folder a stage.
-"""
+"""Planned moves on a plant: as references, and recorded as a robot's controller would run them."""
 
 import sys
 from collections.abc import Sequence
@@ -34,15 +31,11 @@ def limits_used(
     limits = belief.limits
     t, q, dq, ddq = sampled(move, belief.robot.joint_names, rate_hz)
     middle, half = (limits.lower + limits.upper) / 2, limits.range / 2
-    states = zip(
-        (np.abs(q - middle), np.abs(dq), np.abs(ddq)),
-        (half, limits.speed, limits.acceleration),
-        strict=True,
-    )
+    most = (half, limits.speed, limits.acceleration)
+    states = zip((np.abs(q - middle), np.abs(dq), np.abs(ddq)), most, strict=True)
     shares = [np.max((used / limit)[:, limits.moves]) for used, limit in states]
     loads = []
-    for start in range(0, len(t), at_once):
-        part = slice(start, start + at_once)
+    for part in (slice(start, start + at_once) for start in range(0, len(t), at_once)):
         moves = Moves(t[part], *(x[None, part] for x in (q, dq, ddq)))
         loads.append(belief.overload(moves, belief.regressor(moves))[0])
     return np.array([*shares, max(loads)])

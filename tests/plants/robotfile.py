@@ -3,112 +3,74 @@
 import numpy as np
 
 from tests import Array
-from tests.plants.mechanics.rigid import Arm, rot_x
-from tests.plants.sensors import AccelerometerArray
+from tests.plants.mechanics.rigid import rot_x
 from tests.plants.simulate import Plant
 
 
 def robot_toml(name: str, plant: Plant, *, urdf: str | None = None) -> str:
     """Text of `robot.toml`; geometry as modified DH unless a URDF's file name is given."""
+    arm = plant.arm
     lines = ['schema = "seqid/robot@1"', f'name = "{name}"']
-    if urdf is not None:
-        lines.append(f'urdf = "{urdf}"')
-    lines.append(f"gravity = {_row(plant.arm.gravity)}")
-    for joint in range(plant.arm.n):
-        lines += ["", *_joint(plant, joint, with_dh=urdf is None)]
+    lines += [] if urdf is None else [f'urdf = "{urdf}"']
+    lines += [f"gravity = {arm.gravity.tolist()}"]
+    numbers = {
+        "torque_constant": plant.torque_constant,
+        "gear_ratio": arm.gear,
+        "rotor_inertia": arm.rotor_inertia,
+        "encoder_resolution": plant.encoder_step,
+        "position_limits": plant.position_limits,
+        "velocity_limit": plant.velocity_limits,
+    }
+    for joint, (label, row) in enumerate(zip(arm.names, arm.dh.tolist(), strict=True)):
+        lines += ["", "[[joint]]", f'name = "{label}"']
+        if urdf is None:
+            pairs = zip(("alpha", "a", "d", "theta0"), row, strict=True)
+            lines.append(f"dh = {{ {', '.join(f'{key} = {value!r}' for key, value in pairs)} }}")
+        lines += [f"{key} = {values[joint].tolist()!r}" for key, values in numbers.items()]
     for imu in plant.imus:
-        lines += ["", *_imu(plant.arm, imu)]
+        sensors = zip(imu.positions.tolist(), imu.axes.tolist(), strict=True)
+        lines += ["", "[[imu]]", f'name = "{imu.name}"', f'after_joint = "{arm.names[imu.after]}"']
+        lines += ["accelerometers = ["]
+        lines += [f"  {{ position = {place}, axis = {axis} }}," for place, axis in sensors]
+        lines += ["]", f"gyro = {str(imu.gyro_noise is not None).lower()}"]
     return "\n".join([*lines, "", "[channels]", 'effort = "current"', ""])
-
-
-def _joint(plant: Plant, joint: int, *, with_dh: bool) -> list[str]:
-    low, high = plant.position_limits[joint]
-    lines = ["[[joint]]", f'name = "{plant.arm.names[joint]}"']
-    if with_dh:
-        alpha, a, d, theta0 = (float(x) for x in plant.arm.dh[joint])
-        lines.append(f"dh = {{ alpha = {alpha!r}, a = {a!r}, d = {d!r}, theta0 = {theta0!r} }}")
-    return [
-        *lines,
-        f"torque_constant = {float(plant.torque_constant[joint])!r}",
-        f"gear_ratio = {float(plant.arm.gear[joint])!r}",
-        f"rotor_inertia = {float(plant.arm.rotor_inertia[joint])!r}",
-        f"encoder_resolution = {float(plant.encoder_step[joint])!r}",
-        f"position_limits = [{float(low)!r}, {float(high)!r}]",
-        f"velocity_limit = {float(plant.velocity_limits[joint])!r}",
-    ]
-
-
-def _imu(arm: Arm, imu: AccelerometerArray) -> list[str]:
-    rows = [
-        f"  {{ position = {_row(p)}, axis = {_row(a)} }},"
-        for p, a in zip(imu.positions, imu.axes, strict=True)
-    ]
-    return [
-        "[[imu]]",
-        f'name = "{imu.name}"',
-        f'after_joint = "{arm.names[imu.after]}"',
-        "accelerometers = [",
-        *rows,
-        "]",
-        f"gyro = {str(imu.gyro_noise is not None).lower()}",
-    ]
-
-
-def _row(values: Array) -> str:
-    return "[" + ", ".join(repr(float(x)) for x in values) + "]"
 
 
 def urdf_text(name: str, plant: Plant) -> str:
     """URDF of the arm with the inertials that its maker would publish (`plant.nominal`)."""
-    links = ["base_link", *(f"{joint}_link" for joint in plant.arm.names)]
-    parts = ['<?xml version="1.0"?>', f'<robot name="{name}">', '  <link name="base_link"/>']
+    parent, parts = "base_link", '  <link name="base_link"/>\n'
     for i, joint in enumerate(plant.arm.names):
-        parts += _urdf_link(links[i + 1], plant.nominal.phi[i])
-        parts += _urdf_joint(plant, i, joint, links[i], links[i + 1])
-    return "\n".join([*parts, "</robot>", ""])
-
-
-def _urdf_link(name: str, phi: Array) -> list[str]:
-    mass, centre, inertia = central_inertia(phi)
-    ixx, ixy, ixz, _, iyy, iyz, _, _, izz = (f"{x:.9g}" for x in inertia.ravel())
-    return [
-        f'  <link name="{name}">',
-        "    <inertial>",
-        f'      <origin xyz="{_xyz(centre)}" rpy="0 0 0"/>',
-        f'      <mass value="{mass:.9g}"/>',
-        f'      <inertia ixx="{ixx}" ixy="{ixy}" ixz="{ixz}" iyy="{iyy}" iyz="{iyz}" izz="{izz}"/>',
-        "    </inertial>",
-        "  </link>",
-    ]
-
-
-def _urdf_joint(plant: Plant, i: int, joint: str, parent: str, child: str) -> list[str]:
-    alpha, a, d, theta0 = (float(x) for x in plant.arm.dh[i])
-    if theta0 != 0.0:
-        raise ValueError(f"{joint}: theta0 is {theta0}, this writer needs 0")
-    origin = np.array([a, 0.0, 0.0]) + rot_x(alpha) @ np.array([0.0, 0.0, d])
-    low, high = (float(x) for x in plant.position_limits[i])
-    effort = 100.0
-    return [
-        f'  <joint name="{joint}" type="revolute">',
-        f'    <parent link="{parent}"/>',
-        f'    <child link="{child}"/>',
-        f'    <origin xyz="{_xyz(origin)}" rpy="{alpha!r} 0 0"/>',
-        '    <axis xyz="0 0 1"/>',
-        f'    <limit lower="{low!r}" upper="{high!r}" effort="{effort!r}"'
-        f' velocity="{float(plant.velocity_limits[i])!r}"/>',
-        "  </joint>",
-    ]
+        mass, phi = float(plant.nominal.phi[i, 0]), plant.nominal.phi[i]
+        centre = phi[1:4] / mass
+        xx, xy, yy, xz, yz, zz = phi[4:]
+        shift = mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
+        central = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - shift
+        ixx, ixy, ixz, _, iyy, iyz, _, _, izz = (f"{x:.9g}" for x in central.ravel())
+        alpha, a, d, theta0 = plant.arm.dh[i].tolist()
+        if theta0 != 0.0:
+            raise ValueError(f"{joint}: theta0 is {theta0}, this writer needs 0")
+        origin = np.array([a, 0.0, 0.0]) + rot_x(alpha) @ np.array([0.0, 0.0, d])
+        low, high = plant.position_limits[i].tolist()
+        parts += f"""\
+  <link name="{joint}_link">
+    <inertial>
+      <origin xyz="{_xyz(centre)}" rpy="0 0 0"/>
+      <mass value="{mass:.9g}"/>
+      <inertia ixx="{ixx}" ixy="{ixy}" ixz="{ixz}" iyy="{iyy}" iyz="{iyz}" izz="{izz}"/>
+    </inertial>
+  </link>
+  <joint name="{joint}" type="revolute">
+    <parent link="{parent}"/>
+    <child link="{joint}_link"/>
+    <origin xyz="{_xyz(origin)}" rpy="{alpha!r} 0 0"/>
+    <axis xyz="0 0 1"/>
+    <limit lower="{low!r}" upper="{high!r}" effort="100.0"\
+ velocity="{float(plant.velocity_limits[i])!r}"/>
+  </joint>
+"""
+        parent = f"{joint}_link"
+    return f'<?xml version="1.0"?>\n<robot name="{name}">\n{parts}</robot>\n'
 
 
 def _xyz(values: Array) -> str:
     return " ".join(f"{float(x) + 0.0:.12g}" for x in values)
-
-
-def central_inertia(phi: Array) -> tuple[float, Array, Array]:
-    """Mass kg, centre of mass (3,) m and inertia about it (3, 3) kg m^2, link axes."""
-    mass, centre = float(phi[0]), phi[1:4] / phi[0]
-    xx, xy, yy, xz, yz, zz = phi[4:]
-    origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    shift = mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
-    return mass, centre, origin - shift

@@ -23,7 +23,7 @@ from tests.plants.motions.experiments import (
 )
 from tests.plants.motions.trials import PERIODS, moves, waves, zigzags
 from tests.plants.robotfile import robot_toml, urdf_text
-from tests.plants.robots.lab import true_standard, write_log
+from tests.plants.robots.lab import true_friction, true_standard, write_log
 from tests.plants.simulate import Log, Plant, simulate
 from tests.unit.logs.writers import write_mcap
 
@@ -34,12 +34,7 @@ T0_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
 
 @dataclass(frozen=True)
 class Recipe:
-    """What one robot's samples consist of.
-
-    `every` control periods per row; `formats` says which stages, or "stage/trial", are MCAP and in
-    which encoding; the others are Parquet. `change` is what happened to the arm before `changed`
-    were recorded, of `changed_every` control periods per row; nobody declared it.
-    """
+    """What one robot's samples consist of."""
 
     plant: Plant
     trials: Sequence[Trial]
@@ -52,29 +47,26 @@ class Recipe:
     base: Mapping[str, float] | None = None
 
 
-def changed_trials(
-    plant: Plant, rng: np.random.Generator, *, seconds: float, imus: bool
-) -> list[Trial]:
+def changed_trials(plant: Plant, seed: int, *, seconds: float, imus: bool) -> list[Trial]:
     """All joints at 80 % of their speeds: two logs to learn from and one to hold out."""
-    fourier = waves(plant, rng, period=PERIODS[0], share=0.8, seconds=seconds)
-    trapezoids = zigzags(plant, rng, share=0.8, seconds=seconds)
-    held_out = moves(plant, rng, share=0.8, seconds=seconds)
-    return [
-        Trial("changed", "fourier", fourier, imus=imus),
-        Trial("changed", "trapezoids", trapezoids, imus=imus),
-        Trial("changed", "held_out", held_out, imus=imus),
-    ]
+    rng = np.random.default_rng([seed, 1])
+    made = {
+        "fourier": waves(plant, rng, period=PERIODS[0], share=0.8, seconds=seconds),
+        "trapezoids": zigzags(plant, rng, share=0.8, seconds=seconds),
+        "held_out": moves(plant, rng, share=0.8, seconds=seconds),
+    }
+    return [Trial("changed", name, motion, imus=imus) for name, motion in made.items()]
 
 
 def one_joint_trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
     """All logs of the one-joint rig."""
     home = [np.zeros(1)]
     return [
-        *friction_trials(plant, home),
+        *friction_trials(plant, home[0]),
         *gravity_trials(plant, home, speeds=(0.1, 0.2)),
         *imu_trials(plant, home),
         *inertia_trials(plant, home, rng, seconds=12.0),
-        *validation_trials(plant, rng, runs=1, seconds=12.0),
+        *validation_trials(plant, rng, seconds=12.0),
     ]
 
 
@@ -83,19 +75,18 @@ def one_joint_recipe() -> Recipe:
     plant = one_joint()
     trials = one_joint_trials(plant, np.random.default_rng(SEED))
     base = {"mx_1": float(plant.arm.phi[0, 1]), "my_1": 0.0, "Izz_1": float(plant.arm.phi[0, 9])}
-    later = changed_trials(plant, np.random.default_rng([SEED, 1]), seconds=35.0, imus=True)
-    change = inject("spring", plant, 0)
-    return Recipe(plant, trials, change, later, 4, 1, {}, base=base)
+    later = changed_trials(plant, SEED, seconds=35.0, imus=True)
+    return Recipe(plant, trials, inject("spring", plant, 0), later, 4, 1, {}, base=base)
 
 
 def two_joint_trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
     """All logs of the planar rig; there is no gravity to identify."""
     postures = [np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9)]
     return [
-        *friction_trials(plant, postures[:1]),
+        *friction_trials(plant, postures[0]),
         *imu_trials(plant, postures, turns=1),
         *inertia_trials(plant, postures[1:], rng, pairs=[(0, 1), (0, 1)], seconds=8.0),
-        *validation_trials(plant, rng, runs=1, seconds=12.0, points=6),
+        *validation_trials(plant, rng, seconds=12.0, points=6),
     ]
 
 
@@ -105,14 +96,9 @@ def two_joint_recipe() -> Recipe:
     trials = two_joint_trials(plant, np.random.default_rng(SEED + 1))
     phi, length = plant.arm.phi, float(plant.arm.dh[1, 1])
     pi_1 = phi[0, 9] + plant.arm.reflected[0] + phi[1, 0] * length**2
-    base = {
-        "pi_1": float(pi_1),
-        "pi_2": float(phi[1, 9]),
-        "pi_3": float(plant.arm.reflected[1]),
-        "pi_4": float(phi[1, 1]),
-        "pi_5": float(phi[1, 2]),
-    }
-    later = changed_trials(plant, np.random.default_rng([SEED + 1, 1]), seconds=35.0, imus=True)
+    values = (pi_1, phi[1, 9], plant.arm.reflected[1], phi[1, 1], phi[1, 2])
+    base = {f"pi_{k}": float(value) for k, value in enumerate(values, start=1)}
+    later = changed_trials(plant, SEED + 1, seconds=35.0, imus=True)
     change = inject("load_dependent_friction", plant, 1)
     return Recipe(plant, trials, change, later, 8, 4, {"imu": "json"}, base=base)
 
@@ -133,23 +119,20 @@ def six_joint_trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
     """All logs of the UR5e-sized arm."""
     postures = list(SIX_POSTURES)
     return [
-        *friction_trials(plant, postures[:1], lowest=0.08),
+        *friction_trials(plant, postures[0], lowest=0.08),
         *gravity_trials(plant, postures[:5], speeds=(0.3,)),
         *imu_trials(plant, postures, turns=2),
         *inertia_trials(plant, postures, rng, seconds=5.0),
-        *validation_trials(plant, rng, runs=1, seconds=15.0, points=6),
+        *validation_trials(plant, rng, seconds=15.0, points=6),
     ]
 
 
 def six_joint_recipe() -> Recipe:
-    """Build the UR5e-sized arm's logs at 250 Hz; some two-joint moves as CDR MCAP.
-
-    Then a hose has been laid over its elbow.
-    """
+    """Build the UR5e-sized arm's logs at 250 Hz; some two-joint moves as CDR MCAP."""
     plant = six_joint()
     trials = six_joint_trials(plant, np.random.default_rng(SEED + 2))
     shoulder = [f"inertia/{trial.name}" for trial in trials if trial.stage == "inertia"][:3]
-    later = changed_trials(plant, np.random.default_rng([SEED + 2, 1]), seconds=27.0, imus=False)
+    later = changed_trials(plant, SEED + 2, seconds=27.0, imus=False)
     change = inject("spring", plant, 2)
     formats: dict[str, Encoding] = dict.fromkeys(shoulder, "cdr")
     return Recipe(plant, trials, change, later, 4, 4, formats, urdf="six_joint.urdf")
@@ -164,7 +147,10 @@ RECIPES: Mapping[str, Callable[[], Recipe]] = {
 
 def truth_document(name: str, recipe: Recipe) -> dict[str, object]:
     """Everything that the plant has and its logs do not say."""
-    plant, arm = recipe.plant, recipe.plant.arm
+    plant, arm, change = recipe.plant, recipe.plant.arm, recipe.change
+    extra, hidden = change.plant.friction, change.plant.hidden.torques
+    law = vars(extra.curve if isinstance(extra, Extra) else hidden[-1])
+    joint = None if change.joint is None else arm.names[change.joint]
     rotors = {f"Ia_{i + 1}": float(arm.rotor_inertia[i]) for i in range(arm.n)}
     amperes = np.sqrt(plant.current_noise**2 + np.asarray(plant.current_step) ** 2 / 12.0)
     torque_noise = amperes * plant.torque_per_ampere
@@ -187,33 +173,17 @@ def truth_document(name: str, recipe: Recipe) -> dict[str, object]:
             }
             for imu in plant.imus
         },
-        "changed": change_table(recipe.change),
+        "changed": {"effect": change.kind, "joint": None} | law | {"joint": joint},
     }
-
-
-def change_table(change: Injection) -> dict[str, object]:
-    """What happened to the arm: the effect, its joint, its numbers in SI."""
-    plant, joint = change.plant, change.joint
-    law = plant.friction.curve if isinstance(plant.friction, Extra) else plant.hidden.torques[-1]
-    numbers = {name: value for name, value in vars(law).items() if name != "joint"}
-    name = None if joint is None else plant.arm.names[joint]
-    return {"effect": change.kind, "joint": name, **numbers}
 
 
 def friction_table(plant: Plant, joint: int) -> dict[str, object]:
     """Friction torque of one joint on a grid: rows are positions, columns velocities, N m."""
-    n, (low, high) = plant.arm.n, plant.position_limits[joint]
-    top = float(plant.velocity_limits[joint])
-    law = plant.friction.begin()
-    positions = np.linspace(low, high, 25)
-    speeds = np.geomspace(0.02 * top, top, 12)
+    (low, high), top = plant.position_limits[joint], float(plant.velocity_limits[joint])
+    positions, speeds = np.linspace(low, high, 25), np.geomspace(0.02 * top, top, 12)
     velocities = np.concatenate([-speeds[::-1], speeds])
-    table = np.empty((len(positions), len(velocities)))
-    for row, position in enumerate(positions):
-        for column, velocity in enumerate(velocities):
-            level = law(0.0, np.full(n, position), np.full(n, velocity), np.zeros(n))
-            dry = level.forward if velocity > 0 else -level.backward
-            table[row, column] = dry[joint] + level.smooth[joint]
+    q, v = (x.ravel() for x in np.meshgrid(positions, velocities, indexing="ij"))
+    table = true_friction(plant, joint, q, v).reshape(len(positions), -1)
     return {
         "position": positions.tolist(),
         "velocity": velocities.tolist(),
@@ -230,16 +200,9 @@ def save(folder: Path, recipe: Recipe, trial: Trial, log: Log) -> None:
         pack(path.with_suffix(".parquet"))
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_mcap(
-        path.with_suffix(".mcap"),
-        log.t,
-        plant.arm.names,
-        log.q,
-        encoding=encoding,
-        effort=log.current,
-        accelerometers=log.accelerometers or None,
-        t0_ns=T0_NS,
-    )
+    own = (path.with_suffix(".mcap"), log.t, plant.arm.names, log.q)
+    arrays = log.accelerometers or None
+    write_mcap(*own, encoding=encoding, effort=log.current, accelerometers=arrays, t0_ns=T0_NS)
 
 
 def pack(path: Path) -> None:
@@ -277,15 +240,7 @@ def make(outdir: Path, name: str) -> None:
             save(folder, recipe, trial, log)
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Make the robots named after the folder, or all of them."""
-    if not arguments or not set(arguments[1:]) <= set(RECIPES):
-        sys.stderr.write(f"usage: python -m tests.plants.samples OUTDIR {list(RECIPES)}\n")
-        return 2
-    for name in arguments[1:] or RECIPES:
-        make(Path(arguments[0]), name)
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    outdir, *names = sys.argv[1:]
+    for name in names or RECIPES:
+        make(Path(outdir), name)

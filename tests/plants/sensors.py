@@ -12,24 +12,17 @@ from tests.plants.mechanics.rigid import LinkMotion
 
 @dataclass(frozen=True)
 class Faults:
-    """What a real sensor adds to noise and a constant bias; standard deviations unless said.
+    """What a real sensor adds to noise and a constant bias; standard deviations unless said."""
 
-    `drift` is what the bias wanders in a second (m/s^2/sqrt(s) or rad/s/sqrt(s)), `turn_on` how it
-    differs from log to log, `scale` the gain's error, `tilt` rad of each axis about each direction
-    across it. `delay` s is by how much the IMU's stamps are late against the encoders'; `spikes`
-    the share of samples that are wild, `limit` where the channels saturate. What belongs to the
-    instrument is drawn from `seed`, the rest anew in each log.
-    """
-
-    seed: int = 0
+    seed: int = 0  # of what belongs to the instrument; the rest is drawn anew in each log
     bias: float = 0.0
-    drift: float = 0.0
-    turn_on: float = 0.0
-    scale: float = 0.0
-    tilt: float = 0.0
-    delay: float = 0.0
-    spikes: float = 0.0
-    limit: float = np.inf
+    drift: float = 0.0  # of the bias in a second: m/s^2/sqrt(s) or rad/s/sqrt(s)
+    turn_on: float = 0.0  # of the bias from log to log
+    scale: float = 0.0  # of the gain
+    tilt: float = 0.0  # rad, of each axis about each direction across it
+    delay: float = 0.0  # s, by which the IMU's stamps are late against the encoders'
+    spikes: float = 0.0  # share of samples that are wild
+    limit: float = np.inf  # where the channels saturate
 
     def gains(self, count: int) -> Array:
         """Gain of each channel, (count,)."""
@@ -50,24 +43,17 @@ class Faults:
         return np.random.default_rng([self.seed, purpose])
 
     def read(
-        self,
-        ideal: Array,
-        white: float,
-        resolution: float,
-        rate_hz: float,
-        rng: np.random.Generator,
+        self, ideal: Array, white: float, step: float, rate_hz: float, rng: np.random.Generator
     ) -> Array:
         """Readings (N, K) of channels that feel `ideal`, already along their own axes."""
         n, count = ideal.shape
         steps = self.drift / np.sqrt(rate_hz) * rng.standard_normal((n, count))
         offset = self.biases(count) + self.turn_on * rng.standard_normal(count)
-        values = self.gains(count) * delayed(ideal, self.delay, rate_hz)
-        values = (
-            values + offset + np.cumsum(steps, axis=0) + white * rng.standard_normal((n, count))
-        )
+        values = self.gains(count) * delayed(ideal, self.delay, rate_hz) + offset
+        values = values + np.cumsum(steps, axis=0) + white * rng.standard_normal((n, count))
         wild = rng.random((n, count)) < self.spikes
         size = 50.0 * max(white, 0.02) * rng.standard_normal((n, count))
-        return quantise(np.clip(values + wild * size, -self.limit, self.limit), resolution)
+        return quantise(np.clip(values + wild * size, -self.limit, self.limit), step)
 
 
 def delayed(values: Array, delay: float, rate_hz: float) -> Array:
@@ -81,24 +67,19 @@ def delayed(values: Array, delay: float, rate_hz: float) -> Array:
 
 @dataclass(frozen=True)
 class AccelerometerArray:
-    """K single-axis accelerometers on the link after joint `after` (0-based).
-
-    `positions` (K, 3) m and `axes` (K, 3) in the array's own frame, which sits at `lever` (3,) m
-    in the link frame, turned by `rotation` (3, 3) = R_link_from_imu. Noise, bias and resolution in
-    m/s^2. With `gyro_noise` rad/s it is an IMU with a gyro, whose faults are `gyro_faults`.
-    """
+    """K single-axis accelerometers on the link after joint `after` (0-based)."""
 
     name: str
     after: int
-    positions: Array
-    axes: Array
-    rotation: Array
-    lever: Array
-    noise: float = 0.03
+    positions: Array  # (K, 3) m, in the array's own frame
+    axes: Array  # (K, 3)
+    rotation: Array  # (3, 3), R_link_from_imu
+    lever: Array  # (3,) m, of the array's frame in the link's
+    noise: float = 0.03  # m/s^2, as bias and resolution
     bias: float = 0.0
     resolution: float = 2.0**-7
     faults: Faults | None = None
-    gyro_noise: float | None = None
+    gyro_noise: float | None = None  # rad/s; None: no gyro
     gyro_faults: Faults = field(default_factory=Faults)
     gyro_resolution: float = 2.0**-12
 
@@ -113,7 +94,6 @@ class AccelerometerArray:
         return np.asarray(np.einsum("nkj,kj->nk", force, axes))
 
     def read(self, motion: LinkMotion, rng: np.random.Generator, rate_hz: float = 1000.0) -> Array:
-        """Return readings with bias, white noise and resolution, (N, K) m/s^2."""
         ideal = self.ideal(motion)
         if self.faults is not None:
             return self.faults.read(ideal, self.noise, self.resolution, rate_hz, rng)
@@ -124,11 +104,10 @@ class AccelerometerArray:
     def read_gyro(
         self, motion: LinkMotion, rng: np.random.Generator, rate_hz: float
     ) -> Array | None:
-        """Return angular velocity in the IMU's frame as its gyro reads it, (N, 3) rad/s."""
+        """Angular velocity in the IMU's frame as its gyro reads it, (N, 3) rad/s."""
         if self.gyro_noise is None:
             return None
-        axes = self.gyro_faults.axes(np.eye(3)) @ self.rotation.T
-        ideal = motion.omega @ axes.T
+        ideal = motion.omega @ (self.gyro_faults.axes(np.eye(3)) @ self.rotation.T).T
         return self.gyro_faults.read(ideal, self.gyro_noise, self.gyro_resolution, rate_hz, rng)
 
 
@@ -150,10 +129,7 @@ def quantise(values: Array, step: Array | float) -> Array:
 def noise(
     rng: np.random.Generator, samples: int, std: Array, *, coloured: float, rate_hz: float
 ) -> Array:
-    """White noise, a share `coloured` of whose variance is spread as 1/f, (samples, n).
-
-    The coloured part is a sum of first-order processes whose corners are a decade apart.
-    """
+    """White noise, a share `coloured` of whose variance is spread as 1/f, (samples, n)."""
     white = np.sqrt(1.0 - coloured) * rng.standard_normal((samples, len(std)))
     if coloured == 0.0:
         return np.asarray(white * std)
@@ -161,12 +137,7 @@ def noise(
     total = np.zeros_like(white)
     for corner in corners:
         pole = float(np.exp(-2.0 * np.pi * corner / rate_hz))
-        total += _first_order(rng.standard_normal(white.shape), pole)
+        drive = rng.standard_normal(white.shape)
+        drive[1:] *= np.sqrt(1.0 - pole**2)
+        total += lfilter([1.0], [1.0, -pole], drive, axis=0)
     return np.asarray((white + np.sqrt(coloured / len(corners)) * total) * std)
-
-
-def _first_order(drive: Array, pole: float) -> Array:
-    """Unit-variance first-order process driven by white noise."""
-    scaled = np.sqrt(1.0 - pole**2) * drive
-    scaled[0] = drive[0]
-    return np.asarray(lfilter([1.0], [1.0, -pole], scaled, axis=0))

@@ -1,23 +1,18 @@
-"""Closed-loop forward dynamics: controller, actuator, arm and instruments, one step per period.
-
-Positions live at the control instants t_k and velocities half a period later (leapfrog, second
-order, no energy drift). The torque commanded at t_k acts from half a period before to half a period
-after, so position, current and acceleration of one row belong to the same instant.
-"""
+"""Closed-loop forward dynamics: controller, actuator, arm and instruments, one step per period."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tests import Array
 from tests.plants.controller import Controller, Gains, feedforward
-from tests.plants.friction.heat import Heat
+from tests.plants.friction.laws import Heat
 from tests.plants.friction.surface import FrictionModel
-from tests.plants.mechanics.hidden import Hidden, Run, TorqueSource
-from tests.plants.mechanics.joints import mechanics
+from tests.plants.mechanics.hidden import Hidden, Run
+from tests.plants.mechanics.joints import ElasticJoints, RigidJoints
 from tests.plants.mechanics.rigid import Arm, Rigid, link_motion
 from tests.plants.motions.trajectories import Reference
 from tests.plants.sensors import AccelerometerArray, noise, quantise
@@ -25,31 +20,24 @@ from tests.plants.sensors import AccelerometerArray, noise, quantise
 
 @dataclass(frozen=True)
 class Plant:
-    """A robot with everything that its logs depend on; arrays are (n,).
-
-    `nominal` and `coulomb_guess` are what the controller believes. `current_noise` A is the
-    standard deviation at the control rate, a share `coloured` of whose variance is 1/f. `sources`
-    are further torques that act on the joints; `hidden` is everything else that the robot file
-    does not say. With `heat` the logs carry temperatures.
-    """
+    """A robot with everything that its logs depend on; arrays are (n,)."""
 
     arm: Arm
-    nominal: Arm
+    nominal: Arm  # what the controller believes, as `coulomb_guess`
     friction: FrictionModel
     gains: Gains
     torque_constant: Array
     encoder_step: Array
-    current_noise: Array
+    current_noise: Array  # A, standard deviation at the control rate
     coulomb_guess: Array
     position_limits: Array  # (n, 2) rad
     velocity_limits: Array
     acceleration_limits: Array
     current_step: Array | float = 0.0
-    coloured: float = 0.0
+    coloured: float = 0.0  # share of the noise's variance that is 1/f
     imus: tuple[AccelerometerArray, ...] = ()
-    sources: tuple[TorqueSource, ...] = field(default=())
     hidden: Hidden = field(default_factory=Hidden)
-    heat: Heat | None = None
+    heat: Heat | None = None  # then the logs carry temperatures
 
     @property
     def torque_per_ampere(self) -> Array:
@@ -64,8 +52,7 @@ class Plant:
         return replace(self, hidden=replace(self.hidden, **more))
 
 
-@dataclass(frozen=True)
-class Truth:
+class Truth(NamedTuple):
     """What no instrument shows: the motion of the links and the torques, (N, n), SI."""
 
     q: Array
@@ -79,18 +66,15 @@ class Truth:
 
 @dataclass(frozen=True)
 class Log:
-    """What the robot records: t (N,) s from 0, q (N, n) rad, current (N, n) A, arrays m/s^2.
-
-    `start` is the first row's time since power-on, s; `temperature` (N, n) degC or None.
-    """
+    """What the robot records: t (N,) s from 0, q (N, n) rad, current (N, n) A, arrays m/s^2."""
 
     t: Array
     q: Array
     current: Array
     accelerometers: dict[str, Array]
     truth: Truth
-    start: float = 0.0
-    temperature: Array | None = None
+    start: float = 0.0  # of the first row since power-on, s
+    temperature: Array | None = None  # (N, n) degC
 
 
 def simulate(
@@ -102,17 +86,13 @@ def simulate(
     imus: bool = True,
     start: float = 0.0,
 ) -> Log:
-    """Run `reference` on `plant` and record every `every`-th control period.
-
-    The run starts at rest on the first row of the reference, `start` s since power-on; `seed` is of
-    all noise, `imus` says whether the accelerometer arrays are recorded.
-    """
+    """Run `reference` on `plant` and record every `every`-th control period."""
     rng = np.random.default_rng(seed)
     rate, samples = reference.rate_hz, len(reference.q)
     run = Run(start, reference.duration, 1.0 / rate, seed)
     truth = _run(plant, reference, run)
     hiss = noise(rng, samples, plant.current_noise, coloured=plant.coloured, rate_hz=rate)
-    kept = Truth(*(getattr(truth, x)[::every] for x in Truth.__dataclass_fields__))
+    kept = Truth(*(x[::every] for x in truth))
     readings = {
         imu.name: imu.read(link_motion(plant.arm, imu.after, kept.q, kept.dq, kept.ddq), rng)
         for imu in (plant.imus if imus else ())
@@ -156,15 +136,21 @@ def _temperature(plant: Plant, truth: Truth, run: Run, every: int) -> Array | No
 
 
 def _run(plant: Plant, reference: Reference, run: Run) -> Truth:
-    """Integrate the motion; rows at every control instant."""
+    """Integrate the motion; rows at every control instant.
+
+    Positions live at the control instants t_k and velocities half a period later (leapfrog, second
+    order, no energy drift). The torque commanded at t_k acts from half a period before to half a
+    period after, so position, current and acceleration of one row belong to the same instant.
+    """
     dt, hidden = run.dt, plant.hidden
     controller = Controller(plant.gains, dt)
     ahead = feedforward(Rigid(plant.nominal), reference, plant.coulomb_guess)
     wanted = reference.q
     stages = [begin(run) for begin in hidden.drives]
-    sources = (*plant.sources, *(begin(run) for begin in hidden.torques))
-    body = mechanics(plant.arm, plant.friction.begin(), sources, hidden, wanted[0], dt)
-    out = Truth(*(np.empty(wanted.shape) for _ in Truth.__dataclass_fields__))
+    sources = tuple(begin(run) for begin in hidden.torques)
+    kind = ElasticJoints if hidden.springs else RigidJoints
+    body = kind(Rigid(plant.arm), plant.friction.begin(), sources, hidden, wanted[0], dt)
+    out = Truth(*(np.empty(wanted.shape) for _ in Truth._fields))
     for k in range(len(wanted)):
         t = run.start + k * dt
         angle = body.reading_angle()

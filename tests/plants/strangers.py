@@ -33,11 +33,6 @@ def data_of(path: Path, every: int = 2) -> Data:
     return Data(log.t[rows], robot.joint_names, q, dq[rows], tau / ampere, tau)
 
 
-def ur(path: Path, data: Data) -> None:
-    """The CSV of RTDE."""
-    csv_rtde(path, data)
-
-
 def ros(path: Path, data: Data) -> None:
     """A folder of a ROS 2 bag; effort is torque."""
     as_torque = Data(data.t, data.joints, data.q, data.dq, data.torque, data.torque)
@@ -66,7 +61,7 @@ def lerobot(folder: Path, episodes: Sequence[Data]) -> None:
     (folder / "meta" / "info.json").write_text(json.dumps(info))
 
 
-WRITERS: dict[str, Callable[[Path, Data], None]] = {"ur": ur, "ros": ros, "german": german}
+WRITERS: dict[str, Callable[[Path, Data], object]] = {"ur": csv_rtde, "ros": ros, "german": german}
 
 
 def make(folder: Path) -> None:

@@ -7,11 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 from tests import ROOT
 from tests.benchmarks import discovery, ingestion, kernels, whole_run
-from tests.studies import tables
+from tests.studies import recorded, tables
 from tests.studies.coverage import study as coverage
 from tests.studies.loop import study as closed_loop
 from tests.studies.planned import errors, separation
-from tests.studies.recorded import classical, effects
 from tests.studies.rigs import one_joint, six_joint, table_two, two_joint
 from tests.studies.undeclared import study as undeclared
 
@@ -21,14 +20,14 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {  # pa
     "one_joint": (USUAL, one_joint.study),
     "two_joint": (USUAL, two_joint.study),
     "six_joint": (USUAL, six_joint.study),
-    "recorded": (USUAL, classical.study),
+    "recorded": (USUAL, recorded.classical),
     "table_two": ("motion.md", table_two.study),
     "undeclared": ("effects_study.md", undeclared.study),
     "closed_loop": ("closed_loop_study.md", closed_loop.study),
     "coverage": ("coverage.md", coverage.study),
     "planned_errors": ("plan.md", errors.study),
     "planned_separation": ("plan.md", separation.study),
-    "recorded_effects": ("effects_study.md", effects.study),
+    "recorded_effects": ("effects_study.md", recorded.effects),
     "ingestion": (COSTS, ingestion.study),
     "kernels": (COSTS, kernels.study),
     "whole_run": (COSTS, whole_run.study),

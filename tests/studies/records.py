@@ -16,14 +16,13 @@ import seqid_cli
 
 C = TypeVar("C")
 R = TypeVar("R")
-PACKAGE = Path(seqid_cli.__file__).parent
 
 
 def results(
     cases: Mapping[str, C],
     work: Callable[[C], R],
     kind: type[R],
-    path: Path | None,
+    path: Path,
     *,
     sources: str = "",
     run: bool = True,
@@ -32,29 +31,10 @@ def results(
     told: Callable[[R], object] = lambda _: "",
     failed: Callable[[R], bool] = lambda _: False,
 ) -> dict[str, R]:
-    """Run the cases that the file does not hold yet, shuffled: tables of a part of them are fair.
+    """Run the cases that the file does not hold, shuffled: tables of a part of them are fair.
 
-    Parameters
-    ----------
-    cases : mapping of str to C
-        Every case by its key.
-    work : callable
-        Makes the result of a case.
-    kind : type
-        What msgspec decodes a result to.
-    path : Path or None
-        Where results are kept, one JSON line for each; None keeps nothing.
-    sources : str
-        Hash of what decides a result; results of other sources do not count.
-    run, limit
-        Whether to run cases, and how many at most.
-    told, failed : callable
-        What the screen says of a result; whether its case is to be run again.
-
-    Returns
-    -------
-    dict of str to R
-        Results of the cases that have one, in the order of the cases.
+    Results, of `kind` to msgspec, are JSON lines of the file; those of other `sources` do not
+    count. `told` is what the screen says of a result, `failed` whether its case is to be run again.
     """
     kept = {key: r for key, made_by, r in _lines(path, kind) if made_by == sources}
     left = [key for key in cases if key not in kept or failed(kept[key])] if run else []
@@ -62,8 +42,10 @@ def results(
     made = mapped(work, {key: cases[key] for key in left}, processes)
     for count, (key, result) in enumerate(made, start=1):
         kept[key] = result
-        if path is not None:
-            _append(path, encoded((key, sources, result)))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        cut = path.is_file() and not path.read_bytes().endswith(b"\n")  # by an interruption
+        with path.open("ab") as stream:
+            stream.write((b"\n" if cut else b"") + encoded((key, sources, result)) + b"\n")
         sys.stderr.write(f"{count}/{len(left)} {key}: {told(result)}\n")
     return {key: kept[key] for key in cases if key in kept}
 
@@ -87,32 +69,18 @@ def mapped(
             yield keys[done], done.result()
 
 
-def _lines(path: Path | None, kind: type[R]) -> Iterator[tuple[str, str, R]]:
+def _lines(path: Path, kind: type[R]) -> Iterator[tuple[str, str, R]]:
     """Key, sources and result of every line; one that an interruption cut off is left out."""
-    for line in path.read_bytes().splitlines() if path is not None and path.is_file() else ():
+    for line in path.read_bytes().splitlines() if path.is_file() else ():
         try:
             yield msgspec.json.decode(line, type=tuple[str, str, kind])  # type: ignore[valid-type]
         except msgspec.DecodeError:
             continue
 
 
-def _append(path: Path, line: bytes) -> None:
-    """Add a line, on one of its own even after an interruption."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    cut = path.is_file() and not path.read_bytes().endswith(b"\n")
-    with path.open("ab") as stream:
-        stream.write((b"\n" if cut else b"") + line + b"\n")
-
-
 def encoded(value: object) -> bytes:
     """JSON, with numpy's scalars and arrays as numbers; numbers that are none are null."""
-    return msgspec.json.encode(value, enc_hook=_plain)
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    raise TypeError(f"{type(value).__name__} in a result")
+    return msgspec.json.encode(value, enc_hook=lambda array: array.tolist())
 
 
 @cache
@@ -124,4 +92,4 @@ def sources_of(*folders: Path, but: tuple[str, ...] = ()) -> str:
 
 def package_sources(*rooms: str) -> str:
     """Hash of the package, or of some of its rooms."""
-    return sources_of(*(PACKAGE / room for room in rooms or ("",)))
+    return sources_of(*(Path(seqid_cli.__file__).parent / room for room in rooms or ("",)))

@@ -1,10 +1,4 @@
-"""Two hours of log in one go, with little memory and few files: `python -m tests.studies.soak`.
-
-The log is a sample trial again and again, with fresh noise and a pause between, written block by
-block. Each command has an address space of 1 GiB and 64 open files; where it says that this is too
-little memory it runs once more without a limit. Peak memory and CPU time are the system's. With
---write the table goes into docs/trust.md.
-"""
+"""Two hours of log in one go, with little memory and few files: `python -m tests.studies.soak`."""
 
 import argparse
 import os
@@ -46,7 +40,6 @@ def write_log(path: Path, hours: float) -> int:
 
 
 def lines(log: Path) -> Iterator[tuple[str, ...]]:
-    """Command lines that read the long log."""
     out, robot = log.parent, ("-r", str(SAMPLE / "robot.toml"))
     model = ("-p", str(SAMPLE / "golden.json"))
     yield "inspect", str(log), *robot
@@ -58,7 +51,6 @@ def lines(log: Path) -> Iterator[tuple[str, ...]]:
 
 
 def measured(line: Sequence[str]) -> tuple[str, ...]:
-    """Run a command within the limits, and once more without where they are too tight."""
     code, said, peak, cpu = _run(line, _limit)
     enough = "too little memory" not in said
     if not enough:
@@ -90,7 +82,6 @@ def _run(line: Sequence[str], limit: Callable[[], None] | None) -> tuple[int, st
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the commands; 1 if one ended neither well nor with a poor verdict."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies.soak", description=__doc__)
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--write", action="store_true", help="put the table into docs/trust.md")

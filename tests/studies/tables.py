@@ -3,7 +3,6 @@
 import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -14,27 +13,7 @@ from tests import ROOT
 T = TypeVar("T")
 
 
-@dataclass(frozen=True)
-class Spread:
-    """Statistics of signed errors of repetitions, in the unit of the errors."""
-
-    median: float  # of the magnitudes
-    worst: float
-    mean: float  # signed: the bias
-    std: float  # about the mean
-    count: int
-
-
-def spread(errors: ArrayLike) -> Spread:
-    """Summarise signed errors (K,)."""
-    e = np.asarray(errors, dtype=np.float64)
-    size = np.abs(e)
-    std = float(np.std(e, ddof=1)) if len(e) > 1 else float("nan")
-    return Spread(float(np.median(size)), float(size.max()), float(e.mean()), std, len(e))
-
-
 def rms(values: ArrayLike) -> float:
-    """Root of the mean square."""
     return float(np.sqrt(np.mean(np.square(np.asarray(values, dtype=np.float64)))))
 
 
@@ -77,36 +56,19 @@ def grouped(
 
 
 def counted(cases: Sequence[T]) -> str:
-    """How many there are, as a cell."""
     return str(len(cases))
-
-
-def median_of(value: Callable[[T], float], digits: int = 2) -> Callable[[Sequence[T]], str]:
-    """A cell with the median of a value over a group."""
-    return lambda group: number(float(np.median([value(one) for one in group])), digits)
-
-
-def write(page: str, name: str, content: str) -> None:
-    """Put the content of study `name` into a page of docs/."""
-    path = ROOT / "docs" / page
-    path.write_text(placed(path.read_text(encoding="utf-8"), name, content), encoding="utf-8")
 
 
 def show(page: str, name: str, content: str, *, kept: bool) -> None:
     """Print the content of study `name`; where it is `kept`, put it into a page of docs/."""
     sys.stdout.write(content + "\n")
     if kept:
-        write(page, name, content)
+        path = ROOT / "docs" / page
+        path.write_text(placed(path.read_text(encoding="utf-8"), name, content), encoding="utf-8")
 
 
 def placed(document: str, name: str, content: str) -> str:
-    """The document with `content` between the markers of study `name`.
-
-    Raises
-    ------
-    ValueError
-        If the document does not have the two markers exactly once.
-    """
+    """The document with `content` between the markers of study `name`."""
     start, end = f"<!-- study:{name} -->", "<!-- /study -->"
     pattern = re.compile(re.escape(start) + r"(?:(?!<!-- study:).)*?" + re.escape(end), re.DOTALL)
     if document.count(start) != 1 or not pattern.search(document):

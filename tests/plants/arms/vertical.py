@@ -2,35 +2,31 @@
 
 import numpy as np
 
-from tests.plants.arms.rigs import GRAVITY, array_on, off_nominal, plain, standard_parameters
-from tests.plants.controller import gains_for
+from tests.plants.arms.rigs import DOWN, array_on, geared, plain, standard_parameters
 from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.mechanics.rigid import Arm
 from tests.plants.simulate import Plant
 
 LENGTH = 0.4  # m, of each link
 MOTOR_COUNTS = 2**14  # encoder counts per motor turn
-GEARS = (100.0, 80.0)
-RATED = (30.0, 9.0)  # N m, for the noise: 0.4 % of it
+RATED = np.array([30.0, 9.0])  # N m, for the noise: 0.4 % of it
 
 
-def _arm() -> Arm:
+def vertical_two_joint(*, simple_friction: bool = False) -> Plant:
+    """Gears 100 and 80, links of 0.4 m, 3 and 2 kg; stretched and level at q = 0."""
     bars = [
         standard_parameters(3.0, (0.19, 0.01, 0.0), (0.03, 0.12, 0.12), np.eye(3)),
         standard_parameters(2.0, (0.17, -0.008, 0.0), (0.025, 0.11, 0.11), np.eye(3)),
     ]
-    return Arm(
+    arm = Arm(
         names=("shoulder", "elbow"),
         dh=np.array([[np.pi / 2, 0.0, 0.2, 0.0], [0.0, LENGTH, 0.0, 0.0]]),
         phi=np.array(bars),
-        gravity=np.array([0.0, 0.0, -GRAVITY]),
-        gear=np.array(GEARS),
+        gravity=DOWN,
+        gear=np.array([100.0, 80.0]),
         rotor_inertia=np.array([5.0e-5, 2.5e-5]),
     )
-
-
-def _friction() -> SurfaceFriction:
-    return SurfaceFriction(
+    friction = SurfaceFriction(
         coulomb=np.array([2.6, 1.0]),
         viscous=np.array([1.5, 0.5]),
         stribeck=np.array([0.35, 0.15]),
@@ -38,34 +34,21 @@ def _friction() -> SurfaceFriction:
         amplitude=np.array([[0.07, 0.04], [0.08, 0.03]]),
         phase=np.array([[0.4, 2.0], [-1.1, 0.6]]),
     )
-
-
-def vertical_two_joint(*, simple_friction: bool = False) -> Plant:
-    """Build the arm: gears 100 and 80, links of 0.4 m, 3 and 2 kg; stretched and level at q = 0.
-
-    Friction is Coulomb and viscous, without `simple_friction` also a Stribeck hump and waves over
-    position. Encoders sit on the motors; current noise is 0.4 % of rated.
-    """
-    arm = _arm()
-    friction = plain(_friction()) if simple_friction else _friction()
     drive = np.array([0.11, 0.09])
     imus = (
         array_on("imu_a", 0, (0.3, 0.5, -0.2), (0.3, 0.02, 0.03)),
         array_on("imu_b", 1, (-0.4, 0.8, 0.1), (0.25, -0.02, 0.02)),
     )
-    return Plant(
-        arm=arm,
-        nominal=off_nominal(arm, 0.12),
-        friction=friction,
-        gains=gains_for(arm.reflected + np.array([1.0, 0.12]), bandwidth=20.0, observer=150.0),
+    return geared(
+        arm,
+        plain(friction) if simple_friction else friction,
+        np.array([1.0, 0.12]),
         torque_constant=drive,
         encoder_step=2.0 * np.pi / (MOTOR_COUNTS * arm.gear),
-        current_noise=0.004 * np.array(RATED) / (drive * arm.gear),
-        coulomb_guess=0.9 * friction.coulomb,
+        current_noise=0.004 * RATED / (drive * arm.gear),
         position_limits=np.array([[-2.6, 2.6], [-2.4, 2.4]]),
         velocity_limits=np.array([2.6, 3.2]),
         acceleration_limits=np.array([10.0, 16.0]),
         current_step=2.0**-11,
-        coloured=0.1,
         imus=imus,
     )

@@ -6,13 +6,42 @@ import numpy as np
 import pinocchio as pin
 
 from tests import Array
-from tests.plants.arms.rated import reach, strongest, tool_point
 from tests.plants.arms.rigs import GRAVITY, standard_parameters
-from tests.plants.effects.drive import at
-from tests.plants.effects.friction import clear, middle_and_half, on_joint
+from tests.plants.effects.friction import (
+    STATES,
+    at,
+    clear,
+    middle_and_half,
+    on_joint,
+    rated_torque,
+    source_on,
+)
 from tests.plants.mechanics.hidden import Run, TorqueSource
 from tests.plants.mechanics.rigid import build_model, rot_x, rot_z
 from tests.plants.simulate import Plant
+
+
+def tool_point(plant: Plant) -> Array:
+    """Where the last link is pushed or loaded: twice as far out as its centre of mass, (3,) m."""
+    return np.asarray(2.0 * plant.arm.phi[-1, 1:4] / plant.arm.phi[-1, 0])
+
+
+def reach(plant: Plant) -> float:
+    """Largest lever arm of the tool point about any joint's axis in 400 random postures, m."""
+    rng, model = np.random.default_rng(1), build_model(plant.arm)
+    data, last, most = model.createData(), plant.arm.n, 0.0
+    for _ in range(STATES):
+        pin.computeJointJacobians(model, data, rng.uniform(*plant.position_limits.T))
+        jac = pin.getJointJacobian(model, data, last, pin.LOCAL_WORLD_ALIGNED)
+        lever = data.oMi[last].rotation @ tool_point(plant)
+        moved = jac[:3] + np.cross(jac[3:].T, lever).T
+        most = max(most, float(np.linalg.norm(moved, axis=0).max()))
+    return most
+
+
+def strongest(plant: Plant) -> float:
+    """Rated torque of the strongest joint, N m."""
+    return float(rated_torque(plant).max())
 
 
 def payload(plant: Plant, joint: int, size: float) -> Plant:
@@ -37,10 +66,7 @@ def rotor_inertia(plant: Plant, joint: int, size: float) -> Plant:
 
 
 def contact(plant: Plant, joint: int, size: float) -> Plant:
-    """Half-sine pushes of the last link, 10 % of rated times size for the strongest joint.
-
-    One or two per log; times, directions and lengths (0.2 to 0.6 s) come from its start and seed.
-    """
+    """Half-sine pushes of the last link, 10 % of rated times size for the strongest joint."""
     mean = 0.10 * size * strongest(plant) / reach(plant)
     arm, point = plant.arm, tool_point(plant)
 
@@ -72,7 +98,7 @@ def contact(plant: Plant, joint: int, size: float) -> Plant:
     return plant.hiding(torques=begin)
 
 
-def other(plant: Plant, joint: int) -> int:
+def other(joint: int) -> int:
     """The joint before, or after the first one."""
     return joint - 1 if joint > 0 else 1
 
@@ -88,39 +114,32 @@ def bump(plant: Plant, joint: int, size: float) -> Plant:
 
 def other_speed(plant: Plant, joint: int, size: float) -> Plant:
     """Torque sin(4 v_other + 0.6)."""
-    torque, source = clear(plant, joint, size), other(plant, joint)
-    return on_joint(plant, joint, lambda q, dq: -torque * np.sin(4.0 * dq[source] + 0.6))
+    torque, k = clear(plant, joint, size), other(joint)
+    return on_joint(plant, joint, lambda q, dq: -torque * np.sin(4.0 * dq[k] + 0.6))
 
 
 def two_positions(plant: Plant, joint: int, size: float) -> Plant:
     """Torque sin(3 q_j) cos(2 q_k + 0.5) of this joint and the one before."""
-    torque, source = clear(plant, joint, size), other(plant, joint)
+    torque, j, k = clear(plant, joint, size), joint, other(joint)
     return on_joint(
-        plant,
-        joint,
-        lambda q, dq: -torque * (np.sin(3.0 * q[joint]) * np.cos(2.0 * q[source] + 0.5)),
+        plant, j, lambda q, dq: -torque * (np.sin(3.0 * q[j]) * np.cos(2.0 * q[k] + 0.5))
     )
 
 
 def acceleration_cube(plant: Plant, joint: int, size: float) -> Plant:
-    """Torque that grows with the cube of the acceleration, to where it is clear: 70 % of its limit.
-
-    The acceleration is that of the rates of the last two periods.
-    """
+    """Torque over the cube of the acceleration, up to where it is clear: 70 % of its limit."""
     top, torque = 0.7 * float(plant.acceleration_limits[joint]), clear(plant, joint, size)
 
     def begin(run: Run) -> TorqueSource:
         before = np.nan
 
-        def source(t: float, q: Array, dq: Array) -> Array:
+        def law(q: Array, dq: Array) -> float:
             nonlocal before
             rate = float(dq[joint])
             ddq = 0.0 if np.isnan(before) else (rate - before) / run.dt
             before = rate
-            out = np.zeros_like(q)
-            out[joint] = -torque * min(max(ddq / top, -1.0), 1.0) ** 3
-            return out
+            return -torque * min(max(ddq / top, -1.0), 1.0) ** 3
 
-        return source
+        return source_on(joint, law)
 
     return plant.hiding(torques=begin)

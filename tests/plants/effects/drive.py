@@ -1,16 +1,11 @@
-"""Undeclared drives, transmissions and instruments, sized by the joint's rated torque.
-
-Every function takes (plant, joint, size) and returns the plant that has the effect as well. Size 1
-is clear, about 5 % of rated torque where the docstring says nothing else.
-"""
+"""Undeclared drives, transmissions and instruments, sized as in `friction`."""
 
 from dataclasses import replace
 
 import numpy as np
 
 from tests import Array
-from tests.plants.arms.rated import rated_torque
-from tests.plants.effects.friction import clear
+from tests.plants.effects.friction import at, clear, rated_torque
 from tests.plants.mechanics.hidden import Run, Spring, Stage
 from tests.plants.mechanics.joints import swung
 from tests.plants.mechanics.rigid import Rigid
@@ -22,23 +17,12 @@ CONTACT_BEND = 0.001  # rad, of a loose joint's teeth at rated torque
 DRIFT_TIME = 900.0  # s, after which a drifting sensor is off by a clear torque
 
 
-def at(plant: Plant, joint: int, value: float) -> Array:
-    """Zero everywhere but at one joint, (n,)."""
-    out = np.zeros(plant.arm.n)
-    out[joint] = value
-    return out
-
-
 def ripple(plant: Plant, joint: int, size: float) -> Plant:
     """Order 2 of the motor (strain wave), also without current: sin(2 gear angle + 0.7)."""
-    torque, pace = clear(plant, joint, size), 2.0 * float(plant.arm.gear[joint])
-
-    def stage(t: float, tau: Array, angle: Array) -> Array:
-        out = tau.copy()
-        out[joint] += torque * np.sin(pace * angle[joint] + 0.7)
-        return out
-
-    return plant.hiding(drives=lambda run: stage)
+    torque, pace = at(plant, joint, clear(plant, joint, size)), 2.0 * float(plant.arm.gear[joint])
+    return plant.hiding(
+        drives=lambda run: lambda t, tau, angle: tau + torque * np.sin(pace * angle + 0.7)
+    )
 
 
 def elastic(plant: Plant, joint: int, size: float) -> Plant:
@@ -60,8 +44,6 @@ def _spring(plant: Plant, joint: int, bend: float, ratio: float, gap: float = 0.
 
 def coupling(plant: Plant, joint: int, size: float) -> Plant:
     """Drive of this joint also turns with the one before: rate = dq_j + 0.2 size dq_(j-1)."""
-    if joint == 0:
-        raise ValueError("the first joint has no joint before it to be coupled with")
     a = np.eye(plant.arm.n)
     a[joint, joint - 1] = 0.2 * size
     return replace(plant, hidden=replace(plant.hidden, coupling=a))
@@ -70,14 +52,8 @@ def coupling(plant: Plant, joint: int, size: float) -> Plant:
 def encoder(plant: Plant, joint: int, size: float) -> Plant:
     """Eccentric disc: 5 mrad of the motor's turn times size, once per turn."""
     gear = float(plant.arm.gear[joint])
-    amplitude = 0.005 * size / gear
-
-    def error(angle: Array) -> Array:
-        out = np.zeros_like(angle)
-        out[..., joint] = amplitude * np.sin(gear * angle[..., joint] + 0.4)
-        return out
-
-    return plant.hiding(encoders=error)
+    amplitude = at(plant, joint, 0.005 * size / gear)
+    return plant.hiding(encoders=lambda angle: amplitude * np.sin(gear * angle + 0.4))
 
 
 def gain(plant: Plant, joint: int, size: float) -> Plant:
@@ -87,10 +63,7 @@ def gain(plant: Plant, joint: int, size: float) -> Plant:
 
 
 def saturation(plant: Plant, joint: int, size: float) -> Plant:
-    """8 % times size of the torque is lost at rated current, cubic in the current.
-
-    The torque stays at its maximum beyond the current where it no longer grows.
-    """
+    """8 % times size of the torque is lost at rated current, cubic in the current."""
     share, rated = at(plant, joint, 0.08 * size), rated_torque(plant)
     with np.errstate(divide="ignore"):
         top = rated / np.sqrt(3.0 * share)
@@ -122,10 +95,9 @@ def lag(plant: Plant, joint: int, size: float) -> Plant:
 
 def skew_all(plant: Plant, joint: int, size: float) -> Plant:
     """All currents are logged 4 ms times size late; the ends are held."""
-    delay = 0.004 * size
 
     def error(t: Array, current: Array) -> Array:
-        return np.column_stack([np.interp(t - delay, t, x) for x in current.T])
+        return np.column_stack([np.interp(t - 0.004 * size, t, x) for x in current.T])
 
     return plant.hiding(currents=error)
 
@@ -149,10 +121,7 @@ def drift(plant: Plant, joint: int, size: float) -> Plant:
 
 def mains(plant: Plant, joint: int, size: float) -> Plant:
     """Hum of 50 Hz in the current reading, 2 % of rated times size, of one phase all the time."""
-    amplitude = 0.4 * _amperes(plant, joint, size)
-
-    def error(t: Array, current: Array) -> Array:
-        wave = np.sin(2.0 * np.pi * 50.0 * t + 1.1)
-        return np.asarray(current + amplitude * wave[:, None])
-
-    return plant.hiding(currents=error)
+    amplitude, pace = 0.4 * _amperes(plant, joint, size), 2.0 * np.pi * 50.0
+    return plant.hiding(
+        currents=lambda t, current: current + amplitude * np.sin(pace * t + 1.1)[:, None]
+    )

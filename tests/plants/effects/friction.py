@@ -11,26 +11,43 @@ from math import cos
 import numpy as np
 
 from tests import Array
-from tests.plants.arms.rated import dry_level, rated_torque
-from tests.plants.friction.heat import Heat, WarmingFriction
-from tests.plants.friction.laws import Bristles, Curve, Extra, MeshLoss, Stribeck
+from tests.plants.friction.laws import Bristles, Curve, Extra, Heat, MeshLoss, Stribeck, Warming
 from tests.plants.mechanics.hidden import Run, TorqueSource
+from tests.plants.mechanics.rigid import Rigid
 from tests.plants.simulate import Plant
 
 CLEAR = 0.05  # share of rated torque at size 1
+BUSY = 0.6  # share of the limits of speed and acceleration that busy motion uses at once
+STATES = 400
 USUAL_SPEED = 0.3  # share of the top speed at which the gears warm up
 WARMING = 20.0  # K, after hours of usual work
 WARMING_TIME = 300.0  # s
 
 
+def rated_torque(plant: Plant) -> Array:
+    """Largest torque of busy motion in 400 random states, friction included, (n,) N m."""
+    rng = np.random.default_rng(0)
+    rigid, law = Rigid(plant.arm), plant.friction.begin()
+    most = np.zeros(plant.arm.n)
+    for _ in range(STATES):
+        q = rng.uniform(*plant.position_limits.T)
+        dq, ddq = rng.uniform(-BUSY, BUSY, (2, plant.arm.n))
+        dq, ddq = dq * plant.velocity_limits, ddq * plant.acceleration_limits
+        rub = law(0.0, q, dq, np.zeros(plant.arm.n)).sliding(dq)
+        most = np.maximum(most, np.abs(rigid.inverse(q, dq, ddq) + rub))
+    return most
+
+
+def dry_level(plant: Plant, joint: int) -> float:
+    """Smaller dry level of a joint at a third of its top speed, N m."""
+    dq = plant.velocity_limits / 3.0
+    dry = plant.friction.begin()(0.0, plant.position_limits.mean(axis=1), dq, np.zeros_like(dq))
+    return float(min(dry.forward[joint], dry.backward[joint]))
+
+
 def clear(plant: Plant, joint: int, size: float) -> float:
-    """Return `size` times 5 % of the joint's rated torque, N m."""
+    """`size` times 5 % of the joint's rated torque, N m."""
     return CLEAR * size * float(rated_torque(plant)[joint])
-
-
-def top_speed(plant: Plant, joint: int) -> float:
-    """Velocity limit, rad/s."""
-    return float(plant.velocity_limits[joint])
 
 
 def _add(plant: Plant, joint: int, curve: Curve) -> Plant:
@@ -39,7 +56,7 @@ def _add(plant: Plant, joint: int, curve: Curve) -> Plant:
 
 def stribeck(plant: Plant, joint: int, size: float) -> Plant:
     """Stribeck hump; its speed is 6 % of the top speed."""
-    speed = 0.06 * top_speed(plant, joint)
+    speed = 0.06 * float(plant.velocity_limits[joint])
     return _add(plant, joint, Stribeck(clear(plant, joint, size), speed))
 
 
@@ -59,12 +76,13 @@ def gear_efficiency(plant: Plant, joint: int, size: float) -> Plant:
     return _add(plant, joint, MeshLoss(0.15 * size, 0.03 * size))
 
 
-def _power(plant: Plant, joint: int, torque: float, share: float, exponent: float) -> Plant:
-    """Viscous friction factor |v|^exponent sign(v), of so much torque at a share of the top speed.
+def _power(plant: Plant, joint: int, size: float, share: float, exponent: float) -> Plant:
+    """Viscous friction factor |v|^exponent sign(v), clear at a share of the top speed.
 
     Below an exponent of 1 it counts as dry, so that it is not stiff at rest.
     """
-    factor = torque / (share * top_speed(plant, joint)) ** exponent
+    reference = (share * float(plant.velocity_limits[joint])) ** exponent
+    factor = clear(plant, joint, size) / reference
 
     def curve(q: float, v: float, load: float) -> tuple[float, float, float]:
         size = factor * abs(v) ** exponent
@@ -77,57 +95,51 @@ def _power(plant: Plant, joint: int, torque: float, share: float, exponent: floa
 
 def quadratic_drag(plant: Plant, joint: int, size: float) -> Plant:
     """c v |v|; clear at 80 % of the top speed."""
-    return _power(plant, joint, clear(plant, joint, size), 0.8, 2.0)
+    return _power(plant, joint, size, 0.8, 2.0)
 
 
 def cubic_viscous(plant: Plant, joint: int, size: float) -> Plant:
     """c v^3; clear at 80 % of the top speed."""
-    return _power(plant, joint, clear(plant, joint, size), 0.8, 3.0)
+    return _power(plant, joint, size, 0.8, 3.0)
 
 
 def root_viscous(plant: Plant, joint: int, size: float) -> Plant:
     """c |v|^0.5 sign(v); clear at 40 % of the top speed."""
-    return _power(plant, joint, clear(plant, joint, size), 0.4, 0.5)
+    return _power(plant, joint, size, 0.4, 0.5)
 
 
 def presliding(plant: Plant, joint: int, size: float) -> Plant:
     """Bristles (LuGre) that slip after 20 mrad times size at the joint."""
     stiffness = dry_level(plant, joint) / (0.020 * size)
-    inertia = float(plant.arm.reflected[joint])
-    return replace(
-        plant,
-        friction=Bristles(plant.friction, joint, stiffness, 0.3 * np.sqrt(stiffness * inertia)),
-    )
+    damping = 0.3 * np.sqrt(stiffness * float(plant.arm.reflected[joint]))
+    return replace(plant, friction=Bristles(plant.friction, joint, stiffness, damping))
 
 
 def level_wave(plant: Plant, joint: int, size: float) -> Plant:
     """Coulomb level that varies as cos(3 q), by at most 80 % of it."""
     more = min(clear(plant, joint, size), 0.8 * dry_level(plant, joint))
-
-    def curve(q: float, v: float, load: float) -> tuple[float, float, float]:
-        level = more * cos(3.0 * q)
-        return level, level, 0.0
-
-    return _add(plant, joint, curve)
+    return _add(plant, joint, lambda q, v, load: (more * cos(3.0 * q), more * cos(3.0 * q), 0.0))
 
 
 def thermal(plant: Plant, joint: int, size: float) -> Plant:
-    """Warm gears turn more easily: 20 K take a clear torque off the viscous one at top speed.
-
-    At most 60 % of it; all joints' temperatures are logged.
-    """
+    """Warm gears turn more easily: 20 K take a clear torque off the viscous one at top speed."""
+    middle, zero = plant.position_limits.mean(axis=1), np.zeros(plant.arm.n)
     dq = USUAL_SPEED * plant.velocity_limits
-    dry = plant.friction.begin()(0.0, plant.position_limits.mean(axis=1), dq, np.zeros_like(dq))
+    dry = plant.friction.begin()(0.0, middle, dq, zero)
     usual = (dry.forward + dry.smooth) * dq
     loss = usual / WARMING
     heat = Heat(capacity=WARMING_TIME * loss, loss=loss, usual=usual)
-    zero = np.zeros(plant.arm.n)
-    law = plant.friction.begin()
-    viscous = law(0.0, plant.position_limits.mean(axis=1), plant.velocity_limits, zero).smooth
+    viscous = plant.friction.begin()(0.0, middle, plant.velocity_limits, zero).smooth
     share = min(clear(plant, joint, size) / float(viscous[joint]), 0.6)
-    thinning = zero.copy()
-    thinning[joint] = -np.log1p(-share) / WARMING
-    return replace(plant, friction=WarmingFriction(plant.friction, heat, thinning, zero), heat=heat)
+    thinning = at(plant, joint, -np.log1p(-share) / WARMING)
+    return replace(plant, friction=Warming(plant.friction, heat, thinning), heat=heat)
+
+
+def at(plant: Plant, joint: int, value: float) -> Array:
+    """Zero everywhere but at one joint, (n,)."""
+    out = np.zeros(plant.arm.n)
+    out[joint] = value
+    return out
 
 
 def middle_and_half(plant: Plant, joint: int) -> tuple[float, float]:
@@ -136,15 +148,19 @@ def middle_and_half(plant: Plant, joint: int) -> tuple[float, float]:
     return float(0.5 * (low + high)), float(0.5 * (high - low))
 
 
-def on_joint(plant: Plant, joint: int, law: Callable[[Array, Array], float]) -> Plant:
-    """Add a torque law(q, dq) N m on one joint, both (n,)."""
+def source_on(joint: int, law: Callable[[Array, Array], float]) -> TorqueSource:
+    """A torque law(q, dq) N m on one joint, both (n,)."""
 
     def source(t: float, q: Array, dq: Array) -> Array:
         out = np.zeros_like(q)
         out[joint] = law(q, dq)
         return out
 
-    return plant.hiding(torques=lambda run: source)
+    return source
+
+
+def on_joint(plant: Plant, joint: int, law: Callable[[Array, Array], float]) -> Plant:
+    return plant.hiding(torques=lambda run: source_on(joint, law))
 
 
 @dataclass(frozen=True)
@@ -156,12 +172,8 @@ class LinearSpring:
     rest: float
 
     def __call__(self, run: Run) -> TorqueSource:
-        def source(t: float, q: Array, dq: Array) -> Array:
-            out = np.zeros_like(q)
-            out[self.joint] = -self.stiffness * (q[self.joint] - self.rest)
-            return out
-
-        return source
+        i = self.joint
+        return source_on(i, lambda q, dq: -self.stiffness * (q[i] - self.rest))
 
 
 def spring(plant: Plant, joint: int, size: float) -> Plant:
@@ -171,19 +183,17 @@ def spring(plant: Plant, joint: int, size: float) -> Plant:
     return plant.hiding(torques=LinearSpring(joint, stiffness, middle + 0.1 * half))
 
 
-def counterbalance(
-    plant: Plant, joint: int, size: float, *, arm: float = 0.3, slack: float = 0.5
-) -> Plant:
+def counterbalance(plant: Plant, joint: int, size: float) -> Plant:
     """Coil spring between a point of either link, always in tension; at most four times clear.
 
     Distances are in that of the point on the base from the axis: `arm` that of the other, `slack`
     the spring's length without tension. Its torque is minus the slope of its energy.
     """
+    arm, slack = 0.3, 0.5
     middle, half = middle_and_half(plant, joint)
-    zero = middle - 0.5
 
     def torque(q: float, stiffness: float) -> float:
-        angle = q - zero
+        angle = q - (middle - 0.5)
         length = float(np.sqrt(1.0 + arm**2 - 2.0 * arm * np.cos(angle)))
         pull = stiffness * max(length - slack, 0.0)
         return -pull * arm * float(np.sin(angle)) / length

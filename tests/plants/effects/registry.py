@@ -7,36 +7,25 @@ from typing import Literal
 from tests.plants.effects import arm, drive, friction
 from tests.plants.simulate import Plant
 
-Maker = Callable[[Plant, int, float], Plant]
-Place = Literal["joint", "arm"]
-
 
 @dataclass(frozen=True)
 class Entry:
-    """One kind of undeclared effect.
+    """One kind of undeclared effect."""
 
-    `kind` is the catalogue's name, None outside of it; `place` says whether it belongs to one joint
-    or to the whole arm; `depends_on` is for those outside, `other_joint` without the name; `first`
-    is the first joint that can have it.
-    """
-
-    kind: str | None
-    make: Maker
-    place: Place = "joint"
-    depends_on: tuple[str, ...] = ()
-    first: int = 0
+    kind: str | None  # the catalogue's name, None outside of it
+    make: Callable[[Plant, int, float], Plant]
+    place: Literal["joint", "arm"] = "joint"  # whose it is
+    depends_on: tuple[str, ...] = ()  # of those outside; `other_joint` without the name
+    first: int = 0  # joint that can have it
 
 
 @dataclass(frozen=True)
 class Injection:
-    """A plant with one undeclared effect more than `declared`, which is what its robot file says.
-
-    `joint` is None for an effect of the whole arm or of its measurement.
-    """
+    """A plant with one undeclared effect more than `declared`, as its robot file says."""
 
     name: str
     kind: str | None
-    joint: int | None
+    joint: int | None  # None: of the whole arm or its measurement
     size: float
     depends_on: tuple[str, ...]
     declared: Plant
@@ -85,27 +74,11 @@ OUTSIDE = tuple(name for name, entry in REGISTRY.items() if entry.kind is None)
 
 
 def inject(name: str, plant: Plant, joint: int, size: float = 1.0) -> Injection:
-    """Put one effect of `REGISTRY` into a plant, which may have undeclared effects already.
-
-    `joint` counts from 0 and has no meaning where the effect is the whole arm's. A `size` of 1.0 is
-    clear and 0.4 small; what that is says the maker's docstring.
-    """
+    """Put one effect of `REGISTRY` into a plant, which may have undeclared effects already."""
     entry = REGISTRY[name]
     if not entry.first <= joint < plant.arm.n:
         raise ValueError(f"{name} cannot be on joint {joint} of {plant.arm.n}")
-    partner = plant.arm.names[arm.other(plant, joint)] if plant.arm.n > 1 else ""
+    partner = plant.arm.names[arm.other(joint)] if plant.arm.n > 1 else ""
     depends = tuple(f"{x}:{partner}" if x == "other_joint" else x for x in entry.depends_on)
-    return Injection(
-        name=name,
-        kind=entry.kind,
-        joint=joint if entry.place == "joint" else None,
-        size=size,
-        depends_on=depends,
-        declared=plant,
-        plant=entry.make(plant, joint, size),
-    )
-
-
-def clean(plant: Plant) -> Injection:
-    """Nothing undeclared: the study's control."""
-    return Injection("clean", None, None, 0.0, (), plant, plant)
+    at = joint if entry.place == "joint" else None
+    return Injection(name, entry.kind, at, size, depends, plant, entry.make(plant, joint, size))

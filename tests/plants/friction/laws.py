@@ -1,10 +1,11 @@
-"""Friction of one joint beyond the plant's own: what a curve adds, and bristles that bend."""
+"""Friction of one joint beyond the plant's own: curves, bristles that bend, gears that warm up."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from math import exp
 
 import numpy as np
+from scipy.signal import lfilter
 
 from tests import Array
 from tests.plants.friction.surface import Friction, FrictionModel, Law
@@ -22,7 +23,6 @@ class Extra:
     curve: Curve
 
     def begin(self) -> Law:
-        """Return the law of one run."""
         base, i, curve = self.base.begin(), self.joint, self.curve
 
         def law(t: float, q: Array, dq: Array, load: Array) -> Friction:
@@ -74,10 +74,9 @@ class Bristles:
     base: FrictionModel
     joint: int
     stiffness: float
-    damping: float = 0.0
+    damping: float
 
     def begin(self) -> Law:
-        """Return the law of one run, from unbent bristles."""
         base, i = self.base.begin(), self.joint
         bend, before = 0.0, np.nan
 
@@ -88,7 +87,8 @@ class Bristles:
             way = 0.0 if np.isnan(before) else here - before
             before = here
             limit = max(float(forward[i] if way >= 0 else backward[i]), 1e-12) / self.stiffness
-            bend = slip(bend, way, limit)
+            goal = limit if way >= 0 else -limit
+            bend = float(goal + (bend - goal) * np.exp(-abs(way) / limit))  # exact for any way
             bending = rate - abs(rate) * bend / limit
             smooth[i] += self.stiffness * bend + self.damping * bending
             forward[i] = backward[i] = 0.0
@@ -97,7 +97,68 @@ class Bristles:
         return law
 
 
-def slip(bend: float, way: float, limit: float) -> float:
-    """Bend of the bristles after a move of `way` rad, exact for any length of it, rad."""
-    goal = limit if way >= 0 else -limit
-    return float(goal + (bend - goal) * np.exp(-abs(way) / limit))
+@dataclass(frozen=True)
+class Heat:
+    """C dT/dt = P - G (T - ambient) per joint, all (n,); degC, J/K, W/K, W.
+
+    Between the logs the arm works on, at the mean friction power `usual`, from power-on at ambient
+    temperature; so a log that starts later starts warmer.
+    """
+
+    capacity: Array
+    loss: Array
+    usual: Array
+    ambient: float = 22.0
+
+    @property
+    def time_constant(self) -> Array:
+        return self.capacity / self.loss
+
+    def at(self, t: float) -> Array:
+        """Temperature after `t` s of usual work, (n,) degC."""
+        rise = self.usual / self.loss
+        return np.asarray(self.ambient + rise * -np.expm1(-t / self.time_constant))
+
+    def advance(self, degrees: Array, power: Array, dt: float) -> Array:
+        """Temperature after `dt` s at constant friction power (n,) W."""
+        goal = self.ambient + power / self.loss
+        return np.asarray(goal + (degrees - goal) * np.exp(-dt / self.time_constant))
+
+    def trace(self, start: float, power: Array, dt: float) -> Array:
+        """Temperatures (N, n) degC at the rows of power (N, n) W, the first at `start` s."""
+        first, out = self.at(start), np.empty_like(power)
+        for i, pole in enumerate(np.exp(-dt / self.time_constant)):
+            goal = power[:, i] / self.loss[i]
+            drive = np.concatenate([[first[i] - self.ambient], (1.0 - pole) * goal[:-1]])
+            out[:, i] = self.ambient + lfilter([1.0], [1.0, -pole], drive)
+        return out
+
+
+@dataclass(frozen=True)
+class Warming:
+    """Friction whose smooth part falls as exp(-thinning (T - ambient)), thinning (n,) 1/K."""
+
+    base: FrictionModel
+    heat: Heat
+    thinning: Array
+
+    def begin(self) -> Law:
+        """The law of one run; its temperature follows its own friction power."""
+        base, heat = self.base.begin(), self.heat
+        degrees: Array | None = None
+        then = 0.0
+
+        def law(t: float, q: Array, dq: Array, load: Array) -> Friction:
+            nonlocal degrees, then
+            if degrees is None:
+                degrees, then = heat.at(t), t
+            cold = base(t, q, dq, load)
+            felt = cold._replace(
+                smooth=cold.smooth * np.exp(-self.thinning * (degrees - heat.ambient))
+            )
+            if t > then:
+                degrees = heat.advance(degrees, np.abs(felt.sliding(dq) * dq), t - then)
+                then = t
+            return felt
+
+        return law

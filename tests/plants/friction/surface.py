@@ -1,9 +1,4 @@
-"""Joint friction as physics: a set-valued dry part and a smooth part.
-
-A law says how much dry friction there is to overcome in each direction and what smooth torque
-opposes the motion. Whether a joint sticks or slips is decided by `stick_slip`, exactly, at every
-step, so that a held joint rests and a reversal passes through stiction without a regularised sign.
-"""
+"""Joint friction as physics: a set-valued dry part and a smooth part."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,6 +16,10 @@ class Friction(NamedTuple):
     backward: Array
     smooth: Array
 
+    def sliding(self, dq: Array) -> Array:
+        """Torque at a velocity other than zero."""
+        return np.where(dq > 0, self.forward, -self.backward) + self.smooth
+
 
 Law = Callable[[float, Array, Array, Array], Friction]  # (t [s], q, dq, load [N m]) -> Friction
 
@@ -28,9 +27,7 @@ Law = Callable[[float, Array, Array, Array], Friction]  # (t [s], q, dq, load [N
 class FrictionModel(Protocol):
     """Makes a law with fresh internal state for one run."""
 
-    def begin(self) -> Law:
-        """Return the law of one run."""
-        ...
+    def begin(self) -> Law: ...
 
 
 @dataclass(frozen=True)
@@ -57,22 +54,14 @@ class SurfaceFriction:
         return Friction(level, level, self.viscous * dq)
 
     def begin(self) -> Law:
-        """Return the law itself: it has no internal state."""
         return self.__call__
 
 
-@dataclass(frozen=True)
 class Frictionless:
     """No friction at all, for checks of the mechanics."""
 
     def begin(self) -> Law:
-        """Return the law of one run."""
-
-        def law(t: float, q: Array, dq: Array, load: Array) -> Friction:
-            zero = np.zeros_like(q)
-            return Friction(zero, zero, zero)
-
-        return law
+        return lambda t, q, dq, load: Friction(*(np.zeros_like(q) for _ in range(3)))
 
 
 def stick_slip(
@@ -80,10 +69,11 @@ def stick_slip(
 ) -> tuple[Array, Array, Array]:
     """Acceleration and dry friction of one step, with joints at rest held where friction can.
 
-    `mass` (n, n) kg m^2, `force` (n,) N m of everything but dry friction, `velocity` (n,) rad/s
-    before the step of `dt` s, levels of `dry` friction, and a first guess of the direction of slip
-    after the step, `sign` (n,), 0 where stuck. Returns ddq (n,) rad/s^2, the torque of dry friction
-    (n,) N m and the sign (n,).
+    Sticking is exact: a reversal passes through stiction without a regularised sign. `mass` (n, n)
+    kg m^2, `force` (n,) N m of everything but dry friction, `velocity` (n,) rad/s before the step
+    of `dt` s, levels of `dry` friction, and a first guess of the direction of slip after the step,
+    `sign` (n,), 0 where stuck. Returns ddq (n,) rad/s^2, the torque of dry friction (n,) N m and
+    the sign (n,).
     """
     stop = -velocity / dt
     if sign.all():  # most steps: everything slips on

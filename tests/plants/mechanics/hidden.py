@@ -12,9 +12,6 @@ from tests import Array
 
 TorqueSource = Callable[[float, Array, Array], Array]  # (t, q, dq) -> (n,) N m acting on the joints
 Stage = Callable[[float, Array, Array], Array]  # (t, torque, drive angle) -> torque, (n,) N m
-EncoderError = Callable[[Array], Array]  # true angle (..., n) rad -> error to add, rad
-# (t (N,) s since power-on, current (N, n) A) -> what the log says of it, (N, n) A
-CurrentError = Callable[[Array, Array], Array]
 
 
 class Run(NamedTuple):
@@ -55,19 +52,12 @@ class Spring:
 
 @dataclass(frozen=True)
 class Hidden:
-    """Everything undeclared; the empty one leaves the plant as its robot file says.
+    """Everything undeclared; the empty one leaves the plant as its robot file says."""
 
-    `torques` on the links and `drives`, which turn the torque that the current stands for into the
-    one that the motor makes, are begun anew in each run. `encoders` and `currents` falsify what the
-    log says.
-
-    `coupling` is A (n, n) in drive rates = A dq; friction acts on them and maps back with A^T.
-    `springs` lie between drive and link; controller and log read the drives' angles.
-    """
-
-    torques: tuple[Callable[[Run], TorqueSource], ...] = ()
-    drives: tuple[Callable[[Run], Stage], ...] = ()
-    springs: tuple[Spring, ...] = ()
-    encoders: tuple[EncoderError, ...] = ()
-    currents: tuple[CurrentError, ...] = ()
-    coupling: Array | None = None
+    torques: tuple[Callable[[Run], TorqueSource], ...] = ()  # on the links, begun anew in each run
+    drives: tuple[Callable[[Run], Stage], ...] = ()  # what the motor makes of the current's torque
+    springs: tuple[Spring, ...] = ()  # the drives' angles are what controller and log read
+    encoders: tuple[Callable[[Array], Array], ...] = ()  # true angle (..., n) rad -> error to add
+    # (t (N,) s since power-on, current (N, n) A) -> what the log says of it, (N, n) A
+    currents: tuple[Callable[[Array, Array], Array], ...] = ()
+    coupling: Array | None = None  # A (n, n): drive rates = A dq; friction maps back with A^T

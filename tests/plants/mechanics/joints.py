@@ -1,13 +1,14 @@
 """One control period of an arm, rigid (leapfrog) or with springs in its joints (substeps)."""
 
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from tests import Array
 from tests.plants.friction.surface import Friction, Law, stick_slip
-from tests.plants.mechanics.hidden import Hidden, Spring, TorqueSource
-from tests.plants.mechanics.rigid import Arm, Rigid
+from tests.plants.mechanics.hidden import Hidden, TorqueSource
+from tests.plants.mechanics.rigid import Rigid
 
 FINEST = 0.5  # rad of the fastest vibration per substep
 
@@ -22,35 +23,26 @@ class Row(NamedTuple):
     angle: Array
 
 
-class Mechanics(Protocol):
-    """Keeps the state between control periods."""
+@dataclass
+class _Joints:
+    """An arm from rest at `start` (n,) rad, in control periods of `dt` s."""
 
-    def reading_angle(self) -> Array:
-        """Angle of the drives, which the controller reads now, (n,) rad."""
-        ...
+    rigid: Rigid
+    law: Law
+    sources: tuple[TorqueSource, ...]
+    hidden: Hidden
+    start: Array
+    dt: float
 
-    def step(self, t: float, tau: Array) -> Row:
-        """Advance by one period with the drives' torque (n,) N m; `t` is the row's instant."""
-        ...
 
-
-class RigidJoints:
+@dataclass
+class RigidJoints(_Joints):
     """Drives and links move as one; friction may act on combinations of the joints' rates."""
 
-    def __init__(
-        self,
-        rigid: Rigid,
-        law: Law,
-        sources: tuple[TorqueSource, ...],
-        hidden: Hidden,
-        start: Array,
-        dt: float,
-    ) -> None:
-        self._rigid, self._law, self._sources, self._dt = rigid, law, sources, dt
-        self._reflected = rigid.arm.reflected
+    def __post_init__(self) -> None:
+        start, hidden, self._reflected = self.start, self.hidden, self.rigid.arm.reflected
         self._a = hidden.coupling
-        if self._a is not None:
-            self._back = np.linalg.inv(self._a)
+        self._back = np.linalg.inv(self._a) if self._a is not None else None
         self._q, self._half = start.copy(), np.zeros(len(start))
         self._ddq, self._load, self._sign = (np.zeros(len(start)) for _ in range(3))
         self._first = True
@@ -61,11 +53,11 @@ class RigidJoints:
 
     def step(self, t: float, tau: Array) -> Row:
         """Advance by one period with the drives' torque (n,) N m; `t` is the row's instant."""
-        dt, q = self._dt, self._q
+        dt, q = self.dt, self._q
         dq = self._half + 0.5 * dt * self._ddq
-        mass, bias = self._rigid.terms(q, dq)
+        mass, bias = self.rigid.terms(q, dq)
         push = tau - bias
-        for source in self._sources:
+        for source in self.sources:
             push = push + source(t, q, dq)
         ddq, friction = self._slip(t, q, dq, mass, push)
         if self._first:
@@ -80,21 +72,22 @@ class RigidJoints:
 
     def _slip(self, t: float, q: Array, dq: Array, mass: Array, push: Array) -> tuple[Array, Array]:
         """Acceleration and friction torque at the joints, (n,) each."""
-        if self._a is None:
-            dry = self._law(t, q, dq, self._load)
+        if self._a is None or self._back is None:
+            dry = self.law(t, q, dq, self._load)
             force = push - dry.smooth
-            ddq, rub, self._sign = stick_slip(mass, force, self._half, self._dt, dry, self._sign)
+            ddq, rub, self._sign = stick_slip(mass, force, self._half, self.dt, dry, self._sign)
             return ddq, rub + dry.smooth
         a, back = self._a, self._back
-        dry = self._law(t, a @ q, a @ dq, self._load)
+        dry = self.law(t, a @ q, a @ dq, self._load)
         turned = back.T @ mass @ back
         force = back.T @ push - dry.smooth
         rates = a @ self._half
-        spin, rub, self._sign = stick_slip(turned, force, rates, self._dt, dry, self._sign)
+        spin, rub, self._sign = stick_slip(turned, force, rates, self.dt, dry, self._sign)
         return back @ spin, a.T @ (rub + dry.smooth)
 
 
-class ElasticJoints:
+@dataclass
+class ElasticJoints(_Joints):
     """Some drives turn apart from their links; drives' own coordinates come after the links'.
 
     One period runs from half a period before the row's instant to half a period after it, so that
@@ -103,26 +96,19 @@ class ElasticJoints:
     on its drive.
     """
 
-    def __init__(
-        self,
-        rigid: Rigid,
-        law: Law,
-        sources: tuple[TorqueSource, ...],
-        hidden: Hidden,
-        start: Array,
-        dt: float,
-    ) -> None:
+    def __post_init__(self) -> None:
+        start, hidden, self._reflected = self.start, self.hidden, self.rigid.arm.reflected
         if hidden.coupling is not None:
             raise ValueError("a plant with springs cannot have coupled transmissions as well")
-        self._rigid, self._law, self._sources = rigid, law, sources
         self._springs = hidden.springs
         self._joints = np.array([spring.joint for spring in hidden.springs])
         self._n = n = len(start)
-        self._reflected = rigid.arm.reflected
         self._drive = np.arange(n)  # which coordinate a joint's friction and motor act on
         self._drive[self._joints] = n + np.arange(len(self._joints))
-        self._dt = dt
-        self._parts = substeps(rigid, hidden, start, dt)
+        stiff = [s.stiffness / swung(self.rigid, s.joint, start) for s in hidden.springs]
+        fastest = np.sqrt(max(stiff))
+        parts = int(np.ceil(fastest * self.dt / FINEST))
+        self._parts = max(2, parts + parts % 2)  # even
         self._x = self._at_rest(start)
         self._v, self._a = np.zeros_like(self._x), np.zeros_like(self._x)
         self._sign, self._load = np.zeros_like(self._x), np.zeros(n)
@@ -131,30 +117,28 @@ class ElasticJoints:
         """Coordinates at rest with the drives at `start` and the springs carrying gravity."""
         q, drive = start.copy(), start[self._joints]
         for _ in range(20):
-            load = self._rigid.gravity_torque(q)
+            load = self.rigid.gravity_torque(q)
             wind = np.array([spring.wind_at(float(load[spring.joint])) for spring in self._springs])
             q[self._joints] = drive - wind
         return np.concatenate([q, drive])
 
     def reading_angle(self) -> Array:
-        """Angle of the drives, which the controller reads now, (n,) rad."""
         return self._x[self._drive]
 
     def step(self, t: float, tau: Array) -> Row:
-        """Advance by one period with the drives' torque (n,) N m; `t` is the row's instant."""
-        n, h, drive = self._n, self._dt / self._parts, self._drive
+        n, h, drive = self._n, self.dt / self._parts, self._drive
         now = self._v + 0.5 * h * self._a
         mass = np.zeros((len(self._x), len(self._x)))
-        mass[:n, :n], bias = self._rigid.terms(self._x[:n], now[:n])
+        mass[:n, :n], bias = self.rigid.terms(self._x[:n], now[:n])
         own = self._joints
         mass[own, own] -= self._reflected[own]
         mass[drive[own], drive[own]] = self._reflected[own]
         inverse = np.asarray(np.linalg.inv(mass))
-        dry = self._law(t, self._x[drive], now[drive], self._load)
+        dry = self.law(t, self._x[drive], now[drive], self._load)
         slow = np.zeros_like(self._x)
         slow[drive] = tau - dry.smooth
         slow[:n] -= bias
-        for source in self._sources:
+        for source in self.sources:
             slow[:n] += source(t, self._x[:n], now[:n])
         levels = Friction(*(np.zeros_like(self._x) for _ in range(3)))
         levels.forward[drive], levels.backward[drive] = dry.forward, dry.backward
@@ -189,21 +173,8 @@ class ElasticJoints:
         return rub
 
     def _row(self, h: float, friction: Array) -> Row:
-        """Truth at this substep's instant."""
         n, rate = self._n, self._v + 0.5 * h * self._a
         return Row(self._x[:n].copy(), rate[:n], self._a[:n].copy(), friction, self._x[self._drive])
-
-
-def substeps(rigid: Rigid, hidden: Hidden, start: Array, dt: float) -> int:
-    """Even number of substeps that resolves the fastest vibration of the springs."""
-    rates = [vibration(rigid, spring, start) for spring in hidden.springs]
-    parts = int(np.ceil(max(rates) * dt / FINEST))
-    return max(2, parts + parts % 2)
-
-
-def vibration(rigid: Rigid, spring: Spring, q: Array) -> float:
-    """Fastest vibration of drive against link with the other joints free, rad/s."""
-    return float(np.sqrt(spring.stiffness / swung(rigid, spring.joint, q)))
 
 
 def swung(rigid: Rigid, joint: int, q: Array) -> float:
@@ -213,11 +184,3 @@ def swung(rigid: Rigid, joint: int, q: Array) -> float:
     mass = mass.copy()
     mass[joint, joint] -= reflected[joint]
     return float(1.0 / (np.linalg.inv(mass)[joint, joint] + 1.0 / reflected[joint]))
-
-
-def mechanics(
-    arm: Arm, law: Law, sources: tuple[TorqueSource, ...], hidden: Hidden, start: Array, dt: float
-) -> Mechanics:
-    """Choose how the arm's joints are modelled."""
-    kind = ElasticJoints if hidden.springs else RigidJoints
-    return kind(Rigid(arm), law, sources, hidden, start, dt)

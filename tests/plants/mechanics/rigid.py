@@ -1,9 +1,4 @@
-"""Rigid-body forward dynamics of a serial arm, written apart from the package.
-
-Geometry is modified DH (Craig): T_i = RotX(alpha) TransX(a) RotZ(q) TransZ(d); the axis is the
-link frame's z. Inertial parameters are in Pinocchio's order (m, mx, my, mz, Ixx, Ixy, Iyy, Ixz,
-Iyz, Izz), inertia about the link frame's origin.
-"""
+"""Rigid-body forward dynamics of a serial arm, written apart from the package."""
 
 from dataclasses import dataclass
 
@@ -17,24 +12,18 @@ PHI_NAMES = ("m", "mx", "my", "mz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 
 @dataclass(frozen=True)
 class Arm:
-    """Constants of the arm.
-
-    `dh` (n, 4) alpha [rad], a [m], d [m], theta0 [rad]; `phi` (n, 10); `gravity` (3,) m/s^2 in the
-    base frame; `gear` (n,); `rotor_inertia` (n,) kg m^2, motor side. With `rotor_coupling` the
-    rotors, which spin about their joint's axis on the link before it, also react on that link.
-    """
+    """Constants of the arm; geometry is modified DH (Craig), the axis is the link frame's z."""
 
     names: tuple[str, ...]
-    dh: Array
-    phi: Array
-    gravity: Array
-    gear: Array
-    rotor_inertia: Array
-    rotor_coupling: bool = False
+    dh: Array  # (n, 4) alpha [rad], a [m], d [m], theta0 [rad]
+    phi: Array  # (n, 10), as PHI_NAMES, inertia about the link frame's origin
+    gravity: Array  # (3,) m/s^2 in the base frame
+    gear: Array  # (n,)
+    rotor_inertia: Array  # (n,) kg m^2, motor side
+    rotor_coupling: bool = False  # rotors, on the link before their joint, react on that link
 
     @property
     def n(self) -> int:
-        """Number of joints."""
         return len(self.names)
 
     @property
@@ -115,9 +104,8 @@ class Rigid:
     def energy(self, q: Array, dq: Array) -> float:
         """Kinetic plus potential energy, J, rotors included."""
         mass, _ = self.terms(q, dq)
-        return float(0.5 * dq @ mass @ dq) + float(
-            pin.computePotentialEnergy(self._model, self._data, q)
-        )
+        potential = pin.computePotentialEnergy(self._model, self._data, q)
+        return float(0.5 * dq @ mass @ dq) + float(potential)
 
     def _rotor_terms(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Reaction of spin I_m N dq_i z_i on the link before joint i, and of that link on it."""
@@ -141,16 +129,12 @@ class Rigid:
 
 @dataclass(frozen=True)
 class LinkMotion:
-    """Motion of one link frame: R_BL (N, 3, 3); rates and origin's acceleration in the link frame.
+    """Motion of one link frame; rates and origin's acceleration in the link frame."""
 
-    `omega` rad/s, `alpha` rad/s^2, `force` m/s^2 (acceleration minus
-    gravity), (N, 3).
-    """
-
-    rotation: Array
-    omega: Array
-    alpha: Array
-    force: Array
+    rotation: Array  # (N, 3, 3), R_BL
+    omega: Array  # (N, 3) rad/s
+    alpha: Array  # (N, 3) rad/s^2
+    force: Array  # (N, 3) m/s^2, acceleration minus gravity
 
 
 def link_motion(arm: Arm, link: int, q: Array, dq: Array, ddq: Array) -> LinkMotion:

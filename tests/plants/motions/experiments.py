@@ -14,10 +14,9 @@ from tests.plants.motions.trajectories import (
     hold,
     join,
     point_to_point,
-    side_by_side,
     sweeps,
     together,
-    trapezoid,
+    trapezoids,
     zigzag,
 )
 from tests.plants.simulate import Plant
@@ -40,10 +39,14 @@ def span_of(plant: Plant, joint: int, share: float = 0.95) -> tuple[float, float
     return float(middle - half), float(middle + half)
 
 
-def limits_of(plant: Plant, share: float = 0.9) -> tuple[Array, Array, Array, Array]:
-    """Ends of the ranges that moves use, and a share of the limits of speed and acceleration."""
-    low, high = np.array([span_of(plant, joint) for joint in range(plant.arm.n)]).T
-    return low, high, share * plant.velocity_limits, share * plant.acceleration_limits
+def spans(plant: Plant) -> Array:
+    """Ends of the ranges that moves use, (2, n) rad."""
+    return np.array([span_of(plant, joint) for joint in range(plant.arm.n)]).T
+
+
+def top_of(plant: Plant, joint: int) -> tuple[float, float]:
+    """Limits of a joint's speed and acceleration, rad/s, rad/s^2."""
+    return float(plant.velocity_limits[joint]), float(plant.acceleration_limits[joint])
 
 
 def swept(
@@ -57,28 +60,27 @@ def swept(
     dwell: float = 0.25,
 ) -> Reference:
     """One joint both ways over a share `span` of its range, at `shares` of its top speed."""
-    top, accel = float(plant.velocity_limits[joint]), float(plant.acceleration_limits[joint])
+    top, accel = top_of(plant, joint)
     ends, speeds = span_of(plant, joint, span), [top * share for share in shares]
     return sweeps(posture, joint, ends, speeds, accel, rate_hz=rate_hz, dwell=dwell)
 
 
 def friction_trials(
     plant: Plant,
-    postures: Sequence[Array],
+    posture: Array,
     *,
     rate_hz: float = 1000.0,
     speeds: int = 12,
     lowest: float = 0.05,
 ) -> list[Trial]:
-    """Each joint by itself, both ways over its range at every speed, once per locked posture."""
+    """Each joint by itself, both ways over its range at every speed, in a locked posture."""
     trials = []
     for joint, name in enumerate(plant.arm.names):
-        top, accel = float(plant.velocity_limits[joint]), float(plant.acceleration_limits[joint])
+        top, accel = top_of(plant, joint)
         pace = [float(v) for v in np.geomspace(lowest * top, top, speeds)]
-        for number, posture in enumerate(postures, start=1):
-            motion = sweeps(posture, joint, span_of(plant, joint), pace, accel, rate_hz=rate_hz)
-            label = name if len(postures) == 1 else f"{name}_posture_{number}"
-            trials.append(Trial("friction", label, motion))
+        ends = span_of(plant, joint)
+        motion = sweeps(posture, joint, ends, pace, accel, rate_hz=rate_hz)
+        trials.append(Trial("friction", name, motion))
     return trials
 
 
@@ -89,30 +91,17 @@ def gravity_trials(
     rate_hz: float = 1000.0,
     speeds: Sequence[float] = (0.15,),
 ) -> list[Trial]:
-    """Slow single-joint moves from the last joint to the first, in several locked postures.
-
-    One log per joint; between postures all joints move. `speeds` are shares of the velocity limit.
-    """
-    trials = []
+    """Slow single-joint moves from the last joint to the first, in several locked postures."""
+    trials, limits = [], (0.5 * plant.velocity_limits, 0.5 * plant.acceleration_limits)
     for joint in reversed(range(plant.arm.n)):
         parts: list[Reference] = []
         for posture in postures:
             sweep = swept(plant, posture, joint, speeds, rate_hz)
-            parts += [transfer(plant, parts[-1].q[-1], sweep.q[0], rate_hz)] if parts else []
+            if parts:
+                parts.append(trapezoids(parts[-1].q[-1], sweep.q[0], *limits, rate_hz))
             parts.append(sweep)
-        motion = join(parts)
-        trials.append(Trial("gravity", plant.arm.names[joint], motion))
+        trials.append(Trial("gravity", plant.arm.names[joint], join(parts)))
     return trials
-
-
-def transfer(plant: Plant, here: Array, there: Array, rate_hz: float) -> Reference:
-    """All joints from one posture to the next at half their limits, (n,) rad."""
-    limits = zip(here, there, plant.velocity_limits, plant.acceleration_limits, strict=True)
-    moves = [
-        trapezoid(float(a), float(b), 0.5 * float(v), 0.5 * float(acc), rate_hz)
-        for a, b, v, acc in limits
-    ]
-    return side_by_side(moves, rate_hz)
 
 
 def swing(
@@ -126,19 +115,13 @@ def imu_trials(
     plant: Plant, postures: Sequence[Array], *, rate_hz: float = 1000.0, turns: int = 3
 ) -> list[Trial]:
     """Joint 1 rotates in each locked posture; then every other joint by itself."""
-    trials = [
-        Trial(
-            "imu",
-            f"{plant.arm.names[0]}_posture_{number}",
-            swing(plant, posture, 0, turns, share=0.4, rate_hz=rate_hz),
-            imus=True,
-        )
-        for number, posture in enumerate(postures, start=1)
+    names = plant.arm.names
+    asked = [(f"{names[0]}_posture_{k}", posture, 0) for k, posture in enumerate(postures, start=1)]
+    asked += [(names[joint], postures[0], joint) for joint in range(1, plant.arm.n)]
+    return [
+        Trial("imu", name, swing(plant, *at, turns, share=0.4, rate_hz=rate_hz), imus=True)
+        for name, *at in asked
     ]
-    for joint in range(1, plant.arm.n):
-        motion = swing(plant, postures[0], joint, turns, share=0.4, rate_hz=rate_hz)
-        trials.append(Trial("imu", plant.arm.names[joint], motion, imus=True))
-    return trials
 
 
 def inertia_trials(
@@ -155,16 +138,12 @@ def inertia_trials(
     `pairs` is all of them unless given. The k-th pair runs in posture k modulo their number; a
     plant of one joint moves that joint.
     """
-    n = plant.arm.n
-    chosen = list(pairs) if pairs is not None else list(combinations(range(n), 2))
+    chosen = combinations(range(plant.arm.n), 2) if pairs is None else pairs
     groups: list[tuple[int, ...]] = [*chosen] or [(0,)]
     trials = []
     for number, group in enumerate(groups):
         posture = postures[number % len(postures)]
-        moving = {
-            joint: _busy(plant, joint, float(posture[joint]), rng, seconds, rate_hz)
-            for joint in group
-        }
+        moving = {j: _busy(plant, j, float(posture[j]), rng, seconds, rate_hz) for j in group}
         motion = together(posture, moving, rate_hz)
         start = hold(motion.q[0], 0.3, rate_hz)
         label = "__".join(plant.arm.names[joint] for joint in group)
@@ -174,39 +153,27 @@ def inertia_trials(
 
 
 def _busy(
-    plant: Plant,
-    joint: int,
-    centre: float,
-    rng: np.random.Generator,
-    seconds: float,
-    rate_hz: float,
+    plant: Plant, joint: int, centre: float, rng: np.random.Generator, seconds: float, rate: float
 ) -> Profile:
     """Zigzag of one joint around `centre`, two thirds of its range wide, inside its limits."""
     low, high = span_of(plant, joint)
     half = (high - low) / 3.0
     centre = float(np.clip(centre, low + half, high - half))
-    top, accel = float(plant.velocity_limits[joint]), float(plant.acceleration_limits[joint])
-    return zigzag(rng, (centre - half, centre + half), top, accel, seconds, rate_hz)
+    return zigzag(rng, (centre - half, centre + half), *top_of(plant, joint), seconds, rate)
 
 
 def validation_trials(
     plant: Plant,
     rng: np.random.Generator,
     *,
-    runs: int = 2,
     seconds: float = 20.0,
     points: int = 8,
     rate_hz: float = 1000.0,
 ) -> list[Trial]:
-    """Motion of all joints that no stage sees: Fourier series, then moves between postures."""
-    limits, harmonics = limits_of(plant), max(4, round(0.8 * seconds))
-    series = [
-        fourier(rng, *limits, seconds=seconds, harmonics=harmonics, rate_hz=rate_hz)
-        for _ in range(runs)
-    ]
-    trials = [
-        Trial("validation", f"fourier_{number}", motion, imus=True)
-        for number, motion in enumerate(series, start=1)
-    ]
+    """Motion of all joints that no stage sees: a Fourier series, then moves between postures."""
+    limits = *spans(plant), 0.9 * plant.velocity_limits, 0.9 * plant.acceleration_limits
+    harmonics = max(4, round(0.8 * seconds))
+    series = fourier(rng, *limits, seconds=seconds, harmonics=harmonics, rate_hz=rate_hz)
     moves = point_to_point(rng, *limits, points=points, rate_hz=rate_hz)
-    return [*trials, Trial("validation", "point_to_point", moves, imus=True)]
+    named = (("fourier_1", series), ("point_to_point", moves))
+    return [Trial("validation", name, motion, imus=True) for name, motion in named]

@@ -28,12 +28,8 @@ Profile = tuple[Array, Array, Array]  # position, velocity, acceleration of one 
 
 def join(parts: Sequence[Reference]) -> Reference:
     """Put references one after the other."""
-    return Reference(
-        np.concatenate([p.q for p in parts]),
-        np.concatenate([p.dq for p in parts]),
-        np.concatenate([p.ddq for p in parts]),
-        parts[0].rate_hz,
-    )
+    series = zip(*((p.q, p.dq, p.ddq) for p in parts), strict=True)
+    return Reference(*map(np.concatenate, series), parts[0].rate_hz)
 
 
 def hold(q: Array, seconds: float, rate_hz: float) -> Reference:
@@ -64,13 +60,10 @@ def trapezoid(start: float, end: float, speed: float, accel: float, rate_hz: flo
     return start + sign * moved, sign * speed_now, sign * push
 
 
-def single(home: Array, joint: int, profile: Profile, rate_hz: float) -> Reference:
-    """One joint follows `profile`; the others stay at `home` (n,)."""
-    count = len(profile[0])
-    q = np.tile(home, (count, 1))
-    dq, ddq = np.zeros_like(q), np.zeros_like(q)
-    q[:, joint], dq[:, joint], ddq[:, joint] = profile
-    return Reference(q, dq, ddq, rate_hz)
+def trapezoids(here: Array, there: Array, speed: Array, accel: Array, rate_hz: float) -> Reference:
+    """All joints from one posture to the next, every one by its own trapezoid, all (n,)."""
+    moves = np.column_stack([here, there, speed, accel]).tolist()
+    return side_by_side([trapezoid(*move, rate_hz) for move in moves], rate_hz)
 
 
 def sweeps(
@@ -84,14 +77,13 @@ def sweeps(
     dwell: float = 0.25,
 ) -> Reference:
     """Forward and backward over `span` rad at each of `speeds` rad/s, `dwell` s of rest between."""
-    low, high = span
     start, end = home.copy(), home.copy()
-    start[joint], end[joint] = low, high
+    start[joint], end[joint] = span
     parts = [hold(start, 2 * dwell, rate_hz)]
     for speed in speeds:
-        for begin, finish, rest in ((low, high, end), (high, low, start)):
-            profile = trapezoid(begin, finish, speed, accel, rate_hz)
-            parts += [single(home, joint, profile, rate_hz), hold(rest, dwell, rate_hz)]
+        for way, rest in ((span, end), (span[::-1], start)):
+            profile = trapezoid(*way, speed, accel, rate_hz)
+            parts += [together(home, {joint: profile}, rate_hz), hold(rest, dwell, rate_hz)]
     return join(parts)
 
 
@@ -115,7 +107,7 @@ def zigzag(
         parts.append(trapezoid(here, there, pace, push, rate_hz))
         count += len(parts[-1][0])
         here = there
-    q, dq, ddq = (np.concatenate([p[i] for p in parts]) for i in range(3))
+    q, dq, ddq = map(np.concatenate, zip(*parts, strict=True))
     return q, dq, ddq
 
 
@@ -125,42 +117,50 @@ def together(home: Array, moving: dict[int, Profile], rate_hz: float) -> Referen
     return side_by_side([moving.get(i, rest[i]) for i in range(len(home))], rate_hz)
 
 
-def fourier(
-    rng: np.random.Generator,
-    low: Array,
-    high: Array,
-    speed: Array,
-    accel: Array,
-    *,
-    seconds: float,
-    harmonics: int,
-    rate_hz: float,
-) -> Reference:
-    """Random Fourier series that starts and ends at rest and stays inside the limits, all (n,).
+def side_by_side(profiles: Sequence[Profile], rate_hz: float) -> Reference:
+    """Joints start together; those that arrive first wait."""
+    count = max(len(p[0]) for p in profiles)
+    columns = [
+        np.column_stack([np.pad(x, (0, count - len(x)), mode="edge") for x in series])
+        for series in zip(*profiles, strict=True)
+    ]
+    return Reference(*columns, rate_hz)
 
-    Each joint is scaled until it reaches the first of its limits of position, speed, acceleration.
+
+def point_to_point(
+    rng: np.random.Generator, *limits: Array, points: int, rate_hz: float, dwell: float = 0.3
+) -> Reference:
+    """Straight joint moves between random postures; limits as in `fourier`."""
+    low, high, speed, accel = limits
+    here = 0.5 * (low + high)
+    parts = [hold(here, dwell, rate_hz)]
+    for _ in range(points):
+        there = rng.uniform(low, high)
+        move = trapezoids(here, there, speed, accel, rate_hz)
+        parts += [move, hold(there, dwell, rate_hz)]
+        here = there
+    return join(parts)
+
+
+def fourier(
+    rng: np.random.Generator, *limits: Array, seconds: float, harmonics: int, rate_hz: float
+) -> Reference:
+    """Random Fourier series that starts and ends at rest and stays inside the limits.
+
+    `limits` (n,) are the lowest and the highest position, speed, acceleration; each joint is scaled
+    until it reaches the first of them.
     """
     t = np.arange(round(seconds * rate_hz)) / rate_hz
     base = 2.0 * np.pi / seconds
     k = np.arange(1, harmonics + 1)
-    weight = rng.standard_normal((2, harmonics, len(low))) / k[None, :, None]
-    angle = base * np.outer(t, k)
-    sine, cosine = np.sin(angle), np.cos(angle)
-    rate = (base * k)[:, None]
-    q = sine @ weight[0] + cosine @ weight[1]
-    dq = cosine @ (rate * weight[0]) - sine @ (rate * weight[1])
-    ddq = -sine @ (rate**2 * weight[0]) - cosine @ (rate**2 * weight[1])
-    motion = _windowed(t, seconds, q - q.mean(axis=0), dq, ddq)
-    return _scaled(*motion, low, high, speed, accel, rate_hz)
+    weight = rng.standard_normal((2, harmonics, len(limits[0]))) / k[None, :, None]
+    q, dq, ddq = _series(weight, base * np.outer(t, k), (base * k)[:, None])
+    return _scaled(_windowed(t, seconds, (q - q.mean(axis=0), dq, ddq)), limits, rate_hz)
 
 
 def periodic(
     rng: np.random.Generator,
-    low: Array,
-    high: Array,
-    speed: Array,
-    accel: Array,
-    *,
+    *limits: Array,
     period: float,
     periods: int,
     harmonics: int,
@@ -169,49 +169,41 @@ def periodic(
 ) -> Reference:
     """Random Fourier series over whole periods between fades of `fade` s from and to rest.
 
-    `period` s is a whole number of samples; limits as in `fourier`, all (n,). The periods begin
-    `fade` s after the first row and repeat to the last bit.
+    `period` s is a whole number of samples; limits as in `fourier`. The periods begin `fade` s
+    after the first row and repeat to the last bit.
     """
     count, edge = round(period * rate_hz), round(fade * rate_hz)
     k = np.arange(1, harmonics + 1)
-    weight = rng.standard_normal((2, harmonics, len(low))) / k[None, :, None] ** 1.5
-    rate = (2.0 * np.pi / period * k)[:, None]
+    weight = rng.standard_normal((2, harmonics, len(limits[0]))) / k[None, :, None] ** 1.5
     angle = 2.0 * np.pi / count * np.outer(np.arange(count), k)
+    q, dq, ddq = _series(weight, angle, (2.0 * np.pi / period * k)[:, None])
+    rows = np.arange(-edge, periods * count + edge) % count
+    t, total = np.arange(len(rows)) / rate_hz, periods * period + 2.0 * fade
+    return _scaled(_windowed(t, total, (q[rows], dq[rows], ddq[rows]), fade), limits, rate_hz)
+
+
+def _series(weight: Array, angle: Array, rate: Array) -> Profile:
+    """Sines and cosines of weights (2, K, n) at angles (N, K), K rates rad/s; and derivatives."""
     sine, cosine = np.sin(angle), np.cos(angle)
-    cycle = (
+    return (
         sine @ weight[0] + cosine @ weight[1],
         cosine @ (rate * weight[0]) - sine @ (rate * weight[1]),
         -sine @ (rate**2 * weight[0]) - cosine @ (rate**2 * weight[1]),
     )
-    rows = np.arange(-edge, periods * count + edge) % count
-    total = periods * period + 2.0 * fade
-    t = np.arange(len(rows)) / rate_hz
-    motion = _windowed(t, total, *(x[rows] for x in cycle), fade=fade)
-    return _scaled(*motion, low, high, speed, accel, rate_hz)
 
 
-def _scaled(
-    q: Array,
-    dq: Array,
-    ddq: Array,
-    low: Array,
-    high: Array,
-    speed: Array,
-    accel: Array,
-    rate_hz: float,
-) -> Reference:
+def _scaled(motion: Profile, limits: Sequence[Array], rate_hz: float) -> Reference:
     """Motion about the middle of the ranges, each joint up to the first of its limits."""
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    scale = np.min(
-        [half / np.abs(q).max(0), speed / np.abs(dq).max(0), accel / np.abs(ddq).max(0)], axis=0
-    )
-    return Reference(middle + scale * q, scale * dq, scale * ddq, rate_hz)
+    low, high, speed, accel = limits
+    sizes = zip((0.5 * (high - low), speed, accel), motion, strict=True)
+    scale = np.min([limit / np.abs(x).max(0) for limit, x in sizes], axis=0)
+    q, dq, ddq = motion
+    return Reference(0.5 * (low + high) + scale * q, scale * dq, scale * ddq, rate_hz)
 
 
-def _windowed(
-    t: Array, seconds: float, q: Array, dq: Array, ddq: Array, *, fade: float = 1.0
-) -> Profile:
+def _windowed(t: Array, seconds: float, motion: Profile, fade: float = 1.0) -> Profile:
     """Fade in and out over `fade` s with a smooth step, derivatives by the product rule."""
+    q, dq, ddq = motion
     fade = min(fade, 0.25 * seconds)
     s = np.clip(np.minimum(t, seconds - t) / fade, 0.0, 1.0)
     side = np.where(t < 0.5 * seconds, 1.0, -1.0) / fade
@@ -219,38 +211,3 @@ def _windowed(
     dw = (30 * s**2 * (1 - s) ** 2 * side)[:, None]
     ddw = (60 * s * (1 - s) * (1 - 2 * s) * side**2)[:, None]
     return w * q, dw * q + w * dq, ddw * q + 2 * dw * dq + w * ddq
-
-
-def point_to_point(
-    rng: np.random.Generator,
-    low: Array,
-    high: Array,
-    speed: Array,
-    accel: Array,
-    *,
-    points: int,
-    rate_hz: float,
-    dwell: float = 0.3,
-) -> Reference:
-    """Straight joint moves between random postures, every joint by its own trapezoid, all (n,)."""
-    here = 0.5 * (low + high)
-    parts = [hold(here, dwell, rate_hz)]
-    for _ in range(points):
-        there = rng.uniform(low, high)
-        profiles = [
-            trapezoid(float(a), float(b), float(v), float(acc), rate_hz)
-            for a, b, v, acc in zip(here, there, speed, accel, strict=True)
-        ]
-        parts += [side_by_side(profiles, rate_hz), hold(there, dwell, rate_hz)]
-        here = there
-    return join(parts)
-
-
-def side_by_side(profiles: Sequence[Profile], rate_hz: float) -> Reference:
-    """Joints start together; those that arrive first wait."""
-    count = max(len(p[0]) for p in profiles)
-    columns = [
-        np.column_stack([np.pad(p[i], (0, count - len(p[i])), mode="edge") for p in profiles])
-        for i in range(3)
-    ]
-    return Reference(columns[0], columns[1], columns[2], rate_hz)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests import Array
-from tests.plants.motions.experiments import span_of
+from tests.plants.motions.experiments import spans
 from tests.plants.motions.trajectories import (
     Reference,
     hold,
@@ -27,35 +27,33 @@ SEED_STRIDE = 1000
 
 @dataclass(frozen=True)
 class Drill:
-    """One log to record: `start` s since power-on.
+    """One log to record.
 
     Where the motion repeats, its periods of `period` s begin `FADE` s after the first row.
     """
 
     name: str
     reference: Reference
-    start: float
+    start: float  # s since power-on
     period: float | None = None
     held_out: bool = False
 
 
-def _bounds(plant: Plant, share: float) -> tuple[Array, Array, Array, Array]:
+def _bounds(plant: Plant, share: float) -> tuple[Array, ...]:
     """Limits of motion at `share` of the top speed; accelerations fall half as fast."""
-    low, high = np.array([span_of(plant, joint) for joint in range(plant.arm.n)]).T
     accel = 0.9 * float(np.sqrt(share)) * plant.acceleration_limits
-    return low, high, share * plant.velocity_limits, accel
+    return *spans(plant), share * plant.velocity_limits, accel
 
 
 def waves(
     plant: Plant, rng: np.random.Generator, *, period: float, share: float, seconds: float = 20.0
 ) -> Reference:
     """Fourier series of all joints over whole periods, three of them in 20 s."""
-    periods = max(1, round((seconds - 2.0 * FADE) / period))
     return periodic(
         rng,
         *_bounds(plant, share),
         period=period,
-        periods=periods,
+        periods=max(1, round((seconds - 2.0 * FADE) / period)),
         harmonics=6 if share > 0.4 else 3,
         rate_hz=RATE_HZ,
         fade=FADE,
@@ -82,10 +80,9 @@ def zigzags(
     """All joints in trapezoids of their own, at rest at both ends."""
     low, high, speed, accel = _bounds(plant, share)
     length = max(seconds - 2.0 * REST - 3.0, 0.5)
-    limits = zip(low.tolist(), high.tolist(), speed.tolist(), accel.tolist(), strict=True)
     profiles = {
         joint: zigzag(rng, (a, b), top, push, length, RATE_HZ)
-        for joint, (a, b, top, push) in enumerate(limits)
+        for joint, (a, b, top, push) in enumerate(np.array([low, high, speed, accel]).T.tolist())
     }
     return _rested(together(0.5 * (low + high), profiles, RATE_HZ))
 
@@ -96,30 +93,29 @@ def _rested(motion: Reference) -> Reference:
 
 
 def drills(plant: Plant, seed: int, *, seconds: float = 20.0) -> tuple[Drill, ...]:
-    """Five training and two held-out logs of about `seconds` s, in the order of their starts.
-
-    Fourier series fast, slow and in between, moves between postures, and trapezoids of all joints
-    at once; held out are one Fourier series and one set of moves. Starts are 2 to 4 minutes apart.
-    """
+    """Five training and two held-out logs of about `seconds` s, in the order of their starts."""
     rng = np.random.default_rng([seed, 5])
     one, two, three = (float(x) for x in rng.permutation(PERIODS))
-    plan: list[tuple[str, Reference, float | None, bool]] = [
-        ("fast", waves(plant, rng, period=one, share=0.9, seconds=seconds), one, False),
-        ("moves", moves(plant, rng, share=0.6, seconds=seconds), None, False),
-        ("held_waves", waves(plant, rng, period=two, share=0.6, seconds=seconds), two, True),
-        ("slow", waves(plant, rng, period=three, share=0.15, seconds=seconds), three, False),
-        ("zigzag", zigzags(plant, rng, share=0.8, seconds=seconds), None, False),
-        ("held_moves", moves(plant, rng, share=0.8, seconds=seconds), None, True),
-        ("middle", waves(plant, rng, period=two, share=0.45, seconds=seconds), two, False),
-    ]
+    plan = (
+        ("fast", waves, 0.9, one),
+        ("moves", moves, 0.6, None),
+        ("held_waves", waves, 0.6, two),
+        ("slow", waves, 0.15, three),
+        ("zigzag", zigzags, 0.8, None),
+        ("held_moves", moves, 0.8, None),
+        ("middle", waves, 0.45, two),
+    )
+    made = []
+    for name, make, share, period in plan:
+        more = {} if period is None else {"period": period}
+        made.append((name, make(plant, rng, share=share, seconds=seconds, **more), period))
     pauses = rng.uniform(120.0, 240.0, len(plan)).round(3)
     starts = 20.0 + np.cumsum(pauses) - pauses[0]
     return tuple(
-        Drill(name, reference, float(start), period, held)
-        for (name, reference, period, held), start in zip(plan, starts, strict=True)
+        Drill(name, reference, float(start), period, name.startswith("held"))
+        for (name, reference, period), start in zip(made, starts, strict=True)
     )
 
 
 def run_drill(plant: Plant, drill: Drill, seed: int) -> Log:
-    """Run one drill, recorded at 500 Hz."""
     return simulate(plant, drill.reference, seed, every=EVERY, start=drill.start)

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.prediction.predict import LogPrediction, predict
+from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.identify.rigid.gravity import identify_gravity
 from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
@@ -52,10 +52,7 @@ def simultaneous(
     imu: ImuStage | None = None,
     motion: MotionOptions | None = None,
 ) -> Stages:
-    """Everything in one least squares, with Coulomb and viscous friction alone (Eq. 5-6).
-
-    With `imu` the prediction has the same motion to go by as that of the sequential way.
-    """
+    """Everything in one least squares, with Coulomb and viscous friction alone (Eq. 5-6)."""
     options = motion or MotionOptions()
     friction, inertia = identify_simultaneous(recordings, robot, options=options, offset=False)
     return Stages(friction=friction, imu=imu, inertia=inertia)
@@ -74,21 +71,15 @@ class HeldOut:
 def held_out(
     recordings: Sequence[Recording], robot: Robot, stages: Stages, options: InertiaOptions
 ) -> HeldOut:
-    """Predict logs and compare; the samples of all logs together."""
-    return summed(list(predict(recordings, robot, stages, options=options)))
-
-
-def summed(predictions: Sequence[LogPrediction]) -> HeldOut:
-    """RMSE over the samples of all predictions; at rest of the distance to friction's interval."""
+    """RMSE over the samples of all logs; at rest of the distance to friction's interval."""
+    predictions = list(predict(recordings, robot, stages, options=options))
     used = sum(int(p.used.sum()) for p in predictions)
     slid = np.sum([p.sliding.sum(axis=0) for p in predictions], axis=0)
     every = np.sum([(p.beyond[p.used] ** 2).sum(axis=0) for p in predictions], axis=0)
-    while_sliding = np.sum(
-        [np.where(p.sliding, p.residual**2, 0.0).sum(axis=0) for p in predictions], axis=0
-    )
+    moving = [np.where(p.sliding, p.residual**2, 0.0).sum(axis=0) for p in predictions]
     return HeldOut(
         every=np.sqrt(every / used),
-        sliding=np.sqrt(while_sliding / np.maximum(slid, 1)),
+        sliding=np.sqrt(np.sum(moving, axis=0) / np.maximum(slid, 1)),
         sliding_share=slid / used,
         cutoff_hz=tuple(p.cutoff_hz for p in predictions),
     )

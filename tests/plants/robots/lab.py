@@ -5,9 +5,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import numpy as np
+
 from seqid_cli.logs.recording import Recording
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.mechanics.rigid import PHI_NAMES
 from tests.plants.motions.experiments import Trial
 from tests.plants.robotfile import robot_toml
@@ -51,11 +54,9 @@ def recording_of(plant: Plant, name: str, log: Log) -> Recording:
 
 
 def write_log(path: Path, plant: Plant, log: Log) -> None:
-    """Write what the robot records as Parquet."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    arrays = log.accelerometers or None
-    names = plant.arm.names
-    write_parquet(path, log.t, names, log.q, current=log.current, accelerometers=arrays)
+    own = {"current": log.current, "accelerometers": log.accelerometers or None}
+    write_parquet(path, log.t, plant.arm.names, log.q, **own)
 
 
 def run(
@@ -87,3 +88,11 @@ def true_standard(plant: Plant) -> dict[str, float]:
 def true_value(terms: Mapping[str, float], standard: Mapping[str, float]) -> float:
     """Value that a base parameter, given as factors of standard parameters, has in the plant."""
     return sum(factor * standard[name] for name, factor in terms.items())
+
+
+def true_friction(plant: Plant, joint: int, q: Array, v: Array) -> Array:
+    """Friction torque (N,) N m of the plant's joint while it slides."""
+    position, velocity = np.zeros((2, len(q), plant.arm.n))
+    position[:, joint], velocity[:, joint] = q, v
+    law = plant.friction.begin()
+    return law(0.0, position, velocity, np.zeros_like(position)).sliding(velocity)[:, joint]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import replace
 
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
@@ -29,7 +30,6 @@ SAMPLES = ROOT / "sample_logs"
 
 
 def sample_robot(name: str) -> Robot:
-    """One of the sample robots."""
     return load_robot(SAMPLES / name / "robot.toml")
 
 
@@ -81,8 +81,7 @@ class Rig:
     @cached_property
     def gravity(self) -> RigidStage:
         logs = self.logs("gravity") + self.logs("friction")
-        stages = Stages(friction=self.friction)
-        return identify_gravity(logs, self.robot, stages)
+        return identify_gravity(logs, self.robot, Stages(friction=self.friction))
 
     @cached_property
     def imu(self) -> ImuStage:
@@ -99,23 +98,19 @@ class Rig:
 
     @cached_property
     def stages(self) -> Stages:
-        return Stages(
-            friction=self.friction, gravity=self.gravity, imu=self.imu, inertia=self.inertia
-        )
+        known = Stages(friction=self.friction, gravity=self.gravity, imu=self.imu)
+        return replace(known, inertia=self.inertia)
 
     @cached_property
     def simultaneous(self) -> Stages:
-        friction, inertia = identify_simultaneous(
-            self.logs("inertia"), self.robot, options=MotionOptions()
-        )
+        logs, options = self.logs("inertia"), MotionOptions()
+        friction, inertia = identify_simultaneous(logs, self.robot, options=options)
         return Stages(friction=friction, inertia=inertia)
 
     def predictions(self, stages: Stages) -> list[LogPrediction]:
-        """Predict the held-out logs."""
         return list(predict(self.logs("validation"), self.robot, stages, options=InertiaOptions()))
 
     def true_value(self, parameter: Parameter) -> float:
-        """True value of an identified base parameter."""
         return sum(factor * self.standard[name] for name, factor in parameter.terms.items())
 
 

@@ -1,8 +1,4 @@
-"""A seven-joint arm and long logs of it for the measurements.
-
-The torque is that of Newton-Euler, Coulomb and viscous friction and noise along a sum of sines;
-that is enough to see what an identification costs and that two ways of doing it agree.
-"""
+"""A seven-joint arm and long logs of it for the measurements."""
 
 from pathlib import Path
 
@@ -17,6 +13,8 @@ from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
 from tests import Array
 from tests.plants.robots.made import friction_joint
+from tests.plants.robots.small import urdf
+from tests.plants.robots.stages import save_robot
 
 N = 7
 RATE_HZ = 1000.0
@@ -27,23 +25,16 @@ COULOMB, VISCOUS, FASTEST, SIGN_WIDTH = 2.0, 1.5, 6.0, 0.02
 HARMONICS = 8
 PERIOD_S = 10.0
 
-# Where each joint sits in the frame of the one before: xyz [m] and roll [rad]; axes are z.
-PLACES = (
-    ((0.0, 0.0, 0.333), 0.0),
-    ((0.0, 0.0, 0.0), -np.pi / 2),
-    ((0.0, -0.316, 0.0), np.pi / 2),
-    ((0.0825, 0.0, 0.0), np.pi / 2),
-    ((-0.0825, 0.384, 0.0), -np.pi / 2),
-    ((0.0, 0.0, 0.0), np.pi / 2),
-    ((0.088, 0.0, 0.0), np.pi / 2),
-)
+# Where each joint sits in the frame of the one before: xyz [m] and quarters of a roll; axes are z.
+PLACES = ("0 0 0.333", "0 0 0", "0 -0.316 0", "0.0825 0 0", "-0.0825 0.384 0", "0 0 0", "0.088 0 0")
+ROLLS = (0, -1, 1, 1, -1, 1, 1)
 JOINTS = tuple(f"joint_{i + 1}" for i in range(N))
 
 
 def write_arm(folder: Path) -> Path:
     """Write the URDF and the robot file; returns the latter."""
     links = ['<link name="base"/>']
-    for i, (xyz, roll) in enumerate(PLACES):
+    for i, (xyz, roll) in enumerate(zip(PLACES, ROLLS, strict=True)):
         mass, size = 4.0 - 0.45 * i, 0.05 - 0.006 * i
         links.append(
             f'<link name="link_{i}"><inertial><origin xyz="0.01 {0.02 * (-1) ** i} 0.04"/>'
@@ -53,24 +44,13 @@ def write_arm(folder: Path) -> Path:
         parent = "base" if i == 0 else f"link_{i - 1}"
         links.append(
             f'<joint name="{JOINTS[i]}" type="revolute"><parent link="{parent}"/>'
-            f'<child link="link_{i}"/><origin xyz="{xyz[0]} {xyz[1]} {xyz[2]}" '
-            f'rpy="{roll!r} 0 0"/><axis xyz="0 0 1"/>'
+            f'<child link="link_{i}"/><origin xyz="{xyz}" '
+            f'rpy="{roll * np.pi / 2} 0 0"/><axis xyz="0 0 1"/>'
             '<limit lower="-3" upper="3" velocity="5" effort="100"/></joint>'
         )
-    urdf = f'<?xml version="1.0"?>\n<robot name="arm">{"".join(links)}</robot>\n'
-    (folder / "arm.urdf").write_text(urdf, encoding="utf-8")
-    entries = "".join(
-        f'\n[[joint]]\nname = "{name}"\ngear_ratio = 100.0\nrotor_inertia = 0.0\n'
-        f"encoder_resolution = {RESOLUTION!r}\n"
-        for name in JOINTS
-    )
-    path = folder / "robot.toml"
-    path.write_text(
-        'schema = "seqid/robot@1"\nname = "arm"\nurdf = "arm.urdf"\n'
-        f"gravity = [0.0, 0.0, -9.81]\n{entries}",
-        encoding="utf-8",
-    )
-    return path
+    extra = f"gear_ratio = 100.0\nrotor_inertia = 0.0\nencoder_resolution = {RESOLUTION!r}\n"
+    save_robot(folder, urdf(*links), JOINTS, joint_extra=extra)
+    return folder / "robot.toml"
 
 
 def known_friction() -> Stages:
@@ -124,10 +104,9 @@ def write_log(path: Path, robot: Robot, rows: int) -> Path:
         tau += (COULOMB + VISCOUS * np.abs(dq)) * np.tanh(dq / SIGN_WIDTH)
         tau += TORQUE_NOISE * rng.normal(size=tau.shape)
         counted = RESOLUTION * np.round(q / RESOLUTION)
-        columns = {"t": t}
-        columns |= {f"{name}.position": counted[:, j] for j, name in enumerate(JOINTS)}
+        columns = {f"{name}.position": counted[:, j] for j, name in enumerate(JOINTS)}
         columns |= {f"{name}.torque": tau[:, j] for j, name in enumerate(JOINTS)}
-        table = pa.table(columns)
+        table = pa.table({"t": t} | columns)
         writer = writer or pq.ParquetWriter(path, table.schema, compression="zstd")
         writer.write_table(table)
     if writer is not None:

@@ -20,7 +20,6 @@ ARM_6R = tuple(tuple(float(x) for x in row[:3]) for row in UR5E_DH)
 def robot_from_chain(
     chain: Chain, *, gravity: Array = GRAVITY, gear_ratio: float | None = None
 ) -> Robot:
-    """Wrap a chain in a Robot with plain joints."""
     joints = tuple(
         Joint(f"joint_{k + 1}", prismatic=bool(slides), gear_ratio=gear_ratio)
         for k, slides in enumerate(chain.prismatic)
@@ -29,7 +28,6 @@ def robot_from_chain(
 
 
 def arm_6r(*, gear_ratio: float | None = None) -> Robot:
-    """Return the UR5e-like arm from its DH table."""
     return robot_from_chain(
         chain_from_dh([(alpha, a, d, 0.0) for alpha, a, d in ARM_6R]), gear_ratio=gear_ratio
     )
@@ -42,19 +40,15 @@ def planar_2r() -> Robot:
 
 
 def link(name: str, *, mass: float | None = None, x: float = 0.0, mesh: str = "") -> str:
-    """Write a URDF link."""
-    inertial = ""
-    if mass is not None:
-        inertial = (
-            f'<inertial><origin xyz="{x} 0.02 -0.01" rpy="0.1 0.2 0.3"/><mass value="{mass}"/>'
-            '<inertia ixx="0.02" ixy="0.001" ixz="0.002" iyy="0.03" iyz="0.003" izz="0.04"/>'
-            "</inertial>"
-        )
-    visual = ""
-    if mesh:
-        geometry = f'<geometry><mesh filename="{mesh}"/></geometry>'
-        visual = f"<visual>{geometry}</visual><collision>{geometry}</collision>"
-    return f'<link name="{name}">{inertial}{visual}</link>'
+    inertial = (
+        f'<inertial><origin xyz="{x} 0.02 -0.01" rpy="0.1 0.2 0.3"/><mass value="{mass}"/>'
+        '<inertia ixx="0.02" ixy="0.001" ixz="0.002" iyy="0.03" iyz="0.003" izz="0.04"/></inertial>'
+    )
+    geometry = f'<geometry><mesh filename="{mesh}"/></geometry>'
+    visual = f"<visual>{geometry}</visual><collision>{geometry}</collision>"
+    return (
+        f'<link name="{name}">{inertial if mass is not None else ""}{visual if mesh else ""}</link>'
+    )
 
 
 def joint(
@@ -68,7 +62,6 @@ def joint(
     axis: str = "0 0 1",
     extra: str = "",
 ) -> str:
-    """Write a URDF joint."""
     limit = '<limit lower="-3" upper="3" effort="100" velocity="3"/>'
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
@@ -77,7 +70,6 @@ def joint(
 
 
 def urdf(*parts: str) -> str:
-    """Wrap URDF elements in a robot."""
     return f'<?xml version="1.0"?>\n<robot name="r">{"".join(parts)}</robot>\n'
 
 
@@ -145,7 +137,6 @@ def random_model(rng: np.random.Generator, prismatic: list[bool]) -> tuple[pin.M
 
 
 def random_inertia(rng: np.random.Generator) -> pin.Inertia:
-    """Draw a physical inertia."""
     A = rng.normal(size=(3, 3))
     return pin.Inertia(float(rng.uniform(0.1, 5.0)), rng.normal(size=3), A @ A.T + np.eye(3))
 

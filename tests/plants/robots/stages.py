@@ -68,10 +68,7 @@ def inertia_stage(
     error: float = 1e-3,
     shift: Array | None = None,
 ) -> RigidStage:
-    """Write base parameters of known bodies (n, 10) as an inertia stage that holds all of them.
-
-    `shift` (b,) is added to them in standard errors.
-    """
+    """Write base parameters of known bodies (n, 10) as an inertia stage that holds all of them."""
     from seqid_cli.identify.rigid.parameters import parameters_of, representative_of
 
     basis = free_basis(robot)
@@ -102,23 +99,14 @@ def friction_stage(robot: Robot, *, directional: bool = False, log: bool = False
         forward[0, :2] += [2.0, 0.5]
         backward = forward + 0.1 * rng.normal(size=(3, 4)) * directional
         count = 12 * (1 + directional)
-        joints[name] = friction_joint(
-            forward,
-            backward,
-            max_error=0.1,
-            rmse=0.1,
-            position_range=[-2.0, 2.5],
-            speed_range=[0.05, 2.0],
-            speed_scale="log" if log else "linear",
-            sign_width=0.005,
-            directional=directional,
-            covariance=(1e-4 * np.eye(count)).tolist(),
-        )
+        own = {"covariance": (1e-4 * np.eye(count)).tolist(), "directional": directional}
+        own |= {"speed_scale": "log" if log else "linear", "sign_width": 0.005}
+        own |= {"position_range": [-2.0, 2.5], "speed_range": [0.05, 2.0]}
+        joints[name] = friction_joint(forward, backward, max_error=0.1, rmse=0.1, **own)
     return FrictionStage(joints=joints)
 
 
 def stages_of(robot: Robot, phi: Array, rotor: Array | None = None, **more: object) -> Stages:
-    """Return stages with friction and all base parameters of known bodies."""
     return Stages(
         friction=friction_stage(robot),
         inertia=inertia_stage(robot, phi, rotor, **more),  # type: ignore[arg-type]

@@ -18,26 +18,16 @@ COULOMB, VISCOUS = (4.0, 1.5), (2.0, 0.8)  # N m, N m s/rad
 
 
 def two_joint_robot(*, prismatic: bool = False, drives: bool = True) -> Robot:
-    """Return a vertical arm, its second joint skew; a slide instead of the second on request.
-
-    Without `drives` the robot file says nothing of gears, motors, encoders and limits.
-    """
-    rows = [(0.0, 0.0, 0.0, 0.0), (0.4, 0.3, 0.1, 0.0)]
-    chain = chain_from_dh(rows)
+    """Return a vertical arm, its second joint skew; a slide instead of the second on request."""
+    chain = chain_from_dh([(0.0, 0.0, 0.0, 0.0), (0.4, 0.3, 0.1, 0.0)])
     chain = replace(chain, prismatic=np.array([False, prismatic]))
     robot = robot_from_chain(chain, gravity=np.array([0.0, -9.81, 0.0]))
     if not drives:
         return robot
+    alike = {"torque_constant": 0.1, "encoder_resolution": 1e-5}
+    limits = {"position_limits": (-3.0, 3.0), "velocity_limit": 3.0}
     joints = tuple(
-        replace(
-            joint,
-            torque_constant=0.1,
-            gear_ratio=gear,
-            rotor_inertia=rotor,
-            encoder_resolution=1e-5,
-            position_limits=(-3.0, 3.0),
-            velocity_limit=3.0,
-        )
+        replace(joint, gear_ratio=gear, rotor_inertia=rotor, **alike, **limits)
         for joint, gear, rotor in zip(robot.joints, GEAR, ROTOR, strict=True)
     )
     return replace(robot, joints=joints)

@@ -2,19 +2,22 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, product
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 from tests import Array
 from tests.plants.arms.rigs import (
+    DOWN,
     GRAVITY,
-    UR5E_CENTRE,
+    UR5E_ACCELERATION,
+    UR5E_BODIES,
+    UR5E_COULOMB,
     UR5E_DH,
-    UR5E_GYRATION,
-    UR5E_MASS,
     UR5E_NAMES,
+    UR5E_ROTORS,
+    UR5E_SPEED,
     mounting,
     off_nominal,
     standard_parameters,
@@ -35,7 +38,6 @@ from tests.plants.samples import SIX_POSTURES
 from tests.plants.sensors import AccelerometerArray, tetrahedral_array
 from tests.plants.simulate import Plant, simulate
 
-RIGS = ("one", "planar", "six")
 NOISES = ("white", "coloured")
 ENCODERS = ("fine", "coarse")
 HALF = 0.5  # of the current noise's variance is 1/f where it is coloured
@@ -57,14 +59,11 @@ class Case:
 
     @property
     def label(self) -> str:
-        """Short name."""
         return f"{self.rig}-{self.seed}-{self.noise}-{self.encoder}"
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """The arm of a case, its trials, and in words what was drawn beside numbers."""
-
     plant: Plant
     trials: Sequence[Trial]
     traits: dict[str, bool]
@@ -72,7 +71,6 @@ class Drawn:
 
 
 def case_of(rig: str, seed: int) -> Case:
-    """The case of a seed; noise and encoder change from seed to seed."""
     return Case(rig, seed, *list(product(NOISES, ENCODERS))[seed % 4])
 
 
@@ -95,13 +93,8 @@ def record(case: Case, drawn: Drawn, folder: Path) -> None:
     (folder / "robot.toml").write_text(text, encoding="ascii")
     for number, trial in enumerate(drawn.trials):
         state = np.random.SeedSequence([STREAM[case.rig], case.seed, number]).generate_state(1)
-        log = simulate(
-            drawn.plant,
-            trial.reference,
-            int(state[0]),
-            every=drawn.every,
-            imus=trial.imus,
-        )
+        own = {"every": drawn.every, "imus": trial.imus}
+        log = simulate(drawn.plant, trial.reference, int(state[0]), **own)
         write_log(folder / trial.stage / f"{trial.name}.parquet", drawn.plant, log)
 
 
@@ -128,27 +121,19 @@ def _surface(rng: np.random.Generator, coulomb: Array, top: Array) -> SurfaceFri
 
 def _arrays(rng: np.random.Generator, levers: dict[int, Array]) -> tuple[AccelerometerArray, ...]:
     """Tetrahedral arrays on the links `levers` names, turned at random."""
-    positions, axes = tetrahedral_array(0.05)
-    return tuple(
-        AccelerometerArray(
-            f"imu_{'ab'[number]}",
-            link,
-            positions,
-            axes,
-            mounting(*rng.uniform(-1.2, 1.2, 3)),
-            lever * rng.uniform(0.8, 1.2, 3),
-            bias=0.02,
-        )
-        for number, (link, lever) in enumerate(levers.items())
-    )
+    arrays = []
+    for number, (link, lever) in enumerate(levers.items()):
+        place = mounting(*rng.uniform(-1.2, 1.2, 3)), lever * rng.uniform(0.8, 1.2, 3)
+        name = f"imu_{'ab'[number]}"
+        arrays.append(AccelerometerArray(name, link, *tetrahedral_array(0.05), *place, bias=0.02))
+    return tuple(arrays)
 
 
-def _small_plant(
+def _plant(
     rng: np.random.Generator, arm: Arm, inertia: Array, coulomb: Array, top: Array, push: Array
 ) -> Plant:
     """Drives, controller and limits of a rig of the paper's size, all (n,)."""
-    n = arm.n
-    bandwidth = float(rng.uniform(12.0, 25.0))
+    n, bandwidth = arm.n, float(rng.uniform(12.0, 25.0))
     drive = rng.uniform(0.015, 0.04, n)
     hiss = rng.uniform(0.08, 0.2, n) * coulomb / (drive * arm.gear)
     return Plant(
@@ -173,17 +158,16 @@ def _one(rng: np.random.Generator, number: int) -> Drawn:
     link = _flat_link(rng, rng.uniform(0.08, 0.2), rng.uniform(0.05, 0.1), rng.uniform(0.05, 0.1))
     gear = np.exp(rng.uniform(np.log(5.0), np.log(60.0), 1))
     rotor = link[9] * rng.uniform(0.03, 0.6, 1) / gear**2
-    down = np.array([0.0, 0.0, -GRAVITY])
-    arm = Arm(("joint_1",), np.array([[tilt, 0, 0, 0]]), link[None], down, gear, rotor)
+    arm = Arm(("joint_1",), np.array([[tilt, 0, 0, 0]]), link[None], DOWN, gear, rotor)
     coulomb = rng.uniform(0.02, 0.04, 1)
     top, push = rng.uniform(6.0, 9.0, 1), rng.uniform(40.0, 70.0, 1)
-    plant = _small_plant(rng, arm, link[9] + arm.reflected, coulomb, top, push)
+    plant = _plant(rng, arm, link[9] + arm.reflected, coulomb, top, push)
     imus = number % 2 == 0
     if imus:
         plant = replace(plant, imus=_arrays(rng, {0: np.array([0.06, 0.012, 0.008])}))
     home = [np.zeros(1)]
     trials = [
-        *friction_trials(plant, home, speeds=int(rng.integers(8, 13))),
+        *friction_trials(plant, home[0], speeds=int(rng.integers(8, 13))),
         *gravity_trials(plant, home, speeds=(0.1, 0.2)),
         *(imu_trials(plant, home) if imus else ()),
         *inertia_trials(plant, home, rng, seconds=float(rng.uniform(8.0, 14.0))),
@@ -192,11 +176,7 @@ def _one(rng: np.random.Generator, number: int) -> Drawn:
 
 
 def _planar(rng: np.random.Generator, number: int) -> Drawn:
-    """Two parallel axes; every second arm tilted, two of four without accelerometers.
-
-    Whether the rotors act on the links that carry them is drawn; their inertias are known. The two
-    inertia logs last 20 to 32 s together.
-    """
+    """Two parallel axes; every second arm tilted, two of four without accelerometers."""
     length = rng.uniform(0.2, 0.4)
     upper = _flat_link(rng, rng.uniform(0.4, 0.9), rng.uniform(0.3, 0.6) * length, 0.4 * length)
     fore = _flat_link(rng, rng.uniform(0.1, 0.3), rng.uniform(0.05, 0.12), rng.uniform(0.03, 0.06))
@@ -218,19 +198,18 @@ def _planar(rng: np.random.Generator, number: int) -> Drawn:
     coulomb = rng.uniform([0.03, 0.015], [0.06, 0.04])
     top, push = rng.uniform([4.0, 6.0], [7.0, 9.0]), rng.uniform([20.0, 40.0], [40.0, 70.0])
     inertia = np.array([outer.sum(), fore[9]]) + arm.reflected
-    plant = _small_plant(rng, arm, inertia, coulomb, top, push)
+    plant = _plant(rng, arm, inertia, coulomb, top, push)
     if imus:
         levers = {0: np.array([0.7 * length, 0.01, 0.02]), 1: np.array([0.08, -0.01, 0.01])}
         plant = replace(plant, imus=_arrays(rng, levers))
     postures = [np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9)]
     slow = gravity_trials(plant, postures[1:4], speeds=(0.1,)) if tilted else []
+    twice = [(0, 1), (0, 1)]
     trials = [
-        *friction_trials(plant, postures[:1], speeds=int(rng.integers(8, 13))),
+        *friction_trials(plant, postures[0], speeds=int(rng.integers(8, 13))),
         *slow,
         *(imu_trials(plant, postures, turns=1) if imus else ()),
-        *inertia_trials(
-            plant, postures[1:], rng, pairs=[(0, 1), (0, 1)], seconds=float(rng.uniform(10, 16))
-        ),
+        *inertia_trials(plant, postures[1:], rng, pairs=twice, seconds=float(rng.uniform(10, 16))),
     ]
     traits = {"tilted": tilted, "imus": imus, "rotor_coupling": arm.rotor_coupling}
     return Drawn(plant, trials, traits)
@@ -238,25 +217,17 @@ def _planar(rng: np.random.Generator, number: int) -> Drawn:
 
 def _six(rng: np.random.Generator, number: int) -> Drawn:
     """An arm of a UR5e's kind, bodies, lengths, drives and friction drawn; shorter, fewer logs."""
-    del number
     dh = UR5E_DH * np.array([1.0, *rng.uniform(0.85, 1.15, 2), 1.0])
-    bodies = [
-        standard_parameters(
-            m * rng.uniform(0.7, 1.3),
-            tuple(np.array(c) * rng.uniform(0.8, 1.2, 3)),
-            tuple(np.array(g) * rng.uniform(0.85, 1.15, 3)),
-            mounting(*rng.uniform(-0.1, 0.1, 3)),
-        )
-        for m, c, g in zip(UR5E_MASS, UR5E_CENTRE, UR5E_GYRATION, strict=True)
-    ]
-    rotors = np.array([1.0e-4, 1.0e-4, 8.0e-5, 2.4e-5, 2.4e-5, 2.2e-5]) * rng.uniform(0.7, 1.3, 6)
+    bodies = []
+    for m, c, g in UR5E_BODIES:
+        mass, centre = m * rng.uniform(0.7, 1.3), np.array(c) * rng.uniform(0.8, 1.2, 3)
+        radii, turn = np.array(g) * rng.uniform(0.85, 1.15, 3), rng.uniform(-0.1, 0.1, 3)
+        bodies.append(standard_parameters(mass, tuple(centre), tuple(radii), mounting(*turn)))
+    rotors = UR5E_ROTORS * rng.uniform(0.7, 1.3, 6)
     gear = rng.uniform(80.0, 120.0, 6)
-    down = np.array([0.0, 0.0, -GRAVITY])
     coupled = bool(rng.uniform() < 0.5)
-    arm = Arm(UR5E_NAMES, dh, np.array(bodies), down, gear, rotors, rotor_coupling=coupled)
-    top = np.array([2.2, 2.2, 2.6, 3.1, 3.1, 3.1])
-    push = np.array([9.0, 9.0, 12.0, 22.0, 22.0, 25.0])
-    coulomb = np.array([8.2, 9.4, 6.6, 1.9, 1.7, 1.4]) * rng.uniform(0.6, 1.4, 6)
+    arm = Arm(UR5E_NAMES, dh, np.array(bodies), DOWN, gear, rotors, rotor_coupling=coupled)
+    coulomb = UR5E_COULOMB * rng.uniform(0.6, 1.4, 6)
     drive = rng.uniform(0.09, 0.13, 6)
     hiss = rng.uniform(0.06, 0.14, 6) * coulomb / (drive * gear)
     inertia = np.diag(Rigid(arm).terms(SIX_POSTURES[0], np.zeros(6))[0])
@@ -264,24 +235,23 @@ def _six(rng: np.random.Generator, number: int) -> Drawn:
     plant = Plant(
         arm=arm,
         nominal=off_nominal(arm, 0.12),
-        friction=_surface(rng, coulomb, top),
+        friction=_surface(rng, coulomb, UR5E_SPEED),
         gains=gains_for(inertia, bandwidth=20.0, observer=120.0),
         torque_constant=drive,
         encoder_step=np.zeros(6),
         current_noise=hiss,
         coulomb_guess=0.9 * coulomb,
         position_limits=np.tile([-2.0, 2.0], (6, 1)) + SIX_CENTRE[:, None],
-        velocity_limits=top,
-        acceleration_limits=push,
+        velocity_limits=UR5E_SPEED,
+        acceleration_limits=UR5E_ACCELERATION,
         current_step=0.2 * hiss,
         imus=_arrays(rng, levers),
     )
     postures, rate = list(SIX_POSTURES), 500.0
-    pairs = list(combinations(range(6), 2))
     trials = [
-        *friction_trials(plant, postures[:1], rate_hz=rate, speeds=7, lowest=0.12),
+        *friction_trials(plant, postures[0], rate_hz=rate, speeds=7, lowest=0.12),
         *gravity_trials(plant, postures[:4], rate_hz=rate, speeds=(0.3,)),
         *imu_trials(plant, postures[:5], rate_hz=rate, turns=1),
-        *inertia_trials(plant, postures, rng, pairs=pairs, rate_hz=rate, seconds=4.0),
+        *inertia_trials(plant, postures, rng, rate_hz=rate, seconds=4.0),
     ]
     return Drawn(plant, trials, {"rotor_coupling": coupled}, every=2)

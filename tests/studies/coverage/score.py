@@ -16,7 +16,7 @@ from seqid_cli.errors import SeqidError, SeqidWarning
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, ImuCalibration, ImuStage, Stages
 from tests import Array
-from tests.plants.robots.lab import true_standard, true_value
+from tests.plants.robots.lab import true_friction, true_standard, true_value
 from tests.plants.sensors import AccelerometerArray
 from tests.plants.simulate import Plant
 from tests.studies.coverage.cases import STREAM, Case, draw, record
@@ -79,7 +79,6 @@ def identified(folder: Path) -> tuple[Stages, str]:
 
 
 def compare(case: Case, plant: Plant, stages: Stages) -> list[Row]:
-    """Every estimate with its stated standard error and the truth."""
     rows: list[Row] = []
     if stages.friction is not None:
         rng = np.random.default_rng([STREAM[case.rig], case.seed, POINT_STREAM])
@@ -92,7 +91,6 @@ def compare(case: Case, plant: Plant, stages: Stages) -> list[Row]:
 
 
 def row(group: str, name: str, estimate: float, std_error: float, truth: float) -> Row:
-    """One estimate; numbers as JSON has them."""
     numbers = {"estimate": float(estimate), "std_error": float(std_error), "truth": float(truth)}
     return {"group": group, "name": name, **numbers}
 
@@ -115,29 +113,13 @@ def friction_rows(plant: Plant, stage: FrictionStage, rng: np.random.Generator) 
     return rows
 
 
-def true_friction(plant: Plant, joint: int, q: Array, v: Array) -> Array:
-    """Friction torque (N,) N m of the plant's joint while it slides."""
-    position, velocity = np.zeros((2, len(q), plant.arm.n))
-    position[:, joint], velocity[:, joint] = q, v
-    law = plant.friction.begin()(0.0, position, velocity, np.zeros_like(position))
-    dry = np.where(velocity > 0, law.forward, -law.backward)
-    return (dry + law.smooth)[:, joint]
-
-
 def imu_rows(plant: Plant, stage: ImuStage) -> list[Row]:
-    """Mountings as small rotations about the link's axes, deg; the truth is none.
-
-    Angles that are not known, such as that about the only axis an IMU turns about, are left out.
-    """
+    """Mountings as small rotations about the link's axes, deg; the truth is none."""
     rows = []
-    for imu in plant.imus:
-        if imu.name in stage.imus:
-            angles = zip("xyz", *turned(imu, stage.imus[imu.name]), strict=True)
-            rows += [
-                row("imu", f"{imu.name} {axis}", angle, error, 0.0)
-                for axis, angle, error in angles
-                if error < VAGUE_DEG
-            ]
+    for imu in (imu for imu in plant.imus if imu.name in stage.imus):
+        for axis, angle, error in zip("xyz", *turned(imu, stage.imus[imu.name]), strict=True):
+            if error < VAGUE_DEG:
+                rows.append(row("imu", f"{imu.name} {axis}", angle, error, 0.0))
     return rows
 
 

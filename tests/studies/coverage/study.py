@@ -1,16 +1,4 @@
-"""Do the stated errors hold? Estimates, stated standard errors and truth over many drawn arms.
-
-    python -m tests.studies --only coverage --rig planar --seeds 0:40 --jobs 2
-
-Every seed draws an arm anew (one joint, two joints planar, six joints), records its logs and runs
-friction, gravity, imu-calib and inertia on the files. Noise (white, or half its variance 1/f) and
-encoder (fine or coarse) change from seed to seed. What a seed gives is
-kept as one JSON line in `<cache>/coverage/<rig>.jsonl`, so that a run that was cut short goes on
-where it stopped; lines of another state of the package stay and do not count.
-
-Seeds 0 to 999 are for tuning: whoever sets a number may look at them. Seeds from 10000 on are for
-judging: nothing is set by them. A table never has both.
-"""
+"""Do the stated errors hold? Estimates, stated standard errors and truth over many drawn arms."""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -20,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tests import Array
-from tests.studies.coverage.cases import ENCODERS, NOISES, RIGS, case_of
+from tests.studies.coverage.cases import ENCODERS, NOISES, case_of
 from tests.studies.coverage.score import Result, Row, score, z_of
 from tests.studies.records import package_sources, results, seeds_of
 from tests.studies.tables import number, rms, table
@@ -33,18 +21,16 @@ NAMES = {"one": "One joint", "planar": "Two joints, planar", "six": "Six joints"
 
 
 def study(chosen: Namespace) -> str:
-    """Run what is not there yet, and make the tables."""
     seeds = seeds_of(chosen.seeds or (QUICK if chosen.quick else SEEDS))
     if seeds:
         kind_of(seeds)
-    rigs = [chosen.rig] if chosen.rig else ["planar"] if chosen.quick else list(RIGS)
+    rigs = [chosen.rig] if chosen.rig else ["planar"] if chosen.quick else list(NAMES)
     parts, program = [], package_sources()
     for rig in rigs:
-        if rig not in RIGS:
-            raise SystemExit(f"coverage has no rig {rig!r}, only {', '.join(RIGS)}")
-        cases = [case_of(rig, seed) for seed in seeds]
+        if rig not in NAMES:
+            raise SystemExit(f"coverage has no rig {rig!r}, only {', '.join(NAMES)}")
         kept = results(
-            {case.label: case for case in cases},
+            {case.label: case for case in (case_of(rig, seed) for seed in seeds)},
             score,
             Result,
             chosen.cache / "coverage" / f"{rig}.jsonl",
@@ -53,41 +39,23 @@ def study(chosen: Namespace) -> str:
             processes=chosen.processes,
             told=lambda result: f"{result['cpu_s']} s {result.get('failed', '')}",
         )
-        found = list(kept.values())
-        if found:
-            parts.append(f"### {NAMES[rig]}\n\n{summary(found, program)}\n\n{tables_of(found)}")
+        if found := list(kept.values()):
+            made, cpu = sorted(r["seed"] for r in found), np.mean([r["cpu_s"] for r in found])
+            parts.append(
+                f"### {NAMES[rig]}\n\n{len(made)} {kind_of(made)} seeds, {made[0]} to {made[-1]}; "
+                f"{cpu:.1f} s of CPU each; package {program[:12]}.\n\n{tables_of(found)}"
+            )
     return "\n\n".join(parts)
 
 
 def whole(chosen: Namespace) -> bool:
-    """Whether these are the tables of the document."""
-    parts = (chosen.rig, chosen.seeds)
-    return not (chosen.quick or any(parts))
-
-
-def summary(results: Sequence[Result], program: str) -> str:
-    """What the tables are made of."""
-    seeds = sorted(r["seed"] for r in results)
-    cpu = sum(r["cpu_s"] for r in results) / len(results)
-    return (
-        f"{len(seeds)} {kind_of(seeds)} seeds, {seeds[0]} to {seeds[-1]}; {cpu:.1f} s of CPU each; "
-        f"package {program[:12]}."
-    )
+    return not (chosen.quick or chosen.rig or chosen.seeds)
 
 
 def kind_of(seeds: Sequence[int]) -> str:
-    """Tuning or judging.
-
-    Raises
-    ------
-    SystemExit
-        If they are not of one kind.
-    """
     least, most = min(seeds), max(seeds)
-    if least in TUNING and most in TUNING:
-        return "tuning"
-    if least >= FIRST_JUDGING:
-        return "judging"
+    if most in TUNING or least >= FIRST_JUDGING:
+        return "tuning" if most in TUNING else "judging"
     raise SystemExit(
         f"seeds {least} to {most}: give seeds below {TUNING.stop} (tuning) or from "
         f"{FIRST_JUDGING} on (judging), not both"
@@ -113,7 +81,6 @@ class Coverage(NamedTuple):
     mean: float
 
     def cells(self) -> list[str]:
-        """Cells of a table's row, as `HEADER`."""
         interval = f"{100 * self.low:.0f} to {100 * self.high:.0f}"
         share = [number(self.rms, 3), f"{100 * self.share:.1f} %", interval]
         return [f"{self.seeds}", f"{self.count}", *share, number(self.largest, 3),
@@ -121,11 +88,7 @@ class Coverage(NamedTuple):
 
 
 def coverage(by_seed: Sequence[Array]) -> Coverage:
-    """Summarise z by seed; values of one seed may depend on each other, seeds do not.
-
-    The share's interval is Wilson's, for as many independent values as the spread of the seeds'
-    own shares allows: at least the number of seeds, at most that of values.
-    """
+    """Summarise z by seed; values of one seed may depend on each other, seeds do not."""
     kept = [z for z in by_seed if len(z)]
     z = np.concatenate(kept)
     inside = [(np.abs(own) <= INSIDE).astype(float) for own in kept]
@@ -149,7 +112,6 @@ def independent(by_seed: Sequence[Array]) -> float:
 
 
 def wilson(share: float, count: float, z: float = INSIDE) -> tuple[float, float]:
-    """Wilson's 95 % interval of a share of `count` values."""
     middle = share + z**2 / (2 * count)
     half = z * np.sqrt(share * (1 - share) / count + z**2 / (4 * count**2))
     scale = 1 + z**2 / count
@@ -157,7 +119,6 @@ def wilson(share: float, count: float, z: float = INSIDE) -> tuple[float, float]
 
 
 def tables_of(results: Sequence[Result]) -> str:
-    """All tables of one rig's results."""
     parts = [group_table(results), parameter_table(results)]
     if any("rotor_coupling" in r["traits"] for r in results):
         parts.append(coupling_table(results))
@@ -171,7 +132,6 @@ def _errors(results: Sequence[Result], **of: str) -> list[Array]:
 
 
 def group_table(results: Sequence[Result]) -> str:
-    """One row per group of quantities and subset of the seeds."""
     subsets: dict[str, Sequence[Result]] = {"all": results}
     for value, trait in [*zip(NOISES, repeat("noise")), *zip(ENCODERS, repeat("encoder"))]:
         own = [r for r in results if r[trait] == value]
@@ -212,7 +172,6 @@ def relative(rows: Sequence[Row]) -> str:
 
 
 def coupling_table(results: Sequence[Result]) -> str:
-    """What was decided about the rotors' coupling against what is so."""
     found = [r for r in results if "rotor_coupling" in r]
     decided = sorted({decision(r) for r in found})
     rows = []
@@ -230,7 +189,6 @@ def decision(result: Result) -> str:
 
 
 def problems(results: Sequence[Result]) -> str:
-    """Stages that stopped, and verdicts that are poor, by seed."""
     lines = [f"- seed {r['seed']}: {r['failed']}" for r in results if "failed" in r]
     for stage in GROUPS:
         poor = [str(r["seed"]) for r in results if r["verdicts"].get(stage) is False]

@@ -23,7 +23,6 @@ ROUND = 250  # inputs of a target before the next has its turn
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run until the count or the time is reached; 1 if something was found."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies.fuzz", description=__doc__)
     parser.add_argument("--count", type=int, default=10**9, help="inputs of each kind")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="of CPU time, in all")
@@ -43,7 +42,9 @@ def main(arguments: Sequence[str]) -> int:
                 parts = repr((target.name, chosen.seed, done)).encode()
                 seed = int.from_bytes(hashlib.sha256(parts).digest()[:6])
                 fuzz(target, folder, min(ROUND, chosen.count - done), seed, tally)
-                _tell(f"{target.name}: {len(tally.outcomes)}, {len(tally.finds)} finds")
+                sys.stderr.write(
+                    f"{target.name}: {len(tally.outcomes)}, {len(tally.finds)} finds\n"
+                )
             done += ROUND
     show("trust.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write)
     return 1 if _kept(tallies, chosen.keep) else 0
@@ -57,12 +58,11 @@ def _kept(tallies: Mapping[str, Tally], folder: Path) -> int:
         (folder / stem).write_bytes(find.data)
         report = f"{find.why}\n{' '.join(find.line)}\n{find.damage}\n{find.said}\n"
         (folder / f"{stem}.txt").write_text(report, encoding="utf-8", errors="backslashreplace")
-        _tell(f"{folder / stem}: {find.why}")
+        sys.stderr.write(f"{folder / stem}: {find.why}\n")
     return len(finds)
 
 
 def rows(tallies: Mapping[str, Tally]) -> list[list[str]]:
-    """How each kind was answered."""
     cells = []
     for name, tally in tallies.items():
         codes, every = tally.codes, tally.outcomes
@@ -72,11 +72,6 @@ def rows(tallies: Mapping[str, Tally]) -> list[list[str]]:
         peak = max((outcome.peak for outcome in every), default=0) >> 10
         cells.append([name, *map(str, counts), f"{slowest:.1f}", str(peak)])
     return cells
-
-
-def _tell(text: str) -> None:
-    """Say how far it is."""
-    sys.stderr.write(text + "\n")
 
 
 if __name__ == "__main__":

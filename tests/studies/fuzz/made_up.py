@@ -1,7 +1,4 @@
-"""Damaged logs give a recording or an error of seqid's own, and no row that nobody logged.
-
-What a damaged MCAP file still gives must be rows of the sound one, as long as checksums are on.
-"""
+"""Damaged logs give a recording or an error of seqid's own, and no row that nobody logged."""
 
 import traceback
 from collections.abc import Mapping

@@ -24,10 +24,7 @@ Answer = tuple[int, str]  # exit code, and the words of its message
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one input: `why` it is not well answered; CPU s, peak KiB of the process.
-
-    The bytes are kept of what was not well answered, and of an answer that none before had.
-    """
+    """What came of one input: `why` it is not well answered; CPU s, peak KiB of the process."""
 
     why: str
     answer: Answer = (-1, "")
@@ -41,37 +38,27 @@ class Outcome:
 
 @dataclass
 class Tally:
-    """What came of the inputs of one target."""
-
     outcomes: list[Outcome] = field(default_factory=list)
 
     @property
     def finds(self) -> list[Outcome]:
-        """What was not answered well."""
         return [outcome for outcome in self.outcomes if outcome.why]
 
     @property
     def codes(self) -> Counter[int]:
-        """How often each exit code was given."""
         return Counter(outcome.answer[0] for outcome in self.outcomes)
 
     @property
     def answers(self) -> set[Answer]:
-        """All different answers."""
         return {outcome.answer for outcome in self.outcomes}
 
     @property
     def fresh(self) -> list[bytes]:
-        """Inputs with an answer that none before had."""
         return [o.data for o in self.outcomes if not o.why and 0 < len(o.data) < LONGEST]
 
 
 def fuzz(target: Target, folder: Path, count: int, seed: int, tally: Tally) -> None:
-    """Try `count` inputs more, in a process of their own for each slice.
-
-    An input whose answer none before had, by its exit code and the words of its message, is
-    damaged further: so the inputs get from one check of a reader to the next.
-    """
+    """Try `count` inputs more, in a process of their own for each slice."""
     lay_out(target, folder)
     for start in range(0, count, SLICE):
         size = min(SLICE, count - start)
@@ -79,7 +66,6 @@ def fuzz(target: Target, folder: Path, count: int, seed: int, tally: Tally) -> N
 
 
 def lay_out(target: Target, folder: Path) -> None:
-    """Write what lies beside the damaged file."""
     for name, content in target.beside.items():
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)
@@ -87,7 +73,6 @@ def lay_out(target: Target, folder: Path) -> None:
 
 
 def filled(line: Sequence[str], target: Target, folder: Path) -> list[str]:
-    """Put the damaged file and its folder into a command line."""
     words = [word.replace("{}", str(folder / target.file)) for word in line]
     return [word.replace("{@}", str(folder)) for word in words]
 

@@ -1,21 +1,16 @@
-"""Arms with an undeclared effect in all of their logs, whose friction trials reach less far.
-
-The sequential experiments run at a part of the travel and of the speed that training and held-out
-logs use, as trials in a lab do; the effect is there from the first log on.
-"""
+"""Arms with an undeclared effect in all of their logs, whose friction trials reach less far."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from seqid_cli.logs.recording import Recording
 from tests.plants.motions.experiments import friction_trials, gravity_trials, inertia_trials
 from tests.plants.motions.trajectories import Reference
 from tests.plants.motions.trials import moves, waves
 from tests.plants.samples import SIX_POSTURES
 from tests.studies.undeclared.cases import Condition, built, declared
-from tests.studies.undeclared.logs import TWO_POSTURES, Logs, robot_for, stored
+from tests.studies.undeclared.logs import TWO_POSTURES, Logs, in_turn, robot_for
 
 KINDS = ("load_dependent_friction", "gear_efficiency", "thermal_friction", "torque_ripple")
 KINDS += ("spring",)
@@ -31,8 +26,6 @@ PAUSE = 60.0  # s between logs
 
 @dataclass(frozen=True)
 class Case:
-    """One arm: its effect at a joint; the seed decides the rest."""
-
     rig: str
     kind: str
     joint: int
@@ -40,18 +33,15 @@ class Case:
 
     @property
     def condition(self) -> Condition:
-        """The case as the study of undeclared effects describes plants."""
         effects = ((self.kind, self.joint, 1.0),)
         return Condition("starts", self.rig, self.seed, effects, "sequential_with")
 
     @property
     def key(self) -> str:
-        """A name to search for."""
         return f"{self.rig}/{self.kind}@{self.joint}/seed {self.seed}"
 
 
 def case_of(rig: str, kind: str, seed: int) -> Case:
-    """The case of a kind and a seed; the joint goes round with both."""
     joints = declared(Condition("starts", rig, seed, (), "sequential_with")).arm.n
     return Case(rig, kind, (seed + KINDS.index(kind)) % joints, seed)
 
@@ -69,7 +59,7 @@ def references(case: Case) -> list[tuple[str, Reference, int]]:
     postures = list(0.8 * np.array(TWO_POSTURES if case.rig == "two" else SIX_POSTURES))
     pairs = [(0, 1)] * 3 if case.rig == "two" else None
     trials = [
-        *friction_trials(small, postures[:1], speeds=SPEEDS, lowest=SLOWEST),
+        *friction_trials(small, postures[0], speeds=SPEEDS, lowest=SLOWEST),
         *gravity_trials(small, postures[:POSTURES], speeds=(0.3,)),
         *inertia_trials(small, postures, rng, pairs=pairs, seconds=5.0),
     ]
@@ -87,15 +77,11 @@ def references(case: Case) -> list[tuple[str, Reference, int]]:
 
 
 def recorded(case: Case, cache: Path) -> Logs:
-    """Simulate a case's logs, or read them from the cache."""
-    plant, _ = built(case.condition)
-    found: dict[str, list[Recording]] = {}
-    start = 20.0
-    for number, (part, reference, every) in enumerate(references(case)):
-        what = f"loop|{case.rig}|{case.condition.effects!r}|{part}/{number}"
-        seed = 10_000 + 1000 * case.seed + number
-        log = stored(cache, what, plant, reference, seed, every=every, start=round(start, 3))
-        found.setdefault(part, []).append(log)
-        start += reference.duration + PAUSE
+    seed, label = 10_000 + 1000 * case.seed, f"loop|{case.rig}|{case.condition.effects!r}"
+    plan = [
+        (part, f"{label}|{part}/{k}", reference, seed + k, every)
+        for k, (part, reference, every) in enumerate(references(case))
+    ]
+    found = in_turn(cache, built(case.condition)[0], plan, PAUSE)
     training, held_out = (tuple(found.pop(part)) for part in ("training", "held_out"))
     return Logs(robot_for(case.condition), training, held_out, earlier=found)

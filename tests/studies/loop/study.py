@@ -1,9 +1,4 @@
-"""The loop closed where the effect was in all logs: refined against told, inside and outside.
-
-The file is identified step by step from trials that have the effect, so that friction and gravity
-have swallowed what of it they could; validation goes beyond the friction trials. The reference is a
-model that is told the effect and its joint, and identified anew with it from the same logs.
-"""
+"""The loop closed where the effect was in all logs: refined against told, inside and outside."""
 
 import time
 from argparse import Namespace
@@ -22,7 +17,7 @@ from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
 from tests.plants.robots.identified import sequential
 from tests.studies.loop.logs import KINDS, Case, case_of, recorded
 from tests.studies.records import results
-from tests.studies.tables import counted, grouped, median_of, number
+from tests.studies.tables import counted, grouped, number
 from tests.studies.undeclared.cases import built
 from tests.studies.undeclared.refine import NEAR, file_of, told_model
 
@@ -32,11 +27,7 @@ SEEDS = {"two": (19, 20, 21, 22), "six": (21, 22, 23, 24)}
 
 @dataclass(frozen=True)
 class Result:
-    """Held-out RMSE [N m] at the effect's joint, and what was added.
-
-    `told` is by the model that was told the effect; `inside` and `outside` are of the refined model
-    within and beyond the friction trials, `share` is the share of the samples beyond.
-    """
+    """Held-out RMSE [N m] at the effect's joint, and what was added."""
 
     kind: str
     rig: str
@@ -53,7 +44,6 @@ class Result:
 
     @property
     def ratio(self) -> float:
-        """RMSE over that of the model that was told."""
         return self.after / self.told
 
     @property
@@ -64,7 +54,6 @@ class Result:
 
 
 def run_case(case: Case, cache: Path) -> Result:
-    """Record, identify step by step, refine, and compare with the model that is told."""
     logs = recorded(case, cache)
     robot, options = logs.robot, DiscoverOptions()
     stages = sequential(logs.earlier, robot)
@@ -97,7 +86,6 @@ def run_case(case: Case, cache: Path) -> Result:
 
 
 def study(arguments: Namespace) -> str:
-    """Run what is not there yet, and return the table of what is."""
     seeds = [(rig, seed) for rig in SEEDS for seed in SEEDS[rig]]
     cases = [case_of(rig, kind, seed) for rig, seed in seeds for kind in KINDS]
     found = results(
@@ -112,7 +100,6 @@ def study(arguments: Namespace) -> str:
 
 
 def rendered(found: Sequence[Result]) -> str:
-    """One row per robot and kind, and one for all."""
     groups: dict[str, list[Result]] = {}
     for rig in SEEDS:
         mine = [r for r in found if r.rig == rig]
@@ -120,7 +107,8 @@ def rendered(found: Sequence[Result]) -> str:
         groups[f"all, {rig} joints"] = mine
 
     def middle(*names: str) -> dict[str, Callable[[Sequence[Result]], str]]:
-        return {name: median_of(attrgetter(name)) for name in names}
+        medians = {name: partial(map, attrgetter(name)) for name in names}
+        return {name: lambda own, of=of: number(median(of(own))) for name, of in medians.items()}
 
     columns = {
         "cases": counted,

@@ -1,8 +1,4 @@
-"""Run cases: `python -m tests.studies.outside --set tuning --seeds A:B [--cache FOLDER]`.
-
-Every case is kept in the cache, a line of `outside.jsonl` and its diagnosis as
-`SEED.diagnosis.json`: a run that was cut goes on, and a case is run anew when its line is gone.
-"""
+"""Run cases: `python -m tests.studies.outside --set tuning --seeds A:B [--cache FOLDER]`."""
 
 import argparse
 import sys
@@ -19,7 +15,6 @@ from tests.studies.tables import show
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run what the cache does not hold, then write the tables."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies.outside", description=__doc__)
     parser.add_argument("--set", choices=("tuning", "reserved"), default="tuning")
     parser.add_argument("--seeds", type=seeds_of, default="0:80", metavar="A:B")
@@ -44,7 +39,6 @@ def answers(
     coarser: float = 1.0,
     whole: bool = False,
 ) -> list[dict[str, Any]]:
-    """The answers to cases, from the cache or run; coarser and whole ones need their own cache."""
     work = partial(answered, cache=cache, keep=keep, coarser=coarser, whole=whole)
     cases = {str(seed): seed for seed in seeds}
     kept = results(cases, work, dict[str, Any], cache / "outside.jsonl", told=_told)

@@ -58,7 +58,6 @@ class Imu:
 
     @property
     def corners(self) -> Array:
-        """Places of the triads in the IMU's frame [m]."""
         return np.vstack([np.zeros(3), 0.05 * np.eye(3)])[: 1 if self.gyro else 4]
 
 
@@ -79,21 +78,17 @@ class Arm:
 
     @property
     def n(self) -> int:
-        """Joints that move."""
         return len(self.drives)
 
     @property
     def names(self) -> list[str]:
-        """The joints that move."""
         return [f"j{k + 1}" for k in range(self.n)]
 
     def of(self, quantity: str) -> Array:
-        """A quantity of every drive: (n,)."""
         return np.array([getattr(drive, quantity) for drive in self.drives])
 
 
 def published_links(name: str) -> tuple[Link, ...]:
-    """The links of a published arm."""
     rows = json.loads(PUBLISHED.read_text(encoding="utf-8"))["arms"][name]
     return tuple(
         Link(
@@ -130,9 +125,7 @@ def drawn_links(rng: np.random.Generator, n: int) -> tuple[Link, ...]:
                 turn=np.array([0.0, 0.0, rng.uniform(-0.5, 0.5) if k else 0.0]),
                 axis=axes[k],
                 mass=mass,
-                centre=np.array(
-                    [*rng.normal(0.0, 0.05 * length, 2), rng.uniform(0.4, 0.6) * length]
-                ),
+                centre=np.array([*rng.normal(0, 0.05 * length, 2), rng.uniform(0.4, 0.6) * length]),
                 inertia=np.diag([across, across, 0.5 * mass * radius**2]) + 0.3 * off,
                 speed=float(rng.uniform(1.5, 4.0)),
             )
@@ -176,21 +169,15 @@ def drawn_imus(rng: np.random.Generator, n: int) -> tuple[Imu, ...]:
     """One IMU on the last link that moves, sometimes one on the link before it."""
     gyro = bool(rng.random() < 0.5)
     links = [n - 1] if n == 1 or rng.random() < 0.6 else [n - 2, n - 1]
-    return tuple(
-        Imu(
-            link,
-            rng.uniform(-0.1, 0.1, 3),
-            (lambda x: x / np.linalg.norm(x))(rng.normal(size=4)),
-            gyro,
-            float(rng.uniform(0.01, 0.05)),
-            rng.normal(0.0, 0.05, 12),
-        )
-        for link in links
-    )
+    imus = []
+    for link in links:
+        place, turn = rng.uniform(-0.1, 0.1, 3), rng.normal(size=4)
+        noise, bias = float(rng.uniform(0.01, 0.05)), rng.normal(0.0, 0.05, 12)
+        imus.append(Imu(link, place, turn / np.linalg.norm(turn), gyro, noise, bias))
+    return tuple(imus)
 
 
 def drawn_arm(rng: np.random.Generator, label: str, n: int, imus: bool) -> Arm:
-    """An arm: `label` is "drawn", or the name of a published one whose first n joints move."""
     links = drawn_links(rng, n) if label == "drawn" else published_links(label)
     return Arm(
         label,

@@ -4,9 +4,8 @@ import tempfile
 import time
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -34,7 +33,6 @@ class AstrayError(ArithmeticError):
 
 
 def write(path: Path, arm: Arm, log: Log, t: Array) -> None:
-    """Write a log as Parquet or MCAP, with torques or currents."""
     own: dict[str, Any] = {"accelerometers": log.accelerometers, "gyros": log.gyros}
     effort = log.torque / (arm.of("ratio") * arm.of("constant")) if arm.currents else log.torque
     if path.suffix == ".mcap":
@@ -46,24 +44,17 @@ def write(path: Path, arm: Arm, log: Log, t: Array) -> None:
     write_parquet(path, t, arm.names, log.q, **own)
 
 
-@dataclass
 class Recorder:
     """Writes the robot's files, and one log after the other, as a user's logger does."""
 
-    case: Case
-    folder: Path
-    clock: float = 0.0
-    count: int = 0
-    rng: np.random.Generator = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.rng = np.random.default_rng([self.case.outline.seed, 6])
-        self.robot = self.folder / "robot.toml"
-        self.robot.write_text(robot_toml(self.case.arm))
-        (self.folder / "arm.urdf").write_text(urdf(self.case.arm))
+    def __init__(self, case: Case, folder: Path) -> None:
+        self.case, self.folder, self.clock, self.count = case, folder, 0.0, 0
+        self.rng = np.random.default_rng([case.outline.seed, 6])
+        self.robot = folder / "robot.toml"
+        self.robot.write_text(robot_toml(case.arm))
+        (folder / "arm.urdf").write_text(urdf(case.arm))
 
     def record(self, motion: Array, effects: Sequence[Effect]) -> Path:
-        """Simulate a motion and write the log."""
         case, self.count = self.case, self.count + 1
         log = simulate(case.arm, motion, 100 * case.outline.seed + self.count, effects, self.clock)
         asked = motion[:: round(len(motion) / len(log.q))][: len(log.q)]
@@ -114,22 +105,15 @@ class Recorder:
         return file
 
 
-@dataclass(frozen=True)
-class Prepared:
+class Prepared(NamedTuple):
     """What a user has when something may be missing."""
 
     recorder: Recorder
     logs: list[Path]
     file: Path
 
-    @property
-    def robot(self) -> Path:
-        """The robot file."""
-        return self.recorder.robot
-
 
 def prepared(case: Case, folder: Path) -> Prepared:
-    """Record, identify, and record the logs that are asked about."""
     recorder = Recorder(case, folder)
     if case.outline.flow == "single":
         logs = recorder.moves(1, 20.0, case.effects)
@@ -144,10 +128,7 @@ def prepared(case: Case, folder: Path) -> Prepared:
 def answered(
     seed: int, cache: Path, keep: bool = False, coarser: float = 1.0, whole: bool = False
 ) -> dict[str, Any]:
-    """Record, identify, record on, diagnose: what was hidden and what was found.
-
-    The diagnosis is kept in the cache; the logs and files as well if they are to be kept.
-    """
+    """Record, identify, record on, diagnose: what was hidden and what was found."""
     cache.mkdir(parents=True, exist_ok=True)
     case = drawn(seed, coarser, whole)
     start = time.process_time()
@@ -168,7 +149,7 @@ def answered(
         folder.mkdir(exist_ok=True)
         try:
             ready = prepared(case, folder)
-            found = discover.diagnose(ready.logs, ready.robot, ready.file)
+            found = discover.diagnose(ready.logs, ready.recorder.robot, ready.file)
             row |= {"stages": poor(ready.file)} | told(found)
             (cache / f"{seed}.diagnosis.json").write_bytes(msgspec.json.encode(found))
         except Exception as error:  # a case that fails is an answer too
@@ -177,37 +158,29 @@ def answered(
 
 
 def poor(file: Path) -> str:
-    """What is poor of the stages, or "good"."""
     stages = read_parameters(file).stages
     named = ((name, getattr(stages, name)) for name in ("friction", "gravity", "imu", "inertia"))
-    found = [
+    poor = [
         f"{name} {verdict.joint}: {verdict.reason}"
         for name, stage in named
-        if stage is not None
-        for verdict in stage.verdicts
+        for verdict in (() if stage is None else stage.verdicts)
         if not verdict.good
     ]
-    return "; ".join(found) or "good"
+    return "; ".join(poor) or "good"
 
 
 def told(found: DiagnosisFile) -> dict[str, Any]:
-    """What a diagnosis says, as far as it is judged."""
+    rows = {joint: (e.rmse, e.noise_floor, e.rmse_explained) for joint, e in found.joints.items()}
+    kept = ("effect", "confidence", "name_confidence")
+    findings = [
+        {name: getattr(item, name) for name in kept}
+        | {"joint": item.joint or "", "alike": item.confusable_with}
+        for item in found.findings
+    ]
     return {
         "verdict": found.verdict,
-        "findings": [
-            {
-                "effect": item.effect,
-                "joint": item.joint or "",
-                "confidence": item.confidence,
-                "name_confidence": item.name_confidence,
-                "alike": item.confusable_with,
-            }
-            for item in found.findings
-        ],
+        "findings": findings,
         "unexplained": [[part.joint, part.depends_on] for part in found.unexplained],
         "events": [[e.log, e.start, e.end, e.joints] for e in found.events],
-        "residuals": {
-            joint: [entry.rmse, entry.noise_floor, entry.rmse_explained]
-            for joint, entry in found.joints.items()
-        },
+        "residuals": {joint: list(row) for joint, row in rows.items()},
     }

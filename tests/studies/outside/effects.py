@@ -1,7 +1,4 @@
-"""What a model can lack, and how it acts on the simulated arm: by MuJoCo's own means.
-
-Every function of `KINDS` draws one effect at joint `j` of an arm, its size still open.
-"""
+"""What a model can lack, and how it acts on the simulated arm: by MuJoCo's own means."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -29,14 +26,12 @@ def kind(draw: Draw) -> Draw:
 
 
 def found(root: ET.Element, path: str) -> ET.Element:
-    """The element of an MJCF that must be there."""
     element = root.find(path)
     assert element is not None, path
     return element
 
 
 def joint_of(root: ET.Element, arm: Arm, j: int) -> ET.Element:
-    """A joint of the arm's MJCF."""
     return found(root, f".//joint[@name='{arm.names[j]}']")
 
 
@@ -45,11 +40,9 @@ def stribeck(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """More dry friction at low speed."""
     slow = float(rng.uniform(0.03, 0.12)) * arm.links[j].speed
     power, size = float(rng.uniform(0.8, 2.0)), 0.8 * arm.drives[j].coulomb
-
-    def dry(scale: float, base: float, state: State) -> float:
-        return scale * size * np.exp(-((abs(state.dq[j]) / slow) ** power))
-
-    return Effect(j, dry=dry, most=4.0)
+    return Effect(
+        j, dry=lambda c, base, now: c * size * np.exp(-((abs(now.dq[j]) / slow) ** power)), most=4.0
+    )
 
 
 @kind
@@ -114,25 +107,17 @@ def _joint_or_all(j: int, rng: np.random.Generator) -> int | None:
 def time_skew(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Torques that are logged late, or early, against the positions."""
     joint, side = _joint_or_all(j, rng), float(rng.choice([-1.0, 1.0]))
-
-    def told(scale: float, tau: Array, t: Array) -> Array:
-        return np.interp(t - side * 0.003 * scale, t, tau)
-
-    return Effect(joint, told=told, most=8.0)
+    return Effect(joint, told=lambda c, tau, t: np.interp(t - side * 0.003 * c, t, tau), most=8.0)
 
 
 @kind
 def friction_change(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Dry and viscous friction of one joint that have become larger, or smaller."""
     dry, viscous = (1.0, 0.8) if rng.random() < 0.7 else (-0.4, 0.0)
-
-    def push(scale: float, state: State) -> float:
-        return -(0.4 * scale * viscous * arm.drives[j].viscous) * state.dq[j]
-
     return Effect(
         j,
-        dry=lambda scale, base, now: base * np.clip(0.4 * scale * dry, -0.8, 4.0),
-        push=push,
+        dry=lambda c, base, now: base * np.clip(0.4 * c * dry, -0.8, 4.0),
+        push=lambda c, now: -(0.4 * c * viscous * arm.drives[j].viscous) * now.dq[j],
         most=8.0 if dry > 0 else 4.0,
     )
 
@@ -209,11 +194,11 @@ def external_contact(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
 def asymmetric_friction(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """More dry friction one way than the other."""
     side = float(rng.choice([-0.4, 0.4]))
-
-    def dry(scale: float, base: float, state: State) -> float:
-        return base * np.clip(scale * side * np.sign(state.dq[j]), -0.9, 0.9)
-
-    return Effect(j, dry=dry, most=2.0)
+    return Effect(
+        j,
+        dry=lambda c, base, now: base * np.clip(c * side * np.sign(now.dq[j]), -0.9, 0.9),
+        most=2.0,
+    )
 
 
 @kind
@@ -302,21 +287,16 @@ def transmission_coupling(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
         ET.SubElement(tendon, "joint", joint=arm.names[j], coef="1")
         ET.SubElement(tendon, "joint", joint=arm.names[other], coef=repr(turns))
 
-    def dry(scale: float, base: float, state: State) -> float:
-        return -(min(scale, 1.0) * base)
-
-    return Effect(j, xml=xml, dry=dry, partner=other, most=1.0)
+    return Effect(
+        j, xml=xml, dry=lambda c, base, now: -(min(c, 1.0) * base), partner=other, most=1.0
+    )
 
 
 @kind
 def torque_saturation(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Iron that saturates: more and more amperes for the last newton metres."""
     rated = 10.0 * arm.drives[j].coulomb
-
-    def told(scale: float, tau: Array, t: Array) -> Array:
-        return tau * (1.0 + 0.05 * scale * (tau / rated) ** 2)
-
-    return Effect(j, told=told, most=6.0)
+    return Effect(j, told=lambda c, tau, t: tau * (1.0 + 0.05 * c * (tau / rated) ** 2), most=6.0)
 
 
 @kind
@@ -329,22 +309,20 @@ def quadratic_drag(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
 def rotor_inertia(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Another motor than before: a heavier rotor."""
 
-    def xml(scale: float, root: ET.Element) -> None:
-        rotor = (1.0 + 0.5 * scale) * arm.drives[j].rotor
-        joint_of(root, arm, j).set("armature", repr(rotor))
-
-    return Effect(j, xml=xml, most=8.0)
+    rotor = arm.drives[j].rotor
+    return Effect(
+        j,
+        xml=lambda c, root: joint_of(root, arm, j).set("armature", repr((1.0 + 0.5 * c) * rotor)),
+        most=8.0,
+    )
 
 
 @kind
 def periodic_disturbance(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A pump, a fan or the mains in the current sensor."""
     hertz, phase = float(rng.choice([3.7, 8.3, 14.6, 29.5, 50.0])), float(rng.uniform(0.0, 6.3))
-
-    def told(scale: float, tau: Array, t: Array) -> Array:
-        return tau + 0.3 * scale * arm.drives[j].coulomb * np.sin(2.0 * np.pi * hertz * t + phase)
-
-    return Effect(j, told=told)
+    level, pace = arm.drives[j].coulomb, 2.0 * np.pi * hertz
+    return Effect(j, told=lambda c, tau, t: tau + 0.3 * c * level * np.sin(pace * t + phase))
 
 
 @kind
@@ -379,8 +357,8 @@ def actuator_lag(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
 def position_dependent_friction(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Dry friction that is larger at some places than at others."""
     waves, phase = float(rng.choice([1.0, 2.0, 3.0, 5.0])), float(rng.uniform(0.0, 6.3))
-
-    def dry(scale: float, base: float, state: State) -> float:
-        return min(0.4 * scale, 0.95) * base * np.sin(waves * state.q[j] + phase)
-
-    return Effect(j, dry=dry, most=2.3)
+    return Effect(
+        j,
+        dry=lambda c, base, now: min(0.4 * c, 0.95) * base * np.sin(waves * now.q[j] + phase),
+        most=2.3,
+    )

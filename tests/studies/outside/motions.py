@@ -33,10 +33,7 @@ def fitted(arm: Arm, unit: Array) -> Array:
 
 
 def trial(arm: Arm, joint: int, posture: Array, speeds: Array) -> Array:
-    """One joint to and fro at constant speeds (shares of its limit), the others held: (N, n).
-
-    `posture` (n,) is in units of the reach about the middle.
-    """
+    """One joint to and fro at constant speeds (shares of its limit), the others held: (N, n)."""
     link = arm.links[joint]
     knots, moments = [-1.0], [0.0]
     for speed in speeds * link.speed / link.reach:

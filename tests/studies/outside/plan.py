@@ -53,7 +53,6 @@ class Case:
 
     @property
     def joints(self) -> list[list[str]]:
-        """The joints of every effect, none of one of the whole arm."""
         pairs = [(effect.joint, effect.partner) for effect in self.effects]
         return [[self.arm.names[j] for j in pair if j is not None] for pair in pairs]
 
@@ -91,7 +90,6 @@ def outlined(seed: int, whole: bool = False) -> Outline:
 
 
 def drawn(seed: int, coarser: float = 1.0, whole: bool = False) -> Case:
-    """The case of a seed, with encoders that many times as coarse as drawn."""
     outline, rng = outlined(seed, whole), np.random.default_rng([seed, 78])
     arm = drawn_arm(rng, outline.label, outline.n, outline.imus)
     drives = tuple(replace(drive, count=coarser * drive.count) for drive in arm.drives)
@@ -103,11 +101,7 @@ def drawn(seed: int, coarser: float = 1.0, whole: bool = False) -> Case:
 
 
 def sized(arm: Arm, effect: Effect, rng: np.random.Generator) -> tuple[Effect, float]:
-    """Make an effect as large as drawn, or as it can be; and how large that is.
-
-    A size is the RMS of what the effect changes of the joint's logged torque, over 50 ms, as a
-    part of the RMS of that torque.
-    """
+    """Make an effect as large as drawn, or as it can be; and how large that is."""
     target = float(np.exp(rng.uniform(np.log(LEAST), np.log(MOST))))
     arm = replace(arm, imus=(), noise=0.0)
     motion = motions.multisine(arm, np.random.default_rng([int(1e6 * target), 1]), 6.0)

@@ -1,9 +1,4 @@
-"""The loop closed on the second simulator: `python -m tests.studies.outside.refined --seeds A:B`.
-
-Each case with one effect is recorded and identified as `cases` does it. `refine` gets the logs that
-are asked about, and two more that are held out. The reference is a model that is told the effect
-and its joint, and identified anew with it from the same logs.
-"""
+"""The loop closed outside: `python -m tests.studies.outside.refined --seeds A:B`."""
 
 import argparse
 import sys
@@ -31,16 +26,15 @@ from tests.studies.undeclared.refine import NEAR, told_model
 
 
 def refined_case(seed: int, folder: Path) -> dict[str, Any]:
-    """What `refine` made of a case, beside the model that is told, under the better account."""
     case = drawn(seed)
     (effect,), (joints,) = case.effects, case.joints
     row = {"seed": seed, "kind": effect.name, "joints": joints, "flow": case.outline.flow}
     ready = prepared(case, folder)
     held_out = ready.recorder.moves(2, 18.0, case.effects)
     clock = time.process_time()
-    loop = discover.refine(ready.logs, held_out, ready.robot, ready.file)
+    loop = discover.refine(ready.logs, held_out, ready.recorder.robot, ready.file)
     row["seconds"] = round(time.process_time() - clock, 1)
-    robot, file = load_robot(ready.robot), read_parameters(ready.file)
+    robot, file = load_robot(ready.recorder.robot), read_parameters(ready.file)
     earlier: dict[str, list[Any]] = {}
     for log in file.inputs:
         earlier.setdefault(log.stage, []).append(read_recording(Path(log.path), robot))
@@ -70,7 +64,6 @@ def refined_case(seed: int, folder: Path) -> dict[str, Any]:
 
 
 def answered(seed: int) -> dict[str, Any]:
-    """Run a case; one that fails is an answer too."""
     with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
         warnings.simplefilter("ignore", SeqidWarning)
         try:
@@ -80,7 +73,6 @@ def answered(seed: int) -> dict[str, Any]:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the cases of one effect that the cache does not hold, and say how many closed."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies.outside.refined")
     parser.add_argument("--seeds", type=seeds_of, default="1000:1030", metavar="A:B")
     parser.add_argument("--cache", type=Path, default=Path("out") / "outside")

@@ -12,7 +12,6 @@ FRICTION = {"solreffriction": "0.002 1", "solimpfriction": "0.99 0.999 0.001"}  
 
 
 def row(values: Array) -> str:
-    """Numbers as XML attributes have them."""
     return " ".join(repr(float(x)) for x in np.ravel(values))
 
 
@@ -56,7 +55,6 @@ def _sites(body: ET.Element, sensors: ET.Element, name: str, imu: Imu) -> None:
 
 
 def urdf(arm: Arm) -> str:
-    """The arm as its maker publishes it."""
     root = ET.Element("robot", name="outside")
     ET.SubElement(root, "link", name="base")
     for k, link in enumerate(arm.links):
@@ -82,7 +80,6 @@ def urdf(arm: Arm) -> str:
 
 
 def robot_toml(arm: Arm) -> str:
-    """The robot file that a user writes."""
     lines = [
         'schema = "seqid/robot@1"',
         'name = "outside"',

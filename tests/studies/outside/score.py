@@ -27,35 +27,21 @@ FAMILIES: tuple[frozenset[str], ...] = tuple(
         "external_contact drift",
     )
 )
-QUANTITIES: Mapping[str, str] = {  # that an unexplained residual may rightly be said to depend on
-    "stribeck": "velocity direction",
-    "asymmetric_friction": "direction",
-    "load_dependent_friction": "load",
-    "gear_efficiency": "load",
-    "friction_change": "direction velocity",
-    "position_dependent_friction": "position",
-    "thermal_friction": "temperature time velocity",
-    "quadratic_drag": "velocity",
-    "nonlinear_viscous": "velocity",
-    "presliding_hysteresis": "velocity direction",
-    "spring": "position",
-    "payload": "position load acceleration",
-    "base_tilt": "position",
-    "rotor_inertia": "acceleration",
-    "transmission_coupling": "other_joint",
-    "joint_elasticity": "acceleration load",
-    "backlash": "load acceleration",
-    "torque_ripple": "position",
-    "external_contact": "time",
-    "torque_constant": "load acceleration",
-    "torque_saturation": "load",
-    "torque_bias": "time",
-    "drift": "time",
-    "periodic_disturbance": "time_frequency time",
-    "time_skew": "acceleration",
-    "actuator_lag": "acceleration",
-    "encoder_eccentricity": "position",
-}
+_DEPENDS = (  # what an unexplained residual may rightly be said to depend on, for which effects
+    ("position", "spring base_tilt torque_ripple encoder_eccentricity position_dependent_friction"),
+    ("velocity", "quadratic_drag nonlinear_viscous"),
+    ("velocity direction", "stribeck presliding_hysteresis friction_change"),
+    ("direction", "asymmetric_friction"),
+    ("load", "load_dependent_friction gear_efficiency torque_saturation"),
+    ("acceleration", "rotor_inertia time_skew actuator_lag"),
+    ("acceleration load", "joint_elasticity backlash torque_constant"),
+    ("position load acceleration", "payload"),
+    ("temperature time velocity", "thermal_friction"),
+    ("other_joint", "transmission_coupling"),
+    ("time", "external_contact torque_bias drift"),
+    ("time_frequency time", "periodic_disturbance"),
+)
+QUANTITIES = {kind: set(asked.split()) for asked, kinds in _DEPENDS for kind in kinds.split()}
 
 
 def one_step(row: Row) -> bool:
@@ -64,7 +50,6 @@ def one_step(row: Row) -> bool:
 
 
 def related(name: str, kind: str) -> bool:
-    """Whether two effects are of one family."""
     return name == kind or any({name, kind} <= group for group in FAMILIES)
 
 
@@ -92,7 +77,6 @@ def finding_is(
 
 
 def surely_wrong(row: Row) -> bool:
-    """Whether a name that is not even of a hidden effect's family is stated with certainty."""
     return any(
         finding["confidence"] >= SURE and finding_is(row, finding) == "wrong"
         for finding in row.get("findings", ())
@@ -133,7 +117,7 @@ def label(row: Row, number: int) -> Label:
     unexplained = [entry[1] for entry in row["unexplained"] if _here(entry[0], joint)]
     if kind != "position_dependent_friction":
         unexplained = [each for each in unexplained if not _of_position(row, each)]
-    asked = set(QUANTITIES[kind].split())
+    asked = QUANTITIES[kind]
     if any(asked & {quantity.partition(":")[0] for quantity in each} for each in unexplained):
         return "quantity"
     if near or unexplained:
@@ -142,10 +126,7 @@ def label(row: Row, number: int) -> Label:
 
 
 def _left(row: Row, joint: str) -> float:
-    """RMSE in noise floors, at a joint or at the worst of all.
-
-    Of what the file, moved by no more than its own errors, and right findings leave.
-    """
+    """RMSE in noise floors, at a joint or at the worst of all."""
     chosen = [entry for name, entry in row["residuals"].items() if _here(name, joint)]
     left = [min(rmse, more) / floor for rmse, floor, more in chosen if rmse and floor and more]
     return max(left, default=0.0)

@@ -52,17 +52,12 @@ class Effect:
     scale: float = 1.0  # 1 is a usual size, `most` what the effect can be at the most
 
     def make(self, scale: float) -> "Effect":
-        """The effect in a size."""
         return replace(self, scale=scale)
 
 
 @dataclass(frozen=True)
 class Log:
-    """What was logged, and the truth beside it.
-
-    t (N,) s, q (N, n) rad, torque (N, n) N m, temperature (N, n) degC, per IMU its accelerometers
-    (N, K) m/s^2 and its gyro (N, 3) rad/s; true_torque (N, n) N m is the motors'.
-    """
+    """What was logged, and the truth beside it."""
 
     t: Array
     q: Array
@@ -74,7 +69,6 @@ class Log:
 
 
 def built(arm: Arm, effects: Sequence[Effect] = ()) -> mujoco.MjModel:
-    """The arm with what the effects change of it."""
     root = mjcf(arm)
     for effect in effects:
         if effect.xml:
@@ -95,10 +89,7 @@ def _motors(arm: Arm, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
 
 
 def _controller(arm: Arm, reference: Array, rate: Array) -> tuple[Array, Array]:
-    """Inertia (n,) that the loops are tuned to, and what is fed forward (N, n).
-
-    Both are of the plain arm: nobody has told the controller what changed.
-    """
+    """Inertia (n,) that the loops are tuned to, and what is fed forward (N, n)."""
     model = built(arm)
     model.dof_frictionloss[:] = 0.0
     data = mujoco.MjData(model)
@@ -117,10 +108,7 @@ def _controller(arm: Arm, reference: Array, rate: Array) -> tuple[Array, Array]:
 def simulate(
     arm: Arm, reference: Array, seed: int, effects: Sequence[Effect] = (), start: float = 0.0
 ) -> Log:
-    """Follow a motion (N, n) at 1 kHz: PD, with most of the rigid arm's torque fed forward.
-
-    `start` [s] is when in the session the log begins.
-    """
+    """Follow a motion (N, n) at 1 kHz: PD, with most of the rigid arm's torque fed forward."""
     model = built(arm, effects)
     data = mujoco.MjData(model)
     motor, link = _motors(arm, model)
@@ -166,11 +154,7 @@ def simulate(
 
 
 def _logged(
-    arm: Arm,
-    times: Array,
-    truth: tuple[Array, Array, Array, Array],
-    seed: int,
-    effects: Sequence[Effect],
+    arm: Arm, times: Array, truth: Sequence[Array], seed: int, effects: Sequence[Effect]
 ) -> Log:
     rng = np.random.default_rng([seed, 5])
     q, tau, warmth, sensed = truth
@@ -182,7 +166,17 @@ def _logged(
     rows = slice(None, None, round(1.0 / (STEP_S * arm.rate_hz)))
     noise = arm.noise * arm.of("coulomb") * rng.normal(size=told[rows].shape)
     counts = arm.of("count")
-    accelerometers, gyros = _imus(arm, sensed[rows], rng)
+    accelerometers, gyros, at = {}, {}, 0  # the sensors' numbers come IMU by IMU
+    for k, imu in enumerate(arm.imus):
+        count = 3 * len(imu.corners)
+        clean = sensed[rows, at : at + count]
+        noisy = clean + imu.bias[:count] + imu.noise * rng.normal(size=clean.shape)
+        accelerometers[f"imu{k}"] = noisy
+        at += count
+        if imu.gyro:
+            clean = sensed[rows, at : at + 3]
+            gyros[f"imu{k}"] = clean + 0.002 * rng.normal(size=clean.shape)
+            at += 3
     return Log(
         times[rows],
         counts * np.round(q[rows] / counts),
@@ -192,20 +186,3 @@ def _logged(
         gyros,
         tau[rows],
     )
-
-
-def _imus(
-    arm: Arm, sensed: Array, rng: np.random.Generator
-) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Split the sensors' numbers (N, S) by IMU, with bias and noise."""
-    accelerometers, gyros, at = {}, {}, 0
-    for k, imu in enumerate(arm.imus):
-        count = 3 * len(imu.corners)
-        clean = sensed[:, at : at + count]
-        noise = imu.noise * rng.normal(size=clean.shape)
-        accelerometers[f"imu{k}"] = clean + imu.bias[:count] + noise
-        at += count
-        if imu.gyro:
-            gyros[f"imu{k}"] = sensed[:, at : at + 3] + 0.002 * rng.normal(size=(len(sensed), 3))
-            at += 3
-    return accelerometers, gyros

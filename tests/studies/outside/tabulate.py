@@ -1,6 +1,7 @@
 """The tables of `docs/outside.md`: answers by group and by effect, and stated confidences."""
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -36,7 +37,6 @@ Rows = Sequence[Row]
 
 
 def tables(rows: Rows) -> str:
-    """Markdown: what is asked, clean cases, groups, effects, confidences."""
     makers = (asked_table, clean_table, group_table, effect_table, confidence_table)
     return "\n\n".join(text for text in (make(rows) for make in makers) if text)
 
@@ -49,17 +49,11 @@ def _well(rows: Rows) -> list[Row]:
     return [row for row in rows if not row["error"]]
 
 
-def _failed(rows: Rows) -> str:
-    return str(len(rows) - len(_well(rows)))
-
-
 def _found(rows: Rows) -> list[list[str]]:
-    """How well each effect was found, case by case."""
     return [[label(row, k) for k in range(len(row["kinds"]))] for row in _well(rows)]
 
 
 def asked_table(rows: Rows) -> str:
-    """What matters most, of all cases that did not fail."""
     well, found = _well(rows), _found(rows)
     alone = [own[0] for own in found if len(own) == 1]
     pairs = [set(own) for own in found if len(own) == 2]
@@ -84,7 +78,6 @@ def asked_table(rows: Rows) -> str:
 
 
 def clean_table(rows: Rows) -> str:
-    """How often nothing is told of arms that lack nothing."""
     clean = [row for row in rows if not row["kinds"]]
     return grouped(
         "group",
@@ -96,21 +89,17 @@ def clean_table(rows: Rows) -> str:
             "cases": counted,
             "silent": lambda own: _share([silent(row) for row in _well(own)]),
             "a wrong name, surely": lambda own: str(sum(map(surely_wrong, _well(own)))),
-            "failed": _failed,
+            "failed": lambda own: str(len(own) - len(_well(own))),
         },
     )
 
 
 def group_table(rows: Rows) -> str:
-    """Shares of hidden effects by how well they were found, per group of cases."""
     hidden = [row for row in rows if row["kinds"]]
 
-    def share_of(key: str) -> Callable[[Rows], str]:
-        def cell(own: Rows) -> str:
-            hits = [x == key for found in _found(own) for x in found]
-            return _share(hits) if any(hits) else ""
-
-        return cell
+    def share_of(key: str, own: Rows) -> str:
+        hits = [x == key for found in _found(own) for x in found]
+        return _share(hits) if any(hits) else ""
 
     return grouped(
         "group",
@@ -118,19 +107,18 @@ def group_table(rows: Rows) -> str:
         {
             "cases": counted,
             "effects": lambda own: str(sum(map(len, _found(own)))),
-            **{name: share_of(key) for key, name in LABELS.items()},
+            **{name: partial(share_of, key) for key, name in LABELS.items()},
             "a wrong name, surely": lambda own: _share([surely_wrong(row) for row in _well(own)]),
-            "failed": _failed,
+            "failed": lambda own: str(len(own) - len(_well(own))),
         },
     )
 
 
 def effect_table(rows: Rows) -> str:
-    """The same per effect, with its median share of the torque."""
     every = [(row, k) for row in _well(rows) for k in range(len(row["kinds"]))]
 
-    def count_of(key: str) -> Callable[[Sequence[tuple[Row, int]]], str]:
-        return lambda own: str(sum(label(row, k) == key for row, k in own) or "")
+    def count_of(key: str, own: Sequence[tuple[Row, int]]) -> str:
+        return str(sum(label(row, k) == key for row, k in own) or "")
 
     return grouped(
         "effect",
@@ -138,13 +126,12 @@ def effect_table(rows: Rows) -> str:
         {
             "times": counted,
             "size": lambda own: percent(float(np.median([r["shares"][k] for r, k in own])), 1),
-            **{name: count_of(key) for key, name in LABELS.items()},
+            **{name: partial(count_of, key) for key, name in LABELS.items()},
         },
     )
 
 
 def confidence_table(rows: Rows) -> str:
-    """Stated confidences against how often they were right."""
     findings = [(item, finding_is(row, item)) for row in _well(rows) for item in row["findings"]]
     lines = []
     for low, high in BINS:

@@ -1,8 +1,4 @@
-"""Predicted standard errors against those obtained afterwards, on six-joint plants built anew.
-
-A first short session of each arm tells the noise; 150 s of moves are planned with it, recorded with
-several draws of noise, and identified: alone, and with the first session's logs (`--have`).
-"""
+"""Predicted standard errors against those obtained afterwards, on six-joint plants built anew."""
 
 from argparse import Namespace
 from collections.abc import Sequence
@@ -41,11 +37,10 @@ def study(chosen: Namespace) -> str:
 
 
 def compared(arm: int, draws: int) -> list[list[str]]:
-    """Alone, and with the first session's logs."""
     plant = another(six_joint(), np.random.default_rng([SEED, arm]))
     postures = list(SIX_POSTURES)
     slow = gravity_trials(plant, postures[:5], speeds=(0.3,))
-    trials = [*friction_trials(plant, postures[:1], lowest=0.08), *slow]
+    trials = [*friction_trials(plant, postures[0], lowest=0.08), *slow]
     experiment = run("six_joint", plant, trials, arm, every=EVERY)
     robot = experiment.robot
     before = before_inertia(experiment.recordings, robot)

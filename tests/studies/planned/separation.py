@@ -1,10 +1,4 @@
-"""Does `plan discriminate` separate what a log at hand does not tell apart? On two joints.
-
-Each case is a pair of the catalogue's page and of the literature: one effect at a joint, a short
-log in which the diagnosis leaves the other name open, the motion planned with that log, recorded on
-the same plant, and a second diagnosis of all logs. The plan was tuned on one seed, joint and size,
-and judged on others once.
-"""
+"""Does `plan discriminate` separate what a log at hand does not tell apart? On two joints."""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -85,12 +79,10 @@ class Outcome:
 
     @property
     def told(self) -> bool:
-        """Whether the plan says beforehand that the rival may stay."""
         return self.power < ENOUGH
 
 
 def study(chosen: argparse.Namespace) -> str:
-    """Names before and after the planned motion, case by case."""
     sources = package_sources("plan", "discover", "model") + plant_sources()
     parts = []
     for name, drawn in list(DRAWN.items())[: 1 if chosen.quick else None]:
@@ -127,10 +119,7 @@ def _table(found: Sequence[Outcome]) -> str:
 
 
 def outcome(pair: tuple[str, str], drawn: Drawn, cache: Path) -> Outcome:
-    """One pair: the first log that leaves the rival open, and what the plan makes of it.
-
-    It plans with this log, records on the same plant, and diagnoses all logs.
-    """
+    """One pair: the first log that leaves the rival open, and what the plan makes of it."""
     (effect, rival), (seed, joint, sizes) = pair, drawn
     clean = Condition("clean", "two", seed + EARLIER)
     robot, stages = robot_for(clean), stages_of(clean, cache)

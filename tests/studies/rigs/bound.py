@@ -24,10 +24,7 @@ SLIDES = 1e-3  # rad/s
 
 
 def bound(plant: Plant, logs: Sequence[Log], name: str, *, friction: bool, motion: bool) -> float:
-    """Smallest standard error that an unbiased estimate of one of `RIGID` can have (kg m, kg m^2).
-
-    Given are friction's values or only its form, and the motion or only the encoder.
-    """
+    """Smallest standard error of an unbiased estimate of one of `RIGID` (kg m, kg m^2)."""
     information = 0.0
     for log in logs:
         rate = 1.0 / float(log.t[1] - log.t[0])

@@ -13,7 +13,7 @@ from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.robots.identified import held_out, noise_floor, simultaneous
 from tests.plants.robots.lab import Experiment
 from tests.plants.simulate import Plant
-from tests.studies.tables import number, rms, spread, table
+from tests.studies.tables import number, rms, table
 
 METHODS = ("sequential", "simultaneous", "current noise alone")
 
@@ -55,12 +55,12 @@ def surface_of(plant: Plant) -> SurfaceFriction:
 
 
 def parameter_table(rows: Mapping[str, tuple[Sequence[Estimate], str]]) -> str:
-    """Errors of the repetitions next to the paper's, by quantity."""
     lines = []
     for label, (found, paper) in rows.items():
-        s = spread([100 * e.error for e in found])
+        errors = 100 * np.array([e.error for e in found])
         z = rms([e.error / e.std_error for e in found])
-        lines.append([label, *map(number, (s.median, s.worst, s.mean, z)), paper])
+        sizes = np.median(np.abs(errors)), np.abs(errors).max(), errors.mean(), z
+        lines.append([label, *map(number, sizes), paper])
     return table(
         ["parameter", "median error %", "worst %", "mean (signed) %", "rms z", "paper %"], lines
     )

@@ -1,7 +1,7 @@
 """An arm of a UR5e's size: held-out torque, honesty of the standard errors, IMU mountings."""
 
 from argparse import Namespace
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,10 +18,7 @@ SEED, REPETITIONS = 43, 3
 EVERY = 4  # control periods per recorded row: 250 Hz
 
 
-@dataclass(frozen=True)
-class Repetition:
-    """Results of one arm built anew."""
-
+class Repetition(NamedTuple):
     torque: Torque
     z: dict[str, list[float]]  # errors over standard errors of every base parameter, by stage
     rank: str
@@ -29,22 +26,17 @@ class Repetition:
 
 
 def repetition(number_of: int) -> Repetition:
-    """Build the arm, record, identify, predict."""
     rng = np.random.default_rng([SEED, number_of])
     plant = another(six_joint(), rng)
-    experiment = run(
-        "six_joint", plant, six_joint_trials(plant, rng), SEED + number_of, every=EVERY
-    )
+    trials = six_joint_trials(plant, rng)
+    experiment = run("six_joint", plant, trials, SEED + number_of, every=EVERY)
     stages = sequential(experiment.recordings, experiment.robot)
     standard, mounted = true_standard(plant), stages.imu.imus
     return Repetition(
         torque=predicted(experiment, stages),
         z={
-            name: [(p.value - true_value(p.terms, standard)) / p.std_error for p in parameters]
-            for name, parameters in (
-                ("gravity", stages.gravity.parameters),
-                ("inertia", stages.inertia.parameters),
-            )
+            name: [(p.value - true_value(p.terms, standard)) / p.std_error for p in own.parameters]
+            for name, own in (("gravity", stages.gravity), ("inertia", stages.inertia))
         },
         rank=f"{stages.inertia.rank} of {stages.inertia.structural_rank}",
         imus={imu.name: turned(imu, mounted[imu.name]) for imu in plant.imus},
@@ -52,8 +44,6 @@ def repetition(number_of: int) -> Repetition:
 
 
 def study(chosen: Namespace) -> str:
-    """All tables of this arm; there is no quick way to them."""
-    del chosen
     found = [repetition(k) for k in range(REPETITIONS)]
     ranks = ", ".join(sorted({r.rank for r in found}))
     columns = {method: [r.torque[method][0] for r in found] for method in METHODS}

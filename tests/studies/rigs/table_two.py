@@ -1,8 +1,4 @@
-"""The paper's Table II on a twin of its rig: the link's inertia by four ways to get at its motion.
-
-Each seed is a rig built anew: other friction, another mounting of the array, whose sensors have the
-faults of cheap ones. All stages run on its own logs. Errors are in % of the true inertia.
-"""
+"""The paper's Table II on a twin of its rig: the link's inertia by four sources of motion."""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -45,10 +41,7 @@ PAPER = {"differenced": "79", "imu": "16"}
 
 
 def rig(factor: int, seed: int, rng: np.random.Generator) -> Plant:
-    """The rig with `factor` counts per line of its encoder, and a cheap accelerometer's errors.
-
-    These are of bias, gain, axes, and a clock two milliseconds late.
-    """
+    """The rig with `factor` counts per line of its encoder, and a cheap accelerometer's errors."""
     plant = another(one_joint(quadrature_factor=factor), rng)
     faults = Faults(seed=seed, bias=0.2, turn_on=0.02, scale=0.005, tilt=0.005, delay=0.002)
     return replace(plant, imus=tuple(replace(x, bias=0.0, faults=faults) for x in plant.imus))
@@ -59,7 +52,7 @@ def trials(plant: Plant, rng: np.random.Generator, *, short: bool = False) -> li
     home = [np.zeros(1)]
     speeds, lowest, seconds = (5, 0.2, 4.0) if short else (8, 0.08, 12.0)
     return [
-        *friction_trials(plant, home, speeds=speeds, lowest=lowest),
+        *friction_trials(plant, home[0], speeds=speeds, lowest=lowest),
         *gravity_trials(plant, home, speeds=(0.2, 0.3) if short else (0.1, 0.2)),
         *imu_trials(plant, home),
         *inertia_trials(plant, home, rng, seconds=seconds),
@@ -70,9 +63,8 @@ def errors(factor: int, seed: int, *, short: bool = False) -> dict[str, float]:
     """Error of the inertia, % of the true one, by each way."""
     rng = np.random.default_rng([SEED, factor, seed])
     plant = rig(factor, seed, rng)
-    experiment = run(
-        "one_joint", plant, trials(plant, rng, short=short), SEED + 100 * factor + seed
-    )
+    motions = trials(plant, rng, short=short)
+    experiment = run("one_joint", plant, motions, SEED + 100 * factor + seed)
     logs, robot = experiment.recordings, experiment.robot
     stages = before_inertia(logs, robot)
     found = {
@@ -94,10 +86,7 @@ def errors(factor: int, seed: int, *, short: bool = False) -> dict[str, float]:
 
 
 def differenced(experiment: Experiment, stages: Stages, cutoff_hz: float | None) -> float:
-    """The link's inertia, kg m^2, from differences of counts; torque as recorded.
-
-    `stages` hold friction and gravity; without `cutoff_hz` the differences are not filtered.
-    """
+    """The link's inertia, kg m^2, from differences of counts; torque as recorded."""
     robot = experiment.robot
     model = TorqueModel.from_stages(stages, robot)
     reflected = float((gear_ratios(robot) ** 2 * known_rotors(robot))[0])
@@ -116,7 +105,6 @@ def differenced(experiment: Experiment, stages: Stages, cutoff_hz: float | None)
 
 
 def table_of(results: Mapping[int, Sequence[Mapping[str, float]]]) -> str:
-    """The table; results per encoder and seed."""
     rows = []
     for way, label in WAYS.items():
         cells = []
@@ -133,12 +121,10 @@ def table_of(results: Mapping[int, Sequence[Mapping[str, float]]]) -> str:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Options of this study."""
     parser.add_argument("--rigs", type=int, default=50, help="per encoder, for table_two")
 
 
 def study(chosen: argparse.Namespace) -> str:
-    """The table with what it is made of."""
     seeds = 1 if chosen.quick else chosen.rigs
     results = {f: [errors(f, seed, short=chosen.quick) for seed in range(seeds)] for f in FACTORS}
     return f"{seeds} rigs per encoder.\n\n{table_of(results)}"

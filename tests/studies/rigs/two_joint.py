@@ -1,7 +1,7 @@
 """The paper's planar two-joint rig (Sec. 4.2): Table IV and the friction surfaces."""
 
 from argparse import Namespace
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,10 +11,9 @@ from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import FrictionStage, RigidStage
 from tests.plants.arms.rigs import two_joint
 from tests.plants.robots.identified import sequential
-from tests.plants.robots.lab import run, true_standard, true_value
+from tests.plants.robots.lab import run, true_friction, true_standard, true_value
 from tests.plants.samples import two_joint_trials
 from tests.plants.simulate import Plant
-from tests.studies.coverage.score import true_friction
 from tests.studies.rigs.repetition import (
     METHODS,
     Estimate,
@@ -38,8 +37,7 @@ ORDERS = {
 }
 
 
-@dataclass(frozen=True)
-class SurfaceError:
+class SurfaceError(NamedTuple):
     """Identified friction against the true one inside the identified range, share of its RMS."""
 
     rms: float
@@ -47,17 +45,13 @@ class SurfaceError:
     orders: str
 
 
-@dataclass(frozen=True)
-class Repetition:
-    """Results of one rig built anew; errors are shares of the true values."""
-
+class Repetition(NamedTuple):
     estimates: dict[str, Estimate]
     surfaces: dict[str, SurfaceError]  # by joint and orders
     torque: Torque
 
 
 def repetition(number_of: int) -> Repetition:
-    """Build the rig, record, identify, predict."""
     rng = np.random.default_rng([SEED, number_of])
     plant = another(two_joint(), rng)
     experiment = run("two_joint", plant, two_joint_trials(plant, rng), SEED + number_of)
@@ -97,7 +91,6 @@ def surface_error(plant: Plant, stage: FrictionStage, joint: int) -> SurfaceErro
 
 
 def study(chosen: Namespace) -> str:
-    """All tables of this rig."""
     found = [repetition(k) for k in range(1 if chosen.quick else REPETITIONS)]
     parameters = {
         symbol: ([r.estimates[name] for r in found], paper)
@@ -115,13 +108,12 @@ def study(chosen: Namespace) -> str:
         cells = [*np.median(values, axis=0), *values.max(axis=0)]
         torques.append([method, *(number(float(x), 3) for x in cells)])
     joints = [f"{what} {joint}" for what in ("median", "worst") for joint in two_joint().arm.names]
+    surface = ["friction surface", "median of RMS error %", "largest error %", "m, l"]
     return "\n\n".join(
         [
             f"{len(found)} rigs; errors in % of the true value.",
             parameter_table(parameters),
-            table(
-                ["friction surface", "median of RMS error %", "largest error %", "m, l"], surfaces
-            ),
+            table(surface, surfaces),
             table(["held-out torque RMSE, mN m", *joints], torques),
         ]
     )

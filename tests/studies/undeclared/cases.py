@@ -40,11 +40,7 @@ PAIR_SEED = 2000
 
 @dataclass(frozen=True)
 class Sensors:
-    """Instruments other than usual: factors of noise and encoder step, control periods per row.
-
-    `coloured` is the least share of the noise's variance that is 1/f; `keep` says which of the logs
-    there are.
-    """
+    """Instruments other than usual: factors of noise and encoder step, control periods per row."""
 
     noise: float = 1.0
     coloured: float = 0.0
@@ -88,42 +84,32 @@ class Condition:
 
     @property
     def simple_friction(self) -> bool:
-        """Whether friction is Coulomb and viscous, as the classical way takes it to be."""
         return not self.start.startswith("sequential")
 
     @property
     def key(self) -> str:
-        """A name for the case, to search for in the results."""
         effects = "+".join(f"{name}@{joint}x{size:g}" for name, joint, size in self.effects)
         parts = (self.group, self.rig, effects or "none", f"seed {self.seed}")
         return "/".join((*parts, self.start, self.sensors))
 
     def without(self, number: int) -> Condition:
-        """The same without one of its effects."""
         return replace(self, effects=self.effects[:number] + self.effects[number + 1 :])
 
 
 @dataclass(frozen=True)
 class Record:
-    """What came out of one case.
-
-    `excess` is, per true effect, by what share it raises each joint's held-out RMSE. Without a
-    diagnosis `error` says why.
-    """
+    """What came out of one case."""
 
     condition: Condition
     diagnosis: DiagnosisFile | None
     excess: tuple[tuple[float, ...], ...]
-    seconds: Mapping[str, float]
+    seconds: float  # of the diagnosis
     error: str = ""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """One undeclared effect: its name in the catalogue, if any, and which joints are right.
-
-    `joints` is (None,) for an effect of the whole arm, both joints for a coupled pair.
-    """
+    """One undeclared effect: its name in the catalogue, if any, and which joints are right."""
 
     name: str
     kind: str | None
@@ -174,7 +160,7 @@ def built(condition: Condition) -> tuple[Plant, tuple[Truth, ...]]:
             places = (names[joint], names[joint - 1])
         depends = found.depends_on or QUANTITIES.get(found.kind or "", ())
         if depends == ("other_joint",):
-            depends = tuple(f"other_joint:{names[k]}" for k in (joint, other(plant, joint)))
+            depends = tuple(f"other_joint:{names[k]}" for k in (joint, other(joint)))
         plant = found.plant
         truths.append(Truth(name, found.kind, places, depends))
     return plant, tuple(truths)
@@ -204,12 +190,10 @@ def _alone(group: Group, names: Iterable[str], sizes: Iterable[float] = SIZES) -
 
 
 def outside() -> list[Condition]:
-    """Effects that the catalogue does not have, clear and small."""
     return _alone("outside", OUTSIDE)
 
 
 def clean() -> Iterator[Condition]:
-    """Nothing undeclared: every kind of instruments, and every file to start from."""
     for number, sensors in enumerate(SENSORS):
         first = CLEAN_SEED + SEEDS_APART * number
         for seed, rig in product(range(first, first + CLEAN_RUNS), RIG_NAMES):
@@ -220,7 +204,6 @@ def clean() -> Iterator[Condition]:
 
 
 def pairs() -> Iterator[Condition]:
-    """Two kinds at once, drawn at random; half of them on one joint."""
     rng = np.random.default_rng(44)
     for number in range(PAIRS):
         rig = ("two", "six")[number % 2]
@@ -237,7 +220,6 @@ def pairs() -> Iterator[Condition]:
 
 
 def starts() -> Iterator[Condition]:
-    """Other files to start from: those of before a change, and sequential ones."""
     for seed, rig, name, size in product(SEEDS, RIG_NAMES, CHANGES, SIZES):
         yield _single("starts", rig, name, seed, size, "before")
     for seed, rig, name in product(range(2), RIG_NAMES, CATALOGUE):
@@ -247,7 +229,6 @@ def starts() -> Iterator[Condition]:
 
 
 def matrix() -> tuple[Condition, ...]:
-    """All cases of the study, seed by seed."""
     return (*clean(), *_alone("catalogue", CATALOGUE), *pairs(), *outside(), *starts())
 
 
@@ -257,7 +238,6 @@ def in_the_model(condition: Condition, name: str) -> bool:
 
 
 def quick() -> tuple[Condition, ...]:
-    """One seed of ten kinds and of the clean arm, two joints."""
     return (
         Condition("clean", "two", CLEAN_SEED),
         *(_single("catalogue", "two", name, 0) for name in QUICK),

@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -44,7 +44,6 @@ class Logs:
 
 
 def logs_of(condition: Condition, cache: Path) -> Logs:
-    """Simulate a case's logs, or read them from the cache."""
     sensors = SENSORS[condition.sensors]
     plant, _ = built(condition)
     found: dict[bool, list[Recording]] = {False: [], True: []}
@@ -57,12 +56,10 @@ def logs_of(condition: Condition, cache: Path) -> Logs:
                 cache, what, plant, drill.reference, seed, every=sensors.every, start=drill.start
             )
             found[drill.held_out].append(recording)
-    robot = robot_for(condition)
-    return Logs(robot, tuple(found[False]), tuple(found[True]))
+    return Logs(robot_for(condition), tuple(found[False]), tuple(found[True]))
 
 
 def robot_for(condition: Condition) -> Robot:
-    """The robot file of a case."""
     return robot_of(condition.rig, declared(condition))
 
 
@@ -107,36 +104,41 @@ def stored(
 
 
 def plant_sources() -> str:
-    """Hash of the simulator's sources, so that a change of physics makes new logs."""
     return sources_of(Path(plants.__file__).parent, but=("samples",))
 
 
 def sequential_trials(plant: Plant, rig: str) -> list[Trial]:
-    """Experiments for friction, gravity and inertia."""
     postures = list(TWO_POSTURES if rig == "two" else SIX_POSTURES)
     rng = np.random.default_rng(TRIAL_SEED)
     pairs = [(0, 1)] * 3 if rig == "two" else None
     return [
-        *friction_trials(plant, postures[:1], lowest=0.08),
+        *friction_trials(plant, postures[0], lowest=0.08),
         *gravity_trials(plant, postures[:5], speeds=(0.3,)),
         *inertia_trials(plant, postures, rng, pairs=pairs, seconds=5.0),
     ]
 
 
-def experiments_of(condition: Condition, cache: Path) -> Mapping[str, list[Recording]]:
-    """The sequential experiments' recordings, stage by stage, minutes of pauses between them."""
-    usual, (plant, _) = declared(condition), built(condition)
+def in_turn(
+    cache: Path, plant: Plant, plan: Iterable[tuple[str, str, Reference, int, int]], pause: float
+) -> dict[str, list[Recording]]:
+    """Recordings by part, `pause` s apart; each of a part, label, motion, seed and `every`."""
     found: dict[str, list[Recording]] = {}
     start = FIRST_START
-    for number, trial in enumerate(sequential_trials(usual, condition.rig)):
-        what = f"{_plant_label(condition)}|{trial.stage}/{trial.name}"
-        seed = TRIAL_SEED + number
-        recording = stored(
-            cache, what, plant, trial.reference, seed, every=TRIAL_EVERY, start=round(start, 3)
-        )
-        found.setdefault(trial.stage, []).append(recording)
-        start += trial.reference.duration + PAUSE
+    for part, what, reference, seed, every in plan:
+        log = stored(cache, what, plant, reference, seed, every=every, start=round(start, 3))
+        found.setdefault(part, []).append(log)
+        start += reference.duration + pause
     return found
+
+
+def experiments_of(condition: Condition, cache: Path) -> Mapping[str, list[Recording]]:
+    """The sequential experiments' recordings, by stage."""
+    label, every = _plant_label(condition), TRIAL_EVERY
+    plan = [
+        (t.stage, f"{label}|{t.stage}/{t.name}", t.reference, TRIAL_SEED + k, every)
+        for k, t in enumerate(sequential_trials(declared(condition), condition.rig))
+    ]
+    return in_turn(cache, built(condition)[0], plan, PAUSE)
 
 
 def earlier_logs(condition: Condition, cache: Path) -> Mapping[str, Sequence[Recording]]:
@@ -151,7 +153,6 @@ def earlier_logs(condition: Condition, cache: Path) -> Mapping[str, Sequence[Rec
 
 
 def stages_of(condition: Condition, cache: Path) -> Stages:
-    """The parameter file that the case starts from, see `Condition`."""
     logs, robot = earlier_logs(condition, cache), robot_for(condition)
     if condition.simple_friction:
         return simultaneous(logs["friction"], robot)

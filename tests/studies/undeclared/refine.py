@@ -1,7 +1,4 @@
-"""What refinements are held against: a model that is told its effects and their joints.
-
-It is fitted to the same logs by the same recipe.
-"""
+"""What refinements are held against: a model that is told its effects and their joints."""
 
 from collections.abc import Mapping, Sequence
 

@@ -1,13 +1,12 @@
 """Whether a diagnosis is right, by the rules that the study's tables are made with."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import permutations
+from types import SimpleNamespace
 
 from msgspec.structs import replace
 
-from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
-from tests.studies.undeclared.cases import Condition, Record, Truth, built, in_the_model
+from seqid_cli.params.results.diagnosis import FindingEntry
+from tests.studies.undeclared.cases import Record, Truth, built, in_the_model
 from tests.unit.params.documents import diagnosis_file
 
 SURE = 0.8  # confidence from which a wrong mechanism counts as a confident error
@@ -19,62 +18,15 @@ FAILED = replace(diagnosis_file(), findings=[], unexplained=[], joints={}, event
 
 
 def named(finding: FindingEntry, truth: Truth) -> bool:
-    """Whether the finding is of the true kind, or says that it might be."""
     return truth.kind is not None and truth.kind in (finding.effect, *finding.confusable_with)
 
 
 def right(finding: FindingEntry, truth: Truth) -> bool:
-    """Whether it is of the true kind at the right joint; None is the whole arm's."""
     return named(finding, truth) and finding.joint in truth.joints
 
 
-@dataclass(frozen=True)
-class Judged:
-    """A case and how its diagnosis is judged; by its first effect if not said otherwise.
-
-    Attributes
-    ----------
-    right, kind_right, own_name, first_right : bool
-        The first finding has kind and joint; the kind; both without help of confusable ones; both
-        of any of the effects.
-    found, all_found : bool
-        Some finding has kind and joint of any effect; every effect has one of its own.
-    quiet, alarm, silent : bool
-        The verdict is that nothing is missing; there is a finding; there is none.
-    explained_away, all_quantities : bool
-        The verdict is unexplained, with some quantity that the effect depends on named at a right
-        joint; with all of them.
-    sure_and_wrong : bool
-        Some finding of confidence above `SURE` is none of the true effects.
-    seen, loud : bool
-        All effects leave something to find in these logs; one makes some joint's held-out RMSE half
-        larger.
-    """
-
-    record: Record
-    diagnosis: DiagnosisFile
-    truths: tuple[Truth, ...]
-    truth: Truth
-    first: Sequence[FindingEntry]
-    right: bool
-    kind_right: bool
-    own_name: bool
-    first_right: bool
-    found: bool
-    all_found: bool
-    quiet: bool
-    alarm: bool
-    silent: bool
-    explained_away: bool
-    all_quantities: bool
-    sure_and_wrong: bool
-    seen: bool
-    loud: bool
-
-    @property
-    def condition(self) -> Condition:
-        """The case."""
-        return self.record.condition
+class Judged(SimpleNamespace):
+    """A case and how its diagnosis is judged; by its first effect if not said otherwise."""
 
 
 def judged(record: Record) -> Judged:
@@ -91,14 +43,18 @@ def judged(record: Record) -> Judged:
     hit = any(right(f, truth) for f in first)
     return Judged(
         record=record,
+        condition=condition,
         diagnosis=diagnosis,
         truths=truths,
         truth=truth,
         first=first,
+        # The first finding has kind and joint; the kind; both without help of confusable ones;
+        # both of any of the effects.
         right=hit,
         kind_right=any(named(f, truth) for f in first),
         own_name=hit and first[0].effect == truth.kind,
         first_right=any(right(f, t) for f in first for t in truths),
+        # Some finding has kind and joint of any effect; every effect has one of its own.
         found=any(right(f, t) for f in findings for t in truths),
         all_found=any(
             all(map(right, chosen, truths)) for chosen in permutations(findings, len(truths))
@@ -106,11 +62,13 @@ def judged(record: Record) -> Judged:
         quiet=diagnosis.verdict == "nothing_missing",
         alarm=bool(first),
         silent=not first,
+        # Unexplained, with some quantity that the effect depends on at a right joint; with all.
         explained_away=any(own & set(truth.depends_on) for own in told),
         all_quantities=any(set(truth.depends_on) <= own for own in told),
         sure_and_wrong=any(
             f.confidence > SURE and not any(right(f, t) for t in truths) for f in findings
         ),
+        # All effects leave something to find in these logs; one makes some RMSE half larger.
         seen=not any(in_model) and all(share >= INVISIBLE for share in excess),
         loud=any(share >= LOOSE for share in excess),
     )

@@ -13,7 +13,7 @@ import msgspec
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.params.results.diagnosis import DiagnosisFile
-from tests.studies.coverage.cases import RIGS
+from tests.studies.coverage.study import NAMES
 from tests.studies.records import encoded, package_sources, results
 from tests.studies.undeclared.cases import RIG_NAMES, Condition, Group, Record, matrix, quick
 from tests.studies.undeclared.logs import errors, excess, logs_of, plant_sources, stages_of
@@ -23,7 +23,6 @@ PARTS = ("discover", "identify", "model", "motion", "robot")  # what a diagnosis
 
 
 def study(arguments: Namespace) -> str:
-    """Run what is not there yet; return the tables."""
     cases = cases_of(arguments)
     sources = package_sources(*PARTS) + plant_sources()
     found = results(
@@ -44,7 +43,7 @@ def study(arguments: Namespace) -> str:
 
 def run_case(condition: Condition, cache: Path) -> Record:
     """Record, identify, diagnose with the options that a user has who sets none."""
-    record = Record(condition, None, (), {})
+    record = Record(condition, None, (), 0.0)
     try:
         logs, stages = logs_of(condition, cache), stages_of(condition, cache)
         own = errors(logs.held_out, logs.robot, stages)
@@ -52,29 +51,25 @@ def run_case(condition: Condition, cache: Path) -> Record:
         record, clock = replace(record, excess=more), time.monotonic()
         said = diagnose(logs.training, logs.robot, stages, options=DiscoverOptions())
         found = msgspec.json.decode(encoded(said), type=DiagnosisFile)  # what is no number: error
-        seconds = {"diagnose": round(time.monotonic() - clock, 2)}
-        return replace(record, diagnosis=found, seconds=seconds)
+        return replace(record, diagnosis=found, seconds=round(time.monotonic() - clock, 2))
     except Exception as problem:  # whatever goes wrong is counted, and the study goes on
         return replace(record, error=f"{type(problem).__name__}: {problem}")
 
 
 def _told(record: Record) -> str:
-    """One line per case to the screen, so that a long study shows how it goes."""
     if record.diagnosis is None:
         return record.error
     named = [f"{f.effect}@{f.joint} {f.confidence:.2f}" for f in record.diagnosis.findings]
-    seconds = " ".join(f"{name} {value:.0f}" for name, value in record.seconds.items())
-    return f"{record.diagnosis.verdict} {', '.join(named)} ({seconds} s)"
+    return f"{record.diagnosis.verdict} {', '.join(named)} ({record.seconds:.0f} s)"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
-    """Options that only this study has, or others of simulated arms as well."""
     add = parser.add_argument_group("undeclared effects").add_argument
     folder = Path(tempfile.gettempdir()) / "seqid-study"
     add("--cache", type=Path, default=folder, help="logs and results (%(default)s)")
     add("--processes", "--jobs", type=int, default=1, help="cases at a time (%(default)s)")
     add("--only-kind", nargs="+", metavar="NAME", help="with one of these effects")
-    add("--rig", choices=list(dict.fromkeys([*RIG_NAMES, *RIGS])), help="one robot alone")
+    add("--rig", choices=list(dict.fromkeys([*RIG_NAMES, *NAMES])), help="one robot alone")
     add("--seeds", metavar="A-B", help="these seeds alone (coverage: A:B)")
     more = "add so much to seeds: other motions, noise"
     add("--fresh", type=int, default=0, metavar="N", help=more)
@@ -85,14 +80,12 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def cases_of(arguments: Namespace) -> list[Condition]:
-    """Cases that the options leave."""
     every = quick() if arguments.quick else matrix()
     chosen = [case for case in every if _chosen(case, arguments)]
     return [replace(case, seed=case.seed + arguments.fresh) for case in chosen]
 
 
 def whole(arguments: Namespace) -> bool:
-    """Whether no case of the study is left out."""
     return cases_of(arguments) == list(matrix())
 
 

@@ -31,7 +31,6 @@ def share(hit: str | Select, only: Select = lambda case: True) -> Cell:
 
 
 def by_rig(label: str, hit: str) -> dict[str, Cell]:
-    """Two cells: the share on each of the arms."""
     return {f"{label}, {name}": share(hit, _where(rig=rig)) for rig, name in RIGS.items()}
 
 
@@ -51,7 +50,6 @@ def mistaken(hit: str) -> Cell:
 
 
 def _where(**asked: object) -> Select:
-    """Cases whose condition has these values."""
     return lambda case: all(getattr(case.condition, k) == value for k, value in asked.items())
 
 
@@ -60,7 +58,6 @@ def _chosen(cases: Cases, **asked: object) -> list[Judged]:
 
 
 def _seen(cases: Cases, group: str) -> list[Judged]:
-    """Cases of a group that leave something to find."""
     return [case for case in _chosen(cases, group=group) if case.seen]
 
 
@@ -77,7 +74,6 @@ USUAL: Mapping[str, Cell] = {
 
 
 def tables(records: Sequence[Record], wanted: int) -> str:
-    """All tables; `wanted` is the number of cases of the study."""
     cases = [judged(record) for record in records]
     failed = [r for r in records if r.diagnosis is None]
     sections = {
@@ -101,8 +97,7 @@ def tables(records: Sequence[Record], wanted: int) -> str:
 def _seconds(records: Sequence[Record]) -> str:
     parts = []
     for rig, name in RIGS.items():
-        own = [r.seconds for r in records if r.condition.rig == rig]
-        spent = [seconds["diagnose"] for seconds in own if "diagnose" in seconds]
+        spent = [r.seconds for r in records if r.condition.rig == rig and r.diagnosis]
         if spent:
             middle, longest = number(float(np.median(spent))), number(max(spent))
             parts.append(f"{name}: median {middle} s, longest {longest} s")
@@ -110,7 +105,6 @@ def _seconds(records: Sequence[Record]) -> str:
 
 
 def kinds(cases: Cases) -> str:
-    """Per kind: how often the first finding has kind and joint."""
     alone = _seen(cases, "catalogue")
     tight = [c for c in alone if c.truth.kind != "backlash"]
     loose = [c for c in alone if c.truth.kind == "backlash"]
@@ -142,7 +136,6 @@ def kinds(cases: Cases) -> str:
 
 
 def clean(cases: Cases) -> str:
-    """False alarms."""
     alone = _chosen(cases, group="clean")
     usual = _chosen(alone, start="simultaneous")
     groups = {name: _chosen(usual, sensors=name) for name in SENSORS}
@@ -157,7 +150,6 @@ def clean(cases: Cases) -> str:
 
 
 def pairs(cases: Cases) -> str:
-    """Two effects at once."""
     alone = _chosen(cases, group="pairs")
     joints = [len({joint for _, joint, _ in c.condition.effects}) for c in alone]
     groups = {
@@ -176,7 +168,6 @@ def pairs(cases: Cases) -> str:
 
 
 def outside(cases: Cases) -> str:
-    """What the catalogue does not have."""
     own = _seen(cases, "outside")
     columns = {
         "unexplained, right quantity and joint": share("explained_away"),
@@ -190,7 +181,6 @@ def outside(cases: Cases) -> str:
 
 
 def starts(cases: Cases) -> str:
-    """Files other than those of the same logs."""
     alone = _seen(cases, "starts")
     before = _chosen(alone, start="before")
     groups = {

@@ -7,12 +7,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from tests import Array
 from tests.plants.arms.rigs import one_joint, six_joint, two_joint
 from tests.plants.friction.surface import Friction, Frictionless, stick_slip
 from tests.plants.mechanics.rigid import Rigid, build_model, link_motion
 from tests.plants.motions.experiments import validation_trials
-from tests.plants.motions.trajectories import Reference, hold
+from tests.plants.motions.trajectories import hold
 from tests.plants.simulate import Plant, simulate
 
 PLANTS: dict[str, Callable[..., Plant]] = {
@@ -24,32 +23,7 @@ PLANTS: dict[str, Callable[..., Plant]] = {
 
 @pytest.fixture(params=sorted(PLANTS))
 def plant(request: pytest.FixtureRequest) -> Plant:
-    """Each of the robots."""
     return PLANTS[str(request.param)]()
-
-
-def busy(plant: Plant, seconds: float = 2.0, rate_hz: float = 1000.0) -> Reference:
-    """All joints move."""
-    rng = np.random.default_rng(3)
-    trials = validation_trials(plant, rng, runs=1, seconds=seconds, points=1, rate_hz=rate_hz)
-    return trials[0].reference
-
-
-def released(plant: Plant) -> Plant:
-    """Return the same arm without friction and without control."""
-    zero = np.zeros(plant.arm.n)
-    gains = replace(plant.gains, stiffness=zero, damping=zero)
-    return replace(plant, friction=Frictionless(), gains=gains, coulomb_guess=zero)
-
-
-def fall(plant: Plant, seconds: float, rate_hz: float) -> tuple[Array, Array]:
-    """Let go of the arm in some posture: q and dq (N, n)."""
-    arm = plant.arm
-    weightless = replace(arm, phi=np.zeros_like(arm.phi) + 1e-12, rotor_inertia=np.zeros(arm.n))
-    start = np.linspace(0.5, 1.0, arm.n)
-    loose = replace(released(plant), nominal=weightless)
-    log = simulate(loose, hold(start, seconds, rate_hz), 0, imus=False)
-    return log.truth.q, log.truth.dq
 
 
 @pytest.mark.parametrize("coupled", [False, True])
@@ -57,12 +31,20 @@ def fall(plant: Plant, seconds: float, rate_hz: float) -> tuple[Array, Array]:
 def test_energy_is_conserved_without_friction_and_control(name: str, coupled: bool) -> None:
     """Kinetic plus potential energy stays while the arm falls and turns potential into kinetic."""
     rig = PLANTS[name]()
-    arm = replace(rig.arm, rotor_coupling=coupled)
-    q, dq = fall(replace(rig, arm=arm), 0.8, 2000.0)
-    rigid = Rigid(arm)
-    total = np.array([rigid.energy(a, b) for a, b in zip(q[::50], dq[::50], strict=True)])
-    still = np.zeros(arm.n)
-    moved = abs(rigid.energy(q[-1], still) - rigid.energy(q[0], still))
+    arm, still = replace(rig.arm, rotor_coupling=coupled), np.zeros(rig.arm.n)
+    loose = replace(
+        rig,
+        arm=arm,
+        friction=Frictionless(),
+        gains=replace(rig.gains, stiffness=still, damping=still),
+        coulomb_guess=still,
+        nominal=replace(arm, phi=np.zeros_like(arm.phi) + 1e-12, rotor_inertia=still),
+    )
+    start = hold(np.linspace(0.5, 1.0, arm.n), 0.8, 2000.0)
+    truth, rigid = simulate(loose, start, 0, imus=False).truth, Rigid(arm)
+    rows = zip(truth.q[::50], truth.dq[::50], strict=True)
+    total = np.array([rigid.energy(q, dq) for q, dq in rows])
+    moved = abs(rigid.energy(truth.q[-1], still) - rigid.energy(truth.q[0], still))
     assert moved > 0.002
     assert np.abs(total - total[0]).max() < 2e-4 * moved
 
@@ -96,7 +78,9 @@ def test_accelerometers_match_differentiated_positions(plant: Plant) -> None:
 
 def test_torque_balance_is_rnea_on_the_true_motion(plant: Plant) -> None:
     """Actuator torque minus friction is Pinocchio's inverse dynamics plus the rotors."""
-    log = simulate(plant, busy(plant), 1, imus=False)
+    rng = np.random.default_rng(3)
+    (busy, _) = validation_trials(plant, rng, seconds=2.0, points=1)
+    log = simulate(plant, busy.reference, 1, imus=False)
     truth, rigid = log.truth, Rigid(plant.arm)
     rows = range(0, len(log.t), 7)
     tau = np.array([rigid.inverse(truth.q[k], truth.dq[k], truth.ddq[k]) for k in rows])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests import Array
-from tests.plants.arms.rated import rated_torque
 from tests.plants.arms.vertical import vertical_two_joint
+from tests.plants.effects.friction import rated_torque
 from tests.plants.effects.registry import REGISTRY, inject
 from tests.plants.mechanics.hidden import Hidden, Spring
 from tests.plants.motions.trajectories import Reference, periodic
@@ -19,14 +19,12 @@ PAIR = "transmission_coupling"
 
 
 def rig() -> Plant:
-    """The arm without noise and with Coulomb and viscous friction."""
     plant = vertical_two_joint(simple_friction=True)
     return replace(plant, current_noise=np.zeros(2), current_step=0.0)
 
 
 @pytest.fixture(scope="module")
 def motion() -> Reference:
-    """Both joints of the vertical arm, 3 s."""
     plant = rig()
     low, high = 0.9 * plant.position_limits.T
     top, push = 0.9 * plant.velocity_limits, 0.9 * plant.acceleration_limits
@@ -38,7 +36,6 @@ def motion() -> Reference:
 
 @pytest.fixture(scope="module")
 def plain(motion: Reference) -> Array:
-    """Logged torque of the clean arm, (N, n) N m."""
     return torque_of(rig(), motion)
 
 
@@ -49,7 +46,6 @@ def stiff(motion: Reference) -> Array:
 
 
 def torque_of(plant: Plant, motion: Reference) -> Array:
-    """Logged torque, (N, n) N m."""
     return simulate(plant, motion, 0, imus=False, start=600.0).current * plant.torque_per_ampere
 
 

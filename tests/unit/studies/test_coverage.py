@@ -29,11 +29,7 @@ def test_seeds_for_tuning_and_for_judging_are_not_mixed(text: str) -> None:
 
 
 def test_identification_without_noise_recovers_the_truths(tmp_path: Path) -> None:
-    """Truths written by hand for two links in a plane that is tilted.
-
-    A hundredth is what the stages themselves leave without noise; a term that the truth lacked
-    would be a tenth of it or more.
-    """
+    """Truths by hand for two links in a tilted plane; the stages leave 1 % without noise."""
     case = Case("planar", 4, "white", "fine")
     drawn = draw(case)
     plant = replace(drawn.plant, friction=plain(drawn.plant.friction))  # type: ignore[arg-type]

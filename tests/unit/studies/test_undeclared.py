@@ -21,7 +21,7 @@ HITS = ("right", "kind_right", "own_name", "found", "all_found", "sure_and_wrong
 def record(*effects: tuple[str, int, float], share: float = 0.03, **said: Any) -> Record:
     diagnosis = replace(FAILED, **{"verdict": "effects_missing", **said})
     case = Condition("pairs", "two", 1, effects)
-    return Record(case, diagnosis, ((0.0, share),) * len(effects), {"diagnose": 1.0})
+    return Record(case, diagnosis, ((0.0, share),) * len(effects), 1.0)
 
 
 ELBOW, SHOULDER = replace(FOUND, joint="elbow"), replace(FOUND, joint="shoulder")
@@ -54,7 +54,7 @@ def test_what_does_not_show_is_not_counted_and_a_failure_is_wrong() -> None:
     assert judged(record(STRIBECK)).seen
     assert not judged(record(STRIBECK, share=0.01)).seen
     assert not judged(record(("payload", 0, 1.0))).seen  # the model has it
-    failed = Record(record(STRIBECK).condition, None, (), {}, "ValueError: no")
+    failed = Record(record(STRIBECK).condition, None, (), 0.0, "ValueError: no")
     assert not judged(failed).right
     assert not judged(failed).quiet
     text = tables([record(STRIBECK, SPRING, findings=[]), failed], 3)

@@ -1,10 +1,9 @@
-"""Recorded robots: what is asked of them, what is added to the classical fit, held-out errors."""
+"""Recorded robots: the classical fit, what is asked of them, what is added, held-out errors."""
 
 import time
 from argparse import Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 from seqid_cli.discover.diagnosis import diagnose
@@ -22,9 +21,89 @@ from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
 from seqid_cli.params.schema import ClosedLoop, EffectOfJoint, Stages
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.studies.recorded.classical import CASES, DATA, Case, missing
+from tests import ROOT
+from tests.plants.robots.identified import HeldOut, held_out, simultaneous
 from tests.studies.tables import number, table
 from tests.studies.undeclared.refine import file_of
+
+DATA = ROOT / ".." / "shared" / "data"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One robot: its folder, what to fit, what to predict, and the published fit's RMSE (N m)."""
+
+    name: str
+    folder: Path
+    train: tuple[str, ...]
+    held_out: tuple[str, ...]
+    baseline: tuple[float, ...]
+    baseline_cutoff_hz: float
+
+    def logs(self) -> tuple[Robot, list[Recording], list[Recording]]:
+        """The robot, the training logs and the held-out ones."""
+        robot = load_robot(self.folder / "robot.toml")
+        train = [read_recording(self.folder / name, robot) for name in self.train]
+        return robot, train, [read_recording(self.folder / name, robot) for name in self.held_out]
+
+    @property
+    def missing(self) -> str:
+        there = all((self.folder / name).is_file() for name in (*self.train, *self.held_out))
+        return "" if there else f"{self.name}: left out, its logs are not beside the project."
+
+
+STAUBLI, UR10E = DATA / "staubli_tx40", DATA / "ur10e_innopolis"
+TRIALS = "identification__ur-20_02_{}.parquet"
+CASES = (
+    Case(
+        "Staubli TX40",
+        STAUBLI,
+        ("train.parquet",),
+        ("holdout.parquet",),
+        (1.88, 4.28, 1.07, 0.62, 5.27, 2.20),
+        40.0,
+    ),
+    Case(
+        "UR10e",
+        UR10E,
+        tuple(map(TRIALS.format, ("12-50sec_12harm", "12-40sec_12harm", "10-30sec_12harm"))),
+        (TRIALS.format("19_15harm50sec"),),
+        (2.58, 3.77, 1.18, 0.39, 0.81, 0.63),
+        5.0,
+    ),
+)
+
+
+def classical(chosen: Namespace) -> str:
+    """The classical fit on one part of the logs, its prediction of the rest, a table per robot."""
+    return "\n\n".join(case.missing or _classical(case) for case in CASES)
+
+
+def predicted(case: Case, cutoff_hz: float | None = None) -> HeldOut:
+    """Fit the training logs, predict the held-out ones; the cut-off is chosen if not given."""
+    motion = MotionOptions(cutoff_hz=cutoff_hz)
+    robot, train, rest = case.logs()
+    stages = simultaneous(train, robot, motion=motion)
+    return held_out(rest, robot, stages, InertiaOptions(motion=motion))
+
+
+def _classical(case: Case) -> str:
+    same, found = predicted(case, case.baseline_cutoff_hz), predicted(case)
+    theirs = f"{case.baseline_cutoff_hz:g} Hz"
+    sizes = {
+        f"fit to compare with, {theirs}": case.baseline,
+        "all samples": found.every,
+        f"all samples, {theirs}": same.every,
+        "sliding samples": found.sliding,
+    }
+    rows = [[name, *(number(float(x), 3) for x in values)] for name, values in sizes.items()]
+    rows.append(["share sliding, %", *(f"{100 * float(x):.0f}" for x in found.sliding_share)])
+    header = [f"{case.name}, held-out RMSE, N m"]
+    header += [f"joint {k + 1}" for k in range(len(case.baseline))]
+    cutoffs = ", ".join(f"{hz:.1f}" for hz in found.cutoff_hz)
+    note = f"{case.name}: cut-off chosen for the held-out log {cutoffs} Hz."
+    return f"{table(header, rows)}\n\n{note}"
+
 
 HEADER = ("data set", "asked", "found (confidence)", "before", "after", "limit", "met", "CPU s")
 LOAD = frozenset({"load_dependent_friction", "gear_efficiency"})
@@ -36,34 +115,23 @@ NAN = float("nan")
 
 
 def row(
-    data: str,
-    asked: str,
-    found: str,
-    met: bool,
-    seconds: float,
-    before: float = NAN,
-    after: float = NAN,
-    limit: float = NAN,
+    data: str, asked: str, found: str, met: bool, seconds: float, sizes: Sequence[float] = ()
 ) -> list[str]:
-    """Cells of an answer: what was asked, what came out, RMSE [N m], CPU time [s]."""
-    sizes = [number(x, 3) for x in (before, after, limit)]
+    """An answer: what was asked and found, CPU time, RMSE [N m] before, after, and its limit."""
+    cells = [number(x, 3) for x in (*sizes, NAN, NAN, NAN)[:3]]
     took = number(seconds) if seconds < 10 else f"{seconds:.0f}"
-    return [data, asked, found, *sizes, "yes" if met else "no", took]
+    return [data, asked, found, *cells, "yes" if met else "no", took]
 
 
 @dataclass(frozen=True)
 class Asked:
-    """A question about an arm: is one of the effects named at one of the joints (from 0)?
-
-    And is the held-out error of the first of these within `limit` [N m]; `there` is False where
-    none is to be named or kept.
-    """
+    """Is one of the effects named at one of the joints (from 0)?"""
 
     text: str
     effects: frozenset[str]
     joints: tuple[int, ...]
-    limit: float = NAN
-    there: bool = True
+    limit: float = NAN  # N m, of the held-out error of the first of the joints
+    there: bool = True  # where not, none is to be named or kept
 
 
 @dataclass(frozen=True)
@@ -79,18 +147,16 @@ class Closed:
     refined_s: float
 
     def answer(self, asked: Asked) -> list[str]:
-        """The row of a question."""
         names = [self.robot.joint_names[joint] for joint in asked.joints]
         found = [f for f in self.named.findings if f.effect in asked.effects and f.joint in names]
         given = (self.name, asked.text, _told(found))
         seconds = self.diagnosed_s + self.refined_s
         if not asked.there:
             kept = [r for r in self.loop.rounds if r.accepted and r.effect in asked.effects]
-            met = not found and not any(r.joint in names for r in kept)
-            return row(*given, met, seconds)
+            return row(*given, not found and not any(r.joint in names for r in kept), seconds)
         before, after = (errors[names[0]].rmse for errors in (self.loop.before, self.loop.after))
         met = bool(found) and after < before and not after > asked.limit
-        return row(*given, met, seconds, before, after, asked.limit)
+        return row(*given, met, seconds, (before, after, asked.limit))
 
 
 def diagnosed(logs: Sequence[Recording], robot: Robot, most: int) -> DiagnosisFile:
@@ -101,36 +167,32 @@ def diagnosed(logs: Sequence[Recording], robot: Robot, most: int) -> DiagnosisFi
     return diagnose(logs, robot, Stages(friction=friction, inertia=inertia), options=options)
 
 
-def ripple(
-    data: str, log: Recording, robot: Robot, joint: int, order: float, *, there: bool
-) -> list[str]:
+def ripple(data: str, path: Path, joint: int, order: float, *, there: bool) -> list[str]:
     """Whether a ripple of `order` is named at a joint, from a single log."""
-    start = time.process_time()
+    robot = load_robot(path.parent / "robot.toml")
+    log, start = read_recording(path, robot), time.process_time()
     alone, name = robot.n == 1, robot.joint_names[joint]
     found = diagnosed([log], robot, 4 if alone else 6)
     seconds = time.process_time() - start
     lines = [f for f in found.findings if f.effect in RIPPLE and f.joint == name]
-    near = [f for f in lines if abs(f.settings["order"] - order) < _width(f)]
+    orders = [f.settings["order"] for f in lines]
+    # Of 72 cycles per turn half of one counts as the same line.
+    widths = [LINES if own < 10.0 else 0.5 for own in orders]
+    every = zip(lines, orders, widths, strict=True)
+    near = [f for f, own, width in every if abs(own - order) < width]
     asked = f"ripple of order {order:g}" if there else f"no line of order {order:g}: none named"
     left = found.joints[name]
     # The lines of several joints lie above the cut-off, where the model is not judged.
     sizes = (left.rmse, left.rmse_explained) if alone else ()
-    return row(data, asked, _told(near), bool(near) == there, seconds, *sizes)
+    return row(data, asked, _told(near), bool(near) == there, seconds, sizes)
 
 
-def _width(finding: FindingEntry) -> float:
-    """Cycles per motor turn that count as the same line: of 72 per turn half of one."""
-    return LINES if finding.settings["order"] < 10.0 else 0.5
-
-
-def echoes(
-    data: str, read: Callable[[Path], Recording], logs: Sequence[Path], robot: Robot
-) -> list[str]:
+def echoes(data: str, logs: Sequence[Path], robot: Robot) -> list[str]:
     """Whether just the logs whose torque echoes the command are refused."""
     start, refused = time.process_time(), set()
     for path in logs:
         try:
-            usable_logs([read(path)], robot)
+            usable_logs([read_recording(path, robot)], robot)
         except InputError:
             refused.add(path.stem)
     told = f"refused: {', '.join(sorted(refused)) or 'none'} of {len(logs)}"
@@ -174,54 +236,32 @@ NOTE = (
 )
 
 
-def study(chosen: Namespace | None = None, data: Path = DATA) -> str:
-    """What was asked and what came out, then one table per robot; there is no quick way to them.
-
-    A robot whose logs are not there is named and left out.
-    """
-    del chosen
+def effects(chosen: Namespace) -> str:
+    """What was asked and what came out, then one table per robot whose logs are there."""
     answers: list[list[str]] = []
     parts: list[str] = []
     for case in CASES:
-        said = missing(case, data / case.folder)
-        if not said:
-            found = closed(case, data / case.folder)
+        if not case.missing:
+            found = closed(case)
             answers += [found.answer(asked) for asked in ASKED[case.name]]
-        parts.append(said or rendered(found))
-    answers += _single(data)
+        parts.append(case.missing or rendered(found))
+    for k in range(1, 7):
+        path = UR10E / f"jointwise__ur-20_01_22-joint_{k}.parquet"
+        if path.is_file():
+            there = k in LINE_AT
+            answers.append(ripple(f"UR10e, trial of joint {k}", path, k - 1, 2.0, there=there))
+    motor = DATA / "laas_cogging" / "stopped_data.parquet"
+    if motor.is_file():
+        answers.append(ripple("LAAS motor, holding", motor, 0, 72.0, there=True))
+    folder = DATA / "dfki_simple_pendulum"
+    if logs := sorted(folder.glob("*.parquet")):
+        answers.append(echoes("DFKI pendulum", logs, load_robot(folder / "robot.toml")))
     return "\n\n".join([table(HEADER, answers), NOTE, *parts])
 
 
-def _single(data: Path) -> list[list[str]]:
-    """Joint-by-joint trials, the cogging motor, the pendulum: as far as they are there."""
-    ur10e, laas = data / "ur10e_innopolis", data / "laas_cogging"
-    asked = [
-        (f"jointwise__ur-20_01_22-joint_{k + 1}", f"UR10e, trial of joint {k + 1}", k, 2.0)
-        for k in range(6)
-    ]
-    trials = [(ur10e / f"{stem}.parquet", *rest) for stem, *rest in asked]
-    trials.append((laas / "stopped_data.parquet", "LAAS motor, holding", 0, 72.0))
-    answers: list[list[str]] = []
-    for path, name, k, order in trials:
-        if path.is_file():
-            robot = load_robot(path.parent / "robot.toml")
-            there = path.parent == laas or k + 1 in LINE_AT
-            log = read_recording(path, robot)
-            answers.append(ripple(name, log, robot, k, order, there=there))
-    folder = data / "dfki_simple_pendulum"
-    if logs := sorted(folder.glob("*.parquet")):
-        robot = load_robot(folder / "robot.toml")
-        answers.append(echoes("DFKI pendulum", partial(read_recording, robot=robot), logs, robot))
-    return answers
-
-
-def closed(case: Case, folder: Path) -> Closed:
+def closed(case: Case) -> Closed:
     """Fit the training logs, refine with them, look at the held-out ones."""
-    robot = load_robot(folder / "robot.toml")
-    train, rest = (
-        [read_recording(folder / name, robot) for name in names]
-        for names in (case.train, case.held_out)
-    )
+    robot, train, rest = case.logs()
     friction, inertia = identify_simultaneous(train, robot, options=MotionOptions(), offset=True)
     earlier = {"friction": train}
     file = file_of(robot, Stages(friction=friction, inertia=inertia), earlier)
@@ -260,12 +300,11 @@ def rendered(found: Closed) -> str:
 
 def _named(found: Closed, joint: str | None) -> str:
     """Effects at a joint with their parameters and standard errors."""
-
-    def said(entry: EffectOfJoint) -> str:
+    said = []
+    for entry in (entry for entry in found.effects if entry.joint == joint):
         values = [
             f"{p.name} {number(p.value)} +- {number(p.std_error)} {p.unit}"
             for p in entry.parameters
         ]
-        return f"{entry.effect} ({', '.join(values)})"
-
-    return "; ".join(said(entry) for entry in found.effects if entry.joint == joint)
+        said.append(f"{entry.effect} ({', '.join(values)})")
+    return "; ".join(said)

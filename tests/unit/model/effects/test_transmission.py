@@ -162,18 +162,15 @@ def test_friction_and_inertia_of_the_motor_come_back(ratio: float) -> None:
 
 
 def test_both_neighbours_are_tried() -> None:
-    scenes, effect = trials(with_both(1.0), 1), TransmissionCoupling()
-    grids = [(j, s) for j in (0, 1) for s in effect.grid(scenes, j, [])]
+    """Ratios between a slide and a turn are in units of their top speeds."""
+    seen, effect = scene_of(wander(20.0, seed=4, rests=())), TransmissionCoupling()
+    grids = [(j, s) for j in (0, 1) for s in effect.grid([seen], j, [])]
     offered = [(j, s["neighbour"]) for j, s in grids if s["ratio"] == 1.0]
     assert offered == [(0, 1.0), (1, -1.0)]
-
-
-def test_a_screw_that_slides_and_turns() -> None:
-    """Ratios between a slide and a turn are in units of their top speeds."""
     q = wander(20.0, seed=4, rests=()) * np.array([1.0, 0.05])
-    seen, effect = scene_of(q, robot=two_joint_robot(prismatic=True)), TransmissionCoupling()
-    top = np.max(np.abs(seen.motion.dq), axis=0)
-    one, other = ([s["ratio"] for s in effect.grid([seen], j, [])] for j in (1, 0))
+    screw = scene_of(q, robot=two_joint_robot(prismatic=True))
+    top = np.max(np.abs(screw.motion.dq), axis=0)
+    one, other = ([s["ratio"] for s in effect.grid([screw], j, [])] for j in (1, 0))
     assert max(one) == pytest.approx(top[1] / top[0])
     assert max(one) < 0.2
     assert 1 / max(one) in [pytest.approx(ratio) for ratio in other]

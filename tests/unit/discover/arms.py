@@ -1,51 +1,45 @@
 """Logs of the hand-made two-joint arm whose torque above and below the cut-off is known."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.model import FREE, Ground, Hold, Model
+from seqid_cli.discover.select.results import Options, Selected
+from seqid_cli.discover.select.selection import select
 from seqid_cli.discover.survey.rows import rows_of
+from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.schema import Parameter, RigidStage, Stages
 from seqid_cli.robot.base_parameters import free_basis
 from tests import Array
-from tests.plants.robots.two_joint import torque_model, two_joint_robot
 from tests.unit.model.effects.scenes import scene_of, wander
 
 Extra = Callable[[Scene], Array]  # (N, n) N m, not filtered
 
 NOISE = (0.3, 0.1)  # N m per sample
-SECONDS = 16.0
 DRAG = 0.3  # N m s^2/rad^2
 MASS, OUT = 0.8, 0.3  # kg, m
-LOGS = 3
 
 
 def arm_scenes(
     extra: Extra | None = None,
     *,
     seed: int = 0,
-    logs: int = LOGS,
-    seconds: float = SECONDS,
+    logs: int = 3,
+    seconds: float = 16.0,
     noise: tuple[float, float] = NOISE,
 ) -> list[Scene]:
     """Return logs on one clock: the model's torque, white noise, and what is added to it."""
-    rng = np.random.default_rng(seed)
-    robot = two_joint_robot()
-    model = torque_model(robot)
-    scenes = []
+    rng, scenes = np.random.default_rng(seed), []
     for log in range(logs):
         q = wander(seconds, seed=10 * seed + log, rests=())
-        start = 40.0 * log
-        scene = scene_of(q, robot=robot, model=model, log=log, start=start, shared_clock=True)
+        scene = scene_of(q, log=log, start=40.0 * log, shared_clock=True)
         tau = scene.modelled + rng.normal(size=q.shape) * np.array(noise)
-        if extra is not None:
-            tau = tau + extra(scene)
-        scenes.append(measuring(scene, tau))
+        scenes.append(measuring(scene, tau if extra is None else tau + extra(scene)))
     return scenes
 
 
@@ -69,7 +63,7 @@ def at_joint(joint: int, torque: Callable[[Scene], Array]) -> Extra:
 def drag(scene: Scene) -> Array:
     """Torque (N,) of the first joint that grows with the square of its speed."""
     v = scene.motion.dq[:, 0]
-    return np.asarray(DRAG * v * np.abs(v))
+    return DRAG * v * np.abs(v)
 
 
 def payload(scene: Scene) -> Array:
@@ -79,6 +73,17 @@ def payload(scene: Scene) -> Array:
     return np.stack([X[j] @ body for j in range(scene.robot.n)], axis=1)
 
 
+def selected(
+    scenes: Sequence[Scene],
+    effects: Iterable[str | Effect],
+    options: Options | None = None,
+    stages: Stages | None = None,
+) -> Selected:
+    """Return what is selected of some effects of the catalogue, or of others."""
+    chosen = [CATALOGUE[one] if isinstance(one, str) else one for one in effects]
+    return select(ground_of(scenes, stages), options, chosen).told()
+
+
 def model_of(scenes: Sequence[Scene], hold: Hold = FREE, stages: Stages | None = None) -> Model:
     """Return a model without terms, fitted to scenes."""
     return Model(ground_of(scenes, stages), hold)
@@ -86,8 +91,7 @@ def model_of(scenes: Sequence[Scene], hold: Hold = FREE, stages: Stages | None =
 
 def ground_of(scenes: Sequence[Scene], stages: Stages | None = None) -> Ground:
     """Return the rows of scenes, and what they have to be explained by."""
-    rows = rows_of(scenes)
-    return Ground.of(rows, stages or Stages())
+    return Ground.of(rows_of(scenes), stages or Stages())
 
 
 def candidate(name: str, joint: int | None, **settings: float) -> Candidate:
@@ -102,11 +106,9 @@ def file_of(scene: Scene) -> Stages:
         Parameter(name=name, value=0.0, std_error=1e-3, unit=basis.unit(k))
         for k, name in enumerate(basis.names)
     ]
+    kinds = {"condition": 1.0, "rank": basis.size}
     covariance = (1e-6 * np.eye(basis.size)).tolist()
-    inertia = RigidStage(
-        parameters=parameters, condition=1.0, rank=basis.size, covariance=covariance
-    )
-    return Stages(inertia=inertia)
+    return Stages(inertia=RigidStage(parameters=parameters, covariance=covariance, **kinds))
 
 
 ALIKE = 0.6  # share of the first joint's motion in the second's
@@ -114,13 +116,11 @@ ALIKE = 0.6  # share of the first joint's motion in the second's
 
 def related_scenes(seed: int, logs: int = 4, seconds: float = 20.0) -> list[Scene]:
     """Return logs in which the second joint moves partly like the first."""
-    robot = two_joint_robot()
-    model = torque_model(robot)
     scenes = []
     for log in range(logs):
         q = wander(seconds, seed=100 * seed + log, top_hz=0.6, rests=())
         q[:, 1] = ALIKE * q[:, 0] + np.sqrt(1 - ALIKE**2) * q[:, 1]
-        scenes.append(scene_of(q, robot=robot, model=model, log=log))
+        scenes.append(scene_of(q, log=log))
     return scenes
 
 

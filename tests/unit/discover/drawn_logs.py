@@ -1,38 +1,32 @@
 """Logs whose positions, torque and noise are made up, and scenes of them; 500 Hz, two joints."""
 
-from collections.abc import Sequence
-from pathlib import Path
-
 import numpy as np
 
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.survey.rows import Rows, rows_of
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import Stages
 from tests import Array
+from tests.plants.robots.made import made_recording
 from tests.plants.robots.two_joint import two_joint_robot
 
 RATE_HZ = 500.0
 CUTOFF_HZ = 8.0
-PERIOD_S = 4.37
 OPTIONS = InertiaOptions(motion=MotionOptions(cutoff_hz=CUTOFF_HZ))
 
 
 def recording(q: Array, tau: Array, rate_hz: float = RATE_HZ, name: str = "log") -> Recording:
-    """Wrap samples (N, n) as a log."""
-    t = np.arange(len(q)) / rate_hz
-    valid = np.ones(len(q), dtype=bool)
-    return Recording(Path(name), "", "parquet", t, q, valid, Health(rate_hz, 0.0), tau=tau)
+    return made_recording(q, tau, rate_hz=rate_hz, path=name)
 
 
-def scenes(logs: Sequence[Recording]) -> tuple[list[Scene], Rows]:
-    """Scenes without a model, so that all torque is residual, and their rows."""
-    found = scenes_of(logs, two_joint_robot(), Stages(), options=OPTIONS)
-    return found, rows_of(found)
+def scene_of(log: Recording) -> tuple[Scene, Rows]:
+    """Scene without a model, so that all torque is residual, and its rows."""
+    found = scenes_of([log], two_joint_robot(), Stages(), options=OPTIONS)
+    return found[0], rows_of(found)
 
 
 def wander(seconds: float, seed: int) -> Array:
@@ -64,5 +58,4 @@ def smooth_torque(q: Array) -> Array:
 def low_passed(values: Array, scene: Scene) -> Array:
     """Values (N, n) of a log as its scene's torque has them."""
     lowpass = Lowpass(CUTOFF_HZ, RATE_HZ)
-    factor = round(RATE_HZ / scene.motion.rate_hz)
-    return lowpass(lowpass(values))[::factor]
+    return lowpass(lowpass(values))[:: round(RATE_HZ / scene.motion.rate_hz)]

@@ -10,6 +10,9 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from seqid_cli.discover.excerpts.excerpts import Excerpts, take_excerpts
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.identify.log_set import LogSet
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.schema import ParameterFile, Stages
@@ -23,10 +26,8 @@ from tests.plants.robots.lab import recording_of, robot_of
 
 RIG = "vertical_two_joint"
 MOTIONS = ("fast", "slow", "middle")  # begin and end at rest in the same posture
-SECONDS = 10.0
-ROUNDS = 3
 BEGUN = 1000.0  # s, on the log's clock
-GROUP = 20_000
+MOST = 429_760  # as MOST_VALUES counts: a good half of the log
 
 
 @dataclass(frozen=True)
@@ -53,23 +54,26 @@ class LongCase:
         for j, name in enumerate(self.robot.joint_names):
             columns[f"{name}.position"] = self.log.q[:, j]
             columns[f"{name}.torque"] = self.log.tau[:, j]
-        pq.write_table(pa.table(columns), path, row_group_size=GROUP)
+        pq.write_table(pa.table(columns), path, row_group_size=20_000)
         return path
+
+    def pieces(self, path: Path, *, places: bool = True) -> Excerpts:
+        """Write the log and take excerpts from the file."""
+        logs, options = LogSet([self.written(path)], self.robot), DiscoverOptions().motion
+        return take_excerpts(
+            logs, self.robot, self.stages, options=options, most_values=MOST, places=places
+        )
 
 
 @cache
-def long_case(*effects: tuple[str, int, float], seed: int = 1, rounds: int = ROUNDS) -> LongCase:
+def long_case(*effects: tuple[str, int, float], seed: int = 1) -> LongCase:
     """Simulate the arm, with effects that its robot file does not say."""
-    first = Case(RIG, seed, effects, seconds=SECONDS)
-    plant = injections(first)[-1].plant if effects else declared_plant(first)
-    drills = [
-        drill
-        for k in range(rounds)
-        for drill in motions(replace(first, seed=seed + k))
-        if drill.name in MOTIONS
-    ]
-    long = Drill("long", join([drill.reference for drill in drills]), 20.0)
+    first = Case(RIG, seed, effects, seconds=10.0)
     declared = declared_plant(first)
-    log = replace(recording_of(declared, "long", run_drill(plant, long, 1000 * seed)), start=0.0)
+    plant = injections(first)[-1].plant if effects else declared
+    every = [motions(replace(first, seed=seed + k)) for k in range(3)]
+    references = [drill.reference for drills in every for drill in drills if drill.name in MOTIONS]
+    drill = Drill("long", join(references), 20.0)
+    log = replace(recording_of(declared, "long", run_drill(plant, drill, 1000 * seed)), start=0.0)
     robot = robot_of(RIG, declared)
     return LongCase(log, robot, simultaneous([log], robot))

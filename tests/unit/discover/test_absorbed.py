@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from seqid_cli.discover.absorbed import FileTrials
-from seqid_cli.discover.base import has_trials, surface_columns
+from seqid_cli.discover.base import surface_columns
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import Ground
 from seqid_cli.discover.survey.rows import rows_of
@@ -24,58 +23,59 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.base_parameters import base_regressor, free_basis
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests import ROOT, Array
-from tests.unit.discover.arms import arm_scenes, candidate
+from tests import ROOT
+from tests.unit.discover.arms import arm_scenes, at_joint, drag, selected
 
 SAMPLES = ROOT / "sample_logs"
 ORDERS = FrictionOptions(position_order=4, velocity_order=3)
 SLOWEST, FASTEST = 0.4, 3.0  # rad/s, between the trials' slowest and fastest
 ONE, LIFT = ("one_joint", "joint_1"), ("six_joint", "shoulder_lift")
-EFFECTS = {  # sample robot and joint; settings; coefficients; how well it is known
-    "stribeck": (ONE, {"stribeck_speed": 0.6, "exponent": 2.0}, (0.01,), 0.05),
-    "nonlinear_viscous": (ONE, {"exponent": 0.5}, (0.01,), 0.05),
-    "load_dependent_friction": (ONE, {}, (0.1,), 0.05),
-    "actuator_lag": (LIFT, {}, (0.005,), 0.15),
-    "time_skew": (LIFT, {"around": 0.005}, (0.005,), 0.15),
+EFFECTS = {  # stage; sample robot and joint; settings; coefficients; how well it is known
+    "stribeck": ("friction", ONE, {"stribeck_speed": 0.6, "exponent": 2.0}, (0.01,), 0.05),
+    "nonlinear_viscous": ("friction", ONE, {"exponent": 0.5}, (0.01,), 0.05),
+    "load_dependent_friction": ("friction", ONE, {}, (0.1,), 0.05),
+    "actuator_lag": ("friction", LIFT, {}, (0.005,), 0.15),
+    "time_skew": ("friction", LIFT, {"around": 0.005}, (0.005,), 0.15),
+    "gear_efficiency": ("gravity", LIFT, {}, (0.02, 0.06), 0.15),
 }
-BOTH_WAYS = {"gear_efficiency": (LIFT, {}, (0.02, 0.06), 0.15)}
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-def test_friction_identified_with_an_effect_has_more_by_what_is_absorbed(name: str) -> None:
-    (sample, own), settings, size, known = EFFECTS[name]
+def test_a_stage_identified_with_an_effect_has_more_by_what_is_absorbed(name: str) -> None:
+    stage, (sample, own), settings, size, known = EFFECTS[name]
     arm = _Arm.of(sample, own)
-    (scene,) = arm.scenes()
-    with_it = identify_friction(
-        [arm.with_effect(name, settings, size)[0]], arm.robot, options=ORDERS
-    )
-    taken = arm.absorbed(name, settings)[1 + arm.joint] @ size
-    old, new = (np.ravel(x.joints[own].positive) for x in (arm.stages.friction, with_it))
-    F = surface_columns(scene, arm.joint)[_between(scene, arm.joint)]
-    _agree(F @ taken, F @ (new - old), known)
+    j = arm.joint
+    changed = []
+    for log, scene in zip(arm.logs, arm.scenes(*arm.logs), strict=True):
+        torque = CATALOGUE[name].columns(scene.full or scene, j, settings)[j] @ size
+        changed.append(replace(log, tau=log.tau + np.outer(torque, np.eye(arm.robot.n)[j])))
+    with_it = stages_of(*changed, arm.robot)
 
-
-@pytest.mark.parametrize("name", BOTH_WAYS)
-def test_gravity_identified_with_an_effect_has_more_by_what_is_absorbed(name: str) -> None:
-    (sample, own), settings, size, known = BOTH_WAYS[name]
-    arm = _Arm.of(sample, own)
-    log, other = arm.with_effect(name, settings, size)
-    stages = Stages(friction=identify_friction([log], arm.robot, options=ORDERS))
-    with_it = identify_gravity([other, log], arm.robot, stages)
-    taken = arm.absorbed(name, settings)[0] @ size
-    basis = free_basis(arm.robot)
-    more = np.zeros(basis.size)
-    for one, sign in ((with_it, 1.0), (arm.stages.gravity, -1.0)):
-        for parameter in one.parameters:
-            more[basis.names.index(parameter.name)] += sign * parameter.value
-    q, rest = log.q, np.zeros_like(log.q)
-    G = base_regressor(arm.robot, basis, q, rest, rest)[:, arm.joint]
-    _agree(G @ taken, G @ more, known)
-
-
-def _agree(said: Array, found: Array, known: float) -> None:
+    (scene,) = arm.scenes(arm.logs[0])
+    ground = Ground.of(rows_of([scene]), arm.stages)
+    trials = FileTrials(ground.stage.scenes[0], ground.base, arm.stages)
+    taken = trials.absorbed(CATALOGUE[name], j, settings)
+    if stage == "friction":
+        speed = np.abs(scene.motion.dq[:, j])
+        columns = surface_columns(scene, j)[(speed > SLOWEST) & (speed < FASTEST)]
+        old, new = (np.ravel(x.friction.joints[own].positive) for x in (arm.stages, with_it))
+        said, more = taken[1 + j] @ size, new - old
+    else:
+        basis, q = free_basis(arm.robot), changed[0].q
+        columns = base_regressor(arm.robot, basis, q, 0.0 * q, 0.0 * q)[:, j]
+        said, more = taken[0] @ size, np.zeros(basis.size)
+        for one, sign in ((with_it, 1.0), (arm.stages, -1.0)):
+            for parameter in one.gravity.parameters:
+                more[basis.names.index(parameter.name)] += sign * parameter.value
+    found = columns @ more
     assert np.std(found) > 0.0
-    assert np.linalg.norm(said - found) < known * np.linalg.norm(found)
+    assert np.linalg.norm(columns @ said - found) < known * np.linalg.norm(found)
+
+
+def stages_of(trial: Recording, other: Recording, robot: Robot) -> Stages:
+    stages = Stages(friction=identify_friction([trial], robot, options=ORDERS))
+    stages.gravity = identify_gravity([other, trial], robot, stages)
+    return stages
 
 
 @dataclass(frozen=True)
@@ -94,50 +94,13 @@ class _Arm:
             read_recording(SAMPLES / sample / f"{x}/{own}.parquet", robot)
             for x in ("friction", "gravity")
         )
-        stages = Stages(friction=identify_friction([log], robot, options=ORDERS))
-        stages.gravity = identify_gravity([other, log], robot, stages)
+        stages = stages_of(log, other, robot)
         return cls(robot, robot.joint_names.index(own), (log, other), stages)
 
     def scenes(self, *logs: Recording) -> list[Scene]:
-        some = logs or self.logs[:1]
-        return scenes_of(some, self.robot, self.stages, options=InertiaOptions())
-
-    def with_effect(
-        self, name: str, settings: dict[str, float], size: Sequence[float]
-    ) -> list[Recording]:
-        changed, j = [], self.joint
-        for log, scene in zip(self.logs, self.scenes(*self.logs), strict=True):
-            tau = log.tau.copy()
-            tau[:, j] += CATALOGUE[name].columns(scene.full or scene, j, settings)[j] @ size
-            changed.append(replace(log, tau=tau))
-        return changed
-
-    def absorbed(self, name: str, settings: dict[str, float]) -> dict[int, Array]:
-        ground = Ground.of(rows_of(self.scenes()), self.stages)
-        return FileTrials(ground.stage.scenes[0], ground.base, self.stages).absorbed(
-            CATALOGUE[name], self.joint, settings
-        )
+        return scenes_of(logs, self.robot, self.stages, options=InertiaOptions())
 
 
-def _between(scene: Scene, joint: int) -> Array:
-    speed = np.abs(scene.motion.dq[:, joint])
-    return np.flatnonzero((speed > SLOWEST) & (speed < FASTEST))
-
-
-def test_files_absorb_nothing_of_what_was_not_there() -> None:
-    arm = _Arm.of(*ONE)
-    stage = Ground.of(rows_of(arm.scenes()), arm.stages).stage
-    whole = candidate("stribeck", 0, stribeck_speed=0.6, exponent=2.0)
-    some = replace(whole, absorbed="all")
-    columns, same = stage.columns([whole, some])
-    assert all(same[c] is X for c, X in columns.items())
-    assert stage.beside_file(columns, stage.in_file(whole)) is columns
-    left = stage.beside_file(columns, stage.in_file(some))[0]
-    assert 0.0 < np.linalg.norm(left) < 0.9 * np.linalg.norm(columns[0])
-
-
-def test_files_without_trials_have_absorbed_nothing_that_is_known() -> None:
-    (scene,) = arm_scenes(logs=1, seconds=8.0)
-    assert not has_trials(scene, 0)
-    assert not has_trials(scene, None)
-    assert not candidate("stribeck", 0, stribeck_speed=0.1, exponent=2.0).absorbed
+def test_a_file_without_trials_has_absorbed_nothing() -> None:
+    found = selected(arm_scenes(at_joint(0, drag)), ["quadratic_drag"])
+    assert [one.term.what.absorbed for one in found.taken] == [""]

@@ -1,11 +1,9 @@
 """Diagnosis from end to end on simulated logs of the two-joint arm."""
 
-import json
 import re
-from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache
 
 import msgspec
 import numpy as np
@@ -18,14 +16,15 @@ from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.notes import excess_residuals, expected, file_notes, outside_notes
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.select.model import Ground
+from seqid_cli.discover.select.rows import ALIKE
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.registry import CATALOGUE
-from seqid_cli.params.results.diagnosis import DiagnosisFile
+from seqid_cli.params.evidence_schema import EvidenceEntry
+from seqid_cli.params.results.diagnosis import DiagnosisFile, FindingEntry
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from tests import Array
 from tests.plants.cases import Case, declared_plant, injections, motions
-from tests.plants.friction.laws import Extra, Stribeck
 from tests.plants.motions.trials import run_drill
 from tests.plants.robots.identified import simultaneous
 from tests.plants.robots.lab import recording_of, robot_of
@@ -33,10 +32,9 @@ from tests.plants.robots.two_joint import friction_surface
 
 pytestmark = pytest.mark.slow
 
-
 OPTIONS = DiscoverOptions()
-SECONDS = 11.0
-RIG = "vertical_two_joint"
+RIG, SECONDS, SEED = "vertical_two_joint", 11.0, 1
+HUMP = ("stribeck", 1, 1.0)
 
 
 @dataclass(frozen=True)
@@ -47,157 +45,181 @@ class Given:
     robot: Robot
     stages: Stages
 
-    def diagnosed(self, options: DiscoverOptions = OPTIONS) -> DiagnosisFile:
-        """Diagnose all logs."""
-        return diagnose(self.logs, self.robot, self.stages, options=options)
+    def diagnosed(self) -> DiagnosisFile:
+        """Diagnose all logs; JSON holds the document as it is."""
+        found = diagnose(self.logs, self.robot, self.stages, options=OPTIONS)
+        assert msgspec.json.decode(msgspec.json.encode(found), type=DiagnosisFile) == found
+        return found
 
 
-def given(*effects: tuple[str, int, float], seed: int = 1, seconds: float = SECONDS) -> Given:
+@cache
+def given(*effects: tuple[str, int, float]) -> Given:
     """Logs of the arm with effects that its robot file does not say, and the fit to them."""
-    case = Case(RIG, seed, effects, seconds=seconds)
+    case = Case(RIG, SEED, effects, seconds=SECONDS)
     declared = declared_plant(case)
     plant = injections(case)[-1].plant if effects else declared
     chosen = [drill for drill in motions(case) if not drill.held_out]
     logs = tuple(
-        recording_of(declared, drill.name, run_drill(plant, drill, 1000 * seed + number))
+        recording_of(declared, drill.name, run_drill(plant, drill, 1000 * SEED + number))
         for number, drill in enumerate(chosen)
     )
     robot = robot_of(RIG, declared)
     return Given(logs, robot, simultaneous(logs, robot))
 
 
-@lru_cache(maxsize=4)
-def clean() -> Given:
-    return given()
+@cache
+def diagnosis(*effects: tuple[str, int, float]) -> DiagnosisFile:
+    return given(*effects).diagnosed()
 
 
-@lru_cache(maxsize=4)
-def clean_diagnosis() -> DiagnosisFile:
-    return clean().diagnosed()
+@cache
+def investigated(*effects: tuple[str, int, float]) -> Investigation:
+    case = given(*effects)
+    return investigate(case.logs, case.robot, case.stages, OPTIONS)
 
 
-@lru_cache(maxsize=4)
-def humped() -> Given:
-    return given(("stribeck", 1, 1.0))
+def only(found: DiagnosisFile) -> tuple[FindingEntry, EvidenceEntry]:
+    (finding,) = found.findings
+    assert finding.evidence is not None
+    return finding, finding.evidence
 
 
-@lru_cache(maxsize=4)
-def humped_diagnosis() -> DiagnosisFile:
-    return humped().diagnosed()
+def flat(shown: EvidenceEntry) -> None:
+    """Assert that nothing is left over the quantity: means within spreads, far below before."""
+    after, before = np.array(shown.after), np.array(shown.before)
+    assert np.all(np.abs(after) < np.array(shown.after_spread))
+    assert np.std(after) < 0.1 * np.std(before)
 
 
-def plain(value: object, where: str = "diagnosis") -> None:
-    """Assert that JSON can hold a value as it is, without numpy's types."""
-    if isinstance(value, msgspec.Struct):
-        for name in value.__struct_fields__:
-            plain(getattr(value, name), f"{where}.{name}")
-    elif isinstance(value, Mapping):
-        for key, item in value.items():
-            assert type(key) is str, where
-            plain(item, f"{where}[{key}]")
-    elif isinstance(value, Sequence) and not isinstance(value, str):
-        assert type(value) in {tuple, list}, where
-        for number, item in enumerate(value):
-            plain(item, f"{where}[{number}]")
-    else:
-        assert value is None or type(value) in {str, int, float, bool}, f"{where}: {type(value)}"
-        json.dumps(value, allow_nan=False)
-
-
-def test_an_effect_is_found_at_its_joint() -> None:
-    found = humped_diagnosis()
+def test_an_effect_is_found_at_its_joint_with_its_parameters() -> None:
+    found, honest = diagnosis(HUMP), diagnosis()
     assert found.verdict == "effect_found"
-    first = found.findings[0]
+    first, _ = only(found)
     assert (first.effect, first.joint) == ("stribeck", "elbow")
-    assert first.confidence > 0.8
-    assert first.explains > 0.8
+    assert min(first.confidence, first.explains) > 0.8
     assert first.gain > 0.5
     assert first.effect not in first.confusable_with
     assert "constant speeds" in first.separate_by
-    assert not [f for f in found.findings if f.joint == "shoulder"]
-
-
-def test_its_parameters_are_those_that_were_put_in() -> None:
-    (first,) = [f for f in humped_diagnosis().findings if f.effect == "stribeck"]
-    law = injections(Case(RIG, 1, (("stribeck", 1, 1.0),)))[-1].plant.friction
-    assert isinstance(law, Extra)
-    assert isinstance(law.curve, Stribeck)
+    curve = injections(Case(RIG, SEED, (HUMP,)))[-1].plant.friction.curve
     (value,) = first.parameters
     assert (value.name, value.unit) == ("stribeck_torque", "N m")
-    assert value.value == pytest.approx(law.curve.level, rel=0.15)
-    assert first.settings["stribeck_speed"] == pytest.approx(law.curve.speed, rel=0.25)
+    assert value.value == pytest.approx(curve.level, rel=0.15)
+    assert first.settings["stribeck_speed"] == pytest.approx(curve.speed, rel=0.25)
     assert first.settings["exponent"] == 2.0
-
-
-def test_residuals_before_after_and_floor() -> None:
-    found, honest = humped_diagnosis(), clean_diagnosis()
     assert list(found.joints) == ["shoulder", "elbow"]
-    elbow = found.joints["elbow"]
+    (shoulder, elbow), before = found.joints.values(), honest.joints
     assert elbow.noise_floor < elbow.rmse_explained < 0.5 * elbow.rmse
-    assert elbow.rmse_explained == pytest.approx(honest.joints["elbow"].rmse_explained, rel=0.5)
+    assert elbow.rmse_explained == pytest.approx(before["elbow"].rmse_explained, rel=0.5)
     assert elbow.samples > 500
-    shoulder, before = found.joints["shoulder"], honest.joints["shoulder"]
-    assert shoulder.rmse == pytest.approx(before.rmse, rel=0.2)
+    assert shoulder.rmse == pytest.approx(before["shoulder"].rmse, rel=0.2)
 
 
 def test_nothing_is_missing_where_nothing_is() -> None:
-    found = clean_diagnosis()
+    found = diagnosis()
     assert found.verdict == "nothing_missing"
     assert (found.findings, found.unexplained, found.events) == ([], [], [])
     assert {h.effect for h in found.hidden} <= set(CATALOGUE)
     assert all(0.0 <= h.visible < 0.2 for h in found.hidden)
+    tried = [rival.why_not for joint in found.joints.values() for rival in joint.tried]
+    assert tried
+    endings = ("asked at least", "allowed at most", "than nothing does")
+    assert all(why.endswith(endings) for why in tried), tried
 
 
 def test_what_no_effect_explains_is_said_to_depend_on_what_it_does() -> None:
-    found = given(("outside.bump", 1, 1.0)).diagnosed()
+    found = diagnosis(("outside.bump", 1, 1.0))
     assert found.verdict in {"unexplained", "effect_found"}
     rest = found.unexplained[0]
-    assert rest.joint == "elbow"
-    assert rest.depends_on[0] == "position"
+    assert (rest.joint, rest.depends_on[0]) == ("elbow", "position")
     assert rest.share > 0.3
     shown = rest.evidence
     assert (shown.joint, shown.of, shown.quantity) == ("elbow", "elbow", "position")
     assert np.ptp(shown.after) < 0.3 * np.ptp(shown.before)
     assert rest.closest.effect in {rival.effect for rival in rest.rivals}
     assert all(f.confidence < 0.7 for f in found.findings)
-    plain(found)
 
 
 def test_the_same_seed_gives_the_same_diagnosis() -> None:
-    short = replace(clean(), logs=clean().logs[:2])
+    short = replace(given(), logs=given().logs[:2])
     first, second = (msgspec.structs.replace(short.diagnosed(), created="") for _ in range(2))
     assert first == second
 
 
-def test_a_push_is_an_event() -> None:
-    honest = clean()
-    log = honest.logs[0]  # joints never rest in it
+def pushed(*torque: float) -> tuple[DiagnosisFile, Recording, float]:
+    """The diagnosis of an arm that is pushed, the log of it, and when."""
+    log, *others = given().logs  # joints never rest in it
     at = log.t[len(log.t) // 2]
-    push = np.exp(-(((log.t - at) / 0.1) ** 2))
-    pushed = replace(log, tau=log.tau + np.outer(push, [4.0, 1.5]))
-    found = replace(honest, logs=(pushed, *honest.logs[1:])).diagnosed()
+    push = np.outer(np.exp(-(((log.t - at) / 0.1) ** 2)), torque)
+    logs = (replace(log, tau=log.tau + push), *others)
+    return replace(given(), logs=logs).diagnosed(), log, at
+
+
+def test_a_push_is_an_event() -> None:
+    found, log, at = pushed(4.0, 1.5)
     (event,) = found.events
     assert event.log == str(log.path)
     assert event.start < at < event.end < event.start + 2.0
-    assert [f.effect for f in found.findings] == ["external_contact"]
-    (contact,) = found.findings
-    assert contact.joint is None
+    contact, _ = only(found)
+    assert (contact.effect, contact.joint) == ("external_contact", None)
     assert contact.confidence > 0.5
-    plain(found)
 
 
-@pytest.mark.parametrize("diagnosis", [humped_diagnosis, clean_diagnosis])
-def test_everything_is_plain_and_finite(diagnosis: object) -> None:
-    assert callable(diagnosis)
-    plain(diagnosis())
+def test_a_push_is_shown_over_time_and_nothing_comes_off() -> None:
+    found, _, at = pushed(4.0, 0.0)
+    _, shown = only(found)
+    assert (shown.joint, shown.quantity) == ("shoulder", "time")
+    assert (shown.after, shown.after_spread) == ([], [])
+    assert abs(shown.x[int(np.argmax(shown.before))] - at) < 0.1
+    assert max(shown.before) > 10.0 * abs(shown.before[0])
 
 
-@lru_cache(maxsize=1)
+def test_losses_are_shown_over_the_load_and_rivals_say_why_they_were_not_taken() -> None:
+    found = diagnosis(("load_dependent_friction", 1, 1.0))
+    finding, shown = only(found)
+    assert (shown.joint, shown.quantity, shown.of, shown.sided) == ("elbow", "load", "elbow", True)
+    assert 20 <= len(shown.x) == len(shown.before) <= 60
+    assert np.median(shown.count) >= 0.02 * sum(shown.count)
+    assert np.all(np.diff(shown.x) >= 0.0)
+    slope = np.polyfit(shown.x, shown.before, 1)[0]
+    value = next(v for v in finding.parameters if v.name == "load_coefficient")
+    assert np.corrcoef(shown.x, shown.before)[0, 1] > 0.95
+    assert 0.5 < slope / value.value < 1.05  # some of it friction's own terms can take up
+    flat(shown)
+    joint = found.joints["elbow"]
+    assert sum(shown.count) == joint.samples
+    squares = np.square(shown.after) + np.square(shown.after_spread)
+    left = np.sqrt(np.average(squares, weights=shown.count))
+    assert left == pytest.approx(joint.rmse_explained, rel=1e-3)
+
+    why = {rival.effect: rival.why_not for rival in finding.rivals}
+    assert "gear_efficiency" in finding.confusable_with
+    assert why["gear_efficiency"].startswith("these logs cannot tell the two apart")
+    assert "needs 12 parameters, not 1," in why["some function of load x direction"]
+    assert finding.effect not in why
+    gains = [rival.log_gain for rival in finding.rivals]
+    assert gains == sorted(gains, reverse=True)
+    told = re.fullmatch(r"explains (\S+) .* less", why["torque_saturation"])
+    less = next(r.log_gain for r in finding.rivals if r.effect == "torque_saturation")
+    assert float(told[1]) == pytest.approx(100.0 * (1.0 - less / finding.log_gain), abs=0.1)
+
+
+def test_a_ripple_is_shown_over_its_own_wave() -> None:
+    _, shown = only(diagnosis(("torque_ripple", 0, 1.0)))
+    assert shown.quantity == "wave"
+    assert 0.0 <= min(shown.x) < max(shown.x) <= 1.0
+    sine, before = np.sin(2 * np.pi * np.array(shown.x)), np.array(shown.before)
+    error = np.array(shown.before_spread) / np.sqrt(np.array(shown.count) / ALIKE)
+    off = before - (sine @ before) / (sine @ sine) * sine
+    assert np.mean((off / error) ** 2) < 1.5 < 0.3 * np.mean((before / error) ** 2)
+    flat(shown)
+
+
+@cache
 def biased_short() -> DiagnosisFile:
     """A constant torque in logs of 18 s together: too short to see whether it lasts."""
-    logs = given(("torque_bias", 0, 1.0))
-    few = tuple(part(log, 2.0, 8.0) for log in logs.logs[:3])
-    return Given(few, logs.robot, simultaneous(few, logs.robot)).diagnosed()
+    case = given(("torque_bias", 0, 1.0))
+    few = tuple(part(log, 2.0, 8.0) for log in case.logs[:3])
+    return Given(few, case.robot, simultaneous(few, case.robot)).diagnosed()
 
 
 def part(log: Recording, start: float, end: float, every: int = 1) -> Recording:
@@ -206,9 +228,7 @@ def part(log: Recording, start: float, end: float, every: int = 1) -> Recording:
     return replace(
         log,
         t=log.t[at] - log.t[at][0],
-        q=log.q[at],
-        tau=log.tau[at],
-        valid=log.valid[at],
+        **{name: getattr(log, name)[at] for name in ("q", "tau", "valid")},
         start=log.start + start,
         health=replace(log.health, rate_hz=log.rate_hz / every),
         temperature=None,
@@ -223,60 +243,58 @@ def test_a_bias_that_the_file_has_taken_in_is_told_beside_what_it_looks_like() -
 
 
 def test_what_is_found_is_not_said_to_be_hidden() -> None:
-    for found in (humped_diagnosis(), biased_short()):
+    for found in (diagnosis(HUMP), biased_short()):
         names = {(f.effect, f.joint) for f in found.findings}
         assert found.hidden
         assert not names & {(h.effect, h.joint) for h in found.hidden}
 
 
 def test_less_than_a_sample_between_torque_and_position_is_a_note() -> None:
-    logs = given()
-    slow = tuple(part(log, 0.0, SECONDS, every=5) for log in logs.logs)
-    late = tuple(
-        replace(log, tau=np.column_stack([log.tau[:, 0], delayed(log.tau[:, 1], 0.4)]))
-        for log in slow
-        if log.tau is not None
-    )
-    stages = simultaneous(slow, logs.robot)
-    assert not [n for n in Given(slow, logs.robot, stages).diagnosed().notes if "late" in n]
-    (note,) = [n for n in Given(late, logs.robot, stages).diagnosed().notes if "late" in n]
+    case = given()
+    slow = tuple(part(log, 0.0, SECONDS, every=5) for log in case.logs)
+    stages, notes = simultaneous(slow, case.robot), []
+    for samples in (0.0, 0.4):
+        logs = tuple(replace(log, tau=delayed(log.tau, samples)) for log in slow)
+        found = Given(logs, case.robot, stages).diagnosed()
+        notes.append([note for note in found.notes if "late" in note])
+    none, (note,) = notes
+    assert none == []
     told = re.search(r"joint elbow: torque is (\S+) ms late", note)
     assert 3.0 < float(told[1]) < 6.0  # this arm's own is up to a millisecond
 
 
-def delayed(x: Array, samples: float) -> Array:
-    """A signal as it was a part of a sample earlier."""
-    at = np.arange(len(x), dtype=np.float64)
-    return np.interp(at - samples, at, x)
+def delayed(tau: Array, samples: float) -> Array:
+    """Torque (N, 2), the second joint's as it was a part of a sample earlier."""
+    at = np.arange(len(tau), dtype=np.float64)
+    return np.column_stack([tau[:, 0], np.interp(at - samples, at, tau[:, 1])])
 
 
-def test_what_noise_does_not_account_for_is_never_nothing() -> None:
+def test_what_noise_does_not_account_for_is_said_and_shown_though_nothing_is_taken() -> None:
     """A hump that no effect is allowed to explain."""
-    logs = humped()
-    found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
+    found = investigated(HUMP)
     assert excess_residuals(found, expected(found)) == {}
-    (taken,) = found.found.taken
-    found.model.terms.remove(taken.term)
-    found.model.settle()
-    bare = replace(found, found=replace(found.found, taken=()))
-    said = described(bare, logs.robot)
+    model = copy(found.model)
+    model.terms = []
+    model.settle()
+    bare = replace(found, found=replace(found.found, model=model, taken=()))
+    said = described(bare, given(HUMP).robot)
     assert said.verdict == "unexplained"
-    assert said.unexplained[0].joint == "elbow"
-    assert said.unexplained[0].depends_on
+    rest = next(one for one in said.unexplained if one.joint == "elbow")
+    assert rest.depends_on
+    assert (rest.evidence.joint, rest.evidence.after, rest.rivals) == ("elbow", [], [])
     assert any("elbow" in note and "account for" in note for note in said.notes)
-    unknown = replace(found.floor, high=np.full(logs.robot.n, np.inf))  # as of too short logs
+    spread = np.hypot(rest.evidence.before, rest.evidence.before_spread)
+    assert np.sqrt(np.mean(spread**2)) > 2.0 * said.joints["elbow"].noise_floor
+    unknown = replace(found.floor, high=np.full(2, np.inf))  # as of too short logs
     assert excess_residuals(replace(bare, floor=unknown), expected(bare)) == {}
 
 
 def test_a_floor_above_what_is_left_stands_and_is_called_doubtful() -> None:
-    logs = clean()
-    found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
-    assert not any("doubtful" in note for note in described(found, logs.robot).notes)
-    times = np.array([0.5, 3.0])
-    parts = (found.floor.rms, found.floor.low, found.floor.high)
-    low = found.model.rms() / found.floor.low
-    floor = NoiseFloor(*(times * part * low for part in parts))
-    said = described(replace(found, floor=floor), logs.robot)
+    found, robot = investigated(), given().robot
+    assert not any("doubtful" in note for note in described(found, robot).notes)
+    above = np.array([0.5, 3.0]) * found.model.rms() / found.floor.low
+    floor = NoiseFloor(*(above * x for x in (found.floor.rms, found.floor.low, found.floor.high)))
+    said = described(replace(found, floor=floor), robot)
     (note,) = [note for note in said.notes if "doubtful" in note]
     assert note.startswith("joint elbow: ")
     assert said.joints["elbow"].noise_floor == floor.rms[1] > said.joints["elbow"].rmse_explained
@@ -284,19 +302,16 @@ def test_a_floor_above_what_is_left_stands_and_is_called_doubtful() -> None:
 
 def test_a_file_whose_values_do_not_hold_is_said_to_be_so() -> None:
     """Of the form of the model nothing is missing; and where it fits no better, noise is slow."""
-    logs = clean()
-    found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
+    found, robot = investigated(), given().robot
     ordinary = expected(found)
-    assert file_notes(found, logs.robot, ordinary, ()) == ()
+    assert file_notes(found, robot, ordinary, ()) == ()
     start = found.start * np.array([1.0, 10.0])
     off = on(found, replace(found.ground, base=replace(found.ground.base, start=start)))
-    (note,) = file_notes(off, logs.robot, ordinary, ())
-    assert "elbow" in note
-    assert "identify" in note
-    assert file_notes(off, logs.robot, ordinary, ("elbow",)) == ()
-    (slow,) = file_notes(found, logs.robot, ordinary * np.array([0.2, 1.0]), ())
-    assert "shoulder" in slow
-    assert "go with the motion" in slow
+    (note,) = file_notes(off, robot, ordinary, ())
+    assert re.search("elbow.*identify", note)
+    assert file_notes(off, robot, ordinary, ("elbow",)) == ()
+    (slow,) = file_notes(found, robot, ordinary * np.array([0.2, 1.0]), ())
+    assert re.search("shoulder.*go with the motion", slow)
 
 
 def on(found: Investigation, ground: Ground) -> Investigation:
@@ -326,11 +341,10 @@ def beyond_friction(found: Investigation, times: float) -> Investigation:
 
 
 def test_what_is_left_beyond_the_identified_friction_is_said() -> None:
-    logs = clean()
-    found = investigate(logs.logs, logs.robot, logs.stages, OPTIONS)
+    found, robot = investigated(), given().robot
     ordinary = expected(found)
-    assert outside_notes(found, logs.robot, ordinary) == ()
-    assert outside_notes(beyond_friction(found, 1.0), logs.robot, ordinary) == ()
-    (note,) = outside_notes(beyond_friction(found, 20.0), logs.robot, ordinary)
+    for usual in (found, beyond_friction(found, 1.0)):
+        assert outside_notes(usual, robot, ordinary) == ()
+    (note,) = outside_notes(beyond_friction(found, 20.0), robot, ordinary)
     assert note.startswith("joint elbow: ")
     assert "friction was not identified" in note

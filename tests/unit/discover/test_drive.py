@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 
 from seqid_cli.discover.candidates import drive_rows
-from seqid_cli.discover.select.results import Selected
-from seqid_cli.discover.select.selection import select
 from seqid_cli.discover.survey.rows import rows_of
-from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from tests import Array
-from tests.unit.discover.arms import arm_scenes, ground_of, measuring
+from tests.unit.discover.arms import arm_scenes, ground_of, measuring, selected
 
 LOSS = 0.05  # N m of friction per N m of load
 HANG = 3.0  # N m, of what hangs on the link
@@ -23,8 +20,7 @@ SOME = ("load_dependent_friction", "torque_saturation", "spring", "stribeck", "q
 def hang(scene: Scene) -> Array:
     """Cables that pull at the second link by a law that the catalogue does not have."""
     q = scene.motion.q
-    pull = HANG * np.sin(5.0 * q[:, 1]) * np.cos(2.0 * q[:, 0])
-    return np.stack([np.zeros(len(q)), pull], axis=1)
+    return np.outer(HANG * np.sin(5.0 * q[:, 1]) * np.cos(2.0 * q[:, 0]), [0.0, 1.0])
 
 
 def sensed(hung: float, loss: float, *, sensor: bool = True) -> list[Scene]:
@@ -32,38 +28,28 @@ def sensed(hung: float, loss: float, *, sensor: bool = True) -> list[Scene]:
     rng, scenes = np.random.default_rng(5), []
     for scene in arm_scenes():
         load = scene.modelled_load + hung * hang(scene)
-        lost = np.stack([np.zeros(len(load)), loss * np.abs(load[:, 1]) * scene.sign[:, 1]], axis=1)
+        lost = loss * np.abs(load) * scene.sign * [0.0, 1.0]
         whole = measuring(scene, scene.measured + hung * hang(scene) + lost)
         read = load + NOISE * rng.normal(size=load.shape)
         scenes.append(replace(whole, sensor=scene.motion.filtered(read)) if sensor else whole)
     return scenes
 
 
-def found(scenes: list[Scene]) -> Selected:
-    return select(ground_of(scenes), None, [CATALOGUE[name] for name in SOME]).told()
-
-
-def loss_of(told: Selected) -> tuple[float, float]:
+def loss_of(scenes: list[Scene]) -> tuple[float, float]:
     """Loss that is told of the second joint, and its standard error."""
+    told = selected(scenes, SOME)
     one = next(t for t in told.effects if t.term.key == ("load_dependent_friction", 1))
-    model = told.model
-    error = np.sqrt(model.covariance(one.term)[0, 0])
-    return float(model.coefficients(one.term)[0]), float(error)
+    error = np.sqrt(told.model.covariance(one.term)[0, 0])
+    return float(told.model.coefficients(one.term)[0]), float(error)
 
 
-def test_there_are_rows_only_where_every_log_has_the_sensor() -> None:
+def test_there_are_rows_only_where_every_log_has_the_sensors_reading() -> None:
     with_it = sensed(0.0, 0.0)
     one_without = [replace(with_it[0], sensor=None), *with_it[1:]]
-    assert drive_rows(rows_of(with_it)).of(1)
-    assert not drive_rows(rows_of(one_without)).of(1)
-
-
-def test_a_joint_without_a_reading_has_no_rows() -> None:
-    scenes = sensed(0.0, 0.0)
-    for scene in scenes:
-        scene.sensor[:, 0] = np.nan
-    rows = drive_rows(rows_of(scenes))
-    assert (rows.of(0), rows.of(1)) == (False, True)
+    part = [replace(one, sensor=np.where([True, False], np.nan, one.sensor)) for one in with_it]
+    for scenes, expected in ((with_it, [1, 1]), (one_without, [0, 0]), (part, [0, 1])):
+        rows = drive_rows(rows_of(scenes))
+        assert [rows.of(0), rows.of(1)] == expected
 
 
 def test_what_acts_on_the_link_is_not_in_them() -> None:
@@ -74,20 +60,13 @@ def test_what_acts_on_the_link_is_not_in_them() -> None:
 
 
 def test_a_loss_is_sharp_beside_a_link_that_the_model_does_not_know() -> None:
-    value, error = loss_of(found(sensed(1.0, LOSS)))
-    _, without = loss_of(found(sensed(1.0, LOSS, sensor=False)))
+    value, error = loss_of(sensed(1.0, LOSS))
+    _, without = loss_of(sensed(1.0, LOSS, sensor=False))
     assert abs(value - LOSS) < 4.0 * error
     assert error < 0.2 * without
-
-
-def test_that_motor_and_sensor_agree_is_said_by_the_file() -> None:
-    """What a torque constant saves of that counts, although the rows alone would do without it."""
-    part = drive_rows(rows_of(sensed(0.0, 0.0))).part(1, 5, 1.0, disagree=0.1)
-    np.testing.assert_allclose(part.precision - part.apart, np.diag([100.0, 0.0, 0.0]))
-    assert part.apart[0, 0] == 0.0
 
 
 @pytest.mark.parametrize("hung", [0.0, 1.0])
 def test_a_drive_that_lacks_nothing_has_no_finding(hung: float) -> None:
     drives = {"load_dependent_friction", "torque_saturation", "stribeck", "quadratic_drag"}
-    assert not {one.term.name for one in found(sensed(hung, 0.0)).effects} & drives
+    assert not {one.term.name for one in selected(sensed(hung, 0.0), SOME).effects} & drives

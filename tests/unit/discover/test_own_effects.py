@@ -12,7 +12,7 @@ from seqid_cli.robot.formula import parse_formula
 from seqid_cli.robot.types import OwnEffect
 from tests.plants.effects.friction import clear
 from tests.studies.undeclared.cases import declared, outside
-from tests.studies.undeclared.logs import Logs, logs_of, stages_of
+from tests.studies.undeclared.logs import logs_of, stages_of
 
 pytestmark = pytest.mark.slow
 
@@ -25,31 +25,29 @@ ELBOW = 1
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Logs, Path]:
-    cache = tmp_path_factory.mktemp("own")
-    return logs_of(CASE, cache), cache
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("own")
 
 
-def diagnosed(logs: tuple[Logs, Path], *own: OwnEffect) -> DiagnosisFile:
-    recorded, cache = logs
+def diagnosed(cache: Path, *own: OwnEffect) -> DiagnosisFile:
+    recorded = logs_of(CASE, cache)
     robot = replace(recorded.robot, effects=own)
     stages = stages_of(CASE, cache)
     return diagnose(list(recorded.training), robot, stages, options=DiscoverOptions())
 
 
-def test_without_it_the_part_is_unexplained(logs: tuple[Logs, Path]) -> None:
-    found = diagnosed(logs)
+def test_without_it_the_part_is_unexplained(cache: Path) -> None:
+    found = diagnosed(cache)
     assert not found.findings
-    assert [(part.joint, part.depends_on) for part in found.unexplained] == [
-        ("elbow", ["acceleration"])
-    ]
+    (part,) = found.unexplained
+    assert (part.joint, part.depends_on) == ("elbow", ["acceleration"])
 
 
-def test_with_it_the_effect_is_named_at_its_joint_with_its_size(logs: tuple[Logs, Path]) -> None:
+def test_with_it_the_effect_is_named_at_its_joint_with_its_size(cache: Path) -> None:
     plant = declared(CASE)
     top = 0.7 * float(plant.acceleration_limits[ELBOW])
     text = f"c1 * max(min(ddq / {top}, 1), -1) ** 3"
-    found = diagnosed(logs, OwnEffect("demagnetising", None, parse_formula(text, 2)))
+    found = diagnosed(cache, OwnEffect("demagnetising", None, parse_formula(text, 2)))
     (finding,) = found.findings
     assert (finding.effect, finding.joint) == ("demagnetising", "elbow")
     assert finding.confidence > 0.8
@@ -58,6 +56,6 @@ def test_with_it_the_effect_is_named_at_its_joint_with_its_size(logs: tuple[Logs
     assert not found.unexplained
 
 
-def test_at_another_joint_it_is_not_looked_for(logs: tuple[Logs, Path]) -> None:
-    found = diagnosed(logs, OwnEffect("demagnetising", 0, parse_formula("c1 * ddq ** 3", 2)))
+def test_at_another_joint_it_is_not_looked_for(cache: Path) -> None:
+    found = diagnosed(cache, OwnEffect("demagnetising", 0, parse_formula("c1 * ddq ** 3", 2)))
     assert not any(finding.effect == "demagnetising" for finding in found.findings)

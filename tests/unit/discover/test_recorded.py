@@ -37,17 +37,18 @@ def diagnosed(
     name: str,
     logs: Sequence[str],
     *,
-    most: int,
+    most: int = 4,
     fitted: Sequence[str] = (),
     cutoff_hz: float | None = None,
+    load: bool = True,
 ) -> DiagnosisFile:
-    """Diagnose logs with the classical model that they, or `fitted`, give."""
+    """Diagnose logs with the classical model that they, or `fitted`, give; `load`: as sensed."""
     folder = folder_of(name)
     robot = load_robot(folder / "robot.toml")
     motion = MotionOptions(cutoff_hz=cutoff_hz)
-    given = [read_recording(folder / log, robot) for log in logs]
-    train = [read_recording(folder / log, robot) for log in fitted] or given
-    friction, inertia = identify_simultaneous(train, robot, options=motion, offset=True)
+    given, train = ([read_recording(folder / x, robot) for x in some] for some in (logs, fitted))
+    given = given if load else [replace(log, load=None) for log in given]
+    friction, inertia = identify_simultaneous(train or given, robot, options=motion, offset=True)
     options = DiscoverOptions(InertiaOptions(motion), max_effects=most)
     return diagnose(given, robot, Stages(friction=friction, inertia=inertia), options=options)
 
@@ -77,27 +78,20 @@ def test_coupled_wrist_and_load_friction_of_the_tx40() -> None:
 
 def test_load_friction_of_the_ur10e() -> None:
     train = ["20_02_12-40sec_12harm", "20_02_10-30sec_12harm"]
-    found = diagnosed(UR10E, [f"identification__ur-{x}.parquet" for x in train], most=4)
-    lift = [f for f in found.findings if f.joint == "shoulder_lift_joint"]
-    elbow = [f for f in found.findings if f.joint == "elbow_joint"]
-    for findings, coefficient in ((lift, 0.063), (elbow, 0.066)):
-        (loss,) = [
-            f for f in findings if f.effect in ("load_dependent_friction", "gear_efficiency")
-        ]
+    found = diagnosed(UR10E, [f"identification__ur-{x}.parquet" for x in train])
+    losses = ("load_dependent_friction", "gear_efficiency")
+    for joint, coefficient in (("shoulder_lift_joint", 0.063), ("elbow_joint", 0.066)):
+        (loss,) = [f for f in found.findings if f.joint == joint and f.effect in losses]
         sizes = [p.value for p in loss.parameters if p.name.endswith("loss") or "load" in p.name]
         assert np.mean(sizes) == pytest.approx(coefficient, rel=0.2)
     assert any(f.effect == "nonlinear_viscous" for f in found.findings)
     # the load of the last joint is too small for a coefficient that means anything
-    assert not [
-        f
-        for f in found.findings
-        if f.joint == "wrist_3_joint" and f.effect in ("load_dependent_friction", "gear_efficiency")
-    ]
+    assert not [f for f in found.findings if f.joint == "wrist_3_joint" and f.effect in losses]
 
 
 @pytest.mark.parametrize("logs", [["train.parquet", "holdout.parquet"], ["train.parquet"]])
 def test_losses_of_the_xmate_beside_its_torque_sensors(logs: Sequence[str]) -> None:
-    found = diagnosed(XMATE, logs, most=4)
+    found = diagnosed(XMATE, logs)
     # with the sensor as the measured load, others found 0.089 and 0.108
     for joint, coefficient in (("joint_2", 0.089), ("joint_4", 0.108)):
         loss = named(found, "load_dependent_friction", joint)
@@ -110,16 +104,10 @@ def test_losses_of_the_xmate_beside_its_torque_sensors(logs: Sequence[str]) -> N
 
 def test_nothing_is_told_of_joints_that_the_file_predicts_better() -> None:
     """13 s for seven joints: what predicts other blocks better than chance may be overfitted."""
-    robot = load_robot(folder_of(XMATE) / "robot.toml")
-    log = replace(read_recording(folder_of(XMATE) / "train.parquet", robot), load=None)
-    friction, inertia = identify_simultaneous([log], robot, options=MotionOptions(), offset=True)
-    options = DiscoverOptions(InertiaOptions(MotionOptions()), max_effects=4)
-    found = diagnose([log], robot, Stages(friction=friction, inertia=inertia), options=options)
+    found = diagnosed(XMATE, ["train.parquet"], load=False)
     told = {f.joint for f in found.findings} | {u.joint for u in found.unexplained}
     assert told
-    for joint in told:
-        left = found.joints[joint or ""]
-        assert left.rmse_explained < left.rmse
+    assert all(found.joints[x].rmse_explained < found.joints[x].rmse for x in told)
     worse = [n for n, left in found.joints.items() if left.rmse_explained > left.rmse]
     assert worse
     assert any("too short to judge" in note and worse[0] in note for note in found.notes)
@@ -127,7 +115,7 @@ def test_nothing_is_told_of_joints_that_the_file_predicts_better() -> None:
 
 def test_ripple_of_a_harmonic_drive() -> None:
     log = "jointwise__ur-20_01_22-joint_4.parquet"
-    found = diagnosed(UR10E, [log], most=4, cutoff_hz=5.0)
+    found = diagnosed(UR10E, [log], cutoff_hz=5.0)
     orders = [f.settings["order"] for f in found.findings if f.effect == "torque_ripple"]
     # two waves per motor turn; over half a turn of the joint those of its teeth, 200 for 202 per
     # joint turn, are the same line
@@ -137,6 +125,6 @@ def test_ripple_of_a_harmonic_drive() -> None:
 
 def test_diagnosis_of_an_echo_is_refused() -> None:
     with pytest.raises(InputError, match="echo of the command") as caught:
-        diagnosed(PENDULUM, ["gravity_compensation.parquet"], most=4, fitted=["sac.parquet"])
+        diagnosed(PENDULUM, ["gravity_compensation.parquet"], fitted=["sac.parquet"])
     assert caught.value.where.endswith("gravity_compensation.parquet")
     assert "motor current" in caught.value.hint

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from seqid_cli.model.friction import friction_torque
 from seqid_cli.model.torque import TorqueModel, friction_surfaces, sampled_friction, sliding
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
-from seqid_cli.motion.motion import Motion
+from seqid_cli.motion.motion import Motion, decimated
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import (
     base_parameters,
@@ -23,8 +24,10 @@ from tests.plants.mechanics.rigid import Rigid
 from tests.plants.robots.made import made_motion
 from tests.plants.robots.small import arm_6r
 from tests.plants.robots.stages import friction_stage
+from tests.plants.robots.two_joint import friction_surface
 
 RATE = 200.0
+ARM = six_joint().arm
 
 
 @pytest.fixture(scope="module")
@@ -45,27 +48,24 @@ def motion() -> Motion:
     return made_motion(q, dq, ddq, lowpass, tau=tau, usable=usable)
 
 
-def rigid_stage(phi: Array, rotor: Array, coupling: str = "diagonal") -> RigidStage:
-    values = np.concatenate([phi.ravel(), rotor]).tolist()
+def rigid_stage(rotor: Array, coupling: str = "diagonal") -> RigidStage:
+    values = np.concatenate([ARM.phi.ravel(), rotor]).tolist()
     known = dict(zip(standard_names(len(rotor)), values, strict=True))
     size = {"parameters": [], "condition": 1.0, "rank": 36}
     return RigidStage(**size, representative=known, rotor_coupling=coupling)
 
 
 def stages(robot: Robot, coupling: str = "diagonal") -> Stages:
-    arm = six_joint().arm
-    inertia = rigid_stage(arm.phi, arm.rotor_inertia, coupling)
+    inertia = rigid_stage(ARM.rotor_inertia, coupling)
     return Stages(friction=friction_stage(robot), inertia=inertia)
 
 
 @pytest.mark.parametrize("coupling", ["diagonal", "gyroscopic"])
 def test_the_rigid_torque_is_the_plants(robot: Robot, motion: Motion, coupling: str) -> None:
     """Pinocchio's RNEA with rotors, as the simulated arm of the same geometry has it."""
-    arm = replace(six_joint().arm, rotor_coupling=coupling == "gyroscopic")
+    rigid = Rigid(replace(ARM, rotor_coupling=coupling == "gyroscopic"))
     model = TorqueModel.from_stages(stages(robot, coupling), robot)
-    rows = slice(0, 800, 40)
-    state = (motion.q[rows], motion.dq[rows], motion.ddq[rows])
-    rigid = Rigid(arm)
+    state = (motion.q[::40], motion.dq[::40], motion.ddq[::40])
     expected = [rigid.inverse(*s) for s in zip(*state, strict=True)]
     np.testing.assert_allclose(model.rigid(*state), expected, atol=1e-9)
 
@@ -78,8 +78,7 @@ def test_prediction_is_the_regressor_times_the_parameters(
     own = stages(robot, coupling)
     model = TorqueModel.from_stages(own, robot)
     basis = base_parameters(robot, rotor=range(6))
-    arm = six_joint().arm
-    phi = np.concatenate([arm.phi.ravel(), arm.rotor_inertia])
+    phi = np.concatenate([ARM.phi.ravel(), ARM.rotor_inertia])
     state = (motion.q, motion.dq, motion.ddq)
     H = base_regressor(robot, basis, *state)
     coupled = standard_regressor(robot, *state, coupling=model.coupling)
@@ -91,24 +90,18 @@ def test_prediction_is_the_regressor_times_the_parameters(
 
 
 def test_parts_are_models_too(robot: Robot, motion: Motion) -> None:
-    arm = six_joint().arm
-    gravity = rigid_stage(arm.phi, np.zeros(6))
-    alone = TorqueModel.from_stages(Stages(gravity=gravity), robot)
-    still = np.zeros_like(motion.q)
-    rigid = Rigid(arm)
-    expected = [rigid.gravity_torque(q) for q in motion.q[:10]]
-    np.testing.assert_allclose(alone.rigid(motion.q, still, still)[:10], expected, atol=1e-9)
+    alone = TorqueModel.from_stages(Stages(gravity=rigid_stage(np.zeros(6))), robot)
+    q, still = motion.q[:10], np.zeros((10, 6))
+    expected = [Rigid(ARM).gravity_torque(at) for at in q]
+    np.testing.assert_allclose(alone.rigid(q, still, still), expected, atol=1e-9)
     friction = stages(robot).friction
     del friction.joints["joint_3"]
     rubbing = TorqueModel.from_stages(Stages(friction=friction), robot)
     assert not rubbing.friction(motion.q, motion.dq)[:, 2].any()
     assert not rubbing.outside(motion)[:, 2].any()
     assert not rubbing.rigid(motion.q, motion.dq, motion.ddq).any()
-    np.testing.assert_allclose(
-        rubbing.predict(motion),
-        motion.filtered(sampled_friction(rubbing.surfaces, motion), times=2),
-        atol=1e-12,
-    )
+    expected = motion.filtered(sampled_friction(rubbing.surfaces, motion), times=2)
+    np.testing.assert_allclose(rubbing.predict(motion), expected, atol=1e-12)
 
 
 def test_at_rest_the_model_allows_what_friction_can_hold(robot: Robot, motion: Motion) -> None:
@@ -139,3 +132,44 @@ def test_sliding_leaves_out_rest_and_its_neighbourhood(motion: Motion) -> None:
     crossing = np.flatnonzero(np.diff(np.sign(motion.dq[:, 0])))
     for k in crossing[(crossing > reach) & (crossing < 800 - reach)]:
         assert not slides[k - reach + 1 : k + reach, 0].any()
+
+
+SURFACE = replace(friction_surface(1.5, 0.5 / 3.0, top=6.0), sign_width=0.05)
+FULL_HZ = 1000.0
+
+
+def reversing() -> Motion:
+    """Two joints that reverse again and again, at any time between two samples."""
+    t = np.arange(30_000)[:, None] / FULL_HZ
+    w, phase = np.array([2.9, 4.1]), np.array([0.3, 1.1])
+    slow = 1 + 0.2 * np.sin(0.37 * t)
+    q, dq = slow * np.sin(w * t + phase), slow * w * np.cos(w * t + phase)
+    return made_motion(q, dq, -(w**2) * q, Lowpass(5.0, FULL_HZ))
+
+
+def test_friction_of_thinned_motion_is_the_full_one_after_the_low_pass() -> None:
+    full = reversing()
+    thinned = decimated(full)
+    assert thinned.lowpass.every == 20
+    surfaces = [SURFACE, None]
+    expected = full.filtered(friction_torque(surfaces, full.q, full.dq), times=2)[::20]
+
+    def error(torque: Array) -> float:
+        return float(np.abs(thinned.filtered(torque, times=2) - expected)[100:-100].max())
+
+    assert error(sampled_friction(surfaces, thinned)) < 2e-3
+    # Samples of the step alone are known to half a sample.
+    assert error(friction_torque(surfaces, thinned.q, thinned.dq)) > 0.05
+    assert not sampled_friction(surfaces, thinned)[:, 1].any()
+
+
+def test_beside_gaps_friction_is_that_of_the_samples() -> None:
+    thinned = decimated(reversing())
+    valid, broken = thinned.valid.copy(), thinned.q.copy()
+    valid[700:720], broken[700:720] = False, 1e6
+    gap = replace(thinned, valid=valid, q=broken)
+    whole, found = (sampled_friction([SURFACE, SURFACE], m) for m in (thinned, gap))
+    away, near = np.r_[0:690, 730 : len(valid)], np.r_[693:700, 720:727]
+    np.testing.assert_allclose(found[away], whole[away], rtol=1e-14)
+    plain = friction_torque([SURFACE, SURFACE], thinned.q, thinned.dq)
+    np.testing.assert_array_equal(found[near], plain[near])

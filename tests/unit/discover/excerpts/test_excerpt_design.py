@@ -6,15 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from seqid_cli.discover.excerpts.excerpts import (
-    ABOUT_S,
-    INNER_S,
-    PIECE_S,
-    about_places,
-    excerpts_of,
-)
+from seqid_cli.discover.excerpts.excerpts import PIECE_S, excerpts_of
 from seqid_cli.discover.excerpts.residual_survey import ResidualSurvey
-from seqid_cli.discover.survey.events import Interval
 from seqid_cli.discover.survey.rows import BLOCK_S
 from seqid_cli.logs.recording import Whole
 from tests import Array
@@ -27,7 +20,6 @@ def survey(
     *,
     speed: Array | None = None,
     usable: Array | None = None,
-    places: tuple[Interval, ...] = (),
 ) -> ResidualSurvey:
     """One joint that swings to and fro, at a speed of its own in each block; 2 rad/s by default."""
     blocks = int(seconds / BLOCK_S) + 1
@@ -42,7 +34,7 @@ def survey(
         counts=np.ones((blocks, 1)),
         travel=0.5 * BLOCK_S * np.stack([size, size], axis=1)[:, None],
         usable=np.ones(blocks) if usable is None else usable,
-        places=places,
+        places=(),
     )
 
 
@@ -57,11 +49,9 @@ def test_pieces_fill_what_may_be_held_and_reach_over_the_time(seconds: float, he
 
 
 def test_the_stretch_of_most_travel_is_taken() -> None:
-    seconds = 900.0
-    speed = np.full(int(seconds / BLOCK_S) + 1, 0.2)
-    odd = slice(int(500.0 / BLOCK_S), int(524.0 / BLOCK_S))
-    speed[odd] = 2.0
-    (pieces,) = excerpts_of([survey(seconds, speed=speed)], 60.0 * RATE)
+    speed = np.full(int(900.0 / BLOCK_S) + 1, 0.2)
+    speed[int(500.0 / BLOCK_S) : int(524.0 / BLOCK_S)] = 2.0
+    (pieces,) = excerpts_of([survey(900.0, speed=speed)], 60.0 * RATE)
     assert any(a >= 498.0 and b <= 526.0 for a, b in pieces)
 
 
@@ -73,12 +63,3 @@ def test_every_log_has_its_part_and_a_gap_has_none() -> None:
     assert all(pieces)
     assert all(b <= 102.0 or a >= 298.0 for a, b in pieces[0])
     assert sum(b - a for some in pieces for a, b in some) <= 121.0
-
-
-def test_places_that_stand_out_have_excerpts_of_their_own() -> None:
-    inside, outside = (Interval(0, at, at + 0.3, (0,), 9.0) for at in (50.0, 300.0))
-    at_edge = Interval(0, 42.0, 42.2, (0,), 7.0)
-    logs = [survey(600.0, places=(inside, outside, at_edge))]
-    ((first, second),) = about_places(logs, [[(41.5, 61.5)]])
-    assert first == (300.0 - ABOUT_S, 300.3 + ABOUT_S)
-    assert second[0] + INNER_S < at_edge.start < second[1]

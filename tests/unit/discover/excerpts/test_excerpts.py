@@ -8,24 +8,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from msgspec import structs
 
 from seqid_cli.discover.diagnosis import diagnose
 from seqid_cli.discover.excerpts import excerpts, residual_survey
 from seqid_cli.discover.excerpts.excerpts import Excerpts, one_each, take_excerpts
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.identify.prediction.predict import predict
 from seqid_cli.motion.blocks import open_surveyed
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from tests import Array
-from tests.unit.discover.long_logs import BEGUN, LongCase, long_case
+from tests.unit.discover.long_logs import BEGUN, MOST, LongCase, long_case
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")]
 
 OPTIONS = DiscoverOptions()
-MOST = 429_760  # as MOST_VALUES counts: a good half of the log
 PUSHED = 66.0  # s, in no piece of the clean log
 
 
@@ -34,29 +31,13 @@ def _passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(excerpts, "PASSED_OVER", 1000)
 
 
-def gathered(case: LongCase, folder: Path, most: int = MOST) -> Excerpts:
-    path = case.written(folder / "long.parquet")
-    files = LogSet([path], case.robot)
-    options = OPTIONS.motion
-    return take_excerpts(files, case.robot, case.stages, options=options, most_values=most)
-
-
 def diagnosed(case: LongCase, pieces: Excerpts) -> DiagnosisFile:
-    found = diagnose(pieces.recordings, case.robot, case.stages, options=OPTIONS)
-    return structs.replace(found, created="")
-
-
-def push(size: float = 1.0) -> LongCase:
-    def torque(t: Array) -> Array:
-        shape = np.exp(-(((t - PUSHED) / 0.1) ** 2))
-        return np.asarray(shape[:, None] * np.array([4.0, 1.5]) * size)
-
-    return long_case().with_torque(torque)
+    return diagnose(pieces.recordings, case.robot, case.stages, options=OPTIONS)
 
 
 @cache
 def clean_pieces(folder: Path) -> Excerpts:
-    return gathered(long_case(), folder)
+    return long_case().pieces(folder / "clean.parquet")
 
 
 @cache
@@ -84,13 +65,9 @@ def test_pieces_are_of_the_log_with_its_stamps(folder: Path) -> None:
     assert len(one_each(pieces)) == 1
 
 
-def test_nothing_is_missing_where_nothing_is(folder: Path) -> None:
+def test_where_nothing_is_missing_notes_say_what_was_looked_at(folder: Path) -> None:
     found = clean_diagnosis(folder)
-    assert found.verdict == "nothing_missing"
-    assert not found.events
-
-
-def test_the_notes_say_what_was_looked_at(folder: Path) -> None:
+    assert (found.verdict, found.events) == ("nothing_missing", [])
     case, pieces = long_case(), clean_pieces(folder)
     first, residual, *others = pieces.notes(case.robot)
     assert "of 72 s 40 s were looked at, in 2 pieces" in first
@@ -98,7 +75,7 @@ def test_the_notes_say_what_was_looked_at(folder: Path) -> None:
     counts = log.used[:, None] & log.sliding
     left = np.where(counts, log.tau - log.predicted, 0.0)
     rms = np.sqrt(np.sum(left**2, axis=0) / counts.sum(axis=0))
-    survey = pieces.surveys[0]
+    (survey,) = pieces.surveys
     seen = np.sqrt(survey.squares.sum(axis=0) / survey.counts.sum(axis=0))
     np.testing.assert_allclose(seen, rms, rtol=1e-7)
     assert residual.endswith(f"shoulder {rms[0]:.3g} N m, elbow {rms[1]:.3g} N m")
@@ -107,7 +84,7 @@ def test_the_notes_say_what_was_looked_at(folder: Path) -> None:
 
 def test_an_effect_is_found(folder: Path) -> None:
     case = long_case(("stribeck", 1, 1.0))
-    found = diagnosed(case, gathered(case, folder))
+    found = diagnosed(case, case.pieces(folder / "humped.parquet"))
     first = found.findings[0]
     assert (first.effect, first.joint) == ("stribeck", "elbow")
     assert first.confidence > 0.8
@@ -115,8 +92,11 @@ def test_an_effect_is_found(folder: Path) -> None:
 
 
 def test_a_push_outside_the_pieces_is_found(folder: Path) -> None:
-    case = push()
-    pieces = gathered(case, folder)
+    def torque(t: Array) -> Array:
+        return np.outer(np.exp(-(((t - PUSHED) / 0.1) ** 2)), [4.0, 1.5])
+
+    case = long_case().with_torque(torque)
+    pieces = case.pieces(folder / "pushed.parquet")
     same = [x.offset for x in clean_pieces(folder).recordings]
     others = [x.offset for x in pieces.recordings]
     assert [x for x in others if x in same] == same  # the residual has no say in them
@@ -125,7 +105,7 @@ def test_a_push_outside_the_pieces_is_found(folder: Path) -> None:
     found = diagnosed(case, pieces)
     (event,) = found.events
     assert event.start < PUSHED < event.end < event.start + 1.0
-    assert event.log == str(folder / "long.parquet")
+    assert event.log == str(folder / "pushed.parquet")
     assert [f.effect for f in found.findings] == ["external_contact"]
     assert found.findings[0].confidence > 0.5
     for name, joint in clean_diagnosis(folder).joints.items():
@@ -134,10 +114,10 @@ def test_a_push_outside_the_pieces_is_found(folder: Path) -> None:
 
 def test_a_slow_drift_is_found(folder: Path) -> None:
     def torque(t: Array) -> Array:
-        return np.asarray((t / t[-1])[:, None] * np.array([0.6, 0.0]))
+        return np.outer(t / t[-1], [0.6, 0.0])
 
     case = long_case().with_torque(torque)
-    pieces = gathered(case, folder)
+    pieces = case.pieces(folder / "drifting.parquet")
     found = diagnosed(case, pieces)
     first = found.findings[0]
     assert (first.effect, first.joint) == ("drift", "shoulder")
@@ -148,13 +128,10 @@ def test_a_slow_drift_is_found(folder: Path) -> None:
 
 def test_a_log_that_is_at_hand_is_cut_alike(folder: Path) -> None:
     case, pieces = long_case(), clean_pieces(folder)
-    held = take_excerpts(
-        [case.log], case.robot, case.stages, options=OPTIONS.motion, most_values=MOST
-    )
-    assert [x.offset for x in held.recordings] == pytest.approx(
-        [x.offset for x in pieces.recordings], abs=1e-9
-    )
+    options = OPTIONS.motion
+    held = take_excerpts([case.log], case.robot, case.stages, options=options, most_values=MOST)
     for one, other in zip(held.recordings, pieces.recordings, strict=True):
+        assert one.offset == pytest.approx(other.offset, abs=1e-9)
         np.testing.assert_array_equal(one.q, other.q)
 
 
@@ -169,22 +146,14 @@ def test_memory_of_the_pass_does_not_grow_with_the_log(
 def _peak(times: int, folder: Path) -> int:
     """Bytes at the worst moment of a pass over the log so many times over."""
     case, log = long_case(), long_case().log
-    tau = log.tau
-    assert tau is not None
-    repeated = replace(
-        log,
-        t=np.arange(times * len(log.t)) / log.rate_hz,
-        q=np.tile(log.q, (times, 1)),
-        tau=np.tile(tau, (times, 1)),
-    )
+    q, tau = (np.tile(x, (times, 1)) for x in (log.q, log.tau))
+    repeated = replace(log, t=np.arange(len(q)) / log.rate_hz, q=q, tau=tau)
     path = replace(case, log=repeated).written(folder / f"{times}.parquet")
     surveyed = open_surveyed(path, case.robot)
-    assert surveyed is not None
+    known = {"robot": case.robot, "stages": case.stages, "options": InertiaOptions()}
     gc.collect()
     tracemalloc.start()
-    residual_survey.residual_survey(
-        surveyed, robot=case.robot, stages=case.stages, options=InertiaOptions()
-    )
+    residual_survey.residual_survey(surveyed, **known)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     return peak

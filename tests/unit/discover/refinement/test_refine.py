@@ -1,6 +1,5 @@
 """Refinement of the one-joint sample arm: when an effect came, and what follows from it."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -8,38 +7,33 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from seqid_cli.discover.excerpts import excerpts
 from seqid_cli.discover.noise.floor import NoiseFloor
 from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.refinement import held_out
 from seqid_cli.discover.refinement.confirm import confirm, excess_note
-from seqid_cli.discover.refinement.held_out import (
-    Gain,
-    HeldOutError,
-    gain,
-    gain_of,
-    likelier,
-)
+from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, gain, gain_of, likelier
 from seqid_cli.discover.refinement.loop import ALL_ALONG, LATE
-from seqid_cli.discover.refinement.rounds import quiet, refine
+from seqid_cli.discover.refinement.rounds import on_the_same_samples, quiet, refine
 from seqid_cli.discover.survey.events import Interval
-from seqid_cli.identify.friction_surface.stage import identify_friction
-from seqid_cli.identify.options import FrictionOptions, InertiaOptions
-from seqid_cli.identify.rigid.gravity import identify_gravity
-from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.identify.prediction.predict import LongPrediction
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.gear_load import ROTOR
-from seqid_cli.params.document import robot_id, with_stage
-from seqid_cli.params.schema import ParameterFile, Stages
+from seqid_cli.motion import blocks as motion_blocks
+from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT
+from tests.plants.robots.identified import sequential
 from tests.studies.loop.logs import Case, recorded
-from tests.studies.undeclared.logs import sequential
 from tests.studies.undeclared.refine import file_of
+from tests.unit.discover.long_logs import long_case
 
 SAMPLES = ROOT / "sample_logs" / "one_joint"
 STIFFNESS, REST = 0.0046265, 0.26  # N m/rad and rad, as truth.json has them
 Earlier = dict[str, list[Recording]]
+OPTIONS = DiscoverOptions()
 
 
 @cache
@@ -52,29 +46,17 @@ def log(name: str) -> Recording:
     return read_recording(SAMPLES / name, robot())
 
 
-def sprung(recording: Recording) -> Recording:
-    """The log with a spring at the joint."""
-    return replace(recording, tau=recording.tau + STIFFNESS * (recording.q - REST))
-
-
 def identified(earlier: Earlier) -> ParameterFile:
     """The stages of an arm as its first logs show it."""
-    friction = identify_friction(earlier["friction"], robot(), options=FrictionOptions())
-    stages = Stages(friction=friction)
-    stages.gravity = identify_gravity(earlier["gravity"], robot(), stages)
-    inertia = identify_inertia(earlier["inertia"], robot(), stages, options=InertiaOptions())
-    return with_stage(
-        None, robot_id(robot()), [], friction=friction, gravity=stages.gravity, inertia=inertia
-    )
+    alone = earlier | {"gravity": earlier["gravity"][:1]}  # the trials of friction are read anyway
+    return file_of(robot(), sequential(alone, robot()), {})
 
 
 def first_logs() -> Earlier:
-    trial = log("friction/joint_1.parquet")
-    return {
-        "friction": [trial],
-        "gravity": [log("gravity/joint_1.parquet"), trial],
-        "inertia": [log("inertia/joint_1.parquet")],
-    }
+    friction, gravity, inertia = (
+        log(f"{stage}/joint_1.parquet") for stage in ("friction", "gravity", "inertia")
+    )
+    return {"friction": [friction], "gravity": [gravity, friction], "inertia": [inertia]}
 
 
 def changed(*names: str) -> list[Recording]:
@@ -90,37 +72,39 @@ def before() -> ParameterFile:
 def test_what_came_late_leaves_the_file_as_it_is(
     before: ParameterFile, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    training, held_out = changed("fourier", "trapezoids"), changed("held_out")
-    found = refine(training, robot(), before, earlier=first_logs(), options=DiscoverOptions())
-    stages, loop = found.stages, confirm(found, held_out)
+    training, unseen = changed("fourier", "trapezoids"), changed("held_out")
+    found = refine(training, robot(), before, earlier=first_logs(), options=OPTIONS)
+    stages, loop = found.stages, confirm(found, unseen)
     assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, LATE)]
-    assert stages.gravity == before.stages.gravity
-    assert stages.inertia == before.stages.inertia
-    assert stages.friction == before.stages.friction
+    for name in ("friction", "gravity", "inertia"):
+        assert getattr(stages, name) == getattr(before.stages, name)
     value = {p.name: p.value for p in stages.effects[0].parameters}
     assert value["stiffness"] == pytest.approx(STIFFNESS, rel=0.1)
     assert loop.gain_interval["joint_1"][0] > 0.5
     low, high = loop.noise_floor_interval["joint_1"]
     assert low < loop.noise_floor["joint_1"] < high
     assert low < loop.after["joint_1"].rmse
-    assert [r.confirmed for r in loop.rounds] == [True]
+    assert loop.rounds[0].confirmed
     assert loop.verdict == "good"
     assert not any("doubtful" in note for note in loop.notes)
     left = np.array([loop.after["joint_1"].rmse])
     above = NoiseFloor(2.0 * left, 1.1 * left, 3.0 * left)
     monkeypatch.setattr("seqid_cli.discover.refinement.confirm.noise_floor", lambda *_, **__: above)
-    doubtful = confirm(found, held_out)
+    doubtful = confirm(found, unseen)
     assert doubtful.noise_floor["joint_1"] == 2.0 * left[0] > doubtful.after["joint_1"].rmse
     assert any("doubtful" in note for note in doubtful.notes)
 
 
 @pytest.mark.slow
 def test_what_was_there_all_along_is_taken_out_of_every_stage() -> None:
-    logs = {stage: [sprung(x) for x in logs] for stage, logs in first_logs().items()}
+    logs = {
+        stage: [replace(x, tau=x.tau + STIFFNESS * (x.q - REST)) for x in some]
+        for stage, some in first_logs().items()
+    }
     file = identified(logs)
-    training, held_out = changed("fourier", "trapezoids"), changed("held_out")
-    found = refine(training, robot(), file, earlier=logs, options=DiscoverOptions())
-    stages, loop = found.stages, confirm(found, held_out)
+    training, unseen = changed("fourier", "trapezoids"), changed("held_out")
+    found = refine(training, robot(), file, earlier=logs, options=OPTIONS)
+    stages, loop = found.stages, confirm(found, unseen)
     assert [(r.effect, r.accepted, r.reason) for r in loop.rounds] == [("spring", True, ALL_ALONG)]
     assert stages.gravity != file.stages.gravity
     assert stages.inertia != file.stages.inertia
@@ -139,20 +123,19 @@ def test_events_are_not_fitted() -> None:
     np.testing.assert_array_equal(second.valid[outside], logs[1].valid[outside])
 
 
-def blocks(squares: Sequence[Sequence[float]]) -> HeldOutError:
-    values, zero = np.array(squares, dtype=float), np.zeros(np.shape(squares))
-    return HeldOutError(values, np.ones_like(values), zero, zero)
+def errors(*squares: float, blocks: int = 12) -> HeldOutError:
+    """Squared errors of one sample in each block, alike in all blocks."""
+    values = np.tile(squares, (blocks, 1))
+    none = np.zeros_like(values)
+    return HeldOutError(values, np.ones_like(values), none, none)
 
 
-@pytest.mark.parametrize(("first", "second", "better"), [(9.0, 0.2, True), (2.0, 0.2, False)])
+@pytest.mark.parametrize(("first", "better"), [(9.0, True), (2.0, False)])
 def test_what_one_joint_gains_counts_as_much_as_what_another_loses(
-    first: float, second: float, better: bool
+    first: float, better: bool
 ) -> None:
-    samples, none = np.full((4, 2), 25.0), np.zeros((4, 2))
-    one = HeldOutError(samples * [1.0, 1.0], samples, none, none)
-    other = HeldOutError(samples * [first, second], samples, none, none)
-    assert likelier(one, other) == better
-    assert likelier(other, one) != better
+    one, other = errors(1.0, 1.0), errors(first, 0.2)
+    assert (likelier(one, other), likelier(other, one)) == (better, not better)
 
 
 def test_what_extrapolation_misses_hides_no_gain() -> None:
@@ -169,7 +152,7 @@ def test_what_extrapolation_misses_hides_no_gain() -> None:
 
 
 def test_a_certain_loss_at_one_joint_is_seen() -> None:
-    old, new = blocks([[1.0, 1.0]] * 12), blocks([[0.1, 1.2]] * 12)
+    old, new = errors(1.0, 1.0), errors(0.1, 1.2)
     assert gain(old, new, [0, 1]).certain
     assert gain(old, new, [1]).loses
     assert not gain(old, new, [0]).loses
@@ -195,8 +178,8 @@ def test_the_interval_of_a_gain_covers_it(memory: int) -> None:
 def test_a_few_seconds_are_enough_for_a_large_effect(before: ParameterFile) -> None:
     log = changed("fourier")[0]
     short = log.t < log.t[0] + 6.0
-    cut = replace(log, t=log.t[short], q=log.q[short], tau=log.tau[short], valid=log.valid[short])
-    found = refine([cut], robot(), before, earlier={}, options=DiscoverOptions())
+    cut = replace(log, **{x: getattr(log, x)[short] for x in ("t", "q", "tau", "valid")})
+    found = refine([cut], robot(), before, earlier={}, options=OPTIONS)
     loop = confirm(found, changed("held_out"))
     assert [(r.effect, r.accepted) for r in loop.rounds] == [("spring", True)]
     assert loop.after["joint_1"].rmse < 0.6 * loop.before["joint_1"].rmse
@@ -204,14 +187,10 @@ def test_a_few_seconds_are_enough_for_a_large_effect(before: ParameterFile) -> N
 
 def test_smooth_terms_are_proposed_where_they_were_not_allowed_yet() -> None:
     assert excess_note({"elbow": 1.1}, smooth=False) == ()
-    (asked,) = excess_note({"elbow": 5.0}, smooth=False)
-    assert "elbow (5.0 times)" in asked
-    assert "--with-unexplained" in asked
-    (allowed,) = excess_note({"elbow": 5.0}, smooth=True)
-    assert "--with-unexplained" not in allowed
-
-
-LOSS = 0.1  # of the load, in all logs of the case
+    for allowed in (False, True):
+        (note,) = excess_note({"elbow": 5.0}, smooth=allowed)
+        assert "elbow (5.0 times)" in note
+        assert ("--with-unexplained" in note) != allowed
 
 
 @pytest.mark.slow
@@ -221,10 +200,41 @@ def test_refine_finds_loss_and_rotor_of_a_joint_that_hides_it(tmp_path: Path) ->
     reflected = first.gear_ratio**2 * first.rotor_inertia
     robot = replace(logs.robot, joints=(replace(first, rotor_inertia=None), *rest))
     file = file_of(robot, sequential(logs.earlier, robot), logs.earlier)
-    options = DiscoverOptions()
-    found = refine(logs.training, robot, file, earlier=logs.earlier, options=options).stages.effects
-    assert found is not None
-    (loss,) = found
+    found = refine(logs.training, robot, file, earlier=logs.earlier, options=OPTIONS)
+    (loss,) = found.stages.effects
     assert (loss.effect, loss.joint) == ("load_dependent_friction", first.name)
-    assert loss.parameters[0].value == pytest.approx(LOSS, rel=0.04)
+    assert loss.parameters[0].value == pytest.approx(0.1, rel=0.04)  # of the load, in all logs
     assert loss.settings[ROTOR] == pytest.approx(reflected, rel=0.15)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
+def test_logs_too_long_to_be_held_are_fitted_in_pieces_and_judged_as_a_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for place, name, value in (
+        (excerpts, "PASSED_OVER", 1000),
+        (held_out, "LONG", 1000),
+        (LongPrediction, "rows", 7_000),
+        (motion_blocks, "LEAST_BLOCK", 9_000),
+    ):
+        monkeypatch.setattr(place, name, value)
+    training, unseen = (long_case(("stribeck", 1, 1.0), seed=seed) for seed in (1, 11))
+    fitted = training.pieces(tmp_path / "fitted.parquet", places=False)
+    held, path = unseen.pieces(tmp_path / "held.parquet", places=False), tmp_path / "held.parquet"
+    assert len(fitted.recordings) == 2
+    robot, file, options = training.robot, training.file, replace(OPTIONS, max_effects=1)
+    found = refine(fitted.recordings, robot, file, earlier={}, options=options)
+    loop = confirm(found, held.recordings, held_out.WholeLogs((path,), robot))
+
+    (told,) = [r for r in loop.rounds if r.accepted]
+    assert (told.effect, told.joint) == ("stribeck", "elbow")
+    assert [x.effect for x in found.stages.effects] == ["stribeck"]
+    assert loop.after["elbow"].rmse < 0.5 * loop.before["elbow"].rmse
+    motion = on_the_same_samples(options, file.stages, robot).motion
+    log = read_recording(path, robot)
+    for errors, stages in ((loop.before, file.stages), (loop.after, found.stages)):
+        whole = held_out.held_out_error([log], robot, stages, options=motion)
+        np.testing.assert_allclose([x.rmse for x in errors.values()], whole.rmse(), rtol=1e-8)
+    assert loop.evaluated_on == [str(path)]
+    assert any("errors are of the whole held-out logs" in note for note in loop.notes)

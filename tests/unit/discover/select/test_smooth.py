@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.selection import Selection, select
 from seqid_cli.discover.select.smooth import SmoothFunction, smooth_functions
 from seqid_cli.discover.survey.rows import rows_of
@@ -39,16 +38,11 @@ def both_places(scene: Scene) -> Array:
     return 0.4 * np.sin(2 * scene.motion.q[:, 1]) * np.cos(3 * scene.motion.q[:, 0])
 
 
-def selected(seed: int, extra: Extra | None) -> Selected:
-    return selection(seed, extra).told()
-
-
 def selection(seed: int, extra: Extra | None) -> Selection:
     """What is selected without any effect to choose from, beside coloured noise."""
     rng, scenes = np.random.default_rng(seed), []
     for scene in related_scenes(seed, logs=3):
-        tau = scene.modelled + (0.0 if extra is None else extra(scene))
-        whole = measuring(scene, tau)
+        whole = measuring(scene, scene.modelled + (0.0 if extra is None else extra(scene)))
         whole.motion.tau[:] += coloured(scene, rng)
         scenes.append(whole)
     return select(ground_of(scenes), None, [])
@@ -69,26 +63,21 @@ def selection(seed: int, extra: Extra | None) -> Selection:
 def test_the_right_quantity_is_named_first(extra, quantities: set[str], seed: int) -> None:
     first = selection(seed, at_joint(1, extra)).model.terms[0].what
     assert isinstance(first, SmoothFunction)
-    assert first.joint == 1
-    assert set(first.quantities) == quantities
+    assert (first.joint, set(first.quantities)) == (1, quantities)
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_noise_depends_on_nothing(seed: int) -> None:
-    assert selected(seed, None).taken == ()
+    assert selection(seed, None).told().taken == ()
 
 
 def test_the_term_is_the_torque_that_was_put_in() -> None:
-    found = selected(1, at_joint(1, bump))
-    first = found.taken[0]
-    what, c = first.term.what, first.one.gained.coefficients
-    assert isinstance(what, SmoothFunction)
+    """Up to a constant and a slope, which friction and gravity hold."""
+    found = selection(1, at_joint(1, bump)).told()
+    what, c = found.taken[0].term.what, found.taken[0].one.gained.coefficients
     scene = found.model.ground.stage.scenes[0]
-    x, torque = scene.motion.q[:, 1], what.term(c).torque(scene)
-    inside = np.abs(x) < 0.9
-    truth = 0.9 * np.exp(-(((x - 0.3) / 0.2) ** 2))
-    # Up to a constant and a slope, which friction and gravity hold.
-    assert np.corrcoef(torque[inside], truth[inside])[0, 1] > 0.95
+    torque, inside = what.term(c).torque(scene), np.abs(scene.motion.q[:, 1]) < 0.9
+    assert np.corrcoef(torque[inside], bump(scene)[inside])[0, 1] > 0.95
     total = [np.zeros_like(scene.motion.q)]
     what.add_torque(total, [scene], c)
     expected = scene.motion.filtered(torque, times=2)
@@ -100,7 +89,6 @@ def test_a_joint_at_rest_is_no_quantity() -> None:
     for scene in scenes:
         scene.motion.q[:, 0] = 0.3
         scene.motion.dq[:, 0] = scene.motion.ddq[:, 0] = 0.0
-    rows = rows_of(scenes)
-    labels = {one.label for one in smooth_functions(rows, 1)}
+    labels = {one.label for one in smooth_functions(rows_of(scenes), 1)}
     assert "position" in labels
     assert not [label for label in labels if "joint_1" in label]

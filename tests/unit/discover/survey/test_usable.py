@@ -24,9 +24,8 @@ def log(name: str, seed: int, *, coulomb: float) -> Recording:
 
 def test_echo_is_left_out_with_a_note() -> None:
     good, echo = log("good", 0, coulomb=0.8), log("hand.parquet", 1, coulomb=0.0)
-    kept, notes = usable_logs(iter([good, echo]), ROBOT)
+    kept, (note,) = usable_logs(iter([good, echo]), ROBOT)
     assert kept == [good]
-    (note,) = notes
     for fragment in ("hand.parquet", *ROBOT.joint_names, "echo of the command", "motor current"):
         assert fragment in note
 
@@ -41,12 +40,12 @@ def test_nothing_left_is_an_error() -> None:
 
 
 def test_pieces_stay_together() -> None:
-    whole = Whole("1" * 64, 0.0, 80.0)
-    good = [replace(log("one", k, coulomb=0.8), whole=whole) for k in range(2)]
-    odd = replace(log("one", 2, coulomb=0.0), whole=whole)
+    def piece(name: str, seed: int, coulomb: float) -> Recording:
+        return replace(log(name, seed, coulomb=coulomb), whole=Whole(name, 0.0, 80.0))
+
+    good, odd = [piece("one", k, 0.8) for k in range(2)], piece("one", 2, 0.0)
     assert usable_logs([*good, odd], ROBOT) == ([*good, odd], ())
-    other = Whole("2" * 64, 0.0, 80.0)
-    echo = [replace(log("two", k, coulomb=0.0), whole=other) for k in range(3)]
+    echo = [piece("two", k, 0.0) for k in range(3)]
     kept, notes = usable_logs([*good, *echo], ROBOT)
     assert kept == good
     assert [note.split()[0] for note in notes] == ["two"]

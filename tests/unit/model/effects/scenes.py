@@ -99,18 +99,10 @@ def scenes_of_logs(logs: int = 3, seconds: float = 20.0, apart: float = 300.0) -
     """Return several logs on a shared clock, `apart` s from start to start, that warm up."""
     scenes = []
     for number in range(logs):
-        q = wander(seconds, seed=number)
-        t = number * apart + np.arange(len(q)) / RATE_HZ
-        warm = 25.0 + 15.0 * (1.0 - np.exp(-t / 400.0))
-        scenes.append(
-            scene_of(
-                q,
-                log=number,
-                start=number * apart,
-                shared_clock=True,
-                temperature=np.stack([warm, 0.5 * warm + 12.0], axis=1),
-            )
-        )
+        q, start = wander(seconds, seed=number), number * apart
+        warm = 40.0 - 15.0 * np.exp(-(start + np.arange(len(q)) / RATE_HZ) / 400.0)
+        heat = np.stack([warm, 0.5 * warm + 12.0], axis=1)
+        scenes.append(scene_of(q, log=number, start=start, shared_clock=True, temperature=heat))
     return scenes
 
 
@@ -119,9 +111,3 @@ def settings_of(effect: Effect, scenes: Sequence[Scene], joint: int | None) -> l
     rng = np.random.default_rng(1)
     residual = [s.motion.filtered(rng.normal(size=s.motion.q.shape)) for s in scenes]
     return list(effect.grid(scenes, joint, residual))
-
-
-def with_torque(scene: Scene, extra: Array) -> Scene:
-    """Add torque extra (N, n) N m, unfiltered, to what the scene has measured."""
-    motion = scene.motion
-    return replace(scene, motion=replace(motion, tau=motion.tau + motion.filtered(extra, times=2)))

@@ -1,4 +1,4 @@
-"""Effects from a parameter file: restored exactly, placed on any log, taken out again."""
+"""Effects and smooth terms of a parameter file: restored exactly, put on any log, taken out."""
 
 from dataclasses import replace
 
@@ -15,7 +15,6 @@ from seqid_cli.model.effects.apply import (
     session_of,
     without_effects,
 )
-from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.fitted import (
     FittedEffect,
     as_stage,
@@ -29,7 +28,7 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import EffectOfJoint, EffectSession, FrictionStage, Stages
 from tests import Array
 from tests.plants.robots.made import friction_joint, made_recording
-from tests.plants.robots.two_joint import SIGN_WIDTH, two_joint_robot
+from tests.plants.robots.two_joint import GEAR, SIGN_WIDTH, two_joint_robot
 from tests.unit.model.effects.scenes import (
     CUTOFF_HZ,
     RATE_HZ,
@@ -40,6 +39,7 @@ from tests.unit.model.effects.scenes import (
 )
 
 ROBOT = two_joint_robot()
+SESSION = EffectSession(logs=["a", "b", "c"], starts=[0.0, 100.0, 200.0], origin=1.7e9)
 
 
 @pytest.fixture(scope="module")
@@ -59,37 +59,24 @@ def recording_of(q: Array, tau: Array | None, sha256: str = "a", start: float = 
     return made_recording(q, tau, rate_hz=RATE_HZ, sha256=sha256, start=start)
 
 
-def through_a_file(effects: list[EffectOfJoint]) -> Stages:
-    return msgspec.json.decode(msgspec.json.encode(Stages(effects=effects)), type=Stages)
+def through_a_file(*effects: EffectOfJoint) -> Stages:
+    return msgspec.json.decode(msgspec.json.encode(Stages(effects=list(effects))), type=Stages)
 
 
 @pytest.mark.parametrize("name", sorted(set(CATALOGUE) - {"external_contact"}))
 def test_a_file_restores_the_torque_exactly(name: str, logs: list[Scene]) -> None:
     """Whatever `values` makes of the coefficients."""
-    effect: Effect = CATALOGUE[name]
+    effect = CATALOGUE[name]
     joint = None if effect.arm else 0
-    if not effect.available(logs, joint):
-        pytest.skip("not available on these logs")
-    grid = settings_of(effect, logs, joint) or [
-        {setting.name: max(setting.low, 0.5) for setting in effect.settings}
-    ]
+    grid = settings_of(effect, logs, joint) or [{s.name: max(s.low, 0.5) for s in effect.settings}]
     count = len(effect.coefficients(grid[-1]))
-    rng = np.random.default_rng(3)
-    given = FittedEffect(
-        effect,
-        joint,
-        grid[-1],
-        0.01 * rng.normal(size=count),
-        1e-6 * np.eye(count),
-        EffectSession(logs=["a", "b"], starts=[0.0, 300.0], origin=1.7e9),
-    )
-    (restored,) = fitted_effects(through_a_file([as_stage(given, ROBOT)]), ROBOT)
-    assert isinstance(restored, FittedEffect)
+    c = 0.01 * np.random.default_rng(3).normal(size=count)
+    given = FittedEffect(effect, joint, grid[-1], c, 1e-6 * np.eye(count), SESSION)
+    (restored,) = fitted_effects(through_a_file(as_stage(given, ROBOT)), ROBOT)
     assert restored.session == given.session
     np.testing.assert_array_equal(restored.covariance, given.covariance)
-    np.testing.assert_array_equal(
-        effect_torque(logs[1], [restored]), effect_torque(logs[1], [given])
-    )
+    again, before = (effect_torque(logs[1], [one]) for one in (restored, given))
+    np.testing.assert_array_equal(again, before)
 
 
 def test_coefficients_that_came_later_are_zero_in_earlier_files(logs: list[Scene]) -> None:
@@ -98,15 +85,10 @@ def test_coefficients_that_came_later_are_zero_in_earlier_files(logs: list[Scene
     earlier = as_stage(now, ROBOT)
     earlier.coefficients = earlier.coefficients[:3]
     earlier.covariance = [row[:3] for row in earlier.covariance[:3]]
-    (restored,) = fitted_effects(through_a_file([earlier]), ROBOT)
-    assert isinstance(restored, FittedEffect)
+    (restored,) = fitted_effects(through_a_file(earlier), ROBOT)
     assert restored.covariance.shape == (4, 4)
     assert not restored.covariance[3].any()
     np.testing.assert_array_equal(effect_torque(logs[1], [restored]), effect_torque(logs[1], [now]))
-
-
-def entry(**changes: object) -> EffectOfJoint:
-    return msgspec.structs.replace(as_stage(stribeck(), ROBOT), **changes)
 
 
 @pytest.mark.parametrize(
@@ -115,7 +97,11 @@ def entry(**changes: object) -> EffectOfJoint:
         ({"effect": "phlogiston"}, r"effects\[1\]\.effect: no effect named 'phlogiston'"),
         ({"joint": None}, r"\.joint: stribeck is an effect of one joint"),
         ({"joint": "knee"}, r"\.joint: 'knee' is none of the robot's joints: joint_1, joint_2"),
-        ({"effect": "payload"}, r"\.joint: payload is of the whole arm"),
+        (
+            {"effect": "payload", "settings": {"from_log": 0.0}, "coefficients": [0.0] * 10}
+            | {"covariance": []},
+            r"\.joint: payload is of the whole arm",
+        ),
         ({"settings": {"exponent": 2.0}}, r"settings\.stribeck_speed: is missing"),
         (
             {"settings": {"stribeck_speed": 0.1, "exponent": 2.0, "colour": 1.0}},
@@ -129,15 +115,12 @@ def entry(**changes: object) -> EffectOfJoint:
     ],
 )
 def test_what_is_wrong_is_named(changes: dict[str, object], message: str) -> None:
-    if changes.get("effect") == "payload":
-        changes = {**changes, "settings": {"from_log": 0.0}, "coefficients": [0.0] * 10}
-        changes["covariance"] = []
-    wrong = Stages(effects=[entry(), entry(**changes)])
+    right = as_stage(stribeck(), ROBOT)
+    wrong = msgspec.structs.replace(right, **changes)
     with pytest.raises(ConfigError, match=message):
-        fitted_effects(wrong, ROBOT)
+        fitted_effects(Stages(effects=[right, wrong]), ROBOT)
 
 
-SESSION = EffectSession(logs=["a", "b", "c"], starts=[0.0, 100.0, 200.0], origin=1.7e9)
 UNCLOCKED = EffectSession(logs=["a", "b", "c"])
 
 
@@ -162,8 +145,7 @@ def test_logs_find_their_place_in_a_session(
     expected: tuple[int, float, bool],
 ) -> None:
     alone = replace(logs[0], log=0, start=0.0, shared_clock=False)
-    log = recording_of(alone.motion.q, None, sha256, start)
-    scene = placed(alone, log, session)
+    scene = placed(alone, recording_of(alone.motion.q, None, sha256, start), session)
     assert (scene.log, scene.start, scene.shared_clock) == expected
 
 
@@ -173,24 +155,18 @@ def test_a_session_is_described_by_its_logs(logs: list[Scene]) -> None:
         for scene, name in zip(logs, "abc", strict=True)
     ]
     starts = [scene.start for scene in logs]
-    session = session_of(recordings, starts, True)
-    assert (session.logs, session.starts, session.origin) == (["a", "b", "c"], starts, 1.7e9)
-    for scene, recording in zip(logs, recordings, strict=True):
-        again = placed(replace(scene, log=7, start=0.0), recording, session)
-        assert (again.log, again.start) == (scene.log, scene.start)
-    assert session_of(recordings, starts, False) == EffectSession(logs=["a", "b", "c"])
+    expected = EffectSession(logs=["a", "b", "c"], starts=starts, origin=1.7e9)
+    assert session_of(recordings, starts, True) == expected
+    assert session_of(recordings, starts, False) == UNCLOCKED
 
 
 def test_friction_effects_widen_what_holds_at_rest(logs: list[Scene]) -> None:
     """Stribeck friction at the slowest speed, either way; a spring or an offset does not."""
     scene = logs[0]
-    log = recording_of(scene.motion.q, None)
-    added = added_torque(
-        scene, log, [stribeck(), fitted("torque_bias", 1, [3.0])], np.full(2, 0.02)
-    )
-    np.testing.assert_allclose(
-        added.high[:, 0], np.exp(-0.04) * np.tanh(0.02 / SIGN_WIDTH), rtol=1e-9
-    )
+    log, slowest = recording_of(scene.motion.q, None), np.full(2, 0.02)
+    added = added_torque(scene, log, [stribeck(), fitted("torque_bias", 1, [3.0])], slowest)
+    held = np.exp(-0.04) * np.tanh(0.02 / SIGN_WIDTH)
+    np.testing.assert_allclose(added.high[:, 0], held, rtol=1e-9)
     np.testing.assert_allclose(added.low, -added.high, atol=1e-12)
     assert not added.high[:, 1].any()
     np.testing.assert_allclose(added.value[:, 1], 3.0)
@@ -198,15 +174,16 @@ def test_friction_effects_widen_what_holds_at_rest(logs: list[Scene]) -> None:
 
 def stages_of(scene: Scene) -> Stages:
     """Friction as in the scene's model; rigid body left out."""
-    joints = {}
-    for name, surface in zip(ROBOT.joint_names, scene.model.surfaces, strict=True):
-        joints[name] = friction_joint(
+    joints = {
+        name: friction_joint(
             surface.positive,
             surface.negative,
             speed_range=[0.0, 4.0],
             sign_width=surface.sign_width,
             covariance=surface.covariance.tolist(),
         )
+        for name, surface in zip(ROBOT.joint_names, scene.model.surfaces, strict=True)
+    }
     return Stages(friction=FrictionStage(joints=joints))
 
 
@@ -218,13 +195,8 @@ def test_a_recording_is_freed_of_its_effects() -> None:
     hump = np.exp(-((dq[:, 0] / 0.1) ** 2)) * np.tanh(dq[:, 0] / 0.01)
     dirty = clean + np.column_stack([hump + 0.3, 0.05 * clean[:, 1]])
     effects = [stribeck(), fitted("torque_bias", 0, [0.3]), fitted("torque_constant", 1, [0.05])]
-    freed = without_effects(
-        recording_of(q, dirty),
-        ROBOT,
-        stages_of(scene),
-        effects,
-        motion=MotionOptions(cutoff_hz=CUTOFF_HZ),
-    )
+    given, motion = recording_of(q, dirty), MotionOptions(cutoff_hz=CUTOFF_HZ)
+    freed = without_effects(given, ROBOT, stages_of(scene), effects, motion=motion)
     usable = scene.motion.usable
     np.testing.assert_allclose(freed.tau[usable, 1], clean[usable, 1], atol=1e-9)
     left = freed.tau[usable, 0] - clean[usable, 0]
@@ -235,8 +207,8 @@ def test_a_recording_is_freed_of_its_effects() -> None:
 def test_an_encoder_error_is_taken_off_the_angle() -> None:
     scene = scene_of(wander(8.0, seed=4, rests=()))
     q = scene.motion.q
-    gear = ROBOT.joints[0].gear_ratio
-    error = 1e-3 * np.sin(gear * q[:, 0]) - 2e-3 * np.cos(gear * q[:, 0])
+    turns = GEAR[0] * q[:, 0]
+    error = 1e-3 * np.sin(turns) - 2e-3 * np.cos(turns)
     item = fitted("encoder_eccentricity", 0, [1e-3, -2e-3], order=1.0)
     given = recording_of(q, np.zeros_like(q))
     freed = without_effects(given, ROBOT, Stages(), [item], motion=MotionOptions())
@@ -245,20 +217,51 @@ def test_an_encoder_error_is_taken_off_the_angle() -> None:
     assert freed.tau is given.tau
 
 
-def test_a_smooth_term_counts_when_asked(logs: list[Scene]) -> None:
-    term = SmoothTerm(
-        joint=0,
-        quantities=("position",),
-        axes=(Axis("position", 0, (-2.0, 0.0, 2.0)),),
-        factor="one",
-        coefficients=np.linspace(-1.0, 1.0, 5),
-    )
-    stages = through_a_file([as_stage(stribeck(), ROBOT), term.to_stage(ROBOT)])
+KNOTS = (-1.0, -0.3, 0.1, 0.4, 1.2)
+
+
+def a_term() -> SmoothTerm:
+    axes = (Axis("position", 1, KNOTS), Axis("velocity", 0, (-2.0, 0.0, 1.0)))
+    c = np.random.default_rng(3).normal(size=axes[0].size * axes[1].size)
+    return SmoothTerm(1, ("position", "other_joint:joint_1"), axes, "direction", c)
+
+
+def test_a_term_survives_the_file_and_counts_when_asked() -> None:
+    scene, term = scene_of(wander(4.0, rests=())), a_term()
+    entry = term.to_stage(ROBOT)
+    assert {p.unit for p in entry.parameters} == {"N m"}
+    stages = through_a_file(as_stage(stribeck(), ROBOT), entry)
     assert len(fitted_effects(stages, ROBOT)) == 1
-    both = fitted_effects(stages, ROBOT, unexplained=True)
-    assert isinstance(both[1], SmoothTerm)
-    np.testing.assert_allclose(effect_torque(logs[0], both[1:])[:, 0], term.torque(logs[0]))
-    without, with_it = effect_notes(stages, ROBOT), effect_notes(stages, ROBOT, unexplained=True)
+    back = fitted_effects(stages, ROBOT, unexplained=True)[1]
+    parts = ("joint", "quantities", "axes", "factor")
+    assert [getattr(back, name) for name in parts] == [getattr(term, name) for name in parts]
+    np.testing.assert_array_equal(effect_torque(scene, [back])[:, 1], term.torque(scene))
+    without, with_it = (effect_notes(stages, ROBOT, unexplained=x) for x in (False, True))
     assert without[0] == "effects in the prediction: stribeck (joint_1)"
     assert "--with-unexplained" in without[1]
-    assert with_it == ["effects in the prediction: stribeck (joint_1), unexplained (joint_1)"]
+    assert with_it == ["effects in the prediction: stribeck (joint_1), unexplained (joint_2)"]
+
+
+DAMAGED = [
+    ("axis_1", "mood"),
+    ("axis_1_joint", "wing"),
+    ("axis_1_knot_0", 7.0),
+    ("axis_1_knot_2", float("inf")),
+    ("axis_1_knot_1", "x"),
+    ("factor", "luck"),
+]
+
+
+@pytest.mark.parametrize(("key", "value"), DAMAGED)
+def test_a_damaged_entry_is_named(key: str, value: str | float) -> None:
+    entry = a_term().to_stage(ROBOT)
+    entry.settings[key] = value
+    with pytest.raises(ConfigError, match=r"axis_1|factor"):
+        SmoothTerm.from_stage(entry, ROBOT)
+
+
+def test_missing_coefficients_are_counted() -> None:
+    entry = a_term().to_stage(ROBOT)
+    entry.parameters.pop()
+    with pytest.raises(ConfigError, match="expected 35"):
+        SmoothTerm.from_stage(entry, ROBOT)

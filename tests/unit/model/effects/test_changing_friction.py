@@ -8,10 +8,9 @@ import pytest
 from seqid_cli.model.effects.friction_change import FrictionChange
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.thermal_friction import ThermalFriction
-from seqid_cli.model.torque import TorqueModel
 from tests import Array
-from tests.plants.robots.two_joint import COULOMB, VISCOUS, torque_model
-from tests.unit.model.effects.fitting import direction, fit, left_over, trial
+from tests.plants.robots.two_joint import torque_model
+from tests.unit.model.effects.fitting import direction, fit, fitted, trial
 from tests.unit.model.effects.scenes import scene_of, wander
 
 AMBIENT, CAPACITY, LOSS, POWER = 22.0, 600.0, 2.0, 40.0  # degC, J/K, W/K, W
@@ -20,20 +19,9 @@ COULOMB_SLOPE, VISCOUS_SLOPE = 0.02, -0.05  # N m/K, N m s/(rad K)
 APART, LOGS, SECONDS = 200.0, 6, 12.0
 
 
-def heat_balance(end: float, dt: float = 0.05) -> Array:
-    """Temperature [degC] of a gear that starts at the ambient's, every dt s."""
-    temperature, level = [], AMBIENT
-    for _ in range(round(end / dt)):
-        temperature.append(level)
-        level += dt * (POWER - LOSS * (level - AMBIENT)) / CAPACITY
-    return np.array(temperature)
-
-
-HISTORY = heat_balance(1300.0)
-
-
 def temperature(t: Array) -> Array:
-    return np.interp(t, 0.05 * np.arange(len(HISTORY)), HISTORY)
+    """Temperature [degC] of a gear that starts at the ambient's, by its heat balance."""
+    return AMBIENT + POWER / LOSS * (1.0 - np.exp(-t / TIME_CONSTANT))
 
 
 def law(t: Array, q: Array, dq: Array) -> Array:
@@ -46,11 +34,7 @@ def law(t: Array, q: Array, dq: Array) -> Array:
 @pytest.fixture(scope="module")
 def trials() -> list[Scene]:
     """Logs minutes apart, the robot working on in between."""
-    starts = [k * APART for k in range(LOGS)]
-    return [
-        trial(law, seed=k, seconds=SECONDS, log=k, start=start, noise=0.05)
-        for k, start in enumerate(starts)
-    ]
+    return [trial(law, seed=k, seconds=SECONDS, start=k * APART) for k in range(LOGS)]
 
 
 def logged(scene: Scene) -> Scene:
@@ -60,11 +44,10 @@ def logged(scene: Scene) -> Scene:
 
 
 def test_slopes_come_back_from_logged_temperature(trials: list[Scene]) -> None:
-    found = fit(ThermalFriction(), [logged(each) for each in trials], joint=0)
-    assert found.settings["logged"] == 1.0
-    assert AMBIENT < found.settings["reference_temperature"] < AMBIENT + POWER / LOSS
-    assert found.c == pytest.approx([COULOMB_SLOPE, VISCOUS_SLOPE], rel=0.1)
-    assert found.left < 0.05
+    settings, c = fit(ThermalFriction(), [logged(each) for each in trials], joint=0)
+    assert settings["logged"] == 1.0
+    assert AMBIENT < settings["reference_temperature"] < AMBIENT + POWER / LOSS
+    assert c == pytest.approx([COULOMB_SLOPE, VISCOUS_SLOPE], rel=0.1)
 
 
 def test_a_change_is_counted_from_the_temperature_of_the_file(trials: list[Scene]) -> None:
@@ -85,66 +68,53 @@ def test_a_change_is_counted_from_the_temperature_of_the_file(trials: list[Scene
 
 def test_the_time_constant_comes_back_from_the_clock(trials: list[Scene]) -> None:
     """Cold friction less warm friction, and how fast it goes."""
-    found = fit(ThermalFriction(), trials, joint=1)
+    settings, c = fit(ThermalFriction(), trials, joint=1)
     rise = POWER / LOSS
-    assert found.settings["logged"] == 0.0
-    assert found.settings["warm_up_time"] == pytest.approx(TIME_CONSTANT, rel=0.05)
-    assert found.c == pytest.approx([-COULOMB_SLOPE * rise, -VISCOUS_SLOPE * rise], rel=0.1)
-    assert found.left < 0.05
+    assert settings["logged"] == 0.0
+    assert settings["warm_up_time"] == pytest.approx(TIME_CONSTANT, rel=0.05)
+    assert c == pytest.approx([-COULOMB_SLOPE * rise, -VISCOUS_SLOPE * rise], rel=0.1)
 
 
 def test_damaged_temperature_is_not_used(trials: list[Scene]) -> None:
     """Not numbers, or not degrees Celsius."""
-    effect = ThermalFriction()
+    effect, hot = ThermalFriction(), {"warm_up_time": 100.0, "logged": 1.0}
     for bad in (np.nan, np.inf, 4000.0):
         scenes = [logged(each) for each in trials]
         scenes[0].temperature[7, 0] = bad
-        grid = list(effect.grid(scenes, 0, []))
-        assert {point["logged"] for point in grid} == {0.0}
-        hot = {"warm_up_time": 100.0, "logged": 1.0, "reference_temperature": 25.0}
-        assert np.all(np.isfinite(effect.columns(scenes[0], 0, hot)[0]))
+        assert {point["logged"] for point in effect.grid(scenes, 0, [])} == {0.0}
+        columns = effect.columns(scenes[0], 0, {**hot, "reference_temperature": 25.0})
+        assert np.all(np.isfinite(columns[0]))
 
 
 def test_what_no_channel_tells_cannot_be_ruled_out() -> None:
     """Where file and logs know the temperature, and it is the same, it can."""
     short = scene_of(wander(10.0))
-    assert ThermalFriction().possible([short], 0)
     known = replace(short, temperature=np.full((short.samples, 2), AMBIENT))
-    surface = short.model.surfaces[0]
-    assert surface is not None
-    surfaces = [replace(surface, temperature=AMBIENT), short.model.surfaces[1]]
-    assert ThermalFriction().possible([known], 0)
+    surfaces = [replace(surface, temperature=AMBIENT) for surface in short.model.surfaces]
     same = replace(known, model=replace(known.model, surfaces=surfaces))
-    assert not ThermalFriction().possible([same], 0)
+    possible = [ThermalFriction().possible([scene], 0) for scene in (short, known, same)]
+    assert possible == [True, True, False]
 
 
 WORN = np.array([0.8, -0.3])  # Coulomb N m, viscous N m s/rad, both joints
 
 
 def worn(t: Array, q: Array, dq: Array) -> Array:
-    """Today's friction, whole."""
-    coulomb, viscous = np.array(COULOMB) + WORN[0], np.array(VISCOUS) + WORN[1]
-    return coulomb * direction(dq) + viscous * dq
+    return WORN[0] * direction(dq) + WORN[1] * dq
 
 
 @pytest.mark.parametrize("joint", [0, 1])
 def test_the_change_comes_back(joint: int) -> None:
-    """Measured less the file's friction; nothing else is free."""
-    effect = FrictionChange()
-    scene = trial(worn, noise=0.2)
-    rows = scene.motion.usable
-    change = left_over(scene) - scene.motion.filtered(scene.friction, 2)
-    X = scene.motion.filtered(effect.columns(scene, joint, {})[joint], effect.passes)
-    c = np.linalg.lstsq(X[rows], change[rows, joint])[0]
+    effect, scenes = FrictionChange(), [trial(worn, noise=0.2)]
+    c, _ = fitted(effect, scenes, joint, {})
     assert effect.change
     assert c == pytest.approx(WORN, rel=0.1)
-    assert effect.plausible([scene], joint, {}, c)
+    assert effect.plausible(scenes, joint, {}, c)
 
 
 def test_friction_that_nobody_knew_has_not_changed() -> None:
     scene = scene_of(wander(10.0))
     known = torque_model(scene.robot)
-    first = TorqueModel(scene.robot, [known.surfaces[0], None], known.phi, known.rotor, "diagonal")
-    half = scene_of(wander(10.0), model=first)
+    half = scene_of(wander(10.0), model=replace(known, surfaces=[known.surfaces[0], None]))
     assert FrictionChange().available([scene, half], 0)
     assert not FrictionChange().available([scene, half], 1)

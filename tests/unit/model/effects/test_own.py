@@ -16,8 +16,8 @@ from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.stribeck import Stribeck
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.formula import parse_formula
-from seqid_cli.robot.types import OwnEffect, Robot
-from tests.plants.robots.two_joint import torque_model, two_joint_robot
+from seqid_cli.robot.types import OwnEffect
+from tests.plants.robots.two_joint import two_joint_robot
 from tests.unit.model.effects.scenes import scene_of, wander
 
 
@@ -31,25 +31,19 @@ def asked(text: str, joint: int | None = None, **settings: tuple[float, float]) 
     return OwnEffect("drag", joint, parse_formula(text, 2, settings), settings)
 
 
-def scene() -> Scene:
-    robot = two_joint_robot()
-    return scene_of(wander(4.0, seed=1, rests=()), robot=robot, model=torque_model(robot))
+@pytest.fixture(scope="module")
+def place() -> Scene:
+    return scene_of(wander(4.0, seed=1, rests=()))
 
 
 def effect_of(own_effect: OwnEffect) -> Effect:
-    return catalogue_of(replace(two_joint_robot(), effects=(own_effect,)))["drag"]
+    return catalogue_of(replace(two_joint_robot(), effects=(own_effect,)))[own_effect.name]
 
 
-def test_columns_are_what_the_formula_says() -> None:
-    place = scene()
+def test_columns_are_what_the_formula_says(place: Scene) -> None:
     q, dq = place.motion.q, place.motion.dq
-    effect = effect_of(
-        asked(
-            "c1*sign(dq)*abs(load) - c2*tanh(dq_1/w)**2 + 3*c2*min(q, 0.1) + c3*sign(dq_1)",
-            w=(0.1, 1.0),
-        )
-    )
-    columns = effect.columns(place, 1, {"w": 0.5})
+    text = "c1*sign(dq)*abs(load) - c2*tanh(dq_1/w)**2 + 3*c2*min(q, 0.1) + c3*sign(dq_1)"
+    columns = effect_of(asked(text, w=(0.1, 1.0))).columns(place, 1, {"w": 0.5})
     first = place.sign[:, 1] * np.abs(place.load[:, 1])
     second = 3.0 * np.minimum(q[:, 1], 0.1) - np.tanh(dq[:, 0] / 0.5) ** 2
     assert columns.keys() == {1}
@@ -57,81 +51,70 @@ def test_columns_are_what_the_formula_says() -> None:
 
 
 @pytest.mark.parametrize("name", ["q", "dq", "ddq", "theta", "load", "friction", "tau", "t"])
-def test_every_symbol_is_a_quantity_of_its_joint(name: str) -> None:
-    place = scene()
-    columns = [effect_of(asked(f"c*{text}")).columns(place, 1, {}) for text in (name, f"{name}_2")]
-    assert np.ptp(columns[0][1]) > 0.0
-    assert np.array_equal(columns[0][1], columns[1][1])
+def test_every_symbol_is_a_quantity_of_its_joint(place: Scene, name: str) -> None:
+    own, second = (
+        effect_of(asked(f"c*{text}")).columns(place, 1, {})[1] for text in (name, f"{name}_2")
+    )
+    assert np.ptp(own) > 0.0
+    assert np.array_equal(own, second)
 
 
-def test_what_is_no_number_is_said_and_not_fitted() -> None:
-    place = scene()
+def test_what_is_no_number_is_said_and_not_fitted(place: Scene) -> None:
     with pytest.raises(ConfigError, match=r"drag.*no finite number.*samples") as caught:
         effect_of(asked("c*log(q - q)")).columns(place, 1, {})
     assert caught.value.hint
 
 
-def test_it_is_written_and_restored_and_sent_to_other_processes() -> None:
-    own_effect = asked("c*sin(p*dq_1)", p=(0.5, 4.0))
-    robot = replace(two_joint_robot(), effects=(own_effect,))
+def test_it_is_written_and_restored_and_sent_to_other_processes(place: Scene) -> None:
+    robot = replace(two_joint_robot(), effects=(asked("c*sin(p*dq_1)", p=(0.5, 4.0)),))
     effect = pickle.loads(pickle.dumps(catalogue_of(robot)["drag"]))
     fitted = FittedEffect(effect, 1, {"p": 2.0}, np.array([0.3]), np.eye(1))
-    (back,) = fitted_effects(Stages(effects=[as_stage(fitted, robot)]), robot)
-    place = scene()
-    assert back.torques(place)[1] == pytest.approx(0.3 * np.sin(2.0 * place.motion.dq[:, 0]))
-
-
-def test_a_file_with_an_effect_that_the_robot_file_lacks_says_so() -> None:
-    robot = replace(two_joint_robot(), effects=(asked("c*q"),))
-    fitted = FittedEffect(catalogue_of(robot)["drag"], 1, {}, np.ones(1), np.eye(1))
     stages = Stages(effects=[as_stage(fitted, robot)])
-    with pytest.raises(ConfigError, match="drag") as caught:
+    (back,) = fitted_effects(stages, robot)
+    assert back.torques(place)[1] == pytest.approx(0.3 * np.sin(2.0 * place.motion.dq[:, 0]))
+    with pytest.raises(ConfigError, match="drag") as caught:  # its robot file lacks it
         fitted_effects(stages, two_joint_robot())
     assert "[[effect]]" in str(caught.value.hint)
 
 
 def test_no_name_of_the_catalogue_is_taken() -> None:
-    taken = replace(asked("c*q"), name="stribeck")
     with pytest.raises(ConfigError, match="one of the catalogue"):
-        catalogue_of(replace(two_joint_robot(), effects=(taken,)))
+        effect_of(replace(asked("c*q"), name="stribeck"))
 
 
-def offering(monkeypatch: pytest.MonkeyPatch, value: str) -> Robot:
-    """A robot file that names an effect, and a package that offers it under this value."""
+def offer(monkeypatch: pytest.MonkeyPatch, value: str) -> None:
+    """A package offers an effect under this value."""
 
     def entry_points(**about: str) -> tuple[EntryPoint, ...]:
         point = EntryPoint("mine", value, "seqid.effects")
         return (point,) if about.get("name", "mine") == "mine" else ()
 
     monkeypatch.setattr(own, "entry_points", entry_points)
-    return replace(two_joint_robot(), effects=(OwnEffect("mine"),))
 
 
 def test_an_effect_of_a_package_is_loaded_when_it_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    robot = offering(monkeypatch, f"{__name__}:Mine")
-    assert isinstance(catalogue_of(robot)["mine"], Mine)
+    offer(monkeypatch, f"{__name__}:Mine")
+    assert isinstance(effect_of(OwnEffect("mine")), Mine)
     assert catalogue_of(two_joint_robot()) == CATALOGUE
 
 
-@pytest.mark.parametrize(
-    "value", ["no_such_module:Mine", f"{__name__}:nothing", f"{__name__}:scene"]
-)
+@pytest.mark.parametrize("value", ["no_such_module:Mine", ":nothing", ":offer"])
 def test_a_package_that_offers_something_else_is_named(
     monkeypatch: pytest.MonkeyPatch, value: str
 ) -> None:
+    offer(monkeypatch, value if value[0] != ":" else __name__ + value)
     with pytest.raises(ConfigError, match="mine"):
-        catalogue_of(offering(monkeypatch, value))
+        effect_of(OwnEffect("mine"))
 
 
 def test_an_effect_that_nobody_offers_is_said() -> None:
-    robot = replace(two_joint_robot(), effects=(OwnEffect("nobodys"),))
     with pytest.raises(ConfigError, match="nobodys") as caught:
-        catalogue_of(robot)
+        effect_of(OwnEffect("nobodys"))
     assert "torque =" in str(caught.value.hint)
 
 
-def test_it_asks_for_the_temperature_that_it_names() -> None:
-    place, effect = scene(), effect_of(asked("c*(temperature - 25)*dq"))
+def test_it_asks_for_the_temperature_that_it_names(place: Scene) -> None:
+    effect = effect_of(asked("c*(temperature - 25)*dq"))
     assert not effect.available([place], 1)
     warm = replace(place, temperature=np.full_like(place.motion.q, 30.0))
     assert effect.available([warm], 1)

@@ -1,150 +1,138 @@
 """Waves: ripples by angle, lines in time; their frequency, law and size, and none of the motion."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from seqid_cli.model.effects.effect import Settings
 from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.spectral_lines import Signal, strongest_lines
-from seqid_cli.model.effects.torque_ripple import LAWS, TorqueRipple, highest_order
+from seqid_cli.model.effects.torque_ripple import LAWS, TorqueRipple
 from tests import Array
 from tests.plants.robots.two_joint import GEAR, two_joint_robot
-from tests.unit.model.effects.fitting import noise_like
 from tests.unit.model.effects.scenes import RATE_HZ, scene_of, wander
 
 SIN, COS = 0.6, 0.8
 
 
-def rippling(order: float, law: int, *, seed: int, gear: float = GEAR[1]) -> tuple[Scene, Array]:
+def rippling(
+    order: float, law: int, *, seed: int, gear: float = GEAR[1], lag: float = 0.0
+) -> tuple[Scene, Array]:
     """Return a scene and its unfiltered residual: ripple, noise and a bump of position."""
     robot = two_joint_robot()
     joints = (robot.joints[0], replace(robot.joints[1], gear_ratio=None if gear == 1.0 else gear))
     scene = scene_of(wander(30.0, seed=seed, amplitude=1.5), robot=replace(robot, joints=joints))
-    q, rng = scene.motion.q[:, 1], np.random.default_rng(seed)
-    every = (1.0, scene.modelled[:, 1], np.sign(scene.motion.dq[:, 1]), scene.load[:, 1])
-    size = (1.0, 0.05, 1.0, 0.05)[law] * every[law]
-    p = order * gear * q
-    torque = size * (SIN * np.sin(p) + COS * np.cos(p))
-    other = 0.5 * np.exp(-((q - 0.4) ** 2)) + rng.normal(size=len(q))
-    residual = np.stack([rng.normal(size=len(q)), torque + other], axis=1)
+    q, v, rng = scene.motion.q[:, 1], scene.motion.dq[:, 1], np.random.default_rng(seed)
+    size = (1.0, 0.05 * scene.modelled[:, 1], np.sign(v), 0.05 * scene.load[:, 1])[law]
+    p = order * gear * (q - lag * v)
+    residual = rng.normal(size=scene.motion.q.shape)
+    residual[:, 1] += size * (SIN * np.sin(p) + COS * np.cos(p)) + 0.5 * np.exp(-((q - 0.4) ** 2))
     residual[~scene.motion.usable] = 0.0
     return scene, residual
+
+
+def best_of(scenes: Sequence[Scene], residual: Sequence[Array]) -> tuple[Settings, Array]:
+    """The point of the ripple's grid that leaves least of the second joint's, and its sizes."""
+    y, tried = np.concatenate([r[:, 1] for r in residual]), []
+    for settings in TorqueRipple().grid(scenes, 1, residual):
+        X = np.concatenate([TorqueRipple().columns(scene, 1, settings)[1] for scene in scenes])
+        c = np.linalg.lstsq(X[y != 0.0], y[y != 0.0])[0]
+        tried.append((float(np.sum((y - X @ c)[y != 0.0] ** 2)), settings, c))
+    assert len(tried) <= 20
+    _, best, c = min(tried, key=lambda item: item[0])
+    return best, c
 
 
 @pytest.mark.parametrize("law", range(len(LAWS)), ids=LAWS)
 @pytest.mark.parametrize(("order", "gear"), [(2.0, GEAR[1]), (6.0, GEAR[1]), (13.7, 1.0)])
 def test_order_law_and_size_come_back(order: float, gear: float, law: int) -> None:
     """A whole number of cycles per motor turn is named as such."""
-    effect = TorqueRipple()
     scenes, residual = zip(*(rippling(order, law, seed=k, gear=gear) for k in (0, 1)), strict=True)
-    y = np.concatenate([r[:, 1] for r in residual])
-    tried = []
-    for settings in effect.grid(scenes, 1, residual):
-        X = np.concatenate([effect.columns(scene, 1, settings)[1] for scene in scenes])
-        c = np.linalg.lstsq(X[y != 0.0], y[y != 0.0])[0]
-        tried.append((float(np.sum((y - X @ c)[y != 0.0] ** 2)), settings, c))
-    _, best, c = min(tried, key=lambda item: item[0])
+    best, c = best_of(scenes, residual)
     assert best["law"] == law
     assert best["order"] == pytest.approx(order, abs=0.0 if gear != 1.0 else 0.02)
-    scaled = LAWS[law] in ("torque", "load")
-    scale = 0.05 if scaled else 1.0
-    values = effect.values(scenes[0].robot, 1, best, c, 1e-6 * np.eye(2))
-    assert values[0].value == pytest.approx(scale, rel=0.1)
-    assert values[0].unit == ("1" if scaled else "N m")
-    assert values[1].value == pytest.approx(np.arctan2(COS, SIN), abs=0.15)
-    assert len(tried) <= 20
+    scale, unit = (0.05, "1") if LAWS[law] in ("torque", "load") else (1.0, "N m")
+    size, phase = TorqueRipple().values(scenes[0].robot, 1, best, c, 1e-6 * np.eye(2))[:2]
+    assert (size.value, size.unit) == (pytest.approx(scale, rel=0.1), unit)
+    assert phase.value == pytest.approx(np.arctan2(COS, SIN), abs=0.15)
 
 
 def test_a_ripple_that_comes_late_is_found_both_ways() -> None:
     """At some 20 Hz no sine of the angle itself holds for both directions."""
-    lag, order = 0.015, 2.0
-    scene, _ = rippling(order, 0, seed=3)
-    motion, rng = scene.motion, np.random.default_rng(3)
-    p = order * GEAR[1] * (motion.q[:, 1] - lag * motion.dq[:, 1])
-    residual = rng.normal(size=motion.q.shape)
-    residual[:, 1] += SIN * np.sin(p) + COS * np.cos(p)
-    residual[~motion.usable] = 0.0
-    y = residual[:, 1]
-    gains = {}
-    for settings in TorqueRipple().grid([scene], 1, [residual]):
-        X = TorqueRipple().columns(scene, 1, settings)[1]
-        c = np.linalg.lstsq(X[y != 0.0], y[y != 0.0])[0]
-        gains[settings["order"], settings["law"], settings["lag"]] = float(
-            np.sum(y**2) - np.sum((y - X @ c)[y != 0.0] ** 2)
-        )
-    assert max(gains, key=lambda key: gains[key]) == (order, 0.0, lag)
-    assert all(law == 0.0 for _, law, late in gains if late > 0.0)
+    scene, residual = rippling(2.0, 0, seed=3, lag=0.015)
+    best, _ = best_of([scene], [residual])
+    assert best == {"order": 2.0, "law": 0.0, "lag": 0.015}
 
 
 def test_usual_orders_are_tried_where_logs_are_too_fast_for_their_spectrum() -> None:
-    """Two waves per turn of a large gear are above what most samples of a fast log resolve."""
-    effect, gear = TorqueRipple(), 400.0
-    scene, residual = rippling(2.0, 0, seed=5, gear=gear)
-    assert highest_order([scene], 1) < 2.0 * gear
-    found = [s["order"] for s in effect.grid([scene], 1, [residual]) if s["law"] == 0.0]
-    assert {1.0, 2.0} <= set(found)
-    coarse, residual = rippling(2.0, 0, seed=5, gear=4.0)
-    orders = [s["order"] for s in effect.grid([coarse], 1, [residual])]
-    assert 1.0 not in orders  # four waves per turn are a smooth function of position
+    """Two waves per turn of a large gear are above what most samples of a fast log resolve.
+
+    Four waves per turn of the joint are a smooth function of position.
+    """
+    orders = []
+    for gear in (400.0, 4.0):
+        scene, residual = rippling(2.0, 0, seed=5, gear=gear)
+        orders.append({s["order"] for s in TorqueRipple().grid([scene], 1, [residual])})
+    assert {1.0, 2.0} <= orders[0]
+    assert 1.0 not in orders[1]
 
 
 EFFECT = CATALOGUE["periodic_disturbance"]
 AMPLITUDE, NOISE = 0.3, 0.3
 
 
-def logs(*, shared: bool = True, count: int = 4, seconds: float = 20.0) -> list[Scene]:
-    starts = [300.0 * k + 17.3 * k**2 if shared else 0.0 for k in range(count)]
+def logs(*, shared: bool = True) -> list[Scene]:
+    starts = [300.0 * k + 17.3 * k**2 if shared else 0.0 for k in range(4)]
     return [
-        scene_of(wander(seconds, seed=k), log=k, start=start, shared_clock=shared)
+        scene_of(wander(20.0, seed=k), log=k, start=start, shared_clock=shared)
         for k, start in enumerate(starts)
     ]
 
 
-def line(scene: Scene, frequency: float, phase: float = 0.7, joint: int = 0) -> Array:
-    """A line on one joint and noise on all, (N, n) N m."""
+def noise_like(scene: Scene, seed: int, size: float) -> Array:
+    return np.random.default_rng(seed).normal(scale=size, size=scene.motion.q.shape)
+
+
+def line(scene: Scene, frequency: float, phase: float = 0.7) -> Array:
+    """A line on the first joint and noise on both, (N, n) N m."""
     torque = noise_like(scene, scene.log, NOISE)
-    torque[:, joint] += AMPLITUDE * np.sin(2 * np.pi * frequency * scene.time + phase)
+    torque[:, 0] += AMPLITUDE * np.sin(2 * np.pi * frequency * scene.time + phase)
     return torque
 
 
-@pytest.mark.parametrize("frequency", [50.0, 49.987, 23.4567, 99.3])
-def test_frequency_to_a_fraction_of_the_session(frequency: float) -> None:
-    scenes = logs()
-    span = scenes[-1].time[-1]
-    found = list(EFFECT.grid(scenes, 0, [line(s, frequency) for s in scenes]))
-    assert len(found) == 1
-    assert found[0]["frequency"] == pytest.approx(frequency, abs=0.05 / span)
-    assert found[0]["clocks"] == 0.0
-
-
-def test_amplitude_phase_and_their_errors() -> None:
-    """Recovered within four of the standard errors that are reported."""
-    scenes = logs()
-    residual = [line(s, 50.0) for s in scenes]
+def solved(scenes: Sequence[Scene], residual: Sequence[Array]) -> tuple[Settings, Array, Array]:
+    """The one line that is found, its columns' coefficients, and what they leave."""
     (settings,) = EFFECT.grid(scenes, 0, residual)
     X = np.concatenate([EFFECT.columns(s, 0, settings)[0] for s in scenes])
     y = np.concatenate([r[:, 0] for r in residual])
     c = np.linalg.lstsq(X, y)[0]
+    return settings, c, y - X @ c
+
+
+@pytest.mark.parametrize("frequency", [50.0, 49.987, 23.4567, 99.3])
+def test_a_line_comes_back(frequency: float) -> None:
+    """Its frequency to a fraction of the session; sizes within four of their standard errors."""
+    scenes = logs()
+    settings, c, _ = solved(scenes, [line(s, frequency) for s in scenes])
+    assert settings["frequency"] == pytest.approx(frequency, abs=0.05 / scenes[-1].time[-1])
+    assert settings["clocks"] == 0.0
+    X = np.concatenate([EFFECT.columns(s, 0, settings)[0] for s in scenes])
     covariance = NOISE**2 * np.linalg.inv(X.T @ X)
     values = {v.name: v for v in EFFECT.values(scenes[0].robot, 0, settings, c, covariance)}
-    for name, truth in (("amplitude", AMPLITUDE), ("frequency", 50.0)):
+    for name, truth in (("amplitude", AMPLITUDE), ("frequency", frequency)):
         assert 0.0 < values[name].std_error < 0.05 * truth
         assert abs(values[name].value - truth) < 4 * values[name].std_error
 
 
 def test_logs_without_a_common_clock_have_their_own_phases() -> None:
     scenes = logs(shared=False)
-    residual = [line(s, 50.0, phase=1.3 * s.log) for s in scenes]
-    (settings,) = EFFECT.grid(scenes, 0, residual)
+    settings, c, left = solved(scenes, [line(s, 50.0, phase=1.3 * s.log) for s in scenes])
     assert settings["clocks"] == 4.0
     assert settings["frequency"] == pytest.approx(50.0, abs=0.005)
-    X = np.concatenate([EFFECT.columns(s, 0, settings)[0] for s in scenes])
-    y = np.concatenate([r[:, 0] for r in residual])
-    c = np.linalg.lstsq(X, y)[0]
-    left = float(np.std(y - X @ c))
-    assert left < 1.02 * NOISE
+    assert np.std(left) < 1.02 * NOISE
     values = EFFECT.values(scenes[0].robot, 0, settings, c, 1e-4 * np.eye(8))
     assert [v.name for v in values] == ["amplitude", "frequency"]
     assert values[0].value == pytest.approx(AMPLITUDE, rel=0.05)
@@ -154,7 +142,7 @@ def test_logs_without_a_common_clock_have_their_own_phases() -> None:
 
 def test_a_line_counts_where_the_joint_slides() -> None:
     """A log in which the joint rests most of the time says as much of the line while it moves."""
-    (moving,) = logs(shared=False, count=1)
+    moving = logs(shared=False)[0]
     resting = scene_of(wander(20.0, seed=7, rests=((2.0, 18.5),)), log=1)
     scenes = [moving, resting]
     residual = [np.where(scene.slides, line(scene, 5.3), 0.0) for scene in scenes]

@@ -1,14 +1,10 @@
-"""A motor and a pendulum with a gear between them that gives or has play, in small time steps.
-
-Nothing of it is shared with the package but what reads its log: semi-implicit Euler steps of two
-masses, a position controller, a motor that rubs.
-"""
+"""A motor and a pendulum with a gear between them that gives or has play, in small time steps."""
 
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -39,15 +35,12 @@ class Gear:
         """Torque on the link, N m; flanks push and do not pull, where there is play."""
         if self.gap == 0.0:
             return self.stiffness * lead + self.damping * rate
-        depth = abs(lead) - 0.5 * self.gap
-        if depth <= 0.0:
-            return 0.0
-        side = math.copysign(1.0, lead)
-        return side * max(0.0, self.stiffness * depth + side * self.damping * rate)
+        side, depth = math.copysign(1.0, lead), abs(lead) - 0.5 * self.gap
+        flank = self.stiffness * depth + side * self.damping * rate
+        return side * max(0.0, flank) if depth > 0.0 else 0.0
 
 
-@dataclass(frozen=True)
-class Log:
+class Log(NamedTuple):
     """Angles of motor and link (N,) rad, motor torque (N,) N m."""
 
     motor: Array
@@ -58,8 +51,7 @@ class Log:
 @cache
 def run(gear: Gear, *, seed: int = 0, seconds: float = 8.0, top_hz: float = 2.0) -> Log:
     """Follow a sum of sines; logged in the middle of each control period."""
-    every = round(1 / (LOG_HZ * STEP_S))
-    rows = []
+    every, rows = round(1 / (LOG_HZ * STEP_S)), []
     plan = _plan(seed, round(seconds / STEP_S), top_hz)
     angle, speed, _ = next(plan)
     link, link_speed, command = angle, speed, 0.0
@@ -103,9 +95,8 @@ def scene(
     settled = motion.usable.copy()
     settled[:500] = False
     motion = decimated(replace(motion, usable=settled), 24)
-    robot = robot_from_chain(
-        chain_from_dh([(0.0, 0.0, 0.0, 0.0)]), gravity=np.array([0.0, -9.81, 0.0])
-    )
+    chain = chain_from_dh([(0.0, 0.0, 0.0, 0.0)])
+    robot = robot_from_chain(chain, gravity=np.array([0.0, -9.81, 0.0]))
     joint = replace(robot.joints[0], rotor_inertia=MOTOR, gear_ratio=1.0, encoder_side=side)
     robot = replace(robot, joints=(joint,))
     phi = np.zeros((1, 10))

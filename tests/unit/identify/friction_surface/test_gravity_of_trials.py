@@ -93,26 +93,6 @@ def test_friction_that_depends_on_direction_is_seen(robot: Robot, asymmetry: flo
         assert_p_xi(fit, 0.1)
 
 
-@pytest.mark.parametrize("goes_with", [1.0, 0.0])
-def test_a_joint_is_no_heavier_for_friction_that_depends_on_direction(
-    robot: Robot, goes_with: float
-) -> None:
-    """What friction has over the position is mostly gravity's shape here."""
-    q = np.linspace(-2, 2, SLICES)
-    places = 3.0 * np.sin(q + 0.4) + 0.5 * np.sin(2 * q)
-    rng, trials = np.random.default_rng(6), []
-    for configuration, p in zip(CONFIGURATIONS, P_XI, strict=True):
-        for direction, speed in product((1, -1), SPEEDS):
-            friction = 6.0 + 2.0 * speed + places
-            more = direction * 0.5 * (6.0 + goes_with * places)
-            tau = gravity_columns(robot, JOINT, configuration, q) @ p
-            tau += direction * (friction + more) + 0.02 * rng.standard_normal(SLICES)
-            trials.append(trial(JOINT, direction * speed, q, tau, configuration))
-    fit = fit_gravity(robot, JOINT, trials)
-    assert fit.directional
-    assert_p_xi(fit, 0.02)
-
-
 @pytest.mark.parametrize("asymmetry", [0.0, 0.1])
 def test_a_spring_is_neither_friction_nor_direction_dependent(
     robot: Robot, asymmetry: float

@@ -1,15 +1,13 @@
 """Results that no arm can have are poor, and a stage is good only if all of it is."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from seqid_cli.identify.judging import as_a_whole, friction_verdicts, inertia_verdicts, judged
+from seqid_cli.identify.judging import friction_verdicts, inertia_verdicts, judged
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.inspect.findings import found
-from seqid_cli.params.schema import FrictionStage, Parameter, RigidStage, Stages, Verdict
+from seqid_cli.params.schema import Parameter, RigidStage, Stages, Verdict
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.sample import Rig
 
@@ -19,46 +17,33 @@ def robot(one_joint: Rig) -> Robot:
     return one_joint.robot
 
 
-@pytest.fixture
-def friction(one_joint: Rig) -> FrictionStage:
-    return one_joint.friction
-
-
-@pytest.fixture
-def gravity(one_joint: Rig) -> RigidStage:
-    return one_joint.gravity
-
-
 def poor(verdicts: list[Verdict]) -> list[str]:
     return [verdict.joint for verdict in verdicts if not verdict.good]
 
 
-def reversed_friction(stage: FrictionStage, share: float) -> FrictionStage:
-    """Friction less `share` of its mean level, which drives where it was small."""
-    joint = stage.joints["joint_1"]
+@pytest.mark.parametrize("share", [1.0, 2.0])
+def test_friction_that_drives_is_poor(one_joint: Rig, share: float) -> None:
+    """Friction less a share of its mean level drives where it was small."""
+    joint = one_joint.friction.joints["joint_1"]
     D = np.array(joint.positive)
     D[0, 0] -= share * D[0, 0]
-    both = {"positive": D.tolist(), "negative": D.tolist()}
-    return replace(stage, joints={"joint_1": replace(joint, **both)})
-
-
-@pytest.mark.parametrize("share", [1.0, 2.0])
-def test_friction_that_drives_is_poor(robot: Robot, friction: FrictionStage, share: float) -> None:
-    (verdict,) = friction_verdicts(reversed_friction(friction, share), robot)
+    driving = replace(joint, positive=D.tolist(), negative=D.tolist())
+    stage = replace(one_joint.friction, joints={"joint_1": driving})
+    (verdict,) = friction_verdicts(stage, one_joint.robot)
     assert verdict.joint == "joint_1"
     assert "it would drive the joint" in verdict.reason
     assert "sign of torque or current" in verdict.reason
 
 
 @pytest.mark.parametrize("factor", [-1.0, 7.2, 0.1])
-def test_gravity_of_another_size_or_sign_is_poor(
-    robot: Robot, friction: FrictionStage, gravity: RigidStage, factor: float
-) -> None:
-    off = {name: factor * value for name, value in gravity.representative.items()}
-    wrong = replace(gravity, representative=off)
-    known = judged(Stages(friction=friction, gravity=wrong), None, robot)
+def test_gravity_of_another_size_or_sign_is_poor(one_joint: Rig, factor: float) -> None:
+    off = {name: factor * value for name, value in one_joint.gravity.representative.items()}
+    wrong = replace(one_joint.gravity, representative=off)
+    stages = Stages(friction=one_joint.friction, gravity=wrong)
+    known = judged(stages, None, one_joint.robot)
     assert poor(known.gravity.verdicts) == ["joint_1", ""]
     assert "gravity in the friction trials" in known.gravity.verdicts[-2].reason
+    assert known.gravity.verdicts[-1].reason.endswith("not good: joint_1")
 
 
 @pytest.mark.parametrize(
@@ -72,18 +57,6 @@ def test_a_rotor_of_negative_inertia_is_poor(
     )
     stage = RigidStage(parameters=[rotor], condition=1.0, rank=1)
     assert poor([*inertia_verdicts(stage, robot)]) == expected
-
-
-def test_a_stage_is_good_only_if_its_joints_are() -> None:
-    verdicts = [
-        Verdict(joint="a", good=True),
-        Verdict(joint="b", good=False, reason="189 % unexplained"),
-        Verdict(good=True, reason="rank 4 of 4"),
-    ]
-    whole = as_a_whole(verdicts)
-    assert poor(whole) == ["b", ""]
-    assert whole[-1].reason == "rank 4 of 4; not good: b"
-    assert as_a_whole(verdicts[::2]) == verdicts[::2]
 
 
 def test_errors_of_logs_are_verdicts_and_warnings_are_notes(robot: Robot) -> None:

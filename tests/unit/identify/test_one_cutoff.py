@@ -1,11 +1,10 @@
-"""One cut-off per identification: chosen over all logs, and carried by the file."""
-
-from __future__ import annotations
+"""One cut-off per identification, carried by the file; one rate, though samples are lost."""
 
 from pathlib import Path
 
 import msgspec
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -13,39 +12,73 @@ from seqid_cli.commands.app import run
 from seqid_cli.errors import InputError
 from seqid_cli.identify.common_cutoff import identification_options
 from seqid_cli.identify.options import RigidOptions
+from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.read import read_recording
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.results.prediction import PredictionFile
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
 from tests import ROOT
-from tests.unit.identify.test_lost_samples import ROBOT, write_log
 
 SAMPLES = ROOT / "sample_logs" / "six_joint"
 LOGS = sorted((SAMPLES / "inertia").glob("*.parquet"))
+INERTIA, COULOMB, VISCOUS = 0.4, 2.0, 1.5
+ROBOT = """schema = "seqid/robot@1"
+name = "one"
+gravity = [0.0, 0.0, -9.81]
+[[joint]]
+name = "base"
+dh = { alpha = 0.0, a = 0.0, d = 0.1, theta0 = 0.0 }
+"""
+
+
+def write_log(path: Path, rate_hz: float, lost: int, seed: int) -> Path:
+    """A joint about a vertical axis; every 60 ms worth of rows some are lost, not so the stamps."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 40.0, 1.0 / rate_hz)
+    w, size = np.array([0.9, 2.3, 4.1]), np.array([0.8, 0.5, 0.25])
+    phase = rng.uniform(0.0, 6.0, 3)
+    angle = w * t[:, None] + phase
+    q, dq = np.sin(angle) @ size, np.cos(angle) @ (size * w)
+    ddq = -np.sin(angle) @ (size * w**2)
+    tau = INERTIA * ddq + COULOMB * np.tanh(dq / 0.01) + VISCOUS * dq
+    tau += rng.normal(0.0, 0.1, len(t))
+    q = 2e-5 * np.round(q / 2e-5)
+    kept = np.arange(len(t)) % round(0.12 * rate_hz) >= lost
+    columns = {"base.position": q, "base.velocity": dq, "base.torque": tau}
+    rows = {name: values[kept] for name, values in columns.items()}
+    pq.write_table(pa.table({"t": t[: kept.sum()], **rows}), path)
+    return path
+
+
+@pytest.fixture
+def robot(tmp_path: Path) -> Robot:
+    """One joint about a vertical axis."""
+    (tmp_path / "robot.toml").write_text(ROBOT)
+    return load_robot(tmp_path / "robot.toml")
 
 
 def test_the_order_of_the_logs_does_not_matter() -> None:
-    robot = load_robot(SAMPLES / "robot.toml")
-    first = identification_options(LOGS[:3], robot, RigidOptions(source="encoder"))
-    other = identification_options(LOGS[2::-1], robot, RigidOptions(source="encoder"))
+    arm, options = load_robot(SAMPLES / "robot.toml"), RigidOptions(source="encoder")
+    first, other = (identification_options(x, arm, options) for x in (LOGS[:3], LOGS[2::-1]))
     assert first == other
     assert "3 logs together" in first.origin
 
 
+@pytest.mark.usefixtures("robot")
 def test_later_commands_take_the_files_cutoff(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "robot.toml").write_text(ROBOT)
     logs = [write_log(tmp_path / f"{k}.parquet", rate, 0, k) for k, rate in enumerate((250, 1000))]
-    robot, out = ["-r", str(tmp_path / "robot.toml")], tmp_path / "model.json"
-    assert run(["simultaneous", *map(str, logs), *robot, "-o", str(out)]) == 0
+    arm, out = ["-r", str(tmp_path / "robot.toml")], tmp_path / "model.json"
+    assert run(["simultaneous", *map(str, logs), *arm, "-o", str(out)]) == 0
     stages = msgspec.json.decode(out.read_bytes(), type=ParameterFile).stages
     assert len({use.cutoff_hz for use in stages.inertia.motion_use}) == 1
     assert stages.friction.cutoff_hz == stages.inertia.cutoff_hz
     for given, hz in (([], stages.inertia.cutoff_hz), (["--cutoff", "7"], 7.0)):
-        arguments = [*robot, "-p", str(out), "-o", str(tmp_path / "prediction.json"), *given]
+        arguments = [*arm, "-p", str(out), "-o", str(tmp_path / "prediction.json"), *given]
         assert run(["predict", *map(str, logs), *arguments]) == 0
         text = (tmp_path / "prediction.json").read_bytes()
         file = msgspec.json.decode(text, type=PredictionFile)
@@ -54,14 +87,28 @@ def test_later_commands_take_the_files_cutoff(
         assert "cut-off: " in capsys.readouterr().err
 
 
-def test_a_log_too_slow_for_the_models_cutoff_says_what_it_allows(tmp_path: Path) -> None:
-    (tmp_path / "robot.toml").write_text(ROBOT)
-    robot = load_robot(tmp_path / "robot.toml")
-    log = write_log(tmp_path / "fast.parquet", 250.0, 0, 1)
-    slow = pq.read_table(log)
-    pq.write_table(slow.take(np.arange(0, len(slow), 10)), tmp_path / "slow.parquet")
-    recording = read_recording(tmp_path / "slow.parquet", robot)
+def test_a_log_too_slow_for_the_models_cutoff_says_what_it_allows(
+    robot: Robot, tmp_path: Path
+) -> None:
+    recording = read_recording(write_log(tmp_path / "slow.parquet", 25.0, 0, 1), robot)
     options = MotionOptions(12.0, origin="of the inertia stage")
     with pytest.raises(InputError, match=r"the highest that this log allows is 6.25 Hz"):
         estimate_motion(recording, robot, options)
     assert estimate_motion(recording, robot, MotionOptions(6.0, origin=options.origin)).samples
+
+
+@pytest.mark.parametrize("rate_hz", [250.0, 500.0, 1000.0])
+def test_samples_that_are_lost_without_the_stamps_showing_it(
+    robot: Robot, tmp_path: Path, rate_hz: float
+) -> None:
+    found = []
+    for lost in (0, round(0.03 * rate_hz)):
+        log = write_log(tmp_path / f"{lost}.parquet", rate_hz, lost, seed=4)
+        logs = [read_recording(log, robot)]
+        found.append(identify_simultaneous(logs, robot, options=MotionOptions())[1])
+    whole, lossy = (stage.parameters[-1].value for stage in found)
+    assert whole == pytest.approx(INERTIA, rel=0.02)
+    # A quarter of the time is gone: on the stamps as logged the inertia comes out 40 % too small.
+    assert lossy == pytest.approx(INERTIA, rel=0.05)
+    assert not found[0].motion_use[0].warnings
+    assert "samples are lost" in found[1].motion_use[0].warnings[0]

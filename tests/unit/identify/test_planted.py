@@ -1,6 +1,6 @@
 """Faults of logs: every stage that reads them says so, and sound logs are good."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +9,6 @@ import pytest
 
 from seqid_cli import identify
 from seqid_cli.errors import SeqidError
-from seqid_cli.params.results.prediction import PredictionFile
-from seqid_cli.params.schema import ParameterFile
 from tests.unit.inspect import planting as p
 from tests.unit.inspect.faults import SAMPLES, read_columns, write_columns
 from tests.unit.inspect.planting import Columns, Plant
@@ -53,24 +51,17 @@ def planted(fault: str, stage: str, folder: Path) -> Iterator[Path]:
         write_columns(folder / path.name, columns)
 
 
-def verdicts(found: ParameterFile | PredictionFile, stage: str) -> Sequence[Any]:
-    """Verdicts of the stage that was run."""
-    if isinstance(found, PredictionFile):
-        return found.verdicts
-    stages = ("friction", "inertia") if stage == "simultaneous" else (stage,)
-    return [v for name in stages for v in getattr(found.stages, name).verdicts]
-
-
-def run(stage: str, logs: Sequence[Path]) -> ParameterFile | PredictionFile:
-    """Run a stage on logs, with the results before it of sound ones."""
-    stages: Mapping[str, Callable[[], ParameterFile | PredictionFile]] = {
-        "gravity": lambda: identify.gravity(logs, ROBOT, GOLDEN),
-        "imu": lambda: identify.imu_calib(logs, ROBOT, parameters=GOLDEN),
-        "inertia": lambda: identify.inertia(logs, ROBOT, GOLDEN),
-        "simultaneous": lambda: identify.simultaneous(logs, ROBOT),
-        "validation": lambda: identify.predict(logs, ROBOT, GOLDEN),
-    }
-    return stages[stage]()
+def verdicts(stage: str, logs: Sequence[Path]) -> Sequence[Any]:
+    """Verdicts of a stage on logs, with the results before it of sound ones."""
+    if stage == "validation":
+        return identify.predict(logs, ROBOT, GOLDEN).verdicts
+    if stage == "simultaneous":
+        stages = identify.simultaneous(logs, ROBOT).stages
+        return [*stages.friction.verdicts, *stages.inertia.verdicts]
+    if stage == "imu":
+        return identify.imu_calib(logs, ROBOT, parameters=GOLDEN).stages.imu.verdicts
+    found = getattr(identify, stage)(logs, ROBOT, GOLDEN).stages
+    return getattr(found, stage).verdicts
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -78,7 +69,7 @@ def run(stage: str, logs: Sequence[Path]) -> ParameterFile | PredictionFile:
 def test_the_stage_says_it(stage: str, fault: str, tmp_path: Path) -> None:
     logs = list(planted(fault, stage, tmp_path))
     try:
-        poor = [v for v in verdicts(run(stage, logs), stage) if not v.good]
+        poor = [v for v in verdicts(stage, logs) if not v.good]
     except SeqidError:
         assert fault != "none"
         return

@@ -1,6 +1,6 @@
 """A vertical slide with a pendulum on it goes through friction, gravity and inertia."""
 
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,10 +12,11 @@ from seqid_cli.identify.rigid.inertia import identify_inertia
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.schema import Stages
-from seqid_cli.robot.types import Chain, Joint, Robot
+from seqid_cli.robot.types import Chain, Robot
 from tests import Array
 from tests.plants.motions.trajectories import Reference, hold, join, sweeps, together, zigzag
 from tests.plants.robots.made import made_recording
+from tests.plants.robots.small import robot_from_chain
 from tests.plants.sensors import quantise
 
 pytestmark = pytest.mark.slow
@@ -40,12 +41,8 @@ def slider() -> Robot:
         axis=np.array([[0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
         prismatic=np.array([True, False]),
     )
-    joints = (
-        Joint("lift", prismatic=True, rotor_inertia=0.0),
-        Joint("swing", rotor_inertia=0.0),
-    )
-    gravity = np.array([0.0, 0.0, -G])
-    return Robot("slider", joints, chain, gravity, "0" * 64, Path("robot.toml"))
+    robot = robot_from_chain(chain, gravity=np.array([0.0, 0.0, -G]))
+    return replace(robot, joints=tuple(replace(j, rotor_inertia=0.0) for j in robot.joints))
 
 
 def load(reference: Reference) -> Array:
@@ -68,41 +65,34 @@ def record(reference: Reference, seed: int) -> Recording:
     return made_recording(quantise(reference.q, STEPS), load(reference) + noise, rate_hz=RATE)
 
 
-def single() -> list[Recording]:
-    """Moves of one joint at a time, the slide with the pendulum in two postures."""
-    logs = []
+def identified() -> Stages:
+    """From moves of one joint at a time, the slide with the pendulum in two postures, and both."""
+    drills = []
     for j, angle in ((0, -1.2), (0, 0.9), (1, 0.3)):
         pace = (np.geomspace(0.1, 1.0, 6) * TOP[j]).tolist()
-        low, high = LIMITS[j].tolist()
-        home = np.array([0.4, angle])
-        motion = sweeps(home, j, (low, high), pace, float(ACCELERATION[j]), rate_hz=RATE)
-        logs.append(record(motion, len(logs)))
-    return logs
-
-
-def both(seed: int, seconds: float) -> Recording:
-    rng, moving = np.random.default_rng(seed), {}
-    for j in (0, 1):
-        low, high = LIMITS[j].tolist()
-        limits = float(TOP[j]), float(ACCELERATION[j])
-        moving[j] = zigzag(rng, (low, high), *limits, seconds, RATE)
+        home, accel = np.array([0.4, angle]), float(ACCELERATION[j])
+        motion = sweeps(home, j, tuple(LIMITS[j]), pace, accel, rate_hz=RATE)
+        drills.append(record(motion, len(drills)))
+    rng = np.random.default_rng(1)
+    moving = {
+        j: zigzag(rng, tuple(LIMITS[j]), float(TOP[j]), float(ACCELERATION[j]), 20.0, RATE)
+        for j in (0, 1)
+    }
     motion = together(LIMITS.mean(axis=1), moving, RATE)
-    return record(join([hold(motion.q[0], 0.5, RATE), motion]), seed + 1)
-
-
-@pytest.fixture(scope="module")
-def stages() -> Stages:
-    found, robot, logs = Stages(), slider(), single()
-    found.friction = identify_friction(logs, robot, options=FrictionOptions())
-    found.gravity = identify_gravity(logs, robot, found)
-    found.inertia = identify_inertia([both(1, 20.0)], robot, found, options=InertiaOptions())
+    both = record(join([hold(motion.q[0], 0.5, RATE), motion]), 2)
+    found, robot = Stages(), slider()
+    found.friction = identify_friction(drills, robot, options=FrictionOptions())
+    found.gravity = identify_gravity(drills, robot, found)
+    found.inertia = identify_inertia([both], robot, found, options=InertiaOptions())
     return found
 
 
 TRUE = {"m_1": SLIDE, "m_2": ARM, "mx_2": MX, "my_2": 0.0, "mz_2": MZ, "Iyy_2": INERTIA}
 
 
-def test_friction_of_slide_and_pendulum(stages: Stages) -> None:
+def test_all_stages_find_the_truth() -> None:
+    """Equations of the plant and of the package are not of one source: Lagrange, Newton-Euler."""
+    stages = identified()
     joints = stages.friction.joints
     assert [joint.unit for joint in joints.values()] == ["N", "N m"]
     for j, joint in enumerate(joints.values()):
@@ -114,15 +104,12 @@ def test_friction_of_slide_and_pendulum(stages: Stages) -> None:
         for sign in (1, -1):
             np.testing.assert_allclose(sign * surface.torque(middle, sign * speed), true, rtol=0.02)
 
-
-def test_gravity_and_inertia_are_the_true_ones(stages: Stages) -> None:
-    """Equations of the plant and of the package are not of one source: Lagrange, Newton-Euler."""
     gravity, inertia = stages.gravity, stages.inertia
     assert gravity.not_excited == []
     assert {p.unit for p in gravity.parameters} == {"kg", "kg m"}
     assert inertia.rank == inertia.structural_rank == 4
     assert [p.name for p in inertia.parameters] == ["Iyy_2"]
     for p in (*gravity.parameters, *inertia.parameters):
-        true = sum(factor * TRUE[name] for name, factor in p.terms.items())
-        assert abs(p.value - true) < 4 * p.std_error, p.name
-        assert p.value == pytest.approx(true, rel=0.01), p.name
+        true_value = sum(factor * TRUE[name] for name, factor in p.terms.items())
+        assert abs(p.value - true_value) < 4 * p.std_error, p.name
+        assert p.value == pytest.approx(true_value, rel=0.01), p.name

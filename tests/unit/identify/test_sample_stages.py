@@ -1,10 +1,7 @@
 """Every stage on the sample logs, against the truth that the logs do not say."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.errors import QualityError, UsageError
 from seqid_cli.identify.friction_surface.stage import identify_friction
@@ -18,36 +15,24 @@ from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import base_parameters, base_regressor
 from tests.plants.arms import rigs as plants
-from tests.plants.robots.sample import Rig
+from tests.plants.robots.sample import Rig, sample_rig
 
-Array = NDArray[np.float64]
-
-
-def true_friction(rig: Rig, joint: str) -> tuple[Array, Array, Array]:
-    """Positions, velocities and torques of the truth's table, flat."""
-    table = rig.truth["friction"][joint]
-    q, v = np.meshgrid(table["position"], table["velocity"], indexing="ij")
-    return q.ravel(), v.ravel(), np.array(table["torque"]).ravel()
+SLOW_SIX = pytest.param("six_joint", marks=pytest.mark.slow)
 
 
-def covered(
-    rig: Rig, joint: int, surface: FrictionSurface, q: Array, v: Array
-) -> NDArray[np.bool_]:
-    """Where the trials were: at a speed v they need v^2 / 2a of the range to get there."""
-    low, high = surface.scaling.position
-    slow, fast = surface.scaling.speed
-    plant = getattr(plants, rig.name)()
-    ramp = 1.1 * v**2 / (2 * plant.acceleration_limits[joint])
-    inside = np.abs(q - (low + high) / 2) <= (high - low) / 2 - ramp
-    return np.asarray(inside & (np.abs(v) >= slow) & (np.abs(v) <= 1.001 * fast))
-
-
-def test_friction_surfaces_are_the_true_ones_where_the_trials_were(rig: Rig) -> None:
+@pytest.mark.parametrize("name", ["one_joint", "two_joint", SLOW_SIX])
+def test_friction_surfaces_are_the_true_ones_where_the_trials_were(name: str) -> None:
     """Within what they claim, and within three percent of the friction."""
+    rig, acceleration = sample_rig(name), getattr(plants, name)().acceleration_limits
     for j, (name, joint) in enumerate(rig.friction.joints.items()):
-        surface = FrictionSurface.from_stage(joint)
-        q, v, torque = true_friction(rig, name)
-        own = covered(rig, j, surface, q, v)
+        surface, table = FrictionSurface.from_stage(joint), rig.truth["friction"][name]
+        grid = np.meshgrid(table["position"], table["velocity"], indexing="ij")
+        q, v, torque = (np.ravel(x) for x in (*grid, table["torque"]))
+        low, high = surface.scaling.position
+        slow, fast = surface.scaling.speed
+        ramp = 1.1 * v**2 / (2 * acceleration[j])  # of the range, to get to the speed
+        own = np.abs(q - (low + high) / 2) <= (high - low) / 2 - ramp
+        own &= (np.abs(v) >= slow) & (np.abs(v) <= 1.001 * fast)
         assert own.sum() > 200
         q, v, torque = q[own], v[own], torque[own]
         error = surface.torque(q, v) - torque
@@ -66,14 +51,14 @@ def within(rig: Rig, stage: RigidStage, sigmas: float) -> list[bool]:
 @pytest.mark.parametrize(
     ("name", "count"), [("one_joint", 2), pytest.param("six_joint", 10, marks=pytest.mark.slow)]
 )
-def test_gravity_parameters_are_the_true_ones(
-    name: str, count: int, request: pytest.FixtureRequest
-) -> None:
-    rig: Rig = request.getfixturevalue(name)
+def test_gravity_parameters_are_the_true_ones(name: str, count: int) -> None:
+    rig = sample_rig(name)
     stage = rig.gravity
     assert stage.rank == stage.structural_rank == len(stage.parameters) == count
     assert stage.not_excited == []
     assert all(within(rig, stage, 4.0))
+    errors = np.sqrt(np.diag(stage.covariance))
+    assert errors.tolist() == pytest.approx([p.std_error for p in stage.parameters])
     largest = max(stage.parameters, key=lambda p: abs(rig.true_value(p)))
     assert largest.name.startswith("mx_")
     assert largest.value == pytest.approx(rig.true_value(largest), rel=0.01)
@@ -88,26 +73,19 @@ def test_gravity_of_the_planar_arm_is_empty_and_says_so(two_joint: Rig) -> None:
 
 
 @pytest.mark.parametrize(("name", "rank"), [("one_joint", 3), ("two_joint", 4)])
-def test_inertia_of_the_papers_rigs_is_within_a_percent(
-    name: str, rank: int, request: pytest.FixtureRequest
-) -> None:
-    rig: Rig = request.getfixturevalue(name)
+def test_inertia_of_the_papers_rigs_is_within_a_percent(name: str, rank: int) -> None:
+    rig = sample_rig(name)
     stage = rig.inertia
     assert stage.rank == stage.structural_rank == rank
-    sizes = {p.unit: 0.0 for p in stage.parameters}
+    true = {p.name: rig.true_value(p) for p in stage.parameters}
     for p in stage.parameters:
-        sizes[p.unit] = max(sizes[p.unit], abs(rig.true_value(p)))
-    for p in stage.parameters:
-        true = rig.true_value(p)
-        allowed = 0.01 * (abs(true) if true else sizes[p.unit])
-        assert abs(p.value - true) < allowed, p.name
+        largest = max(abs(true[x.name]) for x in stage.parameters if x.unit == p.unit)
+        assert abs(p.value - true[p.name]) < 0.01 * (abs(true[p.name]) or largest), p.name
     assert all(within(rig, stage, 4.0))
 
 
 @pytest.mark.slow
-def test_six_joint_parameters_are_true_and_of_full_rank(
-    six_joint: Rig,
-) -> None:
+def test_six_joint_parameters_are_true_and_of_full_rank(six_joint: Rig) -> None:
     stage = six_joint.inertia
     assert stage.rank == stage.structural_rank == 36
     assert not stage.not_excited
@@ -151,21 +129,16 @@ def test_a_mounting_about_parallel_axes_is_called_undetermined(two_joint: Rig) -
 
 def test_imus_do_better_than_the_coarse_encoder_alone(two_joint: Rig) -> None:
     """Table II of the paper: which motion the inertia is identified from matters."""
-    logs = two_joint.logs("inertia")
-    with_imus, encoder = two_joint.inertia, two_joint.inertia_of(logs, source="encoder")
-    errors = [np.array([p.std_error for p in stage.parameters]) for stage in (with_imus, encoder)]
-    assert (errors[0] < errors[1]).all()
+    encoder = two_joint.inertia_of(two_joint.logs("inertia"), source="encoder")
+    for fused, alone in zip(two_joint.inertia.parameters, encoder.parameters, strict=True):
+        assert fused.std_error < alone.std_error
     assert set(encoder.motion.values()) == {"encoder"}
-
-
-def one_pair(rig: Rig, *names: str) -> RigidStage:
-    """Inertia from the logs whose file is named after one of these pairs."""
-    return rig.inertia_of([log for log in rig.logs("inertia") if log.path.stem in names])
 
 
 @pytest.mark.slow
 def test_one_pair_alone_leaves_parameters_open_and_names_them(six_joint: Rig) -> None:
-    stage = one_pair(six_joint, "elbow__wrist_1")
+    logs = [log for log in six_joint.logs("inertia") if log.path.stem == "elbow__wrist_1"]
+    stage = six_joint.inertia_of(logs)
     assert stage.rank < stage.structural_rank == 36
     assert stage.not_excited
     assert stage.missing_pairs
@@ -177,46 +150,38 @@ def test_one_pair_alone_leaves_parameters_open_and_names_them(six_joint: Rig) ->
     assert any("not excited" in note for note in stage.notes)
 
 
-def rank_of_pairs(rig: Rig, pairs: list[list[str]]) -> int:
-    """Rank of random states of pairs of joints, with gravity known before."""
-    robot = rig.robot
+def test_pairs_for_an_arm_of_which_nothing_is_known(six_joint: Rig, one_joint: Rig) -> None:
+    """With gravity known before, random states of the pairs show every base parameter."""
+    robot = six_joint.robot
     basis = base_parameters(robot, rotor=())
-    rng = np.random.default_rng(1)
-    rows = [np.eye(basis.size)[basis.gravity]]
+    pairs = missing_pairs(robot, basis, np.eye(basis.size))
+    assert len({tuple(pair) for pair in pairs}) == len(pairs)
+    rng, rows = np.random.default_rng(1), [np.eye(basis.size)[basis.gravity]]
     for pair in pairs:
         moving = [robot.joint_names.index(name) for name in pair]
         q = rng.uniform(-2.5, 2.5, (200, robot.n))
-        dq, ddq = np.zeros_like(q), np.zeros_like(q)
+        dq, ddq = np.zeros((2, *q.shape))
         dq[:, moving], ddq[:, moving] = rng.normal(size=(2, 200, len(moving)))
         H = base_regressor(robot, basis, q, dq, ddq)[:, moving]
         rows.append(H.reshape(-1, basis.size))
     W = np.vstack(rows)
-    return int(np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0).clip(1e-12), tol=1e-6))
-
-
-def test_pairs_for_an_arm_of_which_nothing_is_known(six_joint: Rig, one_joint: Rig) -> None:
-    basis = base_parameters(six_joint.robot, rotor=())
-    pairs = missing_pairs(six_joint.robot, basis, np.eye(basis.size))
-    assert rank_of_pairs(six_joint, pairs) == basis.size
-    assert len({tuple(pair) for pair in pairs}) == len(pairs)
+    assert np.linalg.matrix_rank(W / np.linalg.norm(W, axis=0).clip(1e-12), tol=1e-6) == basis.size
     basis = base_parameters(one_joint.robot, rotor=())
     assert missing_pairs(one_joint.robot, basis, np.eye(basis.size)) == [["joint_1"]]
     assert missing_pairs(one_joint.robot, basis, np.zeros((basis.size, 0))) == []
 
 
-def test_stages_in_the_wrong_order_are_refused(one_joint: Rig) -> None:
-    logs, robot = one_joint.logs("gravity"), one_joint.robot
+def test_logs_and_stages_that_lack_what_a_stage_needs_are_refused(
+    one_joint: Rig, six_joint: Rig
+) -> None:
+    drills, robot = one_joint.logs("friction"), one_joint.robot
     with pytest.raises(UsageError, match="friction stage"):
-        identify_gravity(logs, robot, Stages())
+        identify_gravity(drills, robot, Stages())
     with pytest.raises(UsageError, match="friction stage"):
-        identify_inertia(logs, robot, Stages(), options=InertiaOptions())
-
-
-def test_logs_without_what_a_stage_needs_are_refused(one_joint: Rig, six_joint: Rig) -> None:
-    robot, validation = six_joint.robot, six_joint.logs("validation")[:1]
-    options = FrictionOptions(velocity_order=12)
+        identify_inertia(drills, robot, Stages(), options=InertiaOptions())
     with pytest.raises(QualityError, match="needs at least 13 speeds, these logs hold 12"):
-        identify_friction(one_joint.logs("friction"), one_joint.robot, options=options)
+        identify_friction(drills, robot, options=FrictionOptions(velocity_order=12))
+    robot, validation = six_joint.robot, six_joint.logs("validation")[:1]
     with pytest.raises(QualityError, match="moves by itself at constant velocity"):
         identify_friction(validation, robot, options=FrictionOptions())
     with pytest.raises(QualityError, match="no log moves a joint before an IMU"):

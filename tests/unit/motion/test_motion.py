@@ -1,20 +1,16 @@
-"""From a recording to joint motion: filtered alike, decimated without loss, gaps kept out.
-
-Motion and survey of a log block by block are those of the log as a whole.
-"""
+"""From a recording to joint motion, whole and by blocks: filtered alike, gaps kept out."""
 
 from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from scipy.signal import welch
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.long import Block
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion import blocks as module
 from seqid_cli.motion.blocks import joined, make_plan, motion_blocks
-from seqid_cli.motion.filters.survey import Survey, Welch
+from seqid_cli.motion.filters.survey import Survey
 from seqid_cli.motion.motion import Motion, decimated, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.segmentation import moving_mask, noise_step
@@ -147,16 +143,3 @@ def test_a_survey_in_parts_chooses_as_that_of_the_whole_log(
     expected, found = Survey.of(log.q, RATE).cutoff(known), survey.cutoff(known)
     for name in ("hz", "encoder_step", "noise_density"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9)
-
-
-@pytest.mark.parametrize("samples", [256, 1_000, 4_001])
-def test_the_spectrum_is_welchs(samples: int) -> None:
-    values = np.random.default_rng(9).normal(size=(samples, 2))
-    spectrum = Welch(256)
-    wanted = 0
-    for end in [*range(37, samples, 37), samples]:
-        wanted = spectrum.look(values[wanted:end], wanted)
-    frequency, density = spectrum.density(100.0)
-    expected_frequency, expected = welch(values.T, 100.0, nperseg=256, detrend=False)
-    np.testing.assert_allclose(frequency, expected_frequency)
-    np.testing.assert_allclose(density, expected, rtol=1e-10, atol=1e-14)

@@ -1,11 +1,8 @@
 """Constant-velocity stretches are found in trapezoids, lie inside them, and nowhere else."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 
-from seqid_cli.logs.checks.echo import driven
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.motion.segmentation import SMALLEST_STEP, Stretch, constant_velocity, noise_step
 from seqid_cli.typing import Array, Mask
@@ -15,29 +12,22 @@ from tests.plants.sensors import quantise
 COARSE, MIDDLE, FINE = (2 * np.pi / counts for counts in (600, 2**12, 2**17))
 
 
-@dataclass(frozen=True)
-class Case:
-    """Positions, their true velocity, what was found, and ranges of truly constant velocity."""
-
-    dq: Array
-    found: list[Stretch]
-    parts: list[tuple[int, int]]
-
-    def each_part_is_found_once(self, count: int, least: float = 0.0) -> None:
-        """Every stretch lies within a part, holds a share of it, and knows its velocity."""
-        assert len(self.parts) == len(self.found) == count
-        for (start, stop), stretch in zip(self.parts, self.found, strict=True):
-            assert start <= stretch.start < stretch.stop <= stop
-            assert stretch.samples > least * (stop - start)
-            true = self.dq[start + 1, stretch.joint]
-            assert stretch.velocity == pytest.approx(true, rel=2e-3, abs=1e-3)
-
-
-def find(reference: Reference, q: Array, joint: int = 0, valid: Mask | None = None) -> Case:
+def find(reference: Reference, q: Array, valid: Mask | None = None) -> list[Stretch]:
     mask = np.ones(len(q), dtype=bool) if valid is None else valid
-    found = constant_velocity(q, reference.rate_hz, step=noise_step(q), valid=mask)
-    steady = (reference.ddq[:, joint] == 0) & (reference.dq[:, joint] != 0)
-    return Case(reference.dq, found, runs(steady, len(q)))
+    return constant_velocity(q, reference.rate_hz, step=noise_step(q), valid=mask)
+
+
+def assert_found_once(made: Reference, q: Array, count: int, least: float = 0.0) -> list[Stretch]:
+    """Each stretch lies within a constant part of joint 0, holds a share of it, knows its speed."""
+    found = find(made, q)
+    parts = runs((made.ddq[:, 0] == 0) & (made.dq[:, 0] != 0), len(q))
+    assert len(parts) == len(found) == count
+    for (start, stop), stretch in zip(parts, found, strict=True):
+        assert start <= stretch.start < stretch.stop <= stop
+        assert stretch.samples > least * (stop - start)
+        true = made.dq[start + 1, stretch.joint]
+        assert stretch.velocity == pytest.approx(true, rel=2e-3, abs=1e-3)
+    return found
 
 
 @pytest.mark.parametrize("rate", [100.0, 250.0, 1000.0])
@@ -48,16 +38,15 @@ def test_every_constant_part_of_every_trial_is_found_once(rate: float, step: flo
     made = sweeps(np.zeros(2), 0, (-2.0, 2.0), speeds, 20.0, rate_hz=rate)
     noise = 2e-4 * np.random.default_rng(0).standard_normal(made.q.shape)
     q = quantise(made.q, step) if step else made.q + noise
-    find(made, q).each_part_is_found_once(10, 0.5)
+    assert_found_once(made, q, 10, 0.5)
 
 
 @pytest.mark.parametrize("step", [COARSE, FINE])
 def test_a_reversal_without_rest_is_two_stretches(step: float) -> None:
     profile = [trapezoid(a, b, 1.5, 15.0, 250.0) for a, b in ((-1.5, 1.5), (1.5, -1.5))] * 2
     q, dq, ddq = (np.concatenate([p[i] for p in profile])[:, None] for i in range(3))
-    case = find(Reference(q, dq, ddq, 250.0), quantise(q, step))
-    case.each_part_is_found_once(4)
-    assert [np.sign(s.velocity) for s in case.found] == [1, -1, 1, -1]
+    found = assert_found_once(Reference(q, dq, ddq, 250.0), quantise(q, step), 4)
+    assert [np.sign(s.velocity) for s in found] == [1, -1, 1, -1]
 
 
 @pytest.mark.parametrize("step", [COARSE, FINE])
@@ -67,8 +56,8 @@ def test_moves_of_two_joints_at_once_are_not_trials(step: float) -> None:
     made = join([hold(moves.q[0], 0.5, 250.0), moves])
     # Joint 0 arrives last; what it does alone is a trial of its own.
     shared = made.dq[:, 1] != 0
-    case = find(made, quantise(made.q, step))
-    assert not any(shared[s.start : s.stop].any() for s in case.found)
+    found = find(made, quantise(made.q, step))
+    assert not any(shared[s.start : s.stop].any() for s in found)
 
 
 @pytest.mark.parametrize("step", [COARSE, FINE])
@@ -82,7 +71,7 @@ def test_what_is_taken_of_a_sine_is_constant_within_four_percent(
         np.column_stack([1.5 * x, 0 * x])
         for x in (np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle))
     )
-    found = find(Reference(q, dq, ddq, 500.0), quantise(q, step)).found
+    found = find(Reference(q, dq, ddq, 500.0), quantise(q, step))
     for stretch in found:
         own = dq[stretch.start : stretch.stop, 0]
         assert np.ptp(own) < 0.04 * np.abs(own).max()
@@ -95,9 +84,9 @@ def test_a_stretch_ends_at_a_gap() -> None:
     middle = (start + stop) // 2
     valid = np.ones(len(made.q), dtype=bool)
     valid[middle : middle + 60] = False
-    case = find(made, quantise(made.q, FINE), valid=valid)
-    first, second = (s for s in case.found if s.velocity > 0)
-    assert all(valid[s.start : s.stop].all() for s in case.found)
+    found = find(made, quantise(made.q, FINE), valid)
+    first, second = (s for s in found if s.velocity > 0)
+    assert all(valid[s.start : s.stop].all() for s in found)
     assert first.stop <= middle < middle + 60 <= second.start
 
 
@@ -110,11 +99,3 @@ def test_noise_step_sees_counts_and_noise() -> None:
     assert step[1] == pytest.approx(3e-3, rel=0.15)
     assert step[2] == SMALLEST_STEP
     assert noise_step(counts[:, None], np.array([2 * MIDDLE]))[0] == pytest.approx(2 * MIDDLE)
-
-
-def test_a_joint_that_others_shake_is_held() -> None:
-    t = np.linspace(0.0, 10.0, 2001)
-    shaken = 0.2 * np.exp(-(((t - 5.0) / 0.05) ** 2))
-    q = np.column_stack([np.sin(t), 0.3 * np.cos(t), shaken, np.zeros_like(t)])
-    q[7] = np.nan
-    assert driven(q).tolist() == [True, True, False, False]

@@ -4,7 +4,6 @@ import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -37,12 +36,6 @@ def scheduler() -> Iterator[str]:
         yield cluster.scheduler_address
 
 
-def document(path: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(path.read_text())
-    del found["created"]
-    return found
-
-
 @pytest.fixture
 def logs(tmp_path: Path) -> list[str]:
     """Return five logs, of which the middle one is damaged."""
@@ -54,32 +47,28 @@ def logs(tmp_path: Path) -> list[str]:
     return [str(name) for name in names]
 
 
-@pytest.mark.parametrize("command", ["predict", pytest.param("inertia", marks=pytest.mark.slow)])
 def test_the_cluster_changes_no_bit_and_no_order(
-    command: str,
-    scheduler: str,
-    logs: list[str],
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
+    scheduler: str, logs: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    output, torques = tmp_path / "out.json", tmp_path / "torques.parquet"
-    own = ["--torques", str(torques)] if command == "predict" else []
-    found = []
+    output, torques, found = tmp_path / "out.json", tmp_path / "torques.parquet", []
     for engine in ((), ("--engine", "dask", "--scheduler", scheduler)):
-        words = [command, *logs, *GOLDEN, "-o", str(output), "--skip-failed", *own, *engine]
-        assert run(words) == 3
+        files = ["-o", str(output), "--torques", str(torques), "--skip-failed"]
+        assert run(["predict", *logs, *GOLDEN, *files, *engine]) == 3
         assert f"warning: left out: {logs[2]}: " in capsys.readouterr().err
-        found.append((document(output), torques.read_bytes() if own else b""))
+        document = json.loads(output.read_text())
+        del document["created"]
+        found.append((document, torques.read_bytes()))
     assert found[0] == found[1]
-    if own:
-        assert [log["path"] for log in found[0][0]["logs"]] == [*logs[:2], *logs[3:]]
+    assert [log["path"] for log in found[0][0]["logs"]] == [*logs[:2], *logs[3:]]
 
 
-def test_a_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
+def test_a_scheduler_that_is_not_there_is_named(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("seqid_cli.scale.executors.PATIENCE_S", 0.2)
-    for address in ("tcp://127.0.0.1:9", "nonsense://x"):
-        with pytest.raises(UsageError, match="no Dask scheduler answers"), dask_cluster(address):
-            raise AssertionError
+    with pytest.raises(UsageError, match="no Dask scheduler answers"), dask_cluster(address):
+        raise AssertionError
 
 
 @pytest.mark.slow
@@ -87,11 +76,10 @@ def test_any_executor_will_do(scheduler: str, logs: list[str]) -> None:
     """A thread pool and a client's own executor give what this process gives, bit by bit."""
     from distributed import Client
 
-    good = [log for k, log in enumerate(logs) if k != 2]
-    arm, before, options = RIG / "robot.toml", RIG / "golden.json", RigidOptions(source="encoder")
-    here = inertia(good, arm, before, options)
+    given = [*logs[:2], *logs[3:]], RIG / "robot.toml", RIG / "golden.json"
+    options = RigidOptions(source="encoder")
+    expected = inertia(*given, options).stages
     with ThreadPoolExecutor(2) as threads:
-        assert inertia(good, arm, before, options, executor=threads).stages == here.stages
+        assert inertia(*given, options, executor=threads).stages == expected
     with Client(scheduler, set_as_default=False) as client:
-        executor = client.get_executor()
-        assert inertia(good, arm, before, options, executor=executor).stages == here.stages
+        assert inertia(*given, options, executor=client.get_executor()).stages == expected

@@ -6,14 +6,12 @@ from itertools import product
 import numpy as np
 import pytest
 
-from seqid_cli.identify.friction_surface.corrections import HeldJoints
 from seqid_cli.identify.friction_surface.gravity_separation import (
     GravityFit,
     fit_gravity,
     gravity_columns,
 )
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
-from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.kinematics import forward
 from seqid_cli.robot.types import Robot
 from tests import Array
@@ -51,31 +49,25 @@ def trial(joint: int, velocity: float, q: Array, tau: Array, configuration: Arra
 
 
 def trials_of(
-    robot: Robot,
-    rng: np.random.Generator,
-    *,
-    asymmetry: float = 0.0,
-    noise: float = 0.1,
-    directions: tuple[int, ...] = (1, -1),
+    robot: Robot, seed: int, *, asymmetry: float = 0.0, directions: tuple[int, ...] = (1, -1)
 ) -> list[Trial]:
     """Trials of the elbow with friction that is larger forward by the share `asymmetry`."""
-    trials = []
-    for configuration, p in zip(CONFIGURATIONS, P_XI, strict=True):
-        for speed in SPEEDS:
-            for direction in directions:
-                q = np.linspace(-2, 2, SLICES)[::direction] + 0.01 * rng.standard_normal()
-                friction = 6.0 + 2.0 * speed + 0.6 * np.sin(q + 0.4) + 0.3 * np.sin(2 * q)
-                friction = friction * (1 + asymmetry * direction)
-                tau = gravity_columns(robot, JOINT, configuration, q) @ p + direction * friction
-                hiss = noise * rng.standard_normal(SLICES)
-                hiss[1:] = 0.9 * hiss[1:] + 0.44 * hiss[:-1]  # neighbours share some of it
-                trials.append(trial(JOINT, direction * speed, q, tau + hiss, configuration))
+    rng, trials = np.random.default_rng(seed), []
+    groups = zip(CONFIGURATIONS, P_XI, strict=True)
+    for (configuration, p), speed, direction in product(groups, SPEEDS, directions):
+        q = np.linspace(-2, 2, SLICES)[::direction] + 0.01 * rng.standard_normal()
+        friction = 6.0 + 2.0 * speed + 0.6 * np.sin(q + 0.4) + 0.3 * np.sin(2 * q)
+        friction = friction * (1 + asymmetry * direction)
+        tau = gravity_columns(robot, JOINT, configuration, q) @ p + direction * friction
+        hiss = 0.1 * rng.standard_normal(SLICES)
+        hiss[1:] = 0.9 * hiss[1:] + 0.44 * hiss[:-1]  # neighbours share some of it
+        trials.append(trial(JOINT, direction * speed, q, tau + hiss, configuration))
     return trials
 
 
-def fitted(robot: Robot, seed: int, *, asymmetry: float = 0.0, noise: float = 0.1) -> GravityFit:
-    rng = np.random.default_rng(seed)
-    return fit_gravity(robot, JOINT, trials_of(robot, rng, asymmetry=asymmetry, noise=noise))
+def assert_p_xi(fit: GravityFit, atol: float) -> None:
+    for group, p in zip(fit.groups, P_XI, strict=True):
+        np.testing.assert_allclose(group.p_xi, p, atol=atol)
 
 
 def test_p_xi_of_each_configuration_is_recovered_and_symmetric_friction_is_no_alarm(
@@ -83,121 +75,54 @@ def test_p_xi_of_each_configuration_is_recovered_and_symmetric_friction_is_no_al
 ) -> None:
     z, alarms = [], 0
     for seed in range(20):
-        fit = fitted(robot, seed)
-        assert len(fit.groups) == 2
+        fit = fit_gravity(robot, JOINT, trials_of(robot, seed))
         assert fit.unpaired == 0
+        assert_p_xi(fit, 0.02)
         alarms += fit.directional
-        for group, p in zip(fit.groups, P_XI, strict=True):
-            np.testing.assert_allclose(group.p_xi, p, atol=0.02)
-            z.append((group.p_xi - p) / group.std_error)
+        z += [(g.p_xi - p) / g.std_error for g, p in zip(fit.groups, P_XI, strict=True)]
     assert 0.7 < float(np.sqrt(np.mean(np.square(z)))) < 1.4
     assert alarms <= 1
 
 
 @pytest.mark.parametrize("asymmetry", [0.05, -0.05, 0.15])
 def test_friction_that_depends_on_direction_is_seen(robot: Robot, asymmetry: float) -> None:
-    for seed in range(10):
-        fit = fitted(robot, 200 + seed, asymmetry=asymmetry)
+    for seed in range(200, 210):
+        fit = fit_gravity(robot, JOINT, trials_of(robot, seed, asymmetry=asymmetry))
         assert fit.directional
         assert fit.asymmetry == pytest.approx(abs(asymmetry), rel=0.25)
-        for group, p in zip(fit.groups, P_XI, strict=True):
-            np.testing.assert_allclose(group.p_xi, p, atol=0.1)
-
-
-@pytest.mark.parametrize("goes_with", [1.0, 0.0])
-def test_a_joint_is_no_heavier_for_friction_that_depends_on_direction(
-    robot: Robot, goes_with: float
-) -> None:
-    """What friction has over the position is mostly gravity's shape here."""
-    q = np.linspace(-2, 2, SLICES)
-    places = 3.0 * np.sin(q + 0.4) + 0.5 * np.sin(2 * q)
-    rng, trials = np.random.default_rng(6), []
-    for configuration, p in zip(CONFIGURATIONS, P_XI, strict=True):
-        for direction, speed in product((1, -1), SPEEDS):
-            friction = 6.0 + 2.0 * speed + places
-            more = direction * 0.5 * (6.0 + goes_with * places)
-            tau = gravity_columns(robot, JOINT, configuration, q) @ p
-            tau += direction * (friction + more) + 0.02 * rng.standard_normal(SLICES)
-            trials.append(trial(JOINT, direction * speed, q, tau, configuration))
-    fit = fit_gravity(robot, JOINT, trials)
-    assert fit.directional
-    for group, p in zip(fit.groups, P_XI, strict=True):
-        np.testing.assert_allclose(group.p_xi, p, atol=0.02)
-
-
-def sprung(trials: list[Trial], stiffness: float, cubic: float) -> list[Trial]:
-    """The same with a spring at the joint."""
-    pulls = [stiffness * (each.q - 0.3) + cubic * each.q**3 for each in trials]
-    return [replace(each, tau=each.tau + own) for each, own in zip(trials, pulls, strict=True)]
+        assert_p_xi(fit, 0.1)
 
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.1])
 def test_a_spring_is_neither_friction_nor_direction_dependent(
     robot: Robot, asymmetry: float
 ) -> None:
-    for seed in range(10):
-        trials = trials_of(robot, np.random.default_rng(300 + seed), asymmetry=asymmetry)
-        bare, fit = (fit_gravity(robot, JOINT, each) for each in (trials, sprung(trials, 4.0, 0.5)))
-        assert bare.groups[0].beyond is None
+    q = np.linspace(-1.9, 1.9, 50)
+    for seed in range(300, 310):
+        trials = trials_of(robot, seed, asymmetry=asymmetry)
+        assert fit_gravity(robot, JOINT, trials).groups[0].beyond is None
+        sprung = [replace(x, tau=x.tau + 4.0 * (x.q - 0.3) + 0.5 * x.q**3) for x in trials]
+        fit = fit_gravity(robot, JOINT, sprung)
         assert not fit.directional
         for group in fit.groups:
-            for ahead, back in zip(*(_ways(group.trials, way) for way in (1, -1)), strict=True):
-                q = np.linspace(-1.9, 1.9, 50)
-                left = [
-                    np.interp(q, *(x[np.argsort(t.q)] for x in (t.q, t.tau - group.torque(t.q))))
-                    for t in (ahead, back)
-                ]
-                assert np.std(left[0] + left[1]) < 0.3  # of a spring that makes 12 N m
-
-
-def _ways(trials: list[Trial], way: int) -> list[Trial]:
-    return sorted((t for t in trials if t.velocity * way > 0), key=lambda t: t.velocity * way)
+            left: dict[float, list[Array]] = {}  # by speed: what both directions have
+            for each in group.trials:
+                order = np.argsort(each.q)
+                own = (each.tau - group.torque(each.q))[order]
+                left.setdefault(abs(each.velocity), []).append(np.interp(q, each.q[order], own))
+            for ahead, back in left.values():
+                assert np.std(ahead + back) < 0.3  # of a spring that makes 12 N m
 
 
 def test_trials_without_twins_are_counted(robot: Robot) -> None:
-    rng = np.random.default_rng(0)
-    both = [t for t in trials_of(robot, rng) if t.configuration[1] > -1]
-    alone = [t for t in trials_of(robot, rng, directions=(1,)) if t.configuration[1] < -1]
+    both = [t for t in trials_of(robot, 0) if t.configuration[1] > -1]
+    alone = [t for t in trials_of(robot, 1, directions=(1,)) if t.configuration[1] < -1]
     fit = fit_gravity(robot, JOINT, both + alone)
     assert len(fit.groups) == 1
     assert fit.unpaired == len(alone)
     none = fit_gravity(robot, JOINT, alone)
     assert none.groups == []
     assert none.unpaired == len(alone)
-
-
-def test_a_held_joint_that_gives_way_is_no_friction(robot: Robot) -> None:
-    basis, q, count = base_parameters(robot, rotor=()), np.linspace(-2, 2, SLICES), 1e-3
-    held = HeldJoints(robot, basis, np.ones(int(basis.gravity.sum())))
-    both = [trial(JOINT, way, q[::way], np.zeros(SLICES), CONFIGURATIONS[0]) for way in (1, -1)]
-    still = [held.columns(JOINT, each.places) @ held.theta for each in both]
-    for each in both:  # the wrist turns with the direction
-        each.places[:, 3] += 0.002 * each.velocity
-    moved = [held.columns(JOINT, each.places) @ held.theta for each in both]
-    assert np.abs(np.array(moved) - still).max() > 0.01
-    given = [
-        replace(each, tau=own, count=np.full(6, count))
-        for each, own in zip(both, moved, strict=True)
-    ]
-    stood = held.standing(given, CONFIGURATIONS[0])
-    np.testing.assert_allclose([each.tau for each in stood], still, atol=1e-9)
-    error = (moved[0] - still[0]) / 0.002 * count / np.sqrt(12)
-    np.testing.assert_allclose(held.unseen(given[0], given[0].places)[:, 3], error, atol=1e-4)
-    np.testing.assert_allclose(held.doubt(given)[0], error / np.sqrt(2), atol=1e-4)
-
-
-def test_a_joint_along_gravity_has_no_p_xi(robot: Robot) -> None:
-    rng = np.random.default_rng(1)
-    trials = [
-        trial(0, 0.5 * d, np.linspace(-1, 1, 16)[::d], 3.0 * d + noise, np.zeros(6))
-        for d, noise in zip((1, -1), 0.01 * rng.standard_normal((2, 16)), strict=True)
-    ]
-    for given in (trials, trials[:1]):  # nothing to take off, so no twin is needed
-        fit = fit_gravity(robot, 0, given)
-        assert len(fit.groups) == 1
-        assert fit.groups[0].p_xi.shape == (0,)
-        assert not fit.directional
-        assert fit.unpaired == 0
 
 
 def test_a_wrist_that_stands_along_gravity_in_some_postures_only(robot: Robot) -> None:

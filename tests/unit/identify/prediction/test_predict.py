@@ -86,10 +86,45 @@ def held_of(path: Path, robot: Robot, stages: Stages, options: InertiaOptions) -
     return held
 
 
-def assert_same(parts: list[LogPrediction], held: LogPrediction) -> None:
-    assert len(parts) >= 3
+@pytest.fixture(scope="module")
+def all_local(folder: Path, robot: Robot, stages: Stages) -> list[FittedEffect]:
+    """Every effect of the catalogue that can be told part by part, each of some N m."""
+    recording = read_recording(folder / "log.parquet", robot)
+    model = TorqueModel.from_stages(stages, robot)
+    motion = estimate_motion(recording, robot, MotionOptions())
+    scene = scene_of_log(recording, robot, model, motion)
+    session = EffectSession(logs=[recording.sha256], starts=[0.0], origin=recording.start)
+    found = []
+    for effect in CATALOGUE.values():
+        if effect.name == "external_contact":
+            continue
+        joint = None if effect.arm else 1
+        for settings in settings_of(effect, [scene], joint)[:1]:
+            columns = effect.columns(scene, joint, settings)
+            size = max(float(np.sqrt(np.mean(X**2))) for X in columns.values())
+            count = len(effect.coefficients(settings))
+            # What shifts torque in time takes its derivative, and that of rounding errors.
+            values = np.full(count, (0.1 if effect.timing else 2.0) / max(size, 1e-9))
+            found.append(FittedEffect(effect, joint, settings, values, np.eye(count), session))
+    return [each for each in found if each.local]
+
+
+@pytest.mark.parametrize("with_effects", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_the_parts_are_the_held_log(
+    with_effects: bool, folder: Path, robot: Robot, stages: Stages, request: pytest.FixtureRequest
+) -> None:
+    """Sent elsewhere, too, which takes no more than the model."""
+    path, whole = folder / "log.parquet", stages
+    if with_effects:
+        all_local = request.getfixturevalue("all_local")
+        assert len(all_local) >= 18
+        whole = replace(stages, effects=[as_stage(x, robot) for x in all_local])
+    sent = pickle.dumps(long_of(path, robot, whole, OPTIONS))
+    assert len(sent) < 100_000
+    parts, held = list(pickle.loads(sent)), held_of(path, robot, whole, OPTIONS)
     assert [part.part for part in parts] == list(range(len(parts)))
     assert [part.last for part in parts] == [False] * (len(parts) - 1) + [True]
+    assert len(parts) >= 3
     for name in ("t", "tau", *SAID[:-1]):  # ddq is that of differences: rounding shows
         found = np.concatenate([getattr(part, name) for part in parts])
         expected = getattr(held, name)
@@ -103,58 +138,9 @@ def assert_same(parts: list[LogPrediction], held: LogPrediction) -> None:
     assert parts[-1].motion.source == held.motion.source == "encoder"
     assert held.motion.acceleration_error
     assert parts[-1].motion.acceleration_error == pytest.approx(held.motion.acceleration_error)
-
-
-@pytest.mark.parametrize("cutoff", [None, 20.0])
-def test_the_parts_are_the_held_log(
-    cutoff: float | None, folder: Path, robot: Robot, stages: Stages
-) -> None:
-    """Sent elsewhere, too, which takes no more than the model."""
-    options = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=cutoff))
-    path = folder / "log.parquet"
-    sent = pickle.dumps(long_of(path, robot, stages, options))
-    assert len(sent) < 100_000
-    assert_same(list(pickle.loads(sent)), held_of(path, robot, stages, options))
-
-
-@pytest.fixture(scope="module")
-def all_local(folder: Path, robot: Robot, stages: Stages) -> list[FittedEffect]:
-    """Every effect of the catalogue that can be told part by part, each of some N m."""
-    recording = read_recording(folder / "log.parquet", robot)
-    model = TorqueModel.from_stages(stages, robot)
-    motion = estimate_motion(recording, robot, MotionOptions())
-    scene = scene_of_log(recording, robot, model, motion)
-    found = []
-    for effect in CATALOGUE.values():
-        joint = None if effect.arm else 1
-        grid = settings_of(effect, [scene], joint)
-        for settings in grid[:1] if effect.name != "external_contact" else []:
-            columns = effect.columns(scene, joint, settings)
-            size = max(float(np.sqrt(np.mean(X**2))) for X in columns.values())
-            count = len(effect.coefficients(settings))
-            # What shifts torque in time takes its derivative, and that of rounding errors.
-            wanted = 0.1 if effect.timing else 2.0
-            values = np.full(count, wanted / max(size, 1e-9))
-            session = EffectSession(logs=[recording.sha256], starts=[0.0], origin=recording.start)
-            fitted = FittedEffect(effect, joint, settings, values, np.eye(count), session)
-            if fitted.local:
-                found.append(fitted)
-    return found
-
-
-@pytest.mark.slow
-def test_effects_are_told_part_by_part(
-    folder: Path, robot: Robot, stages: Stages, all_local: list[FittedEffect]
-) -> None:
-    path = folder / "log.parquet"
-    assert len(all_local) >= 18
-    whole = replace(stages, effects=[as_stage(x, robot) for x in all_local])
-    log = open_surveyed(path, robot)
-    parts = list(predict([log], robot, whole, options=OPTIONS))  # type: ignore[list-item]
-    held = held_of(path, robot, whole, OPTIONS)
-    assert_same(parts, held)
-    bare = held_of(path, robot, stages, OPTIONS)
-    assert np.sqrt(np.mean((held.predicted - bare.predicted) ** 2)) > 1.0
+    if with_effects:
+        bare = held_of(path, robot, stages, OPTIONS)
+        assert np.sqrt(np.mean((held.predicted - bare.predicted) ** 2)) > 1.0
 
 
 @pytest.mark.slow

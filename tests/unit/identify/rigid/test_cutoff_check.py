@@ -28,31 +28,29 @@ def result(H: Array, y: Array) -> Result:
     return solution, Posterior.of(solution, [None], np.zeros(1), {}, {})
 
 
-def pair(seed: int, *, shrunk: float) -> tuple[Result, Result]:
-    """The same rows twice, the second with a little noise of its own; its first column is off."""
+def checked(seed: int, *, shrunk: float) -> tuple[CutoffCheck, Array]:
+    """The same rows twice, the second with a little noise of its own; its first column is off.
+
+    Returns the check, and the standard errors of the first.
+    """
     rng = np.random.default_rng(seed)
     H = rng.standard_normal((BLOCKS * ROWS, len(THETA)))
     y = H @ THETA + 0.5 * rng.standard_normal(len(H))
-    other = H * np.array([1.0 + shrunk, 1.0, 1.0])
-    return result(H, y), result(other, y + 0.1 * rng.standard_normal(len(H)))
-
-
-def checked(seed: int, *, shrunk: float) -> CutoffCheck:
-    own, other = pair(seed, shrunk=shrunk)
-    return cutoff_check(own, {0.7: other}, [None])
+    own = result(H, y)
+    other = result(H * [1.0 + shrunk, 1.0, 1.0], y + 0.1 * rng.standard_normal(len(H)))
+    return cutoff_check(own, {0.7: other}, [None]), np.sqrt(np.diag(own[1].covariance))
 
 
 def test_noise_alone_is_not_said_and_adds_little() -> None:
-    found = [checked(seed, shrunk=0.0) for seed in range(40)]
+    found, stated = zip(*(checked(seed, shrunk=0.0) for seed in range(40)), strict=True)
     assert sum(bool(check.differences) for check in found) <= 1
-    stated = np.sqrt(np.diag(pair(0, shrunk=0.0)[0][1].covariance))
     added = np.mean([np.sum(check.errors**2, axis=1) for check in found], axis=0)
-    assert (added < 0.1 * stated**2).all()
+    assert (added < 0.1 * stated[0] ** 2).all()
 
 
 def test_a_parameter_that_depends_on_the_cutoff_is_named_and_its_error_grows() -> None:
     for seed in range(5):
-        check = checked(seed, shrunk=0.1)
+        check, _ = checked(seed, shrunk=0.1)
         assert [k for k, *_ in check.differences] == [0]
         _, factor, by = check.differences[0]
         assert factor == 0.7
@@ -66,12 +64,12 @@ def test_the_stage_is_poor_where_the_difference_matters() -> None:
     name = basis.names[0]
     parameter = Parameter(name=name, value=1.0, std_error=0.1, unit="kg m")
     stage = RigidStage(parameters=[parameter], condition=1.0, rank=1)
-    mild = CutoffCheck(np.zeros((1, 0)), ((0, 0.7, 1.5),))
-    strong = CutoffCheck(np.zeros((1, 0)), ((0, 0.7, -6.0),))
-    assert with_cutoff_check(stage, CutoffCheck(np.zeros((1, 0))), basis) == stage
-    said = with_cutoff_check(stage, mild, basis)
-    assert not said.verdicts
-    assert f"{name} by +1.5 at 0.7 times" in said.notes[-1]
-    poor = with_cutoff_check(stage, strong, basis)
+    none, mild, poor = (
+        with_cutoff_check(stage, CutoffCheck(np.zeros((1, 0)), differences), basis)
+        for differences in ((), ((0, 0.7, 1.5),), ((0, 0.7, -6.0),))
+    )
+    assert none == stage
+    assert not mild.verdicts
+    assert f"{name} by +1.5 at 0.7 times" in mild.notes[-1]
     assert [v.good for v in poor.verdicts] == [False]
     assert f"{name} by -6.0 at 0.7 times" in poor.verdicts[0].reason

@@ -23,21 +23,19 @@ AXES = {"perpendicular": np.pi / 2, "parallel": 0.0, "skew": 0.7}
 
 def plant_of(alpha: float, *, coupled: bool) -> Plant:
     """Two joints whose axes stand at the angle `alpha`; light links, heavy rotors, no friction."""
+    links = [
+        standard_parameters(2.0, (0.03, 0.01, -0.05), (0.08, 0.07, 0.09), np.eye(3)),
+        standard_parameters(1.5, (0.15, 0.02, 0.03), (0.05, 0.1, 0.1), np.eye(3)),
+    ]
     arm = Arm(
         names=("base", "swing"),
         dh=np.array([[0.0, 0.0, 0.2, 0.0], [alpha, 0.1, 0.1, 0.0]]),
-        phi=np.array(
-            [
-                standard_parameters(2.0, (0.03, 0.01, -0.05), (0.08, 0.07, 0.09), np.eye(3)),
-                standard_parameters(1.5, (0.15, 0.02, 0.03), (0.05, 0.1, 0.1), np.eye(3)),
-            ]
-        ),
+        phi=np.array(links),
         gravity=np.array([0.0, 0.0, -9.81]),
         gear=np.full(2, 50.0),
         rotor_inertia=np.array([1e-4, 4e-4]),
         rotor_coupling=coupled,
     )
-    zero = np.zeros(2)
     return Plant(
         arm=arm,
         nominal=arm,
@@ -46,16 +44,11 @@ def plant_of(alpha: float, *, coupled: bool) -> Plant:
         torque_constant=np.full(2, 0.1),
         encoder_step=np.full(2, 2 * np.pi / 2**18),
         current_noise=np.full(2, 0.02),
-        coulomb_guess=zero,
-        position_limits=np.array([[-2.5, 2.5], [-2.5, 2.5]]),
+        coulomb_guess=np.zeros(2),
+        position_limits=np.tile([-2.5, 2.5], (2, 1)),
         velocity_limits=np.full(2, 4.0),
         acceleration_limits=np.full(2, 20.0),
     )
-
-
-def no_friction(robot: Robot) -> FrictionStage:
-    joint = friction_joint([[0.0]], speed_range=[0.05, 5.0], sign_width=0.005, covariance=[[1e-12]])
-    return FrictionStage(joints=dict.fromkeys(robot.joint_names, joint))
 
 
 def identified(plant: Plant, robot: Robot, seed: int = 0, logs: int | None = None) -> RigidStage:
@@ -64,8 +57,10 @@ def identified(plant: Plant, robot: Robot, seed: int = 0, logs: int | None = Non
         recording_of(plant, trial.name, simulate(plant, trial.reference, seed, every=4))
         for trial in trials[:logs]
     ]
-    stages = Stages(friction=no_friction(robot))
-    return identify_inertia(recordings, robot, stages, options=InertiaOptions())
+    none = friction_joint([[0.0]], speed_range=[0.05, 5.0], sign_width=0.005, covariance=[[1e-12]])
+    friction = FrictionStage(joints=dict.fromkeys(robot.joint_names, none))
+    options = InertiaOptions()
+    return identify_inertia(recordings, robot, Stages(friction=friction), options=options)
 
 
 def off(plant: Plant, stage: RigidStage) -> float:

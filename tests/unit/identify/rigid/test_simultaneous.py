@@ -16,6 +16,7 @@ from seqid_cli.robot.types import Robot
 from tests.plants.arms.rigs import six_joint
 from tests.plants.mechanics.rigid import PHI_NAMES
 from tests.plants.motions.trajectories import fourier
+from tests.plants.robots.lab import true_value
 from tests.plants.robots.made import made_recording
 from tests.plants.robots.sample import rmse
 from tests.plants.robots.small import arm_6r
@@ -52,35 +53,22 @@ def identified(*logs: Recording, arm: Robot | None = None, offset: bool = True) 
     return Stages(friction=friction, inertia=inertia)
 
 
-@pytest.fixture(scope="module")
-def stages() -> Stages:
-    return identified(record(1), record(2))
-
-
-def test_the_rigid_body_is_recovered(stages: Stages) -> None:
+def test_rigid_body_and_friction_are_recovered_and_predict_a_new_motion() -> None:
+    stages = identified(record(1), record(2))
     standard = {
         f"{kind}_{i + 1}": float(PHI[i, k]) for i in range(6) for k, kind in enumerate(PHI_NAMES)
     }
     stage = stages.inertia
     assert stage.rank == stage.structural_rank == len(stage.parameters) == 36
-    z = [
-        (p.value - sum(f * standard[n] for n, f in p.terms.items())) / p.std_error
-        for p in stage.parameters
-    ]
+    z = [(p.value - true_value(p.terms, standard)) / p.std_error for p in stage.parameters]
     assert np.mean(np.abs(z) < 3) >= 0.95
     assert np.abs(z).max() < 5
-
-
-def test_friction_is_recovered(stages: Stages) -> None:
     found = [[p.value for p in joint.parameters] for joint in stages.friction.joints.values()]
     np.testing.assert_allclose(np.array(found).T, [COULOMB, VISCOUS, OFFSET], atol=0.06)
-
-
-def test_a_new_motion_is_predicted_to_the_noise(stages: Stages) -> None:
     options = InertiaOptions(motion=MotionOptions(8.0))
-    found = list(predict([record(3, 20.0)], robot(), stages, options=options))
+    predicted = list(predict([record(3, 20.0)], robot(), stages, options=options))
     # White noise below the cut-off; reversals, where the sign is smoothed, come on top.
-    assert (rmse(found) < 1.5 * NOISE * np.sqrt(2 * 8.0 / RATE) + 0.05).all()
+    assert (rmse(predicted) < 1.5 * NOISE * np.sqrt(2 * 8.0 / RATE) + 0.05).all()
 
 
 @pytest.mark.parametrize("offset", [True, False])
@@ -105,9 +93,8 @@ def test_offsets_that_moves_do_not_tell_from_gravity_are_named() -> None:
 
 def test_joints_that_rest_are_named() -> None:
     log = record(4, 20.0)
-    q = log.q.copy()
-    q[:, 5] = 0.3
-    found = identified(replace(log, q=q))
+    log.q[:, 5] = 0.3
+    found = identified(log)
     verdicts = {v.joint: v for v in found.inertia.verdicts}
     assert not verdicts["joint_6"].good
     assert "does not move" in verdicts["joint_6"].reason

@@ -1,13 +1,9 @@
 """The error of a torque constant moves all that was identified, counts once, and cancels again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from seqid_cli.compare.differences import _torque_constants_held
 from seqid_cli.identify.friction_surface.stage import identify_friction
@@ -18,11 +14,10 @@ from seqid_cli.identify.rigid.simultaneous import identify_simultaneous
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.bodies.nearest import identified
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
+from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.plants.robots.sample import Rig
-
-Array = NDArray[np.float64]
 
 ERROR = 0.02  # stated
 STEP = 1e-3  # by which a joint's torque is scaled
@@ -42,9 +37,8 @@ def scaled(logs: list[Recording], step: float) -> list[Recording]:
 
 def identified_from(rig: Rig, robot: Robot, step: float) -> Stages:
     """All stages by the encoders, from logs whose torque of the first joint is scaled."""
-    drills, slow, pairs = (
-        scaled(rig.logs(name), step) for name in ("friction", "gravity", "inertia")
-    )
+    folders = ("friction", "gravity", "inertia")
+    drills, slow, pairs = (scaled(rig.logs(name), step) for name in folders)
     stages = Stages(friction=identify_friction(drills, robot, options=FrictionOptions()))
     stages.gravity = identify_gravity(slow + drills, robot, stages)
     options = InertiaOptions(source="encoder")
@@ -58,10 +52,9 @@ Known = tuple[Robot, Stages, Stages, Stages]
 @pytest.fixture(scope="module")
 def known(one_joint: Rig) -> Known:
     """The robot; stages without a stated error, with one, and with one of scaled torque."""
-    robot = stated(one_joint.robot)
-    plain = identified_from(one_joint, one_joint.robot, 0.0)
-    found = (identified_from(one_joint, robot, step) for step in (0.0, STEP))
-    return robot, plain, *found  # type: ignore[return-value]
+    plain, robot = one_joint.robot, stated(one_joint.robot)
+    given = ((plain, 0.0), (robot, 0.0), (robot, STEP))
+    return robot, *(identified_from(one_joint, *each) for each in given)  # type: ignore[return-value]
 
 
 def seen_and_told(before: RigidStage, after: RigidStage) -> tuple[Array, Array]:
@@ -106,11 +99,9 @@ def test_export_counts_one_error_for_gravity_and_inertia(known: Known) -> None:
     robot, _, stages, _ = known
     demand = identified(stages, robot)
     np.testing.assert_allclose(np.sqrt(np.diag(demand.covariance)), demand.errors, rtol=1e-9)
-    both = stages.inertia, stages.gravity
-    moves = [x for stage in both for x in stage.torque_constant_moves["joint_1"]]
-    names = [p.name for stage in both for p in stage.parameters]
-    assert len(set(names)) == len(names)
-    assert demand.covariance[0, 1] == pytest.approx(moves[0] * moves[1], rel=1e-9)
+    moves = [x.torque_constant_moves["joint_1"] for x in (stages.inertia, stages.gravity)]
+    first, second, *_ = np.concatenate(moves)
+    assert demand.covariance[0, 1] == pytest.approx(first * second, rel=1e-9)
 
 
 def test_the_simultaneous_way_tells_the_same(two_joint: Rig) -> None:
@@ -126,5 +117,3 @@ def test_the_simultaneous_way_tells_the_same(two_joint: Rig) -> None:
     joint = friction.joints["joint_1"]
     assert joint.torque_constant_error == ERROR
     assert joint.parameters[0].std_error > 0.9 * ERROR * joint.parameters[0].value
-    copied = msgspec.json.decode(msgspec.json.encode(friction), type=FrictionStage)
-    assert copied.joints["joint_1"].torque_constant_error == ERROR

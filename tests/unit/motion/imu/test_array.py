@@ -7,12 +7,10 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.imu.array import (
     array_inverse,
     array_matrix,
-    calibrated,
     layout,
     layout_statements,
     read_angular,
 )
-from seqid_cli.params.schema import ImuCalibration
 from seqid_cli.robot.types import Imu
 from seqid_cli.typing import Array
 from tests.plants.mechanics.rigid import LinkMotion
@@ -55,6 +53,9 @@ def test_twelve_accelerometers_give_the_motion_exactly(imu: Imu) -> None:
     got = read_angular(imu, values, None, OPEN, np.ones(len(w), dtype=bool))
     np.testing.assert_allclose(got.dw, dw, atol=1e-7)
     np.testing.assert_allclose(got.products, squared(w), atol=1e-7)
+    inverse = array_inverse(imu)
+    np.testing.assert_allclose(inverse @ array_matrix(imu), np.eye(12), atol=1e-8)
+    np.testing.assert_allclose(layout(imu).errors, np.linalg.norm(inverse, axis=1), rtol=1e-8)
 
 
 @pytest.mark.parametrize("count", [*range(3, 15), "flat"])
@@ -102,38 +103,3 @@ def test_a_layout_is_described_in_words(imu: Imu) -> None:
     flat[:, 2] = 0.0
     assert any("plane" in text for text in layout_statements(imu_of(flat, axes)))
     assert layout_statements(imu_of(np.zeros((3, 3)), np.eye(3), gyro=True)) == []
-
-
-def test_calibrated_readings_are_those_of_an_instrument_without_faults() -> None:
-    rng = np.random.default_rng(12)
-    imu = imu_of(np.zeros((3, 3)), np.eye(3), gyro=True)
-    tilt = 0.02 * rng.standard_normal((2, 3, 3))
-    skew = np.eye(3) + tilt
-    skew /= np.linalg.norm(skew, axis=2, keepdims=True)
-    f, w = rng.standard_normal((2, 40, 3))
-    scale, bias = 1.0 + 0.1 * rng.standard_normal((2, 3)), rng.standard_normal((2, 3))
-    calibration = ImuCalibration(
-        rotation=np.eye(3).tolist(),
-        std_error_deg=0.1,
-        accelerometer_scale=scale[0].tolist(),
-        accelerometer_bias=bias[0].tolist(),
-        accelerometer_axes=skew[0].tolist(),
-        gyro_scale=scale[1].tolist(),
-        gyro_bias=bias[1].tolist(),
-        gyro_axes=skew[1].tolist(),
-    )
-    mended, values, gyro = calibrated(
-        imu, calibration, scale[0] * (f @ skew[0].T) + bias[0], scale[1] * (w @ skew[1].T) + bias[1]
-    )
-    np.testing.assert_allclose(values @ np.linalg.pinv(mended.axes).T, f, atol=1e-12)
-    assert gyro is not None
-    np.testing.assert_allclose(gyro, w, atol=1e-12)
-    untold = ImuCalibration(rotation=np.eye(3).tolist(), std_error_deg=0.1)
-    untold.accelerometer_bias = [None, 0.5, None]
-    np.testing.assert_allclose(calibrated(imu, untold, f, None)[1], f - [0.0, 0.5, 0.0])
-
-
-def test_errors_of_a_layout_are_those_of_its_inverse(imu: Imu) -> None:
-    inverse = array_inverse(imu)
-    np.testing.assert_allclose(inverse @ array_matrix(imu), np.eye(12), atol=1e-8)
-    np.testing.assert_allclose(layout(imu).errors, np.linalg.norm(inverse, axis=1), rtol=1e-8)

@@ -1,23 +1,19 @@
-"""The smoother against a dense nonlinear least-squares solution of the same problem by scipy.
+"""The smoother against a dense nonlinear least-squares problem, written down here once more.
 
-The problem is written down here once more, from what docs/fused_motion.md says: splines by scipy's
-B-splines, every reading at its own time, all unknowns in one vector, their slopes by differences.
-The size of the jerk and the noise are given, and an encoder's weights are those at the solution.
-Knots lie further apart than the smoother's cells, so that it shares no Jacobians either.
+It follows docs/fused_motion.md: splines by scipy's B-splines, every reading at its own time, all
+unknowns in one vector, their slopes by differences. The size of the jerk and the noise are given,
+and an encoder's weights are those at the solution. Knots lie further apart than the smoother's
+cells, so that it shares no Jacobians either.
 """
 
-from dataclasses import dataclass, replace
-from functools import cache
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from scipy.interpolate import BSpline
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.motion.imu.sensor import Mounting, link_state
-from seqid_cli.motion.smoother import solve as smoother_solve
 from seqid_cli.motion.smoother.chunk import CELL_S, Chunk, Jerk, Mounted, encoder_view
 from seqid_cli.motion.smoother.imus import mounted_imus, read
 from seqid_cli.motion.smoother.solve import Solution, encoder_motion, halved, renewed
@@ -38,14 +34,12 @@ GRAVITY = np.array([2.0, -1.0, -9.5])
 NOISE = 0.05  # m/s^2
 LATE = {"imu_a": 0.0073, "imu_b": -0.0116}  # s, by which an IMU's stamps are late
 EDGE_SHARE = 0.03  # of a count, by which the edges' places are off
-STEPS = {"fine": 0.0, "coarse": 2 * np.pi / 1000}
 JERK = Jerk(
     size=np.array([60.0, 90.0]),
     correlation=np.array([[1.0, -0.4], [-0.4, 1.0]]),
     relative=1.0 + 0.5 * np.sin(np.arange(2 * SAMPLES).reshape(SAMPLES, 2) / 7.0),
 )
 TOLERANCE = 1e-6  # of the stated error
-POLISH = 5
 
 
 def true_motion(t: Array) -> Array:
@@ -62,16 +56,7 @@ def readings(robot: Robot, place: Mounting, motion: Array, turn: Array | None = 
     return np.asarray(state @ replace(place, R=turned).matrix.T)
 
 
-@dataclass(frozen=True)
-class Scene:
-    """A chunk of the smoother, and the step of its encoders."""
-
-    chunk: Chunk
-    step: float
-
-
-@cache
-def scene(encoder: str) -> Scene:
+def scene(step: float) -> Chunk:
     """1.2 s of two joints with two accelerometer arrays, calibrated a little wrong."""
     rng = np.random.default_rng(5)
     plant = two_joint()
@@ -94,28 +79,26 @@ def scene(encoder: str) -> Scene:
             lever_std_errors=[0.003] * 3,
             noise_density=0.05,
         )
-    step = STEPS[encoder]
     q = true_motion(t)[0] + (0.0 if step else 1e-4) * rng.standard_normal((SAMPLES, 2))
     recording = made_recording(quantise(q, step), rate_hz=1.0 / DT, accelerometers=accelerometers)
     known = mounted_imus(recording, robot, ImuStage(imus=calibrations))
     imus = tuple(read(x, recording, slice(None)) for x in known)
     views = tuple(encoder_view(recording.q[:, j], step) for j in range(2))
-    return Scene(Chunk(robot, views, DT, 1, imus), step)
+    return Chunk(robot, views, DT, 1, imus)
 
 
-@cache
-def smoothed(encoder: str) -> Solution:
+def smoothed(step: float) -> Solution:
     """The smoother's own equations and solver, until nothing changes."""
-    chunk = scene(encoder).chunk.gathered()
+    chunk = scene(step).gathered()
     assert chunk.cell == 1, CELL_S
     c, _ = encoder_motion(chunk, JERK.size)
     for _ in range(40):
         solution = renewed(chunk, c, JERK, linearised(chunk, c), "place")
-        step = float(np.abs(solution.c - c).max())
+        change = float(np.abs(solution.c - c).max())
         chunk, c = solution.chunk.gathered(), solution.c
-        if step < 1e-13:
+        if change < 1e-13:
             break
-    assert step < 1e-13
+    assert change < 1e-13
     # The factor is of the state before the last step, which did not move any more.
     return replace(solution, chunk=chunk, c=c)
 
@@ -123,41 +106,24 @@ def smoothed(encoder: str) -> Solution:
 class Dense:
     """Residuals of everything, over their standard deviations, in one vector of unknowns.
 
-    Unknowns: coefficients, then of each IMU its biases, place, turn and clock. `speed` (N, n) and
-    at the edges sets the encoders' weights; `used` says which readings lie on the splines.
+    Unknowns: coefficients, then of each IMU the changes of its biases, place, turn and clock.
     """
 
-    def __init__(self, scene: Scene, found: Solution) -> None:
-        self.scene, self.found = scene, found
-        self.count = SAMPLES + 3
-        self.knots = DT * (np.arange(self.count + 4) - 3)
+    def __init__(self, found: Solution, step: float) -> None:
+        self.found, self.chunk, self.step = found, found.chunk, step
+        self.knots = DT * (np.arange(SAMPLES + 7) - 3)
         self.t = DT * np.arange(SAMPLES)
-        self.used = {x.name: self._used(x) for x in found.chunk.imus}
-
-    def _used(self, x: Mounted) -> NDArray[np.bool_]:
-        taken = self.t - x.delay
-        return (taken >= 0) & (taken < SAMPLES * DT)
 
     def splines(self, c: Array, t: Array) -> Array:
         """q, dq, ddq (3, len(t), 2)."""
         spline = BSpline(self.knots, c, 3)
         return np.stack([spline(t, nu=order) for order in range(3)])
 
-    def start(self) -> Array:
-        """Coefficients that follow the encoders; the constants of the calibration."""
-        q = np.column_stack([view.q for view in self.scene.chunk.views])
-        rows = BSpline.design_matrix(self.t, self.knots, 3).toarray()
-        c = np.linalg.lstsq(rows, q, rcond=None)[0]
-        constants = [np.zeros(x.place.channels + 7) for x in self.scene.chunk.imus]
-        return np.concatenate([c.ravel(), *constants])
-
     def __call__(self, unknown: Array) -> Array:
-        c = unknown[: 2 * self.count].reshape(-1, 2)
+        head, *constants = np.split(unknown, [-38, -19])
+        c = head.reshape(-1, 2)
         parts = [*self.jerks(c), *self.encoders(c)]
-        start = c.size
-        for x in self.scene.chunk.imus:
-            own = unknown[start : start + x.place.channels + 7]
-            start += len(own)
+        for x, own in zip(self.chunk.imus, constants, strict=True):
             parts += self.imu(x, c, own)
         return np.concatenate([np.ravel(p) for p in parts])
 
@@ -171,8 +137,8 @@ class Dense:
         """Codes: known to a count's width, once while they last; edges: to where they lie."""
         at_samples, at_edges = self.splines(c, self.t), self.splines(c, self.t + 0.5 * DT)
         speed = np.abs(self.splines(self.found.c, self.t)[1]) * DT
-        step, parts = self.scene.step, []
-        for j, view in enumerate(self.scene.chunk.views):
+        step, parts = self.step, []
+        for j, view in enumerate(self.chunk.views):
             if step == 0.0:
                 parts.append((at_samples[0, :, j] - view.q) / np.sqrt(view.white))
                 continue
@@ -191,60 +157,34 @@ class Dense:
     def imu(self, x: Mounted, c: Array, own: Array) -> list[Array]:
         """Readings at their own times, and the prior of the constants."""
         bias, lever, turn, late = np.split(own, [12, 15, 18])
-        used = self.used[x.name]
-        motion = self.splines(c, self.t[used] - x.delay - late[0])
+        taken = self.t - x.delay
+        used = (taken >= 0) & (taken < SAMPLES * DT)
+        motion = self.splines(c, taken[used] - late[0])
         place = replace(x.place, lever=x.place.lever + lever)
-        told = readings(self.scene.chunk.robot, place, motion, turn) + x.bias + bias
+        told = readings(self.chunk.robot, place, motion, turn) + x.bias + bias
         prior = np.sqrt(np.diag(x.precision)[: len(own)]) * (own + x.away[: len(own)])
         return [(x.raw[used] - told) / x.noise, prior]
 
 
-def solved_dense(dense: Dense) -> Array:
-    """All unknowns by scipy, then Gauss-Newton until its steps are rounding."""
-    x = np.asarray(least_squares(dense, dense.start(), x_scale="jac").x)
-    for _ in range(POLISH):
-        x = x - np.linalg.lstsq(jacobian(dense, x), dense(x), rcond=None)[0]
-    return x
-
-
 def jacobian(dense: Dense, x: Array) -> Array:
     """Central differences (M, N) of the residuals."""
-    size = 1e-6 * np.maximum(np.abs(x), 1.0)
-    columns = [
-        (dense(x + h * e) - dense(x - h * e)) / (2 * h)
-        for h, e in zip(size, np.eye(len(x)), strict=True)
-    ]
-    return np.column_stack(columns)
+    changes = 1e-6 * np.diag(np.maximum(np.abs(x), 1.0))
+    return np.column_stack([(dense(x + h) - dense(x - h)) / (2 * h.sum()) for h in changes])
 
 
-def constants_of(x: Mounted, before: Mounted) -> Array:
-    """By how much the smoother has moved an IMU's constants: bias, place, turn, clock."""
-    turn = Rotation.from_matrix(before.place.R.T @ x.place.R).as_rotvec()
-    return np.concatenate(
-        [x.bias - before.bias, x.place.lever - before.place.lever, turn, [x.delay - before.delay]]
-    )
-
-
-def covariance_at(dense: Dense, found: Solution) -> Array:
-    """Inverse information of all unknowns about the smoother's own solution."""
-    about = Dense(replace(dense.scene, chunk=found.chunk), found)
-    unknown = np.concatenate([found.c.ravel(), np.zeros(2 * 19)])
-    J = jacobian(about, unknown)
+@pytest.mark.parametrize("step", [0.0, 2 * np.pi / 1000], ids=["fine", "coarse"])
+def test_solution_and_stated_errors_are_those_of_the_dense_one(step: float) -> None:
+    """One step of Gauss-Newton on the dense problem changes nothing."""
+    found = smoothed(step)
+    count = found.c.size
+    dense, unknown = Dense(found, step), np.concatenate([found.c.ravel(), np.zeros(2 * 19)])
+    J = jacobian(dense, unknown)
     scale = np.linalg.norm(J, axis=0)
-    _, R = np.linalg.qr(J / scale)
+    Q, R = np.linalg.qr(J / scale)
     half = np.linalg.inv(R) / scale[:, None]
-    return np.asarray(half @ half.T)
-
-
-@pytest.mark.parametrize("encoder", list(STEPS))
-def test_solution_and_stated_errors_are_those_of_the_dense_one(encoder: str) -> None:
-    own, found = scene(encoder), smoothed(encoder)
-    dense, count = Dense(own, found), found.c.size
-    covariance = covariance_at(dense, found)
+    covariance = half @ half.T
     error = np.sqrt(np.diag(covariance))
-    pairs = zip(found.chunk.imus, own.chunk.imus, strict=True)
-    smoother = np.concatenate([found.c.ravel(), *(constants_of(a, b) for a, b in pairs)])
-    assert (np.abs(smoother - solved_dense(dense)) / error).max() < TOLERANCE
+    assert (np.abs(half @ Q.T @ dense(unknown)) / error).max() < TOLERANCE
     stated = (found.inverse(np.eye(count)), np.linalg.inv(found.schur))
     for mine, part in zip(stated, (slice(count), slice(count, None)), strict=True):
         off = np.abs(mine - covariance[part, part]) / np.outer(error[part], error[part])
@@ -253,10 +193,6 @@ def test_solution_and_stated_errors_are_those_of_the_dense_one(encoder: str) -> 
 
 def test_nothing_to_solve_for_is_kept_from_lapack(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where constants move the motion in no direction, `dtbtrs` would corrupt memory."""
-
-    def refuse(*_: object, **__: object) -> None:
-        raise AssertionError("LAPACK was asked for no columns")
-
-    monkeypatch.setattr(smoother_solve, "dtbtrs", refuse)
+    monkeypatch.setattr("seqid_cli.motion.smoother.solve.dtbtrs", None)
     for transposed in (False, True):
         assert halved(np.ones((4, 50)), np.zeros((50, 0)), transposed=transposed).shape == (50, 0)

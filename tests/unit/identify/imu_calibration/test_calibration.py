@@ -1,16 +1,17 @@
-"""IMUs with the faults of real sensors: found with their errors, or said to be open."""
-
-from __future__ import annotations
+"""Mountings and faults of real sensors: found with their errors, or said to be open."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from seqid_cli.errors import UsageError
 from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.identify.imu_calibration.segments import cleaned
 from seqid_cli.motion.imu.array import calibrated as without_faults
 from seqid_cli.motion.options import MotionOptions
+from tests.plants.arms.rigs import one_joint
 from tests.plants.instruments import (
     COARSE,
     FINE,
@@ -24,6 +25,11 @@ from tests.plants.instruments import (
     scores,
     true_mounting,
 )
+from tests.plants.motions.experiments import swing
+from tests.plants.motions.trajectories import hold, join
+from tests.plants.robots.lab import recording_of, robot_of
+from tests.plants.robots.sample import Rig
+from tests.plants.simulate import simulate
 
 
 @pytest.mark.slow
@@ -78,11 +84,8 @@ def test_a_triad_without_a_gyro_is_calibrated_by_gravity_and_the_encoders() -> N
     stage = calibrate_imus(logs, replace(own.robot, imus=(triad,)), options=MotionOptions())
     assert "does not see angular acceleration" in stage.verdicts[0].reason
     instrument = instruments(own, 1)[0]
-    score = scored(
-        replace(instrument, positions=np.zeros((3, 3)), axes=instrument.axes[:3]),
-        stage.imus["imu_a"],
-    )
-    assert np.abs(score.z_turn).max() < 4.0
+    single = replace(instrument, positions=np.zeros((3, 3)), axes=instrument.axes[:3])
+    assert np.abs(scored(single, stage.imus["imu_a"]).z_turn).max() < 4.0
 
 
 def test_spikes_and_saturation_are_bridged_and_jolts_are_not_spikes() -> None:
@@ -101,3 +104,36 @@ def test_spikes_and_saturation_are_bridged_and_jolts_are_not_spikes() -> None:
     flat = np.abs(clean[:, 2]) > 4.05
     assert bad[flat, 2].mean() > 0.95
     assert bad[np.abs(clean[:, 2]) < 3.9, 2].mean() < 0.01
+
+
+def test_gravity_at_rest_closes_the_angle_about_a_single_tilted_axis() -> None:
+    """The paper's single joint swings, with rests that are long enough to see gravity."""
+    plant, parts = one_joint(), []
+    for angle in (-0.8, 0.9):
+        motion = swing(plant, np.array([angle]), 0, 2, share=0.4, rate_hz=1000.0)
+        parts += [hold(motion.q[0], 1.2, 1000.0), motion, hold(motion.q[-1], 1.2, 1000.0)]
+    log = recording_of(plant, "rested", simulate(plant, join(parts), 0, every=4))
+    stage = calibrate_imus([log], robot_of("one", plant), options=MotionOptions())
+    found = stage.imus["imu_a"]
+    assert found.not_determined == ["the lever along the link's z is not determined"]
+    off = Rotation.from_matrix(np.array(found.rotation) @ plant.imus[0].rotation.T)
+    assert np.degrees(off.magnitude()) < 0.1
+
+
+def test_without_an_imu_in_the_robot_file_there_is_nothing_to_calibrate() -> None:
+    plant = replace(one_joint(), imus=())
+    with pytest.raises(UsageError, match=r"no \[\[imu\]\]"):
+        calibrate_imus([], robot_of("one", plant), options=MotionOptions())
+
+
+def test_axes_that_an_imu_does_not_see_are_no_pairs(two_joint: Rig) -> None:
+    """One of the arm's logs with an IMU that records noise alone: it says nothing of axes."""
+    *seen, blind = two_joint.logs("imu")
+    still = blind.accelerometers["imu_b"].mean(axis=0)
+    noise = 0.1 * np.random.default_rng(0).standard_normal((len(blind.t), len(still)))
+    logs = [*seen, replace(blind, accelerometers={"imu_b": still + noise})]
+    stage = calibrate_imus(logs, two_joint.robot, options=MotionOptions())
+    calibration = stage.imus["imu_b"]
+    assert calibration.configurations == len(seen)
+    assert "joint_2" not in calibration.references
+    assert calibration.axis_rmse_deg < 1.0

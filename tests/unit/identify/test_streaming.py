@@ -1,0 +1,123 @@
+"""Stages on logs that are passed over against the same logs held in memory."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from seqid_cli.errors import InputError
+from seqid_cli.identify.friction_surface.trials import trials_of
+from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.identify.rigid import inertia_equations
+from seqid_cli.identify.rigid.inertia import identify_inertia
+from seqid_cli.logs.read import read_recording
+from seqid_cli.motion import blocks
+from seqid_cli.motion.blocks import SurveyedLog, open_surveyed
+from seqid_cli.motion.options import MotionOptions
+from seqid_cli.params.schema import RigidStage
+from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
+from tests.plants.motions.trajectories import join, sweeps
+from tests.plants.robots.seven_joint import JOINTS, RATE_HZ, known_friction, write_arm, write_log
+from tests.plants.sensors import quantise
+
+OPTIONS = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=12.0), neighbours=())
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A seven-joint arm and a log of it."""
+    folder = tmp_path_factory.mktemp("arm")
+    write_log(folder / "log.parquet", load_robot(write_arm(folder)), 12_000)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def robot(folder: Path) -> Robot:
+    return load_robot(folder / "robot.toml")
+
+
+def surveyed(path: Path, robot: Robot) -> SurveyedLog:
+    log = open_surveyed(path, robot)
+    assert log is not None
+    return log
+
+
+def inertia_of(path: Path, robot: Robot, options: InertiaOptions = OPTIONS) -> RigidStage:
+    return identify_inertia([surveyed(path, robot)], robot, known_friction(), options=options)
+
+
+@pytest.fixture(scope="module")
+def held(folder: Path, robot: Robot) -> RigidStage:
+    recording = read_recording(folder / "log.parquet", robot)
+    return identify_inertia([recording], robot, known_friction(), options=OPTIONS)
+
+
+@pytest.mark.parametrize("least", [1_000, 32_768])
+def test_inertia_is_that_of_the_held_log(
+    folder: Path, robot: Robot, held: RigidStage, least: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(blocks, "LEAST_BLOCK", least)
+    monkeypatch.setattr(inertia_equations, "LEAST_CHUNKS", 1)
+    found = inertia_of(folder / "log.parquet", robot)
+    assert [p.name for p in found.parameters] == [p.name for p in held.parameters]
+    assert len(held.parameters) == 43
+    for a, b in zip(found.parameters, held.parameters, strict=True):
+        assert abs(a.value - b.value) < 1e-3 * b.std_error, a.name
+        # Leaving out one of few blocks leaves little: the jackknife magnifies rounding.
+        assert a.std_error == pytest.approx(b.std_error, rel=1e-3)
+    assert found.rank == held.rank
+    assert found.condition == pytest.approx(held.condition, rel=1e-5)
+    assert found.rmse == pytest.approx(held.rmse, rel=1e-6)
+    assert found.cutoff_hz == pytest.approx(held.cutoff_hz)
+    assert [v.good for v in found.verdicts] == [v.good for v in held.verdicts]
+    assert found.not_excited == held.not_excited
+
+
+def test_the_bits_do_not_tell_how_the_file_was_cut(
+    folder: Path, robot: Robot, tmp_path: Path
+) -> None:
+    path = tmp_path / "log.parquet"
+    pq.write_table(pq.read_table(folder / "log.parquet"), path, row_group_size=997)
+    first, second = (inertia_of(p, robot) for p in (folder / "log.parquet", path))
+    assert first.parameters == second.parameters
+    assert first.covariance == second.covariance
+
+
+def test_a_log_shorter_than_the_filter_is_refused(
+    folder: Path, robot: Robot, tmp_path: Path
+) -> None:
+    path = tmp_path / "log.parquet"
+    pq.write_table(pq.read_table(folder / "log.parquet").slice(0, 400), path)
+    options = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=2.0))
+    with pytest.raises(InputError, match="long enough"):
+        inertia_of(path, robot, options)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rows", [1_000, 20_000])
+def test_trials_are_those_of_the_held_log(rows: int, robot: Robot, tmp_path: Path) -> None:
+    """To the last bit; one joint moves without a pause for a long time."""
+    home, parts = np.zeros(len(JOINTS)), []
+    for joint, speeds, dwell in ((0, [0.2, 0.7], 0.4), (1, [0.2] * 15, 0.0), (5, [0.7, 1.0], 0.4)):
+        span = (-0.25, 0.25)
+        parts.append(sweeps(home, joint, span, speeds, 4.0, rate_hz=RATE_HZ, dwell=dwell))
+    q = join(parts).q
+    tau = np.random.default_rng(3).normal(size=q.shape) + 2.0 * np.sign(np.gradient(q, axis=0))
+    columns = {"t": np.arange(len(q)) / RATE_HZ}
+    for j, name in enumerate(JOINTS):
+        columns |= {f"{name}.position": quantise(q[:, j], 1e-6), f"{name}.torque": tau[:, j]}
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table(columns), path, row_group_size=3_000)
+    found = trials_of(robot, surveyed(path, robot), 0, rows=rows)
+    expected = trials_of(robot, read_recording(path, robot), 0)
+    assert len(found) == len(expected) > 10
+    for own, other in zip(found, expected, strict=True):
+        assert (own.joint, own.velocity, own.weight) == (other.joint, other.velocity, other.weight)
+        for name in ("t", "q", "dq", "ddq", "tau", "configuration"):
+            np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
+        for name in ("q", "dq", "ddq", "tau"):
+            np.testing.assert_array_equal(getattr(own.ramps, name), getattr(other.ramps, name))
+            assert getattr(own.ramps, name).base is None  # no trial keeps its log alive

@@ -191,7 +191,7 @@ $(OUT)/%/refined.html: sample_logs/%/robot.toml $(OUT)/%/report.html $(call logs
 
 .PHONY: pictures
 pictures: $(OUT)/two_joint/refined.html ## take the pictures of docs/report.md anew (needs chromium)
-	$(BIN)/python -m tests.unit.report.pictures $< docs/images
+	$(BIN)/python -m tests.unit.report.browser $< docs/images
 
 # ---- regression: the demo's models against those that are kept in sample_logs/
 

@@ -1,7 +1,15 @@
+"""A folder to run commands in, what they show to the letter, and what stands in for the work.
+
+In `transcripts/` a line `$ compare a.json b.json` is a command line. Below stand its lines on
+stdout, those on stderr behind `! `, and its exit code in brackets; hashes are left out.
+"""
+
 import os
+import re
+import shlex
 import shutil
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -17,8 +25,10 @@ from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.params.schema import ParameterFile
+from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests import ROOT
+from tests.transcripts import check_text
 from tests.unit.params.documents import JOINTS
 
 ROBOT_TOML = (
@@ -34,8 +44,6 @@ SAMPLES = 5
 
 @dataclass(frozen=True)
 class Done:
-    """Exit code and texts of one command line."""
-
     code: int
     out: str
     err: str
@@ -50,14 +58,25 @@ class Rig:
 
     def params(self, name: str, file: ParameterFile) -> str:
         """Write a parameter file that this rig's robot file fits to."""
-        from seqid_cli.robot.file import load_robot
-
         file.robot.sha256 = load_robot(self.folder / "robot.toml").sha256
         write_json_atomic(self.folder / name, file)
         return name
 
+    def check_transcript(self, name: str, words: Mapping[str, str] = {}) -> None:
+        """Run a transcript again; some `words` in it stand for others that change nothing shown."""
+        path = Path(__file__).parent / "transcripts" / f"{name}.txt"
+        lines = re.findall(r"^\$ (.*)$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
+        assert lines
+        shown = []
+        for line in lines:
+            done = self.run(*(words.get(word, word) for word in shlex.split(line)))
+            said = [f"! {text}".rstrip() for text in done.err.splitlines()]
+            shown += [f"$ {line}", *done.out.splitlines(), *said, f"[{done.code}]", ""]
+        check_text(path, re.sub(r"\b[0-9a-f]{12}\b", "<hash>", "\n".join(shown)))
 
-ONE_JOINT = ROOT / "sample_logs" / "one_joint"
+
+SAMPLE_LOGS = ROOT / "sample_logs"
+ONE_JOINT = SAMPLE_LOGS / "one_joint"
 
 
 def run(folder: Path, *more: str, robot: str = "logs/robot.toml", out: str = "out") -> int:
@@ -79,7 +98,7 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def rig(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Rig:
-    """Return a rig in an empty folder that is the working directory."""
+    """A rig whose folder is the working directory."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "robot.toml").write_text(ROBOT_TOML)
     for name in ("a.parquet", "b.parquet"):

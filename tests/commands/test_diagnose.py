@@ -1,13 +1,15 @@
-"""`seqid diagnose` around a fake diagnosis: what it passes on, writes, prints and returns."""
+"""`seqid diagnose`: what it passes on, writes, prints and returns; and on the sample robots."""
 
 import json
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from pathlib import Path
 
 import jsonschema
+import pyarrow.parquet as pq
 import pytest
 from msgspec import structs
 
+from seqid_cli.__main__ import main
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.inspect.findings import found
@@ -21,8 +23,7 @@ from seqid_cli.params.results.diagnosis import (
 )
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
-from tests.commands.conftest import Reader, Rig, stand_in
-from tests.commands.transcripts import check_transcript
+from tests.commands.conftest import ONE_JOINT, SAMPLE_LOGS, Reader, Rig, stand_in
 from tests.unit.params.documents import diagnosis_file, gravity_file, inertia_file
 from tests.unit.params.generate import json_schema
 
@@ -53,22 +54,17 @@ PART = UnexplainedPart(joint="elbow", depends_on=[], share=0.3)
 OPEN = structs.replace(REST, verdict="unexplained", unexplained=[OTHER, PART])
 
 
-@dataclass
 class Library:
     """Stands in for the diagnosis: reads all recordings and returns what it was given."""
 
-    result: DiagnosisFile = FOUND
-    calls: list[object] = field(default_factory=list)
+    def __init__(self) -> None:
+        self.result = FOUND
+        self.calls: list[tuple[int, Robot, Stages, DiscoverOptions]] = []
 
     def diagnose(
-        self,
-        recordings: Iterable[Recording],
-        robot: Robot,
-        stages: Stages,
-        *,
-        options: DiscoverOptions,
+        self, recordings: Iterable[Recording], *given: object, options: DiscoverOptions
     ) -> DiagnosisFile:
-        self.calls.append((len(list(recordings)), robot, stages, options))
+        self.calls.append((len(list(recordings)), *given, options))  # type: ignore[arg-type]
         return self.result
 
 
@@ -83,7 +79,7 @@ def library(rig: Rig, reader: Reader, gathering: None, monkeypatch: pytest.Monke
 def test_what_it_passes_on(rig: Rig, reader: Reader, library: Library) -> None:
     options = ["--motion", "imu", "--cutoff", "12", "--time", "log"]
     assert rig.run(*BASE, *options).code == 0
-    ((count, robot, stages, given),) = library.calls  # type: ignore[misc]
+    ((count, robot, stages, given),) = library.calls
     assert count == 2
     assert robot.joint_names == ("shoulder", "elbow")
     assert stages.inertia is not None
@@ -121,7 +117,7 @@ def test_what_the_user_sees(
 ) -> None:
     library.result = result
     rig.params("gravity.json", gravity_file())
-    check_transcript(rig, f"diagnose_{name}")
+    rig.check_transcript(f"diagnose_{name}")
     assert len(library.calls) == calls
     assert not (rig.folder / "none.json").exists()
 
@@ -137,9 +133,54 @@ def test_errors_of_the_logs_are_in_the_document(rig: Rig, reader: Reader, librar
     assert "[position_spikes] a.parquet" in document["verdicts"][0]["reason"]
     assert any("[clock_gap] a.parquet" in note for note in document["notes"])
     library.result = NOTHING
-    check_transcript(rig, "diagnose_faulty")
+    rig.check_transcript("diagnose_faulty")
 
 
 def test_a_partly_read_log(rig: Rig, reader: Reader, library: Library) -> None:
     reader.partial, library.result = "the last 12 of 40 chunks are damaged", NOTHING
-    check_transcript(rig, "diagnose_partial")
+    rig.check_transcript("diagnose_partial")
+
+
+@pytest.mark.parametrize(
+    ("rig_name", "more", "name", "true", "error"),
+    [
+        ("one_joint", (), "stiffness", "stiffness", {"rel": 0.25}),
+        pytest.param(
+            *("two_joint", ("--motion", "encoder"), "load_coefficient", "driving", {}),
+            marks=pytest.mark.slow,
+        ),
+    ],
+    ids=["IMUs", "encoders that are too coarse for the model's cutoff"],
+)
+def test_the_effect_of_a_change_is_found_with_its_size(
+    tmp_path: Path,
+    rig_name: str,
+    more: tuple[str, ...],
+    name: str,
+    true: str,
+    error: dict[str, float],
+) -> None:
+    rig, output = SAMPLE_LOGS / rig_name, tmp_path / "diagnosis.json"
+    model = ["-r", str(rig / "robot.toml"), "-p", str(rig / "golden.json"), *more]
+    assert main(["diagnose", str(rig / "changed"), *model, "-o", str(output), "-q"]) == 0
+    document = json.loads(output.read_text())
+    truth = json.loads((rig / "truth.json").read_text())["changed"]
+    assert document["verdict"] == "effect_found"
+    (first,) = document["findings"]
+    assert (first["effect"], first["joint"]) == (truth["effect"], truth["joint"])
+    value = next(p for p in first["parameters"] if p["name"] == name)
+    allowed = error or {"abs": 4 * value["std_error"]}
+    assert value["value"] == pytest.approx(truth[true], **allowed)
+    joint = document["joints"][truth["joint"]]
+    assert joint["rmse_explained"] < 0.6 * joint["rmse"]
+
+
+def test_a_log_without_torque_is_refused(rig: Rig) -> None:
+    table = pq.read_table(ONE_JOINT / "changed" / "held_out.parquet")
+    kept = [name for name in table.column_names if not name.endswith(("current", "torque"))]
+    pq.write_table(table.select(kept), rig.folder / "bare.parquet")
+    model = ("-r", str(ONE_JOINT / "robot.toml"), "-p", str(ONE_JOINT / "golden.json"))
+    done = rig.run("diagnose", "bare.parquet", *model)
+    assert done.code == 2
+    assert "bare.parquet: the log has neither joint torque nor motor current" in done.err
+    assert "Traceback" not in done.err

@@ -8,7 +8,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,15 +17,10 @@ from seqid_cli.commands.completion import all_words, script
 from tests import ROOT
 from tests.commands.conftest import Rig
 
-SAMPLES = ROOT / "sample_logs"
 
-
-def function_of(name: str) -> Any:
+def examples_of(name: str) -> list[str]:
     module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
-    return getattr(module, name.replace("-", "_"))
-
-
-EXAMPLES = [(name, example) for name in COMMANDS for example in function_of(name).examples]
+    return list(getattr(module, name.replace("-", "_")).examples)
 
 
 def test_the_overview_lists_every_command(rig: Rig) -> None:
@@ -41,32 +35,26 @@ def test_the_overview_lists_every_command(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_two_examples_and_the_common_flags(rig: Rig, name: str) -> None:
+def test_every_command_has_the_common_flags_and_two_examples(rig: Rig, name: str) -> None:
+    """They parse, and name sample logs that exist."""
     text = rig.run(name, "--help").out
-    examples = [example for owner, example in EXAMPLES if owner == name]
+    for flag in ("-q, --quiet", "-v, --verbose", "--json", "--no-color", "--debug"):
+        assert flag in text
+    examples = examples_of(name)
     assert len(examples) >= 2
     for example in examples:
         assert f"  {example}\n" in text
-    for flag in ("-q, --quiet", "-v, --verbose", "--json", "--no-color", "--debug"):
-        assert flag in text
-
-
-@pytest.mark.parametrize(("name", "example"), EXAMPLES)
-def test_examples_parse_and_name_sample_logs_that_exist(name: str, example: str) -> None:
-    words = shlex.split(example.partition(" > ")[0])
-    assert words[:2] == ["seqid", name]
-    with load_command(name).make_context(name, words[2:]) as context:
-        assert context.params
-    named = [word for word in words if word.startswith("sample_logs/")]
-    for word in named:
-        assert list(SAMPLES.parent.glob(word)), word
-    assert named or name in ("completion", "report")
+        words = shlex.split(example.partition(" > ")[0])
+        assert words[:2] == ["seqid", name]
+        with load_command(name).make_context(name, words[2:]) as context:
+            assert context.params
+        named = [word for word in words if word.startswith("sample_logs/")]
+        assert all(list(ROOT.glob(word)) for word in named), example
+        assert named or name in ("completion", "report")
 
 
 def complete(*words: str) -> list[str]:
     """Ask bash what it offers for the last of the words."""
-    if shutil.which("bash") is None:
-        pytest.skip("bash is not installed")
     program = (
         script("bash", all_words())
         + f"COMP_WORDS=({' '.join(shlex.quote(word) for word in words)})\n"
@@ -80,6 +68,7 @@ def complete(*words: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.skipif(shutil.which("bash") is None, reason="bash is not installed")
 def test_bash_completes() -> None:
     assert complete("seqid", "gra") == ["gravity"]
     assert set(COMMANDS) <= set(complete("seqid", ""))
@@ -120,14 +109,11 @@ def run(folder: Path, *asked: list[str]) -> tuple[list[int], str, set[str]]:
     return codes, done.stdout, {name.split(".")[0] for name in modules}
 
 
-def test_the_version_needs_no_typer(tmp_path: Path) -> None:
+def test_the_first_line_is_light(tmp_path: Path) -> None:
+    """All in one process: what it has imported in the end is all that any of them imports."""
     codes, out, modules = run(tmp_path, ["--version"])
     assert (codes, out) == ([0], f"seqid {__version__}\n")
     assert not modules & (HEAVY | {"typer", "msgspec"})
-
-
-def test_help_and_completion_are_light(tmp_path: Path) -> None:
-    """All in one process: what it has imported in the end is all that any of them imports."""
     asked = [["--help"], *([name, "-h"] for name in COMMANDS)]
     asked += [["completion", shell] for shell in ("bash", "zsh", "fish")]
     codes, out, modules = run(tmp_path, *asked)

@@ -1,47 +1,65 @@
-"""Logs that change or vanish, little memory, few files; commands killed or on a full disk."""
+"""Logs that change or vanish, little memory, long logs; commands killed or on a full disk.
 
+Whenever a tormented command begins to write a file, it is forked: each fork goes on from there and
+is killed at a random call or return of the writing, or may write so many bytes only. After each the
+old file or the new one must be there, whole. In the end the first process writes, and nothing else
+may lie in the folder.
+"""
+
+import json
+import math
 import os
+import random
 import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tracemalloc
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.__main__ import main
 from seqid_cli.discover.excerpts import excerpts
+from seqid_cli.identify.prediction.predict import LogPrediction, LongPrediction
+from seqid_cli.identify.regression import equations
 from seqid_cli.logs import pieces, read
+from seqid_cli.motion import blocks
+from seqid_cli.params import files
+from seqid_cli.params.document import robot_id, with_stage
+from seqid_cli.robot.file import load_robot
 from tests import ROOT
-from tests.commands.conftest import Rig
-from tests.commands.torment import COMMANDS, torment
-from tests.studies.soak import write_log
+from tests.commands.conftest import ONE_JOINT, Rig
+from tests.plants.robots.seven_joint import known_model, write_arm, write_log
+from tests.studies.fuzz.answers import answer
+from tests.studies.soak import write_log as write_hours
 
-SAMPLES = ROOT / "sample_logs" / "one_joint"
-ROBOT = ("-r", str(SAMPLES / "robot.toml"))
-MODEL = ("-p", str(SAMPLES / "golden.json"))
-
-
-def cut(path: Path) -> None:
-    os.truncate(path, path.stat().st_size // 2)
-
-
-def grow(path: Path) -> None:
-    with path.open("ab") as file:
-        file.write(b"more")
+ROBOT = ("-r", str(ONE_JOINT / "robot.toml"))
+MODEL = ("-p", str(ONE_JOINT / "golden.json"))
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
-    [(cut, "changed while"), (grow, "changed while"), (Path.unlink, "cannot be read")],
+    [
+        (lambda path: os.truncate(path, path.stat().st_size // 2), "changed while"),
+        (lambda path: os.truncate(path, path.stat().st_size + 4), "changed while"),
+        (Path.unlink, "cannot be read"),
+    ],
+    ids=["cut", "grown", "gone"],
 )
 def test_a_log_that_changes_is_refused(
     change: Callable[[Path], None], said: str, rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     log, own = rig.folder / "log.parquet", read.read_whole
-    shutil.copy(SAMPLES / "validation" / "point_to_point.parquet", log)
+    shutil.copy(ONE_JOINT / "validation" / "point_to_point.parquet", log)
 
     def changing(*arguments: object) -> object:
         raw = own(*arguments)  # type: ignore[arg-type]
@@ -60,7 +78,7 @@ def test_too_little_memory_is_no_bug(rig: Rig, monkeypatch: pytest.MonkeyPatch) 
         raise MemoryError("Unable to allocate 8 GiB")
 
     monkeypatch.setattr(read, "read_whole", full)
-    done = rig.run("predict", str(SAMPLES / "validation"), *ROBOT, *MODEL)
+    done = rig.run("predict", str(ONE_JOINT / "validation"), *ROBOT, *MODEL)
     assert done.code == 2
     assert "there is too little memory (Unable to allocate 8 GiB)" in done.err
 
@@ -72,7 +90,7 @@ def test_a_gibibyte_and_64_files_are_enough(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (1 << 30, 1 << 30))
         resource.setrlimit(resource.RLIMIT_NOFILE, (64, 64))
 
-    command = [sys.executable, "-m", "seqid_cli", "friction", str(SAMPLES / "friction"), *ROBOT]
+    command = [sys.executable, "-m", "seqid_cli", "friction", str(ONE_JOINT / "friction"), *ROBOT]
     done = subprocess.run(
         [*command, "-o", str(tmp_path / "f.json")],
         preexec_fn=limit,
@@ -86,9 +104,7 @@ def test_a_gibibyte_and_64_files_are_enough(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::seqid_cli.errors.SeqidWarning")
 @pytest.mark.parametrize("command", ["inspect", "diagnose"])
-def test_memory_does_not_grow_with_the_log(
-    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_memory_of_long_logs(command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     parts, taken = pieces.read_parts.__kwdefaults__, excerpts.take_excerpts.__kwdefaults__
     assert parts is not None
     assert taken is not None
@@ -99,7 +115,7 @@ def test_memory_does_not_grow_with_the_log(
 
     def lines(minutes: float) -> list[str]:
         log, out = tmp_path / f"{minutes}.parquet", tmp_path / "out.json"
-        write_log(log, minutes / 60.0)
+        write_hours(log, minutes / 60.0)
         return [command, str(log), *ROBOT, *model, "-o", str(out)]
 
     def peak(line: list[str]) -> int:
@@ -114,8 +130,188 @@ def test_memory_does_not_grow_with_the_log(
     assert peak(long) < 1.2 * peak(short)
 
 
+@pytest.mark.slow
+def test_long_logs_give_the_same_files(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A log that is passed over part by part, as held; beside a short one."""
+    robot = load_robot(write_arm(rig.folder))
+    logs = [
+        str(write_log(rig.folder / f"{count}.parquet", robot, count)) for count in (6_000, 1_500)
+    ]
+    model = known_model(robot, 1.02)
+    own = {"friction": model.friction, "inertia": model.inertia}
+    rig.params("model.json", with_stage(None, robot_id(robot), [], **own))
+    parts, passed = [], LongPrediction.__iter__
+
+    def watched(long: LongPrediction) -> Iterator[LogPrediction]:
+        for part in passed(long):
+            parts.append(part)
+            yield part
+
+    monkeypatch.setattr(LongPrediction, "__iter__", watched)
+
+    def predict(name: str) -> tuple[dict[str, Any], pa.Table]:
+        given = ("-r", "robot.toml", "-p", "model.json", "--cutoff", "20")
+        outputs = ("-o", f"{name}.json", "--torques", f"{name}.parquet")
+        done = rig.run("predict", *logs, *given, *outputs)
+        assert done.code == 0, done.err
+        document = json.loads((rig.folder / f"{name}.json").read_text())
+        return document, pq.read_table(rig.folder / f"{name}.parquet")
+
+    held, expected = predict("held")
+    assert not parts
+    monkeypatch.setattr(equations, "LONG", 5_000)
+    monkeypatch.setattr(LongPrediction, "rows", 1_500)
+    monkeypatch.setattr(blocks, "LEAST_BLOCK", 2_000)
+    long, found = predict("long")
+    assert len(parts) > 1
+    for one, other in ((long, held), *zip(long["logs"], held["logs"], strict=True)):
+        for joint, errors in other["joints"].items():
+            assert one["joints"][joint] == pytest.approx(errors, rel=1e-6), joint
+    assert (long["stages"], long["inputs"]) == (held["stages"], held["inputs"])
+    assert found.schema == expected.schema
+    for name in found.column_names:
+        values, wanted = (table[name].to_numpy() for table in (found, expected))
+        if wanted.dtype == np.float64:
+            scale = np.nanmax(np.abs(wanted))
+            np.testing.assert_allclose(values, wanted, rtol=0.0, atol=1e-9 * scale, err_msg=name)
+        else:
+            np.testing.assert_array_equal(values, wanted, err_msg=name)
+
+
+AFTER = 2  # calls and returns after a file has its name, in which it may be killed as well
+OLD = b"what was there before\n"
+PREDICT = ("predict", str(ONE_JOINT / "validation"), *ROBOT, *MODEL, "-o", "a.json")
+COMMANDS = {
+    "friction": ("friction", str(ONE_JOINT / "friction"), *ROBOT, "-o", "a.json"),
+    "predict": (*PREDICT, "--torques", "t.parquet"),
+    "predict, MCAP": (*PREDICT, "--torques", "t.mcap"),
+    "trend": ("trend", MODEL[1], "../later.json", "-o", "a.json", "--table", "t.parquet"),
+    "report": ("report", MODEL[1], "-o", "a.html"),
+}
+
+
+@dataclass
+class Forks:
+    """How many there shall be of each file, and what came of them.
+
+    `inside` were killed when a temporary file was there; `seen` is what stood in a file afterwards
+    other than the old content, and `wrong` what must not be.
+    """
+
+    kills: int
+    points: int
+    sizes: dict[Path, int]
+    rng: random.Random = field(default_factory=lambda: random.Random(0))
+    killed: int = 0
+    inside: int = 0
+    full: int = 0
+    seen: list[tuple[Path, bytes]] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+
+    def of(self, target: Path) -> bool:
+        """Fork before a file is written; returns True in a fork."""
+        target.write_bytes(OLD)
+        read, write = os.pipe()
+        child = os.fork()
+        if not child:
+            _count_events(write, target)
+            return True
+        os.close(write)
+        with os.fdopen(read) as told:
+            first, last = map(int, told.read().split())
+        os.waitpid(child, 0)
+        self._look(target)
+        for left in reversed(range(self.kills)):
+            at = self.rng.randint(first, last) if left else first + 1
+            child = os.fork()
+            if not child:
+                _die_at(at)
+                return True
+            killed = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGKILL
+            self.killed += killed
+            for rest in target.parent.glob(f".*.{child}.tmp"):
+                self.inside += 1
+                if left:  # the last is for the next run
+                    rest.unlink()
+            self._look(target)
+        for number in range(self.points):
+            room = self.sizes[target] * number // self.points
+            child = os.fork()
+            if not child:
+                resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+                return True
+            code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+            if code != 2:
+                self.wrong.append(f"{target.name}: {code} with room for {room} bytes")
+            if any(target.parent.glob(f".*.{child}.tmp")):
+                self.wrong.append(f"{target.name}: litter on a full disk")
+            self.full += 1
+            self._look(target)
+        return False
+
+    def _look(self, target: Path) -> None:
+        content = target.read_bytes()
+        if content != OLD:
+            self.seen.append((target, content))
+            target.write_bytes(OLD)
+
+
+def _count_events(pipe: int, target: Path) -> None:
+    """Tell between which calls and returns a file is written and gets its name."""
+    count = first = 0
+    temporary = files._temporary(target)
+
+    def profile(frame: FrameType, event: str, _: object) -> None:
+        nonlocal count, first
+        count += 1
+        name = frame.f_code.co_name if event == "return" else ""
+        if not first and temporary.exists():
+            first = count
+        if name == "replace":
+            sys.setprofile(None)
+            os.write(pipe, f"{first} {count + AFTER}".encode())
+            os.close(pipe)
+
+    sys.setprofile(profile)
+
+
+def _die_at(last: int) -> None:
+    """Kill this process at a call or return."""
+    count = 0
+
+    def profile(*_: object) -> None:
+        nonlocal count
+        count += 1
+        if count >= last:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.setprofile(profile)
+
+
+def run_in(
+    folder: Path, line: tuple[str, ...], patch: pytest.MonkeyPatch, before: Callable[[Path], object]
+) -> None:
+    """Run a command in an empty folder, and something before each file; a fork ends here."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    parent, own = os.getpid(), files._without_leftovers
+
+    def hooked(target: Path) -> None:
+        before(target.resolve())
+        own(target)
+
+    with patch.context() as own_patch:
+        own_patch.chdir(folder)
+        own_patch.setattr(files, "_without_leftovers", hooked)
+        code, said, why = answer(list(line), 600.0)
+    if os.getpid() != parent:
+        os._exit(70 if why else code)
+    assert code in (0, 1), said
+    assert not why, said
+
+
 @pytest.mark.parametrize(
-    ("name", "files"),
+    ("name", "count"),
     [
         ("friction", 1),
         ("trend", 2),
@@ -124,10 +320,21 @@ def test_memory_does_not_grow_with_the_log(
         pytest.param("report", 1, marks=pytest.mark.slow),
     ],
 )
-def test_old_files_stay_whole(name: str, files: int, tmp_path: Path) -> None:
-    forks = torment(COMMANDS[name], tmp_path, kills=12, points=6)
+def test_old_files_stay_whole(
+    name: str, count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, line, parent = tmp_path / "out", COMMANDS[name], os.getpid()
+    later = json.loads(Path(MODEL[1]).read_text()) | {"created": "2031-01-01T00:00:00Z"}
+    (tmp_path / "later.json").write_text(json.dumps(later))
+    targets: list[Path] = []
+    run_in(folder, line, monkeypatch, targets.append)
+    sizes = {target: target.stat().st_size for target in targets}
+    forks = Forks(math.ceil(12 / count), math.ceil(6 / count), sizes)
+    run_in(folder, line, monkeypatch, lambda x: os.getpid() == parent and forks.of(x))
     assert not forks.wrong
-    assert len(forks.sizes) == files
+    assert [path for path, content in forks.seen if content != path.read_bytes()] == []
+    assert {path for path in folder.rglob("*") if path.is_file()} == set(sizes)
+    assert len(sizes) == count
     assert forks.killed >= 10
     assert forks.inside
     assert forks.full >= 6  # one a file at least

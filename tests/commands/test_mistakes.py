@@ -1,8 +1,8 @@
-"""Ten mistakes of users: each gets the message and the way out that docs/from_files.md lists."""
+"""Ten mistakes of docs/from_files.md, each with its message and way out; damaged files."""
 
 import re
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -10,17 +10,18 @@ import pytest
 from scipy.io import savemat
 
 from tests import ROOT
-from tests.commands.conftest import Rig
-from tests.unit.inspect.faults import SAMPLES, read_columns, write_columns
+from tests.commands.conftest import SAMPLE_LOGS, Rig
+from tests.studies.fuzz import run
+from tests.studies.fuzz.answers import answer
+from tests.studies.fuzz.targets import Target, targets
+from tests.unit.inspect.faults import read_columns, write_columns
 
-SIX = SAMPLES / "six_joint"
-PAGE = ROOT / "docs" / "from_files.md"
+SIX = SAMPLE_LOGS / "six_joint"
 INSPECT = ("inspect", "log.parquet", "-r", "robot.toml")
-Columns = dict[str, np.ndarray]
 Mistake = Callable[[Path], tuple[str, ...]]
 
 
-def in_log(change: Callable[[Columns], None], **robot: str) -> Mistake:
+def in_log(change: Callable[[dict[str, np.ndarray]], None]) -> Mistake:
     """Make a log that is wrong, and look at it."""
 
     def make(folder: Path) -> tuple[str, ...]:
@@ -44,17 +45,17 @@ def in_robot(old: str, new: str) -> Mistake:
     return make
 
 
-def degrees(columns: Columns) -> None:
+def degrees(columns: dict[str, np.ndarray]) -> None:
     for name in columns:
         if name.endswith(".position"):
             columns[name] = np.rad2deg(columns[name])
 
 
-def reversed_torque(columns: Columns) -> None:
+def reversed_torque(columns: dict[str, np.ndarray]) -> None:
     columns["elbow.current"] = -columns["elbow.current"]
 
 
-def renamed(columns: Columns) -> None:
+def renamed(columns: dict[str, np.ndarray]) -> None:
     for name in [name for name in columns if name.startswith("elbow.")]:
         columns[name.replace("elbow.", "elbow_joint.")] = columns.pop(name)
 
@@ -88,7 +89,8 @@ MISTAKES: dict[str, Mistake] = {
 
 def table() -> dict[str, tuple[int, str, str]]:
     """Rows of the page: exit code, message and remedy of each mistake."""
-    text = PAGE.read_text(encoding="utf-8").split("## Ten mistakes")[1]
+    page = ROOT / "docs" / "from_files.md"
+    text = page.read_text(encoding="utf-8").split("## Ten mistakes")[1]
     rows = re.findall(r"^\| ([^|]+) \| (\d) \| `(.+?)` \| (.+) \|$", text, flags=re.MULTILINE)
     return {name: (int(code), message, remedy) for name, code, message, remedy in rows}
 
@@ -102,7 +104,7 @@ def test_the_page_has_ten_mistakes_and_no_other() -> None:
 def test_a_mistake_gets_its_message_and_the_way_out(rig: Rig, name: str) -> None:
     shutil.copy(SIX / "validation" / "fourier_1.parquet", rig.folder / "log.parquet")
     for file in ("robot.toml", "six_joint.urdf"):
-        shutil.copy(SIX / file, rig.folder / file)
+        shutil.copy(SIX / file, rig.folder)
     done = rig.run(*MISTAKES[name](rig.folder))
     code, message, remedy = table()[name]
     said = " ".join(f"{done.out} {done.err}".split())
@@ -110,3 +112,34 @@ def test_a_mistake_gets_its_message_and_the_way_out(rig: Rig, name: str) -> None
     assert message in said, said
     assert remedy.replace("\\|", "|") in said, said
     assert "Traceback" not in said
+
+
+FOUND = sorted((Path(run.__file__).parent / "found").iterdir())
+# Targets whose name is not the first word of the names in the folder.
+TARGETS = {"mcap": "MCAP, CDR", "parquet": "Parquet", "sqlite": "ROS 2 bag: SQLite", "urdf": "URDF"}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Target]:
+    return {target.name: target for target in targets(tmp_path_factory.mktemp("sound"))}
+
+
+@pytest.mark.parametrize("path", FOUND, ids=lambda path: path.name)
+def test_what_was_found_is_answered(path: Path, made: Mapping[str, Target], tmp_path: Path) -> None:
+    word = path.name.partition("_")[0]
+    target = made[TARGETS.get(word, word)]
+    run.lay_out(target, tmp_path)
+    (tmp_path / target.file).write_bytes(path.read_bytes())
+    for line in dict.fromkeys(map(tuple, target.lines)):
+        _, said, why = answer(run.filled(line, target, tmp_path))
+        assert not why, f"{' '.join(line)}: {said}"
+
+
+@pytest.mark.slow
+def test_fresh_inputs_are_answered(made: Mapping[str, Target], tmp_path: Path) -> None:
+    for number, target in enumerate(made.values()):
+        folder, tally = tmp_path / str(number), run.Tally()
+        folder.mkdir()
+        run.fuzz(target, folder, 25, 7, tally)
+        assert not tally.finds, f"{target.name}: {tally.finds[0].line}: {tally.finds[0].said}"
+        assert sum(tally.codes.values()) == 25

@@ -1,8 +1,8 @@
-"""Prediction around a fake model: files, verdicts, messages; what a refined file changes."""
+"""`seqid predict`: files, verdicts, messages; refined files; `--motion`, also of other commands."""
 
 import json
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import jsonschema
@@ -12,16 +12,18 @@ import pyarrow.parquet as pq
 import pytest
 
 from seqid_cli.identify.prediction.predict import LogPrediction
+from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Recording
 from seqid_cli.params.document import robot_id, with_stage
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
-from seqid_cli.params.schema import EffectOfJoint, FrictionStage
+from seqid_cli.params.schema import SCHEMA, EffectOfJoint, FrictionStage
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
-from tests.commands.conftest import SAMPLES, Reader, Rig
-from tests.commands.transcripts import check_transcript
+from tests.commands.conftest import SAMPLE_LOGS, SAMPLES, Reader, Rig
+from tests.plants.robotfile import robot_toml
 from tests.plants.robots.made import friction_joint, made_prediction
+from tests.unit.motion.smoother.rigs import scene
 from tests.unit.params.documents import friction_file, full_file
 from tests.unit.params.generate import json_schema
 
@@ -39,15 +41,8 @@ class Model:
     made: list[LogPrediction] = field(default_factory=list)
 
     def predict(
-        self,
-        recordings: Iterable[Recording],
-        robot: Robot,
-        stages: object,
-        *,
-        options: object,
-        unexplained: bool = False,
+        self, recordings: Iterable[Recording], robot: Robot, *_: object, **__: object
     ) -> Iterator[LogPrediction]:
-        """Yield one prediction per recording."""
         rng = np.random.default_rng(0)
         for index, recording in enumerate(recordings):
             if index >= self.fail_after:
@@ -59,17 +54,10 @@ class Model:
             sliding[1, 1] = False
             predicted = tau + self.scale * rng.normal(size=tau.shape)
             wide = np.where(sliding, 0.0, 0.5 * self.scale)
+            bounds = {"low": predicted - wide, "high": predicted + wide}
+            more = {"sha256": recording.sha256, "t": recording.t, "notes": ("a remark",)}
             log = made_prediction(
-                str(recording.path),
-                tau,
-                predicted,
-                sha256=recording.sha256,
-                t=recording.t,
-                low=predicted - wide,
-                high=predicted + wide,
-                used=used,
-                sliding=sliding,
-                notes=("a remark",),
+                str(recording.path), tau, predicted, used=used, sliding=sliding, **bounds, **more
             )
             self.made.append(log)
             yield log
@@ -82,25 +70,34 @@ def model(monkeypatch: pytest.MonkeyPatch) -> Model:
     return fake
 
 
-def stacked(model: Model, joint: int, name: str) -> np.ndarray:
-    return np.concatenate([getattr(log, name)[:, joint] for log in model.made])
-
-
 def root_mean_square(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def test_errors_over_all_logs_and_per_log(rig: Rig, reader: Reader, model: Model) -> None:
+KINDS = ("torque", "predicted", "residual", "sliding", "low", "high")
+
+
+def test_errors_are_those_of_the_torques(rig: Rig, reader: Reader, model: Model) -> None:
     rig.params("p.json", full_file())
     assert rig.run(*BOTH).code == 0
     document = json.loads((rig.folder / "out.json").read_text())
     jsonschema.validate(document, json_schema(PREDICTION_SCHEMA))
-    for joint, name in enumerate(("shoulder", "elbow")):
-        tau, predicted = stacked(model, joint, "tau"), stacked(model, joint, "predicted")
-        slides = stacked(model, joint, "sliding")
-        used = np.concatenate([log.used for log in model.made])
-        error = (tau - predicted)[slides]
-        found = document["joints"][name]
+    table, joints = pq.read_table(rig.folder / "t.parquet"), ("shoulder", "elbow")
+    own = [f"{name}.{kind}" for name in joints for kind in KINDS]
+    motion = [f"{name}.{kind}" for name in joints for kind in ("position", "velocity")]
+    assert table.column_names == ["t", "log", *own, "used", *motion]
+    assert table["log"].to_pylist() == ["a.parquet"] * SAMPLES + ["b.parquet"] * SAMPLES
+    used = table["used"].to_numpy()
+    for joint, name in enumerate(joints):
+        columns = {kind: table[f"{name}.{kind}"].to_numpy() for kind in KINDS}
+        for kind, of in (("torque", "tau"), ("predicted", "predicted"), ("sliding", "sliding")):
+            truth = np.concatenate([getattr(log, of)[:, joint] for log in model.made])
+            np.testing.assert_array_equal(columns[kind], truth)
+        tau, predicted, residual, slides = (columns[kind] for kind in KINDS[:4])
+        np.testing.assert_allclose(residual, tau - predicted)
+        for kind, wide in (("low", -0.05), ("high", 0.05)):
+            np.testing.assert_allclose(columns[kind], np.where(slides, np.nan, predicted + wide))
+        found, error = document["joints"][name], residual[slides]
         assert found["samples"] == 2 * (SAMPLES - 1 - joint)
         assert found["samples_all"] == 2 * (SAMPLES - 1)
         assert found["share_sliding"] == pytest.approx(1 - joint / (SAMPLES - 1))
@@ -108,7 +105,7 @@ def test_errors_over_all_logs_and_per_log(rig: Rig, reader: Reader, model: Model
         expected = root_mean_square(error) / root_mean_square(tau[slides])
         assert found["relative_rmse"] == pytest.approx(expected)
         assert found["max_abs"] == pytest.approx(np.max(np.abs(error)))
-        beyond = np.maximum(np.abs(tau - predicted) - np.where(slides, 0.0, 0.05), 0.0)
+        beyond = np.maximum(np.abs(residual) - np.where(slides, 0.0, 0.05), 0.0)
         assert found["rmse_all"] == pytest.approx(root_mean_square(beyond[used]))
     assert [log["path"] for log in document["logs"]] == ["a.parquet", "b.parquet"]
     assert document["logs"][0]["joints"]["elbow"]["samples"] == SAMPLES - 2
@@ -116,35 +113,7 @@ def test_errors_over_all_logs_and_per_log(rig: Rig, reader: Reader, model: Model
     assert document["stages"] == ["friction", "gravity", "imu", "inertia", "effects"]
 
 
-def test_the_torques_themselves(rig: Rig, reader: Reader, model: Model) -> None:
-    rig.params("p.json", full_file())
-    assert rig.run(*BOTH).code == 0
-    table = pq.read_table(rig.folder / "t.parquet")
-    kinds = ("torque", "predicted", "residual", "sliding", "low", "high")
-    assert table.column_names == [
-        "t",
-        "log",
-        *(f"{name}.{kind}" for name in ("shoulder", "elbow") for kind in kinds),
-        "used",
-        *(f"{name}.{kind}" for name in ("shoulder", "elbow") for kind in ("position", "velocity")),
-    ]
-    assert table["log"].to_pylist() == ["a.parquet"] * SAMPLES + ["b.parquet"] * SAMPLES
-    columns = {name: table[name].to_numpy() for name in table.column_names if name != "log"}
-    slides = stacked(model, 1, "sliding")
-    np.testing.assert_array_equal(columns["elbow.sliding"], slides)
-    for kind in ("low", "high"):
-        bound = np.where(slides, np.nan, stacked(model, 1, kind))
-        np.testing.assert_array_equal(columns[f"elbow.{kind}"], bound)
-    measured = np.concatenate([log.tau[:, 1] for log in model.made])
-    np.testing.assert_array_equal(columns["elbow.torque"], measured)
-    np.testing.assert_allclose(
-        columns["elbow.residual"], columns["elbow.torque"] - columns["elbow.predicted"]
-    )
-
-
-def test_a_failure_between_logs_leaves_the_old_files(
-    rig: Rig, reader: Reader, model: Model
-) -> None:
+def test_a_failure_leaves_the_old_files(rig: Rig, reader: Reader, model: Model) -> None:
     rig.params("p.json", full_file())
     (rig.folder / "t.parquet").write_text("old")
     before = sorted(path.name for path in rig.folder.iterdir())
@@ -164,7 +133,7 @@ def test_what_the_user_sees(
     rig.params("friction.json", friction_file())
     model.scale, model.slides = scale, slides
     before = Path("a.parquet").read_bytes()
-    check_transcript(rig, f"predict{name}")
+    rig.check_transcript(f"predict{name}")
     assert Path("a.parquet").read_bytes() == before
 
 
@@ -173,18 +142,14 @@ def test_joints_that_stand_still_are_not_judged(rig: Rig, reader: Reader, model:
     model.slides = False
     document = json.loads(rig.run(*BASE, "--json").out)
     jsonschema.validate(document, json_schema(PREDICTION_SCHEMA))
-    for key in ("rmse", "relative_rmse", "max_abs"):
-        assert document["joints"]["elbow"][key] is None
-    assert document["joints"]["elbow"]["samples"] == 0
-    assert document["joints"]["elbow"]["samples_all"] == 2 * (SAMPLES - 1)
-    assert document["joints"]["elbow"]["share_sliding"] == 0.0
-    assert document["joints"]["elbow"]["rmse_all"] > 0.0
+    elbow = document["joints"]["elbow"]
+    assert elbow.pop("rmse_all") > 0.0
+    none = dict.fromkeys(("rmse", "relative_rmse", "max_abs"))
+    assert elbow == {**none, "samples": 0, "samples_all": 2 * (SAMPLES - 1), "share_sliding": 0.0}
     assert document["verdicts"] == []
 
 
-def test_a_joint_without_friction_is_poor_and_says_why(
-    rig: Rig, reader: Reader, model: Model
-) -> None:
+def test_a_joint_without_friction_is_poor(rig: Rig, reader: Reader, model: Model) -> None:
     file = full_file()
     del file.stages.friction.joints["elbow"]
     rig.params("p.json", file)
@@ -201,7 +166,6 @@ ROBOT_TOML = (
     'schema = "seqid/robot@1"\nname = "arm"\ngravity = [0.0, 0.0, -9.81]\n'
     '[[joint]]\nname = "hip"\ndh = { alpha = 0.0, a = 0.3, d = 0.0, theta0 = 0.0 }\n'
 )
-RATE_HZ = 200.0
 BIAS = EffectOfJoint(effect="torque_bias", joint="hip", coefficients=[0.4])
 SMOOTH = EffectOfJoint(effect="unexplained", joint="hip")
 SWING = ("predict", "log.parquet", "-r", "robot.toml", "-o", "out.json", "-p")
@@ -211,7 +175,7 @@ SWING = ("predict", "log.parquet", "-r", "robot.toml", "-o", "out.json", "-p")
 def swinging(rig: Rig) -> Rig:
     """A robot of one joint that swings, with models without effects, a bias, and a smooth term."""
     (rig.folder / "robot.toml").write_text(ROBOT_TOML)
-    t = np.arange(2000) / RATE_HZ
+    t = np.arange(2000) / 200.0
     q, dq = np.sin(2 * t), 2 * np.cos(2 * t)
     columns = {"t": t, "hip.position": q, "hip.torque": 0.4 + 2.0 * np.tanh(dq / 0.01) + dq}
     pq.write_table(pa.table(columns), rig.folder / "log.parquet")
@@ -245,3 +209,102 @@ def test_smooth_terms_are_left_out_unless_asked_for(swinging: Rig) -> None:
     refused = swinging.run(*SWING, "smooth.json", "--with-unexplained")
     assert refused.code == 2
     assert "$.stages.effects[1].settings" in refused.err
+
+
+@pytest.mark.parametrize("source", ["imu", "fused"])
+@pytest.mark.parametrize("command", ["inertia", "predict", "diagnose", "simultaneous"])
+def test_imus_need_their_calibration(rig: Rig, reader: Reader, command: str, source: str) -> None:
+    file = full_file()
+    file.stages.imu = None
+    before = rig.params("p.json", file)
+    given = [] if command == "simultaneous" else ["-p", before]
+    done = rig.run(command, "a.parquet", "-r", "robot.toml", *given, "--motion", source)
+    assert done.code == 2
+    assert "there is no imu stage" in done.err
+    assert "seqid imu-calib" in done.err
+
+
+@pytest.fixture
+def recordings(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> list[Recording]:
+    """Two simulated logs of the planar rig, which may be changed; its calibrations lie beside."""
+    s = scene("two")
+    (rig.folder / "robot.toml").write_text(robot_toml("two", s.plant), encoding="ascii")
+    robot = load_robot(rig.folder / "robot.toml")
+    write_json_atomic(rig.folder / "p.json", with_stage(None, robot_id(robot), [], imu=s.stage))
+    logs = [replace(s.recording, path=Path(f"{name}.parquet"), sha256=name * 64) for name in "ab"]
+
+    def read(path: Path, robot: Robot, **options: object) -> Screened:
+        return Screened(next(log for log in logs if log.path.name == Path(path).name), ())
+
+    monkeypatch.setattr("seqid_cli.identify.log_set.read_screened", read)
+    # No log is long.
+    monkeypatch.setattr("seqid_cli.identify.prediction.predict.open_if_long", lambda *_, **__: None)
+    return logs
+
+
+def without(recording: Recording, *names: str) -> Recording:
+    kept = {k: v for k, v in recording.accelerometers.items() if k not in names}
+    return replace(recording, accelerometers=kept)
+
+
+def test_a_prediction_says_what_motion_it_rests_on(rig: Rig, recordings: list[Recording]) -> None:
+    done = rig.run(*BASE, "--json")
+    assert done.code == 0
+    file = json.loads(done.out)
+    jsonschema.validate(file, json_schema(PREDICTION_SCHEMA))
+    for log in file["logs"]:
+        used = log["motion"]
+        assert (used["source"], used["imus"]) == ("fused", ["imu_a", "imu_b"])
+        assert used["cutoff_hz"] == log["cutoff_hz"]
+        for joint in ("joint_1", "joint_2"):
+            assert used["acceleration_error"][joint] < 0.2 * used["encoder_error"][joint]
+    assert "motion: fused (imu_a, imu_b) in 2 of 2 logs; acceleration known to 0.0" in done.err
+
+
+def test_a_log_without_imus_falls_back_unless_told(rig: Rig, recordings: list[Recording]) -> None:
+    recordings[1] = without(recordings[1], "imu_a", "imu_b")
+    done = rig.run(*BASE, "--json")
+    assert done.code == 0
+    assert [log["motion"]["source"] for log in json.loads(done.out)["logs"]] == ["fused", "encoder"]
+    for imu in ("imu_a", "imu_b"):
+        assert f"warning: b.parquet: {imu} is not recorded" in done.err
+    assert "fused (imu_a, imu_b) in 1 of 2 logs, encoder in 1 of 2 logs" in done.err
+    for source in ("imu", "fused"):
+        done = rig.run(*BASE, "--motion", source)
+        assert done.code == 2
+        assert f"b.parquet: no calibrated, healthy IMU for --motion {source}" in done.err
+        assert "imu_a is not recorded" in done.err
+        assert "use --motion encoder" in done.err
+
+
+def test_the_same_warning_of_many_logs_is_one_line(rig: Rig, recordings: list[Recording]) -> None:
+    recordings[:] = [without(log, "imu_b") for log in recordings]
+    done = rig.run(*BASE)
+    assert done.err.count("imu_b is not recorded") == 1
+    assert "imu_b is not recorded (2 of 2 logs)" in done.err
+
+
+def test_a_simultaneous_fit_says_its_motion(rig: Rig, recordings: list[Recording]) -> None:
+    command = ("simultaneous", *BASE[1:], "--json", "-o", "out.json")
+    done = rig.run(*command)
+    assert done.code == 0
+    file = json.loads(done.out)
+    jsonschema.validate(file, json_schema(SCHEMA))
+    used = file["stages"]["inertia"]["motion_use"]
+    assert [use["source"] for use in used] == ["fused", "fused"]
+    assert file["stages"]["inertia"]["motion"]["a.parquet"] == "fused: imu_a, imu_b"
+    assert [use["cutoff_hz"] for use in used] == [file["stages"]["inertia"]["cutoff_hz"]] * 2
+    assert "motion: fused" in done.err
+    assert file["stages"]["imu"]
+    assert file["stages"].get("gravity") is None
+
+
+@pytest.mark.parametrize(("cutoff", "noisy"), [([], True), (["--cutoff", "6"], False)])
+def test_encoder_noise_in_the_error_is_told(rig: Rig, cutoff: list[str], *, noisy: bool) -> None:
+    two = SAMPLE_LOGS / "two_joint"
+    model = ("-r", str(two / "robot.toml"), "-p", str(two / "golden.json"), "--motion", "encoder")
+    done = rig.run("predict", str(two / "changed" / "held_out.parquet"), *model, *cutoff, "--json")
+    document = json.loads(done.out)
+    told = [note for note in document["logs"][0]["notes"] if "noise of the encoders" in note]
+    assert bool(told) == noisy
+    assert (document["joints"]["joint_1"]["relative_rmse"] > 0.3) == noisy

@@ -1,17 +1,20 @@
-"""`seqid refine` around a fake refinement: which logs go where, documents, screen, exit codes."""
+"""`seqid refine`: which logs go where and when, documents, screen, exit codes."""
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import jsonschema
 import pytest
 from msgspec import structs
 
 from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.refinement import rounds as deciding
 from seqid_cli.discover.refinement.held_out import WholeLogs
 from seqid_cli.discover.refinement.log_sets import find_earlier
 from seqid_cli.identify.options import InertiaOptions
@@ -28,14 +31,11 @@ from seqid_cli.params.schema import (
     ParameterFile,
 )
 from seqid_cli.robot.types import Robot
-from tests.commands.conftest import Reader, Rig, stand_in
-from tests.commands.transcripts import check_transcript
+from tests.commands.conftest import ONE_JOINT, Reader, Rig, stand_in
 from tests.unit.params.documents import closed_loop, friction_file, full_file, inertia_file
 from tests.unit.params.generate import json_schema
 
 BASE = ["refine", "a.parquet", "--holdout", "b.parquet", "-r", "robot.toml", "-p", "p.json"]
-
-
 LOOP = structs.replace(closed_loop(), evaluated_on=["b.parquet"], held_out=[])
 EFFECT = structs.replace(
     full_file().stages.effects[0],
@@ -51,33 +51,21 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-@dataclass
 class Library:
-    """Stands in for the refinement; keeps what it was called with."""
+    """Stands in for the refinement; keeps the logs that it was called with."""
 
-    loop: ClosedLoop = LOOP
-    effects: list[EffectOfJoint] | None = field(default_factory=lambda: [EFFECT])
-    training: list[str] = field(default_factory=list)
-    held_out: list[str] = field(default_factory=list)
-    earlier: dict[str, list[str]] = field(default_factory=dict)
-    shared: int = 0
-    options: DiscoverOptions | None = None
+    def __init__(self) -> None:
+        self.loop: ClosedLoop = LOOP
+        self.effects: list[EffectOfJoint] | None = [EFFECT]
 
     def refine(
-        self,
-        training: Sequence[Recording],
-        robot: Robot,
-        file: ParameterFile,
-        *,
-        earlier: Mapping[str, Sequence[Recording]],
-        options: DiscoverOptions,
+        self, training: Sequence[Recording], robot: Robot, file: ParameterFile, **more: Any
     ) -> SimpleNamespace:
+        self.options: DiscoverOptions = more["options"]
         self.training = [str(log.path) for log in training]
-        self.earlier = {stage: [str(log.path) for log in logs] for stage, logs in earlier.items()}
-        self.shared = sum(
-            log is other for logs in earlier.values() for log in logs for other in training
-        )
-        self.options = options
+        logs = more["earlier"]
+        self.earlier = {stage: [str(log.path) for log in own] for stage, own in logs.items()}
+        self.shared = sum(log is own for x in logs.values() for log in x for own in training)
         return SimpleNamespace(stages=structs.replace(file.stages, effects=self.effects))
 
     def confirm(
@@ -138,13 +126,9 @@ def test_the_document(rig: Rig, library: Library) -> None:
     ]
     file = read_parameters(rig.folder / "out.json")
     assert file.stages.effects == [EFFECT]
-    assert [(log.path, log.stage) for log in file.inputs] == [
-        ("a", "friction"),
-        ("b", "gravity"),
-        ("c", "imu"),
-        ("d", "inertia"),
-        ("a.parquet", "effects"),
-    ]
+    stages = zip(("a", "b", "c", "d"), ("friction", "gravity", "imu", "inertia"), strict=True)
+    inputs = [(log.path, log.stage) for log in file.inputs]
+    assert inputs == [*stages, ("a.parquet", "effects")]
 
 
 DOUBTFUL = structs.replace(
@@ -166,7 +150,7 @@ def test_what_the_user_sees(rig: Rig, library: Library, name: str) -> None:
     swapped.robot.joints = swapped.robot.joints[::-1]
     rig.params("swapped.json", swapped)
     rig.params("f.json", friction_file())
-    check_transcript(rig, name)
+    rig.check_transcript(name)
     file = read_parameters(rig.folder / "out.json")
     assert file.stages.effects == (library.effects or [])
     loop = library.loop
@@ -176,7 +160,7 @@ def test_what_the_user_sees(rig: Rig, library: Library, name: str) -> None:
 def test_a_partly_read_log(rig: Rig, reader: Reader, library: Library) -> None:
     reader.partial = "the end is missing"
     library.loop, library.effects = SCREENS["refine_nothing"], None
-    check_transcript(rig, "refine_partial")
+    rig.check_transcript("refine_partial")
 
 
 def test_a_copy_of_what_was_fitted_is_refused_when_it_is_opened(rig: Rig, library: Library) -> None:
@@ -187,7 +171,7 @@ def test_a_copy_of_what_was_fitted_is_refused_when_it_is_opened(rig: Rig, librar
     assert not (rig.folder / "out.json").exists()
 
 
-def earlier_file(rig: Rig, paths: Mapping[str, tuple[str, bytes]]) -> None:
+def earlier_file(rig: Rig, **paths: tuple[str, bytes]) -> None:
     """Write p.json as identified from logs of the given stages, paths and contents."""
     file = inertia_file()
     file.inputs = [
@@ -202,39 +186,43 @@ def test_logs_of_earlier_stages_are_read_again(rig: Rig, library: Library) -> No
     (rig.folder / "moved" / "f.parquet").write_bytes(content(9))
     earlier_file(
         rig,
-        {
-            "friction": ("f.parquet", content(9)),
-            "gravity": ("c.parquet", content(2)),
-            "imu": ("gone.parquet", content(7)),
-            "inertia": ("d.parquet", content(99)),  # another log has its name now
-        },
+        friction=("f.parquet", content(9)),
+        gravity=("c.parquet", content(2)),
+        imu=("gone.parquet", content(7)),
+        inertia=("d.parquet", content(99)),  # another log has its name now
     )
     (rig.folder / "p.json").rename(rig.folder / "moved" / "p.json")
     done = rig.run(*BASE[:-1], "moved/p.json", "-o", "out.json")
     assert done.code == 0
     assert library.earlier == {"friction": ["moved/f.parquet"], "gravity": ["c.parquet"]}
-    note = (
-        "logs of earlier stages that are no longer there or have changed: gone.parquet, d.parquet;"
-        " the model is fitted again without them"
-    )
+    note, _ = read_parameters(rig.folder / "out.json").closed_loop.notes
+    assert "no longer there or have changed: gone.parquet, d.parquet; the model is fitted" in note
     assert f"note: {note}" in done.err
-    loop = read_parameters(rig.folder / "out.json").closed_loop
-    assert loop.notes == [note, "a remark"]
 
 
-def test_a_log_that_is_fitted_again_is_read_once(rig: Rig, library: Library) -> None:
-    earlier_file(rig, {"inertia": ("elsewhere/a.parquet", content(0))})
+def test_a_log_fitted_again_is_read_once_and_a_held_out_one_not(rig: Rig, library: Library) -> None:
+    earlier_file(
+        rig,
+        inertia=("elsewhere/a.parquet", content(0)),
+        imu=("b.parquet", content(1)),
+        gravity=("c.parquet", content(2)),
+    )
     done = rig.run(*BASE)
-    assert library.earlier == {"inertia": ["a.parquet"]}
+    assert library.earlier == {"inertia": ["a.parquet"], "gravity": ["c.parquet"]}
     assert library.shared == 1
     assert "no longer there" not in done.err
-
-
-def test_a_held_out_log_is_never_fitted_as_an_earlier_one(rig: Rig, library: Library) -> None:
-    earlier_file(rig, {"inertia": ("b.parquet", content(1)), "gravity": ("c.parquet", content(2))})
-    done = rig.run(*BASE)
-    assert library.earlier == {"gravity": ["c.parquet"]}
     assert "the model that came in was identified from it: b.parquet" in done.err
+
+
+def test_earlier_trials_that_are_too_long_are_left_aside(
+    rig: Rig, library: Library, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    earlier_file(rig, friction=("c.parquet", content(2)), inertia=("d.parquet", content(3)))
+    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.values_of", lambda *_: 10**9)
+    done = rig.run(*BASE)
+    assert done.code == 0
+    assert library.earlier == {"friction": [], "inertia": ["d.parquet"]}
+    assert "the 1 logs of earlier stages are too long" in done.err
 
 
 @pytest.mark.parametrize("path", ["", ".", "/dev/zero", "robot.toml", "a\0b", "x" * 5000, ".."])
@@ -243,3 +231,53 @@ def test_paths_of_a_parameter_file_are_not_trusted(tmp_path: Path, path: str) ->
     found = find_earlier([log], [tmp_path], at_hand={}, held_out=[])
     assert found.paths == {}
     assert len(found.notes) == 1
+
+
+HELD_OUT = "held_out.parquet"
+LINE = ("refine", "fourier.parquet", "trapezoids.parquet", "--holdout", HELD_OUT, "-p", "p.json")
+
+
+@pytest.fixture
+def real(rig: Rig, lab: Path) -> Rig:
+    """Logs to fit, a held-out one that is not there yet, and a model that names it as its own."""
+    for name in ("robot.toml", "changed/fourier.parquet", "changed/trapezoids.parquet"):
+        shutil.copy(ONE_JOINT / name, rig.folder)
+    file = read_parameters(lab / "out" / "inertia.json")
+    own = InputLog(path=HELD_OUT, sha256="0" * 64, samples=1, stage="inertia")
+    file.inputs = [*file.inputs, own]
+    rig.params("p.json", file)
+    (rig.folder / HELD_OUT).write_bytes(b"not a log yet")
+    return rig
+
+
+def test_held_out_logs_are_read_after_the_last_decision(
+    real: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, decide = ONE_JOINT / "changed" / HELD_OUT, deciding.refine
+
+    def refine(*given: Any, **more: Any) -> object:
+        found = decide(*given, **more)
+        shutil.copy(log, real.folder)  # now it is recorded
+        return found
+
+    monkeypatch.setattr(deciding, "refine", refine)
+    done = real.run(*LINE, "-r", "robot.toml", "-o", "out.json", "--json")
+    assert done.code == 0, done.err
+    jsonschema.validate(json.loads(done.out), json_schema(SCHEMA))
+    file = read_parameters(real.folder / "out.json")
+    loop = file.closed_loop
+    assert loop.evaluated_on == [HELD_OUT]
+    assert [own.sha256 for own in loop.held_out] == [sha256(log.read_bytes())]
+    assert any("held out, although" in note for note in loop.notes)
+    assert loop.after["joint_1"].rmse < 0.6 * loop.before["joint_1"].rmse
+    assert [(tried.effect, tried.joint) for tried in loop.rounds[:1]] == [("spring", "joint_1")]
+    assert len(file.stages.effects or []) == len(loop.rounds)
+    assert real.run("predict", HELD_OUT, "-r", "robot.toml", "-p", "out.json").code == 0
+
+
+@pytest.mark.slow
+def test_a_held_out_log_that_cannot_be_read_is_only_found_out_then(real: Rig) -> None:
+    done = real.run(*LINE, "-r", "robot.toml", "-o", "out.json")
+    assert done.code == 2
+    assert HELD_OUT in done.err
+    assert not (real.folder / "out.json").exists()

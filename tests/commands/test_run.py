@@ -1,8 +1,11 @@
-"""`seqid run`: the whole way in one command, resumed where it stopped."""
+"""The whole way: `seqid run`, resumed where it stopped; results that repeat to the last bit."""
 
 import json
 import os
 import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import jsonschema
@@ -14,14 +17,11 @@ from seqid_cli.params.io import read_parameters
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
 from seqid_cli.params.schema import SCHEMA
+from tests import ROOT
 from tests.commands.conftest import ONE_JOINT, run
 from tests.unit.params.generate import json_schema
 
 NAMES = ("friction", "gravity", "imu", "inertia", "prediction", "diagnosis")
-
-
-def copied(lab: Path, folder: Path) -> Path:
-    return Path(shutil.copytree(lab, folder / "lab"))  # with the times of all files
 
 
 def written(folder: Path) -> dict[str, int]:
@@ -42,44 +42,32 @@ def test_the_files_are_those_of_the_single_commands(lab: Path) -> None:
     assert one == other
 
 
-def test_every_file_keeps_to_its_schema_and_says_all_stages(lab: Path) -> None:
+def test_every_file_keeps_to_its_schema_and_says_what_was_found(lab: Path) -> None:
     out = lab / "out"
     schemas = {"prediction": PREDICTION_SCHEMA, "diagnosis": DIAGNOSIS_SCHEMA}
-    for name in NAMES:
-        document = json.loads((out / f"{name}.json").read_text())
+    documents = {name: json.loads((out / f"{name}.json").read_text()) for name in NAMES}
+    for name, document in documents.items():
         jsonschema.validate(document, json_schema(schemas.get(name, SCHEMA)))
     inputs = read_parameters(out / "inertia.json").inputs
     assert {log.stage for log in inputs} == {"friction", "gravity", "imu", "inertia"}
-
-
-def test_the_model_predicts_logs_that_it_has_not_seen(lab: Path) -> None:
-    prediction = json.loads((lab / "out" / "prediction.json").read_text())
+    prediction, diagnosis = documents["prediction"], documents["diagnosis"]
     assert prediction["joints"]["joint_1"]["relative_rmse"] < 0.1
     rows = sum(log["samples"] for log in prediction["logs"])
-    assert pq.read_metadata(lab / "out" / "torques.parquet").num_rows == rows
-
-
-def test_nothing_is_missing_where_nothing_is(lab: Path) -> None:
-    diagnosis = json.loads((lab / "out" / "diagnosis.json").read_text())
+    assert pq.read_metadata(out / "torques.parquet").num_rows == rows
     joint = diagnosis["joints"]["joint_1"]
     assert 0.0 < joint["noise_floor"] <= 1.2 * joint["rmse"]
     assert diagnosis["verdict"] == "nothing_missing"
 
 
-def test_what_is_newer_than_its_logs_is_kept(
+def test_only_old_files_are_made_again(
     lab: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = copied(lab, tmp_path)
+    folder = Path(shutil.copytree(lab, tmp_path / "lab"))  # with the times of all files
     before = written(folder)
     assert run(folder, "--json") == 0
     steps = json.loads(capsys.readouterr().out)["steps"]
     assert all(step["kept"] and step["good"] for step in steps)
     assert written(folder) == before
-
-
-def test_a_new_log_makes_its_stage_and_what_rests_on_it_again(lab: Path, tmp_path: Path) -> None:
-    folder = copied(lab, tmp_path)
-    before = written(folder)
     os.utime(next((folder / "logs" / "validation").iterdir()))
     assert run(folder) == 0
     after = written(folder)
@@ -111,3 +99,51 @@ def test_it_needs_friction_trials(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "friction/" in said
     assert str(tmp_path / "logs") in said
     assert not (tmp_path / "out").exists()
+
+
+OF_THE_RUN = ("created", "parameters")  # when a file and the models that it used were made
+
+
+def lines(out: Path, *, jobs: int, reverse: bool) -> Iterator[list[str]]:
+    """Command lines from logs to prediction and diagnosis."""
+    robot, before = ["-r", str(ONE_JOINT / "robot.toml")], list[str]()
+    folders = {"imu-calib": "imu", "predict": "validation", "diagnose": "validation"}
+    for stage in ("friction", "gravity", "imu-calib", "inertia", "predict", "diagnose"):
+        folder = ONE_JOINT / folders.get(stage, stage)
+        logs = sorted(map(str, folder.glob("*.*")), reverse=reverse)
+        made = out / f"{stage}.json"
+        many = [] if stage == "diagnose" else ["--jobs", str(jobs)]
+        yield [stage, *logs, *robot, *before, *many, "-o", str(made)]
+        before = before if stage == "predict" else ["-p", str(made)]
+
+
+def told(path: Path) -> str:
+    document = json.loads(path.read_text("utf-8").replace(str(path.parent), ""))
+    return json.dumps({key: own for key, own in document.items() if key not in OF_THE_RUN})
+
+
+@pytest.mark.slow
+def test_threads_processes_and_the_order_of_logs_change_no_bit(tmp_path: Path) -> None:
+    first, second = tmp_path / "first", tmp_path / "second"
+    for folder in (first, second):
+        folder.mkdir()
+    for line in lines(first, jobs=1, reverse=False):
+        assert main(line) == 0
+    run = "import json, sys; from seqid_cli.__main__ import main\n" + (
+        "for line in json.loads(sys.argv[1]): assert main(line) == 0"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "2"}
+    others = json.dumps(list(lines(second, jobs=2, reverse=True)))
+    command = [sys.executable, "-c", run, others]
+    subprocess.run(command, env=environment, check=True, capture_output=True)
+    names = sorted(path.name for path in first.iterdir())
+    assert len(names) == 6
+    assert [told(second / name) for name in names] == [told(first / name) for name in names]
+
+
+def test_blas_has_one_thread(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    assert main(["completion", "bash"]) == 0
+    assert os.environ["OPENBLAS_NUM_THREADS"] == "1"

@@ -1,19 +1,22 @@
-"""The stage commands around fake identification: what they pass on, write, print and return."""
+"""The stage commands: what they pass on, write, print and return; errors; several processes."""
 
+import importlib.util
 import json
+import shutil
 from collections.abc import Callable
 
 import jsonschema
+import pyarrow.parquet as pq
 import pytest
 
+from seqid_cli.errors import ConfigError, QualityError, SeqidError
 from seqid_cli.identify.options import FrictionOptions, InertiaOptions
 from seqid_cli.inspect.findings import found
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.params.io import read_parameters
 from seqid_cli.params.schema import SCHEMA, RigidStage
 from seqid_cli.robot.types import Robot
-from tests.commands.conftest import SAMPLES, Reader, Rig
-from tests.commands.transcripts import check_transcript
+from tests.commands.conftest import ONE_JOINT, SAMPLES, Reader, Rig
 from tests.unit.params.documents import (
     friction_file,
     friction_stage,
@@ -46,14 +49,9 @@ def test_friction(rig: Rig, reader: Reader, identified: Replace) -> None:
         ("b.parquet", SAMPLES, "friction"),
     ]
     assert file.robot.sha256 == robot.sha256
-    assert done.out.splitlines()[0].split()[:2] == ["joint", "orders"]
-    assert done.out.splitlines()[1].endswith("good")
-    assert "next: seqid gravity LOG... -r robot.toml -p out.json -o gravity.json" in done.err
 
 
-def test_the_other_stages_build_on_what_was_there(
-    rig: Rig, reader: Reader, identified: Replace
-) -> None:
+def test_stages_build_on_what_was_there(rig: Rig, reader: Reader, identified: Replace) -> None:
     before = rig.params("p.json", gravity_file())
     identified("imu_calibration.calibrate", "calibrate_imus", imu_stage())
     assert rig.run("imu-calib", *COMMON, "-p", before).code == 0
@@ -93,25 +91,21 @@ def test_what_the_other_stages_show(rig: Rig, reader: Reader, identified: Replac
     identified("rigid.simultaneous", "identify_simultaneous", found)
     with (rig.folder / "robot.toml").open("a") as file:
         file.write("# changed\n")
-    check_transcript(rig, "stages")
+    rig.check_transcript("stages")
     assert read_parameters(rig.folder / "g.json").stages.gravity == empty
     again = read_parameters(rig.folder / "again.json").stages
     assert again.inertia is None
     assert again.imu is not None
 
 
-def test_json_is_the_file(rig: Rig, reader: Reader, identified: Replace) -> None:
+def test_what_friction_shows(rig: Rig, reader: Reader, identified: Replace) -> None:
     identified("friction_surface.stage", "identify_friction", friction_stage())
+    rig.check_transcript("friction")
     reader.warnings = ("jitter is 20 %",)
     done = rig.run("friction", *COMMON, "--json")
     assert done.out == (rig.folder / "out.json").read_text()
     jsonschema.validate(json.loads(done.out), json_schema(SCHEMA))
     assert "warning: a.parquet: jitter is 20 %" in done.err
-
-
-def test_what_friction_shows(rig: Rig, reader: Reader, identified: Replace) -> None:
-    identified("friction_surface.stage", "identify_friction", friction_stage())
-    check_transcript(rig, "friction")
 
 
 @pytest.mark.parametrize("name", ["poor", "faulty", "partial"])
@@ -124,7 +118,7 @@ def test_what_is_poor(rig: Rig, reader: Reader, identified: Replace, name: str) 
         reader.findings = (fault,)
     elif name == "partial":
         reader.partial = "the last 12 of 40 chunks are damaged"
-    check_transcript(rig, f"friction_{name}")
+    rig.check_transcript(f"friction_{name}")
     verdicts = read_parameters(rig.folder / "out.json").stages.friction.verdicts
     poor = {v.joint: v.reason for v in verdicts if not v.good}
     if name == "faulty":
@@ -132,3 +126,112 @@ def test_what_is_poor(rig: Rig, reader: Reader, identified: Replace, name: str) 
         assert "a.parquet and 1 more log: torque it would gain" in poor["elbow"]
         assert poor[""].endswith("not good: elbow")
     assert bool(poor) == (name != "partial")
+
+
+FRICTION = ["friction", "a.parquet", "-r", "robot.toml", "-o", "out.json"]
+
+
+def test_what_cannot_run(rig: Rig) -> None:
+    """Every line has an error, a hint and the exit code 2; with --json a document says the same."""
+    rig.params("f.json", friction_file())
+    rig.params("g.json", gravity_file())
+    other, swapped = friction_file(), friction_file()
+    other.robot.name = "leg"
+    rig.params("other.json", other)
+    swapped.robot.joints = swapped.robot.joints[::-1]
+    rig.params("swapped.json", swapped)
+    rig.check_transcript("errors")
+    assert "No such option: --cutof" in rig.run("friction", "a", "-r", "r", "--cutof", "3").err
+    assert not (rig.folder / "out.json").exists()
+    done = rig.run("friction", "no", "-r", "robot.toml", "--json")
+    told = {"code": 2, "message": "does not exist", "where": "no"}
+    assert json.loads(done.out)["error"].items() >= told.items()
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (QualityError("joint elbow never moves alone", hint="Record it."), 1),
+        (ConfigError("no", hint="x"), 2),
+    ],
+)
+def test_a_stage_that_gives_up_writes_nothing(
+    rig: Rig, reader: Reader, identified: Replace, error: SeqidError, code: int
+) -> None:
+    (rig.folder / "out.json").write_text("old")
+    identified("friction_surface.stage", "identify_friction", error)
+    done = rig.run(*FRICTION, "--json")
+    assert done.code == code
+    assert json.loads(done.out) == {
+        "error": {"code": code, "message": error.message, "hint": error.hint, "where": ""}
+    }
+    assert done.err == f"seqid friction: error: {error}\n  hint: {error.hint}\n"
+    assert (rig.folder / "out.json").read_text() == "old"
+
+
+def test_a_bug_hides_its_traceback(rig: Rig, reader: Reader, identified: Replace) -> None:
+    identified("friction_surface.stage", "identify_friction", ZeroDivisionError("ouch"))
+    done = rig.run(*FRICTION)
+    assert done.code == 70
+    assert "this is a bug in seqid: ZeroDivisionError: ouch" in done.err
+    assert "Traceback" not in done.err
+    assert "Traceback" in rig.run(*FRICTION, "--debug").err
+    assert json.loads(rig.run(*FRICTION, "--json").out)["error"]["code"] == 70
+
+
+def test_no_infinite_number_is_a_result(rig: Rig, reader: Reader, identified: Replace) -> None:
+    stage = friction_stage()
+    stage.joints["elbow"].rmse = float("inf")
+    identified("friction_surface.stage", "identify_friction", stage)
+    done = rig.run(*FRICTION)
+    assert done.code == 70
+    assert "$.stages.friction.joints.elbow.rmse is inf" in done.err
+    assert not (rig.folder / "out.json").exists()
+
+
+def test_processes_change_no_bit(rig: Rig) -> None:
+    """Of a prediction with its torques; the other stages: see `test_run`."""
+    logs, robot, golden = (str(ONE_JOINT / x) for x in ("validation", "robot.toml", "golden.json"))
+    found = []
+    for jobs in ("1", "2"):
+        files = ("-o", "out.json", "--torques", "t.parquet", "--jobs", jobs)
+        done = rig.run("predict", logs, "-r", robot, "-p", golden, *files, "--motion", "encoder")
+        assert done.code == 0, done.err
+        document = json.loads((rig.folder / "out.json").read_text())
+        del document["created"]
+        found.append((document, (rig.folder / "t.parquet").read_bytes(), done.out, done.err))
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_logs_that_fail_stop_a_command_or_are_left_out(jobs: str, rig: Rig) -> None:
+    """A good log and its copy, one without torque, one that is cut short."""
+    shutil.copy(ONE_JOINT / "robot.toml", rig.folder)
+    good, *_ = sorted((ONE_JOINT / "friction").glob("*.parquet"))
+    for name in ("a.parquet", "copy.parquet"):
+        shutil.copy(good, rig.folder / name)
+    table = pq.read_table(good)
+    kept = [name for name in table.column_names if not name.endswith((".current", ".torque"))]
+    pq.write_table(table.select(kept), rig.folder / "b.parquet")
+    (rig.folder / "c.parquet").write_bytes(b"PAR1 and no more")
+    rig.check_transcript("jobs", {"JOBS": jobs})
+    assert not (rig.folder / "failed.json").exists()
+    alone, copied, skipped = (
+        read_parameters(rig.folder / f"{name}.json") for name in ("alone", "copied", "skipped")
+    )
+    assert alone.stages.friction.joints == copied.stages.friction.joints
+    assert [log.path for log in skipped.inputs] == ["a.parquet"]
+    notes = "\n".join(skipped.stages.friction.notes)
+    assert all(f"left out: {path}" in notes for path in ("b.parquet", "c.parquet", "none.parquet"))
+
+
+def test_dask_that_is_not_installed(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    find = importlib.util.find_spec
+
+    def found(name: str, *more: object) -> object:
+        return None if name == "distributed" else find(name, *more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(importlib.util, "find_spec", found)
+    done = rig.run("friction", "a.parquet", "-r", "robot.toml", "--engine", "dask")
+    assert done.code == 2
+    assert "pip install 'seqid[dask]'" in done.err

@@ -1,6 +1,7 @@
-"""A program of its own: streams that are full, closed or ASCII, names of any bytes, signals."""
+"""A program among others: streams, names of any bytes, signals; no network, no other programs."""
 
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -11,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from tests import ROOT
+from tests.commands.conftest import ONE_JOINT, SAMPLE_LOGS, Rig
 
-SAMPLES = ROOT / "sample_logs" / "one_joint"
-FRICTION = SAMPLES / "friction"
-ROBOT = ("-r", str(SAMPLES / "robot.toml"))
+FRICTION = ONE_JOINT / "friction"
+ROBOT = ("-r", str(ONE_JOINT / "robot.toml"))
 FULL = Path("/dev/full")
 SEQID = (sys.executable, "-m", "seqid_cli")
 
@@ -34,7 +35,7 @@ def ran(*arguments: str | bytes, **more: object) -> tuple[int, str, str]:
 
 
 @pytest.mark.parametrize(
-    "arguments", [("inspect", str(SAMPLES)), ("completion", "bash"), ("--help",), ("--version",)]
+    "arguments", [("inspect", str(ONE_JOINT)), ("completion", "bash"), ("--help",), ("--version",)]
 )
 def test_a_full_output_is_said_in_one_line(arguments: tuple[str, ...]) -> None:
     with FULL.open("wb") as full:
@@ -58,17 +59,13 @@ def test_streams_that_nobody_can_read_cost_no_result(where: str, tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_a_variable_for_builds_does_no_harm(tmp_path: Path) -> None:
-    code, _, err = ran("inspect", str(FRICTION), env={"SOURCE_DATE_EPOCH": "today"})
-    assert code == 0, err
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("env", [{}, {"LC_ALL": "C", "PYTHONUTF8": "0"}], ids=["utf-8", "ascii"])
+@pytest.mark.parametrize(
+    "env",
+    [{"SOURCE_DATE_EPOCH": "today"}, {"LC_ALL": "C", "PYTHONUTF8": "0"}],
+    ids=["utf-8, a variable for builds that is no number", "ascii"],
+)
 @pytest.mark.parametrize("name", ["gelenk_ö.parquet".encode(), b"log_\xff.parquet"])
-def test_a_name_of_any_bytes_is_read_and_written(
-    name: bytes, env: dict[str, str], tmp_path: Path
-) -> None:
+def test_names_of_any_bytes_are_taken(name: bytes, env: dict[str, str], tmp_path: Path) -> None:
     (source,) = FRICTION.glob("*.parquet")
     log = os.path.join(os.fsencode(tmp_path), name)  # noqa: PTH118
     shutil.copy(os.fsencode(source), log)
@@ -104,10 +101,9 @@ def wait_for_work(process: subprocess.Popen[bytes], seconds: float) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc on this system")
 @pytest.mark.parametrize(("name", "after"), [("SIGTERM", 1.5), ("SIGHUP", 0.5), ("SIGINT", 0.2)])
-def test_signals_end_it_like_an_interrupt(name: str, after: float, tmp_path: Path) -> None:
-    """At work, and during the imports."""
+def test_a_signal_at_work_interrupts(name: str, after: float, tmp_path: Path) -> None:
     number = getattr(signal, name)
-    made, changed = tmp_path / "r.json", ROOT / "sample_logs" / "two_joint" / "changed"
+    made, changed = tmp_path / "r.json", SAMPLE_LOGS / "two_joint" / "changed"
     held_out, model = changed / "held_out.parquet", changed.parent / "golden.json"
     process = started(
         *("refine", str(changed / "fourier.parquet"), "--holdout", str(held_out)),
@@ -136,3 +132,108 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path: Path) -> None:
     assert not left.exists()
     assert running.exists()
     assert made.stat().st_size > 1000
+
+
+IN_IMPORT = 'exec("import signal; signal.raise_signal(signal.{})")'
+IN_FINALIZER = (
+    "import time, weakref;"
+    "weakref.finalize(completion, signal.raise_signal, signal.SIGTERM)(); time.sleep(20)"
+)
+
+
+@pytest.mark.parametrize(
+    ("name", "before", "during", "code"),
+    [
+        ("SIGINT", "SIG_DFL", IN_IMPORT, 130),
+        ("SIGTERM", "SIG_DFL", IN_IMPORT, 130),
+        ("SIGTERM", "SIG_DFL", IN_FINALIZER, 130),
+        ("SIGHUP", "SIG_IGN", IN_IMPORT, 0),
+    ],
+    ids=["interrupt", "end", "end in a finalizer", "one that the caller ignores"],
+)
+def test_no_signal_is_forgotten(
+    name: str, before: str, during: str, code: int, tmp_path: Path
+) -> None:
+    """Python forgets interrupts in texts run by `exec` and exceptions in finalizers."""
+    (tmp_path / "program.py").write_text(f"""
+import signal, sys
+import seqid_cli.commands.completion as completion
+signal.signal(signal.{name}, signal.{before})  # tests that run in the background ignore some
+words = completion.all_words()
+def interrupted():
+    {during.format(name)}
+    return words
+completion.all_words = interrupted
+sys.argv = ["seqid", "completion", "bash"]
+from seqid_cli.__main__ import main
+sys.exit(main())
+""")
+    command = [sys.executable, "-m", "program"]  # run as a script, Python forgets the interrupt
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)
+    assert done.returncode == code
+    assert done.stderr == (b"seqid completion: interrupted\n" if code else b"")
+
+
+def test_a_reader_that_leaves_early_is_no_error() -> None:
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "wb") as closed:
+        assert ran("completion", "bash", stdout=closed) == (0, "", "")
+
+
+WATCHED = """
+import sys
+
+def watch(event, arguments):
+    if event.startswith(("socket.connect", "socket.bind", "socket.getaddrinfo", "subprocess.",
+                         "os.system", "os.exec", "os.posix_spawn", "os.spawn", "pickle.find_class",
+                         "urllib.", "ftplib.", "smtplib.", "webbrowser.")):
+        sys.stderr.write(f"FORBIDDEN {event} {arguments}\\n")
+
+sys.addaudithook(watch)
+from seqid_cli.__main__ import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("own", [True, False], ids=["a run", "the watch sees"])
+def test_the_whole_way_keeps_to_itself(own: bool, tmp_path: Path) -> None:
+    text = WATCHED if own else WATCHED.replace("\nfrom", "\nimport os; os.system('true')\nfrom")
+    words = ("run", str(ONE_JOINT), *ROBOT, "-o", str(tmp_path)) if own else ("--version",)
+    command = [sys.executable, "-c", text, *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert ("FORBIDDEN os.system" in done.stderr) != own
+    assert ("FORBIDDEN" in done.stderr) != own
+
+
+MODULES = "socket|subprocess|pickle|shelve|marshal|ctypes|runpy|http|webbrowser|urllib|ftplib"
+FORBIDDEN = re.compile(
+    rf"^ *(?:import|from) (?:{MODULES}|smtplib|asyncio)\b"
+    r"|(?<![\w.])(?:eval|exec|compile)\(|\bos\.(?:system|popen|exec)",
+    flags=re.MULTILINE,
+)
+
+
+def test_the_source_has_no_way_out() -> None:
+    """Nothing that starts programs, opens connections or runs what it reads."""
+    files = (ROOT / "seqid_cli").rglob("*.py")
+    found = {path.name: FORBIDDEN.findall(path.read_text("utf-8")) for path in files}
+    assert [(name, ways) for name, ways in found.items() if ways] == []
+
+
+@pytest.mark.slow
+def test_a_plug_in_loads_only_when_it_is_named(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    about = rig.folder / "stranger-1.0.dist-info"
+    about.mkdir()
+    (about / "METADATA").write_text("Name: stranger\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[seqid.effects]\nstrange_drag = stranger:effect\n")
+    (rig.folder / "stranger.py").write_text("raise RuntimeError('was loaded')\n")
+    monkeypatch.syspath_prepend(str(rig.folder))
+    log, model = (str(ONE_JOINT / x) for x in ("changed/held_out.parquet", "golden.json"))
+    given = (ONE_JOINT / "robot.toml").read_text()
+    for more, loaded in (("", False), ('\n[[effect]]\nname = "strange_drag"\n', True)):
+        (rig.folder / "robot.toml").write_text(given + more)
+        done = rig.run("diagnose", log, "-r", "robot.toml", "-p", model)
+        assert ("was loaded" in done.err) == loaded

@@ -9,18 +9,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from seqid_cli.commands.screen.layout import format_table, visible, visible_cell
+from seqid_cli.commands.screen.layout import visible, visible_cell
 from seqid_cli.commands.screen.progress import ProgressLine
 from seqid_cli.commands.screen.render import Screen
 from seqid_cli.commands.screen.show import show_stages, verdict_text
 from seqid_cli.commands.screen.show_diagnosis import parameters_text
 from seqid_cli.params.schema import EffectOfJoint, Parameter, Verdict
-from tests import ROOT
-from tests.commands.conftest import Rig
+from tests.commands.conftest import ONE_JOINT, SAMPLE_LOGS, Rig
 from tests.unit.logs.writers import write_raw
 from tests.unit.params.documents import inertia_file, robot
 
-SAMPLES = ROOT / "sample_logs" / "one_joint"
 EVIL = "a\x1b]0;owned\x07\x9b2J\u202etxt\x00b"
 STEERING = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e]")
 
@@ -35,9 +33,7 @@ def test_nothing_that_steers_is_left(text: str) -> None:
 
 
 @pytest.mark.parametrize("color", [False, True])
-def test_every_way_to_the_screen_shows_them(
-    color: bool, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_every_way_to_the_screen(color: bool, capsys: pytest.CaptureFixture[str]) -> None:
     screen = Screen("inspect", verbose=True, color=color)
     screen.table(("log", "x"), [(EVIL, "1")])
     screen.result(EVIL)
@@ -47,9 +43,6 @@ def test_every_way_to_the_screen_shows_them(
     shown = capsys.readouterr()
     assert "]0;owned" in shown.out
     assert not re.search("\x1b\\]|[\x00\x07\x9b\u202e]", shown.out + shown.err)
-
-
-def test_json_stays_json(capsys: pytest.CaptureFixture[str]) -> None:
     Screen("inspect", json=True).document({"name": EVIL})
     text = capsys.readouterr().out
     assert not STEERING.search(text)
@@ -58,7 +51,7 @@ def test_json_stays_json(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_names_of_files_and_topics_do_not_reach_the_terminal(rig: Rig) -> None:
     log = str(rig.folder / f"{EVIL.replace(chr(0), '')}.parquet")
-    shutil.copy(next((SAMPLES / "friction").iterdir()), log)
+    shutil.copy(next((ONE_JOINT / "friction").iterdir()), log)
     topics = {f"/{EVIL}": ("cdr", EVIL, "ros2msg", b"float64 x")}
     bag = str(write_raw(rig.folder / "log.mcap", topics, [(f"/{EVIL}", 0, b"")]))
     refused = (["friction", f"{log}x", "-r", "robot.toml"], ["inspect", bag])
@@ -68,26 +61,10 @@ def test_names_of_files_and_topics_do_not_reach_the_terminal(rig: Rig) -> None:
             assert done.code == (2 if arguments in refused else 0)
             assert "owned" in done.out + done.err
             assert not STEERING.search(done.out + done.err)
-
-
-def test_a_long_name_does_not_fill_the_screen(rig: Rig) -> None:
     done = rig.run("inspect", "x" * 100_000)
     assert done.code == 2
     assert "error" in done.err
     assert len(done.err) < 10_000
-
-
-def test_a_table_fits_the_screen_and_no_number_is_cut() -> None:
-    columns = ["file", *(f"standard error of {k}" for k in range(8)), "verdict"]
-    numbers = [f"{-3.0905e-08 * 10**k:.5g}" for k in range(8)]
-    row = ["a_long_name_of_a_log_of_the_elbow.parquet", *numbers, "poor: the fit leaves 35 %"]
-    other = ["the_other_log.parquet", *row[1:]]
-    text = format_table(columns, [row, other], width=60)
-    assert all(len(line) <= 60 for line in text.splitlines())
-    words = text.split()
-    assert all(words.count(number) == 2 for number in numbers)
-    assert sum(word.startswith("a_l") and word.endswith(".parquet") for word in words) >= 2
-    assert text.count("\n\n") == 2  # three tables, each with the file's name
 
 
 def test_joints_that_slide_have_units_of_their_own(capsys: pytest.CaptureFixture[str]) -> None:
@@ -116,26 +93,14 @@ def test_a_verdict_names_every_reason() -> None:
     assert texts == ["good", "poor: x; y", "-"]
 
 
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 def test_progress_shows_after_a_second_and_vanishes() -> None:
-    stream, clock = Terminal(), Clock()
-    line = ProgressLine(stream, enabled=True, clock=clock)
+    stream, now = io.StringIO(), [0.0]
+    stream.isatty = lambda: True  # type: ignore[method-assign]
+    line = ProgressLine(stream, enabled=True, clock=lambda: now[0])
     line.show(1, 4, "a.mcap")
     with line.hidden():
         assert stream.getvalue() == ""
-    clock.now = 1.5
+    now[0] = 1.5
     line.show(2, 4, "b.mcap")
     assert "[########........] 2/4 b.mcap  2 s, about 2 s left" in stream.getvalue()
     line.close()
@@ -145,23 +110,17 @@ def test_progress_shows_after_a_second_and_vanishes() -> None:
     assert stream.getvalue() == before
 
 
-ONE, TWO, SIX = (ROOT / "sample_logs" / name for name in ("one_joint", "two_joint", "six_joint"))
-
-
 @pytest.mark.parametrize(
-    "words",
+    "line",
     [
-        ("inspect", str(SIX / "validation"), "-r", str(SIX / "robot.toml")),
-        ("compare", str(TWO / "golden.json"), str(TWO / "golden.json")),
-        ("export", str(TWO / "golden.json"), "-r", str(TWO / "robot.toml"), "-o", "arm.yaml"),
-        ("predict", str(ONE / "validation"), "-r", str(ONE / "robot.toml"), "-p",
-         str(ONE / "golden.json"), "-o", "prediction.json"),
+        "inspect six_joint/validation -r six_joint/robot.toml",
+        "compare two_joint/golden.json two_joint/golden.json",
+        "export two_joint/golden.json -r two_joint/robot.toml -o arm.yaml",
+        "predict one_joint/validation -r one_joint/robot.toml -p one_joint/golden.json -o p.json",
     ],
-    ids=lambda words: words[0],
-)  # fmt: skip
-def test_screens_of_80_columns_hold_every_number(
-    words: tuple[str, ...], rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
+)
+def test_80_columns_hold_every_number(line: str, rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    words = [str(SAMPLE_LOGS / word) if "_joint/" in word else word for word in line.split()]
     wide = rig.run(*words)
     for name, value in (("COLUMNS", "80"), ("NO_COLOR", "1")):
         monkeypatch.setenv(name, value)
@@ -173,8 +132,8 @@ def test_screens_of_80_columns_hold_every_number(
     assert numbers <= set(narrow.out.split())
 
 
-def test_a_smooth_term_is_shown_by_what_it_depends_on() -> None:
-    """Its coefficients have no errors to state, its knots tell a person nothing."""
+def test_parameters_are_shown_by_what_tells_a_person_something() -> None:
+    """A smooth term by what it depends on; one that no sample shows without a number."""
     coefficients = [
         Parameter(name=f"c_{k}", value=0.1, std_error=0.0, unit="N m", joint="elbow")
         for k in range(12)
@@ -185,9 +144,6 @@ def test_a_smooth_term_is_shown_by_what_it_depends_on() -> None:
     )
     text = parameters_text(effect)
     assert text == "a smooth function of load, direction, 12 coefficients without errors"
-
-
-def test_a_parameter_that_no_sample_shows_gets_no_number() -> None:
     parameters = [
         Parameter(name=name, value=0.5, std_error=error, unit="kg", joint="")
         for name, error in (("payload_m", 1e150), ("payload_mx", 0.1))

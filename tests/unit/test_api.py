@@ -5,8 +5,6 @@ import inspect as signatures
 import json
 import subprocess
 import sys
-import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -36,31 +34,21 @@ OTHERWISE = {"jobs", "engine", "scheduler"}  # an executor
 WITHOUT = {"completion", "init", "run"}  # a shell's script, a template, and the others in a row
 
 
-def function_of(name: str) -> Callable[..., object]:
-    for package in seqid_cli.PACKAGES:
-        found = getattr(getattr(seqid_cli, package), name, None)
-        if callable(found):
-            return found  # type: ignore[no-any-return]
-    raise AssertionError(name)
-
-
 @pytest.mark.parametrize("name", sorted(set(COMMANDS) - WITHOUT))
 def test_functions_take_what_commands_take(name: str) -> None:
     python_name = name.replace("-", "_")
     module = importlib.import_module(f"seqid_cli.commands.{COMMANDS[name].module}")
-    command, function = getattr(module, python_name), function_of(python_name)
+    packages = [getattr(seqid_cli, package) for package in seqid_cli.PACKAGES]
+    found = [getattr(package, python_name, None) for package in packages]
+    command, function = getattr(module, python_name), next(filter(callable, found))
     asked = set(signatures.signature(command).parameters) - ON_SCREEN_ONLY - OTHERWISE
     taken = signatures.signature(function).parameters
     options = taken["options"].default if "options" in taken else None
     known = set(taken) | set(getattr(options, "__dataclass_fields__", ()))
-    assert {n for n in asked if n not in known} == set()
+    assert asked - known == set()
     assert function.__doc__
-    assert issubclass(_result(function), msgspec.Struct)
-
-
-def _result(function: Callable[..., object]) -> type:
-    found = signatures.signature(function).return_annotation
-    return getattr(sys.modules[function.__module__], found) if isinstance(found, str) else found
+    result = signatures.signature(function, eval_str=True).return_annotation
+    assert issubclass(result, msgspec.Struct)
 
 
 def test_the_result_is_the_commands(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -69,9 +57,7 @@ def test_the_result_is_the_commands(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert run(["friction", str(logs), "-r", str(ROBOT), "-o", str(by_hand)]) == 0
     capsys.readouterr()
     found = identify.friction(logs, ROBOT, output=by_function)
-    shown = capsys.readouterr()
-    assert not shown.out
-    assert not shown.err
+    assert capsys.readouterr() == ("", "")
     assert found.stages.friction is not None
     one, other = (json.loads(path.read_text()) for path in (by_hand, by_function))
     assert one.pop("created") <= other.pop("created")
@@ -84,12 +70,9 @@ def test_results_pass_from_one_function_to_the_next(tmp_path: Path) -> None:
     friction = identify.friction(str(SAMPLES / "friction"), str(ROBOT), ORDERS, output=path)
     by_file = identify.gravity([SAMPLES / "gravity"], ROBOT, path, output=gravity)
     by_document = identify.gravity([SAMPLES / "gravity"], load_robot(ROBOT), friction)
-    assert by_file.stages.gravity is not None
-    assert by_document.stages.gravity is not None
-    first, second = (f.stages.gravity.parameters for f in (by_file, by_document))  # type: ignore[union-attr]
+    first, second = (f.stages.gravity.parameters for f in (by_file, by_document))
     assert [p.value for p in first] == pytest.approx([p.value for p in second], rel=1e-9)
-    same = compare.compare(gravity, gravity)
-    assert same.changed == 0
+    assert compare.compare(gravity, gravity).changed == 0
 
 
 def test_a_table_is_a_log(tmp_path: Path) -> None:
@@ -143,31 +126,24 @@ def test_logs_that_fail_are_left_out_of_one_least_squares(tmp_path: Path) -> Non
     logs = [broken, *sorted((SAMPLES / "inertia").glob("*.parquet"))]
     with pytest.raises(InputError, match="broken"):
         identify.simultaneous(logs, ROBOT)
+    options = identify.SimultaneousOptions(skip_failed=True)
     with pytest.warns(SeqidWarning, match="left out: .*broken"):
-        file = identify.simultaneous(
-            logs, ROBOT, (), identify.SimultaneousOptions(skip_failed=True)
-        )
+        file = identify.simultaneous(logs, ROBOT, (), options)
     assert [log.path for log in file.inputs] == [str(log) for log in logs[1:]]
 
 
-def test_problems_are_exceptions(tmp_path: Path) -> None:
+def test_problems_are_exceptions_and_warnings_pythons(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="does not exist"):
         identify.friction(tmp_path / "none.parquet", ROBOT)
     damaged = tmp_path / "damaged.json"
     damaged.write_text("{")
     with pytest.raises(ConfigError):
         identify.gravity(SAMPLES / "gravity", ROBOT, damaged)
-
-
-def test_warnings_are_pythons(tmp_path: Path) -> None:
-    friction = tmp_path / "friction.json"
-    identify.friction(SAMPLES / "friction", ROBOT, ORDERS, output=friction)
+    friction = identify.friction(SAMPLES / "friction", ROBOT, ORDERS)
     other = tmp_path / "robot.toml"
     other.write_text(ROBOT.read_text().replace("gear_ratio = ", "gear_ratio = 2"))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with pytest.warns(SeqidWarning):
         identify.gravity(SAMPLES / "gravity", other, friction)
-    assert any(issubclass(w.category, SeqidWarning) for w in caught)
 
 
 def test_the_package_is_light_until_it_is_used() -> None:
@@ -180,15 +156,11 @@ def test_the_package_is_light_until_it_is_used() -> None:
     assert done.stdout == "[]\n"
 
 
-def test_documents_show_themselves() -> None:
+def test_documents_show_themselves_and_plots_are_the_reports_drawings() -> None:
     file = msgspec.json.decode(GOLDEN.read_bytes(), type=ParameterFile)
     shown = file._repr_html_()
     assert "<table" in shown
     assert "joint_1" in shown
-
-
-def test_plots_are_the_reports_drawings() -> None:
-    file = msgspec.json.decode(GOLDEN.read_bytes(), type=ParameterFile)
     drawn = report.plot_friction(file, "joint_1")
     assert len(drawn.svg) == 3
     assert all(svg.startswith("<svg") for svg in drawn.svg)

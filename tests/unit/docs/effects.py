@@ -1,8 +1,8 @@
-"""The catalogue of effects as a page, from the registry: `python -m tests.unit.docs.effects`."""
+"""The entries of docs/effects.md, from the registry: `python -m tests.unit.docs.effects`."""
 
 import math
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
@@ -17,133 +17,25 @@ PAGE = ROOT / "docs" / "effects.md"
 # Any geared arm will do: units and names of parameters do not depend on it.
 ROBOT = ROOT / "sample_logs" / "six_joint" / "robot.toml"
 JOINT = 2
-
-INTRODUCTION = """\
-# Effects
-
-What `seqid diagnose` looks for and `seqid refine` can add to a model. The page is made from the
-catalogue in `seqid_cli/model/effects/` by `python -m tests.unit.docs.effects`. How they are
-searched is in [discovery.md](discovery.md), how often they are found in
-[effects_study.md](effects_study.md).
-
-An effect is a torque that is added to the model of its joint:
-
-    tau_measured = tau_model + tau_effect.
-
-Symbols, unless an entry says otherwise: `q`, `v` (or `dq`), `ddq` are position, velocity and
-acceleration of the joint [rad, rad/s, rad/s^2]; `tau` torques at the joint [N m], positive along
-+q; `s(v)` is the direction of motion, -1 to 1, smooth through zero; `t` time [s]; `T` temperature
-[degC] or a time constant [s]; `'` a derivative by time. At a sliding joint read m for rad and N for
-N m. A setting is a number that the torque is not linear in; it is searched.
-
-*Not told apart from* lists what can look the same whatever the motion. What your own logs do not
-tell apart stands in `confusable_with` of the diagnosis, which is decided anew each time. *To
-separate* is the text of `separate_by`.
-"""
-
-# What joins two effects whatever the motion, by pair.
-INSEPARABLE: Mapping[tuple[str, str], str] = {
-    ("asymmetric_friction", "torque_bias"): (
-        "wherever the joint slides, more friction one way is an offset; held still it carries"
-        " anything within its friction, whose middle is shifted alike. Only the part that grows"
-        " with the speed differs. Record ten seconds with the brakes on or the motors off"
-    ),
-    ("torque_bias", "spring"): (
-        "an offset is a spring of no stiffness. A spring can be"
-        " shown by sweeps over the whole range, an offset by itself cannot"
-    ),
-    ("load_dependent_friction", "gear_efficiency"): (
-        "equal losses both ways are load-dependent friction. Losses that differ by half can be"
-        " shown, equal ones cannot; take the simpler name, both predict alike"
-    ),
-    ("quadratic_drag", "nonlinear_viscous"): (
-        "powers of 1.5 to 2.5 differ from a square by a few hundredths of its torque once viscous"
-        " friction is free. A cubic or a root can be shown, a square cannot; both predict alike"
-    ),
-    ("time_skew", "actuator_lag"): (
-        "they are the same to first order, and what is left is above the arm's bandwidth. Log the"
-        " measured current beside the commanded one. Torque that is early is no lag"
-    ),
-}
-
-# What a person sees in the residual, and what may be behind it.
-SYMPTOMS: tuple[tuple[str, tuple[str, ...]], ...] = (
-    (
-        "wrong at low speed, in the direction of motion",
-        ("stribeck", "presliding_hysteresis", "nonlinear_viscous"),
-    ),
-    (
-        "grows with the speed faster or slower than the model",
-        ("quadratic_drag", "nonlinear_viscous"),
-    ),
-    (
-        "grows with the load, changes sign with the direction",
-        ("load_dependent_friction", "gear_efficiency"),
-    ),
-    ("grows with the torque, same in both directions", ("torque_constant", "torque_saturation")),
-    ("larger in one direction", ("asymmetric_friction", "gear_efficiency", "torque_bias")),
-    ("friction falls while the arm warms up", ("thermal_friction", "drift")),
-    (
-        "changes sign with the direction, its size goes with the position",
-        ("position_dependent_friction", "load_dependent_friction", "torque_ripple"),
-    ),
-    ("friction is another than weeks ago", ("friction_change", "thermal_friction")),
-    ("constant, also at rest", ("torque_bias", "payload", "base_tilt")),
-    ("creeps over minutes", ("drift", "thermal_friction")),
-    ("follows the position slowly, once per turn or less", ("spring", "payload", "base_tilt")),
-    ("repeats with the motor's angle", ("torque_ripple", "encoder_eccentricity")),
-    ("keeps its frequency, whatever the speed", ("periodic_disturbance",)),
-    ("spikes at reversals of the velocity", ("presliding_hysteresis", "stribeck", "time_skew")),
-    ("spikes where the load changes its sign", ("backlash",)),
-    ("looks like the slope of the torque", ("time_skew", "actuator_lag", "joint_elasticity")),
-    ("proportional to the joint's own acceleration", ("rotor_inertia", "payload")),
-    ("depends on the speed of a neighbour", ("transmission_coupling", "rotor_inertia")),
-    ("a burst in several joints that does not repeat", ("external_contact",)),
-)
+GENERATED = "## All effects"  # from here on the page is the registry's
 
 
-def page(catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
-    """Return the whole page as Markdown."""
+def rewritten(text: str) -> str:
+    """Return the page with its tables and entries as the catalogue has them."""
     robot = load_robot(ROBOT)
-    parts = [INTRODUCTION, _symptoms(catalogue), _inseparable(), _overview(catalogue)]
-    families = dict.fromkeys(effect.family for effect in catalogue.values())
-    for family in families:
+    parts = [text.partition(GENERATED)[0] + _overview()]
+    for family in dict.fromkeys(effect.family for effect in CATALOGUE.values()):
         parts.append(f"## Family: {family}\n")
-        parts += [_entry(e, robot) for e in catalogue.values() if e.family == family]
+        parts += [_entry(e, robot) for e in CATALOGUE.values() if e.family == family]
     return "\n".join(parts)
 
 
-def _symptoms(catalogue: Mapping[str, Effect]) -> str:
-    covered = {name for _, names in SYMPTOMS for name in names}
-    if covered != set(catalogue):
-        odd = ", ".join(sorted(covered ^ set(catalogue)))
-        message = f"SYMPTOMS and the catalogue differ by {odd}"
-        raise ValueError(message)
-    rows = "".join(f"| {seen} | {_links(names)} |\n" for seen, names in SYMPTOMS)
-    return (
-        "## By what the residual looks like\n\n"
-        "A first guess; `seqid diagnose` decides on numbers.\n\n"
-        "| residual | look at |\n|---|---|\n" + rows
-    )
-
-
-def _inseparable() -> str:
-    """Pairs that stay open, and why."""
-    rows = "".join(f"| {_links(pair)} | {why} |\n" for pair, why in INSEPARABLE.items())
-    return (
-        "## Pairs that no motion settles\n\n"
-        "[`seqid plan discriminate`](plan.md#two-effects-apart) says so beforehand: its verdict is"
-        " poor, with the chance that is left for either truth.\n\n"
-        "| pair | why, and what to record |\n|---|---|\n" + rows
-    )
-
-
-def _overview(catalogue: Mapping[str, Effect]) -> str:
+def _overview() -> str:
     rows = "".join(
         f"| {_links((effect.name,))} | {effect.family} | {_where(effect)} | {_title(effect)} |\n"
-        for effect in catalogue.values()
+        for effect in CATALOGUE.values()
     )
-    return "## All effects\n\n| name | family | of | what it is |\n|---|---|---|---|\n" + rows
+    return f"{GENERATED}\n\n| name | family | of | what it is |\n|---|---|---|---|\n{rows}"
 
 
 def _entry(effect: Effect, robot: Robot) -> str:
@@ -202,15 +94,11 @@ def _corners(setting: Setting) -> list[float]:
 
 
 def _setting(setting: Setting) -> str:
-    ends = [_end(setting.low, "from"), _end(setting.high, "up to")]
-    limits = " ".join(end for end in ends if end)
+    ends = (("from", setting.low), ("up to", setting.high))
+    limits = " ".join(f"{word} {end:g}" for word, end in ends if math.isfinite(end))
     usual = f"usually {' or '.join(f'{x:g}' for x in setting.usual)}" if setting.usual else ""
     remarks = ", ".join(part for part in (limits, usual) if part)
     return f"`{setting.name}` [{_unit(setting.unit)}]" + (f", {remarks}" if remarks else "")
-
-
-def _end(limit: float, word: str) -> str:
-    return f"{word} {limit:g}" if math.isfinite(limit) else ""
 
 
 def _unit(unit: str) -> str:
@@ -234,10 +122,5 @@ def _remarks(effect: Effect) -> Iterator[str]:
         yield "it shifts torque in time, as a wrong clock does"
 
 
-def main() -> None:
-    """Write the page."""
-    PAGE.write_text(page(), encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    PAGE.write_text(rewritten(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

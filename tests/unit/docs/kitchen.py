@@ -1,9 +1,7 @@
 """Runs the commands of the documents, each once, and keeps what they need at hand.
 
 A page has a folder of its own with `sample_logs` in it. What a command reads and no command of the
-page has made is made by the command that a user would have run before: the stages of `one_joint`
-step by step, of `two_joint` from its golden file, of `six_joint` by the classical fit, which is
-quick.
+page has made comes from the golden files, for `six_joint` from the classical fit, which is quick.
 """
 
 import contextlib
@@ -30,14 +28,7 @@ PREDICT = (
     "predict {r}/validation -r {r}/robot.toml -p inertia.json -o prediction.json"
     " --torques torques.parquet"
 )
-LOOKED_AT = ("prediction.json", "torques.parquet", "diagnosis.json")
-# How the files of one_joint come about, each from the one before.
-RECIPES = {
-    "friction.json": "friction {r}/friction -r {r}/robot.toml -o friction.json",
-    "gravity.json": "gravity {r}/gravity {r}/friction -r {r}/robot.toml -p friction.json"
-    " -o gravity.json",
-    "imu.json": "imu-calib {r}/imu -r {r}/robot.toml -p gravity.json -o imu.json",
-    "inertia.json": "inertia {r}/inertia -r {r}/robot.toml -p imu.json -o inertia.json",
+MADE = {
     "prediction.json": PREDICT,
     "torques.parquet": PREDICT,
     "diagnosis.json": "diagnose {r}/validation -r {r}/robot.toml -p inertia.json -o diagnosis.json",
@@ -99,25 +90,20 @@ class Kitchen:
     def _larder(self, own: Path, name: str, rig: str) -> None:
         if (own / name).exists():
             return
-        if name == "export.json" or name.endswith(".urdf"):
-            self._larder(own, "inertia.json", rig)
-            words = EXPORT.format(r=f"sample_logs/{rig}", name=rig).split()
-            (own / "export.json").write_text(self.cook(own, words).out, encoding="utf-8")
-            return
-        usual = name if name in RECIPES else "inertia.json"  # a refined file is one as well
-        if rig == "two_joint" and usual not in LOOKED_AT:
+        exported = name == "export.json" or name.endswith(".urdf")
+        recipe = EXPORT if exported else MADE.get(name, SIMULTANEOUS)
+        if recipe == SIMULTANEOUS and rig != "six_joint":
             shutil.copy(SAMPLES / rig / "golden.json", own / name)
             return
-        recipe = RECIPES[usual]
-        if rig == "six_joint" and usual not in LOOKED_AT:
-            recipe = SIMULTANEOUS
-        words = recipe.format(r=f"sample_logs/{rig}").split()
-        if "-p" in words:
-            self._larder(own, words[words.index("-p") + 1], rig)
+        if recipe != SIMULTANEOUS:
+            self._larder(own, "inertia.json", rig)
+        words = recipe.format(r=f"sample_logs/{rig}", name=rig).split()
         done = self.cook(own, words)
         assert done.code == 0, done.said
-        if not (own / name).exists():
-            shutil.copy(own / words[words.index("-o") + 1], own / name)
+        if exported:
+            (own / "export.json").write_text(done.out, encoding="utf-8")
+        elif not (own / name).exists():
+            shutil.copy(own / "inertia.json", own / name)  # a refined file is one as well
 
 
 def rig_of(words: Sequence[str], default: str = "one_joint") -> str:
@@ -127,25 +113,20 @@ def rig_of(words: Sequence[str], default: str = "one_joint") -> str:
 
 def is_dear(words: Sequence[str]) -> bool:
     """Return whether a command takes long: it is run by `make docs-test` alone."""
-    rig = rig_of(words)
-    if words[0] == "run":
-        return rig == "six_joint"
-    if words[0] in IDENTIFY:
-        return rig != "one_joint"
-    if words[0] == "diagnose":
-        return rig != "one_joint" or not any("validation" in word for word in words)
-    if words[0] in ("inspect", "init"):
-        return rig == "six_joint" and not any("validation" in word for word in words)
-    return words[0] == "refine"
+    rig, new = rig_of(words), any("validation" in word for word in words)
+    return {
+        "run": rig == "six_joint",
+        **dict.fromkeys(IDENTIFY, rig != "one_joint"),
+        "diagnose": rig != "one_joint" or not new,
+        **dict.fromkeys(("inspect", "init"), rig == "six_joint" and not new),
+        "refine": True,
+    }.get(words[0], False)
 
 
 def parsed(words: Sequence[str]) -> dict[str, Any]:
     """Return what the command takes from these words; wrong options raise."""
     with load_command(words[0]).make_context(words[0], list(words[1:])) as context:
         return dict(context.params)
-
-
-RUNS_LAST = "report.html"  # that `run` writes into its folder
 
 
 def read_by(words: Sequence[str]) -> Iterator[str]:
@@ -163,7 +144,7 @@ def written_by(words: Sequence[str]) -> list[str]:
     asked = parsed(words)
     names = WRITTEN[:1] if words[0] == "report" else WRITTEN
     paths = [str(asked[name]) for name in names if asked.get(name) is not None]
-    return [str(Path(path) / RUNS_LAST) for path in paths] if words[0] == "run" else paths
+    return [f"{path}/report.html" for path in paths] if words[0] == "run" else paths
 
 
 @contextlib.contextmanager

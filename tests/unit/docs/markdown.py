@@ -3,7 +3,7 @@
 import re
 import shlex
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tests import ROOT
@@ -85,26 +85,20 @@ def steps(page: Path) -> list[Step]:
     found: list[Step] = []
     known: dict[str, str] = {}
     pages = blocks(page)
-    for number, block in enumerate(pages):
+    for block, after in zip(pages, [*pages[1:], None], strict=False):
         if block.language not in SHELL:
             continue
-        shown = _shown(block, pages[number + 1 : number + 2])
+        told = after is not None and after.language == "text" and after.line - block.end <= 3
+        shown = tuple(after.text.splitlines()) if told else ()
         own = list(_commands(block, known))
         found += own[:-1]
-        found += [Step(page, s.line, s.words, block.exit_code, shown) for s in own[-1:]]
+        found += [replace(step, exit_code=block.exit_code, shown=shown) for step in own[-1:]]
     return found
 
 
-def _shown(block: Block, behind: list[Block]) -> tuple[str, ...]:
-    """Return the output that stands right behind a block of commands."""
-    for after in behind:
-        if after.language == "text" and after.line - block.end <= 3:
-            return tuple(after.text.splitlines())
-    return ()
-
-
 def _commands(block: Block, known: dict[str, str]) -> Iterator[Step]:
-    for number, line in _logical_lines(block):
+    """Yield command lines; those that a backslash continues are put together."""
+    for number, line in enumerate(block.text.replace("\\\n", " ").splitlines(), block.line):
         if given := _ASSIGNMENT.match(line.strip()):
             known[given[1]] = given[2]
             continue
@@ -116,18 +110,6 @@ def _commands(block: Block, known: dict[str, str]) -> Iterator[Step]:
         elif block.language in ("sh", "bash") and not program.startswith("#"):
             message = f"{block.page.name}:{number}: nobody checks {program!r}"
             raise ValueError(message)
-
-
-def _logical_lines(block: Block) -> Iterator[tuple[int, str]]:
-    """Yield lines with those that a backslash continues put together."""
-    whole, start = "", block.line
-    for number, line in enumerate(block.text.splitlines(), block.line):
-        start = start if whole else number
-        if line.endswith("\\"):
-            whole += line[:-1] + " "
-            continue
-        yield start, whole + line
-        whole = ""
 
 
 def links(page: Path) -> Iterator[str]:

@@ -31,24 +31,21 @@ from tests.unit.docs.kitchen import (
     rig_of,
     written_by,
 )
-from tests.unit.docs.markdown import PAGES, ROOT, Block, Step, anchors, blocks, links, steps
+from tests.unit.docs.markdown import PAGES, ROOT, Step, anchors, blocks, links, steps
 
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
 # Pages whose commands `make test` runs: the way of a user who has read no more.
 FIRST = ("README.md", "docs/tutorial.md")
 RUN = [n if n in FIRST else pytest.param(n, marks=pytest.mark.slow) for n in NAMES]
 FULL = bool(os.environ.get("SEQID_DOCS"))
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+ABOUT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT = ABOUT["project"]
 SIX = SAMPLES / "six_joint"
 # What stands for the files that a page takes for granted: their names in the page, and the samples.
 PREPARED: dict[str, dict[str, Path]] = {
     "docs/afternoon.md": {"recorded": SIX},  # the simulated arm records the plan for minutes
     "docs/own_robot.md": {
-        "logs/friction": SIX / "friction",
-        "logs/gravity": SIX / "gravity",
-        "logs/imu": SIX / "imu",
-        "logs/inertia": SIX / "inertia",
-        "logs/validation": SIX / "validation",
+        **{f"logs/{x}": SIX / x for x in ("friction", "gravity", "imu", "inertia", "validation")},
         "my_arm.urdf": SIX / "six_joint.urdf",
     },
 }
@@ -60,10 +57,7 @@ TAKEN_BY_PYTHON: dict[str, dict[str, Path]] = {
 }
 # What the reader is told to write between two blocks, after the first TOML of the page.
 COMPLETED: dict[str, dict[str, Path]] = {
-    "docs/own_robot.md": {
-        "robot.toml": SIX / "robot.toml",
-        "six_joint.urdf": SIX / "six_joint.urdf",
-    }
+    "docs/own_robot.md": {name: SIX / name for name in ("robot.toml", "six_joint.urdf")}
 }
 # Commands with made-up logs and files: they are parsed only.
 MADE_UP = ("logs/monday", "logs/tuesday", "logs/friday", "LOG")
@@ -175,7 +169,7 @@ def _cooked(kitchen: Kitchen, folder: Path, step: Step, rig: str) -> Done | None
     for path in read_by(words):
         if not list(folder.glob(path)) and path.endswith((".json", "torques.parquet")):
             kitchen.fetch(folder, path, rig)
-    done = kitchen.cook(folder, _expanded(folder, words))
+    done = kitchen.cook(folder, [path for word in words for path in _expanded(folder, word)])
     assert done.code == step.exit_code, f"{step}\n{done.said}"
     if target:
         (folder / target).write_text(done.out, encoding="utf-8")
@@ -195,14 +189,9 @@ def _redirected(words: tuple[str, ...]) -> tuple[tuple[str, ...], str]:
     return words[:at], "" if words[at + 1].startswith("~") else words[at + 1]
 
 
-def _expanded(folder: Path, words: tuple[str, ...]) -> list[str]:
-    found: list[str] = []
-    for word in words:
-        matches = (
-            sorted(str(p.relative_to(folder)) for p in folder.glob(word)) if "*" in word else []
-        )
-        found += matches or [word]
-    return found
+def _expanded(folder: Path, word: str) -> list[str]:
+    paths = folder.glob(word) if "*" in word else ()
+    return sorted(str(path.relative_to(folder)) for path in paths) or [word]
 
 
 def _check_shown(step: Step, said: list[str]) -> None:
@@ -225,7 +214,8 @@ def test_python_runs(name: str, kitchen: Kitchen) -> None:
     folder = prepared(kitchen, name, f"{name} python", TAKEN_BY_PYTHON)
     space: dict[str, object] = {}
     for block in blocks(ROOT / name):
-        if not _is_python(block):
+        imports = block.language == "indented" and re.match(r"(from|import) \w", block.text)
+        if block.language != "python" and not imports:
             continue
         for path in re.findall(r'"([\w/]+\.json|\w+\.urdf|torques.parquet)"', block.text):
             if not (folder / path).exists():
@@ -235,24 +225,14 @@ def test_python_runs(name: str, kitchen: Kitchen) -> None:
             exec(code, space)
 
 
-def _is_python(block: Block) -> bool:
-    return block.language == "python" or (
-        block.language == "indented" and re.match(r"(from|import) \w", block.text) is not None
-    )
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_data_can_be_read(name: str) -> None:
-    for block in blocks(ROOT / name):
+def test_data_can_be_read_and_links_lead_somewhere(name: str) -> None:
+    page = ROOT / name
+    for block in blocks(page):
         if block.language == "toml":
             tomllib.loads(block.text)
         elif block.language == "json":
             json.loads(block.text)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_links_lead_somewhere(name: str) -> None:
-    page = ROOT / name
     for link in links(page):
         if link.startswith(("http://", "https://")):
             continue
@@ -290,19 +270,20 @@ def test_every_function_is_told() -> None:
     text = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
     told = set(re.findall(r"^\| `(\w+\.\w+)` \|", text, flags=re.MULTILINE))
     names = {name.replace("-", "_") for name in COMMANDS}
-    packages = {name: getattr(seqid_cli, name) for name in seqid_cli.PACKAGES}
     there = {
         f"{package}.{name}"
-        for package, module in packages.items()
+        for package in seqid_cli.PACKAGES
         for name in names
-        if callable(getattr(module, name, None))
+        if callable(getattr(getattr(seqid_cli, package), name, None))
     }
     assert told == there
 
 
+WORKFLOW = (ROOT / ".github" / "workflows" / "seqid.yml").read_text(encoding="utf-8")
+
+
 def test_the_workflow_makes_targets_that_there_are() -> None:
-    text = (ROOT / ".github" / "workflows" / "seqid.yml").read_text(encoding="utf-8")
-    targets = re.findall(r"run: make ([\w-]+)", text)
+    targets = re.findall(r"run: make ([\w-]+)", WORKFLOW)
     always = {"lint", "types", "test-all", "golden", "docs-test"}
     assert set(targets) == always | {"locked", "test-oldest", "audit", "fuzz"}
     for target in targets:
@@ -311,8 +292,7 @@ def test_the_workflow_makes_targets_that_there_are() -> None:
 
 
 def test_actions_are_pinned_and_dependencies_locked() -> None:
-    text = (ROOT / ".github" / "workflows" / "seqid.yml").read_text(encoding="utf-8")
-    actions = re.findall(r"uses: (\S+)", text)
+    actions = re.findall(r"uses: (\S+)", WORKFLOW)
     assert actions
     assert all(re.fullmatch(r"[\w/-]+@[0-9a-f]{40}", action) for action in actions)
     lock = (ROOT / ".ci" / "requirements.txt").read_text(encoding="utf-8")
@@ -320,30 +300,23 @@ def test_actions_are_pinned_and_dependencies_locked() -> None:
     assert all("--hash=sha256:" in block for block in blocks)
     assert "://" not in lock
     locked = {re.split(r"[=\[ ]", block)[0] for block in blocks}
-    about = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
-    wanted = [*about["project"]["dependencies"], *about["build-system"]["requires"]]
-    wanted += about["project"]["optional-dependencies"]["dev"]
+    wanted = [*PROJECT["dependencies"], *ABOUT["build-system"]["requires"]]
+    wanted += PROJECT["optional-dependencies"]["dev"]
     assert {re.split(r"[<>=\[]", name)[0] for name in wanted} <= locked
 
 
-def test_the_first_page_names_every_command() -> None:
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
-    for name in COMMANDS:
-        assert f"| `{name}` |" in text, name
-
-
-def test_every_page_is_linked_from_the_first() -> None:
+def test_the_first_page_names_every_command_and_links_every_page() -> None:
     first = (ROOT / "README.md").resolve()
+    text = first.read_text(encoding="utf-8")
+    assert [name for name in COMMANDS if f"| `{name}` |" not in text] == []
     linked = {(ROOT / link.partition("#")[0]).resolve() for link in links(first)}
     layouts = ROOT / "docs" / "layouts" / "README.md"
     assert {page.resolve() for page in PAGES} - linked <= {first, layouts.resolve()}
 
 
 def test_the_paths_of_the_map_exist() -> None:
-    """A reader finds by README where a thing is done, so its paths must be there."""
     architecture = (ROOT / "README.md").read_text(encoding="utf-8").split("## Architecture")[1]
-    tables = architecture.split("## ")[0].split("|---|---|")[1:]
-    rows = [line for table in tables for line in table.splitlines() if line.startswith("|")]
+    rows = re.findall(r"^\|.*", architecture.split("## ")[0], flags=re.MULTILINE)
     paths = re.findall(r"`([\w/.]+(?:/|\.py|\.j2))`", "\n".join(rows))
     assert len(paths) > 20
     for path in paths:
@@ -352,11 +325,9 @@ def test_the_paths_of_the_map_exist() -> None:
 
 def test_the_figure_of_proof_is_that_of_the_study() -> None:
     """The rows of README's first table stand in the tables that the study writes."""
-    rows = [
-        line
-        for line in (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
-        if re.match(r"\| (sequential, sliding|simultaneous, sliding|current noise alone) \|", line)
-    ]
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    names = "sequential, sliding|simultaneous, sliding|current noise alone"
+    rows = [row[0] for row in re.finditer(rf"^\| (?:{names}) \|.*", text, flags=re.MULTILINE)]
     measured = (ROOT / "docs" / "measured.md").read_text(encoding="utf-8").splitlines()
     assert len(rows) == 3
     assert set(rows) <= set(measured)

@@ -28,21 +28,9 @@ INSTEAD = {
 }
 # Rooms of the package whose docstrings and messages have been read through; others follow.
 ROOMS = (
-    "compare",
-    "discover/excerpts",
-    "discover/noise",
-    "discover/refinement",
-    "discover/survey",
-    "export",
-    "identify",
-    "inspect",
-    "model/bodies",
-    "motion",
-    "params",
-    "plan",
-    "report",
-    "robot",
-    "scale",
+    *("compare", "discover/excerpts", "discover/noise", "discover/refinement", "discover/survey"),
+    *("export", "identify", "inspect", "model/bodies", "motion", "params", "plan", "report"),
+    *("robot", "scale"),
 )
 WORD = re.compile(rf"\b(?:{'|'.join(INSTEAD)})\b", re.IGNORECASE)
 MARKED = re.compile(r"<!-- study:.*?<!-- /study -->|```.*?```|`[^`\n]*`", re.DOTALL)

@@ -9,6 +9,8 @@ import pinocchio as pin
 
 from seqid_cli.export.formats import Exported, export
 from seqid_cli.export.urdf_tree import bodies_of_urdf
+from seqid_cli.model.effects.fitted import FittedEffect, as_stage
+from seqid_cli.model.effects.registry import CATALOGUE
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Array, Robot
@@ -57,6 +59,14 @@ def states(n: int) -> Array:
     )
 
 
+def with_effect(name: str, joint: int, settings: dict[str, float], c: list[float]) -> Arm:
+    """The six-joint sample robot with one effect more."""
+    robot, stages = sample("six_joint")
+    item = FittedEffect(CATALOGUE[name], joint, settings, np.array(c), np.eye(len(c)))
+    stages.effects = [as_stage(item, robot)]
+    return robot, stages
+
+
 def written(arm: Arm, kind: str) -> Exported:
     return export(*arm, kind=kind)
 
@@ -71,20 +81,14 @@ def rigid(arm: Arm) -> Array:
     return TorqueModel.from_stages(stages, robot).rigid(*states(robot.n))
 
 
-def pinocchio_model(robot: Robot, text: str, armature: Array) -> pin.Model:
-    """Pinocchio's model of a URDF, joints that are not the arm's locked at zero."""
+def pinocchio_torque(robot: Robot, text: str, armature: Array) -> Array:
+    """Torque by Pinocchio of a URDF, joints that are not the arm's locked at zero."""
     model = pin.buildModelFromXML(text)
     others = [k for k in range(1, model.njoints) if model.names[k] not in robot.joint_names]
     model = pin.buildReducedModel(model, others, pin.neutral(model))
     assert tuple(model.names)[1:] == robot.joint_names
     model.gravity.linear = robot.gravity
     model.armature = armature
-    return model
-
-
-def pinocchio_torque(robot: Robot, text: str, armature: Array) -> Array:
-    """Torque by Pinocchio of a URDF."""
-    model = pinocchio_model(robot, text, armature)
     data, start = model.createData(), pin.neutral(model)
     q, dq, ddq = states(robot.n)
     rows = [

@@ -7,7 +7,6 @@ from types import ModuleType
 
 import mujoco
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from seqid_cli.export.code import identifier
@@ -19,7 +18,7 @@ from seqid_cli.robot.types import Array, Robot
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.small import NAMES_GANTRY, urdf_gantry
 from tests.plants.robots.stages import SAMPLES, friction_stage
-from tests.unit.export.arms import Arm, agree, made, pinocchio_model, sample, states, written
+from tests.unit.export.arms import Arm, agree, made, sample, states, written
 
 CC = shutil.which("cc")
 needs_cc = pytest.mark.skipif(CC is None, reason="no C compiler here")
@@ -84,12 +83,6 @@ def test_code_keeps_directions_speed_scales_and_coupled_rotors(tmp_path: Path, l
     check_torques((robot, stages), tmp_path)
 
 
-def frictionless(arm: Arm) -> Arm:
-    stages = arm[1]
-    stages.friction.joints.clear()
-    return arm
-
-
 def numpy_observed(module: ModuleType, rows: Array) -> Array:
     """External torque (N, n) after each row (q, tau) of samples DT apart, from the first on."""
     q, tau = np.split(rows, 2, axis=1)
@@ -99,22 +92,6 @@ def numpy_observed(module: ModuleType, rows: Array) -> Array:
         observer.update(*row, DT)
         found.append(observer.external)
     return np.array(found)
-
-
-@pytest.mark.slow
-def test_momentum_and_what_changes_it_are_those_of_pinocchio(arm: Arm) -> None:
-    """p = M dq and tau - g + C^T dq, with M, C and g by Pinocchio of the exported URDF."""
-    robot, urdf = frictionless(arm)[0], written(arm, "URDF")
-    model = pinocchio_model(robot, urdf.text, urdf.model.armature)
-    data, start, module = model.createData(), pin.neutral(model), numpy_module(arm)
-    for q, v, tau in zip(*states(robot.n), strict=True):
-        at = pin.integrate(model, start, q)
-        M = np.triu(pin.crba(model, data, at))
-        p, drive = module._momentum(q, v, tau)
-        np.testing.assert_allclose(p, (M + np.triu(M, 1).T) @ v, atol=1e-9 * np.abs(p).max())
-        expected = tau + pin.computeCoriolisMatrix(model, data, at, v).T @ v
-        expected -= pin.computeGeneralizedGravity(model, data, at)
-        np.testing.assert_allclose(drive, expected, atol=1e-8 * np.abs(drive).max())
 
 
 @needs_cc
@@ -134,7 +111,8 @@ def test_both_observers_are_the_same(tmp_path: Path, rig: str) -> None:
 @pytest.mark.slow
 def test_a_push_in_mujoco_is_what_the_observer_finds() -> None:
     """The arm falls and swings; from 0.3 s on a torque acts that the motors do not know."""
-    arm = frictionless(sample("six_joint"))
+    arm = sample("six_joint")
+    arm[1].friction.joints.clear()
     model = mujoco.MjModel.from_xml_string(written(arm, "MJCF").text)
     model.opt.timestep, model.opt.integrator = DT / 4, mujoco.mjtIntegrator.mjINT_RK4
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT

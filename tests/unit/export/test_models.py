@@ -10,9 +10,7 @@ from ruamel.yaml import YAML
 
 from seqid_cli.export.formats import export
 from seqid_cli.export.model import ExportModel
-from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
-from seqid_cli.model.effects.fitted import FittedEffect, as_stage
-from seqid_cli.model.effects.registry import CATALOGUE
+from seqid_cli.model.bodies.pseudo_inertia import Body, pseudo_inertia
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.regressor import inverse_dynamics
@@ -25,8 +23,8 @@ from tests.unit.export.arms import (
     mujoco_torque,
     pinocchio_torque,
     rigid,
-    sample,
     states,
+    with_effect,
     written,
 )
 
@@ -60,19 +58,15 @@ def test_ros2_parameters_read_back_as_the_same_bodies(arm: Arm) -> None:
     phi, armature = [], []
     for name in robot.joint_names:
         group = found[name]
-        mass, c = group["mass"], np.array(group["center_of_mass"])
         xx, xy, xz, yy, yz, zz = group["inertia"]
         own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        about = own + mass * (c @ c * np.eye(3) - np.outer(c, c))
-        entries = about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
-        phi.append([mass, *(mass * c), *entries])
+        phi.append(Body(group["mass"], np.array(group["center_of_mass"]), own).standard)
         armature.append(group["armature"])
         assert all(isinstance(group[key], float) for key in ("mass", "armature"))
         assert set(group["friction"]) == {"coulomb", "viscous", "offset", "rms_misfit"}
     q, dq, ddq = states(robot.n)
-    chain = robot.chain
-    torque = inverse_dynamics(chain, robot.gravity, np.array(phi), q, dq, ddq) + armature * ddq
-    agree(torque, rigid(arm))
+    torque = inverse_dynamics(robot.chain, robot.gravity, np.array(phi), q, dq, ddq)
+    agree(torque + armature * ddq, rigid(arm))
 
 
 def test_the_solver_of_ros2_finds_its_chain_in_the_exported_urdf(arm: Arm) -> None:
@@ -113,14 +107,6 @@ def test_ros2_control_commands_the_torque_of_every_joint(arm: Arm) -> None:
         assert given == pytest.approx(expected)
 
 
-def with_effect(name: str, joint: int, settings: dict[str, float], c: list[float]) -> Arm:
-    """The six-joint sample robot with one effect more."""
-    robot, stages = sample("six_joint")
-    item = FittedEffect(CATALOGUE[name], joint, settings, np.array(c), np.eye(len(c)))
-    stages.effects = [as_stage(item, robot)]
-    return robot, stages
-
-
 def test_mujoco_rubs_as_the_exported_friction_does(arm: Arm) -> None:
     """With the torque of bodies and friction applied, MuJoCo's arm accelerates as it should."""
     done = written(arm, "MJCF")
@@ -143,23 +129,22 @@ def test_mujoco_rubs_as_the_exported_friction_does(arm: Arm) -> None:
         np.testing.assert_allclose(data.qacc, a, rtol=0, atol=1e-6 * np.abs(ddq).max())
 
 
-SPRINGS = {
-    "linear": [30.0, -12.0],
-    "counterbalance": [-20.0, 3.0],
-    "cubic": [30.0, -12.0, 4.0, 2.0],
-}
+OLD = int(mujoco.__version__.split(".")[0]) < 4
+LINEAR_ONLY = pytest.mark.skipif(OLD, reason="MuJoCo before 4 has linear springs only")
 
 
-@pytest.mark.parametrize("law", SPRINGS)
-def test_mujoco_pulls_at_a_spring_as_the_effect_does(law: str) -> None:
-    if law == "cubic" and int(mujoco.__version__.split(".")[0]) < 4:
-        pytest.skip("MuJoCo before 4 has linear springs only")
-    arm = with_effect("spring", 2, {"cubic": float(law == "cubic")}, SPRINGS[law])
+@pytest.mark.parametrize(
+    "law",
+    [[30.0, -12.0], [-20.0, 3.0], pytest.param([30.0, -12.0, 4.0, 2.0], marks=LINEAR_ONLY)],
+    ids=["linear", "counterbalance", "cubic"],
+)
+def test_mujoco_pulls_at_a_spring_as_the_effect_does(law: list[float]) -> None:
+    arm = with_effect("spring", 2, {"cubic": float(len(law) > 2)}, law)
     done = written(arm, "MJCF")
     assert "written as it is: spring (elbow)" in " ".join(done.model.notes)
     q = states(6)[0][:, 2]
     expected = rigid(arm)
-    k, zero, cubic, squared = [*SPRINGS[law], 0.0, 0.0][:4]
+    k, zero, cubic, squared = [*law, 0.0, 0.0][:4]
     expected[:, 2] += zero + k * q + squared * q**2 + cubic * q**3
     torque = mujoco_torque(arm[0], done.text)
     agree(torque, expected, 1e-8)
@@ -223,8 +208,7 @@ def test_a_gravity_file_takes_inertias_from_the_urdf(tmp_path: Path) -> None:
 
 def test_what_torque_does_not_show_stays_as_in_the_cad(tmp_path: Path) -> None:
     """Where the CAD itself has the identified torque, it comes out unchanged."""
-    text, names = urdf_6r(), NAMES_6R
-    robot = save_robot(tmp_path, text, names, joint_extra="gear_ratio = 50.0\n")
+    robot = save_robot(tmp_path, urdf_6r(), NAMES_6R, joint_extra="gear_ratio = 50.0\n")
     stages = stages_of(robot, robot.nominal)
     model = export(robot, stages, kind="URDF").model
     np.testing.assert_allclose(model.bodies, robot.nominal, atol=1e-3 * robot.nominal.max())

@@ -15,18 +15,11 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of
 from seqid_cli.plan.discrimination.discriminate import asked, plan_discriminate, pool_of
 from seqid_cli.plan.discrimination.question import Question
-from seqid_cli.plan.discrimination.separation import (
-    BEHIND,
-    Separation,
-    Told,
-    scenes_of,
-    separation_of,
-)
+from seqid_cli.plan.discrimination.separation import BEHIND, Told, scenes_of, separation_of
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Planned
-from seqid_cli.typing import Array
 from tests.plants.arms.vertical import vertical_two_joint
 from tests.plants.robots.lab import robot_of
 from tests.plants.robots.stages import inertia_stage
@@ -84,18 +77,6 @@ def question_of(options: PlanOptions, scenes: Sequence[Scene]) -> Question:
     return Question.of(believed(), *asked(believed().robot, options), scenes)
 
 
-def test_parts_of_the_base_that_no_move_shows_take_nothing_of_an_effect() -> None:
-    # Base columns: one that moves show, its double, and one that is zero; then the effect's.
-    rows = np.random.default_rng(0).normal(size=(50, 2))
-    X = np.column_stack([rows[:, 0], 2.0 * rows[:, 0], np.zeros(50), rows[:, 1]])
-    gram = X.T @ X
-    nothing = np.zeros((4, 4))
-    question = Question(None, ([], []), (0, 0), [], 3, nothing)
-    found = Separation(question, nothing, gram[None], ([], []), 1.0)
-    left = rows[:, 1] - rows[:, 0] * (rows[:, 0] @ rows[:, 1]) / (rows[:, 0] @ rows[:, 0])
-    assert found.effects(gram) == pytest.approx(left @ left, rel=1e-6)
-
-
 def test_power_is_what_the_diagnosis_asks() -> None:
     gain = 4000.0
     asked_for = BEHIND * TEMPER * gain  # 4.7 % of it
@@ -113,26 +94,12 @@ def test_power_is_what_the_diagnosis_asks() -> None:
 # cubic; a lag is never early.
 TOLD = [
     (("asymmetric_friction", "torque_bias"), "torque_bias", (0, 0), (0.95, 0), 0.953, "", "brakes"),
-    (
-        ("quadratic_drag", "nonlinear_viscous"),
-        None,
-        (0, 0.5),
-        (0.01, 1),
-        0.98,
-        "if it is quadratic_drag",
-        "ladder",
-    ),
-    (
-        ("torque_bias", "spring"),
-        "torque_bias",
-        (0, 0),
-        (1e-3, 1),
-        0.0,
-        "if it is torque_bias, the diagnosis drops spring with probability 0 %",
-        "brakes on",
-    ),
+    (("quadratic_drag", "nonlinear_viscous"), None, (0, 0.5), (0.01, 1), 0.98,
+     "if it is quadratic_drag", "ladder"),
+    (("torque_bias", "spring"), "torque_bias", (0, 0), (1e-3, 1), 0.0,
+     "if it is torque_bias, the diagnosis drops spring with probability 0 %", "brakes on"),
     (("time_skew", "actuator_lag"), "actuator_lag", (0.499, 0), (0.501, 1e-3), 0.0, "", ""),
-]
+]  # fmt: skip
 
 
 @pytest.mark.slow
@@ -169,7 +136,11 @@ def test_chances_are_of_what_the_logs_show(viscous: float) -> None:
     pair = replace(OPTIONS, between=("asymmetric_friction", "torque_bias"))
     planned = scenes_for(moves_for(pair).moves)
     question = question_of(pair, planned)
-    logs = [_with(scene, viscous * np.abs(scene.motion.dq[:, 1]) + 0.2) for scene in planned[:2]]
+    logs = []
+    for scene in planned[:2]:
+        tau = scene.modelled_filtered.copy()
+        tau[:, 1] += viscous * np.abs(scene.motion.dq[:, 1]) + 0.2
+        logs.append(replace(scene, motion=replace(scene.motion, tau=tau)))
     found = separation_of(believed(), question, planned, 1.0, logs)
     power = float(found.surely(found.of.sum(axis=0), 0).power)
     everywhere = replace(found, true=(found.true[0][1:], found.true[1][1:]))
@@ -182,13 +153,6 @@ def test_chances_are_of_what_the_logs_show(viscous: float) -> None:
     speeds = np.concatenate([scene.motion.dq[:, 1] for scene in logs])
     size = np.sqrt(np.mean((viscous * np.abs(speeds) + 0.2) ** 2))
     assert found.size == pytest.approx(size, rel=0.3)
-
-
-def _with(scene: Scene, more: Array) -> Scene:
-    """The same data set, with more torque at the second joint."""
-    tau = scene.modelled_filtered.copy()
-    tau[:, 1] += more
-    return replace(scene, motion=replace(scene.motion, tau=tau))
 
 
 @pytest.mark.slow
@@ -208,20 +172,6 @@ def test_chosen_moves_beat_random_ones() -> None:
     assert chosen.stage.separation.power > short.power
 
 
-@pytest.mark.slow
-def test_a_rival_has_the_settings_that_a_diagnosis_may_refine() -> None:
-    pair = replace(OPTIONS, between=("quadratic_drag", "nonlinear_viscous"), duration_s=12.0)
-    question = question_of(pair, scenes_for(moves_for(replace(OPTIONS, duration_s=12.0)).moves))
-    every = [slot.setting["exponent"] for slot in question.slots[1]]
-    grid, exponents = every[: question.true[1]], every[question.true[1] :]
-    assert grid == [0.5, 3.0]
-    assert min(exponents) == 0.3
-    assert max(exponents) == 4.0
-    assert not any(1.8 < x < 2.2 for x in exponents)  # those go by the other's name
-    assert any(1.65 <= x <= 1.8 for x in exponents)
-    assert any(2.2 <= x <= 2.3 for x in exponents)
-
-
 @pytest.mark.parametrize(
     ("between", "joint", "text"),
     [
@@ -232,8 +182,6 @@ def test_a_rival_has_the_settings_that_a_diagnosis_may_refine() -> None:
         (PAIR, None, "needs --joint"),
     ],
 )
-def test_what_cannot_be_asked_is_told(
-    between: tuple[str, ...], joint: str | None, text: str
-) -> None:
+def test_what_cannot_be_asked(between: tuple[str, ...], joint: str | None, text: str) -> None:
     with pytest.raises(UsageError, match=text):
         asked(believed().robot, replace(OPTIONS, between=between, joint=joint))

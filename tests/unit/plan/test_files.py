@@ -1,6 +1,8 @@
-"""Files of planned moves: each holds the move, read back by somebody else's reader."""
+"""Files of planned moves, read back by somebody else's reader; which moves are recorded."""
 
 import re
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import msgspec
@@ -8,10 +10,14 @@ import numpy as np
 import pytest
 from ruamel.yaml import YAML
 
-from seqid_cli.params.results.plan import PlanFile
+from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.screening import Screened
+from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.params.results.plan import PlanFile, PlannedMove
 from seqid_cli.plan.functions import plan
 from seqid_cli.plan.moves.trajectories import RATE_HZ, sampled
 from seqid_cli.plan.options import PlanOptions
+from seqid_cli.plan.recorded import compared
 from tests.plants.robots.sample import SAMPLES, sample_robot
 
 SCALE = 0.5
@@ -92,3 +98,72 @@ def test_other_arms_get_no_urscript(tmp_path: Path) -> None:
     plan("inertia", two, options=options, trajectories=tmp_path / "moves")
     kinds = {path.suffix for path in (tmp_path / "moves").iterdir()}
     assert kinds == {".csv", ".yaml"}
+
+
+LOG_HZ = 100.0
+TWO = sample_robot("two_joint").joint_names
+
+
+@cache
+def planned() -> PlanFile:
+    options = PlanOptions(duration_s=12.0, move_s=4.0, pool=30, sweeps=1, speed_scale=0.5)
+    return plan("inertia", sample_robot("two_joint"), options=options)
+
+
+def log_of(*moves: PlannedMove, scale: float = 1.0) -> Recording:
+    """Moves one after the other with rests, as an arm follows them."""
+    rng = np.random.default_rng(0)
+    parts = []
+    for move in moves:
+        q = sampled(move, TWO, LOG_HZ / scale)[1]
+        parts += [np.tile(q[0], (70, 1)), q, np.tile(q[-1], (50, 1))]
+    q = np.concatenate(parts) + 1e-3 * rng.normal(size=(sum(map(len, parts)), len(TWO)))
+    t = np.arange(len(q)) / LOG_HZ
+    health = Health(rate_hz=LOG_HZ, jitter=0.0)
+    valid = np.ones(len(q), dtype=bool)
+    return Recording(Path("log"), "0" * 64, "made", t=t, q=q, valid=valid, health=health)
+
+
+def status(*logs: Recording) -> list[str]:
+    return [part.status for part in compared(planned(), TWO, [Screened(log, ()) for log in logs])]
+
+
+def test_recorded_moves_are_found_where_they_are() -> None:
+    first, second, third = planned().moves
+    log = log_of(first, third)
+    assert status(log) == ["recorded", "missing", "recorded"]
+    assert status(log, log_of(second)) == ["recorded"] * 3
+    (part, _, _) = compared(planned(), TWO, [Screened(log, ())])
+    assert abs(part.start - 0.7) < 0.1
+    assert status() == ["missing"] * 3
+
+
+def test_spoiled_moves_say_why() -> None:
+    move = planned().moves[0]
+    whole = log_of(move)
+    half = replace(whole, t=whole.t[:300], q=whole.q[:300], valid=whole.valid[:300])
+    gap = replace(whole, valid=(whole.t < 2.0) | (whole.t > 3.0))
+    off = replace(whole, q=whole.q[0] + (whole.q - whole.q[0]) * np.array([1.0, 0.7]))
+    fault = found("position_spikes", "bad")
+    cases = [
+        (Screened(log_of(move, scale=0.5), ()), "at 0.5 of the planned speed"),
+        (Screened(half, ()), "of it is in the log"),
+        (Screened(gap, ()), "of it is in the log"),
+        (Screened(off, ()), f"joint {TWO[1]} is"),
+        (Screened(whole, (fault,)), "bad"),
+    ]
+    for log, text in cases:
+        part = compared(planned(), TWO, [log])[0]
+        assert part.status == "spoiled", text
+        assert text in part.reason
+        later = compared(planned(), TWO, [log, Screened(whole, ())])[0]
+        assert (later.status, later.reason) == ("recorded", "")
+
+
+def test_another_motion_is_no_part_of_the_plan() -> None:
+    other = msgspec.structs.replace(planned().moves[0])
+    other.fourier = {
+        name: msgspec.structs.replace(motion, sine=motion.sine[::-1], centre=0.0)
+        for name, motion in other.fourier.items()
+    }
+    assert status(log_of(other))[0] == "missing"

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from seqid_cli.params.schema import Stages
-from seqid_cli.plan.belief import Belief, belief_of, typical
-from seqid_cli.plan.limits import limits_of
+from seqid_cli.plan.belief import Belief, typical
 from seqid_cli.plan.moves.fourier import COARSE_HZ, COEFFICIENTS, Shapes
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Goal
@@ -19,17 +18,12 @@ from seqid_cli.robot.base_parameters import base_regressor
 from seqid_cli.robot.types import Array
 from tests.plants.robots.sample import sample_robot
 from tests.plants.robots.stages import friction_stage, inertia_stage
+from tests.unit.plan.conftest import believed
 
 Pool = tuple[Array, Array]  # moves that were drawn, their information
 SECONDS = 6.0
 COUNT = 8
-TIGHT = 0.35  # of the torque limits, which some postures break
-
-
-@pytest.fixture(scope="module")
-def belief() -> Belief:
-    robot = sample_robot("six_joint")
-    return belief_of(robot, Stages(), limits_of(robot, ramp_s=0.3))
+OPTIONS = PlanOptions(duration_s=20.0, move_s=5.0, pool=40, sweeps=1)
 
 
 @pytest.fixture(scope="module")
@@ -86,25 +80,13 @@ def test_refinement_lowers_the_error(belief: Belief, goal: Goal, pool: Pool) -> 
 )
 @pytest.mark.parametrize("together", [False, True])
 def test_sample_arms_get_full_rank(name: str, together: bool) -> None:
-    robot = sample_robot(name)
-    belief = belief_of(robot, Stages(), limits_of(robot, ramp_s=0.3))
+    belief = believed(name)
     options = PlanOptions(duration_s=48.0, move_s=SECONDS, together=together, pool=80, sweeps=1)
     planned = plan_inertia(belief, Stages(), options)
     assert planned.stage.rank == planned.stage.structural_rank == belief.basis.size
     assert not planned.stage.not_excited
     assert len(planned.stage.parameters) == belief.basis.size
     assert all(after.error < before.error for before, after in pairwise(planned.stage.growth))
-
-
-def test_a_locked_joint_does_not_move_and_its_parameters_are_named() -> None:
-    robot = sample_robot("two_joint")
-    belief = belief_of(robot, Stages(), limits_of(robot, ramp_s=0.3, locked=["joint_2"]))
-    options = PlanOptions(duration_s=24.0, move_s=SECONDS, pool=40, sweeps=1)
-    planned = plan_inertia(belief, Stages(), options)
-    assert all(move.joints == ["joint_1"] for move in planned.moves)
-    assert planned.stage.not_excited
-    assert planned.stage.rank is not None
-    assert planned.stage.rank < belief.basis.size
 
 
 @pytest.mark.slow
@@ -115,29 +97,21 @@ def test_the_same_seed_gives_the_same_plan(belief: Belief) -> None:
     assert first != plan_inertia(belief, Stages(), replace(options, seed=1))
 
 
-OPTIONS = PlanOptions(duration_s=20.0, move_s=5.0, pool=40, sweeps=1)
-
-
 @pytest.mark.slow
 def test_all_ten_parameters_are_found_on_six_joints() -> None:
     robot = sample_robot("six_joint")
     assert robot.nominal is not None
     stages = Stages(friction=friction_stage(robot), inertia=inertia_stage(robot, robot.nominal))
-    belief = belief_of(robot, stages, limits_of(robot, ramp_s=0.3))
-    planned = plan_payload(belief, stages, OPTIONS)
-    assert planned.stage.rank == planned.stage.structural_rank == 10
-    errors = {p.name: p.std_error for p in planned.stage.parameters}
-    assert len(errors) == 10
-    longer = plan_payload(
-        belief, stages, PlanOptions(duration_s=40.0, move_s=5.0, pool=40, sweeps=1)
-    )
-    after = {p.name: p.std_error for p in longer.stage.parameters}
-    assert np.median([after[name] / errors[name] for name in errors]) < 0.95
+    errors = []
+    for options in (OPTIONS, replace(OPTIONS, duration_s=40.0)):
+        planned = plan_payload(believed("six_joint", stages), stages, options)
+        assert planned.stage.rank == planned.stage.structural_rank == 10
+        errors.append(np.array([p.std_error for p in planned.stage.parameters]))
+    assert len(errors[0]) == 10
+    assert np.median(errors[1] / errors[0]) < 0.95
 
 
-def test_the_load_counts_in_the_torque() -> None:
-    robot = sample_robot("six_joint")
-    belief = belief_of(robot, Stages(), limits_of(robot, ramp_s=0.3))
+def test_the_load_counts_in_the_torque(belief: Belief) -> None:
     moves = typical(belief, seed=0)
     plain, heavy = (loaded(belief, mass).torque(moves, belief.regressor(moves)) for mass in (0, 5))
     assert np.all(heavy[:, :, 1:3].max(axis=(0, 1)) > plain[:, :, 1:3].max(axis=(0, 1)))
@@ -147,9 +121,7 @@ def test_a_planar_arm_names_what_stays_open() -> None:
     robot = sample_robot("two_joint")
     phi = np.tile([1.0, 0.1, 0.0, 0.0, 0.02, 0.0, 0.02, 0.0, 0.0, 0.02], (2, 1))
     stages = Stages(inertia=inertia_stage(robot, phi))
-    stage = plan_payload(
-        belief_of(robot, stages, limits_of(robot, ramp_s=0.3)), stages, OPTIONS
-    ).stage
+    stage = plan_payload(believed("two_joint", stages), stages, OPTIONS).stage
     assert stage.rank == stage.structural_rank == 4
     assert set(stage.not_excited) >= {"payload_mz", "payload_Ixx"}
     assert {p.name for p in stage.parameters} == {f"payload_{k}" for k in ("m", "mx", "my", "Izz")}

@@ -15,10 +15,9 @@ from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.moves.fourier import COEFFICIENTS, Shapes
 from seqid_cli.plan.options import PlanOptions, What
-from seqid_cli.plan.stages.inertia import plan_inertia
 from seqid_cli.plan.stages.payload import loaded
 from seqid_cli.robot.file import load_robot
-from seqid_cli.robot.types import Array, Imu
+from seqid_cli.robot.types import Imu
 from tests.plants.arms.rigs import six_joint, two_joint
 from tests.plants.planned import limits_used
 from tests.plants.robots.sample import sample_robot
@@ -26,7 +25,6 @@ from tests.plants.robots.stages import inertia_stage
 
 RIGS = ("one_joint", "two_joint", "six_joint")
 BODIES = {"two_joint": two_joint().arm.phi, "six_joint": six_joint().arm.phi}
-DENSE_HZ = 1000.0
 ROUNDING = 1e-3  # between the samples on which the amplitude was found, of which 5 % are spare
 
 
@@ -35,11 +33,10 @@ ROUNDING = 1e-3  # between the samples on which the amplitude was found, of whic
 def test_limits_hold_on_dense_samples(rig: str, draw: int, seconds: float) -> None:
     robot = sample_robot(rig)
     limits = limits_of(robot, ramp_s=0.3)
-    rng = np.random.default_rng(draw)
-    size = (3, robot.n)
+    rng, size = np.random.default_rng(draw), (3, robot.n)
     coefficients = rng.uniform(-1.0, 1.0, (*size, COEFFICIENTS))
     drawn = np.dstack([coefficients, rng.uniform(size=size), np.ones(size)])
-    moves = Shapes.over(seconds, DENSE_HZ).moves(drawn, limits)
+    moves = Shapes.over(seconds, 1000.0).moves(drawn, limits)
     assert np.all(moves.q >= limits.lower - 1e-9)
     assert np.all(moves.q <= limits.upper + 1e-9)
     assert np.all(np.abs(moves.dq) <= limits.speed * (1 + 1e-9))
@@ -48,22 +45,21 @@ def test_limits_hold_on_dense_samples(rig: str, draw: int, seconds: float) -> No
         assert np.abs(rest).max() < 1e-9
 
 
-KINDS = ("friction", "gravity", "imu-calib", "inertia", "payload", "validation", "discriminate")
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("what", KINDS)
+@pytest.mark.parametrize(
+    "what",
+    ["friction", "gravity", "imu-calib", "inertia", "payload", "validation", "discriminate"],
+)
 @settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck))
 @given(rig=st.sampled_from(list(BODIES)), spare=st.floats(1.3, 3.0), together=st.booleans())
-def test_every_kind_of_move_keeps_all_limits(
-    what: What, rig: str, spare: float, together: bool
-) -> None:
+def test_every_move_keeps_all_limits(what: What, rig: str, spare: float, together: bool) -> None:
     imu = Imu("tool", 1, np.zeros((3, 3)), np.eye(3), gyro=True)
     robot = replace(sample_robot(rig), imus=(imu,))
     stages = Stages(inertia=inertia_stage(robot, BODIES[rig], error=0.01))
-    limits = limits_of(robot, ramp_s=0.3)
-    belief = belief_of(robot, stages, limits)
-    limits = replace(limits, torque=spare * busy_torque(belief))
+    belief = belief_of(robot, stages, limits_of(robot, ramp_s=0.3))
+    moves = typical(belief, seed=1)  # of all joints; in some the arm only holds itself
+    busy = belief.torque(moves, belief.regressor(moves)).max(axis=(0, 1))
+    limits = replace(belief.limits, torque=spare * busy)
     belief = replace(belief, limits=limits)
     options = PlanOptions(
         duration_s=12.0,
@@ -88,20 +84,13 @@ def test_every_kind_of_move_keeps_all_limits(
         assert np.all(used <= 1 + ROUNDING * np.array([2, 1, 10, 10])), (move.name, used)
 
 
-def busy_torque(belief: Belief) -> Array:
-    """Largest torque (n,) N m of all-joint moves, and where the arm only holds itself."""
-    moves = typical(belief, seed=1)
-    return np.asarray(belief.torque(moves, belief.regressor(moves)).max(axis=(0, 1)))
-
-
-def test_torque_limits_that_gravity_alone_breaks_are_told() -> None:
-    robot = sample_robot("six_joint")
-    limits = limits_of(robot, ramp_s=0.2)
-    torque = limits.torque.copy()
+def test_torque_limits_that_gravity_alone_breaks_are_told(belief: Belief) -> None:
+    torque = belief.limits.torque.copy()
     torque[1] = 1e-3
-    belief = belief_of(robot, Stages(), replace(limits, torque=torque))
-    with pytest.raises(ConfigError, match="shoulder_lift"):
-        plan_inertia(belief, Stages(), PlanOptions(duration_s=10.0, pool=60))
+    weak, options = replace(belief.limits, torque=torque), PlanOptions(duration_s=10.0, pool=60)
+    for what in ("inertia", "friction"):
+        with pytest.raises(ConfigError, match="shoulder_lift"):
+            make_plan(what, belief.robot, weak, Stages(), options)
 
 
 def test_the_tighter_limit_counts_and_none_is_left_is_told() -> None:
@@ -120,9 +109,7 @@ def test_the_tighter_limit_counts_and_none_is_left_is_told() -> None:
 
 
 @pytest.mark.parametrize(("slides", "unit"), [("false", "(rad)"), ("true", "(m)")])
-def test_a_joint_without_limits_is_told_and_may_be_locked(
-    tmp_path: Path, slides: str, unit: str
-) -> None:
+def test_a_joint_without_limits_may_be_locked(tmp_path: Path, slides: str, unit: str) -> None:
     path = tmp_path / "robot.toml"
     joint = '[[joint]]\nname = "{}"\ndh = {{ alpha = 0.0, a = 0.3, d = 0.0, theta0 = 0.0 }}\n'
     path.write_text(

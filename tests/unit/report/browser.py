@@ -1,10 +1,15 @@
-"""A headless Chromium, driven through its debugging pipe: what a page loads, says and shows."""
+"""A headless Chromium, driven through its debugging pipe: what a page loads, says and shows.
+
+`python -m tests.unit.report.browser PAGE.html FOLDER` makes the pictures of the docs.
+"""
 
 import base64
 import json
 import os
 import shutil
 import subprocess
+import sys
+import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -27,14 +32,6 @@ FLAGS = (
     "--remote-debugging-pipe",
 )
 Message = dict[str, Any]
-
-
-def browser_path() -> str:
-    """Return a browser on the PATH; the test is skipped where there is none."""
-    for name in NAMES:
-        if found := shutil.which(name):
-            return found
-    pytest.skip(f"no browser on the PATH: {', '.join(NAMES)}")
 
 
 @dataclass
@@ -63,14 +60,6 @@ class Tab:
                 return dict(answer["result"])
             self._note(answer)
 
-    def wait(self, event: str) -> None:
-        """Wait for an event."""
-        while True:
-            message = self._next()
-            self._note(message)
-            if message.get("method") == event:
-                return
-
     def open(self, path: Path, *, width: int, height: int = 900, dark: bool = False) -> None:
         """Load a file as a screen of this size and theme shows it."""
         self.requests.clear()
@@ -86,30 +75,16 @@ class Tab:
         still = {"name": "prefers-reduced-motion", "value": "reduce"}
         self.call("Emulation.setEmulatedMedia", features=[scheme, still])
         self.call("Page.navigate", url=path.resolve().as_uri())
-        self.wait("Page.loadEventFired")
+        event: Message = {}
+        while event.get("method") != "Page.loadEventFired":
+            event = self._next()
+            self._note(event)
 
     def run(self, script: str) -> Any:
         """Return the value of an expression in the page."""
         found = self.call("Runtime.evaluate", expression=script, returnByValue=True)
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
-
-    def picture(self, path: Path, selector: str = "", height: int = 0) -> None:
-        """Write what the page, or one element of it, looks like as PNG."""
-        more: Message = {}
-        if selector:
-            box = self.run(
-                f"(() => {{ const b = document.querySelector({json.dumps(selector)})"
-                ".getBoundingClientRect(); return [b.x + scrollX, b.y + scrollY, b.width, b.height]"
-                "; })()"
-            )
-            more["clip"] = dict(zip(("x", "y", "width", "height"), box, strict=True), scale=1)
-            if height:
-                more["clip"]["height"] = min(height, more["clip"]["height"])
-        found = self.call(
-            "Page.captureScreenshot", format="png", captureBeyondViewport=bool(selector), **more
-        )
-        path.write_bytes(base64.b64decode(found["data"]))
 
     def _next(self) -> Message:
         while b"\0" not in self._buffer:
@@ -133,8 +108,10 @@ class Tab:
 
 @contextmanager
 def browsing(profile: Path) -> Iterator[Tab]:
-    """Run a browser with a fresh profile and yield its page."""
-    program = browser_path()
+    """Run a browser with a fresh profile; the test is skipped where there is none."""
+    program = next(filter(None, map(shutil.which, NAMES)), None)
+    if program is None:
+        pytest.skip(f"no browser on the PATH: {', '.join(NAMES)}")
     theirs, to = os.pipe()
     back, ours = os.pipe()
     # The browser reads commands from descriptor 3 and answers on 4.
@@ -161,3 +138,26 @@ def browsing(profile: Path) -> Iterator[Tab]:
         process.wait(timeout=20)
         os.close(to)
         os.close(back)
+
+
+def main(page: Path, folder: Path) -> None:
+    """Write what a screen, a phone and a sheet of paper show of a report."""
+    views = {  # name: width and height of the screen, part to show
+        "report": (1280, 860, "#verdict"),
+        "report_dark": (1280, 560, "#torque-2"),
+        "report_phone": (400, 800, "#torque-2"),
+        "report_print": (760, 1000, "#verdict"),
+    }
+    with tempfile.TemporaryDirectory() as profile, browsing(Path(profile)) as tab:
+        for name, (width, height, part) in views.items():
+            tab.open(page, width=width, height=height, dark=name == "report_dark")
+            if name == "report_print":
+                tab.call("Emulation.setEmulatedMedia", media="print")
+            top = "0" if part == "#verdict" else f"document.querySelector('{part}').offsetTop - 60"
+            tab.run(f"scrollTo(0, {top})")
+            found = tab.call("Page.captureScreenshot", format="png")
+            (folder / f"{name}.png").write_bytes(base64.b64decode(found["data"]))
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -1,12 +1,10 @@
 """Documents of the robot of `tests.unit.params.documents`, and torques by their real writer."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -43,8 +41,6 @@ from seqid_cli.params.schema import Verdict
 from tests.plants.robots.made import made_prediction
 from tests.unit.params.documents import JOINTS, diagnosis_file, full_file, inertia_file, log, robot
 
-D = TypeVar("D")
-
 LOGS = ("validation/a.parquet", "validation/b.parquet")
 RATE_HZ = 250.0
 SAMPLES = 4000
@@ -53,29 +49,21 @@ SPIKE = 0.9  # N m, in one sample of the elbow
 
 
 def source(path: str, content: Document) -> Source[Document]:
-    """Return a document as if it had been read."""
+    """A document as if it had been read."""
     return Source(path, hashlib.sha256(encode(content).encode()).hexdigest(), content)
 
 
-def made(kind: type[D], schema: str, **content: Any) -> D:
-    """Return a document about the robot."""
+def made(kind: Any, schema: str, **content: Any) -> Any:
     return kind(schema=schema, created=now(), tool=tool(), robot=robot(), **content)
 
 
 def prediction_file(*, shares: Sequence[float] = (0.02, 0.05)) -> PredictionFile:
-    """Return a prediction of two logs, poor above 30 %."""
-    joints = {
-        name: JointError(
-            rmse=share * 2.0,
-            relative_rmse=share,
-            max_abs=share * 6.0,
-            samples=SAMPLES,
-            rmse_all=share * 1.5,
-            samples_all=2 * SAMPLES,
-            share_sliding=0.5,
-        )
-        for name, share in zip(JOINTS, shares, strict=True)
-    }
+    """A prediction of two logs, poor above 30 %."""
+    counts = {"samples": SAMPLES, "samples_all": 2 * SAMPLES, "share_sliding": 0.5}
+    joints = {}
+    for name, share in zip(JOINTS, shares, strict=True):
+        errors = {"rmse": share * 2.0, "max_abs": share * 6.0, "rmse_all": share * 1.5}
+        joints[name] = JointError(relative_rmse=share, **errors, **counts)
     own = {"samples": SAMPLES, "cutoff_hz": 30.0, "joints": joints}
     logs = [LogPredictionError(path=path, sha256=path.ljust(64, "0"), **own) for path in LOGS]
     poor = {name: f"misses {x:.0%}" for name, x in zip(JOINTS, shares, strict=True) if x >= 0.3}
@@ -92,7 +80,6 @@ def prediction_file(*, shares: Sequence[float] = (0.02, 0.05)) -> PredictionFile
 
 
 def clean_diagnosis() -> DiagnosisFile:
-    """Return a diagnosis that finds nothing."""
     file = diagnosis_file()
     file.verdict, file.findings, file.unexplained = "nothing_missing", [], []
     residual = file.joints["elbow"]
@@ -102,25 +89,24 @@ def clean_diagnosis() -> DiagnosisFile:
 
 
 def made_with(prediction: PredictionFile, parameters: Source[Document]) -> PredictionFile:
-    """Return the prediction as made with a parameter file."""
     prediction.parameters = [FileId(path=parameters.path, sha256=parameters.sha256)]
     return prediction
 
 
 def good_documents() -> list[Source[Document]]:
-    """Return parameters and a prediction of new logs with nothing against them."""
+    """Parameters and a prediction of new logs with nothing against them."""
     parameters = source("inertia.json", inertia_file())
     return [parameters, source("prediction.json", made_with(prediction_file(), parameters))]
 
 
 def all_documents() -> list[Source[Document]]:
-    """Return one document of every kind, of which a refined file shows every section."""
+    """One document of every kind, of which a refined file shows every section."""
     more = {"diagnosis.json": diagnosis_file(), "refined.json": full_file()}
     return [*good_documents(), *(source(path, content) for path, content in more.items())]
 
 
 def before_and_after() -> list[Source[Document]]:
-    """Return both models with a prediction each; the one of before is given first, and poor."""
+    """Both models with a prediction each; the one of before is given first, and poor."""
     documents = all_documents()
     before = made_with(prediction_file(shares=(0.02, 0.5)), documents[0])
     after = made_with(prediction_file(shares=(0.01, 0.02)), documents[3])
@@ -129,7 +115,6 @@ def before_and_after() -> list[Source[Document]]:
 
 
 def payload_file(used: FileId) -> PayloadFile:
-    """Return a payload of a model."""
     errors = {"before": 2.5, "after": 0.125, "relative": 0.0625, "friction_change": 0.04}
     centre = ((0.01, 0.001), (0.02, 0.001), (None, None))
     return made(
@@ -152,7 +137,6 @@ def payload_file(used: FileId) -> PayloadFile:
 
 
 def plan_file() -> PlanFile:
-    """Return a plan of one move."""
     move = PlannedMove(
         name="pair_1",
         stage="inertia",
@@ -183,7 +167,7 @@ def plan_file() -> PlanFile:
 
 
 def predicted_log(path: str, seed: int) -> LogPrediction:
-    """Return torques of one log: the residual of each joint is noise and a line."""
+    """Torques of one log: the residual of each joint is noise and a line."""
     rng = np.random.default_rng(seed)
     t = np.arange(SAMPLES) / RATE_HZ
     q = np.column_stack([np.sin(0.8 * t), np.cos(0.5 * t)])

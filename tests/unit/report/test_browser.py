@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from seqid_cli.report.make import make_report
-from tests.unit.report.browser import Tab, browser_path, browsing
+from tests.unit.report.browser import Tab, browsing
 from tests.unit.report.pages import all_documents, good_documents, write_torques
 
 WIDTHS = (1280, 390)
@@ -16,7 +16,6 @@ WIDTHS = (1280, 390)
 
 @pytest.fixture(scope="module")
 def tab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Tab]:
-    browser_path()
     with browsing(tmp_path_factory.mktemp("profile")) as found:
         yield found
 
@@ -30,35 +29,33 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def assert_fits(tab: Tab, width: int) -> None:
+    """With all its tables open the page is as wide as the screen."""
+    tab.run("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
+    assert tab.run("[document.documentElement.scrollWidth, innerWidth]") == [width, width]
+
+
 @pytest.mark.parametrize("dark", [False, True])
 @pytest.mark.parametrize("width", WIDTHS)
 def test_it_opens_alone_and_fits(tab: Tab, page: Path, width: int, dark: bool) -> None:
     tab.open(page, width=width, dark=dark)
     assert [url for url in tab.requests if not url.startswith("data:")] == [page.as_uri()]
     assert tab.complaints == []
-    tab.run("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
-    assert tab.run("[document.documentElement.scrollWidth, innerWidth]") == [width, width]
+    assert_fits(tab, width)
     ground = tab.run("getComputedStyle(document.body).backgroundColor")
     assert ground == ("rgb(20, 24, 28)" if dark else "rgb(252, 252, 251)")
 
 
-def test_no_table_is_wider_than_its_place_on_a_screen(tab: Tab, page: Path) -> None:
-    tab.open(page, width=1280)
-    tab.run("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
-    wide = tab.run(
-        "Array.from(document.querySelectorAll('.scroll')).filter((item) =>"
-        " item.scrollWidth > item.clientWidth + 1).map((item) => item.ariaLabel)"
-    )
-    assert wide == []
-
-
-def test_it_prints_on_few_sheets(tab: Tab, page: Path) -> None:
+def test_it_is_read_on_a_screen_on_paper_and_on_a_phone(tab: Tab, page: Path) -> None:
     tab.open(page, width=1280)
     pdf = base64.b64decode(tab.call("Page.printToPDF", preferCSSPageSize=True)["data"])
     assert 1 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 9
-
-
-def test_text_in_drawings_stays_readable_on_a_phone(tab: Tab, page: Path) -> None:
+    assert_fits(tab, 1280)
+    wide_tables = tab.run(
+        "Array.from(document.querySelectorAll('.scroll')).filter((item) =>"
+        " item.scrollWidth > item.clientWidth + 1).map((item) => item.ariaLabel)"
+    )
+    assert wide_tables == []
     tab.open(page, width=390)
     smallest = tab.run(
         "Math.min(...Array.from(document.querySelectorAll('svg.plot text'), (text) =>"
@@ -84,11 +81,6 @@ def test_drawings_give_their_values_by_keyboard(tab: Tab, page: Path) -> None:
     assert 15.8 < at < 15.996
 
 
-def press(tab: Tab, kind: str, x: float, y: float, *, shift: bool = False) -> None:
-    held = {"button": "left", "buttons": 1, "clickCount": 1, "modifiers": 8 if shift else 0}
-    tab.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **held)
-
-
 def drag(tab: Tab, start: float, end: float, *, shift: bool = False) -> None:
     """Drag over the first plot, from one share of its width to another."""
     left, top, width = tab.run(
@@ -97,13 +89,13 @@ def drag(tab: Tab, start: float, end: float, *, shift: bool = False) -> None:
         " const [start, end] = svg.querySelector('.panel').dataset.x.split('|').slice(4);"
         " return [box.x + scale * start, box.y + box.height / 3, scale * (end - start)]; })()"
     )
-    press(tab, "mousePressed", left + start * width, top, shift=shift)
-    press(tab, "mouseMoved", left + end * width, top, shift=shift)
-    press(tab, "mouseReleased", left + end * width, top, shift=shift)
+    held = {"button": "left", "buttons": 1, "clickCount": 1, "modifiers": 8 if shift else 0}
+    for kind, at in (("mousePressed", start), ("mouseMoved", end), ("mouseReleased", end)):
+        tab.call("Input.dispatchMouseEvent", type=kind, x=left + at * width, y=top, **held)
 
 
 def seen(tab: Tab) -> list[float]:
-    """Return the first and last place that the first plot shows, as shares of the whole."""
+    """First and last place that the first plot shows, as shares of the whole."""
     return list(
         tab.run(
             "(() => { const all = document.querySelector('.panel[data-x]');"
@@ -200,5 +192,4 @@ def test_long_names_do_not_widen_the_page(tab: Tab, tmp_path: Path, width: int) 
     path = tmp_path / "report.html"
     path.write_text(make_report(documents).html, encoding="utf-8")
     tab.open(path, width=width)
-    tab.run("document.querySelectorAll('details').forEach((item) => { item.open = true; })")
-    assert tab.run("[document.documentElement.scrollWidth, innerWidth]") == [width, width]
+    assert_fits(tab, width)

@@ -1,58 +1,61 @@
+"""The page as a file: it asks for nothing, stays whole on odd input, and says what it said."""
+
 import base64
 import hashlib
 import itertools
 import re
+from html import unescape
 from html.parser import HTMLParser
 from importlib.resources import files
+from pathlib import Path
 
 import pytest
 
-from seqid_cli.params.schema import RigidStage
+from seqid_cli import __version__
+from seqid_cli.params.results.prediction import FileId
+from seqid_cli.params.schema import MotionUse, RigidStage
+from seqid_cli.report import words
+from seqid_cli.report.fleet import fleet_page
 from seqid_cli.report.make import make_report
-from tests.unit.params.documents import friction_file
-from tests.unit.report.pages import all_documents, source, write_torques
+from seqid_cli.report.views import Page
+from tests.transcripts import check_text
+from tests.unit.params.documents import friction_file, inertia_file
+from tests.unit.report.pages import (
+    all_documents,
+    good_documents,
+    made_with,
+    payload_file,
+    plan_file,
+    prediction_file,
+    source,
+    write_torques,
+)
 
 HOSTILE = "<script>alert(1)</script>\"'&{{7*7}}"
 VOID = {"meta", "link", "br", "input", "img"}
 
 
 class Outline(HTMLParser):
-    """What a page consists of."""
+    """The elements of a page in order; what is open is closed."""
 
-    def __init__(self) -> None:
+    def __init__(self, html: str) -> None:
         super().__init__()
         self.tags: list[tuple[str, dict[str, str | None]]] = []
         self.open: list[str] = []
-        self.unbalanced: list[str] = []
-        self.texts: list[str] = []
+        self.feed(html)
+        self.close()
+        assert self.open == []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Note an element."""
         self.tags.append((tag, dict(attrs)))
         if tag not in VOID:
             self.open.append(tag)
 
     def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Note an element without content."""
         self.tags.append((tag, dict(attrs)))
 
     def handle_endtag(self, tag: str) -> None:
-        """Check that what closes was open."""
-        if not self.open or self.open.pop() != tag:
-            self.unbalanced.append(tag)
-
-    def handle_data(self, data: str) -> None:
-        """Note text."""
-        self.texts.append(data)
-
-
-def outline(html: str) -> Outline:
-    parser = Outline()
-    parser.feed(html)
-    parser.close()
-    assert parser.unbalanced == []
-    assert parser.open == []
-    return parser
+        assert self.open.pop() == tag
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +66,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def test_the_page_asks_for_nothing(page: str) -> None:
-    found = outline(page)
+    found = Outline(page)
     for tag, attributes in found.tags:
         assert tag not in ("iframe", "object", "embed", "base", "form", "img")
         for name in ("src", "href", "action", "xlink:href", "srcset", "style"):
@@ -79,7 +82,7 @@ def test_the_page_asks_for_nothing(page: str) -> None:
 def test_the_policy_allows_its_own_style_and_script_only(page: str) -> None:
     (policy,) = [
         attributes["content"]
-        for tag, attributes in outline(page).tags
+        for tag, attributes in Outline(page).tags
         if attributes.get("http-equiv") == "Content-Security-Policy"
     ]
     assert policy.startswith("default-src 'none'; ")
@@ -106,7 +109,7 @@ def test_every_drawing_says_what_it_shows(page: str) -> None:
 
 
 def test_headings_are_in_order_and_ids_are_unique(page: str) -> None:
-    found = outline(page)
+    found = Outline(page)
     levels = [int(tag[1]) for tag, _ in found.tags if re.fullmatch("h[1-6]", tag)]
     assert levels[0] == 1
     assert levels.count(1) == 1
@@ -142,7 +145,7 @@ def test_names_from_files_stay_text() -> None:
         assert "alert(1)</script>" not in html
         assert "&lt;script&gt;alert(1)" in html
         assert "49" not in re.findall(r"<title>(.*?)</title>", html)[0]
-        assert [tag for tag, _ in outline(html).tags].count("script") == 1
+        assert [tag for tag, _ in Outline(html).tags].count("script") == 1
 
 
 @pytest.mark.parametrize(
@@ -196,3 +199,106 @@ def test_colours_contrast_in_both_themes() -> None:
         for name, ground, least in pairs:
             dark, light = sorted(luminance(theme[x]) for x in (name, ground))
             assert (light + 0.05) / (dark + 0.05) >= least, (name, ground)
+
+
+BREAKS = {"h2": "\n# ", "h3": "\n## ", "tr|li|p|caption|figcaption|details|pre": "\n"}
+
+
+def text_of(page: Page) -> str:
+    """Its text in lines, with the first rows of the tables below its figures."""
+    text = page.html.partition("</nav>")[2].partition("</main>")[0]
+    text = re.sub(r'<svg class="marks".*?</svg>', "", text, flags=re.DOTALL)
+    text = re.sub(r"<svg.*?<desc>(.*?)</desc>.*?</svg>", r"[\1]", text, flags=re.DOTALL)
+    for figure in re.findall(r"<figure.*?</figure>", text, flags=re.DOTALL):
+        shown, _, values = figure.partition("<details>")
+        rows = re.findall(r"<tr>.*?</tr>", values, flags=re.DOTALL)
+        text = text.replace(figure, shown + "".join(rows[:3]))
+    text = re.sub(r"\s*\n\s*", " ", text)
+    for tags, mark in BREAKS.items():
+        text = re.sub(rf"<({tags})\b", rf"{mark}<\1", text)
+    text = re.sub(r'<span class="badge (\w+)">', r" (\1) ", text)
+    text = re.sub(r"</(td|th|dd)>", " | ", text).replace("</dt>", ": ")
+    text = unescape(re.sub(r"<[^>]*>", "", text)).replace(f"seqid {__version__}", "seqid")
+    text = re.sub(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ", "DATE", text)
+    text = re.sub(r"\b[0-9a-f]{12}(?:[0-9a-f]{52})?\b", "HASH", text)
+    return "\n".join(line.strip(" |") for line in text.splitlines()) + "\n"
+
+
+def used(log: str, *warnings: str) -> MotionUse:
+    return MotionUse(
+        log=log,
+        source="fused" if not warnings else "encoder",
+        imus=[] if warnings else ["imu_a"],
+        cutoff_hz=20.0,
+        acceleration_error={"shoulder": 0.0123},
+        encoder_error={"shoulder": 0.987},
+        warnings=list(warnings),
+    )
+
+
+def everything(folder: Path) -> Page:
+    """All kinds of documents, and torques."""
+    parameters, *documents, refined = all_documents()
+    lost = [used(f"{name}.parquet", "imu_a is not recorded") for name in "bc"]
+    refined.content.stages.inertia.motion_use = [used("inertia/a.parquet"), *lost]  # type: ignore
+    of = FileId(path=parameters.path, sha256=parameters.sha256)
+    more = [source("payload.json", payload_file(of)), source("plan.json", plan_file())]
+    torques = [write_torques(folder / "t.parquet")]
+    return make_report([parameters, *documents, refined, *more], torques=torques, title="An arm")
+
+
+def parameters_alone(folder: Path) -> Page:
+    """Of a planar arm; what is missing comes with its command."""
+    file = inertia_file()
+    note = "gravity loads no joint"
+    file.stages.gravity = RigidStage(parameters=[], condition=0.0, rank=0, notes=[note])
+    return make_report([source("inertia.json", file)])
+
+
+def friction_of_sliding_joint(folder: Path) -> Page:
+    file = friction_file()
+    file.robot.prismatic = ["elbow"]
+    return make_report([source("friction.json", file)])
+
+
+def fleet(folder: Path) -> Page:
+    parameters, _ = good_documents()
+    poor = made_with(prediction_file(shares=(0.02, 0.5)), parameters)
+    robots = {
+        "cell <1>": good_documents(),
+        "cell 2": [parameters, source("prediction.json", poor)],
+        "cell 3": [parameters],
+    }
+    return fleet_page(robots)
+
+
+PAGES = (everything, parameters_alone, friction_of_sliding_joint, fleet)
+
+
+@pytest.mark.parametrize("make", PAGES, ids=lambda make: make.__name__)
+def test_pages_say_what_they_said(make: object, tmp_path: Path) -> None:
+    assert callable(make)
+    path = Path(__file__).with_name("texts") / f"{make.__name__}.txt"
+    check_text(path, text_of(make(tmp_path)))
+
+
+@pytest.mark.parametrize(
+    ("shown", "expected"),
+    [
+        (words.with_error(-4.21669, 0.00283), ("\u22124.2167", "0.0028")),
+        (words.with_error(2.0, 0.0), ("2.0000", "0")),
+        (words.interval(1.0, 0.0), "\u2013"),
+        (words.number(None), "\u2013"),
+        (words.number(float("nan")), "\u2013"),
+        (words.number(-1.5e-7), "\u22121.50e\u22127"),
+        (words.unit_text("rad/s^2"), "rad/s\u00b2"),
+        (words.unit_text("1"), ""),
+        (words.listed(list("abcdefgh"), 2), "a, b and 6 more"),
+        (words.command("seqid", "LOG...", "-p", "a b.json"), "seqid LOG... -p 'a b.json'"),
+        (words.expression({"m_3": -0.425}, ""), "\u22120.425\u202f<i>m</i><sub>3</sub>"),
+        (words.expression({}, "<b>"), "&lt;b&gt;"),
+        (words.expression({"<b>_1": 1.0}, ""), "&lt;b&gt;_1"),
+    ],
+)
+def test_odd_numbers_names_and_formulas(shown: object, expected: object) -> None:
+    assert shown == expected

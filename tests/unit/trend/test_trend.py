@@ -1,3 +1,5 @@
+"""What changed of robots over dates, beyond its error."""
+
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +16,7 @@ from tests.unit.params.documents import inertia_file
 
 DATES = 12
 ERROR = 0.01
+STEP = np.where(np.arange(DATES) >= 7, 0.1, 0.0)
 
 
 def dated(number: int) -> str:
@@ -41,7 +44,7 @@ def history(
 @pytest.mark.parametrize(
     ("kind", "values", "error"),
     [
-        ("step", np.where(np.arange(DATES) >= 7, 0.1, 0.0), ERROR * np.sqrt(1 / 7 + 1 / 5)),
+        ("step", STEP, ERROR * np.sqrt(1 / 7 + 1 / 5)),
         ("drift", np.linspace(0.0, 0.15, DATES), None),
     ],
 )
@@ -62,7 +65,7 @@ def test_a_healthy_robot_gives_no_alarm() -> None:
 
 
 def test_files_count_in_the_order_of_their_dates_and_quantities_where_two_hold_them() -> None:
-    files = history(1, np.where(np.arange(DATES) >= 7, 0.1, 0.0))
+    files = history(1, STEP)
     found = trend(files)
     alone = replace(files[3].stages.gravity.parameters[0], name="mz_1")
     files[3].stages.gravity.parameters.append(alone)
@@ -71,14 +74,14 @@ def test_files_count_in_the_order_of_their_dates_and_quantities_where_two_hold_t
 
 
 def test_scatter_beyond_the_errors_is_seen(tmp_path: Path) -> None:
-    files = []
     for robot in range(4):
+        folder = tmp_path / f"robot_{robot}"
+        folder.mkdir()
         for number, file in enumerate(history(10 + robot, scatter=3.0)):
-            path = tmp_path / f"robot_{robot}" / f"{number}.json"
-            path.parent.mkdir(exist_ok=True)
-            write_json_atomic(path, file)
-            files.append(path)
-    found = trend(files, TrendOptions(by="folder"), table=tmp_path / "all.parquet")
+            write_json_atomic(folder / f"{number}.json", file)
+    found = trend(
+        sorted(tmp_path.glob("*/*.json")), TrendOptions(by="folder"), table=tmp_path / "all.parquet"
+    )
     assert found.alarm is False
     assert found.robots == [f"robot_{k}" for k in range(4)]
     assert found.inflation["gravity"] == pytest.approx(3.0, rel=0.35)
@@ -106,12 +109,9 @@ def test_friction_that_follows_the_temperature_is_no_change() -> None:
 
 
 def test_an_effect_that_appears_is_told() -> None:
-    files = history(5)
-    for file in files:
-        file.stages.effects = []
-    late = files[8:]
-    for file in late:
-        file.stages.effects = [EffectOfJoint(effect="backlash", joint="elbow")]
+    files, backlash = history(5), EffectOfJoint(effect="backlash", joint="elbow")
+    for number, file in enumerate(files):
+        file.stages.effects = [backlash] if number >= 8 else []
     (entry,) = trend(files).changes
     assert (entry.name, entry.joint, entry.kind) == ("backlash", "elbow", "appeared")
     assert entry.since == dated(8)
@@ -126,8 +126,7 @@ def test_files_that_tell_no_change_are_refused() -> None:
 
 
 def test_the_page_shows_what_changed(tmp_path: Path) -> None:
-    change = np.where(np.arange(DATES) >= 7, 0.1, 0.0)
-    trend(history(1, change), output=tmp_path / "trend.json")
+    trend(history(1, STEP), output=tmp_path / "trend.json")
     made = report(tmp_path / "trend.json", tmp_path / "trend.html")
     assert (made.verdict, made.robot) == ("poor", "arm")
     assert [section.id for section in made.sections] == ["verdict", "robot-1"]

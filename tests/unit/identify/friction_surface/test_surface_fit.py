@@ -95,7 +95,7 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
 def test_both_steps_together_are_the_generalised_least_squares(m: int, l: int) -> None:
     data = data_of(COEFFICIENTS, np.random.default_rng(0), TRUE, doubt=0.05)
     reduced, orders = reduce_trials(data, SCALING), Orders(m, l)
-    fit = SurfaceFit.of(reduced, TRUE, highest_orders([reduced], None, None))
+    fit = SurfaceFit(reduced, TRUE, highest_orders([reduced], None, None))
     entries, covariance = direct(data, TRUE, orders)
     np.testing.assert_allclose(fit.entries(orders).ravel(), entries, atol=1e-8)
     if m == MAX_POSITION_ORDER:  # that of fewer orders allows for what they leave out

@@ -12,8 +12,8 @@ alike and that these logs lack the channels for cannot be ruled out: it is as li
 Effects that another finished model has in its place, or that are a share of another term, count by
 their evidence.
 
-An effect has the same size all the time. Where the finished model leaves more than the noise floor,
-and a term has another size in every block, it may stand for the error of another law.
+An effect has the same size all the time. Where the finished model leaves much above the noise
+floor, and a term has another size in every block, it may stand for the error of another law.
 """
 
 from __future__ import annotations
@@ -55,13 +55,15 @@ def reality(share: float, gain: float, *, of_share: float = 0.7, of_gain: float 
     return float(1.0 / (1.0 + np.exp(-odds)))
 
 
-def steadiness(varied: float, left: float, *, holds: float = 0.7) -> float:
+def steadiness(varied: float, share: float, left: float, *, holds: float = 0.5) -> float:
     """Probability that a term is no error of another law.
 
-    `varied` is the log evidence that its size is another one in every block, `left` what the model
-    leaves in noise floors, and `holds` the share of names that hold where both are large.
+    `varied` is the log evidence that its size is another one in every block, `share` what it takes
+    away of the squared error, `left` what the model leaves in noise floors. A name `holds` as often
+    where its size varies, and as much as there was without it is left above the floor.
     """
-    return float(1.0 - (1.0 - holds) * expit(varied) * (1.0 - 1.0 / max(left, 1.0)))
+    above = np.sqrt(1.0 - np.clip(share, 0.0, 1.0)) * (1.0 - 1.0 / max(left, 1.0))
+    return float(1.0 - (1.0 - holds) * expit(varied) * above)
 
 
 def named(taken: Taken, left: float = 1.0) -> Named:
@@ -69,7 +71,8 @@ def named(taken: Taken, left: float = 1.0) -> Named:
     shares = _shares(taken)
     own = shares.pop(taken.term.name, 0.0)
     others = {name: share for name, share in shares.items() if share > SELDOM}
-    there = reality(taken.share, taken.evidence) * steadiness(taken.varied, left)
+    there = reality(taken.share, taken.evidence)
+    there *= steadiness(taken.varied, taken.share, left)
     every = (*others, *(name for name in taken.untried if name not in others))
     by_itself = there * own / (1.0 + len(taken.untried))
     return Named(there * (own + sum(others.values())), by_itself, every)

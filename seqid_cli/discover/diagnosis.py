@@ -50,7 +50,14 @@ HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 def diagnose(
     recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: DiscoverOptions
 ) -> DiagnosisFile:
-    """Find what a model lacks on these logs (see `usable_logs`); what it has is not missing."""
+    """Find what a model lacks on these logs; what it has is not missing.
+
+    Raises
+    ------
+    InputError
+        If a log carries neither torque nor current, or if all logs' torque is an echo of the
+        command (see `usable_logs`).
+    """
     motion = options.motion
     known = fitted_effects(stages, robot, unexplained=True)
     kept, notes = usable_logs(recordings, robot)

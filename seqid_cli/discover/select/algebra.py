@@ -36,7 +36,10 @@ def half_log_det(factor: Factor) -> float:
 
 
 def bayes_factor(D: Array, d: Array, precision: Array) -> tuple[Array, Array, Array]:
-    """Log Bayes factor, coefficients (..., k), covariance; `precision` is diagonal."""
+    """Log Bayes factor, coefficients (k,) and covariance (k, k); `precision` is diagonal.
+
+    D (..., k, k) and d (..., k) may be of several data sets.
+    """
     size = 1.0 / np.sqrt(np.diag(precision))
     value, vector = np.linalg.eigh(D * np.outer(size, size))
     value = np.maximum(value, 0.0)

@@ -227,13 +227,13 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
 
 
 def _excess(found: Investigation, robot: Robot, joint: int, times: float) -> UnexplainedPart:
-    """Describe what is left at a joint by the smooth term that it is most like."""
+    """Describe what is left at a joint by the smooth term that it is most like, if by any."""
     name, share = robot.joint_names[joint], 1.0 - times**-2
     given = found.ground.stage, joint, found.ground.size
     terms = [*smooth_terms(*given), *smooth_terms(*given, products=True)]
     gained = found.model.linear.gained([term.part for term in terms])
     best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
-    if best is None:
+    if best is None or best[1].evidence <= 0.0:
         return UnexplainedPart(joint=name, depends_on=[], share=share)
     what = best[0].what
     assert isinstance(what, SmoothFunction)

@@ -27,6 +27,8 @@ from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.select.tuning import Tried, Tuner
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
+from seqid_cli.model.effects.scene import Scene
+from seqid_cli.typing import Array
 
 
 def select(
@@ -329,42 +331,69 @@ class Selection:
         In log evidence, by name. What differs between the directions goes with friction over the
         position, which a file without friction trials does not have.
         """
-        model, j, rows, found = self.model, own.term.joint, self.model.ground.stage.rows, {}
+        model, j, found = self.model, own.term.joint, dict[str, float]()
         for effect in (one for one in self.catalogue if own.term.name in one.alike):
             whole = [one for one in model.terms if one.key == (effect.share_of, j)]
             if whole and j is not None:
-                way = rows.of(j, [np.sign(scene.motion.dq[:, j]) for scene in rows.scenes])
-                torque = way * whole[0].part.torque(j, model.coefficients(whole[0]))
-                (share,) = own.linear.predicted([Part({j: torque[:, None]}, np.eye(1))])
+                share = own.linear.predicted([self._share_of(whole[0], effect, j)])[0]
                 found[effect.name] = own.one.predicted.total - share.total
         return found
 
+    def _share_of(self, whole: Term, effect: Effect, j: int) -> Part:
+        """An effect of a joint as shares of a term, of the file's friction, and of the speed."""
+        model, what = self.model, whole.what
+        assert isinstance(what, Candidate)
+
+        def columns(scene: Scene) -> dict[int, Array]:
+            own, friction = what.columns(scene)[j] @ model.coefficients(whole), scene.friction[:, j]
+            speed = scene.motion.dq[:, j]
+            speed = speed * np.linalg.norm(friction) / max(np.linalg.norm(speed), 1e-300)
+            return {j: scene.sign[:, [j]] * np.stack([own, friction, speed], axis=1)}
+
+        rows = model.ground.stage.rows
+        return Part(rows.columns(map(columns, rows.scenes), effect.passes), np.eye(3))
+
     def _untried(self, term: Term) -> tuple[str, ...]:
-        """Effects that look like a term and cannot be looked for at its joint."""
+        """Effects that look like a term and have no share in its place.
+
+        They cannot be looked for at its joint, or stand beside it for the error of its law: the two
+        may be one effect.
+        """
         if not isinstance(term.what, Candidate):
             return ()
         scenes, alike = self.model.ground.stage.scenes, term.what.effect.alike
         likely = (one for one in self.catalogue if one.name in alike)
-        return tuple(one.name for one in likely if one.possible(scenes, term.joint))
+        found = [one.name for one in likely if one.possible(scenes, term.joint)]
+        beside = [one for one in self.model.terms if one.name in alike and one.joint == term.joint]
+        hidden = [one for one in beside if self._hides(term, again(one, self.model))]
+        return (*found, *(one.name for one in hidden if one.name not in found))
 
     def _of_a_law(self, one: Ranked) -> bool:
         """Whether it may be the error of a law: the model's, or a term's that gains more."""
+        model = self.model
+        return model.is_detail(one.term) or any(self._hides(term, one) for term in model.terms)
+
+    def _hides(self, term: Term, one: Ranked) -> bool:
+        """Whether a smaller one may be the error of a term's law."""
         model, channels, gain = self.model, one.term.channels, one.predicted.total
-        others = [t for t in model.terms if t.channels & channels and t is not one.term]
-        greater = [t for t in others if again(t, model).predicted.total > gain]
-        laws = [self._known_to(t, one.term) ** 2 * model.squares(t, channels) for t in greater]
-        return model.is_detail(one.term) or 2.0 * gain < max(laws, default=0.0)
+        if term is one.term or not term.channels & channels:
+            return False
+        if again(term, model).predicted.total <= gain:
+            return False
+        law = self._known_to(term, one.term) ** 2 * model.squares(term, channels)
+        return bool(2.0 * gain < law)
 
     def _known_to(self, term: Term, beside: Term) -> float:
         """Share of a term's torque to which its law is known; less well beside a like term."""
         what, other = term.what, beside.what
-        if not (isinstance(what, Candidate) and isinstance(other, Candidate)):
+        if not isinstance(what, Candidate):
             return self.options.law
-        elsewhere = term.name == beside.name and term.joint != beside.joint
-        alike = beside.name in what.effect.alike or term.name in other.effect.alike
-        if not (elsewhere or alike):
-            return self.options.law
-        return self.options.apart if what.effect.apart else self.options.likeness
+        if isinstance(other, Candidate):
+            elsewhere = term.name == beside.name and term.joint != beside.joint
+            alike = beside.name in what.effect.alike or term.name in other.effect.alike
+            if elsewhere or alike:
+                return self.options.apart if what.effect.apart else self.options.likeness
+        return 0.0 if what.effect.exact else self.options.law
 
 
 def _ranked(linear: Linear, tried: Sequence[Tried]) -> list[Ranked]:

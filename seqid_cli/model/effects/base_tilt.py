@@ -40,6 +40,7 @@ class BaseTilt(Effect):
         Setting("upright", "1", low=0.0, high=1.0, continuous=False),
         *(Setting(name, "rad", -LARGEST_RAD, LARGEST_RAD, False, asked=False) for name in AROUND),
     )
+    exact = True
     alike = ("payload", "spring", "torque_bias")
     separate_by = (
         "an accelerometer on the base, or fast moves of the proximal joints: inertial torque does "

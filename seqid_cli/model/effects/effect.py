@@ -130,6 +130,8 @@ class Effect(abc.ABC):
         is then visible against earlier parameters only.
     apart : bool
         Whether motor and link move apart, so that the parameters take the link's inertia alone.
+    exact : bool
+        Whether nothing is left of it where its coefficients are right: no law of friction is.
     steady : bool
         Whether its torque at a constant speed follows from posture and speed, so that it is known
         what friction trials had of it.
@@ -174,6 +176,7 @@ class Effect(abc.ABC):
     slow: bool = False
     change: bool = False
     apart: bool = False
+    exact: bool = False
     steady: bool = False
     even: bool = False
     drive: bool = False

@@ -29,6 +29,7 @@ class Payload(Effect):
     passes = 1
     change = True
     linear = tuple(Coefficient(f"payload_{kind}", parameter_unit(f"{kind}_1")) for kind in STANDARD)
+    exact = True
     alike = ("base_tilt", "torque_constant", "spring")
     separate_by = (
         "the same motion with and without the payload, and poses that turn the last link against "

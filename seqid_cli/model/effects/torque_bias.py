@@ -24,6 +24,7 @@ class TorqueBias(TorqueMeasurement):
     change = True
     over = "session_time"
     linear = (Coefficient("offset", "N m"),)
+    exact = True
     alike = ("asymmetric_friction", "spring", "drift", "base_tilt")
     separate_by = (
         "ten seconds with the brakes on or the motors without current, before and after, and a "

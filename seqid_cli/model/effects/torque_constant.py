@@ -21,6 +21,7 @@ class TorqueConstant(TorqueMeasurement):
     drive = True
     change = True
     linear = (Coefficient("relative_error", "1", low=-0.9, high=9.0),)
+    exact = True
     alike = ("payload", "torque_saturation", "load_dependent_friction")
     separate_by = (
         "the same motion with and without a payload of known mass, as far out as the arm reaches: "

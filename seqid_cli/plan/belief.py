@@ -22,9 +22,10 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface, friction_torque
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.motion.options import MotionOptions
+from seqid_cli.motion.planned import COEFFICIENTS, Shapes
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.limits import Limits
-from seqid_cli.plan.moves.fourier import COARSE_HZ, COEFFICIENTS, SPARSE, Moves, Shapes
+from seqid_cli.plan.moves.fourier import COARSE_HZ, SPARSE, Moves, placed
 from seqid_cli.robot.base_parameters import (
     Basis,
     base_regressor,
@@ -145,7 +146,7 @@ def typical(belief: Belief, seed: int, *, count: int = 60) -> Moves:
     coefficients = rng.normal(size=(*size, COEFFICIENTS)) * belief.limits.moves[:, None]
     drawn = np.dstack([coefficients, rng.uniform(size=size), np.ones(size)])
     shapes = Shapes.over(10.0, COARSE_HZ)
-    return shapes.moves(drawn, belief.limits).every(SPARSE)
+    return placed(shapes, drawn, belief.limits).every(SPARSE)
 
 
 def _parameters(

@@ -7,6 +7,7 @@ import numpy as np
 from msgspec import structs
 
 from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.planned import sampled
 from seqid_cli.params.document import now, robot_id, tool
 from seqid_cli.params.results.plan import (
     PLAN_SCHEMA,
@@ -21,7 +22,6 @@ from seqid_cli.plan.belief import Belief, belief_of, information_of
 from seqid_cli.plan.discrimination.discriminate import ENOUGH, plan_discriminate
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import Moves
-from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Planned
 from seqid_cli.plan.stages.inertia import plan_inertia, plan_validation

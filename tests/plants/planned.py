@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 
 from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.planned import sampled
 from seqid_cli.params.results.plan import PlanFile, PlannedMove
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.moves.fourier import Moves
-from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.robot.types import Array
 from tests.plants.arms import rigs
 from tests.plants.motions.trajectories import Reference, hold, join

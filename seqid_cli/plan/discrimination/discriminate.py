@@ -14,20 +14,14 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.registry import catalogue_of
+from seqid_cli.motion.planned import REST_S, Shapes
 from seqid_cli.params.results.plan import EffectSeparation, PlannedMove, PlannedStage
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
 from seqid_cli.plan.discrimination.question import Question
 from seqid_cli.plan.discrimination.separation import Separation, scenes_of, separation_of
-from seqid_cli.plan.moves.fourier import COARSE_HZ, Shapes
-from seqid_cli.plan.moves.strokes import (
-    REST_S,
-    overloads,
-    postures_of,
-    reachable,
-    stroke_move,
-    top_speed,
-)
+from seqid_cli.plan.moves.fourier import COARSE_HZ
+from seqid_cli.plan.moves.strokes import overloads, postures_of, reachable, stroke_move, top_speed
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Goal, Planned
 from seqid_cli.plan.stages.search import check_torque, draw_pool, within_limits

@@ -40,11 +40,11 @@ from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import Motion
+from seqid_cli.motion.planned import RATE_HZ, sampled
 from seqid_cli.params.results.plan import PlannedMove
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import NOISE_HZ, Belief
 from seqid_cli.plan.discrimination.question import Question, Slot, gram_of
-from seqid_cli.plan.moves.trajectories import RATE_HZ, sampled
 from seqid_cli.typing import Array
 
 BEHIND = float(np.log(1.0 / SELDOM - 1.0))  # tempered gain by which a rival is not told

@@ -12,10 +12,9 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from seqid_cli.motion.planned import RATE_HZ, REST_S, sampled
 from seqid_cli.params.files import write_text_atomic
 from seqid_cli.params.results.plan import PlannedMove
-from seqid_cli.plan.moves.strokes import REST_S
-from seqid_cli.plan.moves.trajectories import RATE_HZ, sampled
 from seqid_cli.robot.types import Array, Robot
 
 POINT_HZ = 25.0  # of JointTrajectory: controllers interpolate positions, speeds, accelerations

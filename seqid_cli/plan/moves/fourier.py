@@ -1,13 +1,8 @@
 """Fourier moves that start and stop smoothly, and whose limits hold by construction.
 
-A joint follows q(t) = c + A y(t) with the shape
-
-    y(t) = w(t) sum_k [a_k sin(k W t) + b_k cos(k W t)],    W = 2 pi / T.
-
-The window w rises from 0 to 1 over half a period of the highest harmonic, as
-10 x^3 - 15 x^4 + 6 x^5, and falls alike, so that position, velocity and acceleration meet rest. The
-amplitude A is the largest that range, speed and acceleration allow; the centre c is placed by a
-share in [0, 1] of the room that is left. So every set of coefficients is a move within the limits.
+A joint follows q(t) = c + A y(t) with the shapes y(t) of `motion.planned`. The amplitude A is the
+largest that range, speed and acceleration allow; the centre c is placed by a share in [0, 1] of the
+room that is left. So every set of coefficients is a move within the limits.
 
 M moves are drawn as an array (M, n, 2 K + 2): for each joint the coefficients a_1, b_1, a_2, ...,
 then at `PLACE` its share of the free room and at `EXTENT` that of the largest amplitude. A joint
@@ -22,11 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.params.results.plan import HARMONICS
+from seqid_cli.motion.planned import COEFFICIENTS, Shapes
 from seqid_cli.plan.limits import Limits
 from seqid_cli.robot.types import Array
 
-COEFFICIENTS = 2 * HARMONICS
 PLACE, EXTENT = COEFFICIENTS, COEFFICIENTS + 1
 COARSE_HZ = 25.0  # five samples and more to a period of the highest harmonic of a 2 s move
 SPARSE = 4  # of the coarse samples, one in so many carries the information
@@ -55,49 +49,19 @@ class Moves:
         return Moves(self.t, self.q[which], self.dq[which], self.ddq[which])
 
 
-@dataclass(frozen=True)
-class Shapes:
-    """The 2 K shapes of unit coefficients and their first two derivatives, each (2 K, N)."""
-
-    t: Array
-    y: Array
-    dy: Array
-    ddy: Array
-
-    @classmethod
-    def over(cls, seconds: float, rate_hz: float) -> Shapes:
-        """Sample them from 0 to `seconds`, both ends included."""
-        t = np.linspace(0.0, seconds, round(seconds * rate_hz) + 1)
-        w, dw, ddw = _window(t, seconds, seconds / (2 * HARMONICS))
-        pace = 2 * np.pi / seconds * np.repeat(np.arange(1, HARMONICS + 1), 2)[:, None]
-        lag = np.tile([0.0, np.pi / 2], HARMONICS)[:, None]
-        s, ds = np.sin(pace * t + lag), pace * np.cos(pace * t + lag)
-        dds = -(pace**2) * s
-        return cls(t, w * s, dw * s + w * ds, ddw * s + 2 * dw * ds + w * dds)
-
-    def moves(self, drawn: Array, limits: Limits) -> Moves:
-        """Scale and place shapes so that they use the limits and keep them."""
-        y, dy, ddy = (drawn[..., :COEFFICIENTS] @ part for part in (self.y, self.dy, self.ddy))
-        low = y.min(axis=2)
-        span = y.max(axis=2) - low
-        room = limits.range
-        used = [span, np.abs(dy).max(axis=2), np.abs(ddy).max(axis=2)]
-        allowed = [room, limits.speed, limits.acceleration]
-        factors = [a / np.maximum(b, 1e-12) for a, b in zip(allowed, used, strict=True)]
-        amplitude = np.min(factors, axis=0)
-        still = span <= 0
-        amplitude = np.where(still, 0.0, drawn[..., EXTENT] * amplitude)
-        free = limits.lower + drawn[..., PLACE] * (room - amplitude * span)
-        scaled = [(amplitude[:, :, None] * part).transpose(0, 2, 1) for part in (y, dy, ddy)]
-        centre = free - amplitude * np.where(still, 0.0, low)
-        return Moves(self.t, centre[:, None] + scaled[0], scaled[1], scaled[2])
-
-
-def _window(t: Array, seconds: float, ramp: float) -> tuple[Array, Array, Array]:
-    up, down = np.clip(t / ramp, 0.0, 1.0), np.clip((seconds - t) / ramp, 0.0, 1.0)
-    x = np.minimum(up, down)
-    sign = np.where(up <= down, 1.0, -1.0) / ramp
-    w = x**3 * (10 - 15 * x + 6 * x**2)
-    dw = 30 * x**2 * (1 - x) ** 2
-    ddw = 60 * x * (1 - x) * (1 - 2 * x)
-    return w, sign * dw, ddw / ramp**2
+def placed(shapes: Shapes, drawn: Array, limits: Limits) -> Moves:
+    """Scale and place shapes (M, n, 2 K + 2) so that they use the limits and keep them."""
+    y, dy, ddy = (drawn[..., :COEFFICIENTS] @ part for part in (shapes.y, shapes.dy, shapes.ddy))
+    low = y.min(axis=2)
+    span = y.max(axis=2) - low
+    room = limits.range
+    used = [span, np.abs(dy).max(axis=2), np.abs(ddy).max(axis=2)]
+    allowed = [room, limits.speed, limits.acceleration]
+    factors = [a / np.maximum(b, 1e-12) for a, b in zip(allowed, used, strict=True)]
+    amplitude = np.min(factors, axis=0)
+    still = span <= 0
+    amplitude = np.where(still, 0.0, drawn[..., EXTENT] * amplitude)
+    free = limits.lower + drawn[..., PLACE] * (room - amplitude * span)
+    scaled = [(amplitude[:, :, None] * part).transpose(0, 2, 1) for part in (y, dy, ddy)]
+    centre = free - amplitude * np.where(still, 0.0, low)
+    return Moves(shapes.t, centre[:, None] + scaled[0], scaled[1], scaled[2])

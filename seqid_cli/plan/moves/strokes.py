@@ -1,8 +1,4 @@
-"""Ways of one joint at constant speed, both ways over its range, all others locked.
-
-A stroke gets up to its speed v and back to rest in cosine ramps, v (1 - cos(pi t / r)) / 2, of the
-length r = pi v / (2 a) at which their largest acceleration is a.
-"""
+"""Ways of one joint at constant speed, both ways over its range, all others locked."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,13 +7,12 @@ import numpy as np
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.motion.filters.differentiation import runs
+from seqid_cli.motion.planned import REST_S
 from seqid_cli.params.results.plan import PlannedMove, Stroke
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import Moves
 from seqid_cli.robot.types import Array
-
-REST_S = 0.3  # before the first stroke and after each
 
 
 def top_speed(limits: Limits, j: int, span: float, *, steady: float = 0.5) -> float:
@@ -47,24 +42,6 @@ def lifted(
         if np.sum(load <= 1.0) >= needed:
             break
     return reduced, speed, load
-
-
-def profile(stroke: Stroke, rate_hz: float) -> tuple[Array, Array, Array]:
-    """Position, speed and acceleration (N,) of a stroke, its end included, its start not."""
-    way, v = abs(stroke.end - stroke.start), stroke.speed
-    ramp = np.pi * v / (2.0 * stroke.acceleration)
-    total = way / v + ramp
-    count = int(np.ceil(total * rate_hz))
-    t = np.minimum(np.arange(1, count + 1) / rate_hz, total)
-    up, down = np.minimum(t, ramp), np.clip(t - (total - ramp), 0.0, ramp)
-    pace = np.pi / ramp
-    moved = v * (up / 2 - np.sin(pace * up) / (2 * pace))
-    moved += v * np.clip(t - ramp, 0.0, total - 2 * ramp)
-    moved += v * (down / 2 + np.sin(pace * down) / (2 * pace))
-    speed = v * np.where(t < total - ramp, 1 - np.cos(pace * up), 1 + np.cos(pace * down)) / 2
-    push = v * pace / 2 * np.where(t < ramp, np.sin(pace * up), -np.sin(pace * down))
-    way_sign = np.sign(stroke.end - stroke.start)
-    return stroke.start + way_sign * moved, way_sign * speed, way_sign * push
 
 
 def seconds_of(strokes: Sequence[Stroke]) -> float:

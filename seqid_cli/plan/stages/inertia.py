@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.rigid.posterior import gravity_prior
+from seqid_cli.motion.planned import Shapes
 from seqid_cli.params.results.plan import PlannedStage, PredictedParameter
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
-from seqid_cli.plan.moves.fourier import COARSE_HZ, Moves, Shapes
+from seqid_cli.plan.moves.fourier import COARSE_HZ, Moves
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Goal, Planned, predicted_stage
 from seqid_cli.plan.stages.search import check_torque, draw_pool, optimised, within_limits

@@ -14,18 +14,11 @@ import numpy as np
 from scipy.optimize import Bounds, minimize
 
 from seqid_cli.errors import ConfigError
+from seqid_cli.motion.planned import COEFFICIENTS, Shapes
 from seqid_cli.params.results.plan import HARMONICS, FourierMotion, PlannedMove
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.limits import Limits
-from seqid_cli.plan.moves.fourier import (
-    COARSE_HZ,
-    COEFFICIENTS,
-    EXTENT,
-    PLACE,
-    SPARSE,
-    Moves,
-    Shapes,
-)
+from seqid_cli.plan.moves.fourier import COARSE_HZ, EXTENT, PLACE, SPARSE, Moves, placed
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Goal
 from seqid_cli.robot.types import Array
@@ -99,7 +92,7 @@ def draw_pool(
     for start in range(0, size, at_once):
         where = np.arange(start, min(start + at_once, size))
         for _ in range(max_times + 1):
-            moves = shapes.moves(drawn[where], belief.limits)
+            moves = placed(shapes, drawn[where], belief.limits)
             information[where], overload[where] = assess(belief, goal, moves)
             where = where[overload[where] > 1.0]
             if not len(where):
@@ -107,7 +100,7 @@ def draw_pool(
             drawn[where, :, EXTENT] *= REDUCTION
     kept = overload <= 1.0
     if belief.geometry is not None:
-        kept &= ~belief.collides(shapes.moves(drawn, belief.limits).every(2).q)
+        kept &= ~belief.collides(placed(shapes, drawn, belief.limits).every(2).q)
     return drawn[kept], information[kept]
 
 
@@ -154,13 +147,13 @@ def refine(
     `have` (b, b) is scaled information that is there already.
     """
     drawn = chosen.copy()
-    information, _ = assess(belief, goal, shapes.moves(drawn, belief.limits))
+    information, _ = assess(belief, goal, placed(shapes, drawn, belief.limits))
     total = have + information.sum(axis=0)
     for _ in range(sweeps):
         for k in range(len(drawn)):
             rest = total - information[k]
             drawn[k] = _improved(belief, goal, shapes, rest, drawn[k])
-            moves = shapes.moves(drawn[[k]], belief.limits)
+            moves = placed(shapes, drawn[[k]], belief.limits)
             information[k] = assess(belief, goal, moves)[0][0]
             total = rest + information[k]
     return drawn
@@ -188,7 +181,7 @@ def _improved(
         drawn = np.repeat(start[None], len(x), axis=0)
         drawn[:, moving, :COEFFICIENTS] = x[:, :-n].reshape(len(x), -1, COEFFICIENTS)
         drawn[..., PLACE] = x[:, -n:]
-        return drawn, shapes.moves(drawn, belief.limits)
+        return drawn, placed(shapes, drawn, belief.limits)
 
     def values(x: Array) -> Array:
         """Log of the goal and of the condition (P,), with the penalty on torque."""
@@ -236,7 +229,7 @@ def within_limits(
     shapes, drawn = Shapes.over(options.length_s, dense_hz), drawn.copy()
     where = np.arange(len(drawn))
     for _ in range(most + 1):
-        moves = shapes.moves(drawn, belief.limits)
+        moves = placed(shapes, drawn, belief.limits)
         own = moves[where]
         loads = [belief.overload(x, belief.regressor(x))[0] for x in own.singly()]
         where = where[(np.array(loads) > 1.0) | belief.collides(own.every(4).q)]

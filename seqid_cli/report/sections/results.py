@@ -2,11 +2,11 @@
 
 import numpy as np
 
+from seqid_cli.motion.planned import sampled
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlanFile, PlannedMove, PlannedStage
 from seqid_cli.params.results.tables import Values
-from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.report.chart import figure, small_panel
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.views import (

@@ -11,13 +11,13 @@ import pytest
 from ruamel.yaml import YAML
 
 from seqid_cli.inspect.findings import found
+from seqid_cli.inspect.planned import compared
 from seqid_cli.inspect.screening import Screened
 from seqid_cli.logs.recording import Health, Recording
+from seqid_cli.motion.planned import RATE_HZ, sampled
 from seqid_cli.params.results.plan import PlanFile, PlannedMove
 from seqid_cli.plan.functions import plan
-from seqid_cli.plan.moves.trajectories import RATE_HZ, sampled
 from seqid_cli.plan.options import PlanOptions
-from seqid_cli.plan.recorded import compared
 from tests.plants.robots.sample import SAMPLES, sample_robot
 
 SCALE = 0.5

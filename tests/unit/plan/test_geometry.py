@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from seqid_cli.errors import ConfigError
+from seqid_cli.motion.planned import sampled
 from seqid_cli.plan.functions import plan
-from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot

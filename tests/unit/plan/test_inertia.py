@@ -6,9 +6,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from seqid_cli.motion.planned import COEFFICIENTS, Shapes
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, typical
-from seqid_cli.plan.moves.fourier import COARSE_HZ, COEFFICIENTS, Shapes
+from seqid_cli.plan.moves.fourier import COARSE_HZ, placed
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.goal import Goal
 from seqid_cli.plan.stages.inertia import plan_inertia
@@ -39,7 +40,7 @@ def pool(belief: Belief, goal: Goal) -> Pool:
 
 
 def test_information_is_that_of_the_regressor(belief: Belief, goal: Goal, pool: Pool) -> None:
-    moves = Shapes.over(SECONDS, COARSE_HZ).moves(pool[0][[4]], belief.limits).every(4)
+    moves = placed(Shapes.over(SECONDS, COARSE_HZ), pool[0][[4]], belief.limits).every(4)
     H = base_regressor(belief.robot, belief.basis, moves.q[0], moves.dq[0], moves.ddq[0])
     slide = moves.dq[0] ** 2 / (moves.dq[0] ** 2 + belief.slow**2)
     expected = np.zeros((belief.basis.size, belief.basis.size))
@@ -67,7 +68,7 @@ def test_refinement_lowers_the_error(belief: Belief, goal: Goal, pool: Pool) -> 
     nothing, shapes = np.zeros_like(goal.W), Shapes.over(SECONDS, COARSE_HZ)
     chosen = choose(goal, pool[1], COUNT, nothing)
     better = refine(belief, goal, shapes, pool[0][chosen], nothing, sweeps=1)
-    information, overload = assess(belief, goal, shapes.moves(better, belief.limits))
+    information, overload = assess(belief, goal, placed(shapes, better, belief.limits))
     before = float(goal.errors(pool[1][chosen].sum(axis=0)))
     assert float(goal.errors(information.sum(axis=0))) < 0.9 * before
     assert overload.max() <= 1.0

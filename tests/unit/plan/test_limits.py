@@ -9,11 +9,12 @@ from hypothesis import HealthCheck, given, reject, settings
 from hypothesis import strategies as st
 
 from seqid_cli.errors import ConfigError, UsageError
+from seqid_cli.motion.planned import COEFFICIENTS, Shapes
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of, typical
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
-from seqid_cli.plan.moves.fourier import COEFFICIENTS, Shapes
+from seqid_cli.plan.moves.fourier import placed
 from seqid_cli.plan.options import PlanOptions, What
 from seqid_cli.plan.stages.payload import loaded
 from seqid_cli.robot.file import load_robot
@@ -36,7 +37,7 @@ def test_limits_hold_on_dense_samples(rig: str, draw: int, seconds: float) -> No
     rng, size = np.random.default_rng(draw), (3, robot.n)
     coefficients = rng.uniform(-1.0, 1.0, (*size, COEFFICIENTS))
     drawn = np.dstack([coefficients, rng.uniform(size=size), np.ones(size)])
-    moves = Shapes.over(seconds, 1000.0).moves(drawn, limits)
+    moves = placed(Shapes.over(seconds, 1000.0), drawn, limits)
     assert np.all(moves.q >= limits.lower - 1e-9)
     assert np.all(moves.q <= limits.upper + 1e-9)
     assert np.all(np.abs(moves.dq) <= limits.speed * (1 + 1e-9))

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from seqid_cli.errors import ConfigError
+from seqid_cli.motion.planned import sampled
 from seqid_cli.params.results.plan import PlannedMove
 from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
-from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.plan.options import PlanOptions
 from seqid_cli.plan.stages.sweeps import POSTURES, plan_friction, plan_gravity, plan_imu
 from seqid_cli.robot.base_parameters import base_regressor

@@ -18,10 +18,10 @@ from scipy.signal import correlate
 from seqid_cli.errors import ConfigError
 from seqid_cli.inspect.screening import Screened, read_screened
 from seqid_cli.logs.raw import TimeSource
+from seqid_cli.motion.planned import sampled
 from seqid_cli.params.io import read_any
 from seqid_cli.params.results.inspection import PlannedPart
 from seqid_cli.params.results.plan import PlanFile, PlannedMove
-from seqid_cli.plan.moves.trajectories import sampled
 from seqid_cli.robot.types import Array, Robot
 from seqid_cli.shares import percent
 

@@ -14,7 +14,8 @@ others held, K [N m/rad] the stiffness, D [N m s/rad] the damping. Well below th
 x = -tau_L / K, and only the compliance 1/K matters, which is the coefficient; nearer to it the
 shape depends on K and D too, by the settings `trial_stiffness`, which must agree with 1/K, and
 `damping_ratio`, of critical: looked for first with more of it than a gear has, so that a coarse
-grid of resonances meets the true one, then with less. Spong,
+grid of resonances meets the true one, then with less. In the band a finer grid with less damping
+meets those that ring on. Spong,
 "Modeling and control of elastic joint robots", J. Dyn. Sys. Meas. Control 109(4), 1987; Gautier,
 Jubien, Janot, "New iterative learning identification and model based control of robots using only
 actual motor torque data", IROS 2013.
@@ -34,10 +35,11 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 from seqid_cli.units import unit_of
 
-BLUNT = 0.15  # damping, of critical
-SHARPER = (0.06, 0.03, 0.015)
+BLUNT, RINGING = 0.15, 0.06  # damping, of critical
+SHARPER = (RINGING, 0.03, 0.015)
 SOFTEST, STIFFEST = 0.25, 6.0  # resonance of the grid's ends over the low-pass's cut-off
 POINTS = 8
+TOP, FINE = 1.5, 14  # the same of the finer grid's last, and their number
 AGREEMENT = 4.0  # of compliance and trial stiffness, as a ratio
 LOWEST_RESONANCE = 0.4  # over the cut-off, of a joint whose shape is that of a stiff one
 
@@ -72,12 +74,15 @@ class JointElasticity(Effect):
         assert joint is not None
         inertia = max(float(np.mean(link_inertia(scenes[0], joint)[:, joint])), 1e-9)
         cutoff = scenes[0].motion.lowpass.cutoff_hz
-        share = np.geomspace(SOFTEST, STIFFEST, POINTS)
-        stiffness = inertia * (2 * np.pi * cutoff * share) ** 2
+        unit = inertia * (2 * np.pi * cutoff) ** 2  # N m/rad, of a resonance at the cut-off
+        stiffness = unit * np.geomspace(SOFTEST, STIFFEST, POINTS) ** 2
         link = scenes[0].robot.joints[joint].encoder_side == "link"
         for k in stiffness[:: 1 + link]:
             settings = {"trial_stiffness": float(k), "encoder_side": float(link)}
             yield {**settings, "damping_ratio": BLUNT}
+        for share in () if link else np.geomspace(SOFTEST, TOP, FINE):
+            settings = {"trial_stiffness": float(unit * share**2), "encoder_side": 0.0}
+            yield {**settings, "damping_ratio": RINGING}
 
     def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
         """Torque per unit compliance, on all joints (link's side: on its own)."""

@@ -132,9 +132,9 @@ def _errors(results: Sequence[Result], **of: str) -> list[Array]:
 def group_table(results: Sequence[Result]) -> str:
     subsets: dict[str, Sequence[Result]] = {"all": results}
     for value, trait in [*product(NOISES, ["noise"]), *product(ENCODERS, ["encoder"])]:
-        own = [r for r in results if r[trait] == value]
-        if 0 < len(own) < len(results):
-            subsets[f"{value} {trait}"] = own
+        some = [r for r in results if r[trait] == value]
+        if 0 < len(some) < len(results):
+            subsets[f"{value} {trait}"] = some
     rows = []
     for group, (label, own) in product(GROUPS, subsets.items()):
         z = _errors(own, group=group)
@@ -169,7 +169,7 @@ def relative(rows: Sequence[Row]) -> str:
 
 def coupling_table(results: Sequence[Result]) -> str:
     """What was decided about the coupling of the rotors, or that the stage left it open."""
-    found = Counter()
+    found = Counter[tuple[bool, str]]()
     for result in (r for r in results if "rotor_coupling" in r):
         doubtful = any(words in note for note in result["notes"] for words in OPEN)
         decision = "left open" if doubtful else str(result["rotor_coupling"])

@@ -44,13 +44,10 @@ def study(chosen: Namespace) -> str:
             ("pyarrow iter_batches", "iter_batches", columns, half, 0),
             ("seqid, by blocks", "parquet_blocks", fewer, half // 2, 0),
         ]
+        names = "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)"
         parts = (
             ("JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB", "message", cdr),
-            (
-                "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)",
-                "message",
-                others,
-            ),
+            (names, "message", others),
             ("Parquet, 14 of 29 columns, zstd, row groups of 131,072", "row", tables),
         )
         return "\n\n".join(_compared(*part, rounds) for part in parts)

@@ -5,6 +5,7 @@ import struct
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -38,11 +39,8 @@ def decompress(path: Path) -> int:
 def seqid_blocks(path: Path, **options: Any) -> int:
     """Read everything into arrays, a block at a time."""
     reader = import_module("seqid_cli.logs.mcap.reader")
-    count = 0
-    for raw in reader.read_blocks(path, make_robot(JOINTS, imus=(GYRO,)), **options):
-        count += len(raw.joints)
-        count += sum(len(s) for streams in raw.imus.values() for s in streams)
-    return count
+    blocks = reader.read_blocks(path, make_robot(JOINTS, imus=(GYRO,)), **options)
+    return sum(len(raw.joints) + sum(map(len, chain(*raw.imus.values()))) for raw in blocks)
 
 
 def seqid(path: Path) -> int:

@@ -109,8 +109,7 @@ def _least_squares(rounds: int, *, quick: bool) -> list[list[str]]:
 def _accumulated(H: Array, y: Array) -> Accumulator:
     joint = Accumulator(H.shape[1])
     for start in range(0, len(y), 1000):
-        part = slice(start, start + 1000)
-        joint.add(H[part], y[part])
+        joint.add(H[start : start + 1000], y[start : start + 1000])
     return joint
 
 
@@ -119,12 +118,8 @@ def _result(name: str, cpu: float, unit: str, faster: float, error: float | None
     return [name, f"{cpu:.2f}", unit, f"{faster:.1f}", shown]
 
 
-SECONDS = 40.0
-REPEATS = 3
-
-
 def smoother(chosen: Namespace) -> str:
-    seconds = 4.0 if chosen.quick else SECONDS
+    seconds, repeats = (4.0, 1) if chosen.quick else (40.0, 3)
     rigs = {
         "one joint, one array": Rig(1, 2400, seconds=seconds),
         "six joints, two arrays": Rig(6, 2**17, seconds=seconds),
@@ -134,7 +129,7 @@ def smoother(chosen: Namespace) -> str:
     for label, rig in rigs.items():
         c = case(rig)
         job = partial(_spent, partial(smoothed_motion, c.recording, c.robot, c.stage))
-        cpu = min(job() for _ in range(1 if chosen.quick else REPEATS))
+        cpu = min(job() for _ in range(repeats))
         span = float(np.ptp(c.recording.t))
         rows.append([label, f"{span:.0f}", f"{cpu:.2f}", f"{span / cpu:.0f}"])
     return table(["rig, 1 kHz", "log, s", "CPU, s", "times faster than real time"], rows)

@@ -174,12 +174,10 @@ def ripple(data: str, path: Path, joint: int, order: float, *, there: bool) -> l
     alone, name = robot.n == 1, robot.joint_names[joint]
     found = diagnosed([log], robot, 4 if alone else 6)
     seconds = time.process_time() - start
-    lines = [f for f in found.findings if f.effect in RIPPLE and f.joint == name]
-    orders = [f.settings["order"] for f in lines]
+    here = [f for f in found.findings if f.effect in RIPPLE and f.joint == name]
+    lines = [(f, f.settings["order"]) for f in here]
     # Of 72 cycles per turn half of one counts as the same line.
-    widths = [LINES if own < 10.0 else 0.5 for own in orders]
-    every = zip(lines, orders, widths, strict=True)
-    near = [f for f, own, width in every if abs(own - order) < width]
+    near = [f for f, at in lines if abs(at - order) < (LINES if at < 10.0 else 0.5)]
     asked = f"ripple of order {order:g}" if there else f"no line of order {order:g}: none named"
     left = found.joints[name]
     # The lines of several joints lie above the cut-off, where the model is not judged.
@@ -238,13 +236,9 @@ NOTE = (
 
 def effects(chosen: Namespace) -> str:
     """What was asked and what came out, then one table per robot whose logs are there."""
-    answers: list[list[str]] = []
-    parts: list[str] = []
-    for case in CASES:
-        if not case.missing:
-            found = closed(case)
-            answers += [found.answer(asked) for asked in ASKED[case.name]]
-        parts.append(case.missing or rendered(found))
+    found = {case.name: closed(case) for case in CASES if not case.missing}
+    answers = [one.answer(asked) for name, one in found.items() for asked in ASKED[name]]
+    parts = [case.missing or rendered(found[case.name]) for case in CASES]
     for k in range(1, 7):
         path = UR10E / f"jointwise__ur-20_01_22-joint_{k}.parquet"
         if path.is_file():
@@ -302,9 +296,7 @@ def _named(found: Closed, joint: str | None) -> str:
     """Effects at a joint with their parameters and standard errors."""
     said = []
     for entry in (entry for entry in found.effects if entry.joint == joint):
-        values = [
-            f"{p.name} {number(p.value)} +- {number(p.std_error)} {p.unit}"
-            for p in entry.parameters
-        ]
+        named = [(p, f"{number(p.value)} +- {number(p.std_error)}") for p in entry.parameters]
+        values = [f"{p.name} {value} {p.unit}" for p, value in named]
         said.append(f"{entry.effect} ({', '.join(values)})")
     return "; ".join(said)

@@ -8,20 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tests import Array
-from tests.plants.arms.rigs import (
-    DOWN,
-    GRAVITY,
-    UR5E_ACCELERATION,
-    UR5E_BODIES,
-    UR5E_COULOMB,
-    UR5E_DH,
-    UR5E_NAMES,
-    UR5E_ROTORS,
-    UR5E_SPEED,
-    mounting,
-    off_nominal,
-    standard_parameters,
-)
+from tests.plants.arms import rigs
+from tests.plants.arms.rigs import mounting, off_nominal
 from tests.plants.controller import gains_for
 from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.mechanics.rigid import Arm, Rigid
@@ -35,7 +23,7 @@ from tests.plants.motions.experiments import (
 from tests.plants.robotfile import robot_toml
 from tests.plants.robots.lab import write_log
 from tests.plants.samples import SIX_POSTURES
-from tests.plants.sensors import AccelerometerArray, tetrahedral_array
+from tests.plants.sensors import AccelerometerArray
 from tests.plants.simulate import Plant, simulate
 
 NOISES = ("white", "coloured")
@@ -122,33 +110,32 @@ def _surface(rng: np.random.Generator, coulomb: Array, top: Array) -> SurfaceFri
 def _arrays(rng: np.random.Generator, levers: dict[int, Array]) -> tuple[AccelerometerArray, ...]:
     """Tetrahedral arrays on the links `levers` names, turned at random."""
     arrays = []
-    for number, (link, lever) in enumerate(levers.items()):
-        place = mounting(*rng.uniform(-1.2, 1.2, 3)), lever * rng.uniform(0.8, 1.2, 3)
-        name = f"imu_{'ab'[number]}"
-        arrays.append(AccelerometerArray(name, link, *tetrahedral_array(0.05), *place, bias=0.02))
+    for name, (link, lever) in zip(("imu_a", "imu_b"), levers.items(), strict=False):
+        turn, place = rng.uniform(-1.2, 1.2, 3), lever * rng.uniform(0.8, 1.2, 3)
+        arrays.append(rigs.array_on(name, link, tuple(turn), tuple(place), bias=0.02))
     return tuple(arrays)
 
 
 def _plant(
     rng: np.random.Generator, arm: Arm, inertia: Array, coulomb: Array, top: Array, push: Array
 ) -> Plant:
-    """Drives, controller and limits of a rig of the paper's size, all (n,)."""
+    """A rig of the paper with drives, controller and limits of its own, all (n,); no IMUs."""
     n, bandwidth = arm.n, float(rng.uniform(12.0, 25.0))
     drive = rng.uniform(0.015, 0.04, n)
     hiss = rng.uniform(0.08, 0.2, n) * coulomb / (drive * arm.gear)
-    return Plant(
+    return replace(
+        rigs.one_joint() if n == 1 else rigs.two_joint(),
         arm=arm,
         nominal=off_nominal(arm, float(rng.uniform(0.05, 0.2))),
         friction=_surface(rng, coulomb, top),
         gains=gains_for(inertia, bandwidth=bandwidth, observer=5 * bandwidth),
         torque_constant=drive,
-        encoder_step=np.zeros(n),
         current_noise=hiss,
         coulomb_guess=coulomb * rng.uniform(0.7, 1.1, n),
-        position_limits=np.tile([-2.6, 2.6], (n, 1)),
         velocity_limits=top,
         acceleration_limits=push,
         current_step=0.2 * hiss,
+        imus=(),
     )
 
 
@@ -158,7 +145,7 @@ def _one(rng: np.random.Generator, number: int) -> Drawn:
     link = _flat_link(rng, rng.uniform(0.08, 0.2), rng.uniform(0.05, 0.1), rng.uniform(0.05, 0.1))
     gear = np.exp(rng.uniform(np.log(5.0), np.log(60.0), 1))
     rotor = link[9] * rng.uniform(0.03, 0.6, 1) / gear**2
-    arm = Arm(("joint_1",), np.array([[tilt, 0, 0, 0]]), link[None], DOWN, gear, rotor)
+    arm = Arm(("joint_1",), np.array([[tilt, 0, 0, 0]]), link[None], rigs.DOWN, gear, rotor)
     coulomb = rng.uniform(0.02, 0.04, 1)
     top, push = rng.uniform(6.0, 9.0, 1), rng.uniform(40.0, 70.0, 1)
     plant = _plant(rng, arm, link[9] + arm.reflected, coulomb, top, push)
@@ -190,7 +177,7 @@ def _planar(rng: np.random.Generator, number: int) -> Drawn:
         names=("joint_1", "joint_2"),
         dh=np.array([[0.0, 0.0, 0.0, 0.0], [0.0, length, 0.0, 0.0]]),
         phi=np.array([upper, fore]),
-        gravity=GRAVITY * np.array([*aside, -np.cos(tilt)]),
+        gravity=rigs.GRAVITY * np.array([*aside, -np.cos(tilt)]),
         gear=gear,
         rotor_inertia=rotor,
         rotor_coupling=bool(rng.uniform() < 0.5),
@@ -203,11 +190,10 @@ def _planar(rng: np.random.Generator, number: int) -> Drawn:
         levers = {0: np.array([0.7 * length, 0.01, 0.02]), 1: np.array([0.08, -0.01, 0.01])}
         plant = replace(plant, imus=_arrays(rng, levers))
     postures = [np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9)]
-    slow = gravity_trials(plant, postures[1:4], speeds=(0.1,)) if tilted else []
     twice = [(0, 1), (0, 1)]
     trials = [
         *friction_trials(plant, postures[0], speeds=int(rng.integers(8, 13))),
-        *slow,
+        *(gravity_trials(plant, postures[1:4], speeds=(0.1,)) if tilted else ()),
         *(imu_trials(plant, postures, turns=1) if imus else ()),
         *inertia_trials(plant, postures[1:], rng, pairs=twice, seconds=float(rng.uniform(10, 16))),
     ]
@@ -217,33 +203,31 @@ def _planar(rng: np.random.Generator, number: int) -> Drawn:
 
 def _six(rng: np.random.Generator, number: int) -> Drawn:
     """An arm of a UR5e's kind, bodies, lengths, drives and friction drawn; shorter, fewer logs."""
-    dh = UR5E_DH * np.array([1.0, *rng.uniform(0.85, 1.15, 2), 1.0])
+    plant = rigs.six_joint()
+    dh = plant.arm.dh * np.array([1.0, *rng.uniform(0.85, 1.15, 2), 1.0])
     bodies = []
-    for m, c, g in UR5E_BODIES:
+    for m, c, g in rigs.UR5E_BODIES:
         mass, centre = m * rng.uniform(0.7, 1.3), np.array(c) * rng.uniform(0.8, 1.2, 3)
         radii, turn = np.array(g) * rng.uniform(0.85, 1.15, 3), rng.uniform(-0.1, 0.1, 3)
-        bodies.append(standard_parameters(mass, tuple(centre), tuple(radii), mounting(*turn)))
-    rotors = UR5E_ROTORS * rng.uniform(0.7, 1.3, 6)
-    gear = rng.uniform(80.0, 120.0, 6)
-    coupled = bool(rng.uniform() < 0.5)
-    arm = Arm(UR5E_NAMES, dh, np.array(bodies), DOWN, gear, rotors, rotor_coupling=coupled)
-    coulomb = UR5E_COULOMB * rng.uniform(0.6, 1.4, 6)
+        bodies.append(rigs.standard_parameters(mass, tuple(centre), tuple(radii), mounting(*turn)))
+    rotors, gear = rigs.UR5E_ROTORS * rng.uniform(0.7, 1.3, 6), rng.uniform(80.0, 120.0, 6)
+    coupled, names = bool(rng.uniform() < 0.5), rigs.UR5E_NAMES
+    arm = Arm(names, dh, np.array(bodies), rigs.DOWN, gear, rotors, rotor_coupling=coupled)
+    coulomb = rigs.UR5E_COULOMB * rng.uniform(0.6, 1.4, 6)
     drive = rng.uniform(0.09, 0.13, 6)
     hiss = rng.uniform(0.06, 0.14, 6) * coulomb / (drive * gear)
     inertia = np.diag(Rigid(arm).terms(SIX_POSTURES[0], np.zeros(6))[0])
     levers = {2: np.array([-0.30, 0.03, 0.06]), 5: np.array([0.02, 0.01, 0.04])}
-    plant = Plant(
+    plant = replace(
+        plant,
         arm=arm,
         nominal=off_nominal(arm, 0.12),
-        friction=_surface(rng, coulomb, UR5E_SPEED),
+        friction=_surface(rng, coulomb, plant.velocity_limits),
         gains=gains_for(inertia, bandwidth=20.0, observer=120.0),
         torque_constant=drive,
-        encoder_step=np.zeros(6),
         current_noise=hiss,
         coulomb_guess=0.9 * coulomb,
         position_limits=np.tile([-2.0, 2.0], (6, 1)) + SIX_CENTRE[:, None],
-        velocity_limits=UR5E_SPEED,
-        acceleration_limits=UR5E_ACCELERATION,
         current_step=0.2 * hiss,
         imus=_arrays(rng, levers),
     )

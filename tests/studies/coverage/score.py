@@ -46,18 +46,12 @@ def score(case: Case) -> Result:
         start = time.process_time()
         stages, problem = identified(folder)
         result["cpu_s"] = round(time.process_time() - start, 2)
-    if problem:
-        result["failed"] = problem
+    result |= {"failed": problem} if problem else {}
     result["rows"] = compare(case, drawn.plant, stages)
-    found = {name: getattr(stages, name) for name in STAGES}
-    result["verdicts"] = {
-        name: all(verdict.good for verdict in stage.verdicts)
-        for name, stage in found.items()
-        if stage is not None
-    }
-    if stages.inertia is not None:
-        result["rotor_coupling"] = stages.inertia.rotor_coupling
-        result["notes"] = list(stages.inertia.notes)
+    found = {name: stage for name in STAGES if (stage := getattr(stages, name)) is not None}
+    result["verdicts"] = {name: all(v.good for v in own.verdicts) for name, own in found.items()}
+    if inertia := stages.inertia:
+        result |= {"rotor_coupling": inertia.rotor_coupling, "notes": list(inertia.notes)}
     return result
 
 
@@ -68,8 +62,7 @@ def identified(folder: Path) -> tuple[Stages, str]:
         logs = [str(folder / kind) for kind in kinds if (folder / kind).is_dir()]
         out = folder / f"{name}.json"
         try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", SeqidWarning)
+            with warnings.catch_warnings(action="ignore", category=SeqidWarning):
                 if logs:
                     robot = folder / "robot.toml"
                     stages, known = identify_it(logs, robot, *known, output=out).stages, [out]
@@ -90,18 +83,18 @@ def compare(case: Case, plant: Plant, stages: Stages) -> list[Row]:
     return rows + ([] if stages.imu is None else imu_rows(plant, stages.imu))
 
 
-def row(group: str, name: str, estimate: float, std_error: float, truth: float) -> Row:
-    numbers = {"estimate": float(estimate), "std_error": float(std_error), "truth": float(truth)}
-    return {"group": group, "name": name, **numbers}
+def row(group: str, name: str, *numbers: float) -> Row:
+    """Estimate, stated standard error and truth of one quantity."""
+    kinds = zip(("estimate", "std_error", "truth"), map(float, numbers), strict=True)
+    return {"group": group, "name": name, **dict(kinds)}
 
 
 def friction_rows(plant: Plant, stage: FrictionStage, rng: np.random.Generator) -> list[Row]:
     """Surfaces at random positions and speeds of the range that each is identified over."""
     rows = []
     for j, name in enumerate(plant.arm.names):
-        if name not in stage.joints:
+        if not (found := stage.joints.get(name)):
             continue
-        found = stage.joints[name]
         surface = FrictionSurface.from_stage(found)
         q = rng.uniform(*found.position_range, POINTS)
         v = rng.uniform(*found.speed_range, POINTS) * rng.choice([-1.0, 1.0], POINTS)
@@ -133,5 +126,4 @@ def z_of(rows: Sequence[Row]) -> Array:
     """Errors over stated standard errors; infinite where an error is stated as none."""
     off = np.array([r["estimate"] - r["truth"] for r in rows])
     error = np.array([r["std_error"] for r in rows])
-    with np.errstate(divide="ignore"):
-        return np.where(error > 0, off / np.where(error > 0, error, 1.0), np.inf * np.sign(off))
+    return np.divide(off, error, out=np.inf * np.sign(off), where=error > 0)

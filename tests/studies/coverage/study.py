@@ -1,8 +1,9 @@
 """Do the stated errors hold? Estimates, stated standard errors and truth over many drawn arms."""
 
 from argparse import Namespace
+from collections import Counter, defaultdict
 from collections.abc import Sequence
-from itertools import repeat
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -24,9 +25,8 @@ def study(chosen: Namespace) -> str:
     seeds = seeds_of(chosen.seeds or (QUICK if chosen.quick else SEEDS))
     if seeds:
         kind_of(seeds)
-    rigs = [chosen.rig] if chosen.rig else ["planar"] if chosen.quick else list(NAMES)
     parts, program = [], package_sources()
-    for rig in rigs:
+    for rig in [chosen.rig] if chosen.rig else ["planar"] if chosen.quick else NAMES:
         if rig not in NAMES:
             raise SystemExit(f"coverage has no rig {rig!r}, only {', '.join(NAMES)}")
         kept = results(
@@ -101,11 +101,10 @@ def coverage(by_seed: Sequence[Array]) -> Coverage:
 
 def independent(by_seed: Sequence[Array]) -> float:
     """Number of independent values that have the same uncertainty of their mean."""
-    sizes = np.array([len(x) for x in by_seed])
     values = np.concatenate(by_seed)
     mean = float(values.mean())
     off = np.array([float(np.sum(x - mean)) for x in by_seed])
-    variance = float(np.sum(off**2)) / float(sizes.sum()) ** 2
+    variance = float(np.sum(off**2)) / float(len(values)) ** 2
     if variance == 0.0 or len(by_seed) < 2:
         return float(len(by_seed))
     return float(np.clip(mean * (1.0 - mean) / variance, len(by_seed), len(values)))
@@ -119,11 +118,10 @@ def wilson(share: float, count: float, z: float = INSIDE) -> tuple[float, float]
 
 
 def tables_of(results: Sequence[Result]) -> str:
-    parts = [group_table(results), parameter_table(results)]
+    makers = [group_table, parameter_table]
     if any("rotor_coupling" in r["traits"] for r in results):
-        parts.append(coupling_table(results))
-    parts.append(problems(results))
-    return "\n\n".join(part for part in parts if part)
+        makers.append(coupling_table)
+    return "\n\n".join(filter(None, (make(results) for make in (*makers, problems))))
 
 
 def _errors(results: Sequence[Result], **of: str) -> list[Array]:
@@ -133,28 +131,26 @@ def _errors(results: Sequence[Result], **of: str) -> list[Array]:
 
 def group_table(results: Sequence[Result]) -> str:
     subsets: dict[str, Sequence[Result]] = {"all": results}
-    for value, trait in [*zip(NOISES, repeat("noise")), *zip(ENCODERS, repeat("encoder"))]:
-        own = [r for r in results if r[trait] == value]
-        if 0 < len(own) < len(results):
-            subsets[f"{value} {trait}"] = own
+    for value, trait in [*product(NOISES, ["noise"]), *product(ENCODERS, ["encoder"])]:
+        some = [r for r in results if r[trait] == value]
+        if 0 < len(some) < len(results):
+            subsets[f"{value} {trait}"] = some
     rows = []
-    for group in GROUPS:
-        for label, own in subsets.items():
-            z = _errors(own, group=group)
-            if any(map(len, z)):
-                rows.append([f"{group}, {label}", *coverage(z).cells()])
-            good = [x for x, r in zip(z, own, strict=True) if r["verdicts"].get(group)]
-            if label == "all" and 0 < len(good) < len(own):
-                rows.append([f"{group}, verdict good", *coverage(good).cells()])
+    for group, (label, own) in product(GROUPS, subsets.items()):
+        z = _errors(own, group=group)
+        if any(map(len, z)):
+            rows.append([f"{group}, {label}", *coverage(z).cells()])
+        good = [x for x, r in zip(z, own, strict=True) if r["verdicts"].get(group)]
+        if label == "all" and 0 < len(good) < len(own):
+            rows.append([f"{group}, verdict good", *coverage(good).cells()])
     return table(["group", *HEADER], rows)
 
 
 def parameter_table(results: Sequence[Result]) -> str:
     """One row per parameter, joint's surface or IMU's axis."""
-    every: dict[tuple[str, str], list[Row]] = {}
+    every, rows = defaultdict[tuple[str, str], list[Row]](list), []
     for x in (x for r in results for x in r["rows"]):
-        every.setdefault((x["group"], x["name"]), []).append(x)
-    rows = []
+        every[x["group"], x["name"]].append(x)
     for group, name in sorted(every, key=lambda one: GROUPS.index(one[0])):
         cells = coverage(_errors(results, group=group, name=name)).cells()
         rows.append([f"{group}: {name}", *cells, relative(every[group, name])])
@@ -172,20 +168,16 @@ def relative(rows: Sequence[Row]) -> str:
 
 
 def coupling_table(results: Sequence[Result]) -> str:
-    found = [r for r in results if "rotor_coupling" in r]
-    decided = sorted({decision(r) for r in found})
-    rows = []
-    for truth in (False, True):
-        own = [decision(r) for r in found if r["traits"]["rotor_coupling"] is truth]
-        counts = [str(own.count(decision)) for decision in decided]
-        rows.append(["rotors coupled" if truth else "rotors not coupled", *counts])
+    """What was decided about the coupling of the rotors, or that the stage left it open."""
+    found = Counter[tuple[bool, str]]()
+    for result in (r for r in results if "rotor_coupling" in r):
+        doubtful = any(words in note for note in result["notes"] for words in OPEN)
+        decision = "left open" if doubtful else str(result["rotor_coupling"])
+        found[result["traits"]["rotor_coupling"], decision] += 1
+    decided = sorted({decision for _, decision in found})
+    names = {False: "rotors not coupled", True: "rotors coupled"}
+    rows = [[name, *(str(found[truth, x]) for x in decided)] for truth, name in names.items()]
     return table(["truth; decided:", *decided], rows)
-
-
-def decision(result: Result) -> str:
-    """What was decided about the coupling, or that the stage left it open."""
-    doubtful = any(words in note for note in result["notes"] for words in OPEN)
-    return "left open" if doubtful else str(result["rotor_coupling"])
 
 
 def problems(results: Sequence[Result]) -> str:

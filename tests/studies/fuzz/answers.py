@@ -55,10 +55,8 @@ def _unwell(code: int, out: str, said: str) -> str:
 @contextlib.contextmanager
 def _screens() -> Iterator[tuple[io.BytesIO, io.BytesIO]]:
     """Streams as a program of its own has them."""
-    raw = io.BytesIO(), io.BytesIO()
-    streams = [
-        io.TextIOWrapper(each, "utf-8", "backslashreplace", write_through=True) for each in raw
-    ]
+    raw, how = (io.BytesIO(), io.BytesIO()), ("utf-8", "backslashreplace")
+    streams = [io.TextIOWrapper(each, *how, write_through=True) for each in raw]
     with contextlib.redirect_stdout(streams[0]), contextlib.redirect_stderr(streams[1]):
         yield raw
     for stream in streams:

@@ -6,9 +6,10 @@ import resource
 import time
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -77,12 +78,11 @@ def filled(line: Sequence[str], target: Target, folder: Path) -> list[str]:
     return [word.replace("{@}", str(folder)) for word in words]
 
 
-def _in_child(
-    target: Target, folder: Path, count: int, seed: tuple[int, int], known: Tally
-) -> list[Outcome]:
+def _in_child(target: Target, folder: Path, *job: Any) -> list[Outcome]:
+    """What `_slice` says; of a process that says nothing, the input that it had last."""
     context = multiprocessing.get_context("fork")
     mine, theirs = context.Pipe(duplex=False)
-    process = context.Process(target=_slice, args=(theirs, target, folder, count, seed, known))
+    process = context.Process(target=_slice, args=(theirs, target, folder, *job))
     process.start()
     theirs.close()
     try:
@@ -99,12 +99,7 @@ def _in_child(
 
 
 def _slice(
-    sender: Connection,
-    target: Target,
-    folder: Path,
-    count: int,
-    seed: tuple[int, int],
-    known: Tally,
+    sender: Connection, target: Target, folder: Path, count: int, seed: Sequence[int], known: Tally
 ) -> None:
     rng, answers, fresh = np.random.default_rng(seed), known.answers, known.fresh
     outcomes: list[Outcome] = []
@@ -112,26 +107,22 @@ def _slice(
         pool = fresh if fresh and rng.random() < 0.4 else target.seeds
         data, damage = mutated(pool[int(rng.integers(len(pool)))], target.damages, rng)
         line = target.lines[int(rng.integers(len(target.lines)))]
-        outcomes.append(_one(target, folder, line, data, damage, answers))
-        if len(answers) < ANSWERS:
-            answers.add(outcomes[-1].answer)
-        if outcomes[-1].peak > PEAK_KIB:  # of the whole process: another takes the rest
+        (folder / target.file).write_bytes(data)
+        outcome = _one(folder, filled(line, target, folder))
+        unheard = outcome.answer not in answers and len(answers) < ANSWERS
+        kept = data if outcome.why or unheard else b""
+        outcomes.append(replace(outcome, line=tuple(line), damage=damage, data=kept))
+        if unheard:
+            answers.add(outcome.answer)
+        if outcome.peak > PEAK_KIB:  # of the whole process: another takes the rest
             break
     sender.send(outcomes)
     sender.close()
 
 
-def _one(
-    target: Target,
-    folder: Path,
-    line: Sequence[str],
-    data: bytes,
-    damage: str,
-    answers: set[Answer],
-) -> Outcome:
-    (folder / target.file).write_bytes(data)
+def _one(folder: Path, line: Sequence[str]) -> Outcome:
     begun = time.process_time()
-    code, said, why = answer(filled(line, target, folder))
+    code, said, why = answer(line)
     spent = time.process_time() - begun
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     if peak > PEAK_KIB:
@@ -141,5 +132,4 @@ def _one(
     for path in folder.glob("out.*"):
         path.unlink()
     key = (code, _DETAIL.sub("#", said.split("error: ")[-1])[:200])
-    kept = data if why or (key not in answers and len(answers) < ANSWERS) else b""
-    return Outcome(why, key, tuple(line), said[-3000:] if why else "", damage, spent, peak, kept)
+    return Outcome(why, key, said=said[-3000:] if why else "", seconds=spent, peak=peak)

@@ -19,27 +19,21 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--set", choices=("tuning", "reserved"), default="tuning")
     parser.add_argument("--seeds", type=seeds_of, default="0:80", metavar="A:B")
     parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
-    parser.add_argument("--keep", action="store_true", help="keep the logs and files in the cache")
     parser.add_argument("--coarser", type=float, default=1.0, help="counts of the encoders, times")
     parser.add_argument("--whole", action="store_true", help="published arms, all their joints")
     parser.add_argument("--write", action="store_true", help="write the tables into the document")
     chosen = parser.parse_args(arguments)
     if any((seed >= RESERVED) != (chosen.set == "reserved") for seed in chosen.seeds):
         parser.error(f"tuning seeds are below {RESERVED}, reserved ones are not")
-    rows = answers(chosen.seeds, chosen.cache, chosen.keep, chosen.coarser, chosen.whole)
+    rows = answers(chosen.seeds, chosen.cache, coarser=chosen.coarser, whole=chosen.whole)
     name = f"outside_{chosen.set}" + "_whole" * chosen.whole
     show("outside.md", name, tables(rows), kept=chosen.write)
     return 0
 
 
-def answers(
-    seeds: Sequence[int],
-    cache: Path,
-    keep: bool = False,
-    coarser: float = 1.0,
-    whole: bool = False,
-) -> list[dict[str, Any]]:
-    work = partial(answered, cache=cache, keep=keep, coarser=coarser, whole=whole)
+def answers(seeds: Sequence[int], cache: Path, **drawing: Any) -> list[dict[str, Any]]:
+    """Answers of the seeds' cases, drawn as `drawn` is told, from the cache where they are kept."""
+    work = partial(answered, cache=cache, **drawing)
     cases = {str(seed): seed for seed in seeds}
     kept = results(cases, work, dict[str, Any], cache / "outside.jsonl", told=_told)
     return list(kept.values())

@@ -125,12 +125,10 @@ def prepared(case: Case, folder: Path) -> Prepared:
     return Prepared(recorder, recorder.moves(2, seconds, case.effects), file)
 
 
-def answered(
-    seed: int, cache: Path, keep: bool = False, coarser: float = 1.0, whole: bool = False
-) -> dict[str, Any]:
+def answered(seed: int, cache: Path, **drawing: Any) -> dict[str, Any]:
     """Record, identify, record on, diagnose: what was hidden and what was found."""
     cache.mkdir(parents=True, exist_ok=True)
-    case = drawn(seed, coarser, whole)
+    case = drawn(seed, **drawing)
     start = time.process_time()
     row = {
         "seed": seed,
@@ -145,10 +143,8 @@ def answered(
     }
     with tempfile.TemporaryDirectory() as name, warnings.catch_warnings():
         warnings.simplefilter("ignore", SeqidWarning)
-        folder = cache / f"logs_{seed}" if keep else Path(name)
-        folder.mkdir(exist_ok=True)
         try:
-            ready = prepared(case, folder)
+            ready = prepared(case, Path(name))
             found = discover.diagnose(ready.logs, ready.recorder.robot, ready.file)
             row |= {"stages": poor(ready.file)} | told(found)
             (cache / f"{seed}.diagnosis.json").write_bytes(msgspec.json.encode(found))

@@ -38,7 +38,7 @@ Rows = Sequence[Row]
 
 def tables(rows: Rows) -> str:
     makers = (asked_table, clean_table, group_table, effect_table, confidence_table)
-    return "\n\n".join(text for text in (make(rows) for make in makers) if text)
+    return "\n\n".join(filter(None, (make(rows) for make in makers)))
 
 
 def _share(test: Sequence[bool]) -> str:
@@ -47,6 +47,10 @@ def _share(test: Sequence[bool]) -> str:
 
 def _well(rows: Rows) -> list[Row]:
     return [row for row in rows if not row["error"]]
+
+
+def _failed(rows: Rows) -> str:
+    return str(len(rows) - len(_well(rows)))
 
 
 def _found(rows: Rows) -> list[list[str]]:
@@ -79,17 +83,15 @@ def asked_table(rows: Rows) -> str:
 
 def clean_table(rows: Rows) -> str:
     clean = [row for row in rows if not row["kinds"]]
+    names = {"clean, sequential": False, "clean, one-step": True}
     return grouped(
         "group",
-        {
-            "clean, sequential": [row for row in clean if not one_step(row)],
-            "clean, one-step": [row for row in clean if one_step(row)],
-        },
+        {name: [row for row in clean if one_step(row) is step] for name, step in names.items()},
         {
             "cases": counted,
             "silent": lambda own: _share([silent(row) for row in _well(own)]),
             "a wrong name, surely": lambda own: str(sum(map(surely_wrong, _well(own)))),
-            "failed": lambda own: str(len(own) - len(_well(own))),
+            "failed": _failed,
         },
     )
 
@@ -109,7 +111,7 @@ def group_table(rows: Rows) -> str:
             "effects": lambda own: str(sum(map(len, _found(own)))),
             **{name: partial(share_of, key) for key, name in LABELS.items()},
             "a wrong name, surely": lambda own: _share([surely_wrong(row) for row in _well(own)]),
-            "failed": lambda own: str(len(own) - len(_well(own))),
+            "failed": _failed,
         },
     )
 

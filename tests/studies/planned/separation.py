@@ -26,7 +26,6 @@ LATER_S = 2000.0  # s since power-on, when the planned moves are recorded
 EARLIER = 50  # added to the seed: the model is of logs without the effect
 LOGS = ("fast", "moves", "slow")  # tried in turn, until one leaves the rival open
 
-
 # Seed of motions and noise, number of the joint, sizes that are tried in turn.
 Drawn = tuple[int, int, tuple[float, ...]]
 DRAWN: Mapping[str, Drawn] = {"Tuned on": (0, 1, (1.0, 0.4)), "Judged on": (43, 0, (0.7, 0.3))}
@@ -134,9 +133,8 @@ def outcome(pair: tuple[str, str], drawn: Drawn, cache: Path) -> Outcome:
     for size in sizes:
         case = Condition("catalogue", "two", seed, ((effect, joint, size),), seconds=LOG_S)
         plant, _ = built(case)
-        for drill in drills(declared(case), seed, seconds=LOG_S):
-            if drill.name not in LOGS:
-                continue
+        plan = drills(declared(case), seed, seconds=LOG_S)
+        for drill in (drill for drill in plan if drill.name in LOGS):
             what = f"{case.effects}|{drill.name}"
             log = stored(cache, what, plant, drill.reference, seed, every=2, start=drill.start)
             before = names([log])

@@ -12,14 +12,7 @@ from tests.plants.robots.identified import before_inertia, with_inertia
 from tests.plants.robots.lab import run
 from tests.plants.samples import one_joint_trials
 from tests.studies.rigs.bound import bound
-from tests.studies.rigs.repetition import (
-    METHODS,
-    Estimate,
-    Torque,
-    another,
-    parameter_table,
-    predicted,
-)
+from tests.studies.rigs.repetition import METHODS, Estimate, Torque, another, error_table, predicted
 from tests.studies.tables import number, rms, table
 
 SEED, REPETITIONS = 41, 8
@@ -90,7 +83,7 @@ def study(chosen: Namespace) -> str:
     return "\n\n".join(
         [
             f"{repetitions} rigs per encoder; error in % of the true value, m r_y in % of m r_x.",
-            parameter_table(parameters),
+            error_table(parameters),
             table([*header, "bound, its form known %", "std / bound"], bounds),
             table(torque, torques),
         ]

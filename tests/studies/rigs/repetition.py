@@ -54,7 +54,7 @@ def surface_of(plant: Plant) -> SurfaceFriction:
     return plant.friction
 
 
-def parameter_table(rows: Mapping[str, tuple[Sequence[Estimate], str]]) -> str:
+def error_table(rows: Mapping[str, tuple[Sequence[Estimate], str]]) -> str:
     lines = []
     for label, (found, paper) in rows.items():
         errors = 100 * np.array([e.error for e in found])

@@ -63,14 +63,12 @@ def errors(factor: int, seed: int, *, short: bool = False) -> dict[str, float]:
     """Error of the inertia, % of the true one, by each way."""
     rng = np.random.default_rng([SEED, factor, seed])
     plant = rig(factor, seed, rng)
-    motions = trials(plant, rng, short=short)
-    experiment = run("one_joint", plant, motions, SEED + 100 * factor + seed)
+    own = plant, trials(plant, rng, short=short)
+    experiment = run("one_joint", *own, SEED + 100 * factor + seed)
     logs, robot = experiment.recordings, experiment.robot
     stages = before_inertia(logs, robot)
-    found = {
-        "raw": differenced(experiment, stages, None),
-        "differenced": differenced(experiment, stages, PAPER_HZ),
-    }
+    cutoffs = {"raw": np.inf, "differenced": PAPER_HZ}
+    found = {way: differenced(experiment, stages, hz) for way, hz in cutoffs.items()}
     # The paper calibrates no bias, gain, axis or clock of a sensor.
     kept = ("rotation", "std_error_deg", "references", "noise_density")
     mounted = {
@@ -85,14 +83,14 @@ def errors(factor: int, seed: int, *, short: bool = False) -> dict[str, float]:
     return {way: 100.0 * (value / LINK_INERTIA - 1.0) for way, value in found.items()}
 
 
-def differenced(experiment: Experiment, stages: Stages, cutoff_hz: float | None) -> float:
+def differenced(experiment: Experiment, stages: Stages, cutoff_hz: float) -> float:
     """The link's inertia, kg m^2, from differences of counts; torque as recorded."""
     robot = experiment.robot
     model = TorqueModel.from_stages(stages, robot)
     reflected = float((gear_ratios(robot) ** 2 * known_rotors(robot))[0])
     x, y = [], []
     for log in experiment.recordings["inertia"]:
-        lowpass = Lowpass(cutoff_hz or np.inf, log.rate_hz)
+        lowpass = Lowpass(cutoff_hz, log.rate_hz)
         speed = np.gradient(log.q, axis=0) * log.rate_hz
         ddq = lowpass(np.gradient(speed, axis=0) * log.rate_hz)
         dq, zero = lowpass(speed), np.zeros_like(log.q)
@@ -111,8 +109,7 @@ def table_of(results: Mapping[int, Sequence[Mapping[str, float]]]) -> str:
         for found in results.values():
             values = [one[way] for one in found]
             low, high = np.quantile(values, [0.025, 0.975])
-            middle = float(np.median(np.abs(values)))
-            cells += [number(middle), f"{number(float(low))} to {number(float(high))}"]
+            cells += [number(np.median(np.abs(values))), f"{number(low)} to {number(high)}"]
         rows.append([label, *cells, PAPER.get(way, "")])
     header = ["error of the link inertia, %"]
     for factor in results:

@@ -14,14 +14,7 @@ from tests.plants.robots.identified import sequential
 from tests.plants.robots.lab import run, true_friction, true_standard, true_value
 from tests.plants.samples import two_joint_trials
 from tests.plants.simulate import Plant
-from tests.studies.rigs.repetition import (
-    METHODS,
-    Estimate,
-    Torque,
-    another,
-    parameter_table,
-    predicted,
-)
+from tests.studies.rigs.repetition import METHODS, Estimate, Torque, another, error_table, predicted
 from tests.studies.tables import number, rms, table
 
 SEED, REPETITIONS = 42, 6
@@ -112,7 +105,7 @@ def study(chosen: Namespace) -> str:
     return "\n\n".join(
         [
             f"{len(found)} rigs; errors in % of the true value.",
-            parameter_table(parameters),
+            error_table(parameters),
             table(surface, surfaces),
             table(["held-out torque RMSE, mN m", *joints], torques),
         ]

@@ -31,7 +31,7 @@ QUICK = ("stribeck", "load_dependent_friction", "quadratic_drag", "presliding_hy
 QUICK += ("torque_ripple", "joint_elasticity", "spring", "torque_bias", "time_skew")
 QUICK += ("external_contact",)
 PAIRS = 44
-SPRUNG = ("joint_elasticity", "backlash")  # a joint has one spring between drive and link
+SPRUNG = {"joint_elasticity", "backlash"}  # a joint has one spring between drive and link
 CLEAN_SEED = 100
 SEEDS_APART = 100  # of the kinds of clean controls
 CLEAN_RUNS = 8  # of each kind, per rig
@@ -85,6 +85,14 @@ class Condition:
     @property
     def simple_friction(self) -> bool:
         return not self.start.startswith("sequential")
+
+    @property
+    def joints(self) -> int:
+        return len({joint for _, joint, _ in self.effects})
+
+    @property
+    def size(self) -> float:
+        return self.effects[0][2]
 
     @property
     def key(self) -> str:
@@ -169,9 +177,8 @@ def built(condition: Condition) -> tuple[Plant, tuple[Truth, ...]]:
 def worn(plant: Plant, joint: int, size: float) -> Plant:
     """Coulomb friction of one joint higher by 30 % times size."""
     friction = surface_of(plant)
-    coulomb = friction.coulomb.copy()
-    coulomb[joint] *= 1.0 + 0.3 * size
-    return replace(plant, friction=replace(friction, coulomb=coulomb))
+    more = np.where(np.arange(plant.arm.n) == joint, 1.0 + 0.3 * size, 1.0)
+    return replace(plant, friction=replace(friction, coulomb=more * friction.coulomb))
 
 
 def _single(
@@ -183,9 +190,9 @@ def _single(
     return Condition(group, rig, seed, ((name, joint, size),), start)
 
 
-def _alone(group: Group, names: Iterable[str], sizes: Iterable[float] = SIZES) -> list[Condition]:
-    """Every kind alone, on both rigs, with every seed."""
-    every = product(SEEDS, sizes, RIG_NAMES, names)
+def _alone(group: Group, names: Iterable[str]) -> list[Condition]:
+    """Every kind alone, on both rigs, with every seed, in every size."""
+    every = product(SEEDS, SIZES, RIG_NAMES, names)
     return [_single(group, rig, name, seed, size) for seed, size, rig, name in every]
 
 
@@ -211,7 +218,7 @@ def pairs() -> Iterator[Condition]:
             one, two = (str(x) for x in rng.choice(CATALOGUE, 2, replace=False))
             here, there = (int(x) for x in rng.choice(JOINTS[rig], 2, replace=False))
             joints = (here, here if number % 4 < 2 else there)
-            sprung = {one, two} == set(SPRUNG) and joints[0] == joints[1]
+            sprung = {one, two} == SPRUNG and joints[0] == joints[1]
             fits = all(j >= REGISTRY[x].first for x, j in zip((one, two), joints, strict=True))
             if fits and not sprung:
                 break

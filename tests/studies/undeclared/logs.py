@@ -51,11 +51,9 @@ def logs_of(condition: Condition, cache: Path) -> Logs:
     for number, drill in enumerate(plan):
         if sensors.keep == "all" or (sensors.keep == "periodic") == (drill.period is not None):
             seed = SEED_STRIDE * condition.seed + number
-            what = f"{_plant_label(condition)}|{drill.name}"
-            recording = stored(
-                cache, what, plant, drill.reference, seed, every=sensors.every, start=drill.start
-            )
-            found[drill.held_out].append(recording)
+            what, own = f"{_plant_label(condition)}|{drill.name}", (plant, drill.reference, seed)
+            log = stored(cache, what, *own, every=sensors.every, start=drill.start)
+            found[drill.held_out].append(log)
     return Logs(robot_for(condition), tuple(found[False]), tuple(found[True]))
 
 
@@ -86,12 +84,10 @@ def stored(
     path = cache / "logs" / digest[:2] / f"{digest[:24]}.npz"
     name = what.rpartition("|")[2]
     if not path.is_file():
-        log = recording_of(
-            plant, name, simulate(plant, reference, seed, every=every, imus=False, start=start)
-        )
+        made = simulate(plant, reference, seed, every=every, imus=False, start=start)
+        log = recording_of(plant, name, made)
         found = {"q": log.q, "tau": log.tau, "rate": log.rate_hz, "start": log.start}
-        if log.temperature is not None:
-            found["temperature"] = log.temperature
+        found |= {} if log.temperature is None else {"temperature": log.temperature}
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}.part")
         with part.open("wb") as stream:
@@ -131,8 +127,14 @@ def in_turn(
     return found
 
 
-def experiments_of(condition: Condition, cache: Path) -> Mapping[str, list[Recording]]:
-    """The sequential experiments' recordings, by stage."""
+def earlier_logs(condition: Condition, cache: Path) -> Mapping[str, Sequence[Recording]]:
+    """Logs that the case's parameter file is made from, by stage, see `Condition`."""
+    if condition.start == "before":
+        condition = replace(condition, seed=condition.seed + EARLIER, effects=())
+    elif condition.start == "sequential":
+        condition = replace(condition, effects=())
+    if condition.simple_friction:
+        return {"friction": logs_of(condition, cache).training}
     label, every = _plant_label(condition), TRIAL_EVERY
     plan = [
         (t.stage, f"{label}|{t.stage}/{t.name}", t.reference, TRIAL_SEED + k, every)
@@ -141,22 +143,10 @@ def experiments_of(condition: Condition, cache: Path) -> Mapping[str, list[Recor
     return in_turn(cache, built(condition)[0], plan, PAUSE)
 
 
-def earlier_logs(condition: Condition, cache: Path) -> Mapping[str, Sequence[Recording]]:
-    """Logs that the case's parameter file is made from, by stage, see `Condition`."""
-    if condition.start in ("simultaneous", "before"):
-        source = condition
-        if condition.start == "before":
-            source = replace(condition, seed=condition.seed + EARLIER, effects=())
-        return {"friction": logs_of(source, cache).training}
-    with_them = condition.start == "sequential_with"
-    return experiments_of(condition if with_them else replace(condition, effects=()), cache)
-
-
 def stages_of(condition: Condition, cache: Path) -> Stages:
     logs, robot = earlier_logs(condition, cache), robot_for(condition)
-    if condition.simple_friction:
-        return simultaneous(logs["friction"], robot)
-    return sequential(logs, robot)
+    simple = condition.simple_friction
+    return simultaneous(logs["friction"], robot) if simple else sequential(logs, robot)
 
 
 def errors(recordings: Sequence[Recording], robot: Robot, stages: Stages) -> Array:

@@ -26,14 +26,8 @@ def file_of(robot: Robot, stages: Stages, logs: Mapping[str, Sequence[Recording]
         for stage, recordings in logs.items()
         for r in recordings
     ]
-    return with_stage(
-        None,
-        robot_id(robot),
-        inputs,
-        friction=stages.friction,
-        gravity=stages.gravity,
-        inertia=stages.inertia,
-    )
+    own = {name: getattr(stages, name) for name in ("friction", "gravity", "inertia")}
+    return with_stage(None, robot_id(robot), inputs, **own)
 
 
 def told_model(

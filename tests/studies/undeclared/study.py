@@ -90,13 +90,12 @@ def whole(arguments: Namespace) -> bool:
 
 
 def _chosen(condition: Condition, arguments: Namespace) -> bool:
-    names = {name for name, _, _ in condition.effects}
-    sizes = {size for _, _, size in condition.effects}
+    names, _, sizes = zip(*condition.effects, strict=True) if condition.effects else ((), (), ())
     first, _, last = (arguments.seeds or "").partition("-")
     return (
-        (arguments.rig is None or condition.rig == arguments.rig)
+        arguments.rig in (None, condition.rig)
         and (arguments.groups is None or condition.group in arguments.groups)
-        and (arguments.only_kind is None or bool(names & set(arguments.only_kind)))
+        and (arguments.only_kind is None or not set(names).isdisjoint(arguments.only_kind))
         and (arguments.size is None or arguments.size in sizes)
         and (not first or int(first) <= condition.seed <= int(last or first))
     )

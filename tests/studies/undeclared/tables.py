@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from itertools import pairwise
+from itertools import pairwise, product
 from operator import attrgetter
 
 import numpy as np
@@ -91,14 +91,13 @@ def tables(records: Sequence[Record], wanted: int) -> str:
         *(f"#### {title}\n\n{content}" for title, content in made.items() if content),
         "\n".join(f"- failed: {r.condition.key}: {r.error}" for r in failed),
     ]
-    return "\n\n".join(part for part in parts if part)
+    return "\n\n".join(filter(None, parts))
 
 
 def _seconds(records: Sequence[Record]) -> str:
     parts = []
     for rig, name in RIGS.items():
-        spent = [r.seconds for r in records if r.condition.rig == rig and r.diagnosis]
-        if spent:
+        if spent := [r.seconds for r in records if r.condition.rig == rig and r.diagnosis]:
             middle, longest = number(float(np.median(spent))), number(max(spent))
             parts.append(f"{name}: median {middle} s, longest {longest} s")
     return f"Time of a diagnosis: {'; '.join(parts)}." if parts else ""
@@ -112,20 +111,12 @@ def kinds(cases: Cases) -> str:
     groups["all of these"] = tight
     groups["backlash, RMSE half above"] = [c for c in loose if c.loud]
     groups["backlash, less than that"] = [c for c in loose if not c.loud]
-
-    def of(rig: str, size: float) -> Select:
-        return lambda c: c.condition.rig == rig and c.condition.effects[0][2] == size
-
-    columns = {
-        f"{name}, size {size:g}": share("right", of(rig, size))
-        for rig, name in RIGS.items()
-        for size in SIZES
-    }
-    columns |= {
-        "all": share("right"),
-        "by its own name": share("own_name"),
-        "kind without joint": share("kind_right"),
-    }
+    columns: dict[str, Cell] = {}
+    for (rig, name), size in product(RIGS.items(), SIZES):
+        own = _where(rig=rig, size=size)
+        columns[f"{name}, size {size:g}"] = share("right", own)
+    columns |= {"all": share("right"), "by its own name": share("own_name")}
+    columns["kind without joint"] = share("kind_right")
     content = grouped("effect", groups, columns | USUAL)
     note = (
         "Right: the first finding has the kind, or says that it may be that, and the joint. Of "
@@ -151,19 +142,15 @@ def clean(cases: Cases) -> str:
 
 def pairs(cases: Cases) -> str:
     alone = _chosen(cases, group="pairs")
-    joints = [len({joint for _, joint, _ in c.condition.effects}) for c in alone]
     groups = {
         **{name: _chosen(alone, rig=rig) for rig, name in RIGS.items()},
-        "on one joint": [c for c, count in zip(alone, joints, strict=True) if count == 1],
-        "on different joints": [c for c, count in zip(alone, joints, strict=True) if count == 2],
+        "on one joint": _chosen(alone, joints=1),
+        "on different joints": _chosen(alone, joints=2),
         "all": alone,
         "both visible": [c for c in alone if c.seen],
     }
-    columns = {
-        "both found": share("all_found"),
-        "one at least": share("found"),
-        "first finding right": share("first_right"),
-    }
+    columns = {"both found": share("all_found"), "one at least": share("found")}
+    columns["first finding right"] = share("first_right")
     return grouped("pairs", groups, columns | SURELY)
 
 
@@ -201,18 +188,15 @@ def reliability(cases: Cases) -> str:
         _reliability("confidence of the first finding", "right", of_class),
         _reliability("confidence in its name", "name right", of_name),
     ]
-    return "\n\n".join(part for part in parts if part)
+    return "\n\n".join(filter(None, parts))
 
 
 def _reliability(title: str, right: str, stated: Sequence[tuple[float, bool]]) -> str:
-    groups = {
-        f"{low:g} to {high:g}": [
-            (p, ok) for p, ok in stated if low <= p < high or p == high == BINS[-1]
-        ]
-        for low, high in pairwise(BINS)
-    }
-
     def mean(k: int) -> Callable[[Sequence[tuple[float, bool]]], str]:
         return lambda own: f"{100 * np.mean([one[k] for one in own]):.0f} %"
 
+    groups = {
+        f"{low:g} to {high:g}": [x for x in stated if low <= x[0] < high or x[0] == high == 1.0]
+        for low, high in pairwise(BINS)
+    }
     return grouped(title, groups, {"cases": counted, "stated, mean": mean(0), right: mean(1)})

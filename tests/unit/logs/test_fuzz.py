@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.studies.fuzz.made_up import problem, sound_logs
 from tests.studies.fuzz.mutations import BYTES, mutated
+from tests.unit.logs.made_up import problem, sound_logs
 
 Sound = tuple[Mapping[str, bytes], np.ndarray]
 FILES = 20  # of each seed

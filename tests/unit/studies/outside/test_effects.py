@@ -8,10 +8,10 @@ import pytest
 
 from tests.studies.outside import motions
 from tests.studies.outside.arms import Arm
-from tests.studies.outside.bench import pendulum, quiet_arm, sweeps
 from tests.studies.outside.effects import KINDS
 from tests.studies.outside.plan import LEAST, MOST, sized
 from tests.studies.outside.simulate import Effect, Log, built, simulate
+from tests.unit.studies.outside.bench import pendulum, quiet_arm, sweeps
 
 
 def made(kind: str, arm: Arm, joint: int = 0, scale: float = 1.0, seed: int = 3) -> Effect:

@@ -13,11 +13,11 @@ from seqid_cli.inspect.screening import read_screened
 from seqid_cli.robot.file import load_robot
 from tests.studies.outside import motions
 from tests.studies.outside.arms import drawn_arm
-from tests.studies.outside.bench import pendulum, quiet_arm
 from tests.studies.outside.cases import SPEEDS, write
 from tests.studies.outside.plan import PUBLISHED
 from tests.studies.outside.robotfiles import robot_toml, urdf
 from tests.studies.outside.simulate import built, simulate
+from tests.unit.studies.outside.bench import pendulum, quiet_arm
 
 
 @pytest.mark.parametrize("label", [*PUBLISHED, "drawn"])

@@ -15,6 +15,7 @@ from tests import ROOT
 from tests.commands.conftest import ONE_JOINT, SAMPLE_LOGS, Rig
 
 FRICTION = ONE_JOINT / "friction"
+GRAVITY = ONE_JOINT / "gravity"  # one short log
 ROBOT = ("-r", str(ONE_JOINT / "robot.toml"))
 FULL = Path("/dev/full")
 SEQID = (sys.executable, "-m", "seqid_cli")
@@ -35,7 +36,7 @@ def ran(*arguments: str | bytes, **more: object) -> tuple[int, str, str]:
 
 
 @pytest.mark.parametrize(
-    "arguments", [("inspect", str(ONE_JOINT)), ("completion", "bash"), ("--help",), ("--version",)]
+    "arguments", [("inspect", str(GRAVITY)), ("completion", "bash"), ("--help",), ("--version",)]
 )
 def test_a_full_output_is_said_in_one_line(arguments: tuple[str, ...]) -> None:
     with FULL.open("wb") as full:
@@ -50,7 +51,7 @@ def test_a_full_output_is_said_in_one_line(arguments: tuple[str, ...]) -> None:
 @pytest.mark.parametrize("where", ["1>&-", "2>&-", "1>&- 2>&-", "2>/dev/full", "2> >(exec true)"])
 def test_streams_that_nobody_can_read_cost_no_result(where: str, tmp_path: Path) -> None:
     made = tmp_path / "f.json"
-    line = " ".join([*SEQID, "friction", str(FRICTION), *ROBOT, "-o", str(made), where])
+    line = " ".join([*SEQID, "inspect", str(GRAVITY), *ROBOT, "-o", str(made), where])
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(["bash", "-c", line], env=environment, capture_output=True, timeout=60)
     assert done.returncode == 0
@@ -129,7 +130,7 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path: Path) -> None:
     running = tmp_path / f".{made.name}.{os.getpid()}.tmp"
     for path in (left, running):
         path.write_text("half")
-    code, _, err = ran("friction", str(FRICTION), *ROBOT, "-o", str(made))
+    code, _, err = ran("inspect", str(GRAVITY), *ROBOT, "-o", str(made))
     assert code == 0, err
     assert not left.exists()
     assert running.exists()

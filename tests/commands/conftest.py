@@ -4,10 +4,8 @@ In `transcripts/` a line `$ compare a.json b.json` is a command line. Below stan
 stdout, those on stderr behind `! `, and its exit code in brackets; hashes are left out.
 """
 
-import os
 import re
 import shlex
-import shutil
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -77,23 +75,6 @@ class Rig:
 
 SAMPLE_LOGS = ROOT / "sample_logs"
 ONE_JOINT = SAMPLE_LOGS / "one_joint"
-
-
-def run(folder: Path, *more: str, robot: str = "logs/robot.toml", out: str = "out") -> int:
-    """Run all stages on `logs` in a folder."""
-    logs, file = str(folder / "logs"), str(folder / robot)
-    return main(["run", logs, "-r", file, "-o", str(folder / out), *more])
-
-
-@pytest.fixture(scope="session")
-def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the logs of a sample robot, old ones, and what `seqid run` makes of them."""
-    folder = tmp_path_factory.mktemp("lab")
-    shutil.copytree(ONE_JOINT, folder / "logs")
-    for path in (folder / "logs").rglob("*"):
-        os.utime(path, (1e9, 1e9))
-    assert run(folder) == 0
-    return folder
 
 
 @pytest.fixture

@@ -1,4 +1,7 @@
-"""The whole way: `seqid run`, resumed where it stopped; results that repeat to the last bit."""
+"""The whole way: `seqid run`, resumed where it stopped; results that repeat to the last bit.
+
+It opens no connection and starts no other program.
+"""
 
 import json
 import os
@@ -18,10 +21,59 @@ from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
 from seqid_cli.params.results.prediction import PREDICTION_SCHEMA
 from seqid_cli.params.schema import SCHEMA
 from tests import ROOT
-from tests.commands.conftest import ONE_JOINT, run
+from tests.commands.conftest import ONE_JOINT
 from tests.unit.params.generate import json_schema
 
 NAMES = ("friction", "gravity", "imu", "inertia", "prediction", "diagnosis")
+WATCH = """
+import sys
+
+def watch(event, arguments):
+    if event.startswith(("socket.connect", "socket.bind", "socket.getaddrinfo", "subprocess.",
+                         "os.system", "os.exec", "os.posix_spawn", "os.spawn", "pickle.find_class",
+                         "urllib.", "ftplib.", "smtplib.", "webbrowser.")):
+        sys.stderr.write(f"FORBIDDEN {event} {arguments}\\n")
+
+sys.addaudithook(watch)
+"""
+MAIN = """
+from seqid_cli.__main__ import main
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def watched(code: str, *words: str) -> str:
+    """What a command says on stderr whose process tells of every way out that it takes."""
+    command = [sys.executable, "-W", "error", "-c", WATCH + code + MAIN, *words]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+    return done.stderr
+
+
+def words_of_run(folder: Path, *more: str, robot: str = "logs/robot.toml") -> list[str]:
+    """Command line of all stages on `logs` in a folder."""
+    logs, file = str(folder / "logs"), str(folder / robot)
+    return ["run", logs, "-r", file, "-o", str(folder / "out"), *more]
+
+
+def run(folder: Path, *more: str, robot: str = "logs/robot.toml") -> int:
+    return main(words_of_run(folder, *more, robot=robot))
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Logs of a sample robot, old ones, what `seqid run` makes of them and what it said."""
+    folder = tmp_path_factory.mktemp("lab")
+    shutil.copytree(ONE_JOINT, folder / "logs")
+    for path in (folder / "logs").rglob("*"):
+        os.utime(path, (1e9, 1e9))
+    (folder / "said.txt").write_text(watched("", *words_of_run(folder)))
+    return folder
+
+
+def test_the_whole_way_keeps_to_itself(lab: Path) -> None:
+    assert "FORBIDDEN" not in (lab / "said.txt").read_text()
+    assert "FORBIDDEN os.system" in watched("import os; os.system('true')", "--version")
 
 
 def written(folder: Path) -> dict[str, int]:
@@ -104,17 +156,22 @@ def test_it_needs_friction_trials(tmp_path: Path, capsys: pytest.CaptureFixture[
 OF_THE_RUN = ("created", "parameters")  # when a file and the models that it used were made
 
 
-def lines(out: Path, *, jobs: int, reverse: bool) -> Iterator[list[str]]:
-    """Command lines from logs to prediction and diagnosis."""
-    robot, before = ["-r", str(ONE_JOINT / "robot.toml")], list[str]()
-    folders = {"imu-calib": "imu", "predict": "validation", "diagnose": "validation"}
-    for stage in ("friction", "gravity", "imu-calib", "inertia", "predict", "diagnose"):
-        folder = ONE_JOINT / folders.get(stage, stage)
-        logs = sorted(map(str, folder.glob("*.*")), reverse=reverse)
-        made = out / f"{stage}.json"
-        many = [] if stage == "diagnose" else ["--jobs", str(jobs)]
-        yield [stage, *logs, *robot, *before, *many, "-o", str(made)]
-        before = before if stage == "predict" else ["-p", str(made)]
+def lines(lab: Path, out: Path) -> Iterator[list[str]]:
+    """The command lines of a run one by one, logs the other way round, work in two processes."""
+    robot, before = ["-r", str(lab / "logs" / "robot.toml")], list[str]()
+    for command, result, *stages in (
+        ("friction", "friction", "friction"),
+        ("gravity", "gravity", "gravity", "friction"),
+        ("imu-calib", "imu", "imu"),
+        ("inertia", "inertia", "inertia"),
+        ("predict", "prediction", "validation"),
+        ("diagnose", "diagnosis", "validation"),
+    ):
+        logs = [str(log) for stage in stages for log in (lab / "logs" / stage).iterdir()]
+        made = str(out / f"{result}.json")
+        many = [] if command == "diagnose" else ["--jobs", "2"]
+        yield [command, *sorted(logs, reverse=True), *robot, *before, *many, "-o", made]
+        before = before if command == "predict" else ["-p", made]
 
 
 def told(path: Path) -> str:
@@ -123,22 +180,15 @@ def told(path: Path) -> str:
 
 
 @pytest.mark.slow
-def test_threads_processes_and_the_order_of_logs_change_no_bit(tmp_path: Path) -> None:
-    first, second = tmp_path / "first", tmp_path / "second"
-    for folder in (first, second):
-        folder.mkdir()
-    for line in lines(first, jobs=1, reverse=False):
-        assert main(line) == 0
-    run = "import json, sys; from seqid_cli.__main__ import main\n" + (
+def test_threads_processes_and_the_order_of_logs_change_no_bit(lab: Path, tmp_path: Path) -> None:
+    commands = "import json, sys; from seqid_cli.__main__ import main\n" + (
         "for line in json.loads(sys.argv[1]): assert main(line) == 0"
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "2"}
-    others = json.dumps(list(lines(second, jobs=2, reverse=True)))
-    command = [sys.executable, "-c", run, others]
+    command = [sys.executable, "-c", commands, json.dumps(list(lines(lab, tmp_path)))]
     subprocess.run(command, env=environment, check=True, capture_output=True)
-    names = sorted(path.name for path in first.iterdir())
-    assert len(names) == 6
-    assert [told(second / name) for name in names] == [told(first / name) for name in names]
+    for name in NAMES:
+        assert told(tmp_path / f"{name}.json") == told(lab / "out" / f"{name}.json"), name
 
 
 def test_blas_has_one_thread(

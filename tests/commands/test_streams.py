@@ -1,4 +1,4 @@
-"""A program among others: streams, names of any bytes, signals; no network, no other programs."""
+"""A program among others: streams, names of any bytes, signals; no way out in the source."""
 
 import os
 import re
@@ -15,6 +15,7 @@ from tests import ROOT
 from tests.commands.conftest import ONE_JOINT, SAMPLE_LOGS, Rig
 
 FRICTION = ONE_JOINT / "friction"
+GRAVITY = ONE_JOINT / "gravity"  # one short log
 ROBOT = ("-r", str(ONE_JOINT / "robot.toml"))
 FULL = Path("/dev/full")
 SEQID = (sys.executable, "-m", "seqid_cli")
@@ -35,7 +36,7 @@ def ran(*arguments: str | bytes, **more: object) -> tuple[int, str, str]:
 
 
 @pytest.mark.parametrize(
-    "arguments", [("inspect", str(ONE_JOINT)), ("completion", "bash"), ("--help",), ("--version",)]
+    "arguments", [("inspect", str(GRAVITY)), ("completion", "bash"), ("--help",), ("--version",)]
 )
 def test_a_full_output_is_said_in_one_line(arguments: tuple[str, ...]) -> None:
     with FULL.open("wb") as full:
@@ -50,7 +51,7 @@ def test_a_full_output_is_said_in_one_line(arguments: tuple[str, ...]) -> None:
 @pytest.mark.parametrize("where", ["1>&-", "2>&-", "1>&- 2>&-", "2>/dev/full", "2> >(exec true)"])
 def test_streams_that_nobody_can_read_cost_no_result(where: str, tmp_path: Path) -> None:
     made = tmp_path / "f.json"
-    line = " ".join([*SEQID, "friction", str(FRICTION), *ROBOT, "-o", str(made), where])
+    line = " ".join([*SEQID, "inspect", str(GRAVITY), *ROBOT, "-o", str(made), where])
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(["bash", "-c", line], env=environment, capture_output=True, timeout=60)
     assert done.returncode == 0
@@ -64,13 +65,15 @@ def test_streams_that_nobody_can_read_cost_no_result(where: str, tmp_path: Path)
     [{"SOURCE_DATE_EPOCH": "today"}, {"LC_ALL": "C", "PYTHONUTF8": "0"}],
     ids=["utf-8, a variable for builds that is no number", "ascii"],
 )
-@pytest.mark.parametrize("name", ["gelenk_ö.parquet".encode(), b"log_\xff.parquet"])
-def test_names_of_any_bytes_are_taken(name: bytes, env: dict[str, str], tmp_path: Path) -> None:
+def test_names_of_any_bytes_are_taken(env: dict[str, str], tmp_path: Path) -> None:
     (source,) = FRICTION.glob("*.parquet")
-    log = os.path.join(os.fsencode(tmp_path), name)  # noqa: PTH118
-    shutil.copy(os.fsencode(source), log)
-    made = log.replace(b".parquet", b".json")
-    code, out, err = ran("friction", log, *ROBOT, "-o", made, env=env)
+    folder = os.fsencode(tmp_path)
+    names = ("gelenk_ö".encode(), b"log_\xff")
+    logs = [os.path.join(folder, name + b".parquet") for name in names]  # noqa: PTH118
+    for log in logs:
+        shutil.copy(os.fsencode(source), log)
+    made = os.path.join(folder, b"_".join(names) + b".json")  # noqa: PTH118
+    code, out, err = ran("friction", *logs, *ROBOT, "-o", made, env=env)
     assert code == 0, err
     assert os.stat(made).st_size > 1000  # noqa: PTH116
     assert "joint_1" in out
@@ -127,7 +130,7 @@ def test_what_a_killed_run_left_is_removed_by_the_next(tmp_path: Path) -> None:
     running = tmp_path / f".{made.name}.{os.getpid()}.tmp"
     for path in (left, running):
         path.write_text("half")
-    code, _, err = ran("friction", str(FRICTION), *ROBOT, "-o", str(made))
+    code, _, err = ran("inspect", str(GRAVITY), *ROBOT, "-o", str(made))
     assert code == 0, err
     assert not left.exists()
     assert running.exists()
@@ -179,33 +182,6 @@ def test_a_reader_that_leaves_early_is_no_error() -> None:
     os.close(read)
     with os.fdopen(write, "wb") as closed:
         assert ran("completion", "bash", stdout=closed) == (0, "", "")
-
-
-WATCHED = """
-import sys
-
-def watch(event, arguments):
-    if event.startswith(("socket.connect", "socket.bind", "socket.getaddrinfo", "subprocess.",
-                         "os.system", "os.exec", "os.posix_spawn", "os.spawn", "pickle.find_class",
-                         "urllib.", "ftplib.", "smtplib.", "webbrowser.")):
-        sys.stderr.write(f"FORBIDDEN {event} {arguments}\\n")
-
-sys.addaudithook(watch)
-from seqid_cli.__main__ import main
-sys.exit(main(sys.argv[1:]))
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("own", [True, False], ids=["a run", "the watch sees"])
-def test_the_whole_way_keeps_to_itself(own: bool, tmp_path: Path) -> None:
-    text = WATCHED if own else WATCHED.replace("\nfrom", "\nimport os; os.system('true')\nfrom")
-    words = ("run", str(ONE_JOINT), *ROBOT, "-o", str(tmp_path)) if own else ("--version",)
-    command = [sys.executable, "-c", text, *words]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert ("FORBIDDEN os.system" in done.stderr) != own
-    assert ("FORBIDDEN" in done.stderr) != own
 
 
 MODULES = "socket|subprocess|pickle|shelve|marshal|ctypes|runpy|http|webbrowser|urllib|ftplib"

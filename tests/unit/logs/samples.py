@@ -1,7 +1,7 @@
 """Robots and motions for the tests of the readers."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +10,10 @@ import numpy as np
 from seqid_cli.logs.raw import RawLog
 from seqid_cli.logs.read import read_whole
 from seqid_cli.logs.storage.files import check_log
-from seqid_cli.robot.types import Chain, Channels, Imu, Joint, Robot
+from seqid_cli.robot.kinematics import chain_from_dh
+from seqid_cli.robot.types import Channels, Imu, Joint, Robot
 from tests import Array
+from tests.plants.robots.small import robot_from_chain
 from tests.unit.logs.writers import write_mcap, write_parquet
 
 JOINTS = ("shoulder", "elbow", "wrist")
@@ -34,18 +36,8 @@ def make_robot(
         Joint(name, torque_constant=constant, gear_ratio=gear_ratio)
         for name, constant in zip(names, each, strict=True)
     )
-    turns, axes = np.tile(np.eye(3), (n, 1, 1)), np.tile([0.0, 0.0, 1.0], (n, 1))
-    chain = Chain(turns, np.zeros((n, 3)), axes, np.zeros(n, np.bool_))
-    return Robot(
-        name="arm",
-        joints=joints,
-        chain=chain,
-        gravity=np.array([0.0, 0.0, -9.81]),
-        sha256="0" * 64,
-        source=Path("robot.toml"),
-        imus=tuple(imus),
-        channels=channels or Channels(),
-    )
+    robot = robot_from_chain(chain_from_dh([(0.0, 0.0, 0.0, 0.0)] * n))
+    return replace(robot, joints=joints, imus=tuple(imus), channels=channels or Channels())
 
 
 @dataclass(frozen=True)

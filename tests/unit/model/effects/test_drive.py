@@ -84,8 +84,7 @@ LAG = 0.5 / FINE_HZ  # s: a lagging torque is held over a fine sample
     [
         *(
             ("time_skew", joint, late(samples), samples / FINE_HZ, 3e-5)
-            for joint in (0, 1)
-            for samples in (10, -10, 2, 40)
+            for joint, samples in ((0, 10), (0, -10), (1, 2), (1, 40))
         ),
         ("time_skew", None, late(10), 10 / FINE_HZ, 2e-5),
         *(("actuator_lag", 0, lagging(x), x - LAG, 5e-5) for x in (0.002, 0.01)),

@@ -1,7 +1,7 @@
 """Every effect of the catalogue keeps the same promises."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -25,7 +25,7 @@ ADDED = {"friction_change", "position_dependent_friction"}
 UNIT = re.compile(r"^(1|%|[A-Za-z0-9^./ ()-]+)$")
 
 
-@pytest.fixture(params=sorted(CATALOGUE))
+@pytest.fixture(params=sorted(CATALOGUE), scope="module")
 def effect(request: pytest.FixtureRequest) -> Effect:
     return CATALOGUE[str(request.param)]
 
@@ -36,15 +36,20 @@ def logs() -> list[Scene]:
     return scenes_of_logs()
 
 
-def joints_of(effect: Effect, logs: list[Scene]) -> list[int | None]:
+Grids = Mapping[int | None, list[Settings]]
+
+
+@pytest.fixture(scope="module")
+def grids(effect: Effect, logs: list[Scene]) -> Grids:
+    """The grid of each joint, which the tests of an effect share."""
     every = [None] if effect.arm else [0, 1, None] if effect.shared else [0, 1]
-    return [joint for joint in every if effect.available(logs, joint)]
+    available = [joint for joint in every if effect.available(logs, joint)]
+    return {joint: settings_of(effect, logs, joint) for joint in available}
 
 
-def points(effect: Effect, logs: list[Scene]) -> Iterator[tuple[int | None, Settings]]:
+def points(grids: Grids) -> Iterator[tuple[int | None, Settings]]:
     """Yield joints with the first, middle and last point of their grids."""
-    for joint in joints_of(effect, logs):
-        grid = settings_of(effect, logs, joint)
+    for joint, grid in grids.items():
         for k in sorted({0, len(grid) // 2, len(grid) - 1} if grid else ()):
             yield joint, grid[k]
 
@@ -65,9 +70,9 @@ def test_names_are_known() -> None:
     assert set(CATALOGUE) == CONTRACT | ADDED
 
 
-def test_parameters_have_names_units_and_bounds(effect: Effect, logs: list[Scene]) -> None:
+def test_parameters_have_names_units_and_bounds(effect: Effect, grids: Grids) -> None:
     """Also at every grid point, since coefficients may depend on the settings."""
-    for _, settings in points(effect, logs):
+    for _, settings in points(grids):
         coefficients = effect.coefficients(settings)
         assert coefficients
         every = [*effect.settings, *coefficients]
@@ -79,32 +84,31 @@ def test_parameters_have_names_units_and_bounds(effect: Effect, logs: list[Scene
         assert all(re.fullmatch(r"[a-z][a-zA-Z0-9_]*", name) for name in names)
 
 
-def test_the_grid_names_all_settings_within_bounds(effect: Effect, logs: list[Scene]) -> None:
+def test_the_grid_names_all_settings_within_bounds(effect: Effect, grids: Grids) -> None:
     asked = {one.name for one in effect.settings if one.asked}
     known = {one.name: one for one in effect.settings}
-    for joint in joints_of(effect, logs):
-        grid = settings_of(effect, logs, joint)
+    for grid in grids.values():
         assert len({tuple(sorted(point.items())) for point in grid}) == len(grid) <= 200
         for point in grid:
             assert asked <= set(point) <= set(known)
             assert all(known[name].low <= x <= known[name].high for name, x in point.items())
 
 
-def test_columns_are_sound(effect: Effect, logs: list[Scene]) -> None:
+def test_columns_are_sound(effect: Effect, logs: list[Scene], grids: Grids) -> None:
     """Also where a joint never moves, and without drive data in the robot file."""
     q = wander(12.0, seed=9, still=(1,), rests=((0.0, 2.0), (6.0, 8.0)))
     dull = scene_of(q, temperature=np.full(q.shape, 30.0))
     bare = replace(dull, robot=two_joint_robot(drives=False))
-    for joint, settings in points(effect, logs):
+    for joint, settings in points(grids):
         for scene in (*logs, dull, *[bare] * effect.available([bare], joint)):
             columns = effect.columns(scene, joint, settings)
             assert_sound(effect, scene, settings, columns)
             assert joint is None or joint in columns
 
 
-def test_sharpened_settings_keep_the_rules(effect: Effect, logs: list[Scene]) -> None:
+def test_sharpened_settings_keep_the_rules(effect: Effect, logs: list[Scene], grids: Grids) -> None:
     """They name all settings within bounds, do not depend on what they were, and take any size."""
-    for joint, settings in points(effect, logs):
+    for joint, settings in points(grids):
         count = len(effect.coefficients(settings))
         for size in (0.0, 1e-3, -1e-3, 1e6, -1e6):
             nearer = effect.sharpened(settings, np.full(count, size))
@@ -131,11 +135,11 @@ def cut(scene: Scene, first: int) -> Scene:
     )
 
 
-def test_the_past_is_forgotten(effect: Effect, logs: list[Scene]) -> None:
+def test_the_past_is_forgotten(effect: Effect, logs: list[Scene], grids: Grids) -> None:
     """A log that begins later gives the same columns, once any state has settled."""
     scene, first, settle = logs[0], round(8 * RATE_HZ), round(6 * RATE_HZ)
     late = cut(scene, first)
-    for joint, settings in points(effect, logs):
+    for joint, settings in points(grids):
         whole = effect.columns(scene, joint, settings)
         part = effect.columns(late, joint, settings)
         for j, values in whole.items():
@@ -144,10 +148,12 @@ def test_the_past_is_forgotten(effect: Effect, logs: list[Scene]) -> None:
             np.testing.assert_allclose(part[j][settle:], wanted, atol=1e-3 * scale)
 
 
-def test_values_are_finite_and_in_the_joints_units(effect: Effect, logs: list[Scene]) -> None:
+def test_values_are_finite_and_in_the_joints_units(
+    effect: Effect, logs: list[Scene], grids: Grids
+) -> None:
     """Torques of a slide are forces."""
     slide = two_joint_robot(prismatic=True)
-    for joint, settings in points(effect, logs):
+    for joint, settings in points(grids):
         count = len(effect.coefficients(settings))
         c, covariance = np.linspace(0.1, 0.2, count), 1e-4 * np.eye(count)
         for robot in (logs[0].robot, slide):
@@ -159,9 +165,9 @@ def test_values_are_finite_and_in_the_joints_units(effect: Effect, logs: list[Sc
             assert not force or all("N m" not in one.unit for one in values)
 
 
-def test_plausibility_is_decided(effect: Effect, logs: list[Scene]) -> None:
+def test_plausibility_is_decided(effect: Effect, logs: list[Scene], grids: Grids) -> None:
     """Nothing at all is within bounds that hold zero; what is beyond them is not."""
-    for joint, settings in points(effect, logs):
+    for joint, settings in points(grids):
         specs = effect.coefficients(settings)
         assert effect.plausible(logs, joint, settings, np.zeros(len(specs))) in {True, False}
         for k, spec in enumerate(specs):

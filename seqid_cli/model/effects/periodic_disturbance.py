@@ -20,7 +20,7 @@ from seqid_cli.model.effects.scene import Joint, Scene, Scenes
 from seqid_cli.model.effects.spectral_lines import Signal, amplitude, refined, strongest_lines
 from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 from seqid_cli.units import unit_of
 
 LOWEST_HZ = 1.0
@@ -66,6 +66,9 @@ class PeriodicDisturbance(Effect):
         shared = all(scene.shared_clock for scene in scenes)
         ends = [scene.time[[0, -1]] for scene in scenes]
         fixed = {"clocks": 0.0 if shared else float(len(scenes)), "span": float(np.ptp(ends))}
+        residual = [
+            _without_peaks(r, s.slides, joint) for r, s in zip(residual, scenes, strict=True)
+        ]
         whole = _signals(scenes, joint, residual)
         made = _signals(scenes, joint, [scene.modelled for scene in scenes])
         for near in strongest_lines(whole, LOWEST_HZ, LINES):
@@ -128,6 +131,18 @@ def _signals(
         counts = scene.slides[:, joint] | (line_hz > motion.lowpass.cutoff_hz)
         found.append(Signal(np.where(counts, tau[:, joint], 0.0), motion.rate_hz, scene.start))
     return found
+
+
+def _without_peaks(torque: Array, slides: Mask, joint: int, *, most: float = 4.0) -> Array:
+    """Torque (N, n) of which a joint has no more than `most` times its median size.
+
+    A line has 1.4 times that; where friction was not identified, and at reversals, more is left.
+    """
+    result, own = torque.copy(), torque[:, joint]
+    limit = most * float(np.median(np.abs(own[slides[:, joint]]))) if slides[:, joint].any() else 0
+    if limit > 0.0:
+        result[:, joint] = np.clip(own, -limit, limit)
+    return result
 
 
 def _by_log(signals: Sequence[Signal], near: float) -> tuple[float, float]:

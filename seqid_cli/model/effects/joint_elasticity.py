@@ -39,7 +39,7 @@ BLUNT, RINGING = 0.15, 0.06  # damping, of critical
 SHARPER = (RINGING, 0.03, 0.015)
 SOFTEST, STIFFEST = 0.25, 6.0  # resonance of the grid's ends over the low-pass's cut-off
 POINTS = 8
-TOP, FINE = 1.5, 14  # the same of the finer grid's last, and their number
+FINE = 8  # resonances in the band, where gears may ring on
 AGREEMENT = 4.0  # of compliance and trial stiffness, as a ratio
 LOWEST_RESONANCE = 0.4  # over the cut-off, of a joint whose shape is that of a stiff one
 
@@ -80,7 +80,7 @@ class JointElasticity(Effect):
         for k in stiffness[:: 1 + link]:
             settings = {"trial_stiffness": float(k), "encoder_side": float(link)}
             yield {**settings, "damping_ratio": BLUNT}
-        for share in () if link else np.geomspace(SOFTEST, TOP, FINE):
+        for share in () if link else np.geomspace(LOWEST_RESONANCE, 1.0, FINE):
             settings = {"trial_stiffness": float(unit * share**2), "encoder_side": 0.0}
             yield {**settings, "damping_ratio": RINGING}
 

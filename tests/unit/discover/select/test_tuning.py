@@ -86,14 +86,14 @@ def sprung(gear: Gear, seed: int) -> Scene:
 
 
 @pytest.mark.slow
-def test_a_resonance_is_met_blunt_and_followed_to_its_damping() -> None:
+def test_a_resonance_is_met_and_followed_to_its_damping() -> None:
     """The stiffness that the blunt shape fits best is off; the sharper one brings it back."""
     gear = Gear(2500.0, 2.7)  # 8.9 Hz, 3 % of critical
     model = model_of([sprung(gear, seed) for seed in range(5)])
     met = best(model, "joint_elasticity", 0)
-    assert met.candidate.settings["damping_ratio"] == 0.15
     found = tuner_in(model).tuned(met)
     settings = found.candidate.settings
+    assert settings["damping_ratio"] <= met.candidate.settings["damping_ratio"]
     assert settings["damping_ratio"] in {0.03, 0.06}
     assert settings["trial_stiffness"] == pytest.approx(2500.0, rel=0.06)
     assert 1.0 / found.gained.coefficients[0] == pytest.approx(2500.0, rel=0.03)

@@ -62,10 +62,11 @@ def inspect(
         raise UsageError("--plan needs the robot file", hint="Give it with -r.")
     arm = load_robot(Path(robot)) if is_place(robot) else robot  # type: ignore[arg-type]
     from seqid_cli.inspect.inspection import inspect_logs
-    from seqid_cli.inspect.planned import recorded_parts
 
     report = inspect_logs(files, arm, time_source=time_source, on_progress=on_progress)  # type: ignore[arg-type]
     if plan is not None:
+        from seqid_cli.inspect.planned import recorded_parts
+
         parts = recorded_parts(Path(plan), arm, files, time_source)  # type: ignore[arg-type]
         report = structs.replace(report, planned=parts)
     if target is not None:

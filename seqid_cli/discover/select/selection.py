@@ -378,10 +378,8 @@ class Selection:
         model, channels, gain = self.model, one.term.channels, one.predicted.total
         if term is one.term or not term.channels & channels:
             return False
-        if again(term, model).predicted.total <= gain:
-            return False
         law = self._known_to(term, one.term) ** 2 * model.squares(term, channels)
-        return bool(2.0 * gain < law)
+        return bool(2.0 * gain < law and again(term, model).predicted.total > gain)
 
     def _known_to(self, term: Term, beside: Term) -> float:
         """Share of a term's torque to which its law is known; less well beside a like term."""

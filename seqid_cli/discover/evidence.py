@@ -14,7 +14,8 @@ import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.investigate import Investigation
-from seqid_cli.discover.select.results import Options, Ranked, Taken
+from seqid_cli.discover.select.options import Options
+from seqid_cli.discover.select.results import Ranked, Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.smooth import Axis
@@ -222,7 +223,7 @@ def _beside(one: Ranked, taken: Taken, alike: Collection[str]) -> str:
         return f"these logs cannot tell the two apart: it reaches {percent(reach)} of the gain"
     if reach <= 0.0:
         return "predicts nothing in its place"
-    if reach < 1.0 - Options().tie:
+    if reach < 1.0 - Options().small:
         return f"explains {percent(1.0 - reach)} less"
     more, own = one.term.freedom, taken.term.freedom
     if more > own:

@@ -15,7 +15,8 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.scenes import scenes_of
 from seqid_cli.discover.select.model import HELD, Ground, Model
 from seqid_cli.discover.select.naming import TOLD
-from seqid_cli.discover.select.results import Options, Selected
+from seqid_cli.discover.select.options import Options
+from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.selection import select, select_among
 from seqid_cli.discover.survey.events import GATE, Interval, event_masks, find_events
 from seqid_cli.discover.survey.rows import rows_of
@@ -132,13 +133,11 @@ def guessed(model: Model) -> list[Mask]:
     return masks
 
 
-def events_of(
-    model: Model, guess: Sequence[Mask], *, least: float = 0.25, most: float = 0.5
-) -> list[Interval]:
+def events_of(model: Model, guess: Sequence[Mask], *, most: float = 0.5) -> list[Interval]:
     """Stretches that stand out in what the model leaves, and are no errors of its laws.
 
     At `most` of their samples an effect may have any torque (`guess`, (N, n)), or a joint turns
-    back above the cut-off. Nor do terms make them: of their square the file leaves `least`.
+    back above the cut-off. Nor do terms make `most` of them, beside what the file leaves.
     """
     rows, left, found = model.ground.stage.rows, model.left(), list[Interval]()
     for event in find_events(rows, model.scaled()):
@@ -148,7 +147,7 @@ def events_of(
         if (
             not of_law(event, scene, own)
             and np.mean(unknown[:, list(event.joints)]) <= most
-            and event.squares(scene, file) > least * event.squares(scene, own)
+            and event.squares(scene, file) > most**2 * event.squares(scene, own)
         ):
             found.append(event)
     return found
@@ -163,7 +162,7 @@ def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     period = round(scene.motion.rate_hz / scene.motion.lowpass.cutoff_hz)
     for j in event.joints:
-        least = Options.law * float(np.ptp(scene.modelled[around, j]))
+        least = Options.small * float(np.ptp(scene.modelled[around, j]))
         away = inside & shrink(scene.slides[:, j], period)
         size = max(rms(residual[inside, j]), rms(residual[away, j]) * event.score / GATE)
         if size >= least:

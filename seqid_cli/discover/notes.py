@@ -7,7 +7,7 @@ import numpy as np
 from seqid_cli.discover.investigate import Investigation
 from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.spectra import DETAIL
-from seqid_cli.discover.select.results import Options
+from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.survey.rows import extrapolated
 from seqid_cli.identify.imu_calibration.calibrate import deflecting

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from seqid_cli.discover.noise.floor import encoder_residuals
-from seqid_cli.discover.select.results import Options
+from seqid_cli.discover.select.options import Options
 from seqid_cli.errors import InputError
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.checks.echo import REMEDY, WARNING, echoes

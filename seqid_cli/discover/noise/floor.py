@@ -135,11 +135,11 @@ def _noise(spectra: Sequence[Spectrum], slid: Slid, reference_hz: float) -> Arra
     return level_of(shown, reference_hz).rms(slid) if shown and slid else UNKNOWN
 
 
-def _rests(recording: Recording, scene: Scene, *, settling: float = 1.2) -> tuple[list[int], int]:
-    """First samples, and length, of pieces in which all joints stand, away from moves."""
+def _rests(recording: Recording, scene: Scene) -> tuple[list[int], int]:
+    """First samples, and length, of pieces in which all joints stand, a period from moves."""
     period = recording.rate_hz / scene.motion.lowpass.cutoff_hz
     still = unmoved(recording.q, encoder_resolution(scene.robot), round(STRETCH * period))
-    quiet = shrink(still & recording.valid, round(settling * period))
+    quiet = shrink(still & recording.valid, round(period))
     lengths = [b - a for a, b in runs(quiet, len(quiet)) if b - a >= STRETCH * period]
     length = int(np.median(lengths)) if lengths else 0
     return stretches(quiet, length) if length else [], length

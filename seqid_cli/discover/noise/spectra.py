@@ -151,12 +151,12 @@ class Level:
         return np.interp(shares, below / below[-1], at)
 
 
-def level_of(spectra: Sequence[Spectrum], reference_hz: float, *, cost: float = 1.0) -> Level:
+def level_of(spectra: Sequence[Spectrum], reference_hz: float) -> Level:
     """White and 1/f^a noise of a joint, of which spectra show at least as much as there is.
 
-    r is the ratio of 1/f^a noise to white noise at `reference_hz`. `cost` is the log-likelihood
-    that a parameter more must gain (Akaike's criterion): the excess of a band, noise that is not
-    white, an exponent other than 1.
+    r is the ratio of 1/f^a noise to white noise at `reference_hz`. A parameter more must gain a
+    log-likelihood of one (Akaike's criterion): the excess of a band, noise that is not white, an
+    exponent other than 1.
     """
     bands = [spectrum.bands for spectrum in spectra]
     frequency = np.concatenate([one.frequency for one in bands])
@@ -172,9 +172,9 @@ def level_of(spectra: Sequence[Spectrum], reference_hz: float, *, cost: float = 
     total = np.cumsum(precision, axis=1)
     mean = np.cumsum(precision * above, axis=1) / total
     lost = 0.5 * (np.cumsum(precision * above**2, axis=1) - total * mean**2)
-    lost += cost * np.arange(len(frequency))[::-1]
+    lost += np.arange(len(frequency))[::-1]
     best = np.arange(len(above)), np.argmin(lost, axis=1)
-    prior = -cost * MORE - np.log([np.count_nonzero(more == MORE) for more in MORE])
+    prior = -MORE - np.log([np.count_nonzero(more == MORE) for more in MORE])
     weight = softmax(prior - lost[best] - 0.5 * np.log(total[best]))
     return Level(mean[best], 1.0 / total[best], weight, reference_hz)
 

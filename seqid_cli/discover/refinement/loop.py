@@ -30,7 +30,8 @@ from seqid_cli.discover.refinement.reidentify import (
     unique,
 )
 from seqid_cli.discover.select.naming import reality
-from seqid_cli.discover.select.results import Options, Taken
+from seqid_cli.discover.select.options import Options
+from seqid_cli.discover.select.results import Taken
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect, as_stage

@@ -27,7 +27,8 @@ from seqid_cli.discover.refinement.loop import (
 from seqid_cli.discover.refinement.reidentify import Key, Material, Refitted, key_of
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import named
-from seqid_cli.discover.select.results import Options, Taken
+from seqid_cli.discover.select.options import Options
+from seqid_cli.discover.select.results import Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.prediction.predict import slides_from

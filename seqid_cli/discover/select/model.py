@@ -23,7 +23,6 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.typing import Array
 
 SCALES = (1.0, 3.0, 10.0, 30.0)  # of the file's errors, of which the evidence chooses
-OWN_OFFSET = 0.75  # sample periods: time offset that every drive has, and no effect
 
 
 @dataclass(frozen=True)
@@ -45,13 +44,13 @@ class Hold:
                 each = [*own[: number - 1], scale, *own[number:]] if number else own
                 yield replace(self, rigid=self.rigid if number else scale, own=tuple(each))
 
-    def doubt(self, joints: int, *, spread: float = 0.8) -> float:
+    def doubt(self, joints: int) -> float:
         """Log odds against standard errors that are so many times too small, part by part.
 
-        ln s of a scale s is normal, with `spread`. Zero where all is held as the file says.
+        ln s of a scale s is standard normal. Zero where all is held as the file says.
         """
         scales = (self.rigid, *map(self.of, range(joints)))
-        return float(sum(np.log(max(scale, 1.0)) ** 2 for scale in scales)) / (2.0 * spread**2)
+        return float(sum(np.log(max(scale, 1.0)) ** 2 for scale in scales)) / 2.0
 
 
 HELD = Hold()
@@ -97,8 +96,8 @@ class Ground:
 
     @property
     def own_offset(self) -> float:
-        """Time [s] by which torque may be early or late at any drive."""
-        return OWN_OFFSET * max(scene.period for scene in self.stage.scenes)
+        """Time [s] by which torque may be early or late at any drive: one sample."""
+        return max(scene.period for scene in self.stage.scenes)
 
     def precision(self, hold: Hold, number: int) -> Array:
         """Precision (k, k) beforehand of the rigid body (0), or friction of a joint (from 1)."""

@@ -19,20 +19,16 @@ floor, and a term has another size in every block, it may stand for the error of
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit, logit
 
+from seqid_cli.discover.select.options import Options
+from seqid_cli.discover.select.results import Taken
 from seqid_cli.typing import Array
 
-if TYPE_CHECKING:
-    from seqid_cli.discover.select.results import Taken
-
-
-TEMPER = 0.016  # of the gain, by which two laws may differ and be equally likely
 TOLD = 0.7  # probability from which something is told
-SELDOM = 0.05  # share of them, below which a rival is not told
+BEHIND = -float(logit(Options.doubt))  # log odds against a rival that is not told
 
 
 @dataclass(frozen=True)
@@ -42,6 +38,14 @@ class Named:
     confidence: float
     by_itself: float
     others: tuple[str, ...] = ()
+
+
+def tempered(gain: Array | float) -> Array:
+    """By what gains are divided, so that a rival which lacks a small share of `gain` is not told.
+
+    No law is exactly an effect's; a unit of log density counts as one at most.
+    """
+    return np.maximum(Options.small * np.asarray(gain) / BEHIND, 1.0)
 
 
 def reality(share: float, gain: float, *, of_share: float = 0.7, of_gain: float = 1.1) -> float:
@@ -70,7 +74,7 @@ def named(taken: Taken, left: float = 1.0) -> Named:
     """How sure a term is to be there, and to be what its name says; `left` as in `steadiness`."""
     shares = _shares(taken)
     own = shares.pop(taken.term.name, 0.0)
-    others = {name: share for name, share in shares.items() if share > SELDOM}
+    others = {name: share for name, share in shares.items() if share > Options.doubt}
     there = reality(taken.share, taken.evidence)
     there *= steadiness(taken.varied, taken.share, left)
     every = (*others, *(name for name in taken.untried if name not in others))
@@ -81,7 +85,7 @@ def named(taken: Taken, left: float = 1.0) -> Named:
 def _shares(taken: Taken) -> dict[str, float]:
     """Probability of each name."""
     rivals = [rival for rival in taken.rivals if not rival.term.smooth]
-    scale = max(TEMPER * taken.one.predicted.total, 1.0)
+    scale = tempered(taken.one.predicted.total)
     gains: dict[str, Array] = {}
     for rival in rivals:
         name, own = rival.term.name, rival.predicted.drawn / scale

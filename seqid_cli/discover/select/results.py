@@ -1,10 +1,8 @@
-"""What the selection decides by, what it ranks, and what it ends with."""
+"""What the selection ranks, and what it ends with."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-
-from scipy.special import ndtri
 
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import Model, rms_of_rows
@@ -13,33 +11,6 @@ from seqid_cli.discover.select.terms import Term
 from seqid_cli.typing import Array
 
 Key = tuple[str, int | None]
-
-
-@dataclass(frozen=True)
-class Options:
-    """What decides.
-
-    `doubt` is the probability over drawn blocks that a term gains nothing, and `improvement` the
-    share of the squared error left out that it must take away; `chance` is the log evidence that
-    the best of all terms has on noise; an effect's law is known to `law` of its torque, beside
-    effects that look like it to `likeness`, or to `apart` where motor and link move apart, and less
-    than that at its joints is not told; terms that gain within `tie` of each other are equal, and
-    an effect goes before a smooth function then; at most `most` terms.
-    """
-
-    doubt: float = 0.025
-    improvement: float = 0.04
-    chance: float = 6.0
-    law: float = 0.03
-    likeness: float = 0.2
-    apart: float = 0.5
-    tie: float = 0.04
-    most: int = 8
-
-    @cached_property
-    def behind(self) -> float:
-        """Standard errors by which a term is behind another with no more than `doubt`."""
-        return -float(ndtri(self.doubt))
 
 
 @dataclass(frozen=True)

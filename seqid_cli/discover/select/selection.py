@@ -20,7 +20,8 @@ from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import FREE, HELD, Ground, Hold, Model
 from seqid_cli.discover.select.naming import TOLD, reality
 from seqid_cli.discover.select.noise import Noise
-from seqid_cli.discover.select.results import Key, Options, Ranked, Selected, Taken, Weighed, again
+from seqid_cli.discover.select.options import Options
+from seqid_cli.discover.select.results import Key, Ranked, Selected, Taken, Weighed, again
 from seqid_cli.discover.select.rows import Part, scatter
 from seqid_cli.discover.select.search import Search, is_wide
 from seqid_cli.discover.select.terms import Term
@@ -120,7 +121,7 @@ class Selection:
         gained = [
             again(term, self.model).predicted.total for term in self.model.terms if term.smooth
         ]
-        granted = self.options.tie * sum(gained) + self.options.chance * len(self.model.terms)
+        granted = self.options.small * sum(gained) + self.options.chance * len(self.model.terms)
         granted += self.model.hold.doubt(self.model.ground.n)
         return self.model.under(noise).evidence - granted
 
@@ -206,7 +207,7 @@ class Selection:
     def _as_good(self, one: Ranked, best: Ranked) -> bool:
         """Whether a term at one of the same channels is not clearly behind the best."""
         options, behind = self.options, best.predicted.density - one.predicted.density
-        least = max(options.behind * scatter(behind), options.tie * best.predicted.total, 1.0)
+        least = max(options.behind * scatter(behind), options.small * best.predicted.total, 1.0)
         less = best.predicted.total - one.predicted.total
         return bool(one.term.channels & best.term.channels) and less <= least
 
@@ -279,7 +280,7 @@ class Selection:
             what, beside = term.what, term.channels & smooth.channels
             if isinstance(what, Candidate) and beside and term not in told:
                 neither = model.beside(smooth, term)
-                least = (1.0 - self.options.tie) * (model.linear.evidence - neither.evidence)
+                least = (1.0 - self.options.small) * (model.linear.evidence - neither.evidence)
                 tuner = Tuner(model.ground.stage, neither, model.ground.size)
                 alone = [tuner.tuned(one) for one in tuner.tried([what])]
                 found += [one for one in alone if one.evidence >= least]
@@ -385,13 +386,13 @@ class Selection:
         """Share of a term's torque to which its law is known; less well beside a like term."""
         what, other = term.what, beside.what
         if not isinstance(what, Candidate):
-            return self.options.law
+            return self.options.small
         if isinstance(other, Candidate):
             elsewhere = term.name == beside.name and term.joint != beside.joint
             alike = beside.name in what.effect.alike or term.name in other.effect.alike
             if elsewhere or alike:
                 return self.options.apart if what.effect.apart else self.options.likeness
-        return 0.0 if what.effect.exact else self.options.law
+        return 0.0 if what.effect.exact else self.options.small
 
 
 def _ranked(linear: Linear, tried: Sequence[Tried]) -> list[Ranked]:

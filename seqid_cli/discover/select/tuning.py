@@ -7,6 +7,7 @@ import numpy as np
 
 from seqid_cli.discover.candidates import Candidate, Stage
 from seqid_cli.discover.select.linear import Linear
+from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.rows import Gained
 from seqid_cli.discover.select.terms import Term, effects
 from seqid_cli.model.effects.effect import SPACING, Setting
@@ -16,7 +17,6 @@ GOLDEN = 0.381966
 STEPS = 8
 NEAR = 1.5  # ratio by which a setting may move when another one takes its next value
 SHARPENED = 3  # times that settings are moved to where the coefficients say
-USUAL = 0.02  # of the evidence, that another value than the usual one must gain
 
 
 @dataclass(frozen=True)
@@ -112,12 +112,14 @@ class Tuner:
                 at_y = gain(y)
         return best
 
-    def _usual(self, tried: Tried, setting: Setting, *, needed: float = 3.0) -> Tried:
+    def _usual(self, tried: Tried, setting: Setting) -> Tried:
         """The same with a usual value of a setting, or none, where no other does clearly better."""
         every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
-        near = [one for one in every if one and one.evidence > (1.0 - USUAL) * tried.evidence]
+        near = [
+            one for one in every if one and one.evidence > (1.0 - Options.small) * tried.evidence
+        ]
         bare = None if setting.asked else self._moved(tried, setting.name)
-        if bare is not None and bare.evidence > tried.evidence - needed:
+        if bare is not None and bare.evidence > tried.evidence - Options.chance:
             return bare
         return max(near, key=lambda one: one.evidence, default=tried)
 

@@ -24,7 +24,7 @@ from seqid_cli.discover.survey.event_windows import (
     tracks_of,
     windows_of,
 )
-from seqid_cli.discover.survey.rows import SAMPLES_PER_CUTOFF, Rows
+from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF, Rows
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robust import PER_MEDIAN
@@ -37,14 +37,10 @@ MOST_REFERENCES = 3000
 EDGE_SHARE = 0.4  # of an event's peak, down to which it reaches
 MOST_TIME = 0.05  # share of a log (or LONGEST_S, whichever is more) that events may fill
 LONGEST_S = 2.0  # of one event
-TOUCH_S = 0.1  # between intervals that are one event
-FEW, RARE_S = 3, 10.0  # occasions that a log may have: this number, or one in so many seconds
 NEIGHBOURS = 24
-APART_S = 1.5  # windows nearer in time are no comparison
 SPEEDS = 4  # classes of speed
 FEWEST = 8  # windows that a class must have to be one
 USUAL = 0.95  # share of the windows whose neighbours count as near
-TRUST = 0.75  # of a size from few windows: what they show at least
 MOST = 1.645  # magnitude that one in ten exceeds, per standard deviation
 
 
@@ -92,18 +88,16 @@ def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
     for number in range(len(rows.scenes)):
         events = places(number, scored)
         length = max(w.length_s * np.count_nonzero(w.scene == number) / OVERLAP for w in every)
-        occasions = _occasions(events)
-        taken = sum(end - start for start, end in occasions)
-        few = len(occasions) <= max(FEW, length / RARE_S)
-        found += events if few and taken <= max(MOST_TIME * length, LONGEST_S) else []
+        taken = sum(end - start for start, end in _occasions(events))
+        found += events if taken <= max(MOST_TIME * length, LONGEST_S) else []
     return found
 
 
 def _occasions(events: Sequence[Interval]) -> list[tuple[float, float]]:
-    """Start and end of what stands out, where events nearer than `APART_S` are one."""
+    """Start and end of what stands out, where events nearer than `BLOCK_S` are one."""
     found: list[tuple[float, float]] = []
     for event in events:
-        near = found and event.start - found[-1][1] <= APART_S
+        near = found and event.start - found[-1][1] <= BLOCK_S
         start, end = found.pop() if near else (event.start, event.end)
         found.append((start, max(end, event.end)))
     return found
@@ -144,7 +138,7 @@ def _compared(m: Array, size: Array, looked: Index, likes: Sequence[Index]) -> A
     rest = m[looked]
     for index in likes:
         median, deviation = _robust(np.where(index >= 0, m[index], np.nan))
-        size = np.maximum(size, TRUST * PER_MEDIAN * deviation)
+        size = np.maximum(size, PER_MEDIAN * deviation)
         shifted = m[looked] - median
         rest = np.where(np.abs(shifted) < np.abs(rest), shifted, rest)
     result: Array = np.nan_to_num(rest / np.maximum(size, 1e-300))
@@ -174,14 +168,14 @@ def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[In
     stride = max(OVERLAP, len(windows.centre) // MOST_REFERENCES)
     reference = np.arange(0, len(windows.centre), stride)
     state = windows.state[:, columns]
-    overlapping = 2 * int(np.ceil(APART_S * OVERLAP / windows.length_s / stride))
+    overlapping = 2 * int(np.ceil(BLOCK_S * OVERLAP / windows.length_s / stride))
     asked = [*range(1, min(NEIGHBOURS + overlapping, len(reference)) + 1)]
     tree = cKDTree(state[reference])
     found, at = tree.query(state[looked], k=asked)
     distance = np.asarray(found, dtype=np.float64)
     index = reference[at]
     same = windows.scene[index] == windows.scene[looked, None]
-    close = same & (np.abs(windows.centre[index] - windows.centre[looked, None]) < APART_S)
+    close = same & (np.abs(windows.centre[index] - windows.centre[looked, None]) < BLOCK_S)
     order = np.argsort(close, axis=1, kind="stable")[:, :NEIGHBOURS]
     picked: Index = np.take_along_axis(np.where(close, -1, index), order, axis=1)
     reached = np.median(np.take_along_axis(distance, order, axis=1), axis=1)
@@ -260,7 +254,7 @@ def _merged(found: Sequence[Interval]) -> list[Interval]:
     for event in sorted(found, key=lambda e: -e.score):
         apart = [max(event.start - e.end, e.start - event.end) for e in kept]
         k = int(np.argmin(apart)) if kept else 0
-        if not kept or apart[k] >= TOUCH_S:
+        if not kept or apart[k] >= LENGTHS_S[0]:
             kept.append(event)
             continue
         old, start, end = kept[k], kept[k].start, kept[k].end

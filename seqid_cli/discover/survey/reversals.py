@@ -30,12 +30,10 @@ from seqid_cli.typing import Array, Index, Mask
 
 OFF = 0.03  # of the time for which a joint does not certainly slide: standard error of its middle
 LONG = 0.4  # of that time, that friction takes to change its sign
-TURNED = 1.0  # periods of the cut-off, over which a joint that turns back is not followed closer
 SPACING = 0.15  # periods of the cut-off between times at which friction may be anything
 EDGE = 3  # such times that are felt from either end of a rest
 FREE = 0.5  # of friction: standard error of what it is at rest
 SEEN = 1e-3  # of the largest, below which a row does not feel a reversal
-LEAST = 0.05  # of torque noise, from which an uncertainty matters
 PASSES = 2
 GRID = 400
 THIRD = np.sqrt(20.0)  # standard deviation of third differences of white noise of unit size
@@ -79,7 +77,7 @@ def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Re
         felt = np.flatnonzero(
             np.abs(seen).max(axis=1, initial=0.0) > SEEN * np.abs(seen).max(initial=0.0)
         )
-        if len(felt) and np.linalg.norm(seen) > LEAST:
+        if len(felt):
             low, high = felt[0], felt[-1] + 1
             found.append(Reversal.of(int(number[row + counts[low]]), seen[low:high]))
     return sorted(found, key=lambda one: one.first)
@@ -137,9 +135,8 @@ def _uncertain(scene: Scene, joint: int) -> Iterator[tuple[int, Array]]:
             step, length = abs(friction[last] - friction[first]), (last - first) / rate
             for at in _crossings(v[first : last + 1]):
                 yield _displaced(first + at, step, length, rate)
-        if not turned or last - first >= TURNED * period:
-            size = FREE * max(abs(friction[first]), abs(friction[last]))
-            yield from _free(start, stop, size, max(1, round(SPACING * period)))
+        size = FREE * max(abs(friction[first]), abs(friction[last]))
+        yield from _free(start, stop, size, max(1, round(SPACING * period)))
 
 
 def _crossings(v: Array) -> list[float]:

@@ -8,10 +8,10 @@ complement of both effects when the base is free, and c the coefficients of a tr
     G = c' S_aa c / 2,        T = min_b c' (S_aa - S_ab S_bb^-1 S_ba) c
 
 is the gain of A, and what the rival B leaves of it at its best plausible settings b. The diagnosis
-drops a rival that lacks more than `asked` = BEHIND max(TEMPER G, 1) of the gain. It lacks T / 2 on
-average, with a standard deviation of sqrt(T), so that it is dropped with the probability
-Phi((T / 2 - asked) / sqrt(T)). No length of motion helps where T / 2 is less than BEHIND TEMPER G:
-where the rival reaches 95.3 % of the gain.
+drops a rival that lacks more than `asked` of the gain, a small share of G (see `tempered`). It
+lacks T / 2 on average, with a standard deviation of sqrt(T), so that it is dropped with the
+probability Phi((T / 2 - asked) / sqrt(T)). No length of motion helps where T / 2 is less than that
+share: where the rival reaches 96 % of the gain.
 
 Settings and coefficients of the true effect are drawn: of the grid and in all directions, so that a
 mean trace does not hide the least favourable of them; and where there are logs also from what those
@@ -34,7 +34,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from seqid_cli.discover.select.naming import SELDOM, TEMPER
+from seqid_cli.discover.select.naming import BEHIND, tempered
 from seqid_cli.model.effects.scene import Scene, sign_widths
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.bandwidth import Cutoff
@@ -47,7 +47,6 @@ from seqid_cli.plan.belief import NOISE_HZ, Belief
 from seqid_cli.plan.discrimination.question import Question, Slot, gram_of
 from seqid_cli.typing import Array
 
-BEHIND = float(np.log(1.0 / SELDOM - 1.0))  # tempered gain by which a rival is not told
 NESTED = 0.999  # share that the rival imitates on all moves of the pool, from which it always does
 
 Reading = list[tuple[Slot, Array]]  # settings with coefficients (D, k) that may be true
@@ -70,7 +69,7 @@ class Told:
     @property
     def asked(self) -> Array:
         """Gain (..., D) that a rival must lack to be dropped."""
-        return np.asarray(BEHIND * np.maximum(TEMPER * self.gain, 1.0))
+        return BEHIND * tempered(self.gain)
 
     @property
     def power(self) -> Array:
@@ -219,7 +218,7 @@ def _seen(slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64) ->
     gains = np.array(
         [gain if one.fits(c) else 0.0 for one, (c, _, gain) in zip(slots, fits, strict=True)]
     )
-    scale = max(TEMPER * float(gains.max()), 1.0)
+    scale = float(tempered(gains.max()))
     chance = np.exp((gains - gains.max()) / scale)
     counts = rng.multinomial(draws, chance / chance.sum())
     found = []

@@ -7,7 +7,8 @@ import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select.model import FREE, Ground, Hold, Model
-from seqid_cli.discover.select.results import Options, Selected
+from seqid_cli.discover.select.options import Options
+from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.selection import select
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.model.effects.effect import Effect

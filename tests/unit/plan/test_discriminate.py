@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from seqid_cli.discover.select.naming import TEMPER
+from seqid_cli.discover.select.options import Options
 from seqid_cli.errors import UsageError
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.params.results.plan import PlannedMove
@@ -15,7 +15,7 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.plan.belief import Belief, belief_of
 from seqid_cli.plan.discrimination.discriminate import asked, plan_discriminate, pool_of
 from seqid_cli.plan.discrimination.question import Question
-from seqid_cli.plan.discrimination.separation import BEHIND, Told, scenes_of, separation_of
+from seqid_cli.plan.discrimination.separation import Told, scenes_of, separation_of
 from seqid_cli.plan.limits import limits_of
 from seqid_cli.plan.make import make_plan
 from seqid_cli.plan.options import PlanOptions
@@ -79,7 +79,7 @@ def question_of(options: PlanOptions, scenes: Sequence[Scene]) -> Question:
 
 def test_power_is_what_the_diagnosis_asks() -> None:
     gain = 4000.0
-    asked_for = BEHIND * TEMPER * gain  # 4.7 % of it
+    asked_for = Options.small * gain
     lacking = np.array([[asked_for], [2.0 * asked_for], [0.5 * asked_for]])
     told = Told(np.full((3, 1), gain), 2.0 * lacking)
     assert told.power == pytest.approx([0.5, 1.0, 0.0], abs=1e-3)

@@ -8,7 +8,8 @@ import pytest
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.select import terms
 from seqid_cli.discover.select.model import FREE, HELD, Model
-from seqid_cli.discover.select.results import Options, Selected
+from seqid_cli.discover.select.options import Options
+from seqid_cli.discover.select.results import Selected
 from seqid_cli.discover.select.selection import Selection
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.model.effects.registry import CATALOGUE
@@ -89,10 +90,10 @@ def gain_and_losses(scene: Scene) -> Array:
 @pytest.mark.parametrize(
     ("moves_apart", "options", "told"),
     [
-        (False, Options(likeness=0.0), 2),
-        (False, Options(likeness=0.2), 1),
-        (True, Options(likeness=0.0, apart=0.0), 2),
-        (True, Options(likeness=0.0, apart=0.2), 1),
+        (False, Options(small=0.0), 2),
+        (False, Options(small=0.04), 1),
+        (True, Options(small=0.0, apart=0.0), 2),
+        (True, Options(small=0.0, apart=0.2), 1),
     ],
 )
 def test_the_lesser_of_two_that_look_alike_may_be_the_error_of_the_other(

@@ -1,0 +1,152 @@
+"""What +-30 % of the numbers of discovery does: `python -m tests.studies.outside.numbers`.
+
+Every case is recorded and identified once, and diagnosed again with each number changed.
+"""
+
+import argparse
+import importlib
+import inspect
+import re
+import sys
+import tempfile
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from seqid_cli.discover.diagnosis import diagnose
+from seqid_cli.discover.options import DiscoverOptions
+from seqid_cli.discover.select.options import Options
+from seqid_cli.errors import SeqidWarning
+from seqid_cli.logs.read import read_recording
+from seqid_cli.params.io import read_parameters
+from seqid_cli.robot.file import load_robot
+from tests import ROOT
+from tests.studies.outside.cases import prepared, told
+from tests.studies.outside.plan import drawn
+from tests.studies.outside.score import finding_is, label
+from tests.studies.records import results, seeds_of
+from tests.studies.tables import show, table
+
+PAGE = ROOT / "docs" / "deciding_numbers.md"
+FACTORS = (0.7, 1.3)
+SURE = 0.8  # confidence above which a wrong name counts
+
+
+def numbers() -> dict[str, tuple[str, str]]:
+    """Name and file of every number in the page's table of discovery that can be changed."""
+    part = PAGE.read_text(encoding="utf-8").split("## Discovery\n")[1].split("\n## ")[0]
+    rows = [line.split("|")[1:5] for line in part.splitlines() if line.startswith("| `")]
+    return {
+        name.strip(): (name.strip().strip("`"), where.strip(" `"))
+        for name, default, _, where in rows
+        if re.fullmatch(r"`[\w.]+`( of `\w+`)?", name.strip()) and "," not in default
+    }
+
+
+@contextmanager
+def changed(name: str, where: str, factor: float) -> Iterator[None]:
+    """The package with one of its numbers multiplied by a factor."""
+    module = importlib.import_module(f"seqid_cli.{where.removesuffix('.py').replace('/', '.')}")
+    undo = list[tuple[Any, str, Any]]()
+
+    def put(owner: Any, key: str, value: Any) -> None:
+        undo.append((owner, key, getattr(owner, key)))
+        setattr(owner, key, value)
+
+    try:
+        if " of " in name:
+            argument, owner = name.replace("`", "").split(" of ")
+            places = [module, *(x for x in vars(module).values() if inspect.isclass(x))]
+            function = next(vars(x)[owner] for x in places if callable(vars(x).get(owner)))
+            known = function.__kwdefaults__
+            put(function, "__kwdefaults__", known | {argument: known[argument] * factor})
+        elif name.startswith("Options."):
+            value = getattr(Options, name.removeprefix("Options."))
+            same = [key for key in Options.__annotations__ if getattr(Options, key) == value]
+            for key in same:
+                put(Options, key, value * factor)
+            defaults = tuple(getattr(Options, key) for key in Options.__annotations__)
+            put(Options.__init__, "__defaults__", defaults)
+        else:
+            value = getattr(module, name)
+            for place in [*sys.modules.values()]:
+                if getattr(place, "__name__", "").startswith("seqid_cli") and name in vars(place):
+                    if vars(place)[name] == value:
+                        put(place, name, value * factor)
+        yield
+    finally:
+        for owner, key, value in reversed(undo):
+            setattr(owner, key, value)
+
+
+def answered(seed: int) -> dict[str, Any]:
+    """Names of what is told, by the number that was changed, and by how much."""
+    case, rows = drawn(seed), dict[str, Any]()
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", SeqidWarning)
+        ready = prepared(case, Path(folder))
+        robot = load_robot(ready.recorder.robot)
+        logs = [read_recording(path, robot) for path in ready.logs]
+        stages = read_parameters(ready.file).stages
+        options = DiscoverOptions()
+        filtering = replace(options.motion.motion, kept={})  # one motion for all of them
+        options = replace(options, motion=replace(options.motion, motion=filtering))
+
+        def row() -> dict[str, Any]:
+            found = told(diagnose(logs, robot, stages, options=options))
+            hidden = {"kinds": [x.name for x in case.effects], "flow": case.outline.flow}
+            whole = found | hidden | {"joints": [" ".join(x) for x in case.joints], "error": ""}
+            labels = [label(whole, i) for i in range(len(case.effects))]
+            names = [f"{x['effect']} {x['joint']}" for x in found["findings"]]
+            wrong = [finding_is(whole, x) == "wrong" for x in found["findings"]]
+            sure = [x["confidence"] > SURE for x in found["findings"]]
+            right = sum(x in ("right", "alike") for x in labels)
+            return {"names": sorted(names), "right": right, "wrong": any(map(min, wrong, sure))}
+
+        rows["as it is"] = row()
+        for title, (name, where) in numbers().items():
+            for factor in FACTORS:
+                with changed(name, where, factor):
+                    rows[f"{title} x {factor}"] = row()
+    return {"seed": seed, "rows": rows}
+
+
+def tabulated(kept: Sequence[dict[str, Any]]) -> str:
+    """For each number: cases with other names, effects named right, cases with a wrong name."""
+    every = [one["rows"] for one in kept]
+    usual = [rows["as it is"] for rows in every]
+    right, wrong = (sum(row[key] for row in usual) for key in ("right", "wrong"))
+
+    def cells(title: str) -> list[str]:
+        rows = [one[title] for one in every]
+        others = sum(a["names"] != b["names"] for a, b in zip(rows, usual, strict=True))
+        more = [sum(row[key] for row in rows) for key in ("right", "wrong")]
+        return [str(others), f"{more[0] - right:+d}", f"{more[1] - wrong:+d}"]
+
+    lines = []
+    for title in numbers():
+        if all(f"{title} x {factor}" in every[0] for factor in FACTORS):
+            less, more = (cells(f"{title} x {factor}") for factor in FACTORS)
+            lines.append([title, *less, *more])
+    head = ["number", "-30 %: other names", "right", "wrong", "+30 %: other names"]
+    first = f"{len(every)} cases, {right} effects named right, a wrong name above 0.8 in {wrong}.\n\n"
+    return first + table([*head, "right ", "wrong "], lines)
+
+
+def main(arguments: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(prog="python -m tests.studies.outside.numbers")
+    parser.add_argument("--seeds", type=seeds_of, default="1000:1200", metavar="A:B")
+    parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
+    parser.add_argument("--write", action="store_true", help="write the table into the document")
+    chosen = parser.parse_args(arguments)
+    cases = {str(seed): seed for seed in chosen.seeds}
+    kept = results(cases, answered, dict[str, Any], chosen.cache / "numbers.jsonl", processes=2)
+    show(PAGE.name, "numbers", tabulated(list(kept.values())), kept=chosen.write)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -3,17 +3,18 @@
 *All along*: it was there when the earlier stages were identified, and has biased them. Effects and
 base are fitted together on the training logs. The base is free where those stages have taken in
 what looked like friction in their trials. Then the effects' torque is taken out of all recordings,
-friction trials as well, and every stage runs again on them by its own recipe. This repeats until
-the effects settle, or a rival is clearly better after the first time. Where the logs of the earlier
-stages are not at hand, the base moves as the joint fit on the training logs says.
+friction trials as well, and every stage runs again on them by its own recipe. This is done twice,
+or once if a rival is clearly better then. Where the logs of the earlier stages are not at hand, the
+base moves as the joint fit on the training logs says.
 
 *Late*: it came with the training logs. The stages stay as they are, and only the effects are
 fitted, beside a base that may move within the errors that the file gives.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cache, partial
+from functools import cache
 
 import msgspec
 import numpy as np
@@ -34,9 +35,10 @@ from seqid_cli.model.effects.apply import session_of, without_effects
 from seqid_cli.model.effects.fitted import Fitted, FittedEffect
 from seqid_cli.params.schema import FrictionStage, Stages
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Mask
 
 Key = tuple[str, int | None]  # name of an effect, and its joint
+TURNS = 2  # of fitting effects, and identifying stages without them
 MOVES = 0.01  # of a joint's largest travel, from which a log is one of its own
 
 
@@ -142,72 +144,33 @@ def refitted(
     `candidates` are all effects that the model is to have; none is a model identified anew. `late`
     are those of them that the logs of the earlier stages do not have. `kept`: the stages are right
     as they are, and only the effects are fitted. `beaten`: whether a model need not be improved any
-    more that has been through a single turn.
+    more that has been through one turn less than others.
     """
+    stages, fit = model.stages, _fitted(material, model.stages, candidates, HELD if kept else FREE)
     if kept:
-        return _with_values(material, model.stages, candidates, late, HELD)
-    turns = _turns(material, model.stages, candidates, late)
-    if beaten is not None:
-        first = _with_values(material, *next(turns), late, FREE)
-        if beaten(first):
-            return first
-    *_, last = turns
-    return _with_values(material, *last, late, FREE)
+        return _with_values(material, stages, fit, late)
+    for left in reversed(range(TURNS if candidates else 1)):
+        freed = Refitted(stages, tuple(_effects_of(material, fit)), late)
+        stages = _stages(material, freed, fit, last=not left)
+        if not candidates:
+            return Refitted(stages, (), late)
+        fit = _fitted(material, stages, [x.plain for x in fit.candidates], FREE)
+        found = _with_values(material, stages, fit, late)
+        if left and beaten is not None and beaten(found):
+            break
+    return found
 
 
-def _with_values(
-    material: Material,
-    stages: Stages,
-    candidates: Sequence[Candidate],
-    late: frozenset[Key],
-    hold: Hold,
-) -> Refitted:
-    """Stages with effects that are fitted beside them."""
-    if not candidates:
-        return Refitted(stages, (), late)
-    fit = _fitted(material, stages, candidates, hold)
-    # Their errors are beside a base that may move; but it is the file's that they are written to.
-    effects = _effects_of(material, fit)
-    fit.hold = FIRM
-    fit.settle()
-    values = map(fit.coefficients, fit.terms)
-    pairs = zip(effects, values, strict=True)
-    return Refitted(stages, tuple(replace(x, coefficients=c) for x, c in pairs), late)
+def _with_values(material: Material, stages: Stages, fit: Model, late: frozenset[Key]) -> Refitted:
+    """Stages with effects as they are beside exactly these, to which they are written.
 
-
-def _turns(
-    material: Material,
-    stages: Stages,
-    candidates: Sequence[Candidate],
-    late: frozenset[Key],
-    *,
-    most: int = 4,
-    close: float = 0.3,
-) -> Iterator[tuple[Stages, Sequence[Candidate]]]:
-    """Fit effects, then identify the stages without them, until the effects settle.
-
-    Of each turn the stages, and the effects with the settings that they have by then; `most` turns.
-    Effects have settled when no coefficient moves by more than `close` standard errors.
+    Their errors are beside a base that may move.
     """
-    effects = list[FittedEffect]()
-    for left in reversed(range(most)):
-        fit = cache(partial(_fitted, material, stages, candidates, FREE))
-        before = effects
-        if candidates:
-            effects, candidates = _effects_of(material, fit()), [x.plain for x in fit().candidates]
-        settled = bool(before) and all(
-            np.all(abs(new.coefficients - old.coefficients) <= close * _errors(new))
-            for old, new in zip(before, effects, strict=True)
-        )
-        last = not (left and candidates) or settled
-        stages = _stages(material, Refitted(stages, tuple(effects), late), fit, last=last)
-        yield stages, candidates
-        if last:
-            return
-
-
-def _errors(effect: FittedEffect) -> Array:
-    return np.sqrt(np.maximum(np.diag(effect.covariance), 1e-300))
+    firm = copy(fit)
+    firm.hold = FIRM
+    firm.settle()
+    pairs = zip(_effects_of(material, fit), map(firm.coefficients, firm.terms), strict=True)
+    return Refitted(stages, tuple(replace(x, coefficients=c) for x, c in pairs), late)
 
 
 def _fitted(
@@ -236,8 +199,8 @@ def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
     ]
 
 
-def _stages(material: Material, model: Refitted, fit: Callable[[], Model], *, last: bool) -> Stages:
-    """Every stage again, on logs without the effects; `fit` where stages move as it says."""
+def _stages(material: Material, model: Refitted, fit: Model, *, last: bool) -> Stages:
+    """Every stage again, on logs without the effects, or else as `fit` moves them."""
     robot, motion, stages = material.robot, material.options.motion, model.stages
     friction, earlier = stages.friction, material.earlier
     if friction is not None and friction.method == "simultaneous":
@@ -246,12 +209,11 @@ def _stages(material: Material, model: Refitted, fit: Callable[[], Model], *, la
         offset = any(len(j.parameters) == len(TERMS) for j in friction.joints.values())
         new, inertia = identify_simultaneous(freed, robot, options=motion.motion, offset=offset)
         found = Stages(friction=new, imu=stages.imu, inertia=inertia)
-        return held(found, stages, fit()) if material.known else found
+        return held(found, stages, fit) if material.known else found
     needed = [s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None]
     if all(earlier.get(stage) for stage in needed):
         return _sequential(material, model, last=last)
-    joint = fit()
-    return moved(stages, joint, joint.linear.theta)
+    return moved(stages, fit, fit.linear.theta)
 
 
 def _sequential(material: Material, model: Refitted, *, last: bool) -> Stages:

@@ -44,13 +44,13 @@ class Hold:
                 each = [*own[: number - 1], scale, *own[number:]] if number else own
                 yield replace(self, rigid=self.rigid if number else scale, own=tuple(each))
 
-    def doubt(self, joints: int) -> float:
+    def doubt(self, joints: int, *, spread: float = 0.8) -> float:
         """Log odds against standard errors that are so many times too small, part by part.
 
-        ln s of a scale s is standard normal. Zero where all is held as the file says.
+        ln s of a scale s is normal, with `spread`. Zero where all is held as the file says.
         """
         scales = (self.rigid, *map(self.of, range(joints)))
-        return float(sum(np.log(max(scale, 1.0)) ** 2 for scale in scales)) / 2.0
+        return float(sum(np.log(max(scale, 1.0)) ** 2 for scale in scales)) / (2.0 * spread**2)
 
 
 HELD = Hold()

@@ -82,11 +82,13 @@ def _student(r: Array, sigma: float, window: Index, *, nu: float = 4.0) -> tuple
     return sigma, weight
 
 
-def slow_noise(stage: Stage, channel: int, size: float, *, waves: int = 4) -> Part:
+def slow_noise(
+    stage: Stage, channel: int, size: float, *, slow: float = 0.3, waves: int = 4
+) -> Part:
     """Torque noise that is slower than a block of time: an offset and cosines, of 1/f power.
 
-    Each log has its own `waves` functions, whose torque is about `size`, the standard deviation
-    [N m] of the channel's noise. Blocks that are left out tell nothing of it, and a
+    Each log has its own `waves` functions, whose torque is `slow` times `size`, the standard
+    deviation [N m] of the channel's noise. Blocks that are left out tell nothing of it, and a
     function of time would pass for an effect.
     """
     rows = stage.rows
@@ -101,7 +103,7 @@ def slow_noise(stage: Stage, channel: int, size: float, *, waves: int = 4) -> Pa
         wide[first : first + len(t), at] = np.cos(np.pi * np.outer(t / length, order))
         first += len(t)
     power = 1.0 / np.maximum(order, 0.5)
-    variance = 2.0 * size**2 * power / np.sum(power)
+    variance = 2.0 * (slow * size) ** 2 * power / np.sum(power)
     return Part({channel: wide}, np.diag(np.tile(1.0 / variance, len(rows.scenes))))
 
 

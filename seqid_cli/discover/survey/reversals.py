@@ -135,8 +135,9 @@ def _uncertain(scene: Scene, joint: int) -> Iterator[tuple[int, Array]]:
             step, length = abs(friction[last] - friction[first]), (last - first) / rate
             for at in _crossings(v[first : last + 1]):
                 yield _displaced(first + at, step, length, rate)
-        size = FREE * max(abs(friction[first]), abs(friction[last]))
-        yield from _free(start, stop, size, max(1, round(SPACING * period)))
+        if not turned or last - first >= period:
+            size = FREE * max(abs(friction[first]), abs(friction[last]))
+            yield from _free(start, stop, size, max(1, round(SPACING * period)))
 
 
 def _crossings(v: Array) -> list[float]:

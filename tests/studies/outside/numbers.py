@@ -72,10 +72,9 @@ def changed(name: str, where: str, factor: float) -> Iterator[None]:
             put(Options.__init__, "__defaults__", defaults)
         else:
             value = getattr(module, name)
-            for place in [*sys.modules.values()]:
-                if getattr(place, "__name__", "").startswith("seqid_cli") and name in vars(place):
-                    if vars(place)[name] == value:
-                        put(place, name, value * factor)
+            own = [x for key, x in sys.modules.items() if key.startswith("seqid_cli")]
+            for place in (x for x in own if vars(x).get(name) == value):
+                put(place, name, value * factor)
         yield
     finally:
         for owner, key, value in reversed(undo):
@@ -132,8 +131,8 @@ def tabulated(kept: Sequence[dict[str, Any]]) -> str:
             less, more = (cells(f"{title} x {factor}") for factor in FACTORS)
             lines.append([title, *less, *more])
     head = ["number", "-30 %: other names", "right", "wrong", "+30 %: other names"]
-    first = f"{len(every)} cases, {right} effects named right, a wrong name above 0.8 in {wrong}.\n\n"
-    return first + table([*head, "right ", "wrong "], lines)
+    first = f"{len(every)} cases, {right} effects named right, a wrong name above 0.8 in {wrong}."
+    return first + "\n\n" + table([*head, "right ", "wrong "], lines)
 
 
 def main(arguments: Sequence[str]) -> int:

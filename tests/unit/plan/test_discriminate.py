@@ -93,7 +93,7 @@ def test_power_is_what_the_diagnosis_asks() -> None:
 # asymmetry differs from a bias on no motion; a power of 1.8 imitates quadratic drag, which is no
 # cubic; a lag is never early.
 TOLD = [
-    (("asymmetric_friction", "torque_bias"), "torque_bias", (0, 0), (0.95, 0), 0.953, "", "brakes"),
+    (("asymmetric_friction", "torque_bias"), "torque_bias", (0, 0), (0.96, 0), 0.953, "", "brakes"),
     (("quadratic_drag", "nonlinear_viscous"), None, (0, 0.5), (0.01, 1), 0.98,
      "if it is quadratic_drag", "ladder"),
     (("torque_bias", "spring"), "torque_bias", (0, 0), (1e-3, 1), 0.0,

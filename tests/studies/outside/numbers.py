@@ -37,7 +37,7 @@ SURE = 0.8  # confidence above which a wrong name counts
 
 def numbers() -> dict[str, tuple[str, str]]:
     """Name and file of every number in the page's table of discovery that can be changed."""
-    part = PAGE.read_text(encoding="utf-8").split("## Discovery\n")[1].split("\n## ")[0]
+    part = PAGE.read_text(encoding="utf-8").split("## Discovery\n")[1].split("<!-- ")[0]
     rows = [line.split("|")[1:5] for line in part.splitlines() if line.startswith("| `")]
     return {
         name.strip(): (name.strip().strip("`"), where.strip(" `"))

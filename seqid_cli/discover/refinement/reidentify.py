@@ -146,19 +146,20 @@ def refitted(
     as they are, and only the effects are fitted. `beaten`: whether a model need not be improved any
     more that has been through one turn less than others.
     """
-    stages, fit = model.stages, _fitted(material, model.stages, candidates, HELD if kept else FREE)
-    if kept:
-        return _with_values(material, stages, fit, late)
-    for left in reversed(range(TURNS if candidates else 1)):
+    stages = model.stages
+    if not candidates:
+        bare = Refitted(stages, (), late)
+        return bare if kept else replace(bare, stages=_stages(material, bare, None, last=True))
+    fit = _fitted(material, stages, candidates, HELD if kept else FREE)
+    for left in () if kept else reversed(range(TURNS)):
         freed = Refitted(stages, tuple(_effects_of(material, fit)), late)
         stages = _stages(material, freed, fit, last=not left)
-        if not candidates:
-            return Refitted(stages, (), late)
         fit = _fitted(material, stages, [x.plain for x in fit.candidates], FREE)
-        found = _with_values(material, stages, fit, late)
-        if left and beaten is not None and beaten(found):
-            break
-    return found
+        if left and beaten is not None:
+            found = _with_values(material, stages, fit, late)
+            if beaten(found):
+                return found
+    return _with_values(material, stages, fit, late)
 
 
 def _with_values(material: Material, stages: Stages, fit: Model, late: frozenset[Key]) -> Refitted:
@@ -199,8 +200,8 @@ def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
     ]
 
 
-def _stages(material: Material, model: Refitted, fit: Model, *, last: bool) -> Stages:
-    """Every stage again, on logs without the effects, or else as `fit` moves them."""
+def _stages(material: Material, model: Refitted, fit: Model | None, *, last: bool) -> Stages:
+    """Every stage again, on logs without the effects, or else as `fit`, or a free base, moves."""
     robot, motion, stages = material.robot, material.options.motion, model.stages
     friction, earlier = stages.friction, material.earlier
     if friction is not None and friction.method == "simultaneous":
@@ -209,11 +210,14 @@ def _stages(material: Material, model: Refitted, fit: Model, *, last: bool) -> S
         offset = any(len(j.parameters) == len(TERMS) for j in friction.joints.values())
         new, inertia = identify_simultaneous(freed, robot, options=motion.motion, offset=offset)
         found = Stages(friction=new, imu=stages.imu, inertia=inertia)
-        return held(found, stages, fit) if material.known else found
+        if not material.known:
+            return found
+        return held(found, stages, fit or _fitted(material, stages, (), FREE))
     needed = [s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None]
     if all(earlier.get(stage) for stage in needed):
         return _sequential(material, model, last=last)
-    return moved(stages, fit, fit.linear.theta)
+    joint = fit or _fitted(material, stages, (), FREE)
+    return moved(stages, joint, joint.linear.theta)
 
 
 def _sequential(material: Material, model: Refitted, *, last: bool) -> Stages:

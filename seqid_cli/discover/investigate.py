@@ -68,13 +68,12 @@ def investigate(
     options: DiscoverOptions,
     *,
     least: float = TOLD,
-    selection: Options | None = None,
 ) -> Investigation:
     """Select what a model lacks, and find events in what is left; tell what is likely."""
     step("filtering the logs", 0, 10)  # tenths of the time that it mostly takes
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
     step("choosing effects", 4, 10)
-    found = select(Ground.of(rows, stages), selection)
+    found = select(Ground.of(rows, stages))
     step("looking for events", 8, 10)
     guess = guessed(found.model)
     events = events_of(found.model, guess)
@@ -85,7 +84,7 @@ def investigate(
     step("choosing effects again", 8, 10)
     if not all(map(np.array_equal, sure.used, rows.used)):
         model = found.model
-        found = select_among(Ground.of(sure, stages), model.hold, model.candidates, found.options)
+        found = select_among(Ground.of(sure, stages), model.hold, model.candidates)
         found.run()
     told = found.told(least)
     step("estimating the noise", 9, 10)
@@ -103,7 +102,6 @@ def investigate_beside(
     options: DiscoverOptions,
     *,
     candidates: Sequence[Candidate],
-    selection: Options,
 ) -> tuple[Investigation, bool]:
     """Select again where the stages are others and the logs are freed of what they have taken in.
 
@@ -112,7 +110,7 @@ def investigate_beside(
     all was looked for. Events are those of before.
     """
     rows = rows_of(scenes_of(logs, robot, stages, options=options.motion))
-    found = select_among(Ground.of(rows, stages), HELD, candidates, selection)
+    found = select_among(Ground.of(rows, stages), HELD, candidates)
     told = found.largest()
     look = all(one.one.predicted.share <= Options.improvement for one in told.taken)
     if look:

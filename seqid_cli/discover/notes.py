@@ -12,6 +12,7 @@ from seqid_cli.discover.select.rows import doubt_of
 from seqid_cli.discover.survey.rows import extrapolated
 from seqid_cli.identify.imu_calibration.calibrate import deflecting
 from seqid_cli.identify.prediction.predict import OUTSIDE_NOTE
+from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent
@@ -20,7 +21,6 @@ from seqid_cli.typing import Array
 FITTED = 0.5  # of what the file leaves, below which its values are to blame
 DEFLECTING = ("joint_elasticity", "backlash")
 OFFSET_SHOWS = 0.7  # of what is left: torque of a time offset that is worth a note
-EXCESS = 2.5  # times what a right model leaves; on clean simulated arms 1.0 to 1.5
 
 
 def expected(found: Investigation) -> Array:
@@ -40,7 +40,7 @@ def excess_residuals(found: Investigation, ordinary: Array) -> dict[int, float]:
     left = np.minimum(found.model.rms(), found.start)
     times, most = left / np.maximum(ordinary, 1e-12), found.floor.high
     order = np.argsort(-times, kind="stable").tolist()
-    return {j: float(times[j]) for j in order if times[j] > EXCESS and left[j] > most[j]}
+    return {j: float(times[j]) for j in order if times[j] > MORE_THAN_NOISE and left[j] > most[j]}
 
 
 def notes_of(
@@ -86,7 +86,7 @@ def file_notes(
     notes, found_at = [], found.touched
     for j, left in enumerate(np.minimum(found.model.rms(), found.start)):
         name, times = robot.joint_names[j], found.start[j] / max(ordinary[j], 1e-12)
-        if times <= EXCESS or j in found_at or name in named:
+        if times <= MORE_THAN_NOISE or j in found_at or name in named:
             continue
         anew = left / max(ordinary[j], 1e-12)
         many = f"joint {name}: the file leaves {times:.1f} times what torque noise and encoder do"
@@ -133,7 +133,7 @@ def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[
         if share < OUTSIDE_NOTE:
             continue
         times = rms(left[outside[:, j], j]) / max(ordinary[j], 1e-12)
-        if times > EXCESS:
+        if times > MORE_THAN_NOISE:
             notes.append(
                 f"joint {name}: {percent(share, 0)} of its moving samples are at speeds or "
                 f"positions at which friction was not identified; {times:.0f} times what torque "

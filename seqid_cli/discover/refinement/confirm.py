@@ -10,6 +10,7 @@ from seqid_cli.discover.noise.floor import NoiseFloor, encoder_residuals, noise_
 from seqid_cli.discover.refinement.held_out import HeldOutError, WholeLogs, gain, held_out_error
 from seqid_cli.discover.refinement.loop import Refinement, with_effects
 from seqid_cli.discover.scenes import scenes_of, usable_logs, with_own_cutoffs
+from seqid_cli.discover.select.options import Options
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
@@ -39,7 +40,11 @@ def confirm(
     new, floor = after.rmse(), _floor(found, held_out, motion)
     judged = [j for j in range(robot.n) if np.isfinite(new[j])]
     changes = {names[j]: gain(before, after, [j]) for j in judged}
-    lost = [f"{name} ({percent(-g.value)})" for name, g in changes.items() if g.loses]
+    lost = [
+        f"{name} ({percent(-g.value)})"
+        for name, g in changes.items()
+        if g.loses and -g.value > Options.small
+    ]
     said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
     times = {names[j]: float(new[j] / floor.rms[j]) for j in judged}
     accepted = [told for told in rounds if told.accepted]

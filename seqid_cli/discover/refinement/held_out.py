@@ -40,7 +40,6 @@ from seqid_cli.typing import Array
 
 FEWEST_BLOCKS = 8  # of joined blocks: with fewer their spread tells little
 MOST_BLOCKS = 1000  # of a log that comes in parts
-LEAST_GAIN = 0.005  # of the squared error, from which a gain is worth an effect
 
 
 @dataclass(frozen=True)
@@ -99,8 +98,8 @@ class Gain:
 
     @property
     def certain(self) -> bool:
-        """Whether it is worth an effect, and not by chance."""
-        return self.value >= LEAST_GAIN and self.low > 0.0
+        """Whether something is gained, and not by chance."""
+        return self.low > 0.0
 
     @property
     def limits(self) -> list[float]:
@@ -109,8 +108,8 @@ class Gain:
 
     @property
     def loses(self) -> bool:
-        """Whether something is lost that counts, and not by chance."""
-        return self.value <= -LEAST_GAIN and self.high < 0.0
+        """Whether something is lost, and not by chance."""
+        return self.high < 0.0
 
 
 def held_out_error(

@@ -13,7 +13,6 @@ import msgspec
 
 from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.refinement.held_out import (
-    LEAST_GAIN,
     Gain,
     HeldOutError,
     doubt,
@@ -41,7 +40,6 @@ from seqid_cli.robot.types import Robot
 
 ALL_ALONG = "was there all along"
 LATE = "came after the file was identified"
-PROBABLE = 0.5  # probability of being there from which an effect is added
 
 
 @dataclass
@@ -115,7 +113,7 @@ class Account:
     """A model with one effect more, what was `taken` for it, and when the effects came.
 
     `late` are those that came after the file was identified; `kept` says whether the stages stayed
-    as they were in this fit. It is not finished where it is clearly worse than a `rival`.
+    as they were in this fit.
     """
 
     loop: Refinement
@@ -123,24 +121,17 @@ class Account:
     candidates: tuple[Candidate, ...]
     late: frozenset[Key]
     kept: bool
-    rival: Account | None = None
 
     @cached_property
     def model(self) -> Refitted:
         """Fitted to all logs."""
         asked = self.loop.material, self.loop.model, self.candidates
-        beaten = self.rival.beats if self.rival else None
-        return refitted(*asked, late=self.late, kept=self.kept, beaten=beaten)
+        return refitted(*asked, late=self.late, kept=self.kept)
 
     @cached_property
     def without(self) -> Refitted:
         """The model as it stands; before the first effect by the same recipe as this one."""
         return self.loop.model if self.kept or self.loop.added else self.loop.anew
-
-    def beats(self, other: Refitted) -> bool:
-        """Whether all logs are predicted better than by another model, and not by chance."""
-        before, after = map(self.loop.error_everywhere, (other, self.model))
-        return gain(before, after, range(self.loop.material.robot.n)).certain
 
     @cached_property
     def _errors(self) -> tuple[HeldOutError, HeldOutError]:
@@ -157,15 +148,14 @@ class Account:
 
     @cached_property
     def gains(self) -> bool:
-        """Whether it gains enough, and not by chance."""
-        doubted = doubt(*self._errors, self._own)
-        return self.change.value >= LEAST_GAIN and doubted <= Options.doubt
+        """Whether it gains, and not by chance."""
+        return doubt(*self._errors, self._own) <= Options.doubt
 
     @property
     def likely(self) -> bool:
         """Whether the effect is likelier there than not, by what is gained."""
         share = max(self.change.value, self.taken.share)
-        return reality(share, self.taken.evidence) > PROBABLE
+        return reality(share, self.taken.evidence) > 0.5
 
     @cached_property
     def losing(self) -> list[int]:
@@ -174,6 +164,11 @@ class Account:
         if gain(*self._errors, joints).value > 0.0:
             return []
         return [j for j in joints if gain(*self._errors, [j]).loses]
+
+    @property
+    def unjudged(self) -> bool:
+        """Whether it may be there, but above the low-pass, where the model is not judged."""
+        return effect_of(self.taken).effect.wide and not self.gains
 
     @property
     def accepted(self) -> bool:
@@ -186,7 +181,7 @@ class Account:
         candidate, names = effect_of(self.taken), self.loop.material.robot.joint_names
         if self.accepted:
             return LATE if candidate.key in self.late else ALL_ALONG
-        if candidate.effect.wide and abs(self.change.value) < LEAST_GAIN:
+        if self.unjudged:
             return "lies above the low-pass, where the model is not judged"
         if not self.gains:
             return "the model identified anew with it is not certainly better"

@@ -3,15 +3,14 @@
 *All along*: it was there when the earlier stages were identified, and has biased them. Effects and
 base are fitted together on the training logs. The base is free where those stages have taken in
 what looked like friction in their trials. Then the effects' torque is taken out of all recordings,
-friction trials as well, and every stage runs again on them by its own recipe. This is done twice,
-or once if a rival is clearly better then. Where the logs of the earlier stages are not at hand, the
-base moves as the joint fit on the training logs says.
+friction trials as well, and every stage runs again on them by its own recipe. Where the logs of the
+earlier stages are not at hand, the base moves as the joint fit on the training logs says.
 
 *Late*: it came with the training logs. The stages stay as they are, and only the effects are
 fitted, beside a base that may move within the errors that the file gives.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -38,7 +37,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Mask
 
 Key = tuple[str, int | None]  # name of an effect, and its joint
-TURNS = 2  # of fitting effects, and identifying stages without them
 MOVES = 0.01  # of a joint's largest travel, from which a log is one of its own
 
 
@@ -137,28 +135,22 @@ def refitted(
     *,
     late: frozenset[Key],
     kept: bool,
-    beaten: Callable[[Refitted], bool] | None = None,
 ) -> Refitted:
     """Fit effects and model together.
 
     `candidates` are all effects that the model is to have; none is a model identified anew. `late`
     are those of them that the logs of the earlier stages do not have. `kept`: the stages are right
-    as they are, and only the effects are fitted. `beaten`: whether a model need not be improved any
-    more that has been through one turn less than others.
+    as they are, and only the effects are fitted.
     """
     stages = model.stages
     if not candidates:
         bare = Refitted(stages, (), late)
-        return bare if kept else replace(bare, stages=_stages(material, bare, None, last=True))
+        return bare if kept else replace(bare, stages=_stages(material, bare, None))
     fit = _fitted(material, stages, candidates, HELD if kept else FREE)
-    for left in () if kept else reversed(range(TURNS)):
+    if not kept:
         freed = Refitted(stages, tuple(_effects_of(material, fit)), late)
-        stages = _stages(material, freed, fit, last=not left)
+        stages = _stages(material, freed, fit)
         fit = _fitted(material, stages, [x.plain for x in fit.candidates], FREE)
-        if left and beaten is not None:
-            found = _with_values(material, stages, fit, late)
-            if beaten(found):
-                return found
     return _with_values(material, stages, fit, late)
 
 
@@ -200,7 +192,7 @@ def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
     ]
 
 
-def _stages(material: Material, model: Refitted, fit: Model | None, *, last: bool) -> Stages:
+def _stages(material: Material, model: Refitted, fit: Model | None) -> Stages:
     """Every stage again, on logs without the effects, or else as `fit`, or a free base, moves."""
     robot, motion, stages = material.robot, material.options.motion, model.stages
     friction, earlier = stages.friction, material.earlier
@@ -215,13 +207,13 @@ def _stages(material: Material, model: Refitted, fit: Model | None, *, last: boo
         return held(found, stages, fit or _fitted(material, stages, (), FREE))
     needed = [s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None]
     if all(earlier.get(stage) for stage in needed):
-        return _sequential(material, model, last=last)
+        return _sequential(material, model)
     joint = fit or _fitted(material, stages, (), FREE)
     return moved(stages, joint, joint.linear.theta)
 
 
-def _sequential(material: Material, model: Refitted, *, last: bool) -> Stages:
-    """Friction, gravity and inertia again; the last time also inertia at other cut-offs."""
+def _sequential(material: Material, model: Refitted) -> Stages:
+    """Friction, gravity and inertia again."""
     robot, motion, stages = material.robot, material.options.motion, model.stages
     new = Stages(friction=stages.friction, gravity=stages.gravity, imu=stages.imu)
     new.inertia = stages.inertia
@@ -243,8 +235,7 @@ def _sequential(material: Material, model: Refitted, *, last: bool) -> Stages:
         new.gravity = identify_gravity(gravity, robot, new)
     if stages.inertia is not None:
         inertia = unique([*inertia, *(freed(identity(log)) for log in material.training)])
-        options = motion if last else replace(motion, neighbours=())
-        new.inertia = identify_inertia(inertia, robot, new, options=options)
+        new.inertia = identify_inertia(inertia, robot, new, options=motion)
     return new
 
 

@@ -16,7 +16,7 @@ from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.evidence import evidence_of, rivals_of
 from seqid_cli.discover.investigate import Investigation, investigate, investigate_beside
 from seqid_cli.discover.options import DiscoverOptions
-from seqid_cli.discover.refinement.held_out import LEAST_GAIN, Gain, likelier
+from seqid_cli.discover.refinement.held_out import Gain, likelier
 from seqid_cli.discover.refinement.loop import (
     LATE,
     Account,
@@ -27,7 +27,6 @@ from seqid_cli.discover.refinement.loop import (
 from seqid_cli.discover.refinement.reidentify import Key, Material, Refitted, key_of
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import named
-from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.results import Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
@@ -39,8 +38,6 @@ from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.schema import ParameterFile, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.working import step
-
-TRIED = Options(improvement=LEAST_GAIN)  # what is tried need not be worth a finding
 
 
 def refine(
@@ -65,7 +62,7 @@ def refine(
     bare = msgspec.structs.replace(file.stages, effects=None)
     start = Refitted(bare, tuple(known), _late(file, known, robot))
     loop = Refinement(material, file.stages, [start], start, notes=notes)
-    found = investigate(material.now(start), robot, bare, options, least=0.0, selection=TRIED)
+    found = investigate(material.now(start), robot, bare, options, least=0.0)
     if found.found.effects or (options.with_unexplained and found.found.smooth):
         loop.material = _heard(material, found)
         found = _add_effects(loop, found)
@@ -102,12 +99,15 @@ def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
 
     What the stages had taken in of one that is added looks like a second effect, until they are
     identified without it: then the rest are judged anew. Before what is small, more is looked for.
+    What lies above the low-pass at one setting is not tried at another.
     """
-    refused, rest, looked = list[Candidate](), [*map(effect_of, found.found.effects)], True
+    refused, above = list[Candidate](), set[Key]()
+    rest, looked = [*map(effect_of, found.found.effects)], True
     several = len(rest) > 1 or loop.material.options.with_unexplained
     while loop.added < loop.material.options.max_effects:
         known = [*candidates_of_model(loop.model.effects), *refused]
-        left = [x for x in found.found.effects if not _among(effect_of(x), known)]
+        tried = [x for x in found.found.effects if effect_of(x).key not in above]
+        left = [x for x in tried if not _among(effect_of(x), known)]
         if not left:
             break
         taken = max(left, key=lambda taken: taken.evidence)
@@ -122,10 +122,11 @@ def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
             loop.steps.append(account.model)
         else:
             refused.append(effect_of(taken))
+            above |= {effect_of(taken).key} if account.unjudged else set()
         if several and (loop.model.stages is not stages or (len(left) == 1 and not looked)):
             model, material = loop.model, loop.material
             asked = material.now(model), material.robot, model.stages, material.options
-            found, looked = investigate_beside(found, *asked, candidates=rest, selection=TRIED)
+            found, looked = investigate_beside(found, *asked, candidates=rest)
             rest = [*map(effect_of, found.found.effects)] if looked else rest
     return found
 
@@ -149,8 +150,7 @@ def _account(loop: Refinement, found: Investigation, taken: Taken) -> Account:
     What is in the logs that the file was identified from was there all along. Else the account
     holds that explains the logs of all stages better; where the file's logs are not at hand, that
     which the base speaks for at the effect's joints. An effect that is refused as a late one is not
-    asked about if it is no finding, or if nothing speaks for the other account: that costs every
-    stage again.
+    asked about if nothing speaks for the other account: that costs every stage again.
     """
     candidate, late = effect_of(taken), loop.model.late
     known = candidates_of_model(loop.model.effects)
@@ -161,11 +161,9 @@ def _account(loop: Refinement, found: Investigation, taken: Taken) -> Account:
     freed = bool(candidate.absorbed) or loose  # the base had to leave the file there
     if loop.material.known or (freed and not loop.logs_before):
         return early
-    finding = taken.one.predicted.share > Options.improvement
-    asked = after.accepted or (finding and (freed or _has_company(loop, found, taken)))
+    asked = after.accepted or freed or _has_company(loop, found, taken)
     if not (loop.logs_before and asked):
         return after
-    early = replace(early, rival=after)
     lately, along = (loop.error_everywhere(one.model) for one in (after, early))
     return after if likelier(lately, along) else early
 

@@ -48,26 +48,26 @@ def tempered(gain: Array | float) -> Array:
     return np.maximum(Options.small * np.asarray(gain) / BEHIND, 1.0)
 
 
-def reality(share: float, gain: float, *, of_share: float = 0.7, of_gain: float = 1.1) -> float:
+def reality(share: float, gain: float, *, of_share: float = 0.7) -> float:
     """Probability that a term is more than the errors of a model that lacks nothing.
 
     `share` is what it takes away of the squared error, `gain` the log evidence for it. The log odds
-    are the parts `of_share`, its logit, and `of_gain`, its logarithm to base 10.
+    are `of_share` of its logit and the gain's logarithm to base 10.
     """
     share = float(np.clip(share, 1e-3, 1.0 - 1e-3))
-    odds = of_share * np.log(share / (1.0 - share)) + of_gain * np.log10(max(gain, 1.0))
-    return float(1.0 / (1.0 + np.exp(-odds)))
+    odds = of_share * logit(share) + np.log10(max(gain, 1.0))
+    return float(expit(odds))
 
 
-def steadiness(varied: float, share: float, left: float, *, holds: float = 0.5) -> float:
+def steadiness(varied: float, share: float, left: float) -> float:
     """Probability that a term is no error of another law.
 
     `varied` is the log evidence that its size is another one in every block, `share` what it takes
-    away of the squared error, `left` what the model leaves in noise floors. A name `holds` as often
-    where its size varies, and as much as there was without it is left above the floor.
+    away of the squared error, `left` what the model leaves in noise floors. Odds are even where its
+    size varies, and as much as there was without it is left above the floor.
     """
     above = np.sqrt(1.0 - np.clip(share, 0.0, 1.0)) * (1.0 - 1.0 / max(left, 1.0))
-    return float(1.0 - (1.0 - holds) * expit(varied) * above)
+    return float(1.0 - 0.5 * expit(varied) * above)
 
 
 def named(taken: Taken, left: float = 1.0) -> Named:

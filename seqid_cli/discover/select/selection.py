@@ -80,17 +80,12 @@ def _best_of_all(every: Sequence[Selection]) -> Selection:
     return best
 
 
-def select_among(
-    ground: Ground,
-    hold: Hold,
-    candidates: Sequence[Candidate],
-    options: Options,
-) -> Selection:
+def select_among(ground: Ground, hold: Hold, candidates: Sequence[Candidate]) -> Selection:
     """Begin with effects, and take back those that the model does not need."""
     model = Model(ground, hold)
     if candidates:
         model.add(candidates)
-    among = Selection(model, options, _known(ground))
+    among = Selection(model, Options(), _known(ground))
     among.eliminate()
     return among
 

@@ -1,8 +1,9 @@
 """Reversal uncertainty: what is not known of friction where a joint turns back or rests.
 
 A joint that turns back sticks until its drive has overcome friction twice. When it stopped and when
-it broke loose is known to a share of the time for which it does not certainly slide. Friction's
-step, times that, passes the low-pass and reaches samples that count:
+it broke loose is known to a share of the time for which it does not certainly slide, and friction
+may take any part of that time to change. Its step passes the low-pass and reaches samples that
+count:
 
     row = ... + D h(t - t_r) dt + D h'(t - t_r) T^2 / 24,
 
@@ -10,8 +11,7 @@ D being the step, h the low-pass's response to a pulse, dt how far off the step 
 takes, other ones at every reversal. Near the ends of a longer rest friction may be anything up to
 its size. Rows are whitened for both: what such errors look like counts for less, the more so the
 larger friction is over torque noise, and all else for as much as it did (generalised least squares,
-one reversal after the other;
-Aitken, Proceedings of the Royal Society of Edinburgh 55, 1935).
+one reversal after the other; Aitken, Proceedings of the Royal Society of Edinburgh 55, 1935).
 """
 
 from __future__ import annotations
@@ -29,13 +29,12 @@ from seqid_cli.robust import gaussian_spread
 from seqid_cli.typing import Array, Index, Mask
 
 OFF = 0.03  # of the time for which a joint does not certainly slide: standard error of its middle
-LONG = 0.4  # of that time, that friction takes to change its sign
 SPACING = 0.15  # periods of the cut-off between times at which friction may be anything
 EDGE = 3  # such times that are felt from either end of a rest
-FREE = 0.5  # of friction: standard error of what it is at rest
 SEEN = 1e-3  # of the largest, below which a row does not feel a reversal
 PASSES = 2
 GRID = 400
+ANYTHING = 1.0 / np.sqrt(3.0)  # standard deviation of what may be all from minus one to one
 THIRD = np.sqrt(20.0)  # standard deviation of third differences of white noise of unit size
 
 
@@ -136,7 +135,7 @@ def _uncertain(scene: Scene, joint: int) -> Iterator[tuple[int, Array]]:
             for at in _crossings(v[first : last + 1]):
                 yield _displaced(first + at, step, length, rate)
         if not turned or last - first >= period:
-            size = FREE * max(abs(friction[first]), abs(friction[last]))
+            size = ANYTHING * max(abs(friction[first]), abs(friction[last]))
             yield from _free(start, stop, size, max(1, round(SPACING * period)))
 
 
@@ -153,7 +152,7 @@ def _displaced(at: float, step: float, length: float, rate: float) -> tuple[int,
     low = int(at)
     pulse = rate * np.array([0.0, 0.0, 1.0 - (at - low), at - low, 0.0, 0.0])
     slope = 0.5 * rate * (pulse[2:] - pulse[:-2])
-    off, long = OFF * length, (LONG * length) ** 2 / 24.0
+    off, long = OFF * length, (ANYTHING * length) ** 2 / 24.0
     # The first of the four samples may lie before the log; its weight is none then.
     return low - 1, step * np.stack([off * pulse[1:-1], long * slope], axis=1)
 

@@ -157,7 +157,7 @@ def test_a_certain_loss_at_one_joint_is_seen() -> None:
     assert gain(old, new, [1]).loses
     assert not gain(old, new, [0]).loses
     assert not Gain(-0.3, -0.8, 0.1).loses
-    assert not Gain(-0.001, -0.002, -0.0005).loses
+    assert Gain(-0.001, -0.002, -0.0005).loses
 
 
 @pytest.mark.parametrize("memory", [1, 4])

@@ -130,31 +130,24 @@ def too_short(path: Path, cutoff_hz: float) -> InputError:
     return InputError(message, hint=hint, where=str(path))
 
 
-def as_asked(chosen: Cutoff, path: Path, rate_hz: float, options: MotionOptions) -> Cutoff:
+def as_asked(
+    chosen: Cutoff, path: Path, rate_hz: float, options: MotionOptions, *, min_samples: float = 4.0
+) -> Cutoff:
     """The cut-off of a log: the one that it has chosen, or the user's.
 
-    Raises InputError as of `require_rate`.
+    Raises InputError: it has too few samples per period of the cut-off of the model to be used.
     """
-    if options.cutoff_hz is None:
+    hz, highest = options.cutoff_hz, rate_hz / min_samples
+    if hz is None:
         return chosen
-    require_rate(path, rate_hz, options)
-    return replace(chosen, hz=options.cutoff_hz, alone_hz=chosen.hz)
-
-
-def require_rate(
-    path: Path, rate_hz: float, options: MotionOptions, *, min_samples: float = 4.0
-) -> None:
-    """Refuse a log with too few samples per period of the cut-off of the model to be used."""
-    highest = rate_hz / min_samples
-    hz = 0.0 if options.origin in ("", "as given") else options.cutoff_hz or 0.0
-    if hz <= highest:
-        return
-    raise InputError(
-        f"{rate_hz:.4g} samples per second are too few for the cut-off of {hz:.3g} "
-        f"Hz, {options.origin}; the highest that this log allows is {highest:.3g} Hz",
-        hint=f"identify and use the model with --cutoff {highest:.3g}, or leave this log out",
-        where=str(path),
-    )
+    if hz > highest and options.origin not in ("", "as given"):
+        raise InputError(
+            f"{rate_hz:.4g} samples per second are too few for the cut-off of {hz:.3g} "
+            f"Hz, {options.origin}; the highest that this log allows is {highest:.3g} Hz",
+            hint=f"identify and use the model with --cutoff {highest:.3g}, or leave this log out",
+            where=str(path),
+        )
+    return replace(chosen, hz=hz, alone_hz=chosen.hz)
 
 
 def highest_bridged(

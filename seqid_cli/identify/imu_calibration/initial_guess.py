@@ -23,11 +23,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.identify.imu_calibration.segments import Segment
-from seqid_cli.identify.imu_calibration.sensor_model import (
-    Constants,
-    first_constants,
-    nominal_axes,
-)
+from seqid_cli.identify.imu_calibration.sensor_model import Constants, first_constants, nominal_axes
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, shrink

@@ -30,6 +30,7 @@ from seqid_cli.motion.filters.differentiation import (
 )
 from seqid_cli.motion.motion import Motion, encoder_resolution
 from seqid_cli.motion.smoother.chunk import JERK, EncoderView, bridged, encoder_view
+from seqid_cli.motion.smoother.imus import clipped
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough, white_noise
 from seqid_cli.typing import Array, Index, Mask
@@ -110,23 +111,10 @@ def cleaned(values: Array, valid: Mask, *, min_spike: float = 8.0) -> tuple[Arra
     motion = np.abs(np.gradient(middle, axis=0)) if len(values) > 1 else off
     noise = np.maximum(white_noise(values), 1e-9)
     bad |= off > min_spike * noise + 4.0 * motion
-    bad |= _saturated(values, noise)
+    bad |= clipped(values, ~bad, noise)
     whole = bad.all(axis=0)  # nothing to bridge it with
     mended = [bridged(v, ~b) for v, b in zip(values.T, (bad & ~whole).T, strict=True)]
     return np.column_stack(mended), bad
-
-
-def _saturated(values: Array, noise: Array, *, min_run: int = 4) -> Mask:
-    """Runs of at least `min_run` equal extreme readings, in a channel that otherwise is noisy."""
-    result = np.zeros(values.shape, dtype=bool)
-    for c, channel in enumerate(values.T):
-        # A coarse but honest channel also repeats itself, by chance: not for long.
-        shortest = min_run if noise[c] > 1e-9 else 10 * min_run
-        for extreme in (channel.max(), channel.min()):
-            for start, stop in runs(channel == extreme, len(channel)):
-                if stop - start >= shortest and np.ptp(channel) > 100 * noise[c]:
-                    result[start:stop, c] = True
-    return result
 
 
 REACH = SIDE  # nodes that a derivative takes

@@ -203,11 +203,7 @@ def _renewed(state: _State, covariance: Array, reductions: list[Reduced]) -> Wid
 
 
 def _finished(
-    reductions: list[Reduced],
-    state: _State,
-    found: list[JointDeflection],
-    *,
-    converged: bool,
+    reductions: list[Reduced], state: _State, found: list[JointDeflection], *, converged: bool
 ) -> Fit:
     _, information = state.solved(reductions)
     own = sum((r.follow.T * r.precision) @ r.follow for r in reductions)

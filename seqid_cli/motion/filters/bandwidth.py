@@ -132,47 +132,25 @@ def highest_of(
     return max(BANDWIDTHS * bandwidth_hz, 2 * LOWEST_HZ, needed)
 
 
-def choose_smoothed_cutoff(
-    encoder: Cutoff, dq: Array, ddq: Array, variance: Array, rate_hz: float, *, moving: Mask
-) -> Cutoff:
-    """Choose one low-pass cut-off for a log whose motion comes from the smoother.
+def smoothed_score(dq: Array, ddq: Array, error: Array, rate_hz: float, cutoffs: Array) -> Score:
+    """Score cut-offs (C,) Hz by the smoothed motion (N, m) [rad/s, rad/s^2] of joints that move.
 
-    `encoder`: the encoders' own choice. `dq`, `ddq` (N, n): smoothed [rad/s, rad/s^2]. `variance`
-    (n, 3): as of `smoothed_error`. `moving` (n,).
+    `error` (C, m): power of the acceleration's error below each, as of `smoothed_error`.
     """
-    if not moving.any():
-        return encoder
-    highest = min(HIGHEST_HZ, rate_hz / 8)
-    candidates = np.geomspace(encoder.hz, max(encoder.hz, highest), 60)
-    found = smoothed_score(encoder, dq, ddq, variance, rate_hz, candidates, moving=moving)
-    allowed = np.searchsorted(candidates, highest_of(found.bandwidth_hz), side="right")
-    best = lowest_as_good(found.values[: max(1, allowed)], found.joints)
-    return replace(encoder, hz=float(candidates[best]), alone_hz=encoder.hz)
 
+    def spectra(values: Array, seconds: int) -> tuple[Array, Array]:
+        length = min(len(values), max(256, int(seconds * rate_hz)))
+        frequency, density = welch(values, rate_hz, nperseg=length, detrend=False, axis=0)
+        return frequency, density.T
 
-def smoothed_score(
-    encoder: Cutoff,
-    dq: Array,
-    ddq: Array,
-    variance: Array,
-    rate_hz: float,
-    cutoffs: Array,
-    *,
-    moving: Mask,
-) -> Score:
-    """Score cut-offs by smoothed motion; arguments as of `choose_smoothed_cutoff`."""
-    error = np.array([smoothed_error(variance, encoder.noise_density, hz) for hz in cutoffs])
-    values, bandwidth = np.zeros(len(cutoffs)), 0.0
-    for j in np.flatnonzero(moving):
-        length = min(len(ddq), max(256, int(8 * rate_hz)))
-        frequency, density = welch(ddq[:, j], rate_hz, nperseg=length, detrend=False)
+    values, (frequency, densities) = np.zeros(len(cutoffs)), spectra(ddq, 8)
+    for density, own in zip(densities, error.T, strict=True):
         power = power_below(frequency, density, np.minimum(cutoffs, rate_hz / 2))
-        signal = np.maximum(power - error[:, j], 1e-12)
-        values += np.log(signal) - KAPPA * error[:, j] / signal
-        length = min(len(dq), max(256, int(20 * rate_hz)))
-        frequency, density = welch(dq[:, j], rate_hz, nperseg=length, detrend=False)
-        bandwidth = max(bandwidth, bandwidth_of(frequency, density, rate_hz))
-    return Score(values, bandwidth, int(np.sum(moving)))
+        signal = np.maximum(power - own, 1e-12)
+        values += np.log(signal) - KAPPA * own / signal
+    frequency, densities = spectra(dq, 20)
+    widest = max((bandwidth_of(frequency, one, rate_hz) for one in densities), default=0.0)
+    return Score(values, widest, len(densities))
 
 
 def lowest_as_good(score: Array, joints: int, *, worth: float = 0.01) -> int:

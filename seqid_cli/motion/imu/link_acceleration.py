@@ -37,12 +37,7 @@ class LinkReading(NamedTuple):
 
 
 def log_motion(
-    recording: Recording,
-    robot: Robot,
-    options: MotionOptions,
-    *,
-    imu: ImuStage | None,
-    source: str,
+    recording: Recording, robot: Robot, options: MotionOptions, *, imu: ImuStage | None, source: str
 ) -> Motion:
     """Motion of a log at its own rate, of the encoders or better.
 

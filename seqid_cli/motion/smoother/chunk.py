@@ -8,6 +8,7 @@ position, velocity and acceleration depend on the coefficients k to k + 3 alone,
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from seqid_cli.motion.imu.sensor import Mounting
 from seqid_cli.robot.types import Robot
@@ -248,20 +249,14 @@ def motion_at(chunk: Chunk, c: Array) -> Array:
 
 def sampled(c: Array, weights: Array) -> Array:
     """Values (S, M, n) in every interval by weights (S, 4) of its coefficients."""
-    m = len(c) - 3
-    x = weights[:, 0, None, None] * c[:m]
-    for a in range(1, 4):
-        x += weights[:, a, None, None] * c[a : a + m]
-    return np.asarray(x)
+    return np.tensordot(weights, sliding_window_view(c, 4, axis=0), (1, 2))
 
 
 def mean_motion(chunk: Chunk, c: Array, fraction: float = 0.0, at: Index | None = None) -> Array:
     """q, dq, ddq (3, n, M) averaged over the samples of every interval, or of those `at` alone."""
-    weights = chunk.mean_knots(fraction)
-    if at is not None:
-        near = np.stack([c[at + a] for a in range(4)])
-        return np.ascontiguousarray(np.tensordot(weights, near, (1, 0)).transpose(0, 2, 1))
-    return np.ascontiguousarray(sampled(c, weights).transpose(0, 2, 1))
+    near = sliding_window_view(c, 4, axis=0)
+    motion = np.tensordot(chunk.mean_knots(fraction), near if at is None else near[at], (1, 2))
+    return np.ascontiguousarray(motion.transpose(0, 2, 1))
 
 
 def jerk_of(c: Array, spacing: float) -> Array:
@@ -276,4 +271,4 @@ def resampled(chunk: Chunk, c: Array, other: Chunk) -> Array:
     k = np.clip(t.astype(int), 0, chunk.intervals - 1)
     weights = spline_weights(t - k, chunk.spacing)
     at = weights[:, 0] - h**2 / 6 * weights[:, 2]
-    return np.asarray(np.einsum("ka,kan->kn", at, c[k[:, None] + np.arange(4)]))
+    return np.asarray(np.einsum("ka,kna->kn", at, sliding_window_view(c, 4, axis=0)[k]))

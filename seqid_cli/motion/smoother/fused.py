@@ -18,8 +18,11 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.pieces import cut
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import (
+    HIGHEST_HZ,
+    Cutoff,
     Score,
-    choose_smoothed_cutoff,
+    highest_of,
+    lowest_as_good,
     smoothed_error,
     smoothed_score,
 )
@@ -70,10 +73,28 @@ def score_of_smoothed(
     recording: Recording, robot: Robot, stage: ImuStage | None, encoder: Motion, cutoffs: Array
 ) -> Score:
     """Score cut-offs [Hz] by the motion that the smoother makes of a log."""
-    smoothed = _smoothed(recording, robot, stage)
-    variance = smoothed.typical(recording.valid)
-    given = smoothed.dq, smoothed.ddq, variance, recording.rate_hz, cutoffs
-    return smoothed_score(encoder.cutoff, *given, moving=np.any(encoder.moving, axis=0))
+    return _score(_smoothed(recording, robot, stage), encoder, cutoffs)
+
+
+def _score(smoothed: Smoothed, encoder: Motion, cutoffs: Array) -> Score:
+    variance, density = smoothed.typical(encoder.valid), encoder.cutoff.noise_density
+    moves = np.any(encoder.moving, axis=0)
+    error = np.array([smoothed_error(variance, density, hz)[moves] for hz in cutoffs])
+    motion = smoothed.dq[:, moves], smoothed.ddq[:, moves]
+    return smoothed_score(*motion, error, encoder.rate_hz, cutoffs)
+
+
+def _cutoff(smoothed: Smoothed, encoder: Motion) -> Cutoff:
+    """The cut-off that suits a smoothed motion, where the user gave none."""
+    own = encoder.cutoff
+    if own.alone_hz is not None or not encoder.moving.any():
+        return own
+    highest = max(own.hz, min(HIGHEST_HZ, encoder.rate_hz / 8))
+    candidates = np.geomspace(own.hz, highest, 60)
+    found = _score(smoothed, encoder, candidates)
+    allowed = np.searchsorted(candidates, highest_of(found.bandwidth_hz), side="right")
+    best = lowest_as_good(found.values[: max(1, allowed)], found.joints)
+    return replace(own, hz=float(candidates[best]), alone_hz=own.hz)
 
 
 def needed(motion: Motion, encoder: Motion, *, min_gain: float = 3.0) -> bool:
@@ -189,12 +210,8 @@ def absent_imus(recording: Recording, robot: Robot, stage: ImuStage | None) -> I
 
 def _filtered(recording: Recording, encoder: Motion, smoothed: Smoothed) -> Motion:
     """Filter a smoothed motion; joints that no IMU sees are differentiated as without them."""
-    cutoff, moves, valid = encoder.cutoff, np.any(encoder.moving, axis=0), recording.valid
-    variance = smoothed.typical(valid)
-    if cutoff.alone_hz is None:
-        cutoff = choose_smoothed_cutoff(
-            cutoff, smoothed.dq, smoothed.ddq, variance, encoder.rate_hz, moving=moves
-        )
+    cutoff, valid = _cutoff(smoothed, encoder), recording.valid
+    variance, moves = smoothed.typical(valid), np.any(encoder.moving, axis=0)
     lowpass = Lowpass(cutoff.hz, recording.rate_hz)
     # What noise makes of locked joints must not pass for excitation.
     motion = [

@@ -108,7 +108,7 @@ def read(x: Mounted, recording: Recording, own: slice) -> Mounted:
     raw = np.where(live, raw, 0.0)
     live &= ~_silent(raw, recording.rate_hz)
     noise = np.maximum(white_noise(raw, np.asarray(live.all(axis=1))), 0.5 * x.noise)
-    live &= ~_clipped(raw, live, noise)
+    live &= ~clipped(raw, live, noise)
     return replace(x, raw=raw, live=live, noise=np.maximum(noise, LEAST_NOISE))
 
 
@@ -130,11 +130,11 @@ def _silent(raw: Array, rate_hz: float, *, stuck_s: float = 0.5, min_alike: int 
     return np.asarray((stuck | silent).T)
 
 
-def _clipped(
+def clipped(
     raw: Array, live: Mask, noise: Array, *, clipped_noise: float = 20.0, min_clipped: int = 3
 ) -> Mask:
     """Where a channel stays at its own limit for several samples, with those beside them."""
-    clipped = np.zeros_like(live)
+    found = np.zeros_like(live)
     for k in np.flatnonzero(live.any(axis=0)):
         channel = np.ascontiguousarray(raw[:, k])
         values = channel[live[:, k]]
@@ -144,8 +144,8 @@ def _clipped(
             if abs(limit - middle) < clipped_noise * noise[k] or at.sum() < min_clipped:
                 continue
             run = np.convolve(at.astype(float), np.ones(min_clipped), "same") > min_clipped - 0.5
-            clipped[:, k] |= np.convolve(run, np.ones(min_clipped + 2), "same") > 0.5
-    return clipped
+            found[:, k] |= np.convolve(run, np.ones(min_clipped + 2), "same") > 0.5
+    return found
 
 
 def moved(x: Mounted, change: Array) -> Mounted:

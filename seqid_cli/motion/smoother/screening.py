@@ -1,7 +1,8 @@
 """Placing IMUs on the encoders' motion, clocks included, and whether to believe them."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,68 +36,54 @@ def believed(
     return replace(chunk, imus=tuple(kept)), notes
 
 
-@dataclass(frozen=True)
-class Fit:
-    """What joint motion leaves of an IMU's readings, over its noise, and what encoders alone leave.
+class Misfit(NamedTuple):
+    """What no joint motion explains of an IMU's readings.
 
-    Both are root mean squares over the channels that `typical` of the intervals in motion do not
-    exceed: a jolt is over in less time than there is between coarse knots, which cannot follow it.
-    `size` is the same in m/s^2 (rad/s). What encoders leave is only found of a suspect.
+    `size` is the RMS over the channels that `typical` of the intervals in motion do not exceed,
+    m/s^2 (rad/s): a jolt is over in less time than there is between coarse knots, which cannot
+    follow it. `noises` is the same over its noise, `share` over what encoders alone leave.
     """
 
     name: str
-    together: float
-    alone: float
     size: float
-
-    @property
-    def suspect(self) -> bool:
-        """Whether more than noise is left."""
-        return self.together > BEYOND_NOISE
-
-    @property
-    def share(self) -> float:
-        """Share of what differs from the encoders' motion that no joint motion explains."""
-        return self.together / max(self.alone, 1e-9)
+    noises: float
+    share: float
 
 
-def fits(chunk: Chunk, alone: Array, together: Array, *, in_motion: float = 0.05) -> list[Fit]:
-    """How well each IMU goes with coefficients (K, n) by everything, and by the encoders."""
-    found = []
+def misfits(
+    chunk: Chunk, alone: Array, together: Array, *, in_motion: float = 0.05
+) -> Iterator[Misfit]:
+    """IMUs that leave more than noise of the motion by coefficients (K, n), encoders' and all."""
     for x in chunk.imus:
         speed = np.abs(mean_motion(chunk, alone[:, : x.joints])[1])
         fastest = np.maximum(speed.max(axis=1, keepdims=True), 1e-9)
         own = x.there & (speed > in_motion * fastest).any(axis=0)
         own = own if own.any() else x.there
         off = _without_drift(x, predicted(chunk, together, x))
-        left, size = (_typical(v, x.seen, own) for v in (off / x.spread, off))
-        fit = Fit(x.name, left, np.inf, size)
-        if fit.suspect:
+        size, noises = (_typical(v, x.seen, own) for v in (off, off / x.spread))
+        if noises > BEYOND_NOISE:
             before = _without_drift(x, predicted(chunk, alone, x))
-            fit = replace(fit, alone=_typical(before / x.spread, x.seen, own))
-        found.append(fit)
-    return found
+            share = noises / max(_typical(before / x.spread, x.seen, own), 1e-9)
+            yield Misfit(x.name, size, noises, share)
 
 
-def contradiction(found: Sequence[Fit], *, unexplained: float = 0.36) -> tuple[str, list[str]]:
+def contradiction(found: Sequence[Misfit], *, unexplained: float = 0.36) -> tuple[str, list[str]]:
     """The IMU to be left out, if any, and what is to be said of those that fit badly.
 
     A right model leaves noise: motion that follows an IMU takes up nearly all in which it differs
     from the encoders' motion. Wrong geometry or an arm that bends leaves much more.
     """
-    notes, name, worst = [], "", unexplained
-    for fit in found:
-        if not fit.suspect:
-            continue
-        text = (
-            f"it differs from the motion by {fit.size:.3g}, {fit.together:.1f} times its noise and "
-            f"{percent(fit.share, 0)} of what it differs from the encoders'"
-        )
-        notes.append(f"{fit.name} fits badly: {text}; check geometry, mounting and gravity")
-        if fit.share > worst:
-            worst, name = fit.share, fit.name
-            said = f"{fit.name} is left out: {text} (limit {percent(unexplained, 0)})"
-    return (name, [said]) if name else ("", notes)
+    texts = {
+        x.name: f"it differs from the motion by {x.size:.3g}, {x.noises:.1f} times its noise and "
+        f"{percent(x.share, 0)} of what it differs from the encoders'"
+        for x in found
+    }
+    worst = max(found, key=lambda x: x.share, default=None)
+    if worst is not None and worst.share > unexplained:
+        limit = f"(limit {percent(unexplained, 0)})"
+        return worst.name, [f"{worst.name} is left out: {texts[worst.name]} {limit}"]
+    remedy = "check geometry, mounting and gravity"
+    return "", [f"{name} fits badly: {text}; {remedy}" for name, text in texts.items()]
 
 
 def _without_drift(x: Mounted, told: Array) -> Array:

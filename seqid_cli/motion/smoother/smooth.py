@@ -29,7 +29,7 @@ from seqid_cli.motion.smoother.chunk import (
     resampled,
 )
 from seqid_cli.motion.smoother.imus import handed_on, mounted_imus, read
-from seqid_cli.motion.smoother.screening import believed, contradiction, fits
+from seqid_cli.motion.smoother.screening import believed, contradiction, misfits
 from seqid_cli.motion.smoother.solve import (
     Solution,
     detailed,
@@ -109,11 +109,11 @@ def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[Solution
     notes = []
     while True:
         shared = settled(coarse, c, jerk)
-        found = fits(shared.chunk, c, shared.c)
-        if any(fit.suspect for fit in found):
-            fine = _refined(chunk, shared)
-            shared = settled(*fine)
-            found = fits(shared.chunk, resampled(coarse, c, shared.chunk), shared.c)
+        found = list(misfits(shared.chunk, c, shared.c))
+        if found:
+            shared = settled(*_refined(chunk, shared))
+            alone = resampled(coarse, c, shared.chunk)
+            found = list(misfits(shared.chunk, alone, shared.c))
         name, said = contradiction(found)
         notes += said
         if not name:

@@ -24,14 +24,7 @@ from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.remote import local_copy
 from seqid_cli.motion.blocks import SurveyedLog
-from seqid_cli.motion.filters.bandwidth import (
-    HIGHEST_HZ,
-    LOWEST_HZ,
-    Score,
-    first_maximum,
-    highest_of,
-    lowest_as_good,
-)
+from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.imu.link_acceleration import best_motion
 from seqid_cli.motion.motion import encoder_resolution, estimate_motion, highest_bridged
 from seqid_cli.motion.options import MotionOptions
@@ -40,7 +33,7 @@ from seqid_cli.params.schema import ImuStage, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
 
-GRID: Array = np.geomspace(LOWEST_HZ, HIGHEST_HZ, 200)
+GRID: Array = np.geomspace(bandwidth.LOWEST_HZ, bandwidth.HIGHEST_HZ, 200)
 
 
 @dataclass(frozen=True)
@@ -50,18 +43,15 @@ class LogScore:
     `smoothed` is the score by the log's smoothed motion.
     """
 
-    score: Score
+    score: bandwidth.Score
     highest_hz: float
-    smoothed: Score | None = None
+    smoothed: bandwidth.Score | None = None
 
 
 def _score_of(
     given: Path | Recording, robot: Robot, options: RigidOptions, imu: ImuStage | None
 ) -> LogScore | None:
-    """Score the cut-offs of one log; None where no joint moves.
-
-    Raises SeqidError if the motion cannot be had from this source (see `best_motion`).
-    """
+    """Score the cut-offs of one log; None where no joint moves."""
     source, time_source = options.source, options.time_source
     fuses = imu is not None and bool(imu.imus) and source != "encoder"
     with contextlib.ExitStack() as stack:
@@ -81,14 +71,15 @@ def _score_of(
             encoder = estimate_motion(log, robot, MotionOptions()) if fuses else None
             if encoder and best_motion(log, robot, imu, encoder, source=source).source == "fused":
                 smoothed = score_of_smoothed(log, robot, imu, encoder, GRID)
-        return LogScore(found, min(HIGHEST_HZ, highest), smoothed)
+        return LogScore(found, min(bandwidth.HIGHEST_HZ, highest), smoothed)
 
 
-def _summed(scores: Sequence[Score], highest: float) -> tuple[Array, int]:
+def _summed(logs: Sequence[LogScore], scores: Sequence[bandwidth.Score]) -> tuple[Array, int]:
     """Sum of the logs' scores, and how many of the grid's cut-offs all allow."""
     ordered = sorted(tuple(one.values) for one in scores)  # sums to the last bit
     widest, joints = (max(getattr(x, name) for x in scores) for name in ("bandwidth_hz", "joints"))
-    highest = min(highest, highest_of(widest, joints, sum(one.seconds for one in scores)))
+    highest = bandwidth.highest_of(widest, joints, sum(one.seconds for one in scores))
+    highest = min(highest, *(one.highest_hz for one in logs))
     return np.sum(ordered, axis=0), max(1, int(np.searchsorted(GRID, highest, side="right")))
 
 
@@ -112,13 +103,12 @@ def identification_options(
             found += [own] if own is not None else []
     if not found:
         return MotionOptions()
-    highest = min(one.highest_hz for one in found)
-    total, allowed = _summed([one.score for one in found], highest)
-    best = alone = first_maximum(total[:allowed])
+    total, allowed = _summed(found, [one.score for one in found])
+    best = alone = bandwidth.first_maximum(total[:allowed])
     if any(one.smoothed for one in found):
-        total, allowed = _summed([one.smoothed or one.score for one in found], highest)
+        total, allowed = _summed(found, [one.smoothed or one.score for one in found])
         joints = sum(one.score.joints for one in found)
-        best += lowest_as_good(total[best : max(allowed, best + 1)], joints)
+        best += bandwidth.lowest_as_good(total[best : max(allowed, best + 1)], joints)
     origin = f"chosen from all {len(logs)} logs together"
     return MotionOptions(float(GRID[best]), origin=origin, encoder_hz=float(GRID[alone]))
 

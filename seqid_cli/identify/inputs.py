@@ -82,10 +82,8 @@ def prepare(
 ) -> Inputs:
     """Check all that can be checked before numpy is imported.
 
-    `needs` names the stages that `parameters` must hold; `stored` says whether logs on object
-    storage are welcome.
-
-    Raises SeqidError: a path, the robot file or a parameter file is wrong.
+    `needs`: stages that `parameters` must hold. `stored`: whether logs on object storage are
+    welcome. Raises SeqidError: a path, the robot file or a parameter file is wrong.
     """
     options = options or LogOptions()
     found, missing = _logs(listed(logs), go_on=options.skip_failed, stored=stored)

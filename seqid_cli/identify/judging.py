@@ -15,14 +15,7 @@ from msgspec.structs import replace
 from seqid_cli.identify.friction_surface.gravity_separation import gravity_columns
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import standard_parameters
-from seqid_cli.params.schema import (
-    FrictionStage,
-    ImuStage,
-    ParameterFile,
-    RigidStage,
-    Stages,
-    Verdict,
-)
+from seqid_cli.params import schema
 from seqid_cli.robot.base_parameters import free_basis, standard_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
@@ -60,15 +53,18 @@ LIMITS = Limits()
 
 
 def judged(
-    found: Stages, previous: ParameterFile | None, robot: Robot, of_logs: Sequence[Verdict] = ()
-) -> Stages:
+    found: schema.Stages,
+    previous: schema.ParameterFile | None,
+    robot: Robot,
+    of_logs: Sequence[schema.Verdict] = (),
+) -> schema.Stages:
     """Add to the verdicts of new stages those by physics, and those `of_logs`.
 
     Returns: a stage with a poor verdict of any joint has one as a whole (joint empty).
     """
-    before = previous.stages if previous else Stages()
+    before = previous.stages if previous else schema.Stages()
     friction, gravity = found.friction or before.friction, found.gravity or before.gravity
-    known, stages = Stages(friction=friction, gravity=gravity), {}
+    known, stages = schema.Stages(friction=friction, gravity=gravity), {}
     for name in ("friction", "gravity", "imu", "inertia"):
         stage = getattr(found, name)
         if stage is not None:
@@ -77,7 +73,7 @@ def judged(
     return replace(found, **stages)
 
 
-def physics_verdicts(stages: Stages, robot: Robot) -> list[Verdict]:
+def physics_verdicts(stages: schema.Stages, robot: Robot) -> list[schema.Verdict]:
     """Judge stages that a command builds on as `judged` does, whatever logs they are used on.
 
     `robot`: as it is now: its gear ratios or gravity may not be those of the identification.
@@ -88,22 +84,24 @@ def physics_verdicts(stages: Stages, robot: Robot) -> list[Verdict]:
     return list({(v.joint, v.reason): v for v in found}.values())
 
 
-def as_a_whole(verdicts: Sequence[Verdict]) -> list[Verdict]:
+def as_a_whole(verdicts: Sequence[schema.Verdict]) -> list[schema.Verdict]:
     """Verdicts with a poor one of the whole (joint empty), where that of any joint is poor."""
     poor = list(dict.fromkeys(v.joint for v in verdicts if v.joint and not v.good))
     whole = [verdict for verdict in verdicts if not verdict.joint]
     if not poor or any(not verdict.good for verdict in whole):
         return list(verdicts)
     reason = "; ".join([*(v.reason for v in whole), f"not good: {', '.join(poor)}"])
-    return [*(v for v in verdicts if v.joint), Verdict(good=False, reason=reason)]
+    return [*(v for v in verdicts if v.joint), schema.Verdict(good=False, reason=reason)]
 
 
 def _physics(
-    stage: FrictionStage | RigidStage | ImuStage, known: Stages, robot: Robot
-) -> Iterator[Verdict]:
-    if isinstance(stage, FrictionStage):
+    stage: schema.FrictionStage | schema.RigidStage | schema.ImuStage,
+    known: schema.Stages,
+    robot: Robot,
+) -> Iterator[schema.Verdict]:
+    if isinstance(stage, schema.FrictionStage):
         yield from friction_verdicts(stage, robot)
-    elif isinstance(stage, RigidStage) and stage.parameters:
+    elif isinstance(stage, schema.RigidStage) and stage.parameters:
         q = _postures(robot)
         samples = dict(enumerate((q, own) for own in _gravity(robot, stage, q).T))
         if stage is not known.gravity:
@@ -116,7 +114,7 @@ def _physics(
         yield from _gravity_verdicts(samples, robot, None, NOT_NOMINAL)
 
 
-def friction_verdicts(stage: FrictionStage, robot: Robot) -> Iterator[Verdict]:
+def friction_verdicts(stage: schema.FrictionStage, robot: Robot) -> Iterator[schema.Verdict]:
     """Judge whether friction brakes, and whether the gravity beside it is of the URDF's size."""
     for name, joint in stage.joints.items():
         surface = FrictionSurface.from_stage(joint)
@@ -138,14 +136,14 @@ def friction_verdicts(stage: FrictionStage, robot: Robot) -> Iterator[Verdict]:
                 f"{v[worst]:.3g} per second: it would drive the joint. The sign of torque or "
                 "current is wrong, or it is another joint's"
             )
-            yield Verdict(joint=name, good=False, reason=reason)
+            yield schema.Verdict(joint=name, good=False, reason=reason)
     yield from _gravity_verdicts(_measured(stage, robot), robot, None, NOT_NOMINAL)
 
 
 Samples = dict[int, tuple[Array, Array]]  # joint: postures (N, n), gravity torque of it (N,)
 
 
-def _measured(stage: FrictionStage, robot: Robot) -> Samples:
+def _measured(stage: schema.FrictionStage, robot: Robot) -> Samples:
     """Gravity torque by Eq. 12-14 in the postures of the friction trials."""
     found: Samples = {}
     for j, name in enumerate(robot.joint_names):
@@ -166,7 +164,7 @@ def _measured(stage: FrictionStage, robot: Robot) -> Samples:
     return found
 
 
-def _gravity(robot: Robot, stage: RigidStage | None, q: Array) -> Array:
+def _gravity(robot: Robot, stage: schema.RigidStage | None, q: Array) -> Array:
     """Gravity torque (N, n) N m by a stage, by the URDF's inertials where it is None."""
     phi = robot.nominal if stage is None else standard_parameters(stage, robot.n)[0]
     assert phi is not None
@@ -191,12 +189,9 @@ NOT_NOMINAL = (
 
 
 def _gravity_verdicts(
-    samples: Samples, robot: Robot, stage: RigidStage | None, text: str
-) -> Iterator[Verdict]:
-    """Judge gravity by a stage's, or by that of the URDF's inertials; `text` says how it differs.
-
-    Joints that carry little of it are not compared.
-    """
+    samples: Samples, robot: Robot, stage: schema.RigidStage | None, text: str
+) -> Iterator[schema.Verdict]:
+    """Judge gravity by a stage's, or by the URDF's inertials; `text` says how it differs."""
     if not samples or (stage is None and robot.nominal is None):
         return
     largest = float(np.abs(_gravity(robot, stage, _postures(robot))).max())
@@ -213,10 +208,10 @@ def _gravity_verdicts(
             differs |= ratio < LIMITS.min_correlation * size
         if differs:
             reason = text.format(percent(off, 0), ratio)
-            yield Verdict(joint=robot.joint_names[j], good=False, reason=reason)
+            yield schema.Verdict(joint=robot.joint_names[j], good=False, reason=reason)
 
 
-def inertia_verdicts(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
+def inertia_verdicts(stage: schema.RigidStage, robot: Robot) -> Iterator[schema.Verdict]:
     """Judge whether rotors and the inertia that each drive feels are positive."""
     for p in stage.parameters:
         rotor = p.terms and all(x > 0.0 and name.startswith("Ia_") for name, x in p.terms.items())
@@ -225,7 +220,7 @@ def inertia_verdicts(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
                 f"{p.name} is {p.value:.3g} +- {p.std_error:.2g}: a rotor cannot have negative "
                 "inertia"
             )
-            yield Verdict(joint=p.joint, good=False, reason=reason)
+            yield schema.Verdict(joint=p.joint, good=False, reason=reason)
     # The inertia M_jj that joint j's drive feels, by the stage's parameters and their errors.
     basis = free_basis(robot)
     own = [basis.names.index(p.name) for p in stage.parameters if p.name in basis.names]
@@ -252,7 +247,7 @@ def inertia_verdicts(stage: RigidStage, robot: Robot) -> Iterator[Verdict]:
                 f"{error[worst] / LIMITS.clear_sigma:.2g}: it cannot be negative. Check sign and "
                 "unit of the torque, torque_constant, gear_ratio and rotor_inertia"
             )
-            yield Verdict(joint=name, good=False, reason=reason)
+            yield schema.Verdict(joint=name, good=False, reason=reason)
 
 
 def _postures(robot: Robot) -> Array:

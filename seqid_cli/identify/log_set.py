@@ -191,10 +191,8 @@ def reduced(
 def mapped(logs: Iterable[L], part: PartOf[L, P], opens: Opens | None = None) -> Iterator[P]:
     """Yield the parts of all logs, in their order; see `reduced`."""
     if isinstance(logs, LogSet):
-        yield from logs.mapped(part, opens)
-        return
-    for number, log in enumerate(logs):
-        yield part(log, number)
+        return logs.mapped(part, opens)
+    return (part(log, number) for number, log in enumerate(logs))
 
 
 def _in_words(alike: Sequence[InspectionFinding]) -> str:
@@ -235,10 +233,7 @@ class _Task(Generic[P]):
     folder: Path
 
     def __call__(self, item: tuple[int, Path | Recording]) -> tuple[LogNote, P]:
-        """Work on one log and its number.
-
-        Raises SeqidError: the log cannot be read or is of no use.
-        """
+        """Work on one log and its number."""
         number, given = item
         if isinstance(given, Recording):
             return _note_of(given), self.part(given, number)

@@ -43,11 +43,6 @@ class Plan:
         """The filter at the log's own rate."""
         return Lowpass(self.cutoff.hz, self.rate_hz)
 
-    @property
-    def kept_lowpass(self) -> Lowpass:
-        """The same filter for the samples that stay."""
-        return Lowpass(self.cutoff.hz, self.rate_hz / self.factor, self.factor)
-
 
 LEAST_BLOCK = 32_768  # samples; thinned ones need less memory and are twice as long
 

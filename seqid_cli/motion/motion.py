@@ -8,7 +8,7 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.filters.bandwidth import HIGHEST_HZ, NOISE_BANDWIDTH, Cutoff
+from seqid_cli.motion.filters.bandwidth import HIGHEST_HZ, Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.motion.filters.survey import Survey
@@ -56,17 +56,6 @@ class Motion:
     def acceleration_error(self) -> Array:
         """Standard deviation (n,) rad/s^2 of `ddq`."""
         return self.cutoff.acceleration_noise if self.error is None else self.error
-
-    @property
-    def independent_share(self) -> float:
-        """Share of the samples that count as independent: two per period of the noise's bandwidth.
-
-        What is left of the torque is low-passed; many samples of it per period say no more than
-        two, and must not outweigh what is known from elsewhere.
-        """
-        if not self.lowpass.active:
-            return 1.0
-        return min(1.0, 2 * NOISE_BANDWIDTH * self.lowpass.cutoff_hz / self.rate_hz)
 
     def part(self, where: slice) -> "Motion":
         """Some samples; the filter stays."""

@@ -54,41 +54,30 @@ def motion_reach(rate_hz: float) -> int:
     return int(np.ceil(0.7 * max(SCALES_S) * rate_hz)) + 2
 
 
-def moving_mask(
-    q: Array, rate_hz: float, step: Array, at: Index | None = None, *, looks: int = 8
-) -> Mask:
+def moving_mask(q: Array, rate_hz: float, step: Array, at: Index | None = None) -> Mask:
     """Where each joint moves.
 
     `q` (N, n): encoder positions [rad]. `step` (n,): encoder noise [rad], see `noise_step`. `at`
-    (K,): samples that are asked about, evenly spaced; all by default. Returns (K, n): true where a
-    joint moves on any of the time scales.
+    (K,): samples that are asked about; all by default. Returns (K, n): true where a joint moves on
+    any of the time scales.
     """
     at = np.arange(len(q)) if at is None else at
-    coarse = int(at[1] - at[0]) if len(at) > 1 else 1
     moving = np.zeros((q.shape[1], len(at)), dtype=np.bool_)
-    for scale in sorted(SCALES_S, reverse=True):  # the longest one mostly says it all
-        half = max(1, round(scale * rate_hz / 2))
-        if 2 * half >= len(q):
-            continue
-        for every in (max(coarse, half // looks), 1):  # and some samples of it
-            left = np.flatnonzero(~moving.all(axis=1))
-            if len(left):
-                moving[left] |= _seen_moving(q.T, step, at, half, every)[left]
+    for half in (max(1, round(scale * rate_hz / 2)) for scale in SCALES_S):
+        if 2 * half < len(q):
+            moving |= _seen_moving(q.T, step, at, half)
     return np.ascontiguousarray(moving.T)
 
 
-def _seen_moving(rows: Array, step: Array, at: Index, half: int, every: int) -> Mask:
-    """Where joints (n, K) move on one time scale, by the travel at every so many samples."""
-    travel = rows[:, 2 * half :: every] - rows[:, : -2 * half : every]
-    np.abs(travel, out=travel)
+def _seen_moving(rows: Array, step: Array, at: Index, half: int) -> Mask:
+    """Where joints (n, K) move on one time scale."""
+    travel = np.abs(rows[:, 2 * half :] - rows[:, : -2 * half])
     least = np.maximum(TRAVEL_STEPS * step[:, None], SHAKEN * travel.max(axis=0))
     changes = np.zeros((len(rows), travel.shape[1] + 1), dtype=np.int32)
     np.cumsum(travel > least, axis=1, out=changes[:, 1:])
     # A change within the window moves its middle and a third of a half to either side.
-    low, high = (
-        np.clip(-(-(at - half + reach) // every), 0, travel.shape[1])
-        for reach in (-(half // 3), half // 3 + 1)
-    )
+    reach = -(half // 3), half // 3 + 1
+    low, high = (np.clip(at - half + side, 0, travel.shape[1]) for side in reach)
     return np.asarray(changes[:, high] > changes[:, low])
 
 
@@ -228,10 +217,8 @@ def unmoved(
     """Where (N,) no joint leaves its place by more than the encoder's noise, for `samples`.
 
     Unlike `moving_mask`, whose windows are as long as a slow joint needs to pass two counts, it
-    shows short rests between moves; a joint that creeps within a count stands.
-
-    `q` (N, n): positions, rad (m). `resolution` (n,): smallest steps of the encoders, where known.
-    `max_swing_steps`: noise steps, between which an encoder may go to and fro at rest.
+    shows short rests between moves; a joint that creeps within a count stands. `q` (N, n):
+    positions, rad (m). `resolution` (n,): smallest steps of the encoders, where known.
     """
     size = max(3, samples)
     swing = maximum_filter1d(q, size, axis=0) - minimum_filter1d(q, size, axis=0)

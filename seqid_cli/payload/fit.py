@@ -118,11 +118,7 @@ class PayloadRows:
     `samples`, `before` and `measured` (n,) are counts of sliding samples, and their squares.
     """
 
-    def __init__(
-        self,
-        predictor: Predictor,
-        logs: Iterable[tuple[Recording, Motion]],
-    ) -> None:
+    def __init__(self, predictor: Predictor, logs: Iterable[tuple[Recording, Motion]]) -> None:
         self.predictor, self.robot = predictor, predictor.model.robot
         self.basis, n = free_basis(self.robot), self.robot.n
         size = PER_LINK + FRICTION_TERMS * n

@@ -57,9 +57,7 @@ def payload(
         raise ConfigError("holds no rigid body", where=where, hint=hint)
     from seqid_cli.payload.result import payload_file
 
-    file = payload_file(
-        inputs, source=options.source, change=options.friction_change, good=options.good_error
-    )
+    file = payload_file(inputs, options)
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)
     return file

@@ -28,32 +28,25 @@ from seqid_cli.model.bodies.consistent import nearest_body
 from seqid_cli.model.bodies.nearest import whitening
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.params.document import now, robot_id, tool
-from seqid_cli.params.results.payload import (
-    PAYLOAD_SCHEMA,
-    CarriedBodyEntry,
-    JointWithPayload,
-    Measured,
-    PayloadFile,
-)
+from seqid_cli.params.results import payload
 from seqid_cli.params.schema import Matrix, Parameter, Verdict
 from seqid_cli.payload.fit import PayloadFit, fit_payload
+from seqid_cli.payload.functions import PayloadOptions
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array
 
 
-def payload_file(inputs: Inputs, *, source: str, change: float, good: float) -> PayloadFile:
-    """Read the logs, fit, and describe the result.
-
-    `source`, `change`, `good`: see `PayloadOptions`.
-    """
-    rigid = InertiaOptions(inherited(inputs.stages, inputs.options.cutoff_hz), source)
+def payload_file(inputs: Inputs, options: PayloadOptions) -> payload.PayloadFile:
+    """Read the logs, fit, and describe the result."""
+    rigid = InertiaOptions(inherited(inputs.stages, options.cutoff_hz), options.source)
     given, names = LogSet.of(inputs), inputs.robot.joint_names
-    fit = fit_payload(given, inputs.robot, inputs.stages, options=rigid, friction_change=change)
+    logs = given, inputs.robot, inputs.stages
+    fit = fit_payload(*logs, options=rigid, friction_change=options.friction_change)
     entry, settings = _entry(fit, names[-1])
     errors = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    return PayloadFile(
-        schema=PAYLOAD_SCHEMA,
+    return payload.PayloadFile(
+        schema=payload.PAYLOAD_SCHEMA,
         created=now(),
         tool=tool(),
         robot=robot_id(inputs.robot),
@@ -75,12 +68,12 @@ def payload_file(inputs: Inputs, *, source: str, change: float, good: float) -> 
         settings=settings,
         joints={name: _joint(fit, j) for j, name in enumerate(names)},
         cutoff_origin=rigid.motion.origin,
-        verdicts=[*given.verdicts(), *_verdicts(fit, entry, names, good)],
+        verdicts=[*given.verdicts(), *_verdicts(fit, entry, names, options.good_error)],
         notes=[*given.notes(), *_notes(fit, entry, names)],
     )
 
 
-def _entry(fit: PayloadFit, joint: str) -> tuple[CarriedBodyEntry, dict[str, str]]:
+def _entry(fit: PayloadFit, joint: str) -> tuple[payload.CarriedBodyEntry, dict[str, str]]:
     """The body, and how controllers take it where it has a mass and a centre."""
     known, whole = fit.determined[:4].copy(), bool(fit.determined.all())
     if known[0] and fit.phi[0] > 0.0:
@@ -89,14 +82,14 @@ def _entry(fit: PayloadFit, joint: str) -> tuple[CarriedBodyEntry, dict[str, str
         values, errors, distance = fit.phi, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), 0.0
         known[1:] = whole = False
     mass, *center = (
-        Measured(
+        payload.Measured(
             value=float(values[k]) if there else None,
             std_error=float(errors[k]) if there else None,
             unit="m" if k else "kg",
         )
         for k, there in enumerate(known)
     )
-    entry = CarriedBodyEntry(
+    entry = payload.CarriedBodyEntry(
         frame=f"of joint {joint}",
         mass=mass,
         center_of_mass=center,
@@ -134,9 +127,9 @@ def _moments(phi: Array) -> Array:
     return np.concatenate([mass, h / mass, inertia.reshape(*mass.shape[:-1], 9)], axis=-1)
 
 
-def _joint(fit: PayloadFit, j: int) -> JointWithPayload:
+def _joint(fit: PayloadFit, j: int) -> payload.JointWithPayload:
     seen, after = bool(fit.samples[j]), float(fit.after[j])
-    return JointWithPayload(
+    return payload.JointWithPayload(
         before=float(fit.before[j]) if seen else None,
         after=after if seen else None,
         relative=after / max(float(fit.measured[j]), 1e-300) if seen else None,
@@ -147,7 +140,7 @@ def _joint(fit: PayloadFit, j: int) -> JointWithPayload:
 
 def _verdicts(
     fit: PayloadFit,
-    entry: CarriedBodyEntry,
+    entry: payload.CarriedBodyEntry,
     names: tuple[str, ...],
     good_error: float,
     *,
@@ -183,7 +176,9 @@ def _verdicts(
             yield Verdict(joint=name, good=False, reason=reason)
 
 
-def _notes(fit: PayloadFit, entry: CarriedBodyEntry, names: tuple[str, ...]) -> Iterator[str]:
+def _notes(
+    fit: PayloadFit, entry: payload.CarriedBodyEntry, names: tuple[str, ...]
+) -> Iterator[str]:
     missing = [kind for k, kind in enumerate(STANDARD) if not fit.determined[k]]
     if missing:
         yield f"not determined by these logs: {', '.join(missing)} of the payload"

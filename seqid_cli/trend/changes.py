@@ -25,14 +25,8 @@ from scipy import stats
 
 from seqid_cli.params.document import now, tool
 from seqid_cli.params.files import replacing, writing
+from seqid_cli.params.results import trend
 from seqid_cli.params.results.prediction import FileId
-from seqid_cli.params.results.trend import (
-    TREND_SCHEMA,
-    ChangeEntry,
-    QuantityEntry,
-    SeriesEntry,
-    TrendFile,
-)
 from seqid_cli.params.schema import ParameterFile
 from seqid_cli.robot.types import Array
 from seqid_cli.robust import gaussian_spread
@@ -41,12 +35,8 @@ from seqid_cli.trend.series import Named, days_of, robots_of, series_of
 
 
 def trend_file(
-    models: Sequence[Named],
-    ids: list[FileId],
-    options: TrendOptions,
-    *,
-    least_size: float = 0.001,
-) -> TrendFile:
+    models: Sequence[Named], ids: list[FileId], options: TrendOptions, *, least_size: float = 0.001
+) -> trend.TrendFile:
     """Judge the files of all robots together.
 
     `least_size`: of a quantity, as a share of the robot's largest of the same stage and unit.
@@ -68,8 +58,8 @@ def trend_file(
             changes.append(change)
     changes += [entry for name, files in robots.items() for entry in _effects(name, files)]
     changes.sort(key=lambda entry: -(entry.sigmas or np.inf))
-    return TrendFile(
-        schema=TREND_SCHEMA,
+    return trend.TrendFile(
+        schema=trend.TREND_SCHEMA,
         created=now(),
         tool=tool(),
         files=ids,
@@ -83,7 +73,7 @@ def trend_file(
     )
 
 
-def _limit(series: Sequence[SeriesEntry], differences: Sequence[int], alpha: float) -> float:
+def _limit(series: Sequence[trend.SeriesEntry], differences: Sequence[int], alpha: float) -> float:
     """The |z| that any hypothesis on healthy robots exceeds with the probability `alpha`."""
     hypotheses = sum(len(own.values) for own in series)  # a step between any two dates, and a line
     share = alpha / (2 * max(hypotheses, 1))
@@ -100,7 +90,7 @@ def _notes(robots: Mapping[str, Sequence[ParameterFile]]) -> list[str]:
     ]
 
 
-def scatter_of(series: Sequence[SeriesEntry], *, enough: int = 30) -> tuple[float, int]:
+def scatter_of(series: Sequence[trend.SeriesEntry], *, enough: int = 30) -> tuple[float, int]:
     """Inflation of the standard errors of one stage, and how many differences say so (0: none)."""
     ratios = [
         np.diff(own.values) / np.hypot(own.std_errors[1:], own.std_errors[:-1])
@@ -113,7 +103,9 @@ def scatter_of(series: Sequence[SeriesEntry], *, enough: int = 30) -> tuple[floa
     return max(float(gaussian_spread(every)), 1.0), len(every)
 
 
-def best_change(series: SeriesEntry, inflation: float, least: float) -> tuple[float, ChangeEntry]:
+def best_change(
+    series: trend.SeriesEntry, inflation: float, least: float
+) -> tuple[float, trend.ChangeEntry]:
     """The step or drift that a quantity's values tell most clearly, and its standard errors.
 
     `least` is the size that the quantity has at least.
@@ -129,7 +121,7 @@ def best_change(series: SeriesEntry, inflation: float, least: float) -> tuple[fl
         found.append((sigmas, kind, at, before, change, error))
     sigmas, kind, at, before, change, error = max(found, key=lambda one: one[0])
     size = max(abs(before), abs(before + change), least)
-    return sigmas, ChangeEntry(
+    return sigmas, trend.ChangeEntry(
         **_quantity(series),
         kind=kind,
         since=series.dates[at],
@@ -142,12 +134,12 @@ def best_change(series: SeriesEntry, inflation: float, least: float) -> tuple[fl
     )
 
 
-def _quantity(entry: QuantityEntry) -> dict[str, str]:
-    return {name: getattr(entry, name) for name in QuantityEntry.__struct_fields__}
+def _quantity(entry: trend.QuantityEntry) -> dict[str, str]:
+    return {name: getattr(entry, name) for name in trend.QuantityEntry.__struct_fields__}
 
 
 def _fitted(
-    series: SeriesEntry, inflation: float, column: Array, *, per_kelvin: float = 0.02
+    series: trend.SeriesEntry, inflation: float, column: Array, *, per_kelvin: float = 0.02
 ) -> tuple[float, float, float]:
     """Generalised least squares for one hypothesis: before, the change and its error."""
     values, errors = np.array(series.values), inflation * np.array(series.std_errors)
@@ -163,7 +155,7 @@ def _fitted(
     return float(theta[0]), float(theta[1]), float(np.sqrt(max(covariance[1, 1], 0.0)))
 
 
-def _effects(robot: str, files: Sequence[ParameterFile]) -> Iterator[ChangeEntry]:
+def _effects(robot: str, files: Sequence[ParameterFile]) -> Iterator[trend.ChangeEntry]:
     """Effects that a robot's first file does not hold and the last one does, or the other way."""
     refined = [file for file in files if file.stages.effects is not None]
     held = [{(x.effect, x.joint or "") for x in file.stages.effects or []} for file in refined]
@@ -173,7 +165,7 @@ def _effects(robot: str, files: Sequence[ParameterFile]) -> Iterator[ChangeEntry
         for effect, joint in sorted(some - others):
             now_there = [((effect, joint) in own) == (kind == "appeared") for own in held]
             last = max(k for k, there in enumerate(now_there) if not there)
-            yield ChangeEntry(
+            yield trend.ChangeEntry(
                 robot=robot,
                 stage="effects",
                 joint=joint,
@@ -184,7 +176,7 @@ def _effects(robot: str, files: Sequence[ParameterFile]) -> Iterator[ChangeEntry
             )
 
 
-def write_table(path: Path, found: TrendFile) -> None:
+def write_table(path: Path, found: trend.TrendFile) -> None:
     """Write every quantity at every date as one row of a Parquet file."""
     rows = [
         {**_quantity(own), "date": date, "value": value, "std_error": error}

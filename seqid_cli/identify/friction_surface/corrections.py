@@ -52,10 +52,8 @@ def without_acceleration(
 ) -> list[SteadyGroup]:
     """Take the torque of what acceleration is left (Eq. 25) off the trials of one joint.
 
-    What friction differs by because the speed is not quite constant is taken off as well, so that
-    the trial is one at its mean velocity.
-
-    `surface`: friction of the joint, if only a first estimate. Returns: one per configuration.
+    So is what friction differs by as the speed is not quite constant. `surface`: friction of the
+    joint, if only a first estimate. Returns: one per configuration.
     """
     groups = configurations(list(trials))
     found = [_inertia_of(robot, group, surface) for group in groups]

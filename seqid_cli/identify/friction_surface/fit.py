@@ -141,9 +141,8 @@ def fit_surfaces(
 ) -> tuple[list[SurfaceFit], float]:
     """Fit one surface to each set of trials, with sizes of terms and errors in common.
 
-    `sets`: trials of both directions, or one set for each direction. `position` and `velocity`:
-    orders that the user fixes. `near`: sizes from which their search starts. Returns: twice the
-    logarithm of the marginal likelihood of all slices comes second.
+    `position` and `velocity`: orders that the user fixes. `near`: sizes from which their search
+    starts. Twice the logarithm of the marginal likelihood of all slices comes second.
     """
     highest = highest_orders(sets, position, velocity)
     sizes, evidence = Evidence(sets, highest).strongest(near)
@@ -157,11 +156,10 @@ def choose_orders(
     *,
     accept: Callable[[Orders], bool] | None = None,
 ) -> Orders:
-    """Choose the fewest orders that do as well as the highest ones.
+    """Choose the fewest orders, the same for all, that do as well as the highest ones.
 
-    `fits`: the surfaces that are to have the same orders. `position` and `velocity`: orders that
-    the user fixes. `accept`: whether orders are good enough to stop at; else it is asked whether
-    the surface stays the same to `DEVIATION`.
+    `position` and `velocity`: orders that the user fixes. `accept`: whether orders are good enough;
+    else it is asked whether the surfaces stay the same to `DEVIATION`.
     """
     highest, size = fits[0].highest, fits[0].reduced.scaling.over_position.size
     good = accept or (lambda orders: all(fit.deviation(orders) <= DEVIATION for fit in fits))

@@ -244,11 +244,10 @@ class _Pairs:
         return (*(found if beyond is None else fits(self.tau - beyond(self.q))), beyond)
 
     def _beyond(self, left: Array, unlike: Array) -> Chebyshev | None:
-        """Torque over the position that half-sums have beyond gravity, `left` (N,) N m.
+        """Torque over the position that half-sums have beyond gravity, by what is `left` (N,) N m.
 
-        None, unless of what friction that depends on the direction does not make either, `unlike`
-        (N,) N m, a polynomial leaves pairs that are left out less than `clear` of their squares:
-        what pairs share is no noise.
+        None, unless a polynomial leaves of pairs that are left out less than `clear` of the squares
+        of `unlike` (N,) N m, without friction that depends on the direction.
         """
         domain = [float(self.q.min()), float(self.q.max())]
 

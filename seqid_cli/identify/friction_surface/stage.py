@@ -7,26 +7,11 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from seqid_cli.errors import QualityError
+from seqid_cli.identify.friction_surface import reduction, summary
 from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
 from seqid_cli.identify.friction_surface.fit import choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
 from seqid_cli.identify.friction_surface.prior import Sizes
-from seqid_cli.identify.friction_surface.reduction import (
-    Orders,
-    SpeedData,
-    around_medians,
-    edges_of,
-    reduce_trials,
-    weighted,
-)
-from seqid_cli.identify.friction_surface.summary import (
-    DEFAULT_BETA,
-    Fit,
-    Part,
-    constants_note,
-    errors_of,
-    summarise,
-)
 from seqid_cli.identify.friction_surface.trials import by_joint, collect_trials, speed_levels
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.logs.recording import Recording
@@ -54,7 +39,7 @@ def identify_friction(
             hint="record trapezoidal moves of one joint at a time, or use seqid simultaneous",
             where="".join(logs[:1]) + f" and {len(logs) - 1} more" * (len(logs) > 1),
         )
-    firsts: dict[int, Fit] = {}
+    firsts: dict[int, summary.Fit] = {}
     reasons = dict.fromkeys(range(robot.n), "no constant-velocity trial moves this joint")
     for j in sorted({trial.joint for trial in trials}):
         reasons[j] = UNPAIRED
@@ -70,17 +55,19 @@ def identify_friction(
         if first and steady and steady.groups:
             fit = _fit(robot, j, steady, options, near=first.parts[0][1].sizes, held=held)
             unpaired = first.gravity.unpaired
-            joints[joint.name], verdict, said = summarise(robot, j, fit, unpaired, options)
+            joints[joint.name], verdict, said = summary.summarise(robot, j, fit, unpaired, options)
             notes += said
         verdicts.append(verdict)
     if not joints:
         hint = "record every speed in both directions over the same range (Eq. 15)"
         names = [robot.joint_names[j] for j, reason in reasons.items() if reason == UNPAIRED]
         raise QualityError(UNPAIRED, hint=hint, where=f"joint {names[-1]}")
-    return FrictionStage(joints=joints, verdicts=verdicts, notes=[*notes, *constants_note(robot)])
+    return FrictionStage(
+        joints=joints, verdicts=verdicts, notes=[*notes, *summary.constants_note(robot)]
+    )
 
 
-def _steady_gravity(robot: Robot, j: int, first: Fit, held: HeldJoints) -> GravityFit:
+def _steady_gravity(robot: Robot, j: int, first: summary.Fit, held: HeldJoints) -> GravityFit:
     """Gravity once more: first surfaces show what acceleration is left, and how others gave way."""
     groups = [held.standing(group.trials, group.configuration) for group in first.gravity.groups]
     stood = [trial for group in groups for trial in group]
@@ -97,7 +84,7 @@ def _fit(
     near: Sizes | None = None,
     held: HeldJoints | None = None,
     narrow_sign: float = 25.0,
-) -> Fit:
+) -> summary.Fit:
     """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`.
 
     One surface for both directions together (Eq. 15's assumption), or one for each.
@@ -117,35 +104,39 @@ def _fit(
     parts = _fitted(sets, scalings, *asked, near=near)
     fits, beta = [fit for _, fit in parts], options.beta
 
-    def accept(orders: Orders) -> bool:
-        return errors_of(parts, orders, unseen=True).relative <= (beta or DEFAULT_BETA)
+    def accept(orders: reduction.Orders) -> bool:
+        return summary.errors_of(parts, orders, unseen=True).relative <= (
+            beta or summary.DEFAULT_BETA
+        )
 
     chosen = choose_orders(fits, *asked, accept=accept if beta else None)
     D, scaling = [fit.entries(chosen) for fit in fits], fits[0].reduced.scaling
     covariance = block_diag(*(fit.covariance(chosen) for fit in fits))
     width = scaling.speed[0] / narrow_sign
     surface = FrictionSurface(scaling, width, D[0], D[-1], covariance, gravity.directional)
-    return Fit(gravity, parts, chosen, surface)
+    return summary.Fit(gravity, parts, chosen, surface)
 
 
 def _fitted(
-    sets: list[list[SpeedData]],
+    sets: list[list[reduction.SpeedData]],
     scalings: list[Scaling],
     position: int | None,
     velocity: int | None,
     near: Sizes | None,
     *,
     rounds: int = 2,
-) -> list[Part]:
+) -> list[summary.Part]:
     """Fit on the likeliest basis; slices that do not belong lose their weight round by round.
 
     Sizes of terms and errors are searched from those of the round before, first from `near`.
     """
-    distances = [around_medians(own) for own in sets]
+    distances = [reduction.around_medians(own) for own in sets]
     for last in (*[False] * rounds, True):
-        data = [weighted(own, off) for own, off in zip(sets, distances, strict=True)]
+        data = [reduction.weighted(own, off) for own, off in zip(sets, distances, strict=True)]
         tried = [
-            fit_surfaces([reduce_trials(own, scaling) for own in data], position, velocity, near)
+            fit_surfaces(
+                [reduction.reduce_trials(own, scaling) for own in data], position, velocity, near
+            )
             for scaling in (scalings if last else scalings[:1])
         ]
         fits = max(tried, key=lambda each: each[1])[0]
@@ -154,7 +145,7 @@ def _fitted(
     return list(zip(data, fits, strict=True))
 
 
-def _scalings(data: list[SpeedData], *, wide_range: float = 4.0) -> list[Scaling]:
+def _scalings(data: list[reduction.SpeedData], *, wide_range: float = 4.0) -> list[Scaling]:
     """Bases that may suit: speeds or their logarithms, positions of one range or of every turn."""
     q, speeds = np.concatenate([item.q for item in data]), [item.speed for item in data]
     low, high, slow, fast = float(q.min()), float(q.max()), min(speeds), max(speeds)
@@ -165,20 +156,20 @@ def _scalings(data: list[SpeedData], *, wide_range: float = 4.0) -> list[Scaling
     ]
 
 
-def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[SpeedData]:
+def _friction_data(gravity: GravityFit, held: HeldJoints | None) -> list[reduction.SpeedData]:
     """Friction by Eq. 16, one entry per trial, all trials of a level at the level's mean speed."""
     data = []
     for group in gravity.groups:
         doubts = held.doubt(group.trials) if held else [0.0 * trial.q for trial in group.trials]
         for trial, doubt in zip(group.trials, doubts, strict=True):
             direction = 1 if trial.velocity > 0 else -1
-            item = SpeedData(
+            item = reduction.SpeedData(
                 speed=trial.speed,
                 direction=direction,
                 q=trial.q,
                 friction=direction * (trial.tau - group.torque(trial.q)),
                 weight=np.full(len(trial.q), trial.weight),
-                edges=edges_of(trial.t, trial.seconds),
+                edges=reduction.edges_of(trial.t, trial.seconds),
                 push=direction * trial.inertia_error * trial.ddq,
                 doubt=doubt,
             )

@@ -17,14 +17,8 @@ from typing import Any
 import numpy as np
 
 from seqid_cli.errors import QualityError, UsageError
-from seqid_cli.identify.imu_calibration import sensor_model
+from seqid_cli.identify.imu_calibration import initial_guess, sensor_model
 from seqid_cli.identify.imu_calibration.deflection import SIGNIFICANT
-from seqid_cli.identify.imu_calibration.initial_guess import (
-    Pair,
-    axis_pairs,
-    fit_rotation,
-    starting_constants,
-)
 from seqid_cli.identify.imu_calibration.segments import (
     Segment,
     calibration_cutoff,
@@ -39,23 +33,17 @@ from seqid_cli.motion.imu.link_acceleration import axes_in_link
 from seqid_cli.motion.imu.sensor import MOTION
 from seqid_cli.motion.motion import estimate_motion
 from seqid_cli.motion.options import MotionOptions
-from seqid_cli.params.schema import (
-    AxisReference,
-    ImuCalibration,
-    ImuStage,
-    JointDeflection,
-    Verdict,
-)
+from seqid_cli.params import schema
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Mask
 
 # What a log holds of every IMU that it records: [rad/s^2/sqrt(Hz)] last; and its cut-off [Hz].
-Held = tuple[dict[str, tuple[list[Segment], list[Pair], float]], float]
+Held = tuple[dict[str, tuple[list[Segment], list[initial_guess.Pair], float]], float]
 
 
 def calibrate_imus(
     recordings: Iterable[Recording], robot: Robot, *, options: MotionOptions
-) -> ImuStage:
+) -> schema.ImuStage:
     """Calibrate every IMU of the robot file; name what these logs do not determine.
 
     `recordings`: best joints before the IMUs move one at a time and fast, the others locked in
@@ -72,7 +60,7 @@ def calibrate_imus(
         own = [held[imu.name] for held, _ in logs if imu.name in held]
         if not any(segment.moving for segments, *_ in own for segment in segments):
             reason = "no log moves a joint before this IMU with its readings recorded"
-            verdicts.append(Verdict(joint=imu.name, good=False, reason=reason))
+            verdicts.append(schema.Verdict(joint=imu.name, good=False, reason=reason))
             continue
         imus[imu.name], converged = _calibrated(robot, imu, own)
         notes += [f"{imu.name}: {text}" for text in imus[imu.name].not_determined]
@@ -82,7 +70,7 @@ def calibrate_imus(
         hint = "rotate the first joint back and forth with the others locked in several postures"
         raise QualityError(message, hint=hint)
     cutoff = float(np.median([hz for _, hz in logs]))
-    return ImuStage(imus=imus, cutoff_hz=cutoff, verdicts=verdicts, notes=notes)
+    return schema.ImuStage(imus=imus, cutoff_hz=cutoff, verdicts=verdicts, notes=notes)
 
 
 def _held(robot: Robot, options: MotionOptions, recording: Recording, number: int) -> list[Held]:
@@ -93,14 +81,16 @@ def _held(robot: Robot, options: MotionOptions, recording: Recording, number: in
             seen = replace(imu, gyro=imu.gyro and imu.name in recording.gyros)
             own = segments_of(recording, robot, seen, motion, log=number, cutoff_hz=cutoff_hz)
             turns = layout(seen).acceleration or seen.gyro
-            pairs, density = axis_pairs(recording, robot, seen, motion) if turns else ([], 0.0)
+            pairs, density = (
+                initial_guess.axis_pairs(recording, robot, seen, motion) if turns else ([], 0.0)
+            )
             found[imu.name] = own, pairs, density
     return [(found, cutoff_hz)]
 
 
 def _calibrated(
-    robot: Robot, imu: Imu, own: list[tuple[list[Segment], list[Pair], float]]
-) -> tuple[ImuCalibration, bool]:
+    robot: Robot, imu: Imu, own: list[tuple[list[Segment], list[initial_guess.Pair], float]]
+) -> tuple[schema.ImuCalibration, bool]:
     """The calibration of an IMU by what logs hold of it, and whether its fit has converged."""
     every = [segment for segments, *_ in own for segment in segments]
     pairs = [pair for _, found, _ in own for pair in found]
@@ -108,8 +98,10 @@ def _calibrated(
     most = max(segment.channels for segment in every)
     segments = thinned([segment for segment in every if segment.channels == most])
     seen = replace(imu, gyro=most > len(imu.axes))
-    guess = fit_rotation(pairs) if pairs else np.eye(3)
-    fit = fit_constants(segments, robot, seen, starting_constants(segments, robot, seen, guess))
+    guess = initial_guess.fit_rotation(pairs) if pairs else np.eye(3)
+    fit = fit_constants(
+        segments, robot, seen, initial_guess.starting_constants(segments, robot, seen, guess)
+    )
     density = float(np.median(densities)) if densities else None
     return calibration_of(robot, seen, fit, segments, pairs, density), fit.converged
 
@@ -119,12 +111,12 @@ def calibration_of(
     imu: Imu,
     fit: Fit,
     segments: list[Segment],
-    pairs: list[Pair],
+    pairs: list[initial_guess.Pair],
     density: float | None,
     *,
     max_delay_error_s: float = 0.005,
     sampling: float = 0.01,
-) -> ImuCalibration:
+) -> schema.ImuCalibration:
     """Calibration of one IMU as the parameter file has it.
 
     A clock offset with a larger standard error than `max_delay_error_s` is not determined. Jolts
@@ -142,7 +134,7 @@ def calibration_of(
     if not delay_known:
         missing.append("the clock offset to the encoders is not determined")
     off = np.array([np.linalg.norm(constants.R @ p.imu - p.link) for p in pairs])
-    return ImuCalibration(
+    return schema.ImuCalibration(
         rotation=constants.R.tolist(),
         std_error_deg=worst,
         std_errors_deg=np.degrees(np.minimum(sigma[:3], np.pi)).tolist(),
@@ -213,13 +205,15 @@ def _of_sensors(
     return fields, missing
 
 
-def _condition(pairs: list[Pair]) -> float:
+def _condition(pairs: list[initial_guess.Pair]) -> float:
     """Condition of the directions B of Eq. 37; 0 where they do not span space."""
     s = np.linalg.svd(np.array([p.imu for p in pairs]), compute_uv=False)
     return float(s[0] / s[-1]) if len(s) == 3 and s[-1] > 1e-3 * s[0] else 0.0
 
 
-def _references(pairs: list[Pair], names: tuple[str, ...]) -> dict[str, AxisReference]:
+def _references(
+    pairs: list[initial_guess.Pair], names: tuple[str, ...]
+) -> dict[str, schema.AxisReference]:
     """The most certain reference of Eq. 30 and 31 for each joint."""
     known = [(p.joint, p.reference) for p in pairs if p.reference]
     found = {name: [reference for joint, reference in known if joint == name] for name in names}
@@ -270,12 +264,12 @@ def _listed(values: Array, known: Mask) -> list[float | None]:
 def verdict_of(
     robot: Robot,
     imu: Imu,
-    calibration: ImuCalibration,
+    calibration: schema.ImuCalibration,
     *,
     converged: bool,
     max_deg: float = 0.5,
     max_holdout: float = 1.5,
-) -> Verdict:
+) -> schema.Verdict:
     """Whether the mounting can be trusted, and why not.
 
     It is known to better than `max_deg` degrees, and a log that is left out is predicted to
@@ -304,7 +298,7 @@ def verdict_of(
     if not layout(imu).acceleration and not calibration.gyro_axes:
         reason += "; without a gyro this layout does not see angular acceleration"
     good = worst < max_deg and converged and not (matters or unlike or bends)
-    return Verdict(joint=imu.name, good=good, reason=reason)
+    return schema.Verdict(joint=imu.name, good=good, reason=reason)
 
 
 def _turns_about_one_axis(robot: Robot, imu: Imu) -> bool:
@@ -315,7 +309,7 @@ def _turns_about_one_axis(robot: Robot, imu: Imu) -> bool:
     return bool((np.abs(axes @ robot.chain.axis[imu.after_joint]) > 1 - 1e-9).all())
 
 
-def deflecting(calibration: ImuCalibration) -> JointDeflection | None:
+def deflecting(calibration: schema.ImuCalibration) -> schema.JointDeflection | None:
     """Return the joint that deflects by most, where one does significantly."""
     sure = [d for d in calibration.deflections if d.significance > SIGNIFICANT]
     return max(sure, key=lambda d: d.significance, default=None)

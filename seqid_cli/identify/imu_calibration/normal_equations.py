@@ -185,7 +185,8 @@ def linearise(
         over = 1.0 / np.sqrt(sizes.noise[kinds])
         root, scaled = plain * over, by_ddq * over[:, None] * sizes.deflection
     whiten = _whitener(root, scaled)
-    rough = segment.readings.rough_at(segment.t + constants.delay) / np.sqrt(segment.share)
+    near = segment.readings.near(segment.t + constants.delay)
+    rough = segment.readings.rough[near] / np.sqrt(segment.share)
     known = np.isfinite(rough)
     jolted = np.where(known, plain * rough, 0.0), np.where(known, weights, 0.0)
     band = band_share(segment.cutoff_hz, segment.share, segment.spacing)

@@ -68,13 +68,10 @@ class Readings:
         """Readings (N, C) and whether they count, at times `t` [s] of their own stamps."""
         inside = (t >= self.t[0]) & (t <= self.t[-1])
         values = self.curve(np.clip(t, self.t[0], self.t[-1]))
-        return np.asarray(values), self.good[self._near(t)] & inside[:, None]
+        return np.asarray(values), self.good[self.near(t)] & inside[:, None]
 
-    def rough_at(self, t: Array) -> Array:
-        """Roughness (N, C) of the raw samples next to times `t` [s], NaN where not known."""
-        return np.asarray(self.rough[self._near(t)])
-
-    def _near(self, t: Array) -> Index:
+    def near(self, t: Array) -> Index:
+        """Numbers (N,) of the samples next to times `t` [s]."""
         return np.clip(np.searchsorted(self.t, t - 0.5 * self.period), 0, len(self.t) - 1)
 
 

@@ -130,10 +130,7 @@ class _State:
 
 
 def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Constants) -> Fit:
-    """Refine the constants from a start nearby.
-
-    Where the residual shows that a joint deflects, all is fitted once more with the accelerations
-    by which it does as noise.
+    """Refine the constants from a start nearby; once more where a joint deflects, as noise.
 
     Raises QualityError if no constants of any such sensor explain the readings.
     """

@@ -82,11 +82,7 @@ def prediction_file(
         logs=errors,
         cutoff_origin=cutoff_origin or "chosen per log",
         verdicts=as_a_whole(
-            [
-                *_verdicts(joints, stages, robot),
-                *physics_verdicts(stages, robot),
-                *logs.verdicts(),
-            ]
+            [*_verdicts(joints, stages, robot), *physics_verdicts(stages, robot), *logs.verdicts()]
         ),
         notes=[*effects, *notes, *logs.notes()],
     )

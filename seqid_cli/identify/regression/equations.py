@@ -78,12 +78,9 @@ def torque_motion(
     imu: ImuStage | None = None,
     source: str = "encoder",
 ) -> Motion:
-    """Decimated motion of a log that carries torque.
+    """Decimated motion of a log that carries torque; `imu` and `source` as of `best_motion`.
 
-    `imu` holds the calibrations and `source` says where motion comes from (see `best_motion`).
-
-    Raises InputError if the log carries neither torque nor current, or not the IMU that `source`
-    insists on.
+    Raises InputError if it carries neither torque nor current, or not the IMU that `source` needs.
     """
     torque_of(recording)
     motion = log_motion(recording, robot, options, imu=imu, source=source)

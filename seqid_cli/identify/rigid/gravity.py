@@ -133,10 +133,8 @@ class GravityRows:
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
         """How the parameters move with the coefficients of each joint's friction."""
-        return {
-            j: -solution.bread @ crossed / solution.sigma[j] ** 2
-            for j, crossed in self.cross.items()
-        }
+        scaled = {j: crossed / solution.sigma[j] ** 2 for j, crossed in self.cross.items()}
+        return {j: -solution.bread @ crossed for j, crossed in scaled.items()}
 
 
 def _stage(
@@ -148,10 +146,7 @@ def _stage(
     poor_condition: float = 300.0,
     clear_sigma: float = 4.0,
 ) -> RigidStage:
-    """The stage; it is poor from a condition number of `poor_condition` on.
-
-    Gravity shows where a parameter is more than `clear_sigma` standard errors from zero.
-    """
+    """The stage; gravity shows where a parameter is `clear_sigma` standard errors from zero."""
     about = rows.surfaces, robot.torque_constant_errors, rows.sensitivity(solution)
     unseen = [solution.bread @ crossed / solution.sigma[j] ** 2 for j, crossed in rows.unseen]
     posterior = Posterior.of(solution, *about, known={})

@@ -86,13 +86,11 @@ def _rows_of(
     _: int,
 ) -> AllRows:
     """Reduce the equations of one log, and those by its encoders where they are asked for."""
-    own = equations.rows_of(log)
-    near: list[InertiaRows | None] = []
-    for factor in equations.options.neighbours:
-        near.append(None)
-        if isinstance(log, Recording):
-            with contextlib.suppress(InputError):  # the log is too short or too slow for it
-                near[-1] = equations.at_cutoff(own.uses[0].cutoff_hz * factor).rows_of(log)
+    own, factors = equations.rows_of(log), equations.options.neighbours
+    near: list[InertiaRows | None] = [None] * len(factors)
+    for k, factor in enumerate(factors if isinstance(log, Recording) else ()):
+        with contextlib.suppress(InputError):  # the log is too short or too slow for it
+            near[k] = equations.at_cutoff(own.uses[0].cutoff_hz * factor).rows_of(log)
     return own, *near, others.rows_of(log) if others else None
 
 
@@ -104,10 +102,7 @@ def _all(first: AllRows, second: AllRows) -> AllRows:
 def _stage(
     equations: InertiaEquations, rows: InertiaRows, near: Mapping[float, InertiaRows]
 ) -> RigidStage:
-    """Solve, decide on the rotor coupling, and describe the result.
-
-    `near` holds the rows at multiples of the cut-off, to see what depends on it.
-    """
+    """Solve, decide on the rotor coupling, and describe; `near` by multiples of the cut-off."""
     robot, basis, stages = equations.robot, equations.basis, equations.stages
     coupling = decide(equations, [rows, *near.values()])
     share = float(coupling.used)
@@ -140,11 +135,7 @@ def _described(
     poor_share: float = 0.15,
     poor_condition: float = 1000.0,
 ) -> RigidStage:
-    """The stage, with the parameters that the gravity stage does not have.
-
-    A joint is poor where more than `poor_share` of its torque's RMS is left, the parameters where
-    the condition number of their scaled equations is `poor_condition` or more.
-    """
+    """The stage, with the parameters that the gravity stage does not have."""
     robot, basis, gravity = equations.robot, equations.basis, equations.stages.gravity
     known = {p.name for p in gravity.parameters} if gravity else set()
     own = np.array([k for k in range(basis.size) if basis.names[k] not in known], dtype=int)

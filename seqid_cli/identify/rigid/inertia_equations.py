@@ -27,6 +27,8 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.model.torque import friction_surfaces, known_rotors, sampled_friction, sliding
 from seqid_cli.motion.blocks import SurveyedLog, motion_blocks, overlapping
+from seqid_cli.motion.filters.bandwidth import NOISE_BANDWIDTH
+from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.motion import SAMPLES_PER_CUTOFF, Motion, too_short
 from seqid_cli.params.schema import MotionUse, Stages
 from seqid_cli.robot.base_parameters import free_basis, gear_ratios
@@ -86,7 +88,8 @@ class InertiaEquations:
         else:
             plan = plan_of(log, self.robot, options)
             parts = motion_blocks(log.blocks(), plan)
-            lowpass, samples = plan.kept_lowpass, -(-log.samples // plan.factor)
+            factor, samples = plan.factor, -(-log.samples // plan.factor)
+            lowpass = Lowpass(plan.cutoff.hz, plan.rate_hz / factor, factor)
         reach = int(forgotten * lowpass.memory) + lowpass.settling
         size = CHUNK * int(np.clip(-(-24 * reach // CHUNK), LEAST_CHUNKS, MOST_CHUNKS))
         block = lowpass.rate_hz  # samples of a second; longer where blocks would be merged anyway
@@ -151,7 +154,11 @@ class InertiaEquations:
         self, rows: InertiaRows, motion: Motion, H: Array, y: Array, usable: Mask, block_s: float
     ) -> None:
         """Add H (N, n, b + 1), y (N, n) of consecutive samples, where usable, to some rows."""
-        rows.counts += motion.samples * np.array([motion.independent_share, 1.0])
+        # What is left of the torque is low-passed: two samples per period of its band say all.
+        lowpass, share = motion.lowpass, 1.0
+        if lowpass.active:
+            share = min(1.0, 2 * NOISE_BANDWIDTH * lowpass.cutoff_hz / motion.rate_hz)
+        rows.counts += motion.samples * np.array([share, 1.0])
         every = max(1, int(motion.rate_hz / (SAMPLES_PER_CUTOFF * motion.lowpass.cutoff_hz)))
         parts = list(blocks(motion.samples, motion.rate_hz, block_s=block_s))
         for j, surface in enumerate(self.surfaces):

@@ -141,7 +141,7 @@ def joint_verdicts(
 def imu_moves(
     robot: Robot, basis: Basis, inertia: Array, reflected: Array, errors: Mapping[str, float]
 ) -> Array:
-    """By what IMUs' errors move the parameters.
+    """By what IMUs' errors move the parameters (b, d), one standard deviation per column.
 
     Accelerations that a calibration takes for too large by a share leave inertias too small by as
     much: those of the links between the IMU before and its own. A known rotor's share of it comes
@@ -149,7 +149,7 @@ def imu_moves(
 
     `inertia` (b,): base parameters, zero where accelerations do not show them. `reflected` (n,):
     known rotor inertias at the joints, kg m^2. `errors`: relative standard errors of the
-    accelerations by the IMUs that took part. Returns (b, d): one standard deviation per column.
+    accelerations by the IMUs that took part.
     """
     links = np.array([basis.joint_index(k) for k in range(basis.size)], dtype=int)
     about = np.array([name.startswith("Izz_") for name in basis.names])

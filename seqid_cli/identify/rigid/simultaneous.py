@@ -197,10 +197,7 @@ class SimultaneousEquations:
         poor_share: float = 0.25,
         clear_sigma: float = 3.0,
     ) -> list[schema.Verdict]:
-        """A joint is poor where more than `poor_share` of its torque is left.
-
-        So it is where Coulomb friction is negative by more than `clear_sigma` standard errors.
-        """
+        """A joint is poor by what is left of its torque, or where Coulomb friction is negative."""
         known, squares = (self.robot, solution, self.joints), self.torque_squares
         verdicts = joint_verdicts(*known, squares, poor_share=poor_share, idle="does not move")
         for j, (joint, own) in enumerate(zip(self.robot.joints, self.own, strict=True)):

@@ -25,13 +25,13 @@ is never below that of the encoders, beside which the smoother has nowhere more 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import welch
 
 from seqid_cli.robot.regressor import PER_LINK
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Array
 
 KAPPA = 30.0
 LOWEST_HZ, HIGHEST_HZ = 1.0, 80.0
@@ -57,12 +57,6 @@ class Cutoff:
     def above_own(self) -> bool:
         """Whether it is another's choice, and higher than the encoders alone would have chosen."""
         return self.alone_hz is not None and self.alone_hz < self.hz
-
-    @property
-    def encoder_noise(self) -> Array:
-        """The same (n,) rad/s^2 below the cut-off that the encoders alone would have chosen."""
-        hz = self.hz if self.alone_hz is None else self.alone_hz
-        return np.asarray(np.sqrt(differentiated_error(self.noise_density, hz)))
 
 
 def differentiated_error(density: Array, hz: float | Array) -> Array:

@@ -148,7 +148,6 @@ class _Response:
     size: int
     every: int  # of so many samples one is wanted
     gain: Array  # (size // 2 + 1,) real: the phase is zero
-    last: int  # frequency of a gain that is not negligible
 
     def of(self, piece: Array) -> Array:
         """Filter a piece (c, m), from its sample `reach` on; zeros follow it."""
@@ -164,9 +163,8 @@ class _Response:
         half = size // 2 + 1
         if self.every == 1:
             return spectrum
-        folded = spectrum[:, :half].copy()
-        highest = self.size // 2
-        for turn in range(size, min(self.last + half, highest + 1), size):
+        folded, highest = spectrum[:, :half].copy(), self.size // 2
+        for turn in range(size, highest + 1, size):
             above = spectrum[:, turn : turn + half]
             folded[:, : above.shape[1]] += above * (turn < highest)
             folded += spectrum[:, turn - half + 1 : turn + 1][:, ::-1].conj()
@@ -196,6 +194,4 @@ def _response(
     size = every * next_fast_len(-(-(longer * reach + least) // every), real=True)
     both = np.zeros(size)
     both[: len(h)] = h
-    gain = rfft(np.roll(both, -(len(h) // 2))).real ** times
-    last = int(np.flatnonzero(np.abs(gain) > NEGLIGIBLE)[-1])
-    return _Response(reach, size, every, gain, last)
+    return _Response(reach, size, every, rfft(np.roll(both, -(len(h) // 2))).real ** times)

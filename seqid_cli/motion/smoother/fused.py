@@ -17,15 +17,7 @@ import numpy as np
 from seqid_cli.errors import InputError
 from seqid_cli.logs.pieces import cut
 from seqid_cli.logs.recording import Recording
-from seqid_cli.motion.filters.bandwidth import (
-    HIGHEST_HZ,
-    Cutoff,
-    Score,
-    highest_of,
-    lowest_as_good,
-    smoothed_error,
-    smoothed_score,
-)
+from seqid_cli.motion.filters import bandwidth
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate
 from seqid_cli.motion.motion import Motion, estimate_motion, filtered_torque
@@ -71,29 +63,29 @@ def fused_motion(
 
 def score_of_smoothed(
     recording: Recording, robot: Robot, stage: ImuStage | None, encoder: Motion, cutoffs: Array
-) -> Score:
+) -> bandwidth.Score:
     """Score cut-offs [Hz] by the motion that the smoother makes of a log."""
     return _score(_smoothed(recording, robot, stage), encoder, cutoffs)
 
 
-def _score(smoothed: Smoothed, encoder: Motion, cutoffs: Array) -> Score:
+def _score(smoothed: Smoothed, encoder: Motion, cutoffs: Array) -> bandwidth.Score:
     variance, density = smoothed.typical(encoder.valid), encoder.cutoff.noise_density
     moves = np.any(encoder.moving, axis=0)
-    error = np.array([smoothed_error(variance, density, hz)[moves] for hz in cutoffs])
+    error = np.array([bandwidth.smoothed_error(variance, density, hz)[moves] for hz in cutoffs])
     motion = smoothed.dq[:, moves], smoothed.ddq[:, moves]
-    return smoothed_score(*motion, error, encoder.rate_hz, cutoffs)
+    return bandwidth.smoothed_score(*motion, error, encoder.rate_hz, cutoffs)
 
 
-def _cutoff(smoothed: Smoothed, encoder: Motion) -> Cutoff:
+def _cutoff(smoothed: Smoothed, encoder: Motion) -> bandwidth.Cutoff:
     """The cut-off that suits a smoothed motion, where the user gave none."""
     own = encoder.cutoff
     if own.alone_hz is not None or not encoder.moving.any():
         return own
-    highest = max(own.hz, min(HIGHEST_HZ, encoder.rate_hz / 8))
+    highest = max(own.hz, min(bandwidth.HIGHEST_HZ, encoder.rate_hz / 8))
     candidates = np.geomspace(own.hz, highest, 60)
     found = _score(smoothed, encoder, candidates)
-    allowed = np.searchsorted(candidates, highest_of(found.bandwidth_hz), side="right")
-    best = lowest_as_good(found.values[: max(1, allowed)], found.joints)
+    allowed = np.searchsorted(candidates, bandwidth.highest_of(found.bandwidth_hz), side="right")
+    best = bandwidth.lowest_as_good(found.values[: max(1, allowed)], found.joints)
     return replace(own, hz=float(candidates[best]), alone_hz=own.hz)
 
 
@@ -122,21 +114,15 @@ def promising(
     """
     if not mounted_imus(recording, robot, stage) or recording.t[-1] < 2.0 * piece_s:
         return True
-    asked = _digest(recording, robot, stage), float(encoder.cutoff.hz), piece_s
-    if asked not in _GAINS:
-        speed = np.where(encoder.usable, np.abs(encoder.dq).max(axis=1), 0.0)
-        middle = float(recording.t[np.argmax(speed)])
-        first = min(max(middle - 0.5 * piece_s, 0.0), float(recording.t[-1]) - piece_s)
-        piece = cut(recording, [(first, first + piece_s)])[0]
-        try:
-            alone = estimate_motion(piece, robot, MotionOptions(cutoff_hz=encoder.cutoff.hz))
-            _GAINS[asked] = _gain(fused_motion(piece, robot, stage, alone), alone)
-        except InputError:  # nothing of the piece can be filtered
-            _GAINS[asked] = np.inf
-    return _GAINS[asked] > min_gain
-
-
-_GAINS = dict[tuple[bytes, float, float], float]()  # of pieces that were asked
+    speed = np.where(encoder.usable, np.abs(encoder.dq).max(axis=1), 0.0)
+    middle = float(recording.t[np.argmax(speed)])
+    first = min(max(middle - 0.5 * piece_s, 0.0), float(recording.t[-1]) - piece_s)
+    piece = cut(recording, [(first, first + piece_s)])[0]
+    try:
+        alone = estimate_motion(piece, robot, MotionOptions(cutoff_hz=encoder.cutoff.hz))
+        return _gain(fused_motion(piece, robot, stage, alone), alone) > min_gain
+    except InputError:  # nothing of the piece can be filtered
+        return True
 
 
 def _gain(motion: Motion, encoder: Motion) -> float:
@@ -226,6 +212,7 @@ def _filtered(recording: Recording, encoder: Motion, smoothed: Smoothed) -> Moti
             values[:, hidden] = own
     q, dq, ddq = motion
     tau, usable = filtered_torque(recording, lowpass)
+    own_hz = cutoff.alone_hz or cutoff.hz  # of the encoders
     return replace(
         encoder,
         q=q,
@@ -237,6 +224,6 @@ def _filtered(recording: Recording, encoder: Motion, smoothed: Smoothed) -> Moti
         cutoff=cutoff,
         source="fused",
         imus=tuple(smoothed.mounted),
-        error=np.sqrt(smoothed_error(variance, cutoff.noise_density, cutoff.hz)),
-        encoder_error=encoder.cutoff.encoder_noise,
+        error=np.sqrt(bandwidth.smoothed_error(variance, cutoff.noise_density, cutoff.hz)),
+        encoder_error=np.sqrt(bandwidth.differentiated_error(cutoff.noise_density, own_hz)),
     )

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.bandwidth import encoder_step
 from seqid_cli.motion.motion import encoder_resolution
+from seqid_cli.motion.smoother import solve
 from seqid_cli.motion.smoother.chunk import (
     Chunk,
     Jerk,
@@ -30,13 +31,6 @@ from seqid_cli.motion.smoother.chunk import (
 )
 from seqid_cli.motion.smoother.imus import handed_on, mounted_imus, read
 from seqid_cli.motion.smoother.screening import believed, contradiction, misfits
-from seqid_cli.motion.smoother.solve import (
-    Solution,
-    detailed,
-    encoder_motion,
-    probed_variance,
-    settled,
-)
 from seqid_cli.motion.smoother.system import chosen
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Robot
@@ -75,10 +69,10 @@ def _smoothed(chunk: Chunk, size: Array) -> tuple[Part, Array]:
     Of a chunk come motion (N, 3, n), variances at some places, its IMUs and what it says of them.
     """
     coarse = _on_knots(chunk, COARSE_S if chunk.dt <= FINE_S else FINE_S).gathered()
-    c, jerk = encoder_motion(coarse, size)
+    c, jerk = solve.encoder_motion(coarse, size)
     coarse, notes = believed(coarse, c)
     shared, said = _agreed(chunk, coarse, c, jerk)
-    last = detailed(*_refined(chunk, shared))
+    last = solve.detailed(*_refined(chunk, shared))
     motion = motion_at(last.chunk, last.c)[:: last.chunk.stride]
     # IMUs as the next chunk is to take them; the clocks as the fine knots have them.
     covariance: Array = np.asarray(np.linalg.inv(shared.schur), dtype=np.float64)
@@ -88,10 +82,10 @@ def _smoothed(chunk: Chunk, size: Array) -> tuple[Part, Array]:
         for (x, taken, own), fine in zip(slots, last.chunk.imus, strict=True)
     )
     size = shared.jerk.size * np.sqrt(shared.chunk.spacing / coarse.spacing)
-    return (motion, *probed_variance(last, shared), imus, notes + said), size
+    return (motion, *solve.probed_variance(last, shared), imus, notes + said), size
 
 
-def _refined(chunk: Chunk, shared: Solution) -> tuple[Chunk, Array, Jerk]:
+def _refined(chunk: Chunk, shared: solve.Solution) -> tuple[Chunk, Array, Jerk]:
     """What was found on coarse knots, on fine ones."""
     fine = _on_knots(replace(chunk, imus=shared.chunk.imus), FINE_S).gathered()
     c = resampled(shared.chunk, shared.c, fine)
@@ -102,16 +96,16 @@ def _refined(chunk: Chunk, shared: Solution) -> tuple[Chunk, Array, Jerk]:
     return fine, c, replace(shared.jerk, size=size, relative=shared.jerk.relative[at])
 
 
-def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[Solution, list[str]]:
+def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[solve.Solution, list[str]]:
     """Settle the constants; IMUs whose readings no motion explains are left out one by one."""
     # Coarse knots may not follow what an IMU feels: before it is left out, fine ones have their
     # say.
     notes = []
     while True:
-        shared = settled(coarse, c, jerk)
+        shared = solve.settled(coarse, c, jerk)
         found = list(misfits(shared.chunk, c, shared.c))
         if found:
-            shared = settled(*_refined(chunk, shared))
+            shared = solve.settled(*_refined(chunk, shared))
             alone = resampled(coarse, c, shared.chunk)
             found = list(misfits(shared.chunk, alone, shared.c))
         name, said = contradiction(found)

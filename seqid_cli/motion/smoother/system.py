@@ -16,7 +16,7 @@ from seqid_cli.motion.smoother.chunk import (
     sampled,
     spline_weights,
 )
-from seqid_cli.typing import Array, Index
+from seqid_cli.typing import Array, Index, Mask
 
 Constants = Literal["none", "clock", "place", "all"]  # all but the channels' axes: "place"
 
@@ -118,7 +118,7 @@ def normal_equations(
     border, corner, right = np.zeros((total, m + 3, n)), np.zeros((total, total)), np.zeros(total)
     told = told or tuple(predicted(chunk, c, x) for x, *_ in slots)
     of_cells = np.arange(m) // chunk.cell
-    shared: dict[bytes, Array] = {}  # of IMUs with readings in the same intervals
+    told_of: list[tuple[Mask, Array]] = []  # intervals (M,), cells' coefficients (C, 4n, 4n)
     for (x, taken, at), cells, expected in zip(slots, linear, told, strict=True):
         # Of the four coefficients of an interval, and of the constants.
         W = np.zeros((count, len(x.noise), 4, n))
@@ -130,8 +130,7 @@ def normal_equations(
         # Of each cell's intervals with readings, those in which a channel has one.
         share = np.add.reduceat(x.seen.astype(float), chunk.cells) / np.maximum(there, 1.0)[:, None]
         H = (W * share[:, :, None]).transpose(0, 2, 1) @ W
-        seen = x.there.tobytes()
-        shared[seen] = shared.get(seen, 0.0) + H[:, : 4 * n, : 4 * n]
+        told_of.append((x.there, H[:, : 4 * n, : 4 * n]))
         both = H[:, : 4 * n, 4 * n :].reshape(count, 4, n, -1).transpose(1, 3, 0, 2)
         for b in range(4):
             border[at, b : b + m] += both[b][:, of_cells] * x.there[:, None]
@@ -155,8 +154,8 @@ def normal_equations(
         for j in range(n):
             H[:, :, j, :, j] += own[now, j]
         H = H.reshape(-1, 4 * n, 4 * n)
-        for seen, part in shared.items():
-            H += part[of_cells[now]] * np.frombuffer(seen, np.bool_)[now, None, None]
+        for seen, part in told_of:
+            H += part[of_cells[now]] * seen[now, None, None]
         for k in range(4 * n):  # LAPACK's: entry r of coefficient k is of it and of k + r
             first = start + k // n
             band[first : first + len(H), k % n, : 4 * n - k] += H[:, k, k:]

@@ -130,12 +130,7 @@ def fit_rotation(pairs: list[Pair]) -> Array:
     """
     B, M = (np.array([getattr(p, side) for p in pairs]) for side in ("imu", "link"))
     if np.linalg.matrix_rank(B, tol=1e-2) == 1:
-        b, m = B[0], M[0]
-        c = float(b @ m)
-        if c < -1 + 1e-12:
-            return np.asarray(Rotation.align_vectors(m, b)[0].as_matrix())
-        K = np.cross(np.eye(3), np.cross(b, m))
-        return np.asarray(np.eye(3) + K + K @ K / (1 + c))
+        return np.asarray(Rotation.align_vectors(M[0], B[0])[0].as_matrix())
     U, _, Vt = np.linalg.svd((M.T * np.array([p.sigma for p in pairs]) ** -2.0) @ B)
     proper = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
     return np.asarray(U @ proper @ Vt)
@@ -144,19 +139,8 @@ def fit_rotation(pairs: list[Pair]) -> Array:
 Sums = tuple[Array, Array, Array]  # x'x (16, 16) of f, H, w, one; x'y (16, C); y'y (C,)
 
 
-def starting_constants(
-    segments: list[Segment],
-    robot: Robot,
-    imu: Imu,
-    guess: Array,
-    *,
-    rough: int = 60,
-    fine: int = 400,
-) -> Constants:
-    """Mounting, lever, offset and biases to begin with; `guess` (3, 3) is one of the starts.
-
-    Each start gets `rough` evaluations, the best of them `fine` ones more.
-    """
+def starting_constants(segments: list[Segment], robot: Robot, imu: Imu, guess: Array) -> Constants:
+    """Mounting, lever, offset and biases to begin with; `guess` (3, 3) is one of the starts."""
     tables = [_table(segment, robot, imu) for segment in segments]
     delay = _delay(segments, tables)
     sums = _sums(segments, tables, delay)
@@ -165,9 +149,8 @@ def starting_constants(
     first = [Rotation.from_euler(*side, degrees=True) for side in sides]
     second = [Rotation.from_euler("x", 90 * b, degrees=True) for b in range(4)]
     turns = [(a * b).as_matrix() for a in first for b in second]
-    tried = [_mounting(imu, sums, R, rough) for R in (guess, *turns)]
-    best = min(tried, key=lambda pair: pair[0])[1]
-    return replace(_mounting(imu, sums, best.R, fine)[1], delay=delay)
+    tried = [_mounting(imu, sums, R) for R in (guess, *turns)]
+    return replace(min(tried, key=lambda pair: pair[0])[1], delay=delay)
 
 
 def _delay(
@@ -192,14 +175,7 @@ def _delay(
     left = misfits(delays)
     middle = float(delays[np.argmin(left)]) if left.min() <= better * left[count] else 0.0
     delays = np.arange(-coarse, coarse + 0.5 * fine, fine) + middle
-    left = misfits(delays)
-    best = int(np.argmin(left))
-    if not 0 < best < len(delays) - 1:
-        return float(delays[best])
-    a, b, c = left[best - 1 : best + 2]  # of a parabola
-    bend = a - 2 * b + c
-    shift = 0.5 * (a - c) / bend if bend > 0 else 0.0
-    return float(delays[best] + np.clip(shift, -1, 1) * (delays[1] - delays[0]))
+    return float(delays[np.argmin(misfits(delays))])
 
 
 def _table(segment: Segment, robot: Robot, imu: Imu, *, lowest_hz: float = 3.0) -> Array:
@@ -239,9 +215,7 @@ def _misfit(segments: list[Segment], tables: list[Array], delay: float) -> float
     return float(np.mean(np.maximum(left, 0.0) / power))
 
 
-def _mounting(
-    imu: Imu, sums: Sums, R: Array, evaluations: int, *, hold: float = 1e-3
-) -> tuple[float, Constants]:
+def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> tuple[float, Constants]:
     """Least squares for turn and lever on the sums, from one start; biases follow."""
     # `hold` of the readings' noise over m holds the lever.
     xx, xy, yy = sums
@@ -264,7 +238,7 @@ def _mounting(
         misfit = (root @ placed(step).matrix.T - target) / size
         return np.concatenate([misfit.ravel(), hold * step[3:]])
 
-    result = least_squares(off, np.zeros(6), method="lm", max_nfev=evaluations)
+    result = least_squares(off, np.zeros(6), method="lm")
     found = placed(result.x)
     bias = y_mean - found.matrix @ x_mean
     return float(result.cost), replace(nominal, R=found.R, lever=found.lever, bias=bias)

@@ -171,10 +171,8 @@ def thinned(motion: Motion, factor: int, start: int = 0, stop: int | None = None
     """Keep every `factor`-th sample of [start, stop), valid if all up to the next one are."""
     if stop is None:
         stop = motion.samples
-    whole, rate = motion.valid[start:stop], motion.rate_hz / factor
-    valid = whole[::factor].copy()
-    for low, high in runs(~whole, len(whole)):
-        valid[low // factor : -(-high // factor)] = False
+    rate, groups = motion.rate_hz / factor, np.arange(0, stop - start, factor)
+    valid = np.logical_and.reduceat(motion.valid[start:stop], groups)
     lowpass = Lowpass(motion.lowpass.cutoff_hz, rate, factor * motion.lowpass.every)
     part = motion.part(slice(start, stop, factor))
     return replace(part, valid=valid, rate_hz=rate, lowpass=lowpass)

@@ -17,7 +17,13 @@ from scipy.special import beta
 
 from seqid_cli.identify.log_set import mapped
 from seqid_cli.identify.options import InertiaOptions
-from seqid_cli.identify.regression import equations
+from seqid_cli.identify.regression.equations import (
+    motion_use,
+    open_if_long,
+    plan_of,
+    streams,
+    torque_motion,
+)
 from seqid_cli.identify.rigid.inertia_equations import slowest_speeds
 from seqid_cli.logs.recording import Health, Recording
 from seqid_cli.logs.storage.remote import local_copy
@@ -111,9 +117,9 @@ def predict(
     """
     model = TorqueModel.from_stages(stages, robot)
     effects = tuple(fitted_effects(stages, robot, unexplained=unexplained))
-    long = equations.streams(stages, options) and local_effects(model, effects)
+    long = streams(stages, options) and local_effects(model, effects)
     one = Predictor(model, stages, options, effects, sliding_only)
-    for found in mapped(recordings, one, equations.open_if_long if long else None):
+    for found in mapped(recordings, one, open_if_long if long else None):
         yield from found
 
 
@@ -145,11 +151,9 @@ class Predictor:
         robot = self.model.robot
         every = replace(self.options.motion, samples_per_cutoff=float("inf"))
         if isinstance(log, SurveyedLog):
-            return LongPrediction(
-                replace(log, survey=None), equations.plan_of(log, robot, every), self
-            )
+            return LongPrediction(replace(log, survey=None), plan_of(log, robot, every), self)
         imu, source = self.stages.imu, self.options.source
-        motion = equations.torque_motion(log, robot, every, imu=imu, source=source)
+        motion = torque_motion(log, robot, every, imu=imu, source=source)
         part = self.part(motion, log, slice(None))
         noise = () if self.sliding_only else tuple(encoder_notes(self.model, motion, part))
         return [replace(x, notes=(*x.notes, *noise)) for x in self.described([(part, motion)])]
@@ -205,7 +209,7 @@ class Predictor:
             if not used:
                 raise too_short(part.path, part.cutoff_hz)
             shares = counts[1:] / np.maximum(counts[0], 1.0)
-            use = equations.motion_use(part.path, robot, replace(motion, moving=moving[None]))
+            use = motion_use(part.path, robot, replace(motion, moving=moving[None]))
             yield replace(part, notes=tuple(notes_on(self.model, self.stages, *shares)), motion=use)
 
 

@@ -1,7 +1,7 @@
 """Time derivatives of band-limited samples, and the runs of a mask."""
 
 import numpy as np
-from scipy.ndimage import correlate1d
+from scipy.ndimage import correlate1d, minimum_filter1d
 
 from seqid_cli.typing import Array, Mask
 
@@ -21,10 +21,8 @@ def runs(mask: Mask | None, length: int) -> list[tuple[int, int]]:
 
 def shrink(mask: Mask, samples: int) -> Mask:
     """Take `samples` off both ends of every run of True."""
-    result = np.zeros_like(mask)
-    for start, stop in runs(mask, len(mask)):
-        result[start + samples : max(stop - samples, start + samples)] = True
-    return result
+    width = 2 * samples + 1
+    return minimum_filter1d(mask.view(np.uint8), width, mode="constant").view(np.bool_)
 
 
 def differentiate(values: Array, rate_hz: float, valid: Mask | None = None) -> tuple[Array, Array]:

@@ -72,7 +72,6 @@ class Survey:
         self._second, self._velocity = Welch(second, 2), Welch(velocity, 1)
         self._travel = np.zeros(n)
         self._seen = 0
-        self._step: Array | None = None
         self._tail: Array | None = None
 
     @classmethod
@@ -84,7 +83,6 @@ class Survey:
 
     def push(self, q: Array) -> None:
         """Take the next samples."""
-        self._step = None
         for j, levels in enumerate(self._levels):
             if levels is not None:
                 values = np.round(q[:, j], 10)
@@ -94,7 +92,7 @@ class Survey:
         wide = q if self._tail is None else np.concatenate([self._tail, q])
         end = self._seen + len(q)
         begin = end - len(wide)
-        self._add_fourth(wide[max(0, self._seen - begin - 4) :])
+        self._fourth.push(np.abs(np.diff(wide[max(0, self._seen - begin - 4) :], 4, axis=0)))
         wanted = [spectrum.look(wide, begin) for spectrum in (self._second, self._velocity)]
         for half in self._halves:
             low = max(0, self._seen - begin - 2 * half)
@@ -102,13 +100,6 @@ class Survey:
         keep = min([*wanted, end - 2 * max([*self._halves, 2])])
         self._tail = wide[max(0, keep - begin) :].copy(order="K")
         self._seen = end
-
-    def _add_fourth(self, wide: Array) -> None:
-        """Take fourth differences of samples, where they are to be kept."""
-        count = max(0, len(wide) - 4)
-        first, step = self._fourth.next_kept()
-        parts = (w * wide[first + k : count + k : step] for k, w in enumerate((1, -4, 6, -4, 1)))
-        self._fourth.push_kept(np.abs(sum(parts, start=np.zeros(1))), count)
 
     def _add_travel(self, wide: Array, half: int, number: int, *, steps: int = 16) -> None:
         step = max(1, half // steps)
@@ -128,9 +119,7 @@ class Survey:
 
     def encoder_step(self) -> Array:
         """Smallest step of each joint's position (n,) rad, 0 where it is not quantised."""
-        if self._step is None:
-            self._step = np.array([bandwidth.step_of(levels) for levels in self._known])
-        return self._step
+        return np.array([bandwidth.step_of(levels) for levels in self._known])
 
     def count(self, resolution: Array) -> Array:
         """Step of each encoder (n,) rad: that of the robot file, else that of the positions."""

@@ -9,22 +9,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.polynomial.polynomial import polyder, polyval
 
 from seqid_cli.motion.imu.sensor import Mounting
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import white_noise
 from seqid_cli.typing import Array, Index, Mask
 
-JERK = np.array([-1.0, 3.0, -3.0, 1.0])
+# Cubic B-splines on an interval by powers of u in [0, 1), times 6; the third derivative.
+SPLINES = np.array([[1.0, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]])
+JERK = SPLINES[3]
 
 
 def spline_weights(u: Array, spacing: float) -> Array:
     """Weights (len(u), 3, 4) of four coefficients in q, dq, ddq at `u` in [0, 1) of an interval."""
-    one, none = np.ones_like(u), np.zeros_like(u)
-    q = [(1 - u) ** 3, 3 * u**3 - 6 * u**2 + 4, -3 * u**3 + 3 * u**2 + 3 * u + 1, u**3]
-    dq = [-((1 - u) ** 2), 3 * u**2 - 4 * u, -3 * u**2 + 2 * u + one, u**2]
-    ddq = [1 - u, 3 * u - 2, 1 - 3 * u, u + none]
-    weights = [np.array(q) / 6, np.array(dq) / 2 / spacing, np.array(ddq) / spacing**2]
+    weights = [polyval(u, polyder(SPLINES, d)) / 6 / spacing**d for d in range(3)]
     return np.array(weights).transpose(2, 0, 1)
 
 

@@ -169,8 +169,8 @@ def smoothed_motion(
         variances.append(variance[kept])
     mounted = {name: x for name, x in known.items() if name in used}
     shares = {name: live[name] / max(int(recording.valid.sum()), 1) for name in mounted}
-    rare = {name: share for name, share in shares.items() if share < mostly}
-    notes += [f"{name} reads in {percent(x, 0)} of the samples" for name, x in rare.items()]
+    text = "{} reads in {} of the samples"
+    notes += [text.format(name, percent(x, 0)) for name, x in shares.items() if x < mostly]
     q, dq, ddq = (np.ascontiguousarray(joined[:, d]) for d in range(3))
     return Smoothed(
         q, dq, ddq, np.concatenate(at), np.concatenate(variances), mounted, tuple(notes)

@@ -9,6 +9,7 @@ lost without the stamps showing it (`lost_samples`): these have to be read as a 
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from itertools import starmap
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +21,7 @@ from seqid_cli.logs.clocks import BURSTS, GAP_INTERVALS, GAP_LEAST_S
 from seqid_cli.logs.mcap import reader
 from seqid_cli.logs.raw import Array, BlockReader, Mask, RawLog, Stamps, Stream, TimeSource, joined
 from seqid_cli.logs.read import ABSURD, with_torque
-from seqid_cli.logs.storage.files import (
-    State,
-    check_log,
-    sha256_of,
-    state_of,
-    storage_file,
-    unchanged,
-)
+from seqid_cli.logs.storage import files
 from seqid_cli.logs.storage.temporary import Spool
 from seqid_cli.logs.tables import parquet
 from seqid_cli.logs.tables.columns import ARROW_ERRORS, opened_table
@@ -104,7 +98,7 @@ class LongLog:
     warnings: tuple[str, ...] = ()
     spool: Spool | None = field(default=None, repr=False, compare=False)
     bridges: tuple[Bridge, ...] = ()
-    state: State | None = None  # of the file at the first pass
+    state: files.State | None = None  # of the file at the first pass
 
     @property
     def rate_hz(self) -> float:
@@ -114,21 +108,20 @@ class LongLog:
     @property
     def sha256(self) -> str:
         """Digest of the file. Raises InputError: it has changed since the first pass."""
-        with unchanged(self.file, self.state):
-            return sha256_of(self.file)
+        with files.unchanged(self.file, self.state):
+            return files.sha256_of(self.file)
 
     def blocks(self) -> Iterator[Block]:
         """Pass over the samples of the base, a few ten thousand at a time.
 
         Raises InputError: the file has changed since the first pass.
         """
-        spooled = None if self.spool is None else self.spool.parts()
-        rows = self._decoded() if spooled is None else (_as_stream(*part) for part in spooled)
+        rows = self._decoded() if self.spool is None else starmap(_as_stream, self.spool.parts())
         blocks = self._as_logged(rows) if self.exact else self._resampled(rows)
         return map(self._bridged, blocks) if self.bridges else blocks
 
     def _decoded(self) -> Iterator[Stream]:
-        with unchanged(self.file, self.state):
+        with files.unchanged(self.file, self.state):
             for _, rows in _rows(self.file, self.format, self.robot, self.time_source):
                 yield rows
 
@@ -167,9 +160,7 @@ class LongLog:
     def _between(self, rows: Stream, start: int, stop: int) -> Iterator[Block]:
         for low in range(start, stop, parquet.BLOCK_ROWS):
             count = min(parquet.BLOCK_ROWS, stop - low)
-            window = Base(
-                self.start_ns, self.step_s, count, self.jitter, False, _NONE, (), first=low
-            )
+            window = Base(self.start_ns, self.step_s, count, self.jitter, False, (), first=low)
             # Only the rows around the window: a hole may be much longer than a block.
             found = resample(self._around(rows, low, low + count), _ALL, window)
             n = self.robot.n
@@ -267,7 +258,7 @@ class Scan:
 
 def likely_rows(path: Path, *, bytes_per_row: int = 100) -> int:
     """Rows that a log is likely to hold, without reading it; 0 where the format does not tell."""
-    kind, path = check_log(Path(path)), storage_file(Path(path))
+    kind, path = files.check_log(Path(path)), files.storage_file(Path(path))
     try:
         if kind == "parquet":
             with opened_table(path) as file:
@@ -297,13 +288,13 @@ def open_long(
     InputError: the file cannot be read or lacks a channel.
     """
     path = Path(path)
-    kind, file = check_log(path), storage_file(path)
+    kind, file = files.check_log(path), files.storage_file(path)
     if kind not in READERS:
         return None
     scan, spool = Scan(), Spool()
     try:
-        state = state_of(file)
-        with unchanged(file, state):
+        state = files.state_of(file)
+        with files.unchanged(file, state):
             for raw, rows in _rows(file, kind, robot, time_source):
                 scan.push(rows.stamp_ns, raw)
                 spool.push(rows.stamp_ns, rows.channels[_ALL])
@@ -314,18 +305,8 @@ def open_long(
         return None
     except OSError as error:
         raise InputError(f"cannot be read ({error})", where=str(path)) from error
-    return LongLog(
-        path,
-        file,
-        kind,
-        robot,
-        time_source,
-        *base,
-        partial=scan.partial,
-        warnings=tuple(scan.warnings),
-        spool=spool if spool.complete else None,
-        state=state,
-    )
+    told = scan.partial, tuple(scan.warnings), spool if spool.complete else None
+    return LongLog(path, file, kind, robot, time_source, *base, *told, state=state)
 
 
 def _rows(

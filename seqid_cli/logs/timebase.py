@@ -7,12 +7,11 @@ where the base is coarser than the samples, they are averaged over one interval 
 come in bursts a spline would swing, and straight lines are used throughout.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline, make_interp_spline
+from scipy.interpolate import make_interp_spline
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.clocks import gap_limit
@@ -21,8 +20,6 @@ from seqid_cli.logs.raw import Array, Mask, Stamps, Stream
 LEAST_SAMPLES = 20
 UNIFORM = 1e-3  # of the interval: so far may a sample lie beside the base and be taken as it is
 JITTER_LIMIT = 0.5
-_BLOCK = 65_536  # samples per spline; the overlap is enough to forget the ends (0.27^32)
-_OVERLAP = 32
 
 
 @dataclass(frozen=True)
@@ -33,8 +30,7 @@ class Base:
     step_s: float
     count: int
     jitter: float
-    exact: bool  # whether `rows` lie on it
-    rows: NDArray[np.intp]  # the joint samples that it is made of
+    exact: bool  # whether the joint samples lie on it
     gaps: tuple[tuple[float, float], ...]
     first: int = 0  # number of its first sample
 
@@ -54,11 +50,7 @@ class Resampled:
 
 
 def make_base(
-    joints: Stream,
-    where: str,
-    *,
-    least_seconds: float = 0.5,
-    most_samples: int = 200000000,
+    joints: Stream, where: str, *, least_seconds: float = 0.5, most_samples: int = 200000000
 ) -> Base:
     """Lay the base through joint samples in the order of time, with `position` (M, n)."""
     rows = _base_rows(joints)
@@ -74,7 +66,7 @@ def make_base(
         text = f"{span:.3g} s at {1.0 / step:.3g} Hz are {count} samples, more than {most_samples}"
         raise InputError(text, hint="Split the log.", where=where)
     exact = count == len(rows) and _on_base(stamps, step)
-    return Base(int(stamps[0]), step, count, jitter, exact, rows, gaps)
+    return Base(int(stamps[0]), step, count, jitter, exact, gaps)
 
 
 def resample(stream: Stream, quantity: str, base: Base) -> Resampled:
@@ -92,14 +84,16 @@ def resample(stream: Stream, quantity: str, base: Base) -> Resampled:
     out = np.full((base.count, values.shape[1]), np.nan)
     valid = np.ones(base.count, np.bool_)
     gaps: set[tuple[float, float]] = set()
-    for columns, present in _alike(values):
-        if not present.any():
-            continue
-        out[:, columns], measured, holes = _interpolate(
-            seconds[present], values[np.ix_(present, columns)], base
-        )
-        valid &= measured
-        gaps.update(holes)
+    there = np.isfinite(values)
+    patterns = [column.tobytes() for column in there.T]
+    for pattern in dict.fromkeys(patterns):  # columns that are there in the same samples
+        columns = [k for k, own in enumerate(patterns) if own == pattern]
+        present = there[:, columns[0]]
+        if present.any():
+            own = values[present][:, columns]
+            out[:, columns], measured, holes = _interpolate(seconds[present], own, base)
+            valid &= measured
+            gaps.update(holes)
     return Resampled(out, valid, tuple(sorted(gaps)))
 
 
@@ -157,16 +151,6 @@ def _taken(stream: Stream, values: Array, base: Base) -> Resampled | None:
     return Resampled(np.array(chosen), np.ones(base.count, np.bool_))
 
 
-def _alike(values: Array) -> Iterator[tuple[NDArray[np.intp], Mask]]:
-    """Group the columns that are present in the same samples."""
-    present = np.isfinite(values)
-    groups: dict[bytes, list[int]] = {}
-    for column in range(values.shape[1]):
-        groups.setdefault(np.packbits(present[:, column]).tobytes(), []).append(column)
-    for columns in groups.values():
-        yield np.array(columns), present[:, columns[0]]
-
-
 def _interpolate(
     seconds: Array, values: Array, base: Base, *, coarser: float = 1.5, near: float = 0.1
 ) -> tuple[Array, Mask, list[tuple[float, float]]]:
@@ -190,7 +174,10 @@ def _interpolate(
             # Samples that nearly coincide would make the spline swing.
             x = seconds[piece]
             rows = piece[np.diff(x, prepend=-np.inf) > near * median]
-            _spline(seconds[rows], values[rows], t, out)
+            x = seconds[rows]
+            if len(rows) > 3:  # as many as a cubic has coefficients
+                inner = slice(np.searchsorted(t, x[0]), np.searchsorted(t, x[-1], side="right"))
+                out[inner] = make_interp_spline(x, values[rows], k=3)(t[inner])
     return out, valid, gaps
 
 
@@ -205,15 +192,3 @@ def _averaged(x: Array, values: Array, t: Array, width: float) -> Array:
     at, half = t[wide], half[wide]
     out[wide] = (area(at + half) - area(at - half)) / (2.0 * half)[:, None]
     return out
-
-
-def _spline(x: Array, values: Array, t: Array, out: Array, *, least_knots: int = 4) -> None:
-    """Overwrite `out` by the cubic spline through a piece without gaps, in blocks."""
-    if len(x) < least_knots:
-        return
-    for begin in range(0, len(x) - 1, _BLOCK):
-        end = min(begin + _BLOCK, len(x) - 1)
-        low, high = max(0, begin - _OVERLAP), min(len(x), end + _OVERLAP + 1)
-        low = min(low, high - least_knots)
-        targets = slice(np.searchsorted(t, x[begin]), np.searchsorted(t, x[end], side="right"))
-        out[targets] = CubicSpline(x[low:high], values[low:high])(t[targets])

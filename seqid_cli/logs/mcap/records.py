@@ -25,16 +25,7 @@ from mcap.records import Channel, ChunkIndex, Footer, Schema
 from mcap.stream_reader import StreamReader
 from mcap.summary import Summary
 
-from seqid_cli.logs.mcap.chunks import (
-    RECORD,
-    Contents,
-    DamageError,
-    Integers,
-    Unpacker,
-    by_index,
-    index_offsets,
-    walk,
-)
+from seqid_cli.logs.mcap import chunks
 from seqid_cli.logs.messages.batch import Bytes, Payloads
 from seqid_cli.logs.raw import Stamps
 
@@ -44,7 +35,7 @@ _ERRORS = (McapError, struct.error, ValueError, OverflowError, MemoryError, Stop
 _WINDOW = 1 << 22  # bytes of loose messages taken together
 _LOOSE = frozenset((Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL))
 _HELD = _LOOSE | {Opcode.CHUNK}
-_TAIL = RECORD.size + 20 + len(MAGIC)  # the footer
+_TAIL = chunks.RECORD.size + 20 + len(MAGIC)  # the footer
 _NONE = np.zeros(0, np.int64)
 # Batches and definitions that any file may have, and its bytes for each one beyond.
 PIECES, PIECE_BYTES = 50_000, 50
@@ -71,7 +62,7 @@ class Scan:
     losses: Counter[str] = field(default_factory=Counter)
     remedy: str = "Copy it again from the source; `mcap doctor FILE` shows the damage."
     summary: Summary = field(default_factory=Summary)
-    _unpacker: Unpacker = field(default_factory=Unpacker)
+    _unpacker: chunks.Unpacker = field(default_factory=chunks.Unpacker)
     _size: int = 0
     _pieces: int = 0
 
@@ -97,7 +88,7 @@ class Scan:
         """
         head = _head(file, at)
         opcode, length = head or (Opcode.FOOTER, 0)
-        start = at + RECORD.size
+        start = at + chunks.RECORD.size
         after = start + length
         if head is None or (opcode == Opcode.FOOTER and after <= self._size):
             if not self.losses:
@@ -110,7 +101,7 @@ class Scan:
         if opcode in _LOOSE:
             file.seek(at)
             data = np.frombuffer(file.read(max(_WINDOW, after - at)), np.uint8)
-            contents = walk(data, _LOOSE)
+            contents = chunks.walk(data, _LOOSE)
             yield from self._contents(data, contents)
             return at + contents.end if contents.end else None
         chunk = self._indexed.get(at)
@@ -118,7 +109,7 @@ class Scan:
             file.seek(start)
             content = file.read(length)
             indexes = file.read(min(chunk.message_index_length, LARGEST)) if chunk else b""
-            yield from self._chunk(content, index_offsets(indexes))
+            yield from self._chunk(content, chunks.index_offsets(indexes))
         return after
 
     def _damaged(
@@ -127,7 +118,7 @@ class Scan:
         """Read what there is of a damaged chunk; goes on at the next that the summary names."""
         found = min((start for start in self._indexed if start > at), default=None)
         if opcode == Opcode.CHUNK and length <= LARGEST:  # its own checks tell its worth
-            file.seek(at + RECORD.size)
+            file.seek(at + chunks.RECORD.size)
             content = file.read(min(length, (found or self._size) - at))
             yield from self._chunk(content, _NONE, complete=len(content) == length)
         what = f"the file breaks off in a record at byte {at} of {self._size}"
@@ -177,21 +168,21 @@ class Scan:
         return promised.get(channel, 0)
 
     def _chunk(
-        self, content: bytes, offsets: Integers, *, complete: bool = True
+        self, content: bytes, offsets: chunks.Integers, *, complete: bool = True
     ) -> Iterator[Batch]:
         try:
             unpacked, whole = self._unpacker.unpack(content, complete)
-        except DamageError as damage:
+        except chunks.DamageError as damage:
             self.losses[f"a chunk of {len(content)} bytes was left out: {damage}"] += 1
             return
         data = np.frombuffer(unpacked, np.uint8)
-        contents = by_index(data, offsets) or walk(data)
+        contents = chunks.by_index(data, offsets) or chunks.walk(data)
         yield from self._contents(data, contents)
         if contents.end < len(data) and whole:
             left = len(data) - contents.end
             self.losses[f"a chunk breaks off {left} bytes before its end"] += 1
 
-    def _contents(self, data: Bytes, contents: Contents) -> Iterator[Batch]:
+    def _contents(self, data: Bytes, contents: chunks.Contents) -> Iterator[Batch]:
         order = np.argsort(contents.channels, kind="stable")
         turns = np.flatnonzero(np.diff(contents.channels[order])) + 1
         self._pieces += len(contents.others) + len(turns) + 1
@@ -236,8 +227,8 @@ class Scan:
 def _head(file: BinaryIO, at: int) -> tuple[int, int] | None:
     """Read the kind and the length of the record at a place; None at the end of the file."""
     file.seek(at)
-    head = file.read(RECORD.size)
-    return RECORD.unpack(head) if len(head) == RECORD.size else None
+    head = file.read(chunks.RECORD.size)
+    return chunks.RECORD.unpack(head) if len(head) == chunks.RECORD.size else None
 
 
 def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> Summary:
@@ -258,7 +249,8 @@ def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> Summary:
         if not len(MAGIC) <= start <= end or end - start > most:
             return Summary()
         file.seek(start)
-        content = file.read(end - start + RECORD.size + 16)  # up to the checksum in the footer
+        to_checksum = chunks.RECORD.size + 16  # in the footer
+        content = file.read(end - start + to_checksum)
         if footer.summary_crc not in (0, crc32(content)):
             return Summary()
         file.seek(0)

@@ -146,23 +146,19 @@ def row_of(kind: Kind, message: object, names: NameMap) -> list[object]:
             values = _list(field(interfaces[entry], "values"))
             given = dict(zip(kinds, values, strict=True))
             given.setdefault("effort", given.get(names.effort))
-            row[joint::n] = [given.get(name) for name in JOINT_QUANTITIES]
+            row[joint::n] = map(given.get, JOINT_QUANTITIES)
     elif (joints := field(message, "joints")) is not None:
         joints = _list(joints)
         for entry, joint in names.pairs([str(field(each, "name")) for each in joints]):
-            for k, name in enumerate(JOINT_QUANTITIES):
-                row[k * n + joint] = field(joints[entry], name)
+            row[joint::n] = [field(joints[entry], name) for name in JOINT_QUANTITIES]
     else:
         entries = _texts(field(message, "name"))
         arrays = [_list(field(message, quantity)) for quantity in JOINT_QUANTITIES]
         for quantity, array in zip(JOINT_QUANTITIES, arrays, strict=True):
             if len(array) not in (0, len(entries)):
                 raise ValueError(f"{len(array)} values of {quantity} for {len(entries)} names")
-        pairs = names.pairs(entries)
-        for k, array in enumerate(arrays):
-            first = k * n
-            for entry, joint in pairs if array else ():
-                row[first + joint] = array[entry]
+        for entry, joint in names.pairs(entries):
+            row[joint::n] = [array[entry] if array else None for array in arrays]
     return row
 
 

@@ -17,14 +17,7 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.logs.messages.batch import (
-    JOINT_QUANTITIES,
-    Decoded,
-    Kind,
-    NameMap,
-    Payloads,
-    row_of,
-)
+from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decoded, Kind, NameMap, Payloads, row_of
 from seqid_cli.logs.raw import STAMP_LIMIT_NS, Mask, Rows, Stamps
 
 Words = NDArray[np.uint64]

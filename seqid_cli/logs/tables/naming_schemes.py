@@ -67,65 +67,50 @@ class Match:
 
 _ALL = (*QUANTITIES, EFFORT)
 _NAMED = {
-    "position": ("position", "pos", "q"),
-    "velocity": ("velocity", "vel", "dq", "qd"),
-    "torque": ("torque", "tau"),
-    "current": ("current",),
-    "temperature": ("temperature", "temp"),
-    "effort": ("effort",),
+    "position": "position pos q",
+    "velocity": "velocity vel dq qd",
+    "torque": "torque tau",
+    "current": "current",
+    "temperature": "temperature temp",
+    "effort": "effort",
 }
 _NUMBERED = {
-    "position": ("q", "position", "pos", "joint_position", "joint_positions"),
-    "velocity": ("dq", "qd", "velocity", "vel", "joint_velocity", "joint_velocities"),
-    "torque": ("tau", "torque", "joint_torque", "joint_torques"),
-    "current": ("current", "i", "joint_current", "joint_currents"),
-    "temperature": ("temperature", "temp", "joint_temperature", "joint_temperatures"),
-    "effort": ("effort", "joint_effort", "joint_efforts"),
+    "position": "q position pos joint_position joint_positions",
+    "velocity": "dq qd velocity vel joint_velocity joint_velocities",
+    "torque": "tau torque joint_torque joint_torques",
+    "current": "current i joint_current joint_currents",
+    "temperature": "temperature temp joint_temperature joint_temperatures",
+    "effort": "effort joint_effort joint_efforts",
 }
-
-
-def _scheme(form: str, words: Mapping[str, tuple[str, ...]]) -> Scheme:
-    """Make a scheme of a form of names, in which `*` stands for the words of a quantity."""
-    return Scheme({name: tuple(form.replace("*", w) for w in own) for name, own in words.items()})
-
-
-DEFAULT = Scheme({quantity: (f"{{name}}.{quantity}",) for quantity in _ALL})
-RTDE = Scheme(
-    {
-        "position": ("actual_q_{index0}",),
-        "velocity": ("actual_qd_{index0}",),
-        "current": ("actual_current_{index0}",),
-        "temperature": ("joint_temperatures_{index0}",),
-    }
-)
-FRANKA = Scheme(
-    {
-        "position": ("state.q[{index0}]",),
-        "velocity": ("state.dq[{index0}]",),
-        "torque": ("state.tau_J[{index0}]",),
-    },
-    time_unit="ms",
-)
+_RTDE = {
+    "position": "actual_q",
+    "velocity": "actual_qd",
+    "current": "actual_current",
+    "temperature": "joint_temperatures",
+}
+_FRANKA = {"position": "q", "velocity": "dq", "torque": "tau_J"}
+_LEROBOT = {quantity: quantity for quantity in ("torque", "current", "temperature", "effort")}
+_LEROBOT |= {"position": "state", "velocity": "velocity state.velocity"}
 LEROBOT_STATE = "observation.state"
-LEROBOT = Scheme(
-    {
-        "position": ("observation.state[{index0}]",),
-        "velocity": ("observation.velocity[{index0}]", "observation.state.velocity[{index0}]"),
-        "torque": ("observation.torque[{index0}]",),
-        "current": ("observation.current[{index0}]",),
-        "temperature": ("observation.temperature[{index0}]",),
-        "effort": ("observation.effort[{index0}]",),
-    }
-)
-LISTS = "*[{index0}]"
+
+
+def _scheme(form: str, words: Mapping[str, str], time_unit: str | None = None) -> Scheme:
+    """Make a scheme of a form of names, in which `*` stands for each word of a quantity."""
+    forms = {name: tuple(form.replace("*", w) for w in own.split()) for name, own in words.items()}
+    return Scheme(forms, time_unit)
+
+
+DEFAULT = _scheme("{name}.*", {quantity: quantity for quantity in _ALL})
+FRANKA = _scheme("state.*[{index0}]", _FRANKA, "ms")
 SCHEMES = (
     DEFAULT,
     *(_scheme(f, _NAMED) for f in ("{name}.*", "{name}/*", "*.{name}", "*/{name}")),
     *(_scheme(f, _NAMED) for f in ("/joint_states/{name}/*", "{name}_*", "*_{name}")),
-    RTDE,
+    _scheme("*_{index0}", _RTDE),
     FRANKA,
-    LEROBOT,
-    *(_scheme(f, _NUMBERED) for f in ("*_{index0}", "*_{index}", "*{index0}", "*{index}", LISTS)),
+    _scheme("observation.*[{index0}]", _LEROBOT),
+    *(_scheme(f, _NUMBERED) for f in ("*_{index0}", "*_{index}", "*{index0}", "*{index}")),
+    _scheme("*[{index0}]", _NUMBERED),
 )
 
 

@@ -16,16 +16,7 @@ import pyarrow as pa
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.drives import in_si
-from seqid_cli.logs.raw import (
-    ACCELEROMETERS,
-    GYRO,
-    Array,
-    RawLog,
-    Rows,
-    Stamps,
-    Stream,
-    partly_logged,
-)
+from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, RawLog, Rows, Stamps, Stream, partly_logged
 from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
 from seqid_cli.logs.tables.csv_form import nameless
 from seqid_cli.logs.tables.naming_schemes import (
@@ -42,6 +33,7 @@ from seqid_cli.logs.tables.naming_schemes import (
 )
 from seqid_cli.robot.toml.schema import Channels, Columns
 from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.typing import Array
 
 # Forms of names: of accelerometers (by number, or the axes of a triad) and of the gyro's axes.
 _FORMS = (

@@ -10,21 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from msgspec import structs
 
-from seqid_cli.inspect.channels.clock import clock_findings, hole_findings
-from seqid_cli.inspect.channels.positions import (
-    Break,
-    breaks_of,
-    fast_in_degrees,
-    position_findings,
-    position_quality,
-)
-from seqid_cli.inspect.channels.torques import (
-    echo_findings,
-    sensor_findings,
-    temperature_findings,
-    torque_findings,
-    torque_quality,
-)
+from seqid_cli.inspect.channels import clock, positions, torques
+from seqid_cli.inspect.channels.positions import Break
 from seqid_cli.inspect.channels.velocities import velocity_findings
 from seqid_cli.inspect.dynamics.equations import geometry_findings
 from seqid_cli.inspect.dynamics.friction import friction_findings, sample_of
@@ -83,17 +70,17 @@ def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
     channels are measured (steps, held values, temperature): warnings at most. Returns: findings,
     each code once per joint and channel.
     """
-    breaks = breaks_of(data.robot, data.t, data.joints.channels["position"])
+    breaks = positions.breaks_of(data.robot, data.t, data.joints.channels["position"])
     sound = without(data, breaks)
     following = tuple(follow(sound)) if imus else ()
-    own = [*clock_findings(data), *hole_findings(data)]
+    own = [*clock.clock_findings(data), *clock.hole_findings(data)]
     if data.recording.partial:
         own.append(found("salvaged", data.recording.partial))
-    torques = [*torque_findings(data), *echo_findings(data)]
-    own += torques
+    of_torques = [*torques.torque_findings(data), *torques.echo_findings(data)]
+    own += of_torques
     if quality:
-        own += torque_quality(data, {f.joint for f in torques if f.code in SPOIL})
-        own += [*temperature_findings(data), *sensor_findings(data)]
+        own += torques.torque_quality(data, {f.joint for f in of_torques if f.code in SPOIL})
+        own += [*torques.temperature_findings(data), *torques.sensor_findings(data)]
     if imus and not _all_spoilt(own):
         own += imu_findings(data)
     if not _all_spoilt(own):
@@ -125,13 +112,13 @@ def _of_positions(
     data: LogData, breaks: Sequence[Break], *, quality: bool
 ) -> list[InspectionFinding]:
     """Check positions and velocities."""
-    positions = [*position_findings(data, breaks)]
-    spoilt = {f.joint for f in positions if f.code in SPOIL | TAKEN_OUT}
+    of_positions = [*positions.position_findings(data, breaks)]
+    spoilt = {f.joint for f in of_positions if f.code in SPOIL | TAKEN_OUT}
     own = [*velocity_findings(data, spoilt)]
     if not _all_spoilt(own):
-        own += [*positions, *fast_in_degrees(data)]
+        own += [*of_positions, *positions.fast_in_degrees(data)]
     if quality:
-        own += position_quality(data, {f.joint for f in positions})
+        own += positions.position_quality(data, {f.joint for f in of_positions})
     uneven = data.recording.health.jitter > JITTER_LIMIT  # slopes over such times mean nothing
     return [f for f in own if not (uneven and f.code in _UNEVEN)]
 

@@ -1,12 +1,9 @@
 """One log as the checks see it: samples as they were logged, and on one time base."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import SeqidError
 from seqid_cli.logs.raw import RawLog, Stream
@@ -14,22 +11,8 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.motion import Motion, encoder_resolution, estimate_motion
 from seqid_cli.motion.options import MotionOptions
 from seqid_cli.motion.segmentation import moving_mask, noise_step
-from seqid_cli.robot.types import Array, Robot
-
-Mask = NDArray[np.bool_]
-V = TypeVar("V")
-
-
-def per_robot(function: Callable[[Robot], V]) -> Callable[[Robot], V]:
-    """Work something out once for all logs of a robot (the very object that was loaded)."""
-    last: list[tuple[Robot, V]] = []
-
-    def remembered(robot: Robot) -> V:
-        if not last or last[0][0] is not robot:
-            last[:] = [(robot, function(robot))]
-        return last[0][1]
-
-    return remembered
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Mask
 
 
 @dataclass(frozen=True)

@@ -72,7 +72,7 @@ def _serves(
     *,
     imus: bool,
     min_speeds: int = 3,
-    max_share: float = 0.25,  # of the speed limit, up to which moves show gravity well
+    max_share: float = 0.25,
 ) -> list[str]:
     """Return the stages that a log serves; `together` move joints with others."""
     stages: list[str] = []

@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.robot.formula import Formula
 from seqid_cli.robot.toml.schema import Channels
 from seqid_cli.robot.urdf.text import UrdfJoint
+from seqid_cli.typing import Array as Array
+from seqid_cli.typing import Mask
 from seqid_cli.units import unit_of
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,7 @@ class Chain:
     rotation: Array  # (n, 3, 3)
     position: Array  # (n, 3)
     axis: Array  # (n, 3)
-    prismatic: NDArray[np.bool_]  # (n,)
+    prismatic: Mask  # (n,)
 
     @property
     def n(self) -> int:
@@ -100,7 +99,7 @@ class OwnEffect:
     settings: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Robot:
     """A robot file, read and checked, with its URDF (`urdf`, None where it names none).
 

@@ -37,9 +37,10 @@ def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
         least = ALONE * _beyond_any_arm(float(np.median(np.diff(own_t))))
         if np.abs(np.diff(q, 2)).max() < least:  # no two changes differ by as much as a break makes
             continue
-        for code, text, wrong in _breaks(own_t, q, lattice(q)):
-            finding = found(code, text, joint=joint.name, channel="position")
-            breaks.append(Break(j, finding, rows[wrong]))
+        broken = _break(own_t, q, lattice(q))
+        if broken is not None:
+            finding = found(*broken[:2], joint=joint.name, channel="position")
+            breaks.append(Break(j, finding, rows[broken[2]]))
     return breaks
 
 
@@ -76,13 +77,8 @@ def position_quality(
             yield found("speed_limit", text, joint=joint.name, channel="position")
 
 
-def _unit(
-    data: LogData,
-    j: int,
-    *,
-    min_outside: float = 0.02,  # of the limits' span
-) -> InspectionFinding | None:
-    """Compare with the limits, as they are and in other units."""
+def _unit(data: LogData, j: int, *, min_outside: float = 0.02) -> InspectionFinding | None:
+    """Compare with the limits, as they are and in other units; `min_outside` of their span."""
     joint = data.robot.joints[j]
     column = data.joints.channels["position"][:, j]
     q = column[np.isfinite(column)]
@@ -138,11 +134,11 @@ def top_speed(data: LogData, j: int) -> float:
     return float(speed.max())
 
 
-def _breaks(t: Array, q: Array, step: float) -> Iterator[tuple[str, str, Index]]:
-    """Find freezes, spikes and jumps, each with the samples that are wrong."""
+def _break(t: Array, q: Array, step: float) -> tuple[str, str, Index] | None:
+    """Find freezes, else spikes, else jumps, with the samples that are wrong."""
     usual = float(np.median(np.diff(t)))
     if usual <= 0.0:
-        return
+        return None
     large = _least_jump(q, step, usual)
     frozen = _frozen(t, q, large)
     if frozen:
@@ -151,8 +147,7 @@ def _breaks(t: Array, q: Array, step: float) -> Iterator[tuple[str, str, Index]]
             f"stands still {len(frozen)} times, first from {t[start]:.3f} s for "
             f"{t[stop - 1] - t[start]:.3f} s, and then catches up by {q[stop] - q[stop - 1]:.3g}"
         )
-        yield "position_frozen", text, np.concatenate([np.arange(a + 1, b) for a, b in frozen])
-        return
+        return "position_frozen", text, np.concatenate([np.arange(a + 1, b) for a, b in frozen])
     d = np.diff(q)
     size = np.abs(d)
     # A jump stands alone: the motion around it is small against it (a spike returns at once, and of
@@ -161,7 +156,7 @@ def _breaks(t: Array, q: Array, step: float) -> Iterator[tuple[str, str, Index]]
     around = np.maximum(np.minimum(wide[:-4], wide[1:-3]), np.minimum(wide[3:-1], wide[4:]))
     at = np.flatnonzero((size > large) & (around < ALONE * size) & (np.diff(t) < 1.5 * usual))
     if not len(at):
-        return
+        return None
     back: dict[int, int] = {}  # after how many samples a change is undone
     for k in at.tolist():
         undone = (s for s in (1, 2, 3) if k + s < len(d) and abs(d[k] + d[k + s]) < ALONE * size[k])
@@ -171,7 +166,7 @@ def _breaks(t: Array, q: Array, step: float) -> Iterator[tuple[str, str, Index]]
     text = f"jumps by {d[first]:.4g} at {t[first + 1]:.3f} s"
     text += f" and {count - 1} more times" if count > 1 else ""
     wrong = [row for k, s in back.items() for row in range(k + 1, k + s + 1)]
-    yield "position_spikes" if back else "position_jump", text, np.array(wrong, dtype=np.intp)
+    return "position_spikes" if back else "position_jump", text, np.array(wrong, dtype=np.intp)
 
 
 def _least_jump(
@@ -193,13 +188,10 @@ def _least_jump(
 
 
 def _beyond_any_arm(
-    usual: float,
-    *,
-    max_acceleration: float = 1000.0,  # rad/s^2 (m/s^2)
-    max_step: float = 0.05,  # rad (m): at low rates the acceleration says little
+    usual: float, *, max_acceleration: float = 1000.0, max_step: float = 0.05
 ) -> float:
     """Return the change of velocity, times the usual time, that no arm makes."""
-    return min(max_acceleration * usual**2, max_step)
+    return min(max_acceleration * usual**2, max_step)  # the first says little at low rates
 
 
 def _frozen(

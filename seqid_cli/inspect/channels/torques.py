@@ -103,12 +103,7 @@ def torque_quality(
 
 
 def _stuck(
-    values: Array,
-    t: Array,
-    moving: Mask,
-    *,
-    min_samples: int = 50,
-    min_s: float = 0.2,
+    values: Array, t: Array, moving: Mask, *, min_samples: int = 50, min_s: float = 0.2
 ) -> str:
     if moving.sum() < 3 or not np.median(np.diff(values[moving]) != 0):
         return ""  # it repeats itself anyway

@@ -19,11 +19,7 @@ def equal_runs(values: Array, least: int) -> list[tuple[int, int]]:
 
 
 def clipped(
-    values: Array,
-    *,
-    min_samples: int = 10,
-    min_share: float = 2e-3,
-    min_pile: float = 3.0,  # times the next level
+    values: Array, *, min_samples: int = 10, min_share: float = 2e-3, min_pile: float = 3.0
 ) -> tuple[float, float] | None:
     """Find a limit at which a channel (M,) is cut off, and its share of the samples; or None."""
     for limit in (float(values.max()), float(values.min())) if len(values) else ():

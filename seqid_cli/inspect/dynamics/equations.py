@@ -9,6 +9,7 @@ is torque.
 
 import re
 from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 
 import numpy as np
 from scipy.optimize import minimize
@@ -16,7 +17,7 @@ from scipy.optimize import minimize
 from seqid_cli.inspect.dynamics.causes import Cause, causes_of, mounted
 from seqid_cli.inspect.dynamics.friction import Sample, scaled_fit
 from seqid_cli.inspect.findings import found
-from seqid_cli.inspect.material import LogData, per_robot
+from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import base_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
@@ -179,7 +180,7 @@ def _structural_error(sample: Sample, *, min_speed: float = 0.2) -> float:
     return float(np.sqrt(np.mean(left**2)))
 
 
-@per_robot
+@lru_cache(maxsize=1)
 def largest_gravity(robot: Robot, *, postures: int = 200) -> Array:
     """Largest gravity torque (n,) by the URDF's inertials over postures spread evenly; else 0."""
     if robot.nominal is None:
@@ -206,14 +207,12 @@ def _nominal_error(sample: Sample) -> float:
 
 
 def _weights(
-    sample: Sample,
-    *,
-    min_load: float = 0.2,  # of the largest gravity torque of any joint in the log
-    min_acting: float = 0.1,  # of the joint's largest gravity torque in any posture
+    sample: Sample, *, min_load: float = 0.2, min_acting: float = 0.1
 ) -> Iterator[tuple[int, float, float]]:
     """Compare the torque of moving joints with gravity by the URDF's inertials: ratio and error.
 
-    Only of joints that carry a fair share of the weight: a small one of another passes for it.
+    Only of joints that carry a fair share of the weight: a small one of another passes for it. It
+    is `min_load` of the most in the log, and `min_acting` of the joint's most in any posture.
     """
     robot = sample.robot
     if robot.nominal is None or not robot.gravity.any():

@@ -12,6 +12,7 @@ joint i is there and the joint's own is not, the torque is that of the other joi
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from itertools import combinations
 from typing import Any
 
@@ -20,7 +21,7 @@ from numpy.polynomial.chebyshev import chebvander
 from scipy.signal import correlate
 
 from seqid_cli.inspect.findings import found
-from seqid_cli.inspect.material import LogData, per_robot
+from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.checks.echo import driven
 from seqid_cli.motion.motion import decimated
 from seqid_cli.params.results.inspection import InspectionFinding
@@ -86,25 +87,10 @@ class Sample:
         return gravity, inverse_dynamics(*given, self.dq, self.ddq) - gravity
 
 
-@dataclass(frozen=True)
-class Friction:
-    """Friction in a joint's torque, by joint that moves, with standard errors; its own at RMS."""
-
-    by_joint: dict[int, tuple[float, float]]
-    spread: float
-    unexplained: float
-
-
 def sample_of(
-    data: LogData,
-    *,
-    max_rows: int = 1000,
-    min_rows: int = 60,
-    slow: float = 0.1,
-    memory_s: float = 0.3,
-    min_way: float = 0.05,
-    min_balance: float = 0.2,  # of the longer way
-) -> Sample | None:
+    data: LogData, *, max_rows: int = 1000, min_rows: int = 60, slow: float = 0.1,
+    memory_s: float = 0.3, min_way: float = 0.05, min_balance: float = 0.2,
+) -> Sample | None:  # fmt: skip
     """Filter a log; None where it has no torque or nothing moves long enough."""
     if data.recording.tau is None or data.motion is None:
         return None
@@ -120,38 +106,34 @@ def sample_of(
     speeds = np.maximum(np.sqrt(np.mean(dq**2, axis=0)), 1e-12)
     direction = motion.filtered(np.tanh(motion.dq / (slow * speeds)), 2)[rows]
     memory = max(1.0, memory_s / spacing)
-    basis = _basis(data.robot) if data.modelled and moving else None
+    basis = _rigid(data.robot) if data.modelled and moving else None
     ddq, tau = motion.ddq[rows], motion.tau[rows]
     return Sample(data.robot, q, dq, ddq, tau, direction, memory, moving, basis)
 
 
-@per_robot
-def _basis(robot: Robot) -> Basis:
+@lru_cache(maxsize=1)
+def _rigid(robot: Robot) -> Basis:
     return base_parameters(robot, rotor=[])
 
 
 def friction_findings(
-    data: LogData,
-    sample: Sample,
-    *,
-    max_unexplained: float = 0.25,  # of the torque's spread
+    data: LogData, sample: Sample, *, max_unexplained: float = 0.25
 ) -> Iterator[InspectionFinding]:
     """Check signs of torques and their order by the friction that they show."""
     names, gravity = data.robot.joint_names, sample.gravity_columns()
-    tried = {j: _friction(sample, gravity[:, j], j) for j in range(data.robot.n)}
-    fits = {j: fit for j, fit in tried.items() if fit is not None}
-    swapped = _exchanged(fits, sample.moving)
+    fits = [_friction(sample, gravity[:, j], j) for j in range(data.robot.n)]
+    friction, errors, spread, unexplained = map(np.array, zip(*fits, strict=True))
+    swapped = _exchanged(friction, errors, spread, sample.moving)
     for a, b in swapped:
         text = f"the torque of {names[a]} is friction of {names[b]}, not of its own motion"
         yield found("joints_swapped", text, joint=f"{names[a]}, {names[b]}", channel="torque")
     for j in sample.moving:
-        fit = fits.get(j)
-        if fit is None or any(j in pair for pair in swapped):
+        if any(j in pair for pair in swapped):
             continue
-        if not data.modelled and fit.unexplained > max_unexplained:
+        if not data.modelled and unexplained[j] > max_unexplained:
             continue  # gravity of the other links could pass for anything
-        value, error = fit.by_joint[j]
-        if value < -SIGMAS * error and value < -SHARE * fit.spread:
+        value, error = friction[j, j], errors[j, j]
+        if value < -SIGMAS * error and value < -SHARE * spread[j]:
             unit = data.robot.joints[j].unit
             text = (
                 f"its friction is {value:.3g} +- {error:.2g} {unit('N m')} at "
@@ -168,12 +150,15 @@ def scaled_fit(X: Array, y: Array, *, rcond: float = 1e-8) -> tuple[Array, Array
     return theta, inverse, y - X @ theta
 
 
-def _friction(sample: Sample, gravity: Array, j: int) -> Friction | None:
-    tau = sample.tau[:, j]
-    spread = float(tau.std())
-    if spread == 0.0 or not sample.moving:
-        return None
-    moving = list(sample.moving)
+def _friction(sample: Sample, gravity: Array, j: int) -> tuple[Array, Array, float, float]:
+    """Friction of every moving joint (n,) in a torque, errors, the torque's spread, what is left.
+
+    The joint's own is at its RMS speed; NaN where there is none to be told.
+    """
+    tau, moving = sample.tau[:, j], list(sample.moving)
+    spread, (friction, errors) = float(tau.std()), np.full((2, sample.robot.n), np.nan)
+    if spread == 0.0 or not moving:
+        return friction, errors, spread, np.nan
     columns = [*sample.direction[:, moving].T, *sample.ddq[:, moving].T]
     if j in moving:  # beside it, the coefficient of the direction is friction at RMS speed
         columns.append(sample.dq[:, j] / sample.rms_speeds[j] - sample.direction[:, j])
@@ -183,12 +168,9 @@ def _friction(sample: Sample, gravity: Array, j: int) -> Friction | None:
     theta, inverse, residual = scaled_fit(np.column_stack([*columns, own, *heavy]), tau)
     freedom = max(len(tau) - len(theta) * sample.memory, 10.0)
     variance = float(residual @ residual) / freedom * max(sample.memory, memory_of(residual))
-    errors = np.sqrt(np.sum(inverse**2, axis=1) * variance)
-    return Friction(
-        {i: (float(theta[k]), float(errors[k])) for k, i in enumerate(moving)},
-        spread,
-        float(np.sqrt(np.mean(residual**2))) / spread,
-    )
+    friction[moving] = theta[: len(moving)]
+    errors[moving] = np.sqrt(np.sum(inverse**2, axis=1) * variance)[: len(moving)]
+    return friction, errors, spread, float(np.sqrt(np.mean(residual**2))) / spread
 
 
 def memory_of(residual: Array) -> float:
@@ -200,28 +182,20 @@ def memory_of(residual: Array) -> float:
     return float(1.0 + 2.0 * r[1:last].sum() / max(r[0], 1e-300))
 
 
-def _exchanged(fits: dict[int, Friction], moving: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Pairs of joints whose torques show each other's friction but not their own."""
-    pairs = []
-    for a, b in combinations(sorted(fits), 2):
-        ways = [(i, j) for i, j in ((a, b), (b, a)) if i in moving]
-        if ways and all(_alien(fits, i, j) for i, j in ways):
-            pairs.append((a, b))
-    return pairs
+def _exchanged(
+    friction: Array, errors: Array, spread: Array, moving: tuple[int, ...], *, max_own: float = 0.25
+) -> list[tuple[int, int]]:
+    """Pairs of joints whose torques show each other's friction but not their own.
 
-
-def _alien(
-    fits: dict[int, Friction],
-    i: int,
-    j: int,
-    *,
-    max_own: float = 0.25,  # of the alien friction
-) -> bool:
-    """Whether the motion of joint i shows as friction in the torque of j, and not in its own."""
-    own, own_error = fits[i].by_joint[i]
-    alien, error = fits[j].by_joint[i]
-    seen = alien > max(SIGMAS * error, SHARE * fits[j].spread, 2.0 * own_error)
-    return seen and abs(own) < max(max_own * alien, 2.0 * own_error)
+    `friction`, `errors` (n, n): in the torque of each joint by the motion of each.
+    """
+    own, own_error = np.abs(np.diag(friction)), 2.0 * np.diag(errors)
+    least = np.maximum(np.maximum(SIGMAS * errors, SHARE * spread[:, None]), own_error)
+    alien = (friction > least) & (own < np.maximum(max_own * friction, own_error))
+    still = ~np.isin(np.arange(len(own)), moving)
+    fits = alien | still  # whose motion shows nowhere
+    pairs = combinations(range(len(own)), 2)
+    return [(a, b) for a, b in pairs if fits[a, b] and fits[b, a] and not (still[a] and still[b])]
 
 
 def smooth(q: Array, terms: int = SMOOTH_TERMS) -> Array:

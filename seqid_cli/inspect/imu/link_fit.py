@@ -150,12 +150,7 @@ def _map_error(X: Array, variance: float, memory: float) -> float:
 
 
 def _features(
-    robot: Robot,
-    motion: Motion,
-    link: int,
-    *,
-    gyro: bool,
-    min_turning: float = 0.02,  # rad/s RMS
+    robot: Robot, motion: Motion, link: int, *, gyro: bool, min_turning: float = 0.02
 ) -> Array | None:
     """Filtered features (N, p) of a link's motion, for readings on it; None if it rests."""
     moved = link_motion(robot.chain, robot.gravity, motion.q.T, motion.dq.T, motion.ddq.T)

@@ -89,11 +89,7 @@ def _resolution_s(data: LogData, link: int) -> float:
 
 
 def _better(
-    data: LogData,
-    item: Following,
-    *,
-    max_ratio: float = 0.25,  # of the variance left by its own link
-    min_left: float = 0.01,
+    data: LogData, item: Following, *, max_ratio: float = 0.25, min_left: float = 0.01
 ) -> InspectionFinding | None:
     """Find another link, or a joint reversed, that the IMU follows far better than its own link."""
     motion, robot = data.motion, data.robot

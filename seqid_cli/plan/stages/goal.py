@@ -19,12 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from seqid_cli.identify.regression.least_squares import RANK_TOLERANCE
-from seqid_cli.params.results.plan import (
-    PlanGrowth,
-    PlannedMove,
-    PlannedStage,
-    PredictedParameter,
-)
+from seqid_cli.params.results.plan import PlanGrowth, PlannedMove, PlannedStage, PredictedParameter
 from seqid_cli.plan.belief import NOISE_HZ, Belief, typical
 from seqid_cli.robot.types import Array
 

@@ -14,18 +14,7 @@ import msgspec
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.formula import Formula
 from seqid_cli.robot.toml.checks import check_content, nearest
-from seqid_cli.robot.toml.schema import (
-    SCHEMA,
-    SCHEMA_VERSION,
-    AccelerometerEntry,
-    Channels,
-    DhEntry,
-    EffectEntry,
-    ImuEntry,
-    JointEntry,
-    RobotFile,
-    Table,
-)
+from seqid_cli.robot.toml.schema import SCHEMA, SCHEMA_VERSION, TABLES, RobotFile
 
 SIZE_LIMIT = 4 * 2**20  # bytes
 MOST_PARTS = 32  # of a dotted key
@@ -105,14 +94,6 @@ def _parse(path: Path, raw: bytes) -> dict[str, object]:
 
 _AT = re.compile(r"^(?P<what>.*?)(?: - at `\$\.?(?P<path>.*)`)?$", re.DOTALL)
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<key>.*)`", re.DOTALL)
-_TABLES: dict[str, type[Table]] = {
-    "joint": JointEntry,
-    "joint.dh": DhEntry,
-    "imu": ImuEntry,
-    "imu.accelerometers": AccelerometerEntry,
-    "channels": Channels,
-    "effect": EffectEntry,
-}
 _MISSING = re.compile(r"Object missing required field `(?P<key>.*)`", re.DOTALL)
 
 
@@ -124,7 +105,7 @@ def _explained(
     what, at = match["what"], match["path"] or ""
     prefix = f"{at}." if at else ""
     if unknown := _UNKNOWN.match(what):
-        known = _TABLES.get(re.sub(r"\[[^\]]*\]", "", at), RobotFile).__struct_fields__
+        known = TABLES.get(re.sub(r"\[[^\]]*\]", "", at), RobotFile).__struct_fields__
         hint = f"{nearest(unknown['key'], known)}Known here: {', '.join(known)}."
         message = f"unknown key '{prefix}{unknown['key']}'"
     elif missing := _MISSING.match(what):

@@ -101,3 +101,13 @@ class RobotFile(Table, frozen=True):
     imu: tuple[ImuEntry, ...] = ()
     effect: tuple[EffectEntry, ...] = ()
     channels: Channels = Channels()
+
+
+TABLES: dict[str, type[Table]] = {  # by their keys in the document
+    "joint": JointEntry,
+    "joint.dh": DhEntry,
+    "imu": ImuEntry,
+    "imu.accelerometers": AccelerometerEntry,
+    "channels": Channels,
+    "effect": EffectEntry,
+}

@@ -31,11 +31,6 @@ class Geometry:
     shapes: Any
     found: Any
 
-    @property
-    def pairs(self) -> int:
-        """Number of pairs that are checked."""
-        return len(self.shapes.collisionPairs)
-
     def collides(self, q: Array) -> NDArray[np.bool_]:
         """Return which of the postures q (N, n) let a pair come nearer than the clearance."""
         places = [pin.integrate(self.model, pin.neutral(self.model), posture) for posture in q]
@@ -119,12 +114,11 @@ def _without_usual_contact(
 
 def _walls(workspace: Box) -> list[Box]:
     """Six boxes around a box."""
-    low, high = np.minimum(workspace[:3], workspace[3:]), np.maximum(workspace[:3], workspace[3:])
-    outer_low, outer_high = low - WALL_M, high + WALL_M
-    walls: list[Sequence[float]] = []
+    low, high = np.sort(np.reshape(workspace, (2, 3)), axis=0)
+    walls: list[Box] = []
     for axis in range(3):
-        for start, stop in ((outer_low, low), (high, outer_high)):
-            corners = [outer_low.copy(), outer_high.copy()]
-            corners[0][axis], corners[1][axis] = start[axis], stop[axis]
-            walls.append([*corners[0], *corners[1]])
+        for ends in ((low - WALL_M, low), (high, high + WALL_M)):
+            corners = np.array([low - WALL_M, high + WALL_M])
+            corners[:, axis] = [end[axis] for end in ends]
+            walls.append(corners.ravel().tolist())
     return walls

@@ -50,7 +50,7 @@ def tips(q: np.ndarray) -> np.ndarray:
 
 def test_folded_bars_collide_and_stretched_ones_do_not(arm: Robot) -> None:
     found = geometry_of(arm, np.zeros((1, 3)))
-    assert found.pairs == 1  # the first bar with the third
+    assert len(found.shapes.collisionPairs) == 1  # the first bar with the third
     stretched, folded, crossed = [0.0, 0.0, 0.0], [0.7, -2.6, -2.6], [0.0, 2.6, 2.6]
     assert found.collides(np.array([stretched, folded, crossed])).tolist() == [False, True, True]
 

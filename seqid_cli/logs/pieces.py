@@ -55,7 +55,6 @@ def cut(recording: Recording, ranges: Sequence[Range]) -> list[Recording]:
     """
     whole, t = whole_of(recording), recording.t
     known = {field.name: getattr(recording, field.name) for field in fields(Recording)}
-    health = replace(recording.health, gaps=(), warnings=())
     pieces = []
     for begin, end in ranges:
         part = slice(int(np.searchsorted(t, begin - 1e-9)), int(np.searchsorted(t, end + 1e-9)))
@@ -67,14 +66,16 @@ def cut(recording: Recording, ranges: Sequence[Range]) -> list[Recording]:
                 own[name] = {imu: readings[part].copy() for imu, readings in values.items()}
         first = float(own["t"][0])
         own |= {"t": own["t"] - first, "start": recording.start + first}
-        own["sha256"] = _digest(whole, first, len(own["t"]))
-        pieces.append(replace(recording, **own, health=health, whole=whole))
+        pieces.append(_piece(replace(recording, **own), whole))
     return pieces
 
 
-def _digest(whole: Whole, first: float, samples: int) -> str:
-    """A digest of its own for every piece of a log."""
-    return hashlib.sha256(f"{whole.sha256} {first:.9f} {samples}".encode()).hexdigest()
+def _piece(found: Recording, whole: Whole) -> Recording:
+    """Samples as a piece of a log, with a digest of its own."""
+    place = f"{whole.sha256} {found.start - whole.start:.9f} {len(found.t)}"
+    digest = hashlib.sha256(place.encode()).hexdigest()
+    health = replace(found.health, gaps=(), warnings=())
+    return replace(found, sha256=digest, health=health, whole=whole)
 
 
 def read_pieces(
@@ -110,10 +111,7 @@ def read_pieces(
         if not any(len(part.joints) for part in own):
             raise InputError(f"no longer holds the rows {begin:.3g} s on", where=str(path))
         found, raw = assemble(path, kind, whole.sha256, _following(own), robot)
-        found = sound(found, raw) if sound else found
-        digest = _digest(whole, found.start - whole.start, len(found.t))
-        health = replace(found.health, gaps=(), warnings=())
-        pieces.append(replace(found, sha256=digest, health=health, whole=whole))
+        pieces.append(_piece(sound(found, raw) if sound else found, whole))
     return pieces
 
 

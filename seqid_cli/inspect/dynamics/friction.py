@@ -17,12 +17,11 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.polynomial.chebyshev import chebvander
 from scipy.signal import correlate
 
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
-from seqid_cli.logs.checks.echo import driven
+from seqid_cli.logs.checks.echo import driven, smooth
 from seqid_cli.motion.motion import decimated
 from seqid_cli.params.results.inspection import InspectionFinding
 from seqid_cli.robot.base_parameters import Basis, base_parameters, base_regressor
@@ -196,10 +195,3 @@ def _exchanged(
     fits = alien | still  # whose motion shows nowhere
     pairs = combinations(range(len(own)), 2)
     return [(a, b) for a, b in pairs if fits[a, b] and fits[b, a] and not (still[a] and still[b])]
-
-
-def smooth(q: Array, terms: int = SMOOTH_TERMS) -> Array:
-    """Chebyshev polynomials (N, terms) over the range of positions (N,)."""
-    return np.asarray(
-        chebvander(2.0 * (q - q.min()) / max(float(np.ptp(q)), 1e-12) - 1.0, terms - 1)
-    )

@@ -14,8 +14,6 @@ friction has but a controller may. A joint that is only held is passed over: whi
 its torque follows its position by its controller's law.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
@@ -36,63 +34,49 @@ REMEDY = (
 )
 
 
-@dataclass(frozen=True)
-class EchoCriteria:
-    """When a torque is an echo of the command. Shares are of the torque's RMS."""
-
-    unexplained: float = 0.1  # that an echo's law may leave
-    exact: float = 1e-3  # below it nothing is left to be explained
-    others: float = 0.15  # of what position leaves, squared, for friction and acceleration
-    none: float = 0.003  # that is no friction at all
-    uncertain: float = 2.0  # standard errors
-    fewest: int = 50  # windows of motion each way
-    travel: float = 0.1  # rad (m) each way: less is noise, or a flexing brake
-    slow: float = 0.05  # of the top speed, below which a joint does not certainly slide
-    window_s: float = 0.02  # over which samples are averaged
-    memory_s: float = 0.5  # that the residual remembers, for the errors
-    most_windows: int = 4000  # of a joint that are used
-    smooth_terms: int = 5  # of a smooth function of its position
-
-
-CRITERIA = EchoCriteria()
-
-
-def echoes(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[int]:
+def echoes(
+    robot: Robot, t: Array, q: Array, tau: Array, valid: Mask, *, window_s: float = 0.02,
+    fewest: int = 50, travel: float = 0.1, slow: float = 0.05, most_windows: int = 4000,
+    memory_s: float = 0.5,
+) -> list[int]:  # fmt: skip
     """Return the joints whose torque follows position alone.
 
     `t`, `q`, `tau` (N,) (N, n) (N, n): s, rad (m), N m (N). `valid` (N,): samples to look at.
+    `window_s`: over which samples are averaged. `fewest`, `travel`: windows and rad (m) that a
+    joint must move each way: less is noise, or a flexing brake. `slow`: share of the top speed,
+    below which a joint does not certainly slide. `memory_s`: that the residual remembers.
     """
-    width = max(1, round(CRITERIA.window_s / float(t[1] - t[0])))
-    count = len(q) // width
+    width = max(1, round(window_s / float(t[1] - t[0])))
+    step, count = width * float(t[1] - t[0]), len(q) // width
     Q, T, whole = (
         x[: count * width].reshape(count, width, -1).mean(axis=1) for x in (q, tau, valid * 1.0)
     )
-    if len(Q) < 2 * CRITERIA.fewest:
+    if len(Q) < 2 * fewest:
         return []
-    step = width * float(t[1] - t[0])
     v = np.gradient(Q, step, axis=0)
     a = np.gradient(v, step, axis=0)
     still = np.zeros_like(Q)
     H = base_regressor(robot, base_parameters(robot, rotor=[]), Q, still, still)
     H = H[:, :, H.any(axis=(0, 1))]
+    least = slow * np.quantile(np.abs(v), 0.99, axis=0)
+    slides = (whole == 1.0) & (np.abs(v) > least)
+    ways = np.stack([slides & (v > 0), slides & (v < 0)])
+    enough = (ways.sum(axis=1) >= fewest) & (step * (np.abs(v) * ways).sum(axis=1) >= travel)
     found: list[int] = []
-    for j in np.flatnonzero(driven(Q)).tolist():
-        top = float(np.quantile(np.abs(v[:, j]), 0.99))
-        slides = (whole[:, 0] == 1.0) & (np.abs(v[:, j]) > CRITERIA.slow * top)
-        ways = [np.abs(v[slides & (way * v[:, j] > 0), j]) for way in (1, -1)]
-        if min(map(len, ways)) < CRITERIA.fewest:
-            continue
-        if min(float(own.sum()) for own in ways) * step < CRITERIA.travel:
-            continue
-        at = np.flatnonzero(slides)
-        at = at[:: max(1, len(at) // CRITERIA.most_windows)]
-        friction = np.stack([np.tanh(v[at, j] / (CRITERIA.slow * top)), v[at, j]], axis=1)
-        own = Q[at, j]
-        place = 2 * (own - own.min()) / (float(np.ptp(own)) or 1.0) - 1
-        law = np.hstack([H[at, j], chebvander(place, CRITERIA.smooth_terms - 1)])
-        if _follows(T[at, j], law, friction, a[at], CRITERIA.memory_s / step):
+    for j in np.flatnonzero(driven(Q) & enough.all(axis=0)).tolist():
+        at = np.flatnonzero(slides[:, j])
+        at = at[:: max(1, len(at) // most_windows)]
+        friction = np.stack([np.tanh(v[at, j] / least[j]), v[at, j]], axis=1)
+        law = np.hstack([H[at, j], smooth(Q[at, j], 5)])
+        if _follows(T[at, j], law, friction, a[at], memory_s / step):
             found.append(j)
     return found
+
+
+def smooth(q: Array, terms: int) -> Array:
+    """Chebyshev polynomials (N, terms) over the range of positions (N,)."""
+    place = 2.0 * (q - q.min()) / max(float(np.ptp(q)), 1e-12) - 1.0
+    return np.asarray(chebvander(place, terms - 1))
 
 
 def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 0.99)) -> Mask:
@@ -110,8 +94,17 @@ def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 
     return np.asarray(high - low >= held * np.max(high - low))
 
 
-def _follows(y: Array, law: Array, friction: Array, accelerations: Array, memory: float) -> bool:
-    """Whether position alone makes a torque y (M,); `memory` is how many samples count as one."""
+def _follows(
+    y: Array, law: Array, friction: Array, accelerations: Array, memory: float, *,
+    unexplained: float = 0.1, exact: float = 1e-3, others: float = 0.15, none: float = 0.003,
+    uncertain: float = 2.0,
+) -> bool:  # fmt: skip
+    """Whether position alone makes a torque y (M,); `memory` is how many samples count as one.
+
+    Shares of the torque's RMS: `unexplained` may be left; below `exact` there is nothing to
+    explain; `none` is no friction at all. `others`: share of what position leaves, squared, for
+    friction and accelerations. `uncertain`: standard errors of the friction.
+    """
     scale = max(float(np.sqrt(np.mean(y**2))), 1e-300)
     X = np.hstack([law, friction, accelerations])
     X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
@@ -120,13 +113,13 @@ def _follows(y: Array, law: Array, friction: Array, accelerations: Array, memory
     direction = _beside(np.delete(X, own, axis=1), X[:, own])
     held_back = [own + 1] if theta[own + 1] < 0 else []  # damping by a controller, not friction
     left = float(np.mean((y - X @ theta) ** 2))
-    unexplained = float(np.sqrt(np.mean(_beside(X[:, [*range(own), *held_back]], y) ** 2)))
-    others = 1.0 - left / max(unexplained**2, 1e-300)  # friction's and accelerations'
-    error = float(np.sqrt(memory * left / max(float(direction @ direction), 1e-300))) / scale
+    rest = float(np.sqrt(np.mean(_beside(X[:, [*range(own), *held_back]], y) ** 2)))
+    part = 1.0 - left / max(rest**2, 1e-300)  # friction's and accelerations'
+    error = float(np.sqrt(memory * left / max(float(direction @ direction), 1e-300)))
     return (
-        unexplained / scale < CRITERIA.unexplained
-        and (others < CRITERIA.others or unexplained / scale < CRITERIA.exact)
-        and abs(float(theta[own])) / scale < max(CRITERIA.uncertain * error, CRITERIA.none)
+        rest < unexplained * scale
+        and (part < others or rest < exact * scale)
+        and abs(float(theta[own])) < max(uncertain * error, none * scale)
     )
 
 

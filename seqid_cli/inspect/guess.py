@@ -48,7 +48,7 @@ class Guess:
 
 def guess(survey: Survey) -> Guess:
     """Guess joints, channels and IMUs of a log from the names in it."""
-    imus = _imus(survey.columns or [channel.name for channel in survey.channels])
+    imus = _imus(survey.columns or survey.channels)
     patterns, joints = guess_channels(survey.columns)
     ends = (name.rpartition(".") for name in survey.columns)
     defaults = tuple(joint for joint, dot, quantity in ends if dot and quantity == "position")

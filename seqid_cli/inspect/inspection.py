@@ -79,7 +79,7 @@ def inspect_log(
         surveyed = survey(path)
     except InputError as error:
         return _unreadable(path, error)
-    names = [channel.name for channel in surveyed.channels]
+    names = list(surveyed.channels)
     inspected, problem = None, None
     missing: dict[str, str] = {}
     if robot is not None:
@@ -113,7 +113,7 @@ def _guessed(
 ) -> Inspected:
     """Inspect a log without a robot file, or one that it does not fit."""
     if not guessed.joints:
-        names = [channel.name for channel in surveyed.channels]
+        names = surveyed.channels
         if nameless(names):
             raise missing_columns(str(path), [], names)
         told = ", ".join(names[:12]) or "nothing"

@@ -143,17 +143,12 @@ def base_regressor(
     H = whole[:, :, : len(q)]
     P, rotors = np.split(basis.representative, [PER_LINK * robot.n])
     kept = columns_by_link(robot.n, np.flatnonzero(P.any(axis=1)).tolist())
-    alone = (np.count_nonzero(basis.representative, axis=0) == 1) & P.any(axis=0)
     if out is not None:
-        H[:, np.flatnonzero(~alone)] = 0.0
+        H[:, : basis.size] = 0.0
     for i, rows, block in link_blocks(robot.chain, robot.gravity, q, dq, ddq, kept):
         for column, c in enumerate(PER_LINK * i + kept[i]):
             for k in np.flatnonzero(P[c]):
-                target = H[: i + 1, k, rows]
-                if alone[k]:
-                    np.multiply(block[:, column], P[c, k], out=target)
-                else:
-                    target += P[c, k] * block[:, column]
+                H[: i + 1, k, rows] += P[c, k] * block[:, column]
     ratio = gear_ratios(robot)
     for i, k in zip(*np.nonzero(rotors), strict=True):
         H[i, k] += ratio[i] ** 2 * ddq[:, i] * rotors[i, k]

@@ -164,10 +164,7 @@ def _features(
 
 def _left(X: Array, y: Array, *, rcond: float = 1e-6) -> tuple[Array, Array]:
     """What features (R, p) leave of readings (R, K), and the map (K, p)."""
-    X = X - X.mean(axis=0)
+    X, y = X - X.mean(axis=0), y - y.mean(axis=0)
     scale = np.maximum(X.std(axis=0), 1e-9)
-    X, y = X / scale, y - y.mean(axis=0)
-    values, vectors = np.linalg.eigh(X.T @ X)
-    kept = values > rcond**2 * values[-1]
-    theta = vectors[:, kept] @ ((X @ vectors[:, kept]).T @ y / values[kept, None])
-    return np.asarray(y - X @ theta), (theta / scale[:, None]).T
+    theta = np.linalg.lstsq(X / scale, y, rcond=rcond)[0] / scale[:, None]
+    return np.asarray(y - X @ theta), theta.T

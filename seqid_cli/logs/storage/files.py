@@ -258,7 +258,7 @@ def _holds_predictions(path: Path) -> bool:
     from seqid_cli.logs.tables.parquet import list_columns
 
     try:
-        ends = {name.rpartition(".")[2] for name, *_ in list_columns(path)}
+        ends = {name.rpartition(".")[2] for name in list_columns(path)}
     except InputError:
         return False
     return {"predicted", "residual", "sliding"} <= ends

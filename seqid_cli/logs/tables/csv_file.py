@@ -158,11 +158,3 @@ def _whole_lines(path: Path) -> int | None:
         tail = file.read()
     end = max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
     return None if end == len(tail) else size - len(tail) + end
-
-
-def list_columns(path: Path) -> tuple[list[str], int]:
-    """List the columns of a CSV file, and count the lines of data."""
-    form = read_form(path)
-    with path.open("rb") as file:
-        lines = sum(1 for line in iter(lambda: file.readline(_BLOCK), b"") if line.strip())
-    return list(form.names), max(0, lines - form.skip)

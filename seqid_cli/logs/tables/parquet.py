@@ -187,13 +187,11 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
     return ParquetTable(path, tuple(names), entries, notes, lists=lists)
 
 
-def list_columns(path: Path) -> list[tuple[str, str, int]]:
-    """List name, type and number of rows of each column."""
+def list_columns(path: Path) -> tuple[str, ...]:
+    """List the names of columns as the file has them."""
     try:
         with opened_table(path) as file:
-            rows = file.metadata.num_rows
-            columns = [file.schema.column(i) for i in range(len(file.schema))]
-            return [(column.path, column.physical_type.lower(), rows) for column in columns]
+            return tuple(file.schema.column(i).path for i in range(len(file.schema)))
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
 

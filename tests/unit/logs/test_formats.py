@@ -82,19 +82,16 @@ MOTION = make_motion(grid(100))
 def test_mcap(tmp_path: Path, encoding: str) -> None:
     found = survey(write_motion(tmp_path / "log.mcap", MOTION, encoding=encoding))
     assert found.joints == JOINTS
-    counts = {channel.name: channel.samples for channel in found.channels}
-    assert counts["/joint_states"] == counts["/array/accel_2"] == 100
+    assert {"/joint_states", "/array/accel_2"} <= set(found.channels)
 
 
 @pytest.mark.parametrize("label", ["csv", "csv rtde", "csv libfranka", "rosbag1", "lerobot"])
 def test_other_formats(tmp_path: Path, label: str) -> None:
     data = Data(MOTION.t, JOINTS, MOTION.q, MOTION.dq, MOTION.tau, MOTION.tau)
     path = ({**EXACT, **FLOAT32})[label](tmp_path / "log", data)
-    surveyed = survey(path)
-    found = guess(surveyed)
+    found = guess(survey(path))
     named = label in ("csv", "rosbag1")
     assert set(found.joints) == set(JOINTS if named else ("joint_1", "joint_2", "joint_3"))
-    assert {channel.samples for channel in surveyed.channels} == {100}
     recording = read_recording(path, stand_in(found, source=path))
     order = [found.joints.index(name) for name in JOINTS] if named else [0, 1, 2]
     np.testing.assert_allclose(recording.q[:, order], MOTION.q, rtol=2.0**-23)

@@ -49,9 +49,7 @@ class Resampled:
     gaps: tuple[tuple[float, float], ...] = ()
 
 
-def make_base(
-    joints: Stream, where: str, *, least_seconds: float = 0.5, most_samples: int = 200000000
-) -> Base:
+def make_base(joints: Stream, where: str, *, least_seconds: float = 0.5) -> Base:
     """Lay the base through joint samples in the order of time, with `position` (M, n)."""
     rows = _base_rows(joints)
     stamps = joints.stamp_ns[rows]
@@ -62,9 +60,6 @@ def make_base(
         raise InputError(text, hint="Record longer, or leave this log out.", where=where)
     step, jitter, gaps = _own_step(stamps)
     count = int(np.floor(span / step + 1e-6)) + 1
-    if count > most_samples:
-        text = f"{span:.3g} s at {1.0 / step:.3g} Hz are {count} samples, more than {most_samples}"
-        raise InputError(text, hint="Split the log.", where=where)
     exact = count == len(rows) and _on_base(stamps, step)
     return Base(int(stamps[0]), step, count, jitter, exact, gaps)
 

@@ -66,7 +66,7 @@ def _structural(
     error = _structural_error(thin)
     if error < suspicious:
         return
-    mended, _ = _mending(thin, error, _structural_error, [*causes_of(data, thin, units=True)])
+    mended = _mending(thin, error, _structural_error, [*causes_of(data, thin, units=True)])
     seen = (sample.rms_speeds > min_steps * data.step)[moving].all()
     if mended is not None:
         yield mended
@@ -86,8 +86,8 @@ def _mending(
     max_rivals: int = 8,
     max_alike: int = 3,
     few_rows: int = 250,
-) -> tuple[InspectionFinding | None, float]:
-    """Find the change that mends a fit, and the error that it leaves; none where too many do.
+) -> InspectionFinding | None:
+    """Find the change that mends a fit; none where too many do.
 
     One of the causes, gravity along an axis of the base, or in any direction: of these kinds the
     first counts, unless a later one leaves clearly less. Where several of a kind do as well, the
@@ -108,11 +108,11 @@ def _mending(
         if best < BETTER * least and len({frozenset(c.joints) for c in alike}) <= max_alike:
             chosen, least = alike, best
     if not chosen:
-        return None, least
+        return None
     if sample.robot.nominal is not None:
         chosen.sort(key=lambda cause: _nominal_error(cause.on(sample)))
     fall = f"the equations' error falls from {percent(before)} to {percent(least)}"
-    return _found(sample.robot, chosen, fall), least
+    return _found(sample.robot, chosen, fall)
 
 
 def _found(robot: Robot, alike: Sequence[Cause], fall: str) -> InspectionFinding:
@@ -248,7 +248,7 @@ def _scale(
     if not off:
         return
     causes = [*causes_of(data, sample)]
-    mended, _ = _mending(sample, _nominal_error(sample), _nominal_error, causes)
+    mended = _mending(sample, _nominal_error(sample), _nominal_error, causes)
     if mended is not None:
         yield mended
         return

@@ -29,7 +29,6 @@ class TopicInfo(NamedTuple):
 
     topic: str
     schema: str
-    encoding: str
     messages: int
 
 
@@ -184,11 +183,11 @@ def _losses(scan: Scan) -> list[str]:
 
 
 def _topics(scan: Scan) -> tuple[TopicInfo, ...]:
-    found: Counter[tuple[str, str, str]] = Counter()
+    found: Counter[tuple[str, str]] = Counter()
     for number, channel in scan.channels.items():
         schema = scan.schemas.get(channel.schema_id)
         name = schema.name if schema else "no schema"
-        found[channel.topic, name, channel.message_encoding] += scan.total(number)
+        found[channel.topic, name] += scan.total(number)
     return tuple(TopicInfo(*key, count) for key, count in found.items())
 
 

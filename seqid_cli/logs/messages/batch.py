@@ -24,7 +24,7 @@ JOINT_QUANTITIES = ("position", "velocity", "effort")
 IMU_FIELDS = tuple(
     (name, axis) for name in ("linear_acceleration", "angular_velocity") for axis in "xyz"
 )
-FRONT = 8  # bytes that a buffer made here has before its first payload; see `Payloads.cut`
+FRONT = 8  # bytes that any buffer has before its first payload; see `Payloads.cut`
 
 
 @dataclass(frozen=True)
@@ -60,8 +60,6 @@ class Payloads:
         buffer, starts = self.buffer, self.starts + low
         if not width or not len(starts):
             return np.zeros((len(starts), width), np.uint8)
-        if low < 0 and int(starts.min()) < 0:
-            buffer, starts = np.concatenate([np.zeros(FRONT, np.uint8), buffer]), starts + FRONT
         every = np.ndarray((len(buffer) - width + 1,), f"V{width}", buffer, strides=(1,))
         return every[starts].view(np.uint8).reshape(len(starts), width)
 

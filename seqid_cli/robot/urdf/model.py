@@ -29,12 +29,12 @@ def chain_from_urdf(
     model = pin.buildReducedModel(whole, others, pin.neutral(whole))
     _check_chain(model, names, urdf, source)
     nominal = np.array([inertia.toDynamicParameters() for inertia in model.inertias[1:]])
-    axes, slides = _axes(model)
+    joints = [urdf.joints[name] for name in names]
     chain = Chain(
         rotation=np.array([tidy_rotation(M.rotation) for M in model.jointPlacements[1:]]),
         position=np.array([tidy_position(M.translation) for M in model.jointPlacements[1:]]),
-        axis=np.array([tidy_axis(axis) for axis in axes]),
-        prismatic=np.array(slides),
+        axis=np.array([tidy_axis(np.array(joint.axis)) for joint in joints]),
+        prismatic=np.array([joint.kind == "prismatic" for joint in joints]),
     )
     return chain, nominal if urdf.root.find("link/inertial") is not None else None
 
@@ -89,16 +89,3 @@ def _check_chain(model: pin.Model, names: tuple[str, ...], urdf: UrdfText, sourc
         message = f"the [[joint]] tables are not in chain order: {', '.join(names)}"
         hint = f"The order in {urdf.path.name} is: {', '.join(order)}."
         raise ConfigError(message, where=str(source), hint=hint)
-
-
-def _axes(model: pin.Model) -> tuple[list[Array], list[bool]]:
-    """Read each joint's axis in its own frame, and whether it slides, off its Jacobian."""
-    data = model.createData()
-    pin.computeJointJacobians(model, data, pin.neutral(model))
-    axes, slides = [], []
-    for k in range(1, model.njoints):
-        jacobian = pin.getJointJacobian(model, data, k, pin.LOCAL)
-        column = np.reshape(jacobian, (6, -1))[:, model.joints[k].idx_v]  # (6,) of one joint
-        slides.append(not column[3:].any())
-        axes.append(np.array(column[:3] if slides[-1] else column[3:]))
-    return axes, slides

@@ -36,7 +36,8 @@ _NUMBERS = {
 class UrdfJoint:
     """A joint between two links: limits in rad (m), rad/s (m/s), N m (N), None where not given.
 
-    `follows` names the joint that it mimics, empty where it moves by itself.
+    `follows` names the joint that it mimics, empty where it moves by itself. `axis` (3,) is in the
+    joint's own frame.
     """
 
     name: str
@@ -44,15 +45,11 @@ class UrdfJoint:
     parent: str
     child: str
     follows: str
+    axis: tuple[float, ...]
     lower: float | None
     upper: float | None
     velocity: float | None
     effort: float | None
-
-    @property
-    def driven(self) -> bool:
-        """Whether it moves by itself."""
-        return self.kind in MOVABLE and not self.follows
 
 
 @dataclass(frozen=True)
@@ -117,6 +114,7 @@ def link_of(joint: ElementTree.Element, which: str) -> str:
 
 def _joint(element: ElementTree.Element) -> UrdfJoint:
     kind, mimic, limit = element.get("type", ""), element.find("mimic"), element.find("limit")
+    along = next(element.iterfind("axis"), element)
     given = {} if limit is None else {key: numbers(text) for key, text in limit.items()}
     known = {key: found[0] for key, found in given.items() if len(found) == 1}
     limited = kind != "continuous" and {"lower", "upper"} <= known.keys()
@@ -127,6 +125,7 @@ def _joint(element: ElementTree.Element) -> UrdfJoint:
         parent=link_of(element, "parent"),
         child=link_of(element, "child"),
         follows="" if mimic is None else mimic.get("joint", ""),
+        axis=tuple(numbers(along.get("xyz", ""))) or (1.0, 0.0, 0.0),
         lower=known["lower"] if limited else None,
         upper=known["upper"] if limited else None,
         velocity=max(known.get("velocity", 0.0), 0.0) or None,
@@ -210,7 +209,8 @@ def best_chain(
         while at in by_child:
             chain.append(by_child[at])
             at = by_child[at].parent
-        chains.append(tuple(joint for joint in reversed(chain) if joint.driven))
+        driven = (each for each in reversed(chain) if each.kind in MOVABLE and not each.follows)
+        chains.append(tuple(driven))
     return max(chains, key=lambda chain: sum(map(worth, chain)), default=())
 
 

@@ -62,7 +62,7 @@ def _surface(surface: FrictionSurface) -> dict[str, object]:
         "scaling": scaling,
         "mean": scaling.over_position.mean(surface.orders[0]),
         "fade": FADE * (high - low),
-        "slope": surface.slopes_beyond,
+        "slope": np.resize(np.maximum(surface.slopes, 0.0), 2),
         "scaled": np.log(speed) if scaling.logarithmic else speed,
         "sign_width": surface.sign_width,
         "forward": surface.positive.ravel(),

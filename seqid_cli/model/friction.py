@@ -27,14 +27,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebval
-from numpy.typing import NDArray
 
 from seqid_cli.model.friction_basis import FADE, Scaling
 from seqid_cli.params.schema import FrictionJoint
-from seqid_cli.robot.types import Array
 from seqid_cli.tiles import tiles
-
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 CELLS = 33  # per axis, at which a surface's standard error is looked at
 VAGUE = 0.05  # of the friction, from which its standard error leaves it open
@@ -69,15 +66,10 @@ class FrictionSurface:
     @classmethod
     def from_stage(cls, joint: FrictionJoint) -> FrictionSurface:
         """Build from the parameter file."""
-        low, high = joint.position_range
-        slow, fast = joint.speed_range
+        (low, high), (slow, fast) = joint.position_range, joint.speed_range
+        log, periodic = joint.speed_scale == "log", joint.position_basis == "fourier"
         return cls(
-            scaling=Scaling(
-                (low, high),
-                (slow, fast),
-                logarithmic=joint.speed_scale == "log",
-                periodic=joint.position_basis == "fourier",
-            ),
+            scaling=Scaling((low, high), (slow, fast), log, periodic),
             sign_width=joint.sign_width,
             positive=np.array(joint.positive),
             negative=np.array(joint.negative),
@@ -109,7 +101,7 @@ class FrictionSurface:
     def extension(self) -> Array:
         """Coefficients (directions, 4) outside the identified range: N m, slope N m s/rad."""
         found = np.zeros((len(self._sides), 4))
-        found[:, FASTER] = np.maximum(-self._slopes, 0.0)
+        found[:, FASTER] = np.maximum(-self.slopes, 0.0)
         return found
 
     @cached_property
@@ -121,7 +113,7 @@ class FrictionSurface:
         whole = size + self.extension.size
         joined = np.zeros((whole, whole))
         joined[:size, :size] = self.entry_covariance
-        errors = np.concatenate([self._errors_of(side) for side in self._sides])
+        errors = np.concatenate(list(map(self._errors_of, self._sides, self.slopes)))
         joined[size:, size:] = np.diag(errors**2)
         return joined
 
@@ -184,71 +176,54 @@ class FrictionSurface:
     @cached_property
     def _vague(self) -> Mask:
         """The same on a grid (CELLS, CELLS) over position and scaled speed."""
-        basis = self._grid
-        size = self.positive.size
+        basis, size = self._grid, self.positive.size
         found = np.zeros(len(basis), dtype=bool)
         for number, values in enumerate(self._sides):
             own = slice(number * size, (number + 1) * size)
             variance = np.einsum("nk,kl,nl->n", basis, self.entry_covariance[own, own], basis)
-            usual = float(np.median(variance))
             clear = variance > (VAGUE * (basis @ values.ravel())) ** 2
-            found |= clear & (variance > UNUSUAL**2 * usual)
+            found |= clear & (variance > UNUSUAL**2 * np.median(variance))
         return found.reshape(CELLS, CELLS)
 
     @cached_property
     def _grid(self) -> Array:
         """Basis (CELLS^2, size (l + 1)) over position and scaled speed, speed fastest."""
-        share, ends = np.linspace(0.0, 1.0, CELLS), np.array(self.scaling.speed)
-        ends = np.log(ends) if self.scaling.logarithmic else ends
-        speeds = ends[0] + share * (ends[1] - ends[0])
-        speeds = np.exp(speeds) if self.scaling.logarithmic else speeds
+        share = np.linspace(0.0, 1.0, CELLS)
+        speeds = (np.geomspace if self.scaling.logarithmic else np.linspace)(
+            *self.scaling.speed, CELLS
+        )
         q, v = np.meshgrid(self.scaling.over_position.at(share), speeds, indexing="ij")
         return self.scaling.basis(q.ravel(), v.ravel(), *self.orders)
-
-    @property
-    def slopes_beyond(self) -> Array:
-        """Viscous slope (2,) N m s/rad beyond the fastest speed, forward and backward; >= 0."""
-        return np.asarray(np.resize(np.maximum(self._slopes, 0.0), 2))
 
     @property
     def _sides(self) -> tuple[Array, ...]:
         return (self.positive, self.negative) if self.directional else (self.positive,)
 
     @cached_property
-    def _slopes(self) -> Array:
+    def slopes(self) -> Array:
         """Viscous slope of each direction's surface, N m s/rad, of either sign."""
         weights = self.scaling.slope(*self.orders)
         return np.array([weights @ side.ravel() for side in self._sides])
 
     def _extension(self, q: Array, v: Array) -> Array:
         """Columns (N, 4) of the extension of one direction, without its sign."""
-        scaling = self.scaling
-        speeds = np.stack([scaling.faster(v), scaling.slower(v)], axis=1)
-        return np.hstack([scaling.over_position.novelty(q), speeds])
+        speeds = np.stack([self.scaling.faster(v), self.scaling.slower(v)], axis=1)
+        return np.hstack([self.scaling.over_position.novelty(q), speeds])
 
-    def _errors_of(self, side: Array, *, slope_doubt: float = 0.3) -> Array:
-        """Standard errors (4,) of the extension of one direction's surface."""
+    def _errors_of(self, side: Array, slope: float, *, slope_doubt: float = 0.3) -> Array:
+        """Standard errors (4,) of the extension of one direction's surface of a viscous slope."""
         # Spread over position, twice; doubt about the slope; change near the slowest speed.
         level = (self._grid @ side.ravel()).reshape(CELLS, CELLS)
         spread = NEW_GROUND * float(np.sqrt(np.mean((level - level.mean(axis=0)) ** 2)))
         over_speed = self.scaling.over_position.mean(self.orders[0]) @ side
         line = self.scaling.slope_speeds()
-        values = _over_speed(self.scaling, line, over_speed)
-        off = line - line.mean()
-        width, power = float(np.ptp(line)), float(off @ off)
-        slope = float(off @ values) / power if power else 0.0
-        bend = float(np.sqrt(np.mean((values - values.mean() - slope * off) ** 2)))
+        width = float(np.ptp(line))
+        bend = float(np.std(chebval(self.scaling.u(line), over_speed) - slope * line))
         doubt = float(np.hypot(slope_doubt * slope, bend / width)) if width else 0.0
         slow, fast = self.scaling.speed
         near = np.array([slow, min(np.e * slow, fast)])
-        change = float(np.ptp(_over_speed(self.scaling, near, over_speed)))
+        change = float(np.ptp(chebval(self.scaling.u(near), over_speed)))
         return np.array([spread, spread, doubt, change])
-
-
-def _over_speed(scaling: Scaling, speeds: Array, coefficients: Array) -> Array:
-    """Values (N,) of sum_r c_r T_r(u) at speeds inside the range."""
-    values = chebval(scaling.u(speeds), coefficients)
-    return np.asarray(values, dtype=np.float64)
 
 
 def friction_torque(surfaces: list[FrictionSurface | None], q: Array, dq: Array) -> Array:

@@ -20,11 +20,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from numpy.typing import NDArray
 
-from seqid_cli.robot.types import Array
-
-Mask = NDArray[np.bool_]
+from seqid_cli.typing import Array, Mask
 
 FADE = 0.1  # of the position range: the distance over which a surface forgets its edge
 
@@ -46,7 +43,7 @@ class Polynomial:
 
     def values(self, q: Array, order: int) -> Array:
         """Return T_0 ... T_order (N, order + 1); beyond the range they fade to their means."""
-        found = _chebyshev(scaled(q, self.low, self.high), order)
+        found = np.asarray(chebvander(scaled(q, self.low, self.high), order), dtype=np.float64)
         gone = 1.0 - self._kept(q)
         far = np.flatnonzero(gone)
         if far.size:
@@ -60,8 +57,7 @@ class Polynomial:
     def mean(self, order: int) -> Array:
         """Return the integrals of T_j over [-1, 1] by 2: 1 / (1 - j^2), and 0 for odd j."""
         j = np.arange(order + 1.0)
-        even = np.arange(order + 1) % 2 == 0
-        return np.where(even, 1.0 / np.where(even, 1.0 - j**2, 1.0), 0.0)
+        return np.where(j % 2 == 0.0, 1.0 / np.where(j == 1.0, 1.0, 1.0 - j**2), 0.0)
 
     def novelty(self, q: Array) -> Array:
         """Return (N, 2): sqrt(1 - rho^2) below and above the range, 0 inside."""
@@ -166,14 +162,12 @@ class Scaling:
         `q`, `v` (N,) are positions [rad] and velocities [rad/s] of the joint; of v only the size
         counts. `position_order` and `velocity_order` are m and l.
         """
-        over_position = self.over_position
-        X = over_position.values(q, position_order)
-        found = tensor(X, _chebyshev(self.u(v), velocity_order))
+        X = self.over_position.values(q, position_order)
+        found = tensor(X, np.asarray(chebvander(self.u(v), velocity_order), dtype=np.float64))
         faster = self.faster(v)
         fast = np.flatnonzero(faster)
         if fast.size:
-            slope = self.slope(position_order, velocity_order)
-            found[fast] += faster[fast, None] * slope
+            found[fast] += faster[fast, None] * self.slope(position_order, velocity_order)
         return found
 
     def faster(self, v: Array) -> Array:
@@ -217,14 +211,9 @@ def _slope_over_speed(scaling: Scaling, order: int) -> Array:
     power = float(off @ off)
     if power == 0.0:
         return np.zeros(order + 1)
-    slope: Array = off @ _chebyshev(scaling.u(speeds), order) / power
+    slope: Array = off @ chebvander(scaling.u(speeds), order) / power
     slope.flags.writeable = False
     return slope
-
-
-def _chebyshev(z: Array, order: int) -> Array:
-    """Return T_0 ... T_order (N, order + 1) at scaled values (N,)."""
-    return np.asarray(chebvander(z, order), dtype=np.float64)
 
 
 def tensor(over_position: Array, over_speed: Array) -> Array:

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, minimum_filter1d
 from scipy.signal import firwin
 
@@ -25,10 +24,8 @@ from seqid_cli.motion.motion import Motion
 from seqid_cli.params.schema import RigidStage, Stages
 from seqid_cli.robot.base_parameters import STANDARD, gear_ratios, standard_names
 from seqid_cli.robot.regressor import Coupling, inverse_dynamics, rotor_regressor
-from seqid_cli.robot.types import Array, Robot
-
-Mask = NDArray[np.bool_]
-Places = NDArray[np.intp]
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Index, Mask
 
 PARTS = 8  # points per sample at which friction is computed where a joint reverses
 HALF = 4  # samples on either side that their low-pass reaches
@@ -220,7 +217,7 @@ def _near_reversals(motion: Motion, j: int, width: float, *, wide: float = 3.0) 
     return np.asarray(binary_dilation(found, np.ones(2 * HALF + 1, dtype=np.bool_)))
 
 
-def _band_limited(surface: FrictionSurface, q: Array, dq: Array, near: Places) -> Array:
+def _band_limited(surface: FrictionSurface, q: Array, dq: Array, near: Index) -> Array:
     """Low-passed friction at samples `near` (M,) of a motion (N,)."""
     used = np.unique(near[:, None] + np.arange(-HALF, HALF + 1))
     around = used[:, None] + KNOTS

@@ -49,7 +49,7 @@ def prediction_file(
     names = robot.joint_names
     overall = own = none = np.zeros((2, 4, len(names)))
     errors = []
-    effects = effect_notes(stages, robot, unexplained=unexplained)
+    effects = effect_notes(stages, unexplained=unexplained)
     with _writer(torques, inputs) as write:
         for log in predictions:
             own = _both(own, _sums(log))

@@ -37,11 +37,11 @@ def session_of(
     `recordings` are in the order in which the scenes count them, `starts` those of the scenes, s;
     `shared` says whether the logs share a clock.
     """
-    logs = [recording.sha256 for recording in recordings]
-    if not shared or not recordings:
-        return EffectSession(logs=logs)
-    origin = min(recording.start for recording in recordings)
-    return EffectSession(logs=logs, starts=[float(x) for x in starts], origin=origin)
+    found = EffectSession(logs=[recording.sha256 for recording in recordings])
+    if shared and recordings:
+        found.origin = min(recording.start for recording in recordings)
+        found.starts = [float(x) for x in starts]
+    return found
 
 
 def scene_of_log(recording: Recording, robot: Robot, model: TorqueModel, motion: Motion) -> Scene:
@@ -92,15 +92,6 @@ def effect_torque(scene: Scene, fitted: Sequence[Fitted]) -> Array:
     return total
 
 
-def filtered_effect_torque(scene: Scene, fitted: Sequence[Fitted]) -> Array:
-    """Torque (N, n) N m of effects, filtered like `motion.tau`."""
-    total = np.zeros_like(scene.motion.q)
-    for passes in sorted({item.passes for item in fitted}):
-        same = [item for item in fitted if item.passes == passes]
-        total += scene.motion.filtered(effect_torque(scene, same), times=passes)
-    return total
-
-
 def added_torque(
     scene: Scene, recording: Recording, fitted: Sequence[Fitted], slowest: Array
 ) -> Predicted:
@@ -111,14 +102,18 @@ def added_torque(
     """
     torque, low, high = (np.zeros_like(scene.motion.q) for _ in range(3))
     for place, items in _by_session(scene, recording, fitted):
-        torque += filtered_effect_torque(place, items)
-        rubbing = [
-            x for x in items if isinstance(x, FittedEffect) and x.effect.family == "friction"
-        ]
+        for passes in {item.passes for item in items}:
+            same = [item for item in items if item.passes == passes]
+            torque += scene.motion.filtered(effect_torque(place, same), times=passes)
+        rubbing = [x for x in items if _rubs(x)]
         if rubbing:
             high += np.maximum(effect_torque(_at_speed(place, slowest), rubbing), 0.0)
             low += np.minimum(effect_torque(_at_speed(place, -slowest), rubbing), 0.0)
     return Predicted(torque, low, high)
+
+
+def _rubs(item: Fitted) -> bool:
+    return isinstance(item, FittedEffect) and item.effect.family == "friction"
 
 
 def _at_speed(scene: Scene, speed: Array) -> Scene:
@@ -132,12 +127,11 @@ def _by_session(
     scene: Scene, recording: Recording, fitted: Sequence[Fitted]
 ) -> Iterator[tuple[Scene, list[Fitted]]]:
     """Split effects by session, each with the scene placed in it."""
-    sessions: list[EffectSession | None] = []
-    for item in fitted:
-        if item.session not in sessions:
-            sessions.append(item.session)
-    for session in sessions:
-        yield placed(scene, recording, session), [x for x in fitted if x.session == session]
+    left = list(fitted)
+    while left:
+        session = left[0].session
+        yield placed(scene, recording, session), [x for x in left if x.session == session]
+        left = [x for x in left if x.session != session]
 
 
 def without_effects(

@@ -95,8 +95,7 @@ class BaseTilt(Effect):
         new = int(settings["upright"])
         if phi is None:
             return {j: np.zeros((scene.samples, 2 + 2 * new)) for j in range(scene.robot.n)}
-        still = np.zeros_like(q)
-        chain, gravity = scene.robot.chain, scene.robot.gravity
+        chain, gravity, still = scene.robot.chain, scene.robot.gravity, np.zeros_like(q)
         across = [np.cross(axis, gravity) for axis in tilt_axes(gravity)]
         around = np.array([settings.get(name, 0.0) for name in AROUND])
         angle = float(np.linalg.norm(around))
@@ -105,14 +104,11 @@ class BaseTilt(Effect):
             np.sinc(angle / np.pi) * own - lost * a * gravity
             for own, a in zip(across, around, strict=True)
         ]
-        turned = [inverse_dynamics(chain, g, phi, q, still, still) for g in turns]
-        stacked = np.stack(turned, axis=2)
-        columns = {j: np.ascontiguousarray(stacked[:, j]) for j in range(scene.robot.n)}
-        if new:
-            moments = np.zeros((scene.samples, scene.robot.n, 2))
-            moments[:, 0] = first_link_moments(scene.robot, across[0], q)
-            columns = {j: np.hstack([X, moments[:, j]]) for j, X in columns.items()}
-        return columns
+        columns = [inverse_dynamics(chain, g, phi, q, still, still) for g in turns]
+        for moment in first_link_moments(scene.robot, across[0], q).T if new else ():
+            columns.append(np.column_stack([moment, still[:, 1:]]))
+        stacked = np.stack(columns, axis=2)
+        return {j: np.ascontiguousarray(stacked[:, j]) for j in range(scene.robot.n)}
 
 
 def first_joint_upright(robot: Robot) -> bool:

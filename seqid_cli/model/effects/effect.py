@@ -95,99 +95,58 @@ class Setting:
 
 
 class Effect(abc.ABC):
-    """A physical effect; subclasses are stateless and live in one file each.
+    """A physical effect; subclasses are stateless and live in one file each."""
 
-    Class attributes
-    ----------------
-    name : str
-        As the contract spells it.
-    family : str
-    arm : bool
-        True for an effect of the whole arm or of its measurement; its joint is then None.
-    shared : bool
-        Whether an effect of a joint can be one of all joints as well, with the same coefficients:
-        its joint is then None.
-    settings : tuple of Setting
-    linear : tuple of Coefficient
-        The linear parameters, where they are the same whatever the settings.
-    needs : tuple of str
-        `motion`: the joint must move; `load`: the model must know the load of its gear.
-    passes : int
-        How many times the log's low-pass is to be applied to the columns: 1 for smooth terms in
-        the filtered motion's derivatives, 2 for all that has steps or is finer than the filter.
-    wide : bool
-        Whether the effect shows above the cut-off as well (a ripple, the mains).
-    timing : bool
-        Whether the effect shifts torque in time, so that the free time offset which otherwise
-        belongs to the base model must be taken out of it.
-    first_order : bool
-        Whether the grid's columns hold for small sizes only, so that gains count once `sharpened`
-        has been followed.
-    slow : bool
-        Whether the effect changes over minutes only, as slow noise of the measured torque does.
-    change : bool
-        Whether a constant effect of this kind hides in the base parameters once they are free: it
-        is then visible against earlier parameters only.
-    apart : bool
-        Whether motor and link move apart, so that the parameters take the link's inertia alone.
-    exact : bool
-        Whether nothing is left of it where its coefficients are right: no law of friction is.
-    steady : bool
-        Whether its torque at a constant speed follows from posture and speed, so that it is known
-        what friction trials had of it.
-    even : bool
-        Whether a part of that is the same both ways, which gravity may have taken up.
-    drive : bool
-        Whether its torque arises between the motor's current and a torque sensor behind the gear,
-        which does not see it.
-    wave : str
-        What its two coefficients are the sine and cosine of: they are reported as its amplitude and
-        phase.
-    later : tuple of str
-        Coefficients, the last ones, that files of earlier versions do not have: zero there.
-    over : str
-        The quantity that its torque is shown over: one of its joint, `driving_load` (load times
-        direction, above zero where the gear drives), the place on its own `wave` (columns are sine,
-        cosine, sine, ...), or its own `torque` where no quantity alone tells it.
-    sided : bool
-        Whether it turns with the direction of motion, so that it is shown times the direction.
-    alike : tuple of str
-        Names that this one can be taken for in principle, whatever the motion.
-    share_of : str
-        Effect of whose torque it is a share, the same in both directions, beside what the file has.
-    by_motion : bool
-        Whether the joints' motion alone makes it show, so that moves can be planned for it; not
-        time, warmth or somebody's hand.
-    separate_by : str
-        What to record to tell it from those, as an instruction.
-    """
-
-    name: str
+    name: str  # as the contract spells it
     family: Family
-    arm: bool = False
+    arm: bool = False  # of the whole arm or of its measurement: its joint is then None
+    # Whether it can be one of all joints as well, with the same coefficients: its joint is then
+    # None.
     shared: bool = False
     settings: tuple[Setting, ...] = ()
-    linear: tuple[Coefficient, ...] = ()
+    linear: tuple[Coefficient, ...] = ()  # where they are the same whatever the settings
+    # `motion`: the joint must move; `load`: the model must know the load of its gear.
     needs: tuple[Literal["motion", "load"], ...] = ()
+    # How many times the log's low-pass is to be applied to the columns: 1 for smooth terms in the
+    # filtered motion's derivatives, 2 for all that has steps or is finer than the filter.
     passes: int = 2
-    wide: bool = False
+    wide: bool = False  # whether it shows above the cut-off as well (a ripple, the mains)
+    # Whether it shifts torque in time: the free time offset which otherwise belongs to the base
+    # model must then be taken out of it.
     timing: bool = False
+    # Whether the grid's columns hold for small sizes only, so that gains count once `sharpened`.
     first_order: bool = False
-    slow: bool = False
+    slow: bool = False  # changes over minutes only, as slow noise of the measured torque does
+    # Whether a constant effect of this kind hides in the base parameters once they are free: it is
+    # then visible against earlier parameters only.
     change: bool = False
+    # Whether motor and link move apart, so that the parameters take the link's inertia alone.
     apart: bool = False
+    # Whether nothing is left of it where its coefficients are right: no law of friction is.
     exact: bool = False
+    # Whether its torque at a constant speed follows from posture and speed, so that it is known
+    # what friction trials had of it; whether a part of that is the same both ways, which gravity
+    # may have taken up.
     steady: bool = False
     even: bool = False
+    # Whether its torque arises between the motor's current and a torque sensor behind the gear,
+    # which does not see it.
     drive: bool = False
+    # What its two coefficients are the sine and cosine of: reported as its amplitude and phase.
     wave: str = ""
-    later: tuple[str, ...] = ()
+    later: tuple[str, ...] = ()  # last coefficients that files of earlier versions lack: zero there
+    # The quantity that its torque is shown over: one of its joint, `driving_load` (load times
+    # direction, above zero where the gear drives), the place on its own `wave` (columns are sine,
+    # cosine, sine, ...), or its own `torque` where no quantity alone tells it.
     over: Over = "torque"
-    sided: bool = False
-    alike: tuple[str, ...] = ()
+    sided: bool = False  # turns with the direction of motion: it is shown times the direction
+    alike: tuple[str, ...] = ()  # names that it can be taken for in principle, whatever the motion
+    # Effect of whose torque it is a share, the same in both directions, beside what the file has.
     share_of: str = ""
+    # Whether the joints' motion alone makes it show, so that moves can be planned for it; not time,
+    # warmth or somebody's hand.
     by_motion: bool = True
-    separate_by: str
+    separate_by: str  # what to record to tell it from those, as an instruction
 
     def local(self, settings: Settings) -> bool:
         """Whether its torque at a moment follows from the motion just before and after it.

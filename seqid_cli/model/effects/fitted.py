@@ -71,27 +71,16 @@ def fitted_effects(stages: Stages, robot: Robot, *, unexplained: bool = False) -
 
 def as_stage(fitted: FittedEffect, robot: Robot) -> EffectOfJoint:
     """Write an effect down; `fitted_effects` restores it exactly."""
-    effect, settings = fitted.effect, fitted.settings
-    joint = robot.name_of(fitted.joint)
-    physical = effect.reported(
-        robot, fitted.joint, settings, fitted.coefficients, fitted.covariance
-    )
+    effect, settings, joint = fitted.effect, fitted.settings, robot.name_of(fitted.joint)
+    c, covariance = fitted.coefficients, fitted.covariance
+    physical = effect.reported(robot, fitted.joint, settings, c, covariance)
     return EffectOfJoint(
         effect=effect.name,
         joint=joint,
-        parameters=[
-            Parameter(
-                name=value.name,
-                value=float(value.value),
-                std_error=float(value.std_error),
-                unit=value.unit,
-                joint=joint or "",
-            )
-            for value in physical
-        ],
+        parameters=[Parameter(**vars(value), joint=joint or "") for value in physical],
         settings={name: float(value) for name, value in settings.items()},
-        coefficients=[float(x) for x in fitted.coefficients],
-        covariance=np.asarray(fitted.covariance, dtype=float).tolist(),
+        coefficients=c.tolist(),
+        covariance=covariance.tolist(),
         session=fitted.session,
     )
 
@@ -139,8 +128,7 @@ def _settings(key: str, effect: Effect, entry: EffectOfJoint) -> dict[str, float
             raise damaged(f"{key}.settings.{name}", f"{effect.name} takes {takes}")
     found = {}
     for setting in effect.settings:
-        value = entry.settings.get(setting.name)
-        where = f"{key}.settings.{setting.name}"
+        value, where = entry.settings.get(setting.name), f"{key}.settings.{setting.name}"
         if value is None and not setting.asked:
             continue
         if value is None:
@@ -177,24 +165,17 @@ def _coefficients(
     return np.array([values[name] for name in names], dtype=float)
 
 
-def effect_notes(stages: Stages, robot: Robot, *, unexplained: bool = False) -> list[str]:
+def effect_notes(stages: Stages, *, unexplained: bool = False) -> list[str]:
     """Say which effects of a parameter file take part in a prediction, and what is left out."""
-    notes = []
-    effects = fitted_effects(stages, robot, unexplained=unexplained)
-    if effects:
-        named = ", ".join(_name(item, robot) for item in effects)
+    notes, entries = [], stages.effects or []
+    taken = [entry for entry in entries if unexplained or entry.effect != UNEXPLAINED]
+    if taken:
+        named = ", ".join(f"{entry.effect} ({entry.joint or 'all joints'})" for entry in taken)
         notes.append(f"effects in the prediction: {named}")
-    smooth = [entry.joint or "" for entry in stages.effects or [] if entry.effect == UNEXPLAINED]
+    smooth = [entry.joint or "" for entry in entries if entry.effect == UNEXPLAINED]
     if smooth and not unexplained:
         notes.append(
             "a smooth term of no known cause is left out (--with-unexplained takes it in): "
             + ", ".join(smooth)
         )
     return notes
-
-
-def _name(fitted: Fitted, robot: Robot) -> str:
-    if isinstance(fitted, SmoothTerm):
-        return f"{UNEXPLAINED} ({robot.joint_names[fitted.joint]})"
-    where = robot.name_of(fitted.joint) or "all joints"
-    return f"{fitted.effect.name} ({where})"

@@ -33,7 +33,6 @@ from seqid_cli.model.effects.units import Value
 from seqid_cli.motion.filters.differentiation import differentiate, runs
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
-from seqid_cli.units import unit_of
 
 BLUNT, RINGING = 0.15, 0.06  # damping, of critical
 SHARPER = (RINGING, 0.03, 0.015)
@@ -100,7 +99,7 @@ class JointElasticity(Effect):
         """Return the stiffness 1 / c, its error by the delta method."""
         compliance = max(float(c[0]), 1e-12)
         error = float(np.sqrt(max(covariance[0, 0], 0.0))) / compliance**2
-        unit = unit_of("N m/rad", bool(robot.chain.prismatic[joint or 0]))
+        unit = robot.joints[joint or 0].unit("N m/rad")
         return [Value("stiffness", 1.0 / compliance, error, unit)]
 
     def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Over, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
-from seqid_cli.robot.formula import Formula, Symbol, symbol_of
+from seqid_cli.robot.formula import FUNCTIONS, Formula, Symbol, symbol_of
 from seqid_cli.robot.types import OwnEffect, Robot
 from seqid_cli.typing import Array
 
@@ -33,17 +33,7 @@ _MEASURE: Mapping[str, Over] = {
     "t": "session_time",
 }
 _FUNCTIONS = {
-    "abs": np.abs,
-    "sign": np.sign,
-    "sqrt": np.sqrt,
-    "exp": np.exp,
-    "log": np.log,
-    "sin": np.sin,
-    "cos": np.cos,
-    "tan": np.tan,
-    "tanh": np.tanh,
-    "min": np.minimum,
-    "max": np.maximum,
+    name: getattr(np, {"min": "minimum", "max": "maximum"}.get(name, name)) for name in FUNCTIONS
 }
 _OPERATORS: Mapping[type[ast.operator], Callable[[Array, Array], Array]] = {
     ast.Add: np.add,
@@ -67,28 +57,22 @@ def own_effect(asked: OwnEffect, robot: Robot) -> Effect:
 
 def _of_package(name: str, robot: Robot) -> Effect:
     where, key = str(robot.source), f"effect {name!r}"
-    found = list(entry_points(group=GROUP, name=name))
-    if not found:
-        offered = ", ".join(sorted({point.name for point in entry_points(group=GROUP)})) or "none"
-        raise ConfigError(
-            f"{key} has no formula, and no installed package offers it",
-            where=where,
-            hint=f'Give torque = "c1 * ...", or install the package. Offered: {offered}.',
-        )
+    points = {point.name: point for point in entry_points(group=GROUP)}
+    if name not in points:
+        offered = ", ".join(sorted(points)) or "none"
+        hint = f'Give torque = "c1 * ...", or install the package. Offered: {offered}.'
+        message = f"{key} has no formula, and no installed package offers it"
+        raise ConfigError(message, where=where, hint=hint)
+    source = points[name].value
     try:
-        made = found[0].load()
+        made = points[name].load()
         effect = made() if inspect.isclass(made) else made
     except Exception as problem:  # whatever a package of somebody else's raises
         text = f"{type(problem).__name__}: {problem}"
-        raise ConfigError(
-            f"{key} cannot be loaded from {found[0].value}: {text}", where=where
-        ) from None
+        raise ConfigError(f"{key} cannot be loaded from {source}: {text}", where=where) from None
     if not isinstance(effect, Effect) or effect.name != name:
-        raise ConfigError(
-            f"{key}: {found[0].value} is no effect of that name",
-            where=where,
-            hint="It must be a subclass of seqid_cli.model.effects.effect.Effect with this name.",
-        )
+        hint = "It must be a subclass of seqid_cli.model.effects.effect.Effect with this name."
+        raise ConfigError(f"{key}: {source} is no effect of that name", where=where, hint=hint)
     return effect
 
 
@@ -199,12 +183,7 @@ def _quantity(scene: Scene, joint: int, name: str) -> Array:
 def _turns(tree: ast.expr) -> bool:
     """Whether a formula takes the direction of motion."""
     return any(
-        isinstance(node, ast.Call)
-        and isinstance(node.func, ast.Name)
-        and node.func.id == "sign"
-        and isinstance(node.args[0], ast.Name)
-        and node.args[0].id == "dq"
-        for node in ast.walk(tree)
+        isinstance(node, ast.Call) and ast.unparse(node) == "sign(dq)" for node in ast.walk(tree)
     )
 
 

@@ -74,7 +74,9 @@ class PeriodicDisturbance(Effect):
         for near in strongest_lines(whole, LOWEST_HZ, LINES):
             signals = _signals(scenes, joint, residual, near)
             frequency, coherence = refined(signals, near) if shared else _by_log(signals, near)
-            here, left, motion = (_amplitudes_at(frequency, x) for x in (signals, whole, made))
+            here, left, motion = (
+                np.array([amplitude(log, frequency) for log in x]) for x in (signals, whole, made)
+            )
             alike = here.min() >= SAME * np.median(here)
             if coherence >= COHERENT and alike and np.median(left) > OF_MOTION * np.median(motion):
                 yield {"frequency": frequency, **fixed}
@@ -97,7 +99,8 @@ class PeriodicDisturbance(Effect):
     ) -> list[Value]:
         """Amplitude, and phase where all logs share it."""
         slides = joint is not None and robot.joints[joint].prismatic
-        amplitudes, errors = _amplitudes(c, covariance)
+        variance = np.maximum(np.diag(covariance), 0.0).reshape(-1, 2).mean(axis=1)
+        amplitudes, errors = np.hypot(c[::2], c[1::2]), np.sqrt(variance)  # of every clock
         weight = 1.0 / np.maximum(errors, 1e-300) ** 2
         mean = float(np.sum(weight * amplitudes) / np.sum(weight))
         error = float(np.sum(weight) ** -0.5)
@@ -111,14 +114,6 @@ class PeriodicDisturbance(Effect):
             error = float(errors[0] / max(amplitudes[0], 1e-300))
             found.append(Value("phase", float(np.arctan2(c[1], c[0])), min(error, np.pi), "rad"))
         return found
-
-
-def _amplitudes(c: Array, covariance: Array) -> tuple[Array, Array]:
-    """Amplitudes of sine-cosine pairs with their standard errors."""
-    variance = np.maximum(np.diag(covariance), 0.0).reshape(-1, 2)
-    pairs = np.asarray(c, dtype=float).reshape(-1, 2)
-    size = np.hypot(pairs[:, 0], pairs[:, 1])
-    return size, np.sqrt(variance.mean(axis=1))
 
 
 def _signals(
@@ -151,8 +146,3 @@ def _by_log(signals: Sequence[Signal], near: float) -> tuple[float, float]:
     weight = np.array([signal.length_s**3 for signal in signals])
     frequency = float(np.sum(weight * found[:, 0]) / np.sum(weight))
     return frequency, float(np.median(found[:, 1]))
-
-
-def _amplitudes_at(frequency: float, signals: Sequence[Signal]) -> Array:
-    """Amplitudes of a line in each log."""
-    return np.array([amplitude(signal, frequency) for signal in signals])

@@ -90,9 +90,5 @@ def link_deviation(scene: Scene, joint: int, deviation: Array) -> Array:
     """
     speed, acceleration = differentiate(deviation, scene.motion.rate_hz, scene.motion.valid)
     by_place, by_speed, by_acceleration = link_slopes(scene, joint)
-    change: Array = (
-        by_place * deviation[:, None]
-        + by_speed * speed[:, None]
-        + by_acceleration * acceleration[:, None]
-    )
-    return change
+    steady = by_place * deviation[:, None] + by_speed * speed[:, None]
+    return np.asarray(steady + by_acceleration * acceleration[:, None])

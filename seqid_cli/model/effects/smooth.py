@@ -100,19 +100,19 @@ class Axis:
 
 def splines(x: Array, knots: Sequence[float]) -> Array:
     """Cubic B-splines (N, len(knots) + 2) of x (N,), held beyond the first and the last knot."""
-    inner = np.asarray(knots, dtype=np.float64)
-    full = np.concatenate([np.repeat(inner[0], DEGREE), inner, np.repeat(inner[-1], DEGREE)])
-    held = np.clip(x, inner[0], inner[-1])
-    each = np.eye(len(inner) + DEGREE - 1)
-    basis: Array = BSpline(full, each, DEGREE)(held)
+    each, held = np.eye(len(knots) + DEGREE - 1), np.clip(x, knots[0], knots[-1])
+    basis: Array = BSpline(_padded(knots), each, DEGREE)(held)
     return basis
 
 
 def greville(knots: Sequence[float]) -> Array:
     """Abscissae of the splines' coefficients: coefficients linear in them make a straight line."""
-    inner = np.asarray(knots, dtype=np.float64)
-    full = np.concatenate([np.repeat(inner[0], DEGREE), inner, np.repeat(inner[-1], DEGREE)])
-    return np.array([full[i + 1 : i + 1 + DEGREE].mean() for i in range(len(inner) + DEGREE - 1)])
+    return np.convolve(_padded(knots)[1:-1], np.full(DEGREE, 1.0 / DEGREE), mode="valid")
+
+
+def _padded(knots: Sequence[float]) -> Array:
+    """The knots with both ends as often as splines that are held there take them."""
+    return np.pad(np.asarray(knots, dtype=np.float64), DEGREE, mode="edge")
 
 
 def shape(scene: Scene, joint: int, axes: Sequence[Axis], factor: Factor) -> Array:

@@ -9,12 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from seqid_cli.typing import Array
-
-Complex = NDArray[np.complex128]
+from seqid_cli.typing import Array, Complex
 
 PEAK = 12.0  # power over that of the neighbourhood, below which nothing is looked at
 NEIGHBOURHOOD_HZ = 1.5

@@ -18,7 +18,6 @@ from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
-from seqid_cli.units import unit_of
 
 
 class Spring(Effect):
@@ -63,10 +62,6 @@ class Spring(Effect):
         slope = np.zeros(len(c))
         slope[:2] = c[1] / c[0] ** 2, -1.0 / c[0]
         error = float(np.sqrt(max(float(slope @ covariance @ slope), 0.0)))
-        found[1] = Value(
-            "rest_position",
-            float(-c[1] / c[0]),
-            error,
-            unit_of("rad", bool(robot.chain.prismatic[joint or 0])),
-        )
+        unit = robot.joints[joint or 0].unit("rad")
+        found[1] = Value("rest_position", float(-c[1] / c[0]), error, unit)
         return found

@@ -236,7 +236,7 @@ def test_a_term_survives_the_file_and_counts_when_asked() -> None:
     parts = ("joint", "quantities", "axes", "factor")
     assert [getattr(back, name) for name in parts] == [getattr(term, name) for name in parts]
     np.testing.assert_array_equal(effect_torque(scene, [back])[:, 1], term.torque(scene))
-    without, with_it = (effect_notes(stages, ROBOT, unexplained=x) for x in (False, True))
+    without, with_it = (effect_notes(stages, unexplained=x) for x in (False, True))
     assert without[0] == "effects in the prediction: stribeck (joint_1)"
     assert "--with-unexplained" in without[1]
     assert with_it == ["effects in the prediction: stribeck (joint_1), unexplained (joint_2)"]

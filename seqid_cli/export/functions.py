@@ -11,11 +11,7 @@ from seqid_cli.identify.inputs import Models, model_id, read_models, robot_of
 from seqid_cli.logs.given import PathLike, listed
 from seqid_cli.params.document import join, now, present, robot_id, tool
 from seqid_cli.params.files import check_output, write_text_atomic
-from seqid_cli.params.results.export import (
-    EXPORT_SCHEMA,
-    ExportedLink,
-    ExportFile,
-)
+from seqid_cli.params.results.export import EXPORT_SCHEMA, ExportedLink, ExportFile
 from seqid_cli.params.schema import ParameterFile
 
 if TYPE_CHECKING:

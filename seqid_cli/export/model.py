@@ -60,8 +60,7 @@ class ExportModel:
     @property
     def armature(self) -> Array:
         """Rotor inertias (n,) as the joints feel them, kg m^2 [kg where prismatic]."""
-        reflected: Array = gear_ratios(self.robot) ** 2 * self.nearest.rotor
-        return reflected
+        return np.asarray(gear_ratios(self.robot) ** 2 * self.nearest.rotor)
 
     @property
     def largest_deviation(self) -> float:

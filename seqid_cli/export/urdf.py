@@ -55,18 +55,9 @@ def urdf(model: ExportModel) -> str:
 def _new(model: ExportModel, *, no_limit: float = 1000.0) -> tuple[bytes, tuple[UrdfBody, ...]]:
     """A URDF of a robot that is described by DH parameters, and its bodies."""
     links = ["base_link", *(f"{joint.name}_link" for joint in model.robot.joints)]
-    chain, moves = model.robot.chain, []
-    for k, joint in enumerate(model.robot.joints):
-        kind = "revolute" if joint.position_limits else "continuous"
-        kind = "prismatic" if joint.prismatic else kind
-        limit = {"effort": real(no_limit), "velocity": real(joint.velocity_limit or no_limit)}
-        if kind != "continuous":
-            low, high = joint.position_limits or (-no_limit, no_limit)
-            limit |= {"lower": real(low), "upper": real(high)}
-        frame = {"xyz": chain.position[k], "rpy": pin.rpy.matrixToRpy(chain.rotation[k])}
-        own = {"name": joint.name, "type": kind, "axis": chain.axis[k], "limit": limit}
-        moves.append(own | frame)
-    raw = rendered("arm.urdf.jinja", model, name=model.robot.name, links=links, moves=moves)
+    turns = [pin.rpy.matrixToRpy(rotation) for rotation in model.robot.chain.rotation]
+    own = {"arm": model.robot, "links": links, "turns": turns, "no_limit": no_limit}
+    raw = rendered("arm.urdf.jinja", model, **own)
     return raw.encode(), tuple(map(UrdfBody, links[1:]))
 
 

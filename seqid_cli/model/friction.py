@@ -188,10 +188,10 @@ class FrictionSurface:
     @cached_property
     def _grid(self) -> Array:
         """Basis (CELLS^2, size (l + 1)) over position and scaled speed, speed fastest."""
-        share = np.linspace(0.0, 1.0, CELLS)
-        speeds = (np.geomspace if self.scaling.logarithmic else np.linspace)(
-            *self.scaling.speed, CELLS
-        )
+        share, (slow, fast) = np.linspace(0.0, 1.0, CELLS), self.scaling.speed
+        speeds = np.linspace(slow, fast, CELLS)
+        if self.scaling.logarithmic:
+            speeds = np.exp(np.linspace(np.log(slow), np.log(fast), CELLS))
         q, v = np.meshgrid(self.scaling.over_position.at(share), speeds, indexing="ij")
         return self.scaling.basis(q.ravel(), v.ravel(), *self.orders)
 

@@ -1,6 +1,7 @@
 """Checks of documents beyond their types: shapes, ranges, names that refer to each other."""
 
 from collections.abc import Callable, Iterator, Mapping
+from operator import mul
 from typing import Any
 
 import msgspec
@@ -12,25 +13,13 @@ from seqid_cli.params.evidence_schema import EvidenceEntry
 SMALLEST = 1e-12  # what is divided by: smaller numbers overflow
 _Problem = tuple[str, str]  # key, fault
 # Fields that name joints, themselves or by their keys; a verdict may be about an IMU.
-_OF_JOINTS = frozenset(
-    [
-        "joint",
-        "joints",
-        "of",
-        "before",
-        "after",
-        "noise_floor",
-        "noise_floor_interval",
-        "gain_interval",
-        "torque_constant_moves",
-    ]
-)
-_INTERVALS = {  # how many numbers they may have
-    **dict.fromkeys(("position_range", "speed_range"), (2,)),
-    **dict.fromkeys(
-        ("interval", "training_interval", "gain_interval", "noise_floor_interval"), (0, 2)
-    ),
+_OF_JOINTS = {"joint", "joints", "of", "before", "after", "torque_constant_moves"} | {
+    "noise_floor",
+    "noise_floor_interval",
+    "gain_interval",
 }
+_RANGES = ("position_range", "speed_range")
+_INTERVALS = ("interval", "training_interval", "gain_interval", "noise_floor_interval")  # or empty
 _NEVER_NEGATIVE = ("std_error", "rmse")
 
 
@@ -52,8 +41,7 @@ def _problems(document: schema.OfRobot) -> Iterator[_Problem]:
         for name in struct.__struct_fields__:
             value = getattr(struct, name)
             if name in _OF_JOINTS and not isinstance(struct, schema.Verdict):
-                many = value if isinstance(value, Mapping | list) else [value]
-                for joint in many:
+                for joint in value if isinstance(value, Mapping | list) else [value]:
                     if isinstance(joint, str) and joint and joint not in joints:
                         what = f"joint {joint!r} is none of the robot's: {', '.join(joints)}"
                         yield f"{key}.{name}", what
@@ -79,8 +67,8 @@ def _structs(key: str, value: object) -> Iterator[tuple[str, msgspec.Struct]]:
 
 
 def _numbers(key: str, name: str, value: Any) -> Iterator[_Problem]:
-    lengths = _INTERVALS.get(name)
-    if lengths and not (len(value) in lengths and sorted(value) == value):
+    pair = name in _RANGES or (name in _INTERVALS and value)
+    if pair and not (len(value) == 2 and value[0] <= value[1]):
         yield key, "must be two numbers, the smaller one first"
     if name in _NEVER_NEGATIVE and isinstance(value, float) and value < 0.0:
         yield key, f"must not be negative, is {value}"
@@ -116,20 +104,21 @@ def _imu(key: str, imu: schema.ImuCalibration) -> Iterator[_Problem]:
     if not _has_shape(imu.rotation, 3, 3):
         yield f"{key}.rotation", "must have 3 rows of 3 numbers"
         return
-    rows = imu.rotation
     for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)):
-        product = sum(a * b for a, b in zip(rows[i], rows[j], strict=True))
+        product = sum(map(mul, imu.rotation[i], imu.rotation[j]))
         if abs(product - (i == j)) > 1e-6:
             yield f"{key}.rotation", f"is no rotation: rows {i + 1} and {j + 1} give {product:.6g}"
 
 
 def _effect(key: str, effect: schema.EffectOfJoint) -> Iterator[_Problem]:
     yield from _square(key, effect.covariance, len(effect.coefficients))
-    session = effect.session
-    if session is not None and session.starts and len(session.starts) != len(session.logs):
-        yield f"{key}.session.starts", f"must be {len(session.logs)} times, one per log"
-    if session is not None and (session.origin is None) != (not session.starts):
-        yield f"{key}.session.origin", "must be there if the starts are, and only then"
+
+
+def _session(key: str, session: schema.EffectSession) -> Iterator[_Problem]:
+    if session.starts and len(session.starts) != len(session.logs):
+        yield f"{key}.starts", f"must be {len(session.logs)} times, one per log"
+    if (session.origin is None) != (not session.starts):
+        yield f"{key}.origin", "must be there if the starts are, and only then"
 
 
 def _closed_loop(key: str, loop: schema.ClosedLoop) -> Iterator[_Problem]:
@@ -161,6 +150,7 @@ _CHECKS: Mapping[type, Callable[[str, Any], Iterator[_Problem]]] = {
     schema.RigidStage: _rigid,
     schema.ImuCalibration: _imu,
     schema.EffectOfJoint: _effect,
+    schema.EffectSession: _session,
     schema.ClosedLoop: _closed_loop,
     EvidenceEntry: _evidence,
 }

@@ -39,8 +39,7 @@ def tool() -> schema.Tool:
 
 def robot_id(robot: "Robot") -> schema.RobotId:
     """Return the identity of a robot in the form of documents."""
-    slides = [joint.name for joint in robot.joints if joint.prismatic]
-    names = list(robot.joint_names)
+    names, slides = list(robot.joint_names), [j.name for j in robot.joints if j.prismatic]
     return schema.RobotId(name=robot.name, joints=names, sha256=robot.sha256, prismatic=slides)
 
 

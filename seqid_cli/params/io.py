@@ -65,8 +65,8 @@ def read_parameters(path: Path) -> ParameterFile:
     Raises ConfigError: the file is missing, is no JSON, is another kind of document, is newer than
     this version knows, or does not follow the schema. The message names the line or the key.
     """
-    data, document = _opened(path, _PARAMETER_HINT)
-    return cast(ParameterFile, _content(data, document, ["params"], str(path), _PARAMETER_HINT))
+    content = _content(*_opened(path, _PARAMETER_HINT), ["params"], str(path), _PARAMETER_HINT)
+    return cast(ParameterFile, content)
 
 
 def read_any(paths: Sequence[Path]) -> list[Source[Document]]:
@@ -216,7 +216,6 @@ def _syntax(error: Exception, data: bytes) -> str:
         return "it is nested too deeply"
     text = str(error).removeprefix("JSON is malformed: ")
     match = _BYTE.search(text)
-    end = int(match.group(1)) if match else len(data)
-    line = data.count(b"\n", 0, end) + 1
-    column = end - (data.rfind(b"\n", 0, end) + 1) + 1
+    before = data[: int(match[1]) if match else len(data)]
+    line, column = before.count(b"\n") + 1, len(before) - before.rfind(b"\n")
     return f"{_BYTE.sub('', text).strip()} at line {line}, column {column}"

@@ -22,24 +22,12 @@ from seqid_cli.report.words import plural
 def make_report(
     documents: Sequence[Source[Document]], *, torques: Sequence[Path] = (), title: str = ""
 ) -> Page:
-    """Make the report: one self-contained page, its verdict and its sections.
+    """Make the page about one robot from the documents of `read_any`.
 
-    Parameters
-    ----------
-    documents : sequence of Source
-        Parameter files and results about one robot, from `read_any`.
-    torques : sequence of Path
-        What `seqid predict --torques` wrote, a file for each prediction; for those without one the
-        `torques.parquet` beside it is taken if it holds exactly its logs.
-    title : str
-        Instead of the robot's name.
-
-    Raises
-    ------
-    ConfigError
-        The documents are about two robots or contradict each other.
-    InputError
-        A torque file is unreadable or belongs to another robot, other logs or another model.
+    `torques`: what `seqid predict --torques` wrote, a file for each prediction; for those without
+    one the `torques.parquet` beside it is taken if it holds exactly its logs. `title`: instead of
+    the robot's name. Raises ConfigError: the documents are about two robots or contradict each
+    other. Raises InputError: a torque file is unreadable or of another robot, log or model.
     """
     collection = collect(documents)
     tables, notes = open_torques(torques, collection)

@@ -20,17 +20,8 @@ from seqid_cli.model.effects.units import UNTOLD
 from seqid_cli.params.document import now
 from seqid_cli.params.results.tables import Values, heads, values
 from seqid_cli.params.schema import Verdict
+from seqid_cli.report import words
 from seqid_cli.report.judgement import Judgement
-from seqid_cli.report.words import (
-    DASH,
-    effect_words,
-    interval,
-    number,
-    percent,
-    short_path,
-    unit_text,
-    with_error,
-)
 from seqid_cli.templates import filled
 
 Legend = Mapping[str, str]  # what a line is, by the class that it has in the drawing
@@ -52,8 +43,13 @@ class Table:
     @cached_property
     def rows(self) -> Sequence[Sequence[str]]:
         """The values as text."""
-        words = {"effect": effect_words, "path": short_path, "unit": unit_text}
-        return self.values.cells(number, percent, **words)
+        return self.values.cells(
+            words.number,
+            words.percent,
+            effect=words.effect_words,
+            path=words.short_path,
+            unit=words.unit_text,
+        )
 
 
 def table(
@@ -73,9 +69,9 @@ def table(
 def value_row(name: str, value: float | None, error: float | None, unit: str) -> tuple[str, ...]:
     """Return the cells of an estimate under `VALUE_HEADS`; without an error it is fixed."""
     if value is None or error is None or error >= UNTOLD:
-        return name, "not determined", DASH, DASH, unit_text(unit)
-    texts = with_error(value, error) if error > 0.0 else (number(value), "fixed")
-    return name, *texts, interval(value, error), unit_text(unit)
+        return name, "not determined", words.DASH, words.DASH, words.unit_text(unit)
+    texts = words.with_error(value, error) if error > 0.0 else (words.number(value), "fixed")
+    return name, *texts, words.interval(value, error), words.unit_text(unit)
 
 
 @dataclass(frozen=True)
@@ -179,7 +175,7 @@ class Page:
             "img-src data:; base-uri 'none'; form-action 'none'"
         )
         content = {"page": self, "version": __version__, "policy": policy, "created": now()}
-        filters = {"unit": unit_text, "short": short_path}
+        filters = {"unit": words.unit_text, "short": words.short_path}
         return filled(
             "seqid_cli.report", "report.html.j2", content | parts, filters=filters, markup=True
         )

@@ -8,14 +8,7 @@ from dataclasses import dataclass, field
 import typer
 
 from seqid_cli import shares
-from seqid_cli.commands.screen.layout import (
-    Row,
-    folded,
-    format_table,
-    visible,
-    visible_cell,
-    width_of,
-)
+from seqid_cli.commands.screen import layout
 from seqid_cli.params.encode import encode
 from seqid_cli.params.results.tables import Values
 
@@ -34,13 +27,13 @@ class Screen:
     color: bool = False
     said: set[str] = field(default_factory=set)  # of warnings and remarks, each once
 
-    def table(self, columns: Row, rows: Sequence[Row]) -> None:
+    def table(self, columns: layout.Row, rows: Sequence[layout.Row]) -> None:
         """Print a result as a table."""
         if self.json or not rows:
             return
-        cells = [[visible_cell(cell) for cell in row] for row in rows]
-        width = width_of(sys.stdout)
-        sys.stdout.write(format_table(columns, cells, width=width, color=self.color))
+        cells = [[layout.visible_cell(cell) for cell in row] for row in rows]
+        width = layout.width_of(sys.stdout)
+        sys.stdout.write(layout.format_table(columns, cells, width=width, color=self.color))
 
     def values(self, found: Values) -> None:
         """Print values under their heads."""
@@ -50,36 +43,38 @@ class Screen:
     def result(self, line: str) -> None:
         """Print one line of the result."""
         if not self.json:
-            sys.stdout.write(folded(visible(line), width_of(sys.stdout)) + "\n")
+            sys.stdout.write(
+                layout.folded(layout.visible(line), layout.width_of(sys.stdout)) + "\n"
+            )
 
     def document(self, document: object) -> None:
         """Print the result as JSON where that was asked for."""
         if self.json:
-            sys.stdout.write(visible(encode(document)))
+            sys.stdout.write(layout.visible(encode(document)))
 
     def warn(self, message: str) -> None:
         """Say what may be wrong, once."""
         if message not in self.said:
             self.said.add(message)
-            line = f"seqid {self.command}: warning: {visible(message)}"
-            sys.stderr.write(folded(line, width_of(sys.stderr)) + "\n")
+            line = f"seqid {self.command}: warning: {layout.visible(message)}"
+            sys.stderr.write(layout.folded(line, layout.width_of(sys.stderr)) + "\n")
 
     def remark(self, *messages: str) -> None:
         """Say what a result remarks, unless it was said before."""
         for message in messages:
             if message not in self.said:
                 self.said.add(message)
-                self.note(folded(f"note: {message}", width_of(sys.stderr)))
+                self.note(layout.folded(f"note: {message}", layout.width_of(sys.stderr)))
 
     def note(self, message: str) -> None:
         """Say what is good to know."""
         if not self.quiet:
-            sys.stderr.write(f"{visible(message)}\n")
+            sys.stderr.write(f"{layout.visible(message)}\n")
 
     def detail(self, message: str) -> None:
         """Say what only `-v` asks for."""
         if self.verbose:
-            sys.stderr.write(f"{visible(message)}\n")
+            sys.stderr.write(f"{layout.visible(message)}\n")
 
 
 def screen_of(context: typer.Context) -> Screen:

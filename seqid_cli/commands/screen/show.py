@@ -5,19 +5,11 @@ from collections.abc import Collection, Sequence
 from statistics import median
 
 from seqid_cli.commands.screen.render import Screen, number
+from seqid_cli.params import schema
 from seqid_cli.params.results.tables import of_joints, values
-from seqid_cli.params.schema import (
-    FrictionStage,
-    ImuStage,
-    MotionUse,
-    RigidStage,
-    RobotId,
-    Stages,
-    Verdict,
-)
 
 
-def show_stages(screen: Screen, stages: Stages, robot: RobotId) -> None:
+def show_stages(screen: Screen, stages: schema.Stages, robot: schema.RobotId) -> None:
     """Print the stages of a robot that are there."""
     if stages.friction is not None:
         _friction(screen, stages.friction, robot)
@@ -29,21 +21,21 @@ def show_stages(screen: Screen, stages: Stages, robot: RobotId) -> None:
         _rigid(screen, "inertia", stages.inertia, robot)
 
 
-def verdict_text(verdicts: Sequence[Verdict], joint: str) -> str:
+def verdict_text(verdicts: Sequence[schema.Verdict], joint: str) -> str:
     """Return `good`, or `poor` and why, or a dash where nothing was judged."""
     own = [verdict for verdict in verdicts if verdict.joint == joint]
     reasons = [verdict.reason for verdict in own if not verdict.good]
     return f"poor: {'; '.join(reasons)}" if reasons else "good" if own else "-"
 
 
-def show_poor(screen: Screen, verdicts: Sequence[Verdict], whole: str) -> None:
+def show_poor(screen: Screen, verdicts: Sequence[schema.Verdict], whole: str) -> None:
     """Print what is poor, of a document that has no line for every joint."""
     show_verdicts(screen, [verdict for verdict in verdicts if not verdict.good], whole)
 
 
 def show_verdicts(
     screen: Screen,
-    verdicts: Sequence[Verdict],
+    verdicts: Sequence[schema.Verdict],
     whole: str,
     notes: Sequence[str] = (),
     *,
@@ -56,7 +48,7 @@ def show_verdicts(
     screen.remark(*notes)
 
 
-def _friction(screen: Screen, stage: FrictionStage, robot: RobotId) -> None:
+def _friction(screen: Screen, stage: schema.FrictionStage, robot: schema.RobotId) -> None:
     rows = []
     for name, x in stage.joints.items():
         errors = (x.rmse, x.held_out_rmse, x.max_abs_error)
@@ -67,7 +59,7 @@ def _friction(screen: Screen, stage: FrictionStage, robot: RobotId) -> None:
     show_verdicts(screen, stage.verdicts, "friction", stage.notes, shown=stage.joints)
 
 
-def _rigid(screen: Screen, name: str, stage: RigidStage, robot: RobotId) -> None:
+def _rigid(screen: Screen, name: str, stage: schema.RigidStage, robot: schema.RobotId) -> None:
     if not stage.parameters:
         screen.result(f"{name}: nothing to identify on this robot")
     rows = [(x.name, x.value, x.std_error, x.unit) for x in stage.parameters]
@@ -84,7 +76,7 @@ def _rigid(screen: Screen, name: str, stage: RigidStage, robot: RobotId) -> None
     show_motion(screen, stage.motion_use, robot)
 
 
-def _imu(screen: Screen, stage: ImuStage) -> None:
+def _imu(screen: Screen, stage: schema.ImuStage) -> None:
     rows = []
     for name, x in stage.imus.items():
         errors, verdict = (x.std_error_deg, x.axis_rmse_deg), verdict_text(stage.verdicts, name)
@@ -94,7 +86,7 @@ def _imu(screen: Screen, stage: ImuStage) -> None:
     show_verdicts(screen, stage.verdicts, "imu", stage.notes, shown=stage.imus)
 
 
-def show_motion(screen: Screen, uses: Sequence[MotionUse], robot: RobotId) -> None:
+def show_motion(screen: Screen, uses: Sequence[schema.MotionUse], robot: schema.RobotId) -> None:
     """Say which source the motion came from and what that gained, and warn of IMUs left aside."""
     for warning, count in Counter(w for use in uses for w in use.warnings).items():
         if count > 1:

@@ -151,11 +151,4 @@ def _of_the_motor(scene: Scene, joint: int, stiffness: float) -> Columns:
     motion = scene.motion
     speed, acceleration = differentiate(scene.load[:, joint], motion.rate_hz, motion.valid)
     slope = scene.friction_slope(joint, speed / stiffness)
-    return {joint: (_own_rotor(scene, joint) * acceleration + slope * speed)[:, None]}
-
-
-def _own_rotor(scene: Scene, joint: int) -> float:
-    """Rotor inertia of a joint on its own side of the gear, kg m^2."""
-    known = scene.robot.joints[joint].rotor_inertia or 0.0
-    rotor = known if scene.model.rotor is None else float(scene.model.rotor[joint])
-    return rotor * float(scene.gear[joint]) ** 2
+    return {joint: (scene.rotor[joint] * acceleration + slope * speed)[:, None]}

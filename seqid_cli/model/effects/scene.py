@@ -120,10 +120,15 @@ class Scene:
         return self.modelled_load if self.sensor is None else self.sensor
 
     @cached_property
+    def rotor(self) -> Array:
+        """Inertias (n,) kg m^2 of the rotors as the joints feel them."""
+        rotor = known_rotors(self.robot) if self.model.rotor is None else self.model.rotor
+        return np.asarray(self.gear**2 * rotor)
+
+    @cached_property
     def modelled_load(self) -> Array:
         """The same (N, n) N m as the model has it, rotors left out."""
-        rotor = known_rotors(self.robot) if self.model.rotor is None else self.model.rotor
-        return self.rigid - self.gear**2 * rotor * self.motion.ddq
+        return self.rigid - self.rotor * self.motion.ddq
 
     @cached_property
     def carried(self) -> Array:

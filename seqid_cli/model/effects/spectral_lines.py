@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
+from scipy.signal import periodogram
 
 from seqid_cli.typing import Array, Complex
 
@@ -50,7 +51,12 @@ def strongest_lines(signals: Sequence[Signal], low_hz: float, count: int) -> lis
     if low >= top:
         return []
     grid = np.arange(low, top, 0.25 / longest)
-    power = np.sum([np.interp(grid, *_periodogram(signal)) for signal in signals], axis=0)
+    power = np.zeros(len(grid))
+    for own in signals:
+        size = 4 * len(own.values)
+        power += np.interp(
+            grid, *periodogram(own.values, own.rate_hz, "hann", size, scaling="spectrum")
+        )
     width = max(9, int(NEIGHBOURHOOD_HZ / (0.25 / longest)))
     floor = median_filter(power, size=min(width, len(grid)), mode="nearest")
     ratio = power / np.maximum(floor, 1e-12 * max(float(power.max()), 1e-300))
@@ -112,15 +118,3 @@ def _demodulated(signal: Signal, frequency: float) -> tuple[Complex, Array, Arra
     number, there = np.maximum(weight, 1.0), [turned.real, turned.imag, time]
     real, imag, t = (np.bincount(piece, x, minlength=PIECES) / number for x in there)
     return real + 1j * imag, t, weight
-
-
-def _periodogram(signal: Signal) -> tuple[Array, Array]:
-    """Frequencies and power of the windowed signal, by four per resolution."""
-    length = len(signal.values)
-    window = np.hanning(length + 2)[1:-1]
-    size = 4 * length
-    spectrum = np.fft.rfft((signal.values - np.mean(signal.values)) * window, n=size)
-    scale = 2.0 / max(float(window.sum()), 1e-300)
-    frequencies: Array = np.linspace(0.0, 1.0, size // 2 + 1) * (size // 2 * signal.rate_hz / size)
-    power: Array = np.abs(scale * spectrum) ** 2
-    return frequencies, power

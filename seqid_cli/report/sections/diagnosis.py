@@ -15,20 +15,12 @@ from seqid_cli.params.results.diagnosis import (
     over_words,
 )
 from seqid_cli.params.results.tables import Values
+from seqid_cli.report import words
 from seqid_cli.report.chart import dots, figure, padded, small_panel
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.judgement import known_effects, unconfirmed, unexplained
 from seqid_cli.report.sections.parameters import value_rows
 from seqid_cli.report.views import VALUE_HEADS, Absent, Figure, Group, Section, Table, table
-from seqid_cli.report.words import (
-    effect_at,
-    effect_words,
-    listed,
-    percent,
-    plural,
-    short_path,
-    unit_text,
-)
 
 _MOST_EVENTS = 200
 _VERDICTS = {
@@ -75,9 +67,9 @@ def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Gro
     more = f"and {left_out} more" if left_out > 0 else ""
     return Group(
         key,
-        short_path(item.path),
-        lead=f"{plural(len(file.inputs), 'log')}: "
-        + listed([short_path(log.path) for log in file.inputs]),
+        words.short_path(item.path),
+        lead=f"{words.plural(len(file.inputs), 'log')}: "
+        + words.listed([words.short_path(log.path) for log in file.inputs]),
         badge=badge,
         badge_text=text,
         figures=[
@@ -101,12 +93,12 @@ def _group(key: str, item: Source[DiagnosisFile], collection: Collection) -> Gro
 
 
 def _finding(key: str, item: FindingEntry, collection: Collection) -> Group:
-    title = effect_at(item.effect, item.joint or "the whole arm")
+    title = words.effect_at(item.effect, item.joint or "the whole arm")
     about = CATALOGUE[item.effect].__doc__ or "" if item.effect in CATALOGUE else ""
     known, rows = (item.effect, item.joint) in known_effects(collection), value_rows(item)
     notes = [] if rows else ["These logs do not determine its parameters."]
     if item.confusable_with:
-        others = listed([effect_words(name) for name in item.confusable_with], 12)
+        others = words.listed([words.effect_words(name) for name in item.confusable_with], 12)
         notes.append(f"Could also be {others}.")
     if item.separate_by:
         aim = "To tell them apart" if item.confusable_with else "To make sure"
@@ -119,8 +111,8 @@ def _finding(key: str, item: FindingEntry, collection: Collection) -> Group:
         badge="good" if known else "open",
         badge_text="in the refined model" if known else "not in the model",
         facts=[
-            ("confidence", percent(item.confidence, 0)),
-            ("explains", percent(item.explains, 0)),
+            ("confidence", words.percent(item.confidence, 0)),
+            ("explains", words.percent(item.explains, 0)),
         ],
         figures=[evidence_figure(item.evidence, collection)],
         tables=[
@@ -147,17 +139,17 @@ def closed_loop(collection: Collection) -> Section:
         "leave. The gain is the part of the error's variance that the refined model takes away, "
         "with its 95 % interval."
     )
-    added = [(effect_at(item.effect, item.joint), item) for item in loop.rounds]
+    added = [(words.effect_at(item.effect, item.joint), item) for item in loop.rounds]
     shown = [evidence_figure(x.evidence, collection, f"{name}: residual") for name, x in added]
     faults = [": ".join(filter(None, (v.joint, v.reason))) for v in loop.verdicts if not v.good]
     errors = {
         style: {name: own.rmse for name, own in joints.items()}
         for style, joints in (("before", loop.before), ("after", loop.after))
     }
-    measured = listed([short_path(path) for path in loop.evaluated_on])
+    measured = words.listed([words.short_path(path) for path in loop.evaluated_on])
     group = Group(
         "loop-errors",
-        f"Added: {listed([name for name, _ in added])}" if added else nothing_added(loop),
+        f"Added: {words.listed([name for name, _ in added])}" if added else nothing_added(loop),
         lead="; ".join([*unconfirmed(loop), *faults]),
         badge="poor" if loop.verdict == "poor" else "",
         figures=[_over_floor("RMS error on held-out logs", errors, loop.noise_floor), *shown],
@@ -203,7 +195,7 @@ def evidence_figure(
     edges = {name: (np.subtract(y, d), np.add(y, d)) for name, (*_, y, d) in curves.items()}
     ends = np.concatenate([np.zeros(1), *(edge for both in edges.values() for edge in both)])
     x_range, y_range = (min(shown.x), max(shown.x)), padded(float(ends.min()), float(ends.max()))
-    x, y_title = (quantity, unit_text(shown.unit)), f"residual{sided}, {unit}"
+    x, y_title = (quantity, words.unit_text(shown.unit)), f"residual{sided}, {unit}"
     panel = small_panel(x, x_range, y_title, y_range)
     for name, (_, band, *_) in curves.items():
         panel.band(shown.x, *edges[name], band)

@@ -5,20 +5,9 @@ import numpy as np
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.params.results.tables import Head, Values
 from seqid_cli.params.schema import FrictionJoint, FrictionStage
+from seqid_cli.report import views
 from seqid_cli.report.chart import figure, line, padded, small_panel
 from seqid_cli.report.collection import Collection, Place
-from seqid_cli.report.views import (
-    VALUE_HEADS,
-    Absent,
-    Figure,
-    Group,
-    Section,
-    Table,
-    badge,
-    reasons,
-    table,
-    value_row,
-)
 from seqid_cli.report.words import MINUS, Z95, number, percent
 
 _CALL = "seqid friction LOG... -r robot.toml -o friction.json"
@@ -28,13 +17,13 @@ _CURVE = 81
 _HEIGHT = 178.0
 
 
-def friction(collection: Collection) -> Section:
+def friction(collection: Collection) -> views.Section:
     """Return the section on friction."""
     model = collection.model
     stage = model.stages.friction if model else None
     if model is None or stage is None:
-        absent = Absent("No friction stage is in the files given.", _CALL)
-        return Section("friction", "Friction", absent=[absent])
+        absent = views.Absent("No friction stage is in the files given.", _CALL)
+        return views.Section("friction", "Friction", absent=[absent])
     lead = (
         "Friction torque as a function of position and velocity (Eq. 7-11). Nothing is known "
         "between the slowest recorded speeds of both directions, where the sign turns; outside the "
@@ -44,10 +33,10 @@ def friction(collection: Collection) -> Section:
     notes = list(stage.notes)
     if model.stages.effects:
         notes.append("Effects that refinement added are not part of these surfaces.")
-    return Section("friction", "Friction", lead, groups, notes=notes)
+    return views.Section("friction", "Friction", lead, groups, notes=notes)
 
 
-def _joint(collection: Collection, stage: FrictionStage, name: str) -> Group:
+def _joint(collection: Collection, stage: FrictionStage, name: str) -> views.Group:
     joint, place = stage.joints[name], collection.place(name)
     own = [verdict for verdict in stage.verdicts if verdict.joint == name]
     figures = friction_figures(joint, place)
@@ -59,18 +48,20 @@ def _joint(collection: Collection, stage: FrictionStage, name: str) -> Group:
         facts.append(("at left-out speeds", f"{number(joint.held_out_rmse)} {place.unit}"))
     if joint.asymmetry is not None:
         facts.append(("depends on direction", percent(joint.asymmetry)))
-    terms = [value_row(x.name, x.value, x.std_error, x.unit) for x in joint.parameters]
-    return Group(
+    terms = [views.value_row(x.name, x.value, x.std_error, x.unit) for x in joint.parameters]
+    return views.Group(
         f"friction-{collection.robot.joints.index(name) + 1}",
         name,
         joint=name,
-        lead=reasons(own),
-        badge=badge(own),
+        lead=views.reasons(own),
+        badge=views.badge(own),
         facts=facts,
         figures=figures,
-        absent=[] if figures else [Absent("Its surface is not finite: identify it anew.", _CALL)],
+        absent=[]
+        if figures
+        else [views.Absent("Its surface is not finite: identify it anew.", _CALL)],
         tables=[
-            table(
+            views.table(
                 f"Recorded speeds of {name}",
                 "speed [{length}/s] | moves forward | backward | RMS error [{unit}]",
                 "number count count number",
@@ -78,12 +69,12 @@ def _joint(collection: Collection, stage: FrictionStage, name: str) -> Group:
                 unit=place.unit,
                 length=place.length,
             ),
-            Table(f"Friction parameters of {name}", Values(VALUE_HEADS, terms)),
+            views.Table(f"Friction parameters of {name}", Values(views.VALUE_HEADS, terms)),
         ],
     )
 
 
-def friction_figures(joint: FrictionJoint, place: Place) -> list[Figure]:
+def friction_figures(joint: FrictionJoint, place: Place) -> list[views.Figure]:
     """Draw a joint's friction: none unless values and errors are finite all over its range."""
     q, v = (np.linspace(low, high, 5) for low, high in (joint.position_range, joint.speed_range))
     with np.errstate(all="ignore"):
@@ -95,7 +86,7 @@ def friction_figures(joint: FrictionJoint, place: Place) -> list[Figure]:
     return [_map(joint, surface, place), *cuts]
 
 
-def _map(joint: FrictionJoint, surface: FrictionSurface, place: Place) -> Figure:
+def _map(joint: FrictionJoint, surface: FrictionSurface, place: Place) -> views.Figure:
     """Draw the friction torque over position and velocity (the paper's Fig. 1 and 10).
 
     Between the slowest speeds of both directions nothing is known: the map has a gap there.
@@ -126,11 +117,11 @@ def _map(joint: FrictionJoint, surface: FrictionSurface, place: Place) -> Figure
         for v, torque in zip(halves, torques, strict=True)
         for k in (0, _CELLS[1] // 2, _CELLS[1])
     ]
-    values = Table(f"{title}, {place.unit}", Values(heads, rows))
+    values = views.Table(f"{title}, {place.unit}", Values(heads, rows))
     return figure([panel], title, text, legend, values, name="Over position and velocity")
 
 
-def _cuts(joint: FrictionJoint, surface: FrictionSurface, place: Place, over: str) -> Figure:
+def _cuts(joint: FrictionJoint, surface: FrictionSurface, place: Place, over: str) -> views.Figure:
     """Draw three cuts over velocity or position, each in the pieces that were recorded.
 
     95 % intervals are around them, and the recorded speeds are marked.
@@ -172,7 +163,7 @@ def _cuts(joint: FrictionJoint, surface: FrictionSurface, place: Place, over: st
         title,
         "Three cuts through the surface with 95 % intervals.",
         {f"cut{k}": name for k, name in enumerate(names)},
-        table(f"{title}, {place.unit}", titles, kinds, rows, **own),
+        views.table(f"{title}, {place.unit}", titles, kinds, rows, **own),
         name=f"Over {over}",
         note="Small marks below: the speeds that were recorded." if speeds else "",
     )

@@ -7,25 +7,15 @@ from seqid_cli.params.results import tables
 from seqid_cli.params.results.payload import PayloadFile
 from seqid_cli.params.results.plan import PlanFile, PlannedMove, PlannedStage
 from seqid_cli.params.results.tables import Values
+from seqid_cli.report import views
 from seqid_cli.report.chart import figure, small_panel
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.views import (
-    VALUE_HEADS,
-    Figure,
-    Group,
-    Section,
-    Table,
-    badge,
-    reasons,
-    table,
-    value_row,
-)
 from seqid_cli.report.words import number, percent
 
 _POINTS = 80
 
 
-def payload(collection: Collection) -> Section | None:
+def payload(collection: Collection) -> views.Section | None:
     """Return the section on payloads; None where no file of one is given."""
     if not collection.payloads:
         return None
@@ -34,27 +24,29 @@ def payload(collection: Collection) -> Section | None:
         "frame is that of the last joint; its inertia is about the centre of mass."
     )
     groups = [_carried(place + 1, item.content) for place, item in enumerate(collection.payloads)]
-    return Section("payload", "Payload", lead, groups)
+    return views.Section("payload", "Payload", lead, groups)
 
 
-def _carried(place: int, file: PayloadFile) -> Group:
-    body = [value_row(n, x.value, x.std_error, x.unit) for n, x in file.payload.numbers()]
-    return Group(
+def _carried(place: int, file: PayloadFile) -> views.Group:
+    body = [views.value_row(n, x.value, x.std_error, x.unit) for n, x in file.payload.numbers()]
+    return views.Group(
         f"payload-{place}",
         f"Payload, frame {file.payload.frame}",
-        lead=reasons(file.verdicts),
-        badge=badge(file.verdicts),
+        lead=views.reasons(file.verdicts),
+        badge=views.badge(file.verdicts),
         tables=[
-            Table("The body", Values(VALUE_HEADS, body)),
-            table("As controllers take it", "for | setting", "text text", file.settings.items()),
-            Table("Torque error where joints slide", tables.payload_joints(file)),
+            views.Table("The body", Values(views.VALUE_HEADS, body)),
+            views.table(
+                "As controllers take it", "for | setting", "text text", file.settings.items()
+            ),
+            views.Table("Torque error where joints slide", tables.payload_joints(file)),
         ],
         notes=file.notes,
         unfolded=True,
     )
 
 
-def plan(collection: Collection) -> Section | None:
+def plan(collection: Collection) -> views.Section | None:
     """Return the section on plans; None where none is given."""
     if not collection.plans:
         return None
@@ -64,10 +56,10 @@ def plan(collection: Collection) -> Section | None:
         for name, stage in item.content.stages.items()
     ]
     lead = "Moves to record, and the standard errors that parameters will have after them."
-    return Section("plan", "What to record next", lead, groups)
+    return views.Section("plan", "What to record next", lead, groups)
 
 
-def _planned(key: str, name: str, file: PlanFile, stage: PlannedStage) -> Group:
+def _planned(key: str, name: str, file: PlanFile, stage: PlannedStage) -> views.Group:
     facts = [("moves", f"{number(stage.duration_s)} s")]
     if stage.rank is not None and stage.structural_rank is not None:
         facts.append(("rank", f"{stage.rank} of {stage.structural_rank}"))
@@ -80,20 +72,20 @@ def _planned(key: str, name: str, file: PlanFile, stage: PlannedStage) -> Group:
             ("power", percent(told.power)),
             ("imitated at most", percent(told.imitated)),
         ]
-    return Group(
+    return views.Group(
         key,
         name,
         facts=facts,
         figures=[drawn for move in moves for drawn in move_figures(move, file)],
         tables=[
-            Table("Moves", tables.moves(moves)),
-            Table("Standard errors that it will give", tables.planned_errors(stage)),
+            views.Table("Moves", tables.moves(moves)),
+            views.Table("Standard errors that it will give", tables.planned_errors(stage)),
         ],
         notes=stage.notes,
     )
 
 
-def move_figures(move: PlannedMove, file: PlanFile) -> list[Figure]:
+def move_figures(move: PlannedMove, file: PlanFile) -> list[views.Figure]:
     """Draw a move against its limits; every joint is a line that names itself when pointed at."""
     names, limits = list(file.limits), list(file.limits.values())
     t, q, dq, _ = sampled(move, names, _POINTS / move.duration_s)

@@ -1,5 +1,33 @@
 """Two results of one robot side by side: what changed beyond its standard errors."""
 
-from seqid_cli.compare.functions import compare
+from pathlib import Path
 
-__all__ = ["compare"]
+from seqid_cli.logs.given import PathLike
+from seqid_cli.params.io import read_any
+from seqid_cli.params.results.comparison import ComparisonFile
+
+
+def compare(
+    first: PathLike, second: PathLike, *, rtol: float | None = None, sigma: float | None = None
+) -> ComparisonFile:
+    """Compare two parameter, prediction or diagnosis files of one robot.
+
+    Parameters
+    ----------
+    first, second : path
+        What was, or what should be, and what is now.
+    rtol : float, optional
+        Share of a number's size beyond which it has changed; alone it decides.
+    sigma : float, optional
+        Combined standard errors beyond which it has changed; alone it decides.
+
+    Returns
+    -------
+    ComparisonFile
+        `changed` counts the numbers that moved by more than both (without limits: 4 standard
+        errors and 0.01 of the size).
+    """
+    a, b = read_any([Path(first), Path(second)])
+    from seqid_cli.compare.differences import compared, rule_of
+
+    return compared(a, b, rule_of(sigma, rtol))

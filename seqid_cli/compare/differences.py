@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from seqid_cli.errors import UsageError
 from seqid_cli.model.friction import SLIDES, FrictionSurface
-from seqid_cli.params.document import check_same_robot, now, present, tool
+from seqid_cli.params.document import check_same_robot, now, poor_because, present, tool
 from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results.comparison import (
     COMPARISON_SCHEMA,
@@ -39,7 +39,6 @@ from seqid_cli.params.schema import (
     ParameterFile,
     RigidStage,
     Stages,
-    Verdict,
 )
 
 _POSITIONS, _SPEEDS = 13, 12  # points at which friction surfaces are compared, per direction
@@ -128,7 +127,7 @@ def _judged(
 
 
 def _missing(stage: str, name: str, joint: str = "", *, there: bool) -> Difference:
-    """Return the change that the second file lacks a number that is `there` in the first."""
+    """Return the change that one file lacks a number that is `there` in the first, or not."""
     remark = "only in the first" if there else "only in the second"
     return Difference(stage=stage, name=name, joint=joint, remark=remark)
 
@@ -163,9 +162,8 @@ def _rigid(
     name: str, a: RigidStage, b: RigidStage, rule: RuleEntry, *, min_size: float = 1e-3
 ) -> Iterator[Difference]:
     least: dict[str, float] = {}
-    for parameter in (*a.parameters, *b.parameters):
-        size = max(least.get(parameter.unit, 0.0), min_size * abs(parameter.value))
-        least[parameter.unit] = size
+    for x in (*a.parameters, *b.parameters):
+        least[x.unit] = max(least.get(x.unit, 0.0), min_size * abs(x.value))
     one, other = (_torque_constants_held(stage) for stage in (a, b))
     yield from _parameters(name, one, other, rule, least)
     if a.rotor_coupling != b.rotor_coupling and a.parameters and b.parameters:
@@ -218,11 +216,12 @@ def _surface(joint: str, a: FrictionJoint, b: FrictionJoint, rule: RuleEntry) ->
     torques = np.array([surface.torque(q, v) for surface in surfaces]).T
     errors = np.array([surface.std_error(q, v) for surface in surfaces]).T
     size = float(np.abs(torques).max())
-    points = []
-    for pair, error, position, speed in zip(torques, errors, q, v, strict=True):
-        place = replace(where, remark=f"at {position:.3g}, speed {speed:.3g}")
-        points.append(_judged(place, rule, tuple(pair.tolist()), tuple(error.tolist()), least=size))
-    return max(points, key=lambda point: (point.different, point.relative or 0.0))
+    points = [
+        _judged(where, rule, tuple(pair), tuple(error), least=size)
+        for pair, error in zip(torques.tolist(), errors.tolist(), strict=True)
+    ]
+    k = max(range(len(points)), key=lambda k: (points[k].different, points[k].relative or 0.0))
+    return replace(points[k], remark=f"at {q[k]:.3g}, speed {v[k]:.3g}")
 
 
 def _imus(a: ImuStage, b: ImuStage, rule: RuleEntry) -> Iterator[Difference]:
@@ -316,17 +315,10 @@ def _verdict_notes(a: Stages, b: Stages) -> list[str]:
         one, other = getattr(a, name), getattr(b, name)
         if one is None or other is None:
             continue
-        before, after = _poor(one.verdicts), _poor(other.verdicts)
-        for joint, reason in after.items():
-            if bool(before.get(joint, reason)) != bool(reason):
-                said = f"poor: {reason}" if reason else "good"
+        judged = {verdict.joint for verdict in one.verdicts}
+        for joint in dict.fromkeys(verdict.joint for verdict in other.verdicts):
+            before, after = (poor_because(stage.verdicts, joint) for stage in (one, other))
+            if joint in judged and bool(before) != bool(after):
+                said = f"poor: {after}" if after else "good"
                 notes.append(f"{name}: the verdict on {joint or 'the stage'} is now {said}")
     return notes
-
-
-def _poor(verdicts: Sequence[Verdict]) -> dict[str, str]:
-    """Why each joint is poor, empty where it is good: all verdicts on it must be."""
-    reasons: dict[str, list[str]] = {}
-    for verdict in verdicts:
-        reasons.setdefault(verdict.joint, []).extend([] if verdict.good else [verdict.reason])
-    return {joint: "; ".join(own) for joint, own in reasons.items()}

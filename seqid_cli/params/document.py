@@ -1,7 +1,7 @@
 """Build, extend and join parameter files, which grow by a stage at a time."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from seqid_cli import __version__
@@ -47,6 +47,11 @@ def present(stages: schema.Stages) -> dict[str, object]:
     """Return the stages that are there, by name, in their order."""
     found = {name: getattr(stages, name) for name in COMMAND_OF}
     return {name: stage for name, stage in found.items() if stage is not None}
+
+
+def poor_because(verdicts: Iterable[schema.Verdict], joint: str) -> str:
+    """Return why a joint (a whole stage where it is empty) is poor; nothing where it is not."""
+    return "; ".join(v.reason for v in verdicts if v.joint == joint and not v.good)
 
 
 def stale_stages(previous: schema.ParameterFile | None, names: Sequence[str]) -> tuple[str, ...]:

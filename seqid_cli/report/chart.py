@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+import numpy as np
 from markupsafe import Markup, escape
 
 from seqid_cli.report.views import Figure, Legend, Table
@@ -53,8 +54,9 @@ def short(value: float) -> str:
     return f"{value:.1f}".removesuffix(".0")
 
 
-def padded(low: float, high: float, share: float = 0.05) -> tuple[float, float]:
+def padded(values: Numbers, share: float = 0.05) -> tuple[float, float]:
     """Return limits a little wider than the values; their width is never zero."""
+    low, high = float(np.min(values, initial=np.inf)), float(np.max(values, initial=-np.inf))
     if not (math.isfinite(low) and math.isfinite(high)):
         return -1.0, 1.0
     span = high - low
@@ -274,7 +276,7 @@ def dots(
         return None
     far = max([mark, *(value for points in rows.values() for _, value in points)])
     box = Box(_NAMES, 8.0, WIDE - _NAMES - _RIGHT, _ROW * len(rows))
-    panel = Panel(box, (0.0, padded(0.0, far or 1.0)[1]), (0.0, 1.0), x_title, y_ticks=0)
+    panel = Panel(box, (0.0, padded([0.0, far or 1.0])[1]), (0.0, 1.0), x_title, y_ticks=0)
     if mark:
         panel.upright(mark, "floor")
     for k, (name, points) in enumerate(rows.items()):

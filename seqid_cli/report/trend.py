@@ -60,9 +60,9 @@ def _figure(series: SeriesEntry) -> Figure:
     times = np.array([datetime.fromisoformat(date).timestamp() for date in series.dates])
     days = (times - times[0]) / _DAY
     values, half = np.array(series.values), Z95 * np.array(series.std_errors)
-    x, x_range = (f"days since {series.dates[0][:10]}", ""), padded(0.0, max(days[-1], 1.0), 0.02)
-    y_range = padded(float(min(values - half)), float(max(values + half)))
-    panel = small_panel(x, x_range, series.unit, y_range)
+    x, x_range = (f"days since {series.dates[0][:10]}", ""), padded([0.0, max(days[-1], 1.0)], 0.02)
+    edges = np.concatenate([values - half, values + half])
+    panel = small_panel(x, x_range, series.unit, padded(edges))
     panel.hover = "time|d"
     panel.band(days, values - half, values + half, "cut0")
     what = " ".join(part for part in (series.joint, series.stage, series.name) if part)

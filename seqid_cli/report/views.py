@@ -143,6 +143,11 @@ class Section:
         return not self.absent and not any(group.absent for group in self.groups)
 
 
+def lacking(key: str, title: str, text: str, command: str) -> Section:
+    """Return a section without its data: what is lacking, and the command that makes it."""
+    return Section(key, title, absent=[Absent(text, command)])
+
+
 @dataclass(frozen=True)
 class Page:
     """The content of a page.

@@ -6,6 +6,7 @@ from statistics import median
 
 from seqid_cli.commands.screen.render import Screen, number
 from seqid_cli.params import schema
+from seqid_cli.params.document import poor_because
 from seqid_cli.params.results.tables import of_joints, values
 
 
@@ -13,19 +14,18 @@ def show_stages(screen: Screen, stages: schema.Stages, robot: schema.RobotId) ->
     """Print the stages of a robot that are there."""
     if stages.friction is not None:
         _friction(screen, stages.friction, robot)
-    if stages.gravity is not None:
-        _rigid(screen, "gravity", stages.gravity, robot)
     if stages.imu is not None:
         _imu(screen, stages.imu)
-    if stages.inertia is not None:
-        _rigid(screen, "inertia", stages.inertia, robot)
+    for name, stage in (("gravity", stages.gravity), ("inertia", stages.inertia)):
+        if stage is not None:
+            _rigid(screen, name, stage, robot)
 
 
 def verdict_text(verdicts: Sequence[schema.Verdict], joint: str) -> str:
     """Return `good`, or `poor` and why, or a dash where nothing was judged."""
-    own = [verdict for verdict in verdicts if verdict.joint == joint]
-    reasons = [verdict.reason for verdict in own if not verdict.good]
-    return f"poor: {'; '.join(reasons)}" if reasons else "good" if own else "-"
+    if any(verdict.joint == joint and not verdict.good for verdict in verdicts):
+        return f"poor: {poor_because(verdicts, joint)}"
+    return "good" if any(verdict.joint == joint for verdict in verdicts) else "-"
 
 
 def show_poor(screen: Screen, verdicts: Sequence[schema.Verdict], whole: str) -> None:

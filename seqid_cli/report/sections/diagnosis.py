@@ -20,7 +20,7 @@ from seqid_cli.report.chart import dots, figure, padded, small_panel
 from seqid_cli.report.collection import Collection
 from seqid_cli.report.judgement import known_effects, unconfirmed, unexplained
 from seqid_cli.report.sections.parameters import value_rows
-from seqid_cli.report.views import VALUE_HEADS, Absent, Figure, Group, Section, Table, table
+from seqid_cli.report.views import VALUE_HEADS, Figure, Group, Section, Table, lacking, table
 
 _MOST_EVENTS = 200
 _VERDICTS = {
@@ -35,8 +35,7 @@ def diagnosis(collection: Collection) -> Section:
     title = "Diagnosis: what the model lacks"
     if not collection.diagnoses:
         call = collection.call("diagnose", output="diagnosis.json")
-        absent = Absent("No diagnosis is among the files given.", call)
-        return Section("diagnosis", title, absent=[absent])
+        return lacking("diagnosis", title, "No diagnosis is among the files given.", call)
     lead = (
         "Each diagnosis takes what the model leaves of the torque and asks which physical effect "
         "predicts it on held-out data. Confidence is a probability; the share explained is of the "
@@ -119,7 +118,7 @@ def _finding(key: str, item: FindingEntry, collection: Collection) -> Group:
             Table(f"Parameters of {title}", Values(VALUE_HEADS, rows)),
             Table("Tried in its place", tables.rivals(item.rivals), folded=True),
         ],
-        notes=[*notes, *([item.note] if item.note else [])],
+        notes=[*notes, *filter(None, [item.note])],
         unfolded=True,
     )
 
@@ -130,8 +129,7 @@ def closed_loop(collection: Collection) -> Section:
     loop = next((x.file.closed_loop for x in collection.models if x.file.closed_loop), None)
     if loop is None:
         call = collection.call("refine", "LOG...", "--holdout", "LOG", output="refined.json")
-        absent = Absent("No refined file is among the files given.", call)
-        return Section("loop", title, absent=[absent])
+        return lacking("loop", title, "No refined file is among the files given.", call)
     lead = (
         "Effects were chosen on blocks of time that were left out of the logs to fit. The held-out "
         "logs were opened after the last decision: both errors are measured there, where joints "
@@ -194,7 +192,7 @@ def evidence_figure(
         curves["after"] = ("predicted", "cut0", shown.after, shown.after_spread)
     edges = {name: (np.subtract(y, d), np.add(y, d)) for name, (*_, y, d) in curves.items()}
     ends = np.concatenate([np.zeros(1), *(edge for both in edges.values() for edge in both)])
-    x_range, y_range = (min(shown.x), max(shown.x)), padded(float(ends.min()), float(ends.max()))
+    x_range, y_range = (min(shown.x), max(shown.x)), padded(ends)
     x, y_title = (quantity, words.unit_text(shown.unit)), f"residual{sided}, {unit}"
     panel = small_panel(x, x_range, y_title, y_range)
     for name, (_, band, *_) in curves.items():

@@ -22,8 +22,8 @@ def friction(collection: Collection) -> views.Section:
     model = collection.model
     stage = model.stages.friction if model else None
     if model is None or stage is None:
-        absent = views.Absent("No friction stage is in the files given.", _CALL)
-        return views.Section("friction", "Friction", absent=[absent])
+        text = "No friction stage is in the files given."
+        return views.lacking("friction", "Friction", text, _CALL)
     lead = (
         "Friction torque as a function of position and velocity (Eq. 7-11). Nothing is known "
         "between the slowest recorded speeds of both directions, where the sign turns; outside the "
@@ -97,7 +97,7 @@ def _map(joint: FrictionJoint, surface: FrictionSurface, place: Place) -> views.
     grids = [(np.repeat(q, len(v)), np.tile(v, len(q))) for v in halves]
     torques = [surface.torque(*grid).reshape(len(q), -1) for grid in grids]
     low, high = float(np.min(torques)), float(np.max(torques))
-    x_range, y_range = padded(q[0], q[-1], 0.0), padded(-speed[-1], speed[-1], 0.0)
+    x_range, y_range = padded(q, 0.0), padded([-speed[-1], speed[-1]], 0.0)
     x, y_title = ("position", place.length), f"velocity, {place.length}/s"
     panel = small_panel(x, x_range, y_title, y_range, height=_HEIGHT, hover="")
     for v, torque in zip(halves, torques, strict=True):
@@ -139,9 +139,8 @@ def _cuts(joint: FrictionJoint, surface: FrictionSurface, place: Place, over: st
             q, v = (np.full(len(x), at), x) if along else (x, np.full(len(x), at))
             curves.append((k, x, surface.torque(q, v), Z95 * surface.stated_error(q, v)))
     every = np.concatenate([np.concatenate([y - e, y + e]) for *_, y, e in curves])
-    x_range = padded(float(pieces[0][0]), float(pieces[-1][-1]), 0.02)
-    y_range, y_title = padded(float(every.min()), float(every.max())), f"friction, {place.unit}"
-    panel = small_panel((over, x_unit), x_range, y_title, y_range, height=_HEIGHT)
+    x_range, y_title = padded(np.concatenate(pieces), 0.02), f"friction, {place.unit}"
+    panel = small_panel((over, x_unit), x_range, y_title, padded(every), height=_HEIGHT)
     names = [f"at {float(at):.3g} {cut_unit}".replace("-", MINUS) for at in cuts]
     for k, x, y, e in curves:
         panel.band(x, y - e, y + e, f"cut{k}")

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from seqid_cli.params.schema import ImuCalibration, MotionUse, RobotId, Verdict
 from seqid_cli.report.collection import Collection
-from seqid_cli.report.views import Absent, Group, Section, Table, badge, reasons, table
+from seqid_cli.report.views import Group, Section, Table, badge, lacking, reasons, table
 from seqid_cli.report.words import MINUS, number, short_path, with_error
 
 _CALL = "seqid imu-calib LOG... -r robot.toml -p gravity.json -o imu.json"
@@ -16,7 +16,7 @@ def imu(collection: Collection) -> Section:
     stages = collection.model.stages if collection.model else None
     if stages is None or stages.imu is None:
         text = "No IMU stage is in the files given; robots without IMUs have none."
-        return Section("imu", title, absent=[Absent(text, _CALL)])
+        return lacking("imu", title, text, _CALL)
     lead = (
         "The rotation turns vectors from IMU coordinates into those of the link that carries the "
         "IMU (Eq. 38). The gain compares the joint's acceleration with the one that the IMU sees "

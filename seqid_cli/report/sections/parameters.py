@@ -10,7 +10,16 @@ from seqid_cli.params.results.diagnosis import FindingEntry
 from seqid_cli.params.results.tables import Head, Values, heads, of_joints
 from seqid_cli.params.schema import EffectOfJoint, RigidStage
 from seqid_cli.report.collection import Collection, Model
-from seqid_cli.report.views import VALUE_HEADS, Absent, Group, Section, Table, badge, value_row
+from seqid_cli.report.views import (
+    VALUE_HEADS,
+    Absent,
+    Group,
+    Section,
+    Table,
+    badge,
+    lacking,
+    value_row,
+)
 from seqid_cli.report.words import (
     DASH,
     Z95,
@@ -43,8 +52,8 @@ def parameters(collection: Collection) -> Section:
     """Return the section on gravity, inertia and effects."""
     model = collection.model
     if model is None:
-        absent = Absent("No parameter file is among the files given.", _MADE_BY["inertia"])
-        return Section("parameters", "Parameters", absent=[absent])
+        text, call = "No parameter file is among the files given.", _MADE_BY["inertia"]
+        return lacking("parameters", "Parameters", text, call)
     groups, absent_stages = [], []
     for name in _TITLES:
         stage = getattr(model.stages, name)

@@ -17,6 +17,7 @@ Event = tuple[float, float]
 _ROWS = 20  # of the tables of time series and spectra
 _BINS = 40
 _MOST_SPANS = 200
+_ROOM = 0.06  # above and below what is drawn, of its range
 
 
 def over_time(
@@ -89,18 +90,14 @@ def _panels(models: Mapping[str, Series], shown: Mask, unit: str) -> tuple[Panel
         left.append(own.residual[known & own.used & own.sliding])
     drawn, span = np.concatenate(both), float(series.t[-1] - series.t[0])
     x, box, below = (0.0, span or 1.0), wide_box(26, 164), wide_box(220, 84)
-    limits = _limits(drawn[np.isfinite(drawn)])
+    limits = padded(drawn[np.isfinite(drawn)], _ROOM)
     torque = Panel(box, x, limits, y_title=f"torque, {unit}", show_x=False, hover="t|s")
-    limits, title = _limits(np.concatenate([[0.0], *left])), f"residual, {unit}"
+    limits, title = padded(np.concatenate([[0.0], *left]), _ROOM), f"residual, {unit}"
     return torque, Panel(below, x, limits, "time, s", title, y_ticks=3, hover="t|s")
 
 
 def _known(series: Series) -> Mask:
     return np.isfinite(series.torque) & np.isfinite(series.predicted) & np.isfinite(series.residual)
-
-
-def _limits(values: Array) -> tuple[float, float]:
-    return padded(float(values.min()), float(values.max()), 0.06) if len(values) else (-1.0, 1.0)
 
 
 def _time_table(series: Series, good: Mask, unit: str, title: str) -> Table:
@@ -143,7 +140,7 @@ def over_quantity(
     ]
     if not bins:
         return None
-    x_range, y_range = padded(float(edges[0]), float(edges[-1]), 0.02), _limits(np.append(r, 0.0))
+    x_range, y_range = padded(edges, 0.02), padded(np.append(r, 0.0), _ROOM)
     panel = small_panel((quantity, unit), x_range, f"residual, {place.unit}", y_range)
     centre, least, low, middle, high, most = zip(*bins, strict=True)
     panel.band(centre, least, most, "faint")

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.sensitivity import link_deviation, link_inertia
 from seqid_cli.motion.filters.differentiation import differentiate, runs
 from seqid_cli.motion.motion import Motion
@@ -57,15 +57,13 @@ class Backlash(Effect):
         """No: where the gap stands was decided when it was last crossed."""
         return False
 
-    def available(self, scenes: Scenes, joint: Joint) -> bool:
+    def available(self, scenes: Scenes, joint: int) -> bool:
         """The model must know the load, and the load must change its sign."""
-        assert joint is not None
         changes = any(np.ptp(np.sign(scene.load[:, joint])) > 1.0 for scene in scenes)
         return changes and super().available(scenes, joint)
 
-    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
+    def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
         """Yield the gap whose flights fit the joint's own residual best."""
-        assert joint is not None
         y = np.concatenate([r[:, joint] for r in residual])
         best, most = SMALLEST, -1.0
         flights = [self._flights(scene, joint) for scene in scenes]
@@ -92,9 +90,8 @@ class Backlash(Effect):
         flown = -inertia * differentiate(lead, motion.rate_hz, motion.valid)[1]
         return motion.filtered(flown, times=self.passes)
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Torque per unit gap, on all joints."""
-        assert joint is not None
         gap = settings["trial_gap"]
         inertia = link_inertia(scene, joint)[:, joint]
         deviation = play(scene.load[:, joint], inertia, scene.motion, gap) / -gap

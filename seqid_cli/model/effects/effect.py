@@ -13,11 +13,11 @@ import abc
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes, has_rigid_body, moves
+from seqid_cli.model.effects.scene import Scene, Scenes, has_rigid_body, moves
 from seqid_cli.model.effects.smooth import MEASURES, Axis, Measure
 from seqid_cli.model.effects.units import Value, amplitude_and_phase
 from seqid_cli.robot.base_parameters import free_basis
@@ -27,6 +27,7 @@ from seqid_cli.units import unit_of
 
 Grid = Iterator[dict[str, float]]
 Settings = Mapping[str, float]
+AnyJoint = Any  # a `Joint`: each effect says whether it takes None, for the whole arm or all joints
 Columns = Mapping[int, Array]  # joint index -> (N, k), unfiltered, torque per unit coefficient
 
 SPACING = 2.5  # ratio of a setting to the grid's next value
@@ -172,7 +173,7 @@ class Effect(abc.ABC):
         return self.linear
 
     @abc.abstractmethod
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: AnyJoint, settings: Settings) -> Columns:
         """Compute the torque per unit coefficient.
 
         Parameters
@@ -189,20 +190,20 @@ class Effect(abc.ABC):
             For every joint whose torque is touched; unfiltered.
         """
 
-    def steady_columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def steady_columns(self, scene: Scene, joint: AnyJoint, settings: Settings) -> Columns:
         """Compute the same of joints at constant speeds, whose samples are places, not times."""
         return self.columns(scene, joint, settings)
 
-    def available(self, scenes: Scenes, joint: Joint) -> bool:
+    def available(self, scenes: Scenes, joint: AnyJoint) -> bool:
         """Return whether robot file and channels allow to look for it; by default `needs`."""
         moving = "motion" not in self.needs or (joint is not None and moves(scenes, joint))
         return moving and ("load" not in self.needs or has_rigid_body(scenes))
 
-    def possible(self, scenes: Scenes, joint: Joint) -> bool:
+    def possible(self, scenes: Scenes, joint: AnyJoint) -> bool:
         """Return whether it may be there though it cannot be looked for: a channel is lacking."""
         return not self.available(scenes, joint)
 
-    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
+    def grid(self, scenes: Scenes, joint: AnyJoint, residual: Sequence[Array]) -> Grid:
         """Yield the settings to try.
 
         Parameters
@@ -217,11 +218,11 @@ class Effect(abc.ABC):
         for values in product(*axes.values()):
             yield dict(zip(axes, values, strict=True))
 
-    def beyond(self, scenes: Scenes, joint: Joint) -> Grid:
+    def beyond(self, scenes: Scenes, joint: AnyJoint) -> Grid:
         """Yield first values of settings that are not asked for."""
         return iter(())
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: AnyJoint) -> Mapping[str, Sequence[float]]:
         """Return the grid's values of each setting; the default `grid` is their product."""
         return {setting.name: setting.grid for setting in self.settings if setting.grid}
 
@@ -244,7 +245,7 @@ class Effect(abc.ABC):
         own = [setting for setting in self.settings if setting.agreement is not None]
         return {one.name: float(np.clip(c[0], one.low, one.high)) for one in own} or None
 
-    def guessed(self, scene: Scene, joint: Joint, settings: Settings) -> Mapping[int, Mask]:
+    def guessed(self, scene: Scene, joint: AnyJoint, settings: Settings) -> Mapping[int, Mask]:
         """Return, by joint, samples (N,) at which nobody can say what torque the effect has.
 
         Where something sticks that slides only with this effect, say.
@@ -252,7 +253,7 @@ class Effect(abc.ABC):
         return {}
 
     def reported(
-        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: AnyJoint, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return the `values`, or none where something is `lacking` that they stand on."""
         if self.lacking(robot, joint):
@@ -260,7 +261,7 @@ class Effect(abc.ABC):
         return self.values(robot, joint, settings, c, covariance)
 
     def values(
-        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: AnyJoint, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return the physical parameters of coefficients c (k,) with their covariance (k, k)."""
         specs = self.coefficients(settings)
@@ -274,7 +275,7 @@ class Effect(abc.ABC):
             for spec, x, e in zip(specs, c, errors, strict=True)
         ]
 
-    def lacking(self, robot: Robot, joint: Joint) -> str:
+    def lacking(self, robot: Robot, joint: AnyJoint) -> str:
         """Return why the parameters do not follow from what is found; empty where they do."""
         if not self.apart or joint is None or not rotor_hidden(robot, joint):
             return ""
@@ -283,7 +284,7 @@ class Effect(abc.ABC):
             f"link's alone: give rotor_inertia of {robot.joint_names[joint]} in the robot file"
         )
 
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
+    def plausible(self, scenes: Scenes, joint: AnyJoint, settings: Settings, c: Array) -> bool:
         """Return whether coefficients c (k,) are physical; the default asks their bounds.
 
         And that a setting which is the effect's size agrees with it.
@@ -305,9 +306,8 @@ class FrictionLaw(Effect):
     def law(self, scene: Scene, joint: int, settings: Settings) -> Array:
         """Compute the torque (N, k) per unit coefficient at the joint, unfiltered."""
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """The law at the joint alone."""
-        assert joint is not None
         return {joint: self.law(scene, joint, settings)}
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.effect import Coefficient, Columns, Setting, Settings
 from seqid_cli.model.effects.measurement import MeasurementEffect
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.sensitivity import modelled_slopes
 from seqid_cli.robot.base_parameters import gear_ratios
 from seqid_cli.robot.types import Robot
@@ -49,16 +49,14 @@ class EncoderEccentricity(MeasurementEffect):
         "square of the speed, ripple does not"
     )
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
         """Orders 1 and 2 of the motor, and of the joint where that is something else."""
-        assert joint is not None
         gear = abs(float(scenes[0].gear[joint]))
         slow = [order / gear for order in ORDERS] if gear > FINE_GEAR else []
         return {"order": [*ORDERS, *slow]}
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Minus the derivative of the modelled torque along the error and its derivatives."""
-        assert joint is not None
         motion = scene.motion
         k = settings["order"] * float(scene.gear[joint])
         p, dp, ddp = (k * x[:, joint] for x in (motion.q, motion.dq, motion.ddq))
@@ -79,10 +77,9 @@ class EncoderEccentricity(MeasurementEffect):
         return {j: np.ascontiguousarray(torque[:, j]) for j in range(scene.robot.n)}
 
     def restored(
-        self, recording: Recording, robot: Robot, joint: Joint, settings: Settings, c: Array
+        self, recording: Recording, robot: Robot, joint: int, settings: Settings, c: Array
     ) -> Recording:
         """Take the error off the measured angle."""
-        assert joint is not None
         p = settings["order"] * float(gear_ratios(robot)[joint]) * recording.q[:, joint]
         q = recording.q.copy()
         q[:, joint] -= c[0] * np.sin(p) + c[1] * np.cos(p)

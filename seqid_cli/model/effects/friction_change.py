@@ -44,9 +44,8 @@ class FrictionChange(FrictionLaw):
         """Direction and velocity."""
         return np.stack([scene.sign[:, joint], scene.motion.dq[:, joint]], axis=1)
 
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
+    def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """Ask that friction, the change included, still takes power from the motion."""
-        assert joint is not None
         power = 0.0
         for scene in scenes:
             torque = scene.friction[:, joint] + self.columns(scene, joint, settings)[joint] @ c

@@ -14,7 +14,7 @@ velocity-dependence and dynamic identification of multi-DOF robots", ICRA 2011.
 from collections.abc import Sequence
 
 from seqid_cli.model.effects.effect import FrictionLaw, Grid, Setting, Settings, rotor_hidden
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.sensitivity import link_inertia
 from seqid_cli.typing import Array
 
@@ -30,14 +30,13 @@ class LoadLoss(FrictionLaw):
     settings = (Setting(ROTOR, "kg m^2", low=1e-12, high=1e6, logarithmic=True, asked=False),)
     needs = ("motion", "load")
 
-    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
+    def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
         """Yield no rotor, then some that it may have."""
         yield {}
         yield from self.beyond(scenes, joint)
 
-    def beyond(self, scenes: Scenes, joint: Joint) -> Grid:
+    def beyond(self, scenes: Scenes, joint: int) -> Grid:
         """Yield rotor inertias where neither robot file nor motion nor a sensor tells them."""
-        assert joint is not None
         measured = all(scene.sensor is not None for scene in scenes)
         if measured or not rotor_hidden(scenes[0].robot, joint):
             return
@@ -54,9 +53,8 @@ class LoadLoss(FrictionLaw):
         load, rotor = scene.load[:, joint], settings.get(ROTOR, 0.0)
         return load if scene.sensor is not None else load - rotor * scene.motion.ddq[:, joint]
 
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
+    def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """Ask for bounded losses, and for a link that has inertia of its own."""
-        assert joint is not None
         possible = ROTOR not in settings or settings[ROTOR] <= _most(scenes, joint)
         return possible and super().plausible(scenes, joint, settings, c)
 

@@ -27,7 +27,7 @@ import numpy as np
 from scipy.linalg.blas import dtbsv
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.sensitivity import link_deviation, link_inertia
 from seqid_cli.model.effects.units import Value
 from seqid_cli.motion.filters.differentiation import differentiate, runs
@@ -68,9 +68,8 @@ class JointElasticity(Effect):
         """Only where the encoder is on the link: a twist rings on."""
         return settings["encoder_side"] > 0.5
 
-    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
+    def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
         """Yield resonances around the cut-off; the robot file tells where the encoder sits."""
-        assert joint is not None
         inertia = max(float(np.mean(link_inertia(scenes[0], joint)[:, joint])), 1e-9)
         cutoff = scenes[0].motion.lowpass.cutoff_hz
         unit = inertia * (2 * np.pi * cutoff) ** 2  # N m/rad, of a resonance at the cut-off
@@ -83,9 +82,8 @@ class JointElasticity(Effect):
             settings = {"trial_stiffness": float(unit * share**2), "encoder_side": 0.0}
             yield {**settings, "damping_ratio": RINGING}
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Torque per unit compliance, on all joints (link's side: on its own)."""
-        assert joint is not None
         if settings["encoder_side"] > 0.5:
             return _of_the_motor(scene, joint, settings["trial_stiffness"])
         damping = settings.get("damping_ratio", BLUNT)
@@ -94,17 +92,16 @@ class JointElasticity(Effect):
         return {j: torque[:, j : j + 1] for j in range(scene.robot.n)}
 
     def values(
-        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: int, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return the stiffness 1 / c, its error by the delta method."""
         compliance = max(float(c[0]), 1e-12)
         error = float(np.sqrt(max(covariance[0, 0], 0.0))) / compliance**2
-        unit = robot.joints[joint or 0].unit("N m/rad")
+        unit = robot.joints[joint].unit("N m/rad")
         return [Value("stiffness", 1.0 / compliance, error, unit)]
 
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
+    def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """The compliance agrees with the stiffness that shaped it, where that shows in the band."""
-        assert joint is not None
         if c[0] <= 0.0 or settings["encoder_side"] > 0.5:
             return bool(c[0] > 0.0)
         inertia = max(float(np.mean(link_inertia(scenes[0], joint)[:, joint])), 1e-9)

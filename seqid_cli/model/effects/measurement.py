@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.effect import Columns, Effect, Settings
+from seqid_cli.model.effects.effect import AnyJoint, Columns, Effect, Settings
 from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -22,7 +22,7 @@ class MeasurementEffect(Effect):
 
     @abc.abstractmethod
     def restored(
-        self, recording: Recording, robot: Robot, joint: Joint, settings: Settings, c: Array
+        self, recording: Recording, robot: Robot, joint: AnyJoint, settings: Settings, c: Array
     ) -> Recording:
         """Return a recording with torque as it would be without the effect.
 

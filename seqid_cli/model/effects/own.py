@@ -117,12 +117,11 @@ class FormulaEffect(Effect):
             for s in self.settings
         }
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Evaluate every term.
 
         Raises ConfigError if a term is no finite number somewhere.
         """
-        assert joint is not None
         names = self.formula.coefficients
         X = np.empty((scene.samples, len(names)))
         with np.errstate(all="ignore"):

@@ -16,12 +16,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.model.effects.spectral_lines import Signal, amplitude, refined, strongest_lines
 from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
-from seqid_cli.units import unit_of
 
 LOWEST_HZ = 1.0
 LINES = 6  # looked at
@@ -60,9 +59,8 @@ class PeriodicDisturbance(Effect):
             for part in ("sine", "cosine")
         )
 
-    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
+    def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
         """Lines of the residual that keep amplitude and phase and are not made by the motion."""
-        assert joint is not None
         shared = all(scene.shared_clock for scene in scenes)
         ends = [scene.time[[0, -1]] for scene in scenes]
         fixed = {"clocks": 0.0 if shared else float(len(scenes)), "span": float(np.ptp(ends))}
@@ -81,9 +79,8 @@ class PeriodicDisturbance(Effect):
             if coherence >= COHERENT and alike and np.median(left) > OF_MOTION * np.median(motion):
                 yield {"frequency": frequency, **fixed}
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Sine and cosine; zero for a log whose phase is not known."""
-        assert joint is not None
         logs = round(settings["clocks"])
         phase = 2.0 * np.pi * settings["frequency"] * scene.time
         line = np.column_stack([np.sin(phase), np.cos(phase)])
@@ -95,10 +92,9 @@ class PeriodicDisturbance(Effect):
         return {joint: wide}
 
     def values(
-        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: int, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Amplitude, and phase where all logs share it."""
-        slides = joint is not None and robot.joints[joint].prismatic
         variance = np.maximum(np.diag(covariance), 0.0).reshape(-1, 2).mean(axis=1)
         amplitudes, errors = np.hypot(c[::2], c[1::2]), np.sqrt(variance)  # of every clock
         weight = 1.0 / np.maximum(errors, 1e-300) ** 2
@@ -107,7 +103,7 @@ class PeriodicDisturbance(Effect):
         # The Cramer-Rao bound of a line's frequency, over the time that one phase was followed.
         sharp = np.sqrt(3.0) / np.pi / max(settings["span"], 1e-9) * error / max(mean, 1e-300)
         found = [
-            Value("amplitude", mean, error, unit_of("N m", slides)),
+            Value("amplitude", mean, error, robot.joints[joint].unit("N m")),
             Value("frequency", settings["frequency"], min(float(sharp), 1e3), "Hz"),
         ]
         if round(settings["clocks"]) == 0:

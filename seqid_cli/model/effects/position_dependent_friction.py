@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes, travel
+from seqid_cli.model.effects.scene import Scene, Scenes, travel
 from seqid_cli.typing import Array
 
 WAVES = (1.0, 2.0, 3.0, 5.0)  # per turn of the joint
@@ -46,9 +46,8 @@ class PositionDependentFriction(FrictionLaw):
             Coefficient(f"{part}_{k}", "N m") for k in orders for part in ("cosine", "sine")
         )
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
         """A turn of the joint with one wave or more; twice the travel of a sliding joint."""
-        assert joint is not None
         slides = scenes[0].robot.joints[joint].prismatic
         period = 2.0 * travel(scenes, joint) if slides else 2.0 * np.pi
         return {"period": (period,), "waves": WAVES}

@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes, travel
+from seqid_cli.model.effects.scene import Scene, Scenes, travel
 from seqid_cli.typing import Array
 
 DISTANCES = 11
@@ -44,9 +44,8 @@ class PreslidingHysteresis(FrictionLaw):
         """No: the deflection remembers the last reversals, however long ago."""
         return False
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
         """Distances from a ten-thousandth to a fifth of the way, by ratios of about two."""
-        assert joint is not None
         scale = min(travel(scenes, joint), 1.0)
         distances = np.maximum(np.geomspace(SHORTEST, LONGEST, DISTANCES) * scale, 1e-7)
         return {"presliding_distance": [float(x) for x in distances]}
@@ -56,9 +55,8 @@ class PreslidingHysteresis(FrictionLaw):
         x = deflection(scene.motion.q[:, joint], settings["presliding_distance"])
         return (x - scene.sign[:, joint])[:, None]
 
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
+    def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """Ask for friction that settles within the way: else it would be a spring."""
-        assert joint is not None
         settles = settings["presliding_distance"] < 0.5 * travel(scenes, joint)
         return settles and super().plausible(scenes, joint, settings, c)
 

@@ -46,17 +46,15 @@ class RotorInertia(Effect):
         lacks = carried and scenes[0].model.coupling == "diagonal"
         return {"coupling": [0.0, 1.0] if lacks else [0.0]}
 
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
+    def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """No rotor is left with a negative inertia; one that no file gives may have been any."""
-        assert joint is not None
         known = scenes[0].robot.joints[joint].rotor_inertia
         if settings["coupling"] > 0.5:
             return bool(c[0] >= 0.0)
         return known is None or bool(c[0] >= -known)
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Acceleration times the square of the gear ratio, or the couplings alone."""
-        assert joint is not None
         motion = scene.motion
         if settings["coupling"] <= 0.5:
             return {joint: (scene.gear[joint] ** 2 * motion.ddq[:, joint])[:, None]}

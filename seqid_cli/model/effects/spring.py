@@ -14,7 +14,7 @@ heavy industrial robots", ICRA 2013.
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Setting, Settings
-from seqid_cli.model.effects.scene import Joint, Scene
+from seqid_cli.model.effects.scene import Scene
 from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -43,9 +43,8 @@ class Spring(Effect):
             return (*linear, Coefficient("cubic_stiffness", "N m/rad^3"), squared)
         return linear
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Position, one, its cube and its square."""
-        assert joint is not None
         q = scene.motion.q[:, joint]
         terms = [q, np.ones_like(q)]
         if settings["cubic"] > 0.5:
@@ -53,7 +52,7 @@ class Spring(Effect):
         return {joint: np.stack(terms, axis=1)}
 
     def values(
-        self, robot: Robot, joint: Joint, settings: Settings, c: Array, covariance: Array
+        self, robot: Robot, joint: int, settings: Settings, c: Array, covariance: Array
     ) -> list[Value]:
         """Return stiffness, rest position -c_1 / c_0 (delta method), and the others."""
         found = super().values(robot, joint, settings, c, covariance)
@@ -62,6 +61,6 @@ class Spring(Effect):
         slope = np.zeros(len(c))
         slope[:2] = c[1] / c[0] ** 2, -1.0 / c[0]
         error = float(np.sqrt(max(float(slope @ covariance @ slope), 0.0)))
-        unit = robot.joints[joint or 0].unit("rad")
+        unit = robot.joints[joint].unit("rad")
         found[1] = Value("rest_position", float(-c[1] / c[0]), error, unit)
         return found

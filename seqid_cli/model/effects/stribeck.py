@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, FrictionLaw, Setting, Settings
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes, top_speed
+from seqid_cli.model.effects.scene import Scene, Scenes, top_speed
 from seqid_cli.model.friction import SLIDES
 from seqid_cli.typing import Array
 
@@ -42,9 +42,8 @@ class Stribeck(FrictionLaw):
         "speeding up and slowing down must give the same torque at the same speed"
     )
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
         """Speeds from the sign's width to half the top speed, by ratios of about two."""
-        assert joint is not None
         top = top_speed(scenes, joint)
         slow = min(SLIDES * float(scenes[0].sign_width[joint]), SLOWEST_SHARE * top)
         speeds = np.clip(np.geomspace(slow, FASTEST_SHARE * top, SPEEDS), 1e-6, 100.0)
@@ -56,13 +55,12 @@ class Stribeck(FrictionLaw):
         hump = np.exp(-(ratio ** settings["exponent"])) * scene.sign[:, joint]
         return hump[:, None]
 
-    def plausible(self, scenes: Scenes, joint: Joint, settings: Settings, c: Array) -> bool:
+    def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """Ask for more friction at low speed, and that the hump ends within the speeds seen.
 
         It must show mostly at speeds at which the joint certainly slides: of a narrower one little
         more is seen than what the low-pass brings over from reversals, where nothing is known.
         """
-        assert joint is not None
         speed = settings["stribeck_speed"]
         slides = ABOVE * SLIDES * float(scenes[0].sign_width[joint])
         ends = slides <= speed < top_speed(scenes, joint)

@@ -78,9 +78,8 @@ class ThermalFriction(FrictionLaw):
             Coefficient("viscous_when_cold", "N m s/rad"),
         )
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
         """Time constants around the session's length; with a temperature they do nothing."""
-        assert joint is not None
         span, logged = session(scenes), _logged(scenes, joint)
         times = [span] if logged else np.geomspace(0.04 * span, 2.0 * span, TIME_CONSTANTS)
         return {

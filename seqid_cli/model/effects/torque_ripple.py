@@ -27,7 +27,7 @@ import numpy as np
 
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Grid, Setting, Settings
 from seqid_cli.model.effects.orders import Profile, clearest, clearness, peaks
-from seqid_cli.model.effects.scene import Joint, Scene, Scenes
+from seqid_cli.model.effects.scene import Scene, Scenes
 from seqid_cli.typing import Array
 
 LAWS = ("constant", "torque", "direction", "load")
@@ -75,12 +75,11 @@ class TorqueRipple(Effect):
         unit = "1" if settings["law"] in (1.0, 3.0) else "N m"
         return Coefficient("ripple_sin", unit), Coefficient("ripple_cos", unit)
 
-    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
+    def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
         """Yield the strongest and the clearest lines of every law, and of the best lag.
 
         And the usual ones: where logs are fast, the spectrum over position does not reach them.
         """
-        assert joint is not None
         gear = abs(float(scenes[0].gear[joint]))
         speed = max(usual_speed(scene, joint) for scene in scenes)
         for order in USUAL:
@@ -106,9 +105,8 @@ class TorqueRipple(Effect):
             return whole
         return order
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Sine and cosine of the angle, times the law's multiplier."""
-        assert joint is not None
         p = settings["order"] * scene.gear[joint] * _angle(scene, joint, settings["lag"])
         m = multiplier(scene, joint, int(settings["law"]))
         return {joint: np.stack([m * np.sin(p), m * np.cos(p)], axis=1)}

@@ -61,15 +61,13 @@ class TransmissionCoupling(Effect):
         """A neighbour is needed."""
         return scenes[0].robot.n > 1
 
-    def axes(self, scenes: Scenes, joint: Joint) -> Mapping[str, Sequence[float]]:
+    def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
         """Neighbours of the joint's own kind, and ratios."""
-        assert joint is not None
         near = [d for d in _neighbours(scenes[0], joint) if not _mixed(scenes[0], joint, d)]
         return {"neighbour": near, "ratio": RATIOS}
 
-    def grid(self, scenes: Scenes, joint: Joint, residual: Sequence[Array]) -> Grid:
+    def grid(self, scenes: Scenes, joint: int, residual: Sequence[Array]) -> Grid:
         """Neighbours and ratios; between sliding and turning in units of their top speeds."""
-        assert joint is not None
         yield from super().grid(scenes, joint, residual)
         for d in _neighbours(scenes[0], joint):
             if _mixed(scenes[0], joint, d):
@@ -80,9 +78,8 @@ class TransmissionCoupling(Effect):
         """Return the neighbour's velocity."""
         return Axis("velocity", joint + int(settings["neighbour"]))
 
-    def columns(self, scene: Scene, joint: Joint, settings: Settings) -> Columns:
+    def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """What direction, rate and acceleration of the combination add, on both joints."""
-        assert joint is not None
         partner, ratio, width = _drive(scene, joint, settings)
         own, other = (
             np.stack([scene.motion.dq[:, j], scene.motion.ddq[:, j]], axis=1)
@@ -93,9 +90,8 @@ class TransmissionCoupling(Effect):
         already = np.column_stack([scene.sign[:, joint], own])
         return {joint: drive - already, partner: ratio * drive}
 
-    def guessed(self, scene: Scene, joint: Joint, settings: Settings) -> Mapping[int, Mask]:
+    def guessed(self, scene: Scene, joint: int, settings: Settings) -> Mapping[int, Mask]:
         """Where the drive sticks, though both joints move."""
-        assert joint is not None
         partner, ratio, width = _drive(scene, joint, settings)
         rate = scene.motion.dq[:, [joint]] + ratio * scene.motion.dq[:, [partner]]
         sticks = slowest_near(scene.motion, rate)[:, 0] < SLIDES * width

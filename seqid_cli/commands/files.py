@@ -13,7 +13,7 @@ from seqid_cli.params.files import By
 from seqid_cli.params.results import tables
 from seqid_cli.params.results.comparison import ComparisonFile, Difference
 from seqid_cli.params.results.export import ExportFile
-from seqid_cli.params.results.report import TITLES, ReportFile
+from seqid_cli.params.results.report import TITLES
 from seqid_cli.params.results.trend import ChangeEntry, TrendFile
 
 # Identified base parameters that no body has within so many standard errors are not noise.
@@ -57,18 +57,14 @@ def report(
     It opens offline and loads nothing. With --strict the exit code is 1 unless the verdict is good.
     """
     told, made = called(context, "report.report")
-    _show_report(told.screen, made)
-    return told.ended(untrusted=made.verdict != "good")
-
-
-def _show_report(screen: Screen, report: ReportFile) -> None:
-    screen.result(f"{TITLES[report.verdict]}. {report.sentence}")
-    for point in report.points:
+    screen = told.screen
+    screen.result(f"{TITLES[made.verdict]}. {made.sentence}")
+    for point in made.points:
         screen.result(f"- {point.text}")
-    lacking = [section.id for section in report.sections if not section.complete]
-    if lacking:
+    if lacking := [section.id for section in made.sections if not section.complete]:
         screen.note(f"sections that say which command gives their data: {', '.join(lacking)}")
-    screen.note(f"written: {report.output}")
+    screen.note(f"written: {made.output}")
+    return told.ended(untrusted=made.verdict != "good")
 
 
 @command(
@@ -165,15 +161,15 @@ def compare(
     """
     context.params["json"] |= form == "json"
     told, found = called(context, "compare.compare")
-    changed = [item for item in found.differences if item.different]
     limits = [] if found.rule.sigma is None else [f"{found.rule.sigma:g} standard errors"]
     limits.append(f"{100.0 * found.rule.rtol:g} % of its size")
     summary = (
         f"{found.changed} of {found.compared} numbers changed (by more than {' and '.join(limits)})"
     )
     if form == "github":
-        for item in changed:
-            told.screen.result(_annotation(item, found.b))
+        for item in found.differences:
+            if item.different:
+                told.screen.result(_annotation(item, found.b))
         told.screen.result(f"::notice title=seqid compare::{_escaped(summary)}")
     else:
         _show_comparison(told.screen, found)
@@ -184,9 +180,8 @@ def compare(
 
 
 def _show_comparison(screen: Screen, found: ComparisonFile) -> None:
-    rest = [item for item in found.differences if not item.different]
+    changed, rest = ([x for x in found.differences if x.different == y] for y in (True, False))
     rest.sort(key=lambda item: -(item.relative or 0.0))
-    changed = [item for item in found.differences if item.different]
     shown = rest if screen.verbose else rest[:_SHOWN]
     rows = []
     for x in (*changed, *shown):

@@ -92,15 +92,10 @@ def run(
         if code == EXIT_UNTRUSTED and not keep_going and step is not steps[-1]:
             screen.note(f"stopped at {step.command}: its verdict is poor (--keep-going goes on)")
             break
-    rows = [
-        (
-            x["command"],
-            "good" if x["good"] else "poor",
-            x["output"],
-            "kept" if x["kept"] else "made",
-        )
-        for x in outcomes
-    ]
+    rows = []
+    for x in outcomes:
+        state, how = "good" if x["good"] else "poor", "kept" if x["kept"] else "made"
+        rows.append((x["command"], state, x["output"], how))
     screen.table(("step", "verdict", "file", ""), rows)
     screen.document({"steps": outcomes})
     if not all(outcome["good"] for outcome in outcomes):
@@ -113,12 +108,9 @@ def _steps(folder: Path, path: Path, robot: Robot, out: Path, jobs: int | None) 
     there = {name: folder / name for name in FOLDERS if (folder / name).is_dir()}
     if "friction" not in there:
         wrong = "is no folder" if not folder.is_dir() else "has no folder friction/"
-        raise InputError(
-            f"{wrong}; a run starts with friction trials",
-            where=str(folder),
-            hint=f"Sort the logs into {_NAMED}; without trials of single joints use seqid"
-            " simultaneous.",
-        )
+        message = f"{wrong}; a run starts with friction trials"
+        hint = f"Sort the logs into {_NAMED}; without trials of single joints use seqid"
+        raise InputError(message, where=str(folder), hint=f"{hint} simultaneous.")
     if not robot.imus:
         there.pop("imu", None)
     made: list[Path] = []

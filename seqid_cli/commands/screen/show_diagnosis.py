@@ -224,14 +224,12 @@ def text_chart(
             rows[_ROWS - 1 - round(share * (_ROWS - 1))][column] = mark
     labels = [number(high), *[""] * (_ROWS - 2), number(low)]
     width = max(map(len, labels))
+    drawn = (f"{y.rjust(width)} |{''.join(row)}" for y, row in zip(labels, rows, strict=True))
     left, right = number(min(x)), number(max(x))
     margin = " " * (width + 2)
     return [
         f"{margin}{y_label}",
-        *(
-            f"{label.rjust(width)} |{''.join(row)}".rstrip()
-            for label, row in zip(labels, rows, strict=True)
-        ),
+        *map(str.rstrip, drawn),
         f"{' ' * width} +{'-' * _COLUMNS}",
         f"{margin}{left}{right.rjust(_COLUMNS - len(left))}  {x_label}",
     ]

@@ -64,16 +64,6 @@ class Body:
         reach = np.sqrt(np.trace(J[:3, :3]) / mass)
         return cls(mass, _tidy(center, reach), _tidy(inertia, np.trace(inertia)))
 
-    @property
-    def standard(self) -> Array:
-        """Standard parameters (10,), inertia about the frame's origin."""
-        S = 0.5 * np.trace(self.inertia) * np.eye(3) - self.inertia
-        J = np.empty((4, 4))
-        J[:3, :3] = S + self.mass * np.outer(self.center, self.center)
-        J[:3, 3] = J[3, :3] = self.mass * self.center
-        J[3, 3] = self.mass
-        return standard_of(J)
-
 
 def _tidy(values: Array, size: float, *, nothing: float = 1e-15) -> Array:
     return np.where(np.abs(values) > nothing * size, values, 0.0)

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 
-from seqid_cli.model.bodies.pseudo_inertia import Body
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.file import load_robot
@@ -56,7 +56,8 @@ def random_bodies(rng: np.random.Generator, n: int) -> Array:
         mass = float(rng.uniform(0.5, 5.0))
         spread = points.T @ points / 8.0
         inertia = mass * (np.trace(spread) * np.eye(3) - spread)
-        rows.append(Body(mass, 0.1 * rng.normal(size=3), inertia).standard)
+        body = pin.Inertia(mass, 0.1 * rng.normal(size=3), inertia)
+        rows.append(body.toDynamicParameters())
     return np.array(rows)
 
 

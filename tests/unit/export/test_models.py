@@ -5,12 +5,13 @@ from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
+import pinocchio as pin
 import pytest
 from ruamel.yaml import YAML
 
 from seqid_cli.export.formats import export
 from seqid_cli.export.model import ExportModel
-from seqid_cli.model.bodies.pseudo_inertia import Body, pseudo_inertia
+from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.regressor import inverse_dynamics
@@ -60,7 +61,8 @@ def test_ros2_parameters_read_back_as_the_same_bodies(arm: Arm) -> None:
         group = found[name]
         xx, xy, xz, yy, yz, zz = group["inertia"]
         own = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        phi.append(Body(group["mass"], np.array(group["center_of_mass"]), own).standard)
+        body = pin.Inertia(group["mass"], np.array(group["center_of_mass"]), own)
+        phi.append(body.toDynamicParameters())
         armature.append(group["armature"])
         assert all(isinstance(group[key], float) for key in ("mass", "armature"))
         assert set(group["friction"]) == {"coulomb", "viscous", "offset", "rms_misfit"}

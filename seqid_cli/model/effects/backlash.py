@@ -33,11 +33,7 @@ class Backlash(Effect):
 
     name = "backlash"
     family = "transmission"
-    settings = (
-        Setting(
-            "trial_gap", "rad", low=SMALLEST, high=LARGEST, continuous=False, agreement=AGREEMENT
-        ),
-    )
+    settings = (Setting("trial_gap", "rad", SMALLEST, LARGEST, False, agreement=AGREEMENT),)
     needs = ("load",)
     apart = True
     linear = (Coefficient("gap", "rad", low=0.0, high=0.1),)
@@ -75,20 +71,14 @@ class Backlash(Effect):
         yield {"trial_gap": best}
 
     def _flights(self, scene: Scene, joint: int) -> tuple[Array, ...]:
-        """Torque (N,) of the flights of every gap; it is asked for again and again."""
-        key = (self.name, joint)
+        """Torque (N,) of each gap's flights at the joint, low-passed; it is asked for often."""
+        key, motion, load = (self.name, joint), scene.motion, scene.load[:, joint]
         if key not in scene.memo:
             inertia = link_inertia(scene, joint)[:, joint]
-            own = (self._own(scene, joint, inertia, gap) for gap in GAPS)
-            scene.memo[key] = tuple(own)
+            leads = (play(load, inertia, motion, gap) for gap in GAPS)
+            flown = (-inertia * differentiate(x, motion.rate_hz, motion.valid)[1] for x in leads)
+            scene.memo[key] = tuple(motion.filtered(x, times=self.passes) for x in flown)
         return scene.memo[key]
-
-    def _own(self, scene: Scene, joint: int, inertia: Array, gap: float) -> Array:
-        """Torque (N,) of the flights at the joint itself, low-passed, but for small terms."""
-        motion = scene.motion
-        lead = play(scene.load[:, joint], inertia, motion, gap)
-        flown = -inertia * differentiate(lead, motion.rate_hz, motion.valid)[1]
-        return motion.filtered(flown, times=self.passes)
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Torque per unit gap, on all joints."""

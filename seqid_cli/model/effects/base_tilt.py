@@ -107,8 +107,7 @@ class BaseTilt(Effect):
         columns = [inverse_dynamics(chain, g, phi, q, still, still) for g in turns]
         for moment in first_link_moments(scene.robot, across[0], q).T if new else ():
             columns.append(np.column_stack([moment, still[:, 1:]]))
-        stacked = np.stack(columns, axis=2)
-        return {j: np.ascontiguousarray(stacked[:, j]) for j in range(scene.robot.n)}
+        return {j: np.stack([x[:, j] for x in columns], axis=1) for j in range(scene.robot.n)}
 
 
 def first_joint_upright(robot: Robot) -> bool:

@@ -61,20 +61,12 @@ class EncoderEccentricity(MeasurementEffect):
         k = settings["order"] * float(scene.gear[joint])
         p, dp, ddp = (k * x[:, joint] for x in (motion.q, motion.dq, motion.ddq))
         sin, cos = np.sin(p), np.cos(p)
-        errors = (
-            (sin, cos * dp, cos * ddp - sin * dp**2),
-            (cos, -sin * dp, -sin * ddp - cos * dp**2),
-        )
-
-        rates = modelled_slopes(scene, joint)
-        torque = np.stack(
-            [
-                -sum(rate * x[:, None] for rate, x in zip(rates, error, strict=True))
-                for error in errors
-            ],
-            axis=2,
-        )
-        return {j: np.ascontiguousarray(torque[:, j]) for j in range(scene.robot.n)}
+        errors = [
+            [sin, cos * dp, cos * ddp - sin * dp**2],
+            [cos, -sin * dp, -sin * ddp - cos * dp**2],
+        ]
+        torque = np.einsum("knj,ckn->jnc", modelled_slopes(scene, joint), errors)
+        return dict(enumerate(-torque))
 
     def restored(
         self, recording: Recording, robot: Robot, joint: int, settings: Settings, c: Array

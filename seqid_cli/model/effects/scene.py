@@ -169,13 +169,11 @@ Scenes = Sequence[Scene]
 
 def sign_widths(model: TorqueModel, top_speed: Array) -> Array:
     """Speeds (n,) over which friction changes its sign: the file's, or a share of the top speed."""
-    default = np.maximum(DEFAULT_SIGN_SHARE * top_speed, 1e-6)
-    return np.array(
-        [
-            default[j] if surface is None else surface.sign_width
-            for j, surface in enumerate(model.surfaces)
-        ]
-    )
+    widths: Array = np.maximum(DEFAULT_SIGN_SHARE * top_speed, 1e-6)
+    for j, surface in enumerate(model.surfaces):
+        if surface is not None:
+            widths[j] = surface.sign_width
+    return widths
 
 
 def sensor_at(recording: Recording, motion: Motion) -> Array | None:

@@ -75,12 +75,10 @@ def modelled_slopes(scene: Scene, joint: int) -> tuple[Array, ...]:
 
 
 def _slope(motion: tuple[Array, Array, Array], which: int, joint: int, torque: Torque) -> Array:
-    ahead, behind = list(motion), list(motion)
-    ahead[which], behind[which] = motion[which].copy(), motion[which].copy()
-    ahead[which][:, joint] += STEPS[which]
-    behind[which][:, joint] -= STEPS[which]
-    slope: Array = (torque(*ahead) - torque(*behind)) / (2 * STEPS[which])
-    return slope
+    step = np.zeros((3, 1, motion[0].shape[1]))
+    step[which, :, joint] = STEPS[which]
+    change = torque(*(motion + step)) - torque(*(motion - step))
+    return np.asarray(change / (2 * STEPS[which]))
 
 
 def link_deviation(scene: Scene, joint: int, deviation: Array) -> Array:

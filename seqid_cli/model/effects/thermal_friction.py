@@ -69,14 +69,10 @@ class ThermalFriction(FrictionLaw):
     def coefficients(self, settings: Settings) -> tuple[Coefficient, ...]:
         """Return the change of Coulomb and of viscous friction."""
         if settings["logged"]:
-            return (
-                Coefficient("coulomb_per_kelvin", "N m/K"),
-                Coefficient("viscous_per_kelvin", "N m s/(rad K)"),
-            )
-        return (
-            Coefficient("coulomb_when_cold", "N m"),
-            Coefficient("viscous_when_cold", "N m s/rad"),
-        )
+            coulomb = Coefficient("coulomb_per_kelvin", "N m/K")
+            return coulomb, Coefficient("viscous_per_kelvin", "N m s/(rad K)")
+        coulomb = Coefficient("coulomb_when_cold", "N m")
+        return coulomb, Coefficient("viscous_when_cold", "N m s/rad")
 
     def axes(self, scenes: Scenes, joint: int) -> Mapping[str, Sequence[float]]:
         """Time constants around the session's length; with a temperature they do nothing."""

@@ -36,15 +36,7 @@ class TimeSkew(TorqueMeasurement):
     name = "time_skew"
     family = "measurement"
     settings = (
-        Setting(
-            "around",
-            "s",
-            low=-LARGEST_S,
-            high=LARGEST_S,
-            continuous=False,
-            grid=(0.0,),
-            agreement=CONSISTENT,
-        ),
+        Setting("around", "s", -LARGEST_S, LARGEST_S, False, grid=(0.0,), agreement=CONSISTENT),
     )
     timing = True
     steady = True

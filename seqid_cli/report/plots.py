@@ -39,11 +39,9 @@ class Drawing:
         from seqid_cli.report.views import resource
 
         page = f"<style>{resource('style.css')} figure{{max-width:{_WIDTH}px}}</style>"
+        key = '<span><span class="key {}"></span>{} </span>'
         for figure in self.figures:
-            keys = "".join(
-                f'<span><span class="key {style}"></span>{escape(text)} </span>'
-                for style, text in figure.legend.items()
-            )
+            keys = "".join(key.format(style, escape(x)) for style, x in figure.legend.items())
             title = f"<figcaption>{escape(figure.title)}</figcaption>"
             page += f"<figure>{title}{figure.drawing}{keys}</figure>"
         frame = f'width="100%" height="{_HEIGHT * len(self.figures)}" style="border:0"'

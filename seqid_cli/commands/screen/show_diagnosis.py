@@ -9,15 +9,7 @@ from seqid_cli.commands.screen.render import Screen, number, percent
 from seqid_cli.commands.screen.show import show_poor
 from seqid_cli.model.effects.units import UNEXPLAINED, UNTOLD, smooth_in_words
 from seqid_cli.params.evidence_schema import EvidenceEntry, RefinementRound
-from seqid_cli.params.results import tables
-from seqid_cli.params.results.diagnosis import (
-    DiagnosisFile,
-    FindingEntry,
-    UnexplainedPart,
-    nothing_added,
-    nothing_found,
-    over_words,
-)
+from seqid_cli.params.results import diagnosis, tables
 from seqid_cli.params.results.tables import values
 from seqid_cli.params.schema import ClosedLoop, EffectOfJoint, ParameterFile, RobotId
 
@@ -25,7 +17,7 @@ _EVENTS_SHOWN = 10
 _COLUMNS, _ROWS = 56, 7  # of a chart
 
 
-def show_diagnosis(screen: Screen, file: DiagnosisFile, joint: str | None = None) -> None:
+def show_diagnosis(screen: Screen, file: diagnosis.DiagnosisFile, joint: str | None = None) -> None:
     """Print a diagnosis, or what it says of one joint, with the evidence and all that was tried."""
     why = joint is not None
     findings = [item for item in file.findings if not joint or joint in _places(item, file)]
@@ -54,7 +46,7 @@ def show_diagnosis(screen: Screen, file: DiagnosisFile, joint: str | None = None
     screen.remark(*file.notes)
 
 
-def _places(item: FindingEntry, file: DiagnosisFile) -> Collection[str]:
+def _places(item: diagnosis.FindingEntry, file: diagnosis.DiagnosisFile) -> Collection[str]:
     """Joints that a finding is of: there, or shown there; all of one of the whole arm."""
     if item.effect == "external_contact":
         return {name for event in file.events for name in event.joints}
@@ -63,10 +55,10 @@ def _places(item: FindingEntry, file: DiagnosisFile) -> Collection[str]:
     return {item.joint, *((item.evidence.joint, item.evidence.of) if item.evidence else ())}
 
 
-def verdict_sentence(file: DiagnosisFile) -> str:
+def verdict_sentence(file: diagnosis.DiagnosisFile) -> str:
     """Return the verdict in one sentence."""
     if file.verdict == "nothing_missing":
-        return nothing_found(file)
+        return diagnosis.nothing_found(file)
     rest = "; ".join(f"{part.joint}: {_quantities(part.depends_on)}" for part in file.unexplained)
     if file.verdict == "unexplained":
         where = f" ({rest})" if rest else ""
@@ -82,7 +74,7 @@ def effect_at(effect: str, joint: str | None) -> str:
 
 
 def _findings(
-    screen: Screen, findings: Sequence[FindingEntry], robot: RobotId, *, why: bool
+    screen: Screen, findings: Sequence[diagnosis.FindingEntry], robot: RobotId, *, why: bool
 ) -> None:
     rows = [
         (x.effect, x.joint or "whole arm", x.confidence, x.explains, parameters_text(x))
@@ -109,7 +101,7 @@ def _findings(
             screen.values(tables.rivals(item.rivals, f"tried for {name}"))
 
 
-def parameters_text(item: FindingEntry | EffectOfJoint) -> str:
+def parameters_text(item: diagnosis.FindingEntry | EffectOfJoint) -> str:
     """Return the parameters of an effect with their errors, and its settings."""
     from seqid_cli.model.effects.registry import setting_units  # help of commands needs none
 
@@ -138,7 +130,7 @@ def _unit(unit: str) -> str:
 
 
 def _unexplained(
-    screen: Screen, parts: Sequence[UnexplainedPart], robot: RobotId, *, why: bool
+    screen: Screen, parts: Sequence[diagnosis.UnexplainedPart], robot: RobotId, *, why: bool
 ) -> None:
     rows = []
     for part in parts:
@@ -160,7 +152,7 @@ def _shown(screen: Screen, shown: EvidenceEntry | None, robot: RobotId) -> None:
     sided = " times direction" if shown.sided else ""
     marks = ": * before, o after" if shown.after else ""
     force = robot.unit("N m", shown.joint)
-    label, over = f"residual of {shown.joint}{sided} {force}{marks}", over_words(shown)
+    label, over = f"residual of {shown.joint}{sided} {force}{marks}", diagnosis.over_words(shown)
     over += _unit(shown.unit)
     for line in text_chart(shown.x, shown.before, shown.after, x_label=over, y_label=label):
         screen.result(line)
@@ -175,7 +167,7 @@ def show_refinement(screen: Screen, loop: ClosedLoop, file: ParameterFile) -> No
     if loop.rounds:
         screen.result(f"Added: {_named(loop.rounds)}.")
     else:
-        screen.result(f"{nothing_added(loop)}.")
+        screen.result(f"{diagnosis.nothing_added(loop)}.")
     if loop.unconfirmed:
         screen.warn(f"verdict poor: the held-out logs do not confirm {_named(loop.unconfirmed)}")
     elif loop.rounds and not loop.verdicts:

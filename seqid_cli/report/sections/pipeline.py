@@ -38,17 +38,12 @@ def _glance(collection: Collection) -> Table:
         width = 100.0 * min((share or 0.0) / largest, 1.0)
         bar = element("rect", class_=f"bar {state}", y=2, width=width, height=8)
         named = (element("title", f"Error of {name}"), element("desc", percent(share)))
+        link = Markup('<a href="#torque-{}">{}</a>').format(k, name)
+        drawn = element("svg", *named, bar, class_="glyph", viewBox="0 0 100 12", role="img")
+        rmse, noise = (None if x is None else f"{number(x)} {unit}" for x in (error.rmse, floor))
         told = Markup('<span class="badge {}">{}</span>')
-        rows.append(
-            (
-                Markup('<a href="#torque-{}">{}</a>').format(k, name),
-                None if error.rmse is None else f"{number(error.rmse)} {unit}",
-                share,
-                element("svg", *named, bar, class_="glyph", viewBox="0 0 100 12", role="img"),
-                None if floor is None else f"{number(floor)} {unit}",
-                told.format(state or "none", state or "not judged"),
-            )
-        )
+        verdict = told.format(state or "none", state or "not judged")
+        rows.append((link, rmse, share, drawn, noise, verdict))
     caption = f"Predicted torque, joint by joint ({short_path(used.path)}, made with {made})"
     titles = "joint | RMS error | of RMS torque | drawn | noise floor | verdict"
     return table(caption, titles, "text number share text number text", rows, style="glance")

@@ -23,18 +23,9 @@ class Thinned:
 
     def push(self, rows: Array) -> None:
         """Take the next rows (M, ...)."""
-        first, step = self.next_kept()
-        self.push_kept(rows[first::step].copy(order="K"), len(rows))
-
-    def next_kept(self) -> tuple[int, int]:
-        """Which of the next rows to keep: the first of them, and every so many."""
-        return -self._seen % self._every, self._every
-
-    def push_kept(self, kept: Array, count: int) -> None:
-        """Take the rows to keep of the next `count`."""
-        self._parts.append(kept)
-        self._seen += count
-        self._kept += len(kept)
+        self._parts.append(rows[-self._seen % self._every :: self._every].copy(order="K"))
+        self._seen += len(rows)
+        self._kept += len(self._parts[-1])
         while self._kept > self._most:
             self._parts = [np.concatenate(self._parts)[::2].copy(order="K")]
             self._every *= 2

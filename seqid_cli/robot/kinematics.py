@@ -136,10 +136,18 @@ def link_motion(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -
     R, p = joint_transforms(chain, q)
     w, dw, a = (np.empty_like(p) for _ in range(3))
     H = np.empty(R.shape)
-    before = np.zeros((3, *p[0].shape))  # w, dw, a of the base, then of the link before
-    before[2] -= gravity[:, None]
     for i in range(chain.n):
-        w[i], dw[i], a[i] = np.einsum("gbn,ban->gan", before, R[i])
+        parent = np.zeros((3, *p[i].shape))  # w, dw, a of the base, then of the link before
+        if i:
+            parent[0], parent[1] = w[i - 1], dw[i - 1]
+            np.einsum("abn,bn->an", H[i - 1], p[i], out=parent[2])
+            parent[2] += a[i - 1]
+        else:
+            parent[2] -= gravity[:, None]
+        turned_back = parent[:, 0, None] * R[i, 0]
+        turned_back += parent[:, 1, None] * R[i, 1]
+        turned_back += parent[:, 2, None] * R[i, 2]
+        w[i], dw[i], a[i] = turned_back
         axis = chain.axis[i][:, None]
         turned = (-skew(chain.axis[i]) @ w[i]) * dq[i]  # w x axis dq
         if chain.prismatic[i]:
@@ -148,8 +156,6 @@ def link_motion(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -
             dw[i] += axis * ddq[i] + turned
             w[i] += axis * dq[i]
         fill_motion_matrix(H[i], w[i], dw[i])
-        if i + 1 < chain.n:
-            before = np.stack([w[i], dw[i], a[i] + np.einsum("abn,bn->an", H[i], p[i + 1])])
     return LinkMotion(R=R, p=p, w=w, dw=dw, a=a, H=H)
 
 

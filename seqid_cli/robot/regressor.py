@@ -14,12 +14,13 @@ each column is contiguous in memory (``Y.transpose(1, 2, 0)`` is C-ordered).
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from seqid_cli.robot.kinematics import cross, fill_motion_matrix, skew
+from seqid_cli.robot.kinematics import cross, fill_motion_matrix, link_motion, skew
 from seqid_cli.robot.types import Array, Chain
 
 PER_LINK = 10
@@ -44,27 +45,48 @@ def torque_regressor(
     len(columns)): link-major, in Pinocchio's order, N m (N where prismatic) per unit.
     """
     kept = columns_by_link(chain.n, columns)
-    Y = np.zeros((chain.n, sum(map(len, kept)), len(q)))
-    starts = np.cumsum([0, *map(len, kept)])
-    for i, rows, block in link_blocks(chain, gravity, q, dq, ddq, kept):
-        Y[: i + 1, starts[i] : starts[i + 1], rows] = block
+    Y = np.empty((chain.n, sum(len(kinds) for kinds in kept), len(q)))
+    stop = 0
+    for i, kinds in enumerate(kept):
+        start, stop = stop, stop + len(kinds)
+        Y[i + 1 :, start:stop] = 0.0  # joints behind a link do not feel it
+    for _ in link_blocks(chain, gravity, q, dq, ddq, kept, out=Y):
+        pass
     return Y.transpose(2, 0, 1)
 
 
 def link_blocks(
-    chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array, kept: Sequence[Kinds]
+    chain: Chain,
+    gravity: Array,
+    q: Array,
+    dq: Array,
+    ddq: Array,
+    kept: Sequence[Kinds],
+    *,
+    out: Array | None = None,
 ) -> Iterator[tuple[int, slice, Array]]:
     """Compute the regressor of `torque_regressor` piece by piece, to be regrouped.
 
     `gravity` (3,) [m/s^2], base frame. `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where
     prismatic]. `kept`: per link the numbers of its columns to compute, ascending (see
-    `columns_by_link`). Yields: link i, the samples, and the torques of joints 0..i.
+    `columns_by_link`). `out` (n, p, N): where all columns go, link after link; without it each
+    array is filled anew for the next. Yields: link i, the samples, and the torques of joints 0..i.
     """
+    largest = max((i + 1) * len(kinds) for i, kinds in enumerate(kept))
+    room = np.empty(largest * min(_BLOCK, len(q)) if out is None else 0)
+    starts = np.cumsum([0, *(len(kinds) for kinds in kept)])
+    walk = _Walk.along(chain, min(_BLOCK, len(q)))
     for start in range(0, len(q), _BLOCK):
         rows = slice(start, min(start + _BLOCK, len(q)))
         state = (np.ascontiguousarray(x[rows].T) for x in (q, dq, ddq))
-        for i, link in enumerate(_links(chain, gravity, *state)):
-            yield i, rows, _block(kept[i], link, chain.axis[i], prismatic=chain.prismatic[i])
+        for i, link in enumerate(walk.links(gravity, *state)):
+            if out is None:
+                shape = (i + 1, len(kept[i]), rows.stop - start)
+                block = room[: int(np.prod(shape))].reshape(shape)
+            else:
+                block = out[: i + 1, starts[i] : starts[i + 1], rows]
+            _fill_link(block, kept[i], link, chain.axis[i], prismatic=chain.prismatic[i])
+            yield i, rows, block
 
 
 def gravity_regressor(chain: Chain, gravity: Array, q: Array) -> Array:
@@ -95,29 +117,40 @@ def rotor_regressor(
         Y[i, i] = gear_ratio[i] ** 2 * ddq[:, i]
     if coupling == "gyroscopic":
         state = (np.ascontiguousarray(x.T) for x in (q, dq, ddq))
-        for i, link in enumerate(_links(chain, np.zeros(3), *state), start=1):
+        walk = _Walk.along(chain, len(q))
+        for i, link in enumerate(walk.links(np.zeros(3), *state), start=1):
             if i == n or chain.prismatic[i]:
                 continue
             z = (chain.rotation[i] @ chain.axis[i])[:, None]
-            moment = z * ddq[:, i] + cross(link.motion[0], z) * dq[:, i]
+            moment = z * ddq[:, i] + cross(link.w, z) * dq[:, i]
             Y[:i, i] = gear_ratio[i] * np.einsum("kjn,kn->jn", link.screws[0], moment)
-            Y[i, i] += gear_ratio[i] * (z * link.motion[1]).sum(axis=0)
+            Y[i, i] += gear_ratio[i] * (z * link.dw).sum(axis=0)
     return Y.transpose(2, 0, 1)
 
 
 def inverse_dynamics(
     chain: Chain, gravity: Array, phi: Array, q: Array, dq: Array, ddq: Array
 ) -> Array:
-    """Compute the joint torque (N, n) [N m; N where prismatic] of known parameters.
+    """Compute the joint torque (N, n) [N m; N where prismatic] by recursive Newton-Euler.
 
     `gravity` (3,) [m/s^2], base frame. `phi` (n, 10): standard parameters, physical or not
     (Pinocchio's order, inertia about the link frame's origin). `q`, `dq`, `ddq` (N, n) [rad, rad/s,
     rad/s^2; m where prismatic].
     """
-    tau = np.zeros((chain.n, len(q)))
-    kept = [np.flatnonzero(own) for own in phi]
-    for i, rows, block in link_blocks(chain, gravity, q, dq, ddq, kept):
-        tau[: i + 1, rows] += np.einsum("jcn,c->jn", block, phi[i, kept[i]])
+    motion = link_motion(chain, gravity, q.T, dq.T, ddq.T)
+    force = np.zeros((3, len(q)))
+    moment = np.zeros((3, len(q)))
+    tau = np.empty((chain.n, len(q)))
+    for i in reversed(range(chain.n)):
+        w, dw, a = motion.w[i], motion.dw[i], motion.a[i]
+        mass, c = phi[i, 0], phi[i, 1:4, None]
+        xx, xy, yy, xz, yz, zz = phi[i, 4:]
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        force = force + (mass * a + cross(dw, c) + cross(w, cross(w, c)))
+        moment = moment + (cross(c, a) + inertia @ dw + cross(w, inertia @ w))
+        tau[i] = chain.axis[i] @ (force if chain.prismatic[i] else moment)
+        force = np.einsum("abn,bn->an", motion.R[i], force)
+        moment = np.einsum("abn,bn->an", motion.R[i], moment) + cross(motion.p[i], force)
     return np.ascontiguousarray(tau.T)
 
 
@@ -127,39 +160,80 @@ def columns_by_link(n: int, columns: Sequence[int] | None) -> list[Kinds]:
     return [every[every // PER_LINK == i] % PER_LINK for i in range(n)]
 
 
-class _Link(NamedTuple):
-    """The load of a link, in its frame, samples last.
+@dataclass(frozen=True)
+class _Link:
+    """The load of a link, in its frame, samples last; the next link but one uses the arrays again.
 
-    `motion` (3, 3, N): w, dw and a. `load` (2, 3, 4, N) makes the force of mass and first moment: m
-    and c of z . (c x a) = (a x z) . c, and of l . (m a + H c). `screws` (2, 3, i + 1, N) are those
-    of joints 0..i: z, then l.
+    `rows` (36, N) holds, for one product with a constant matrix to carry all to the next link,
+    12 of `load`'s z, w, dw, 12 of `load`'s l, and 6 unused. `load` (2, 3, 4, N) makes the force of
+    mass and first moment: m and c of z . (c x a) = (a x z) . c, and of l . (m a + H c).
+    `screws` (2, 3, i + 1, N) are those of joints 0..i: z, then l.
     """
 
-    motion: Array
-    load: Array
+    rows: Array
     screws: Array
 
+    @property
+    def w(self) -> Array:
+        return self.rows[12:15]
 
-def _links(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -> Iterator[_Link]:
-    """Carry motion and screws from link to link; q, dq, ddq (n, N)."""
-    samples = q.shape[1]
-    motion, H = np.zeros((3, 3, samples)), np.zeros((3, 3, samples))
-    motion[2] -= gravity[:, None]
-    screws = np.zeros((2, 3, 0, samples))
-    parts = (chain.rotation, chain.position, chain.axis, chain.prismatic)
-    for i, (C, p, axis, slides) in enumerate(zip(*parts, strict=True)):
-        before, screws = screws, np.empty((2, 3, i + 1, samples))
-        for k in range(3 if p.any() else 0):
-            motion[2] += p[k] * H[:, k]
-        motion = C.T @ motion
-        carried = np.block([[C.T, np.zeros((3, 3))], [-C.T @ skew(p), C.T]])
-        screws[:, :, :i] = (carried @ before.reshape(6, -1)).reshape(2, 3, i, samples)
-        (_slide if slides else _turn)(motion, screws[:, :, :i], axis, q[i], dq[i], ddq[i])
-        screws[:, :, i] = 0.0
-        screws[int(slides), :, i] = axis[:, None]
-        load = _load(motion)
-        H = load[1, :, 1:]
-        yield _Link(motion, load, screws)
+    @property
+    def dw(self) -> Array:
+        return self.rows[15:18]
+
+    @property
+    def load(self) -> Array:
+        return self.rows.reshape(2, 18, -1)[:, :12].reshape(2, 3, 4, -1)
+
+
+@dataclass(frozen=True)
+class _Walk:
+    """Walks along a chain, in the same arrays every time."""
+
+    chain: Chain
+    carriers: list[tuple[Array, Array]]
+    rows: Array  # (2, 36, N): of this link and the one before
+    screws: Array  # (2, 6, n N)
+
+    @classmethod
+    def along(cls, chain: Chain, samples: int) -> "_Walk":
+        """Make room for so many samples at a time."""
+        # Matrices (9, 18) that carry (w, dw, a | H), (6, 6) that carry (z, l) to a frame fixed in
+        # the link before, turned by C and placed at p.
+        carriers = []
+        for C, p in zip(chain.rotation, chain.position, strict=True):
+            to_motion, to_screws = np.zeros((9, 18)), np.zeros((6, 6))
+            to_motion[:3, :3] = to_motion[3:6, 3:6] = C.T
+            point = np.hstack([np.ones(1), p])  # a + H p, from the rows (a, H) of `load`
+            to_motion[6:, 6:] = C.T @ np.kron(np.eye(3), point)
+            to_screws[:3, :3] = to_screws[3:, 3:] = C.T
+            to_screws[3:, :3] = -C.T @ skew(p)
+            carriers.append((to_motion, to_screws))
+        # Zeros, because mass and own component of the moment in z . (c x a) are never written.
+        rows, screws = np.zeros((2, 36, samples)), np.empty((2, 6, chain.n * samples))
+        return cls(chain, carriers, rows, screws)
+
+    def links(self, gravity: Array, q: Array, dq: Array, ddq: Array) -> Iterator[_Link]:
+        """Carry motion and screws from link to link; q, dq, ddq (n, M), M not above N."""
+        samples = q.shape[1]
+        rows, screws = self.rows[:, :, :samples], self.screws
+        rows[1, 12:30] = 0.0
+        rows[1, 18:30:4] = -gravity[:, None]  # the base, as the link before
+        for i, (to_motion, to_screws) in enumerate(self.carriers):
+            axis, new, old = self.chain.axis[i], i % 2, 1 - i % 2
+            motion = (to_motion @ rows[old, 12:30]).reshape(3, 3, samples)
+            carried = screws[new, :, : i * samples]
+            np.matmul(to_screws, screws[old, :, : i * samples], out=carried)
+            before = carried.reshape(2, 3, i, samples)
+            every = screws[new, :, : (i + 1) * samples].reshape(2, 3, i + 1, samples)
+            link = _Link(rows[new], every)
+            move = _slide if self.chain.prismatic[i] else _turn
+            move(motion, before, axis, q[i], dq[i], ddq[i])
+            link.rows[12:18] = motion[:2].reshape(6, samples)
+            _fill_load(link, motion[2])
+            every[:, :, i] = 0.0
+            every[int(self.chain.prismatic[i]), :, i] = axis[:, None]
+            yield link
 
 
 def _turn(motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: Array) -> None:
@@ -202,23 +276,19 @@ def _slide(motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: 
     screws[1] += np.einsum("ab,bjn->ajn", from_axis, screws[0]) * q
 
 
-def _load(motion: Array) -> Array:
-    """Build `load` of a link from its w, dw and a (3, 3, N)."""
-    w, dw, a = motion
-    load = np.zeros((2, 3, 4, a.shape[1]))
-    turning, moving = load
-    moving[:, 0] = a
-    fill_motion_matrix(moving[:, 1:], w, dw)
+def _fill_load(link: _Link, a: Array) -> None:
+    """Fill `load` of a link from its w, dw and a (3, N)."""
+    turning, moving = link.load
+    np.copyto(moving[:, 0], a)
+    fill_motion_matrix(moving[:, 1:], link.w, link.dw)
     turning[1, 1], turning[2, 1] = -a[2], a[1]
     turning[0, 2], turning[2, 2] = a[2], -a[0]
     turning[0, 3], turning[1, 3] = -a[1], a[0]
-    return load
 
 
-def _block(kinds: Kinds, link: _Link, axis: Array, *, prismatic: bool) -> Array:
-    """Make columns `kinds` of a link for its joint and all before: (i + 1, len(kinds), N)."""
-    i, samples = link.screws.shape[2] - 1, link.screws.shape[3]
-    block = np.empty((i + 1, len(kinds), samples))
+def _fill_link(block: Array, kinds: Kinds, link: _Link, axis: Array, *, prismatic: bool) -> None:
+    """Fill the columns `kinds` of a link for its joint and all before: block (j, len(kinds), N)."""
+    i = len(block) - 1
     last = int(np.count_nonzero(kinds < 4))
     if last:
         load = link.load if last == 4 else link.load[:, :, kinds[:last]]
@@ -226,12 +296,11 @@ def _block(kinds: Kinds, link: _Link, axis: Array, *, prismatic: bool) -> Array:
             np.einsum("skn,skcn->cn", link.screws[:, :, j], load, out=block[j, :last])
         _along(axis, load[int(prismatic)], block[i, :last])
     if last < len(kinds):
-        K = _inertia_matrix(link.motion[0], link.load[1, :, 1:])
+        K = _inertia_matrix(link.w, link.load[1, :, 1:])
         K = K if len(kinds) - last == 6 else K[:, kinds[last:] - 4]
         for j in range(i):
             np.einsum("kn,kcn->cn", link.screws[0, :, j], K, out=block[j, last:])
         _along(0.0 * axis if prismatic else axis, K, block[i, last:])
-    return block
 
 
 def _along(axis: Array, rows: Array, out: Array) -> None:

@@ -228,10 +228,9 @@ class Selection:
         term's law stays in the model, for that term's sake, and is not told. A simpler rival that
         does as well takes a term's place.
         """
-        tried = _ranked(self.model.linear, self._tried)
-        told = self._all_taken(least)
-        taken = {term.key for term in self.model.terms}
-        hidden = {key: share for key, share in self._search.visible.items() if key not in taken}
+        tried, told = _ranked(self.model.linear, self._tried), self._all_taken(least)
+        taken, visible = self.keys, self._search.visible
+        hidden = {key: share for key, share in visible.items() if key not in taken}
         left = tuple(one for one in tried if one.term.key not in taken)
         return Selected(self.model, told, hidden, left)
 
@@ -359,10 +358,10 @@ class Selection:
             return ()
         scenes, alike = self.model.ground.stage.scenes, term.what.effect.alike
         likely = (one for one in self.catalogue if one.name in alike)
-        found = [one.name for one in likely if one.possible(scenes, term.joint)]
+        names = [one.name for one in likely if one.possible(scenes, term.joint)]
         beside = [one for one in self.model.terms if one.name in alike and one.joint == term.joint]
-        hidden = [one for one in beside if self._hides(term, again(one, self.model))]
-        return (*found, *(one.name for one in hidden if one.name not in found))
+        names += [one.name for one in beside if self._hides(term, again(one, self.model))]
+        return tuple(dict.fromkeys(names))
 
     def _of_a_law(self, one: Ranked) -> bool:
         """Whether it may be the error of a law: the model's, or a term's that gains more."""

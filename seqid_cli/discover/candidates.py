@@ -11,7 +11,6 @@ import numpy as np
 
 from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import LIKELY, has_trials, residual_of
-from seqid_cli.discover.select.options import Options
 from seqid_cli.discover.select.rows import Channels, Part
 from seqid_cli.discover.survey.high_band import both_bands, full_residual, high_band
 from seqid_cli.discover.survey.rows import TOGETHER, Rows
@@ -46,15 +45,15 @@ class DriveRows:
         """Whether a joint has such rows."""
         return bool(self.y) and len(self.y[joint]) > 0
 
-    def part(self, joint: int, channel: int, size: float) -> Part:
+    def part(self, joint: int, channel: int, size: float, *, disagree: float = 0.05) -> Part:
         """What is free beside friction; `size` [N m] is what the file leaves.
 
-        By a small share motor and sensor may tell another torque: the robot file says so, by its
+        By `disagree` motor and sensor may tell another torque: the robot file says so, by its
         torque constants, and what leaves it tells against the file.
         """
         X = self.columns[joint]
         likely = np.mean(X**2, axis=0) / (LIKELY * size) ** 2
-        own, of_file = np.diag(likely), np.diag([Options.small**-2.0, 0.0, 0.0])
+        own, of_file = np.diag(likely), np.diag([disagree**-2.0, 0.0, 0.0])
         own[0, 0] = 0.0
         return Part({channel: X}, own + of_file, own)
 

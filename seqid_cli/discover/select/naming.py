@@ -48,7 +48,7 @@ def tempered(gain: Array | float) -> Array:
     return np.maximum(Options.small * np.asarray(gain) / BEHIND, 1.0)
 
 
-def reality(share: float, gain: float, *, of_share: float = 0.7) -> float:
+def reality(share: float, gain: float, *, of_share: float = 0.6) -> float:
     """Probability that a term is more than the errors of a model that lacks nothing.
 
     `share` is what it takes away of the squared error, `gain` the log evidence for it. The log odds

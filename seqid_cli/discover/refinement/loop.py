@@ -148,8 +148,9 @@ class Account:
 
     @cached_property
     def gains(self) -> bool:
-        """Whether it gains, and not by chance."""
-        return doubt(*self._errors, self._own) <= Options.doubt
+        """Whether it gains as much as a finding does, and not by chance."""
+        doubted = doubt(*self._errors, self._own)
+        return self.change.value >= Options.improvement and doubted <= Options.doubt
 
     @property
     def likely(self) -> bool:

@@ -8,7 +8,7 @@ import numpy as np
 
 from seqid_cli.logs.drives import in_si
 from seqid_cli.logs.mcap.records import Batch
-from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decode, Kind, NameMap
+from seqid_cli.logs.messages.batch import JOINT_QUANTITIES, Decode, Kind, NameMap, Payloads
 from seqid_cli.logs.messages.parsers import decoder
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Stamps, Stream, TimeSource
 from seqid_cli.robot.types import Imu, Robot
@@ -37,11 +37,15 @@ class Collector:
     kind: Kind
     names: NameMap
     time_source: TimeSource = "header"
+    few: int = 256  # messages; less of them wait for more
     received: int = 0
     damaged: int = 0
     waiting: int = 0  # samples to drain
     refused: set[str] = field(default_factory=set)
     _decoders: dict[int, Decode | None] = field(default_factory=dict)
+    _channel: int = -1
+    _log_ns: list[int] = field(default_factory=list)
+    _data: list[bytes] = field(default_factory=list)
     _done: list[_Part] = field(default_factory=list)
     _logged: bool | None = None  # whether the times of logging stand in for the headers' stamps
 
@@ -57,22 +61,20 @@ class Collector:
             self._decoders[number] = decoder(encoding, batch.schema, self.kind, self.names)
             if self._decoders[number] is None:
                 self.refused.add(encoding)
-        decode, log_ns = self._decoders[number], batch.log_ns
-        self.received += len(log_ns)
-        if decode is None:
-            self.damaged += len(log_ns)
-            return
-        decoded = decode(batch.payloads)
-        good = decoded.good & (log_ns >= 0) & (log_ns < _LATEST)
-        own = log_ns, decoded.stamp_ns, decoded.values
-        if not good.all():
-            own = log_ns[good], decoded.stamp_ns[good], decoded.values[good]
-        self.damaged += len(good) - len(own[0])
-        self.waiting += len(own[0])
-        self._done.append(own)
+        large = len(batch.payloads) >= self.few
+        if large or number != self._channel or len(self._data) >= self.few:
+            self._flush()
+            self._channel = number
+        self.received += len(batch.payloads)
+        if large:
+            self._decode(batch.log_ns, batch.payloads)
+        else:  # copied, so as not to hold its chunk
+            self._log_ns.extend(batch.log_ns.tolist())
+            self._data.extend(batch.payloads)
 
     def drain(self) -> Samples:
         """Return what has been decoded since the last call, and forget it."""
+        self._flush()
         parts, self._done, self.waiting = self._done, [], 0
         if not parts:
             none = np.zeros((0, self.names.width(self.kind)))
@@ -97,6 +99,26 @@ class Collector:
             warnings.append(text)
             stamp_ns, values = stamp_ns[stamped], values[stamped]
         return Samples(stamp_ns, values, warnings, delay_s)
+
+    def _flush(self) -> None:
+        if self._data:
+            log_ns, data = np.array(self._log_ns, np.int64), Payloads.of(self._data)
+            self._log_ns, self._data = [], []
+            self._decode(log_ns, data)
+
+    def _decode(self, log_ns: Stamps, payloads: Payloads) -> None:
+        decode = self._decoders[self._channel]
+        if decode is None:
+            self.damaged += len(payloads)
+            return
+        decoded = decode(payloads)
+        good = decoded.good & (log_ns >= 0) & (log_ns < _LATEST)
+        own = log_ns, decoded.stamp_ns, decoded.values
+        if not good.all():
+            own = log_ns[good], decoded.stamp_ns[good], decoded.values[good]
+        self.damaged += len(good) - len(own[0])
+        self.waiting += len(own[0])
+        self._done.append(own)
 
 
 JOINT_STATES = "/joint_states"

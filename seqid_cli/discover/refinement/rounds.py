@@ -122,7 +122,8 @@ def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
             loop.steps.append(account.model)
         else:
             refused.append(effect_of(taken))
-            above |= {effect_of(taken).key} if account.unjudged else set()
+            if account.unjudged:
+                above.add(effect_of(taken).key)
         if several and (loop.model.stages is not stages or (len(left) == 1 and not looked)):
             model, material = loop.model, loop.material
             asked = material.now(model), material.robot, model.stages, material.options

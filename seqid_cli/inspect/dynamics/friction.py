@@ -87,9 +87,15 @@ class Sample:
 
 
 def sample_of(
-    data: LogData, *, max_rows: int = 1000, min_rows: int = 60, slow: float = 0.1,
-    memory_s: float = 0.3, min_way: float = 0.05, min_balance: float = 0.2,
-) -> Sample | None:  # fmt: skip
+    data: LogData,
+    *,
+    max_rows: int = 1000,
+    min_rows: int = 60,
+    slow: float = 0.1,
+    memory_s: float = 0.3,
+    min_way: float = 0.05,
+    min_balance: float = 0.2,
+) -> Sample | None:
     """Filter a log; None where it has no torque or nothing moves long enough."""
     if data.recording.tau is None or data.motion is None:
         return None

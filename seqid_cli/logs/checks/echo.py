@@ -35,10 +35,19 @@ REMEDY = (
 
 
 def echoes(
-    robot: Robot, t: Array, q: Array, tau: Array, valid: Mask, *, window_s: float = 0.02,
-    fewest: int = 50, travel: float = 0.1, slow: float = 0.05, most_windows: int = 4000,
+    robot: Robot,
+    t: Array,
+    q: Array,
+    tau: Array,
+    valid: Mask,
+    *,
+    window_s: float = 0.02,
+    fewest: int = 50,
+    travel: float = 0.1,
+    slow: float = 0.05,
+    most_windows: int = 4000,
     memory_s: float = 0.5,
-) -> list[int]:  # fmt: skip
+) -> list[int]:
     """Return the joints whose torque follows position alone.
 
     `t`, `q`, `tau` (N,) (N, n) (N, n): s, rad (m), N m (N). `valid` (N,): samples to look at.
@@ -95,10 +104,18 @@ def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 
 
 
 def _follows(
-    y: Array, law: Array, friction: Array, accelerations: Array, memory: float, *,
-    unexplained: float = 0.1, exact: float = 1e-3, others: float = 0.15, none: float = 0.003,
+    y: Array,
+    law: Array,
+    friction: Array,
+    accelerations: Array,
+    memory: float,
+    *,
+    unexplained: float = 0.1,
+    exact: float = 1e-3,
+    others: float = 0.15,
+    none: float = 0.003,
     uncertain: float = 2.0,
-) -> bool:  # fmt: skip
+) -> bool:
     """Whether position alone makes a torque y (M,); `memory` is how many samples count as one.
 
     Shares of the torque's RMS: `unexplained` may be left; below `exact` there is nothing to

@@ -37,11 +37,11 @@ def session_of(
     `recordings` are in the order in which the scenes count them, `starts` those of the scenes, s;
     `shared` says whether the logs share a clock.
     """
-    found = EffectSession(logs=[recording.sha256 for recording in recordings])
-    if shared and recordings:
-        found.origin = min(recording.start for recording in recordings)
-        found.starts = [float(x) for x in starts]
-    return found
+    logs = [recording.sha256 for recording in recordings]
+    if not shared or not recordings:
+        return EffectSession(logs=logs)
+    origin = min(recording.start for recording in recordings)
+    return EffectSession(logs=logs, starts=[float(x) for x in starts], origin=origin)
 
 
 def scene_of_log(recording: Recording, robot: Robot, model: TorqueModel, motion: Motion) -> Scene:

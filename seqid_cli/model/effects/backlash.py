@@ -33,7 +33,11 @@ class Backlash(Effect):
 
     name = "backlash"
     family = "transmission"
-    settings = (Setting("trial_gap", "rad", SMALLEST, LARGEST, False, agreement=AGREEMENT),)
+    settings = (
+        Setting(
+            "trial_gap", "rad", low=SMALLEST, high=LARGEST, continuous=False, agreement=AGREEMENT
+        ),
+    )
     needs = ("load",)
     apart = True
     linear = (Coefficient("gap", "rad", low=0.0, high=0.1),)

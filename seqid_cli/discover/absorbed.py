@@ -22,7 +22,7 @@ from seqid_cli.discover.base import Base, has_trials, surface_columns
 from seqid_cli.model.effects.effect import Effect, Settings
 from seqid_cli.model.effects.scene import Joint, Scene
 from seqid_cli.params.schema import Stages
-from seqid_cli.robot.base_parameters import base_regressor
+from seqid_cli.robot.base_parameters import gravity_base_regressor
 from seqid_cli.typing import Array
 
 PLACES = 33  # over the positions of a trial
@@ -94,10 +94,9 @@ class FileTrials:
         return {j: w * part for j, w, part in zip(joints, weight, parts, strict=True)}
 
     def _at_rest(self, joint: int) -> Array:
-        """Columns (N, b) of gravity at a joint, where its trials lead."""
+        """Columns (N, g) of gravity at a joint, where its trials lead."""
         q = self._trials(joint).motion.q
-        rest = np.zeros_like(q)
-        return base_regressor(self.scene.robot, self.base.basis, q, rest, rest)[:, joint]
+        return gravity_base_regressor(self.scene.robot, self.base.basis, q)[:, joint]
 
     def _weight(self, joint: int) -> float:
         """Of a place of a joint's trials: all of one joint count by the error of its friction."""

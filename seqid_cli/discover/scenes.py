@@ -15,13 +15,8 @@ from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.checks.echo import REMEDY, WARNING, echoes
 from seqid_cli.logs.pieces import by_log, whole_of
 from seqid_cli.logs.recording import Recording, torque_of
-from seqid_cli.model.effects.scene import (
-    LONGEST_SESSION_S,
-    Scene,
-    sensor_at,
-    sign_widths,
-    temperature_at,
-)
+from seqid_cli.model.effects.apply import scene_of_log
+from seqid_cli.model.effects.scene import LONGEST_SESSION_S, Scene, sign_widths
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.imu.link_acceleration import log_motion
 from seqid_cli.motion.motion import decimated, estimate_motion
@@ -52,20 +47,9 @@ def scenes_of(
     width = sign_widths(model, top)
     scenes = []
     for number, (recording, motion, start) in enumerate(zip(logs, motions, starts, strict=True)):
-        full = Scene(
-            robot=robot,
-            motion=motion,
-            model=model,
-            sign_width=width,
-            log=number,
-            start=start,
-            shared_clock=shared,
-            period=1.0 / recording.rate_hz,
-            temperature=temperature_at(recording, motion),
-            sensor=sensor_at(recording, motion),
-            encoder=recording.q,
-            measured=recording.tau,
-        )
+        alone = scene_of_log(recording, robot, model, motion)
+        place = replace(alone, log=number, start=start, shared_clock=shared, sign_width=width)
+        full = replace(place, encoder=recording.q, measured=recording.tau)
         scenes.append(thinned(full))
     return scenes
 

@@ -14,6 +14,7 @@ gravity torque alone (Eq. 17-18): the remaining columns of H vanish at rest.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,6 +156,17 @@ def base_regressor(
     return H.transpose(2, 0, 1)
 
 
+def gravity_base_regressor(robot: Robot, basis: Basis, q: Array) -> Array:
+    """Compute H_g (N, n, g), the columns of the base regressor that gravity has (Eq. 17-19).
+
+    `q` (N, n) [rad; m where prismatic]. At rest the other columns vanish.
+    """
+    own, still = int(basis.gravity.sum()), np.zeros_like(q)
+    P, names = basis.representative[:, :own], basis.names[:own]
+    alone = Basis(names, basis.expression[:own], P, basis.gravity[:own])
+    return base_regressor(robot, alone, q, still, still)
+
+
 def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
     """Say where `base_regressor` can differ from zero.
 
@@ -167,7 +179,8 @@ def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
     return np.arange(robot.n)[:, None] <= behind
 
 
-def base_parameters(robot: Robot, *, rotor: Sequence[int], zero: float = 1e-10) -> Basis:
+@lru_cache(maxsize=8)
+def base_parameters(robot: Robot, *, rotor: tuple[int, ...], zero: float = 1e-10) -> Basis:
     """Find the base parameters of the rigid body and of the rotors to identify.
 
     `rotor`: joints (0-based) whose rotor inertia is a parameter; the others' are known and left
@@ -199,8 +212,8 @@ def base_parameters(robot: Robot, *, rotor: Sequence[int], zero: float = 1e-10) 
 
 def free_basis(robot: Robot) -> Basis:
     """Return the base parameters with the rotor inertias that the robot file leaves open."""
-    rotor = [j for j in range(robot.n) if robot.joints[j].rotor_inertia is None]
-    return base_parameters(robot, rotor=rotor)
+    rotor = (j for j in range(robot.n) if robot.joints[j].rotor_inertia is None)
+    return base_parameters(robot, rotor=tuple(rotor))
 
 
 def _reading_order(chain: Chain) -> list[int]:

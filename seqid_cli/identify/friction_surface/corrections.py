@@ -30,7 +30,7 @@ from seqid_cli.identify.friction_surface.gravity_separation import Clustered, gr
 from seqid_cli.identify.friction_surface.trials import Trial, configurations
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.model.friction import FrictionSurface
-from seqid_cli.robot.base_parameters import Basis, base_parameters, base_regressor
+from seqid_cli.robot.base_parameters import Basis, base_parameters, gravity_base_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array
@@ -139,35 +139,40 @@ class HeldJoints:
         basis = base_parameters(robot, rotor=())
         none = cls(robot, basis, np.zeros(int(basis.gravity.sum())))
         joints = [Accumulator(len(none.theta)) for _ in range(robot.n)]
-        for trial in trials:
-            surface = surfaces[trial.joint]
-            if surface is not None:
-                y = trial.tau - surface.torque(trial.q, trial.dq)
-                joints[trial.joint].add(none.columns(trial.joint, trial.places), y)
+        for j, surface in enumerate(surfaces if len(none.theta) else ()):
+            own = [trial for trial in trials if trial.joint == j]
+            if surface is None or not own:
+                continue
+            each = none.columns_of(j, [trial.places for trial in own])
+            for trial, H in zip(own, each, strict=True):
+                joints[j].add(H, trial.tau - surface.torque(trial.q, trial.dq))
         return replace(none, theta=solve(joints).theta) if len(none.theta) else none
 
-    def means(self, trial: Trial, q: Array) -> Array:
-        """H_g (K, p) of a trial's joint, means over slices about positions q (K, n)."""
+    def means(self, group: Sequence[Trial], places: Sequence[Array]) -> list[Array]:
+        """H_g (K, p) of one joint's trials, means over slices about positions (K, n) of each."""
         # Gauss's two points: a slice is wide enough to take 1e-4 off gravity at its middle.
-        ahead = np.zeros_like(q)
-        ahead[:, trial.joint] = trial.velocity * trial.seconds / np.sqrt(12.0)
-        return (self.columns(trial.joint, q - ahead) + self.columns(trial.joint, q + ahead)) / 2.0
+        joint, ends = group[0].joint, []
+        for trial, q in zip(group, places, strict=True):
+            ahead = np.eye(1, self.robot.n, joint) * trial.velocity * trial.seconds / np.sqrt(12.0)
+            ends += [q - ahead, q + ahead]
+        every = self.columns_of(joint, ends)
+        return [(a + b) / 2.0 for a, b in zip(every[::2], every[1::2], strict=True)]
 
-    def columns(self, joint: int, q: Array) -> Array:
-        """H_g (K, p) of a joint at positions q (K, n)."""
-        zero = np.zeros_like(q)
-        H = base_regressor(self.robot, self.basis, q, zero, zero)
-        return np.asarray(H[:, joint, : len(self.theta)])
+    def columns_of(self, joint: int, places: Sequence[Array]) -> list[Array]:
+        """H_g (K, p) of a joint at each of several sets of positions (K, n)."""
+        # All at once: a call costs as much as a thousand positions.
+        H = gravity_base_regressor(self.robot, self.basis, np.concatenate(places))[:, joint]
+        return np.split(H, np.cumsum([len(q) for q in places])[:-1])
 
     def standing(self, group: Sequence[Trial], configuration: Array) -> list[Trial]:
         """The trials of one joint as if the others had stood at a configuration (n,)."""
-        result = []
-        for trial in group:
-            stood = np.tile(configuration, (len(trial.q), 1))
-            stood[:, trial.joint] = trial.q
-            change = self.columns(trial.joint, trial.places) - self.columns(trial.joint, stood)
-            result.append(replace(trial, tau=trial.tau - change @ self.theta))
-        return result
+        joint = group[0].joint
+        stood = [np.tile(configuration, (len(trial.q), 1)) for trial in group]
+        for places, trial in zip(stood, group, strict=True):
+            places[:, joint] = trial.q
+        was = self.columns_of(joint, [trial.places for trial in group])
+        pairs = zip(group, was, self.columns_of(joint, stood), strict=True)
+        return [replace(trial, tau=trial.tau - (H - G) @ self.theta) for trial, H, G in pairs]
 
     def doubt(self, group: Sequence[Trial]) -> list[Array]:
         """Torque (K,) N m of one standard error of how far joints gave way, trial by trial.
@@ -176,18 +181,22 @@ class HeldJoints:
         difference. Those of joints whose readings never change are no part of it.
         """
         moved = np.ptp(np.concatenate([trial.places for trial in group]), axis=0) > 0.0
-        each = [self.unseen(t, t.places) * moved / np.sqrt(2.0) for t in group]
+        every = self.unseen(group, [trial.places for trial in group])
+        each = [own * moved / np.sqrt(2.0) for own in every]
         most = [int(np.argmax(np.sum(own**2, axis=0))) for own in each]
         signed = zip(each, most, strict=True)
         return [np.copysign(np.linalg.norm(own, axis=1), own[:, k]) for own, k in signed]
 
-    def unseen(self, trial: Trial, q: Array) -> Array:
+    def unseen(self, group: Sequence[Trial], places: Sequence[Array]) -> list[Array]:
         """Torque (K, n) N m of one standard deviation of where each other joint stands.
 
-        `q` (K, n): positions at which it is asked for.
+        `group`: trials of one joint. `places` (K, n) of each: where it is asked for.
         """
-        others = (np.arange(self.robot.n) != trial.joint) & (trial.count > 0.0)
-        aside = np.diag(np.where(others, trial.count / np.sqrt(12.0), 0.0))[:, None, :]
-        places = np.concatenate([q[None], q + aside]).reshape(-1, self.robot.n)
-        torque = (self.columns(trial.joint, places) @ self.theta).reshape(-1, len(q))
-        return np.asarray((torque[1:] - torque[0]).T)
+        joint, n = group[0].joint, self.robot.n
+        about = []
+        for trial, q in zip(group, places, strict=True):
+            others = (np.arange(n) != joint) & (trial.count > 0.0)
+            aside = np.diag(np.where(others, trial.count / np.sqrt(12.0), 0.0))[:, None, :]
+            about.append(np.concatenate([q[None], q + aside]).reshape(-1, n))
+        torques = [(H @ self.theta).reshape(n + 1, -1) for H in self.columns_of(joint, about)]
+        return [(torque[1:] - torque[0]).T for torque in torques]

@@ -215,29 +215,41 @@ class Evidence:
         The search starts from sizes that are `near`, else from the usual ones.
         """
         start, furthest = np.zeros(len(self.usual)), limit * self.spread
+        logs = None
         if near is not None:
             values = np.array([getattr(near, name) for name in NAMES])
             start = np.clip(np.log(values / self.usual), -furthest, furthest)
-        bounds = [(-far, far) for far in furthest.tolist()]
-        found = minimize(self, start, jac=True, method="L-BFGS-B", bounds=bounds)
-        logs = self._polished(np.asarray(found.x, dtype=np.float64))
+            logs = self._polished(start)
+        if logs is None:
+            bounds = [(-far, far) for far in furthest.tolist()]
+            found = minimize(self, start, jac=True, method="L-BFGS-B", bounds=bounds)
+            about = np.asarray(found.x, dtype=np.float64)
+            logs = self._polished(about)
+            logs = about if logs is None else logs
         return self.sizes(logs), -self(logs)[0]
 
-    def _polished(self, logs: Array) -> Array:
-        """The maximum to the last digits, by Newton's method: the likelihood is flat about it."""
+    def _polished(self, logs: Array, *, reach: float = 0.3) -> Array | None:
+        """The maximum to the last digits, by Newton's method: the likelihood is flat about it.
+
+        None where it is not within `reach` of the start.
+        """
         slope, difference = self(logs)[1], 1e-4
         steps = difference * np.eye(len(logs))
         curvature = np.stack([(self(logs + step)[1] - slope) / difference for step in steps])
         curvature = 0.5 * (curvature + curvature.T)
         if np.linalg.eigvalsh(curvature)[0] <= 0.0:
-            return logs
+            return None
         for _ in range(20):
-            step = np.linalg.solve(curvature, self(logs)[1])
-            if np.abs(step).max() > 0.1:  # not near the maximum
-                break
-            logs = logs - step
+            step = np.linalg.solve(curvature, slope)
+            if np.abs(step).max() > reach:
+                return None
+            logs, before = logs - step, slope
             if np.abs(step).max() < 1e-10:
                 break
+            slope = self(logs)[1]
+            bent, change = curvature @ step, before - slope
+            curvature += np.outer(change, change) / (change @ step)  # the secant of BFGS
+            curvature -= np.outer(bent, bent) / (step @ bent)
         return logs
 
     def _of_errors(

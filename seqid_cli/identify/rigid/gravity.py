@@ -11,7 +11,11 @@ import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.errors import QualityError, UsageError
-from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
+from seqid_cli.identify.friction_surface.corrections import (
+    HeldJoints,
+    SteadyGroup,
+    without_acceleration,
+)
 from seqid_cli.identify.friction_surface.trials import Trial, by_joint, collect_trials
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
@@ -23,7 +27,7 @@ from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
 from seqid_cli.robot.base_parameters import Basis, base_parameters
 from seqid_cli.robot.types import Robot
-from seqid_cli.typing import Array
+from seqid_cli.typing import Array, Mask
 
 
 def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stages) -> RigidStage:
@@ -72,9 +76,7 @@ class GravityRows:
             self.skipped += [self.robot.joint_names[trial.joint] for trial in trials]
             return
         groups = without_acceleration(self.robot, trials, surface)
-        own = [(trial, k) for k, group in enumerate(groups) for trial in group.trials]
-        parts = [self._rows(trial, surface, [n, trial.log, k]) for n, (trial, k) in enumerate(own)]
-        table = np.vstack([part for part in parts if part is not None] or [np.zeros((0, 1))])
+        table = self._table(groups, surface)
         if not len(table):
             return
         H, y = table[:, : self.size], table[:, -7]
@@ -96,45 +98,69 @@ class GravityRows:
                 there = (group == k) & (log == number)
                 self.unseen += [(j, H.T @ (column * there)) for column in stood.T]
 
-    def _rows(
-        self,
-        trial: Trial,
-        surface: FrictionSurface,
-        about: list[int],
-        *,
-        group_size: int = 8,
-        settling_s: float = 0.03,
-        most_share: float = 0.125,
-    ) -> Array | None:
-        """Rows of one trial: H, F, where others stand, acceleration, torque, time, samples, ...
+    def _table(
+        self, groups: list[SteadyGroup], surface: FrictionSurface, *, group_size: int = 8
+    ) -> Array:
+        """Rows of all trials (see `_rows`), each with the numbers of its trial, log and group.
 
-        So many slices (`group_size`) make a row. Left out are those in which the joint may speed up
-        or slow down: `settling_s` from either end, but no more than `most_share` of the trial.
+        So many slices of a trial (`group_size`) make a row.
         """
-        v = np.full(len(trial.q), trial.velocity)
-        middle = (trial.t[0] + trial.t[-1]) / 2.0
-        half = (trial.t[-1] - trial.t[0] + trial.seconds) / 2.0
-        settled = np.abs(trial.t - middle) < half - min(settling_s, 2.0 * most_share * half)
-        inside = settled & ~surface.outside(trial.q, v)
-        count = int(inside.sum()) // group_size
-        if count == 0:
-            return None
-        q = trial.places[inside]
-        H = self.held.means(trial, q)
-        F = surface.columns(trial.q[inside], v[inside])
-        y = trial.tau[inside] - surface.torque(trial.q[inside], v[inside])
-        stood = self.held.unseen(trial, q)
-        wide = np.column_stack([H, F, stood, trial.ddq[inside], y, trial.t[inside]])
-        means = np.stack([part.mean(axis=0) for part in np.array_split(wide, count)])
-        slices = float(inside.sum()) / count
-        return np.column_stack(
-            [means, np.tile([slices * trial.weight, slices * trial.seconds, *about], (count, 1))]
-        )
+        every = [(trial, k) for k, group in enumerate(groups) for trial in group.trials]
+        insides = [_settled(trial, surface) for trial, _ in every]
+        used = [n for n, inside in enumerate(insides) if inside.sum() >= group_size]
+        if not used:
+            return np.zeros((0, 1))
+        own = [every[n][0] for n in used]
+        places = [trial.places[insides[n]] for n, trial in zip(used, own, strict=True)]
+        by_gravity = zip(self.held.means(own, places), self.held.unseen(own, places), strict=True)
+        parts = []
+        for n, trial, known in zip(used, own, by_gravity, strict=True):
+            rows = _rows(trial, surface, insides[n], known, size=group_size)
+            about = np.tile([n, trial.log, every[n][1]], (len(rows), 1))
+            parts.append(np.hstack([rows, about]))
+        return np.vstack(parts)
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
         """How the parameters move with the coefficients of each joint's friction."""
         scaled = {j: crossed / solution.sigma[j] ** 2 for j, crossed in self.cross.items()}
         return {j: -solution.bread @ crossed for j, crossed in scaled.items()}
+
+
+def _settled(
+    trial: Trial, surface: FrictionSurface, *, settling_s: float = 0.03, most_share: float = 0.125
+) -> Mask:
+    """Slices (K,) of a trial where friction is known and the joint keeps its speed.
+
+    Left out are `settling_s` from either end, but no more than `most_share` of the trial.
+    """
+    v = np.full(len(trial.q), trial.velocity)
+    middle = (trial.t[0] + trial.t[-1]) / 2.0
+    half = (trial.t[-1] - trial.t[0] + trial.seconds) / 2.0
+    settled = np.abs(trial.t - middle) < half - min(settling_s, 2.0 * most_share * half)
+    return np.asarray(settled & ~surface.outside(trial.q, v))
+
+
+def _rows(
+    trial: Trial,
+    surface: FrictionSurface,
+    inside: Mask,
+    by_gravity: tuple[Array, Array],
+    *,
+    size: int,
+) -> Array:
+    """Rows of one trial: H, F, where others stand, acceleration, torque, time, samples, seconds.
+
+    `inside` (K,): slices of use, `size` of which make a row. `by_gravity`: H and the torque of
+    where others stand, at these.
+    """
+    H, stood = by_gravity
+    q, v = trial.q[inside], np.full(int(inside.sum()), trial.velocity)
+    y = trial.tau[inside] - surface.torque(q, v)
+    wide = np.column_stack([H, surface.columns(q, v), stood, trial.ddq[inside], y, trial.t[inside]])
+    count = len(q) // size
+    means = np.stack([part.mean(axis=0) for part in np.array_split(wide, count)])
+    slices = len(q) / count
+    return np.hstack([means, np.tile(slices * np.array([trial.weight, trial.seconds]), (count, 1))])
 
 
 def _stage(

@@ -35,7 +35,7 @@ class Cause:
         """Return the sample as it would be."""
         if self.gravity is not None:
             robot = replace(sample.robot, gravity=self.gravity)
-            return replace(sample, robot=robot, basis=base_parameters(robot, rotor=[]))
+            return replace(sample, robot=robot, basis=base_parameters(robot, rotor=()))
         order = np.arange(sample.robot.n)
         order[list(self.joints)] = self.joints[::-1]
         tau = sample.tau[:, order] if self.exchanged[1] else sample.tau

@@ -12,7 +12,6 @@ joint i is there and the joint's own is not, the torque is that of the other joi
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import combinations
 from typing import Any
 
@@ -24,7 +23,7 @@ from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.checks.echo import driven, smooth
 from seqid_cli.motion.motion import decimated
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.base_parameters import Basis, base_parameters, base_regressor
+from seqid_cli.robot.base_parameters import Basis, base_parameters, gravity_base_regressor
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Array, Robot
 
@@ -65,11 +64,10 @@ class Sample:
         return np.asarray(np.maximum(np.sqrt(np.mean(self.dq**2, axis=0)), 1e-12))
 
     def gravity_columns(self) -> Array:
-        """Gravity torque (N, n, b) of every parameter, none where it is not known."""
+        """Gravity torque (N, n, g) of its parameters, none where it is not known."""
         if self.basis is None or not self.robot.gravity.any():
             return np.zeros((*self.q.shape, 0))
-        still = np.zeros_like(self.q)
-        return base_regressor(self.robot, self.basis, self.q, still, still)
+        return gravity_base_regressor(self.robot, self.basis, self.q)
 
     def own_columns(self) -> Array:
         """Columns (N, n, 4) of one joint each: offset, rotor, direction and speed."""
@@ -111,14 +109,9 @@ def sample_of(
     speeds = np.maximum(np.sqrt(np.mean(dq**2, axis=0)), 1e-12)
     direction = motion.filtered(np.tanh(motion.dq / (slow * speeds)), 2)[rows]
     memory = max(1.0, memory_s / spacing)
-    basis = _rigid(data.robot) if data.modelled and moving else None
+    basis = base_parameters(data.robot, rotor=()) if data.modelled and moving else None
     ddq, tau = motion.ddq[rows], motion.tau[rows]
     return Sample(data.robot, q, dq, ddq, tau, direction, memory, moving, basis)
-
-
-@lru_cache(maxsize=1)
-def _rigid(robot: Robot) -> Basis:
-    return base_parameters(robot, rotor=[])
 
 
 def friction_findings(

@@ -17,7 +17,7 @@ its torque follows its position by its controller's law.
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 
-from seqid_cli.robot.base_parameters import base_parameters, base_regressor
+from seqid_cli.robot.base_parameters import base_parameters, gravity_base_regressor
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
@@ -64,9 +64,7 @@ def echoes(
         return []
     v = np.gradient(Q, step, axis=0)
     a = np.gradient(v, step, axis=0)
-    still = np.zeros_like(Q)
-    H = base_regressor(robot, base_parameters(robot, rotor=[]), Q, still, still)
-    H = H[:, :, H.any(axis=(0, 1))]
+    H = gravity_base_regressor(robot, base_parameters(robot, rotor=()), Q)
     least = slow * np.quantile(np.abs(v), 0.99, axis=0)
     slides = (whole == 1.0) & (np.abs(v) > least)
     ways = np.stack([slides & (v > 0), slides & (v < 0)])

@@ -168,7 +168,7 @@ def test_base_parameters_say_all_and_nothing_twice(name: str, rotors: str) -> No
     robot = ROBOTS[name]
     rotor = {"none": [], "all": range(robot.n), "last": [robot.n - 1]}[rotors]
     rng = np.random.default_rng(11)
-    basis = base_parameters(robot, rotor=rotor)
+    basis = base_parameters(robot, rotor=tuple(rotor))
     q, dq, ddq = states(rng, 200, robot.n)
     phi = rng.normal(size=11 * robot.n)
     phi[10 * robot.n :] *= np.isin(np.arange(robot.n), rotor)
@@ -202,7 +202,7 @@ def test_gravity_parameters_are_those_of_gravity_alone(name: str) -> None:
 
 
 def test_planar_arm_has_the_papers_five_parameters() -> None:
-    basis = base_parameters(planar_2r(), rotor=[0, 1])
+    basis = base_parameters(planar_2r(), rotor=(0, 1))
     assert not basis.gravity.any()
     assert basis.names == ("Izz_1", "mx_2", "my_2", "Izz_2", "Ia_2")
     # Eq. 44; N_2^2 is a factor of the column here

@@ -99,7 +99,7 @@ def test_joints_that_are_no_chain_are_named(
 def test_rounded_angles_are_tidied(tmp_path: Path) -> None:
     rough = urdf_6r().replace(repr(float(np.pi / 2)), "1.5708")
     assert "1.5708" in rough
-    assert base_parameters(save_robot(tmp_path, rough, NAMES_6R), rotor=[]).size == 36
+    assert base_parameters(save_robot(tmp_path, rough, NAMES_6R), rotor=()).size == 36
 
 
 def turning(*, mass: float | None = None, **options: str) -> str:

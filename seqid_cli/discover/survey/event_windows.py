@@ -22,7 +22,7 @@ class Windows:
     """Windows of one length over all data sets.
 
     `scene`, `centre` (W,) say where; `mean` (W, n) of the scaled residual, NaN where too few
-    samples count; `state` (W, 3n) position, speed and acceleration of each joint, scaled;
+    samples count; `state` (W, 4n) position, speed, acceleration and load of each joint, scaled;
     `reverses` (W, 2n) tells where each joint's velocity and each joint's load change sign.
     """
 
@@ -104,7 +104,7 @@ def _windows_of_track(number: int, track: Track, top: Array, length_s: float) ->
     low, high = np.searchsorted(t, begin), np.searchsorted(t, begin + length_s)
     reach = 0.5 / track.cutoff_hz
     wide = np.searchsorted(t, begin - reach), np.searchsorted(t, begin + length_s + reach)
-    own = [q, np.arcsinh(v / (STEEP * top)), a]
+    own = [q, np.arcsinh(v / (STEEP * top)), a, load]
     turns = np.hstack([_changes(v), _changes(load)])
     return (
         np.full(len(begin), number),

@@ -2,9 +2,10 @@
 
 The residual's mean over a short window is compared with what such windows show elsewhere: with
 windows of like speed, with all those in which a joint reverses, and with the nearest ones in state
-(same place, same motion of this joint, same state of all joints). What the model does not know of
-friction, gears or load recurs there and so is no event; a push does not. A push on link k moves the
-joints up to k, so their evidence is taken together.
+(same place, same motion or same load of this joint, same state of all joints). What the model does
+not know of friction, gears or load recurs there and so is no event; a push does not, and of a state
+that is seen once nobody can say. A push on link k moves the joints up to k, so their evidence is
+taken together.
 
     z_w = min_c |m_w - med_c| / max_c s_c
 
@@ -128,8 +129,9 @@ def scores(windows: Windows) -> Array:
     for j in range(n):
         place, far = _neighbours(windows, looked, [j])
         motion, farther = _neighbours(windows, looked, [n + j, 2 * n + j])
-        size = sizes[looked, j] * np.maximum(far, farther)
-        z[looked, j] = _compared(windows.mean[:, j], size, looked, [whole, place, motion])
+        load, farthest = _neighbours(windows, looked, [3 * n + j])
+        size = sizes[looked, j] * np.max([far, farther, farthest], axis=0)
+        z[looked, j] = _compared(windows.mean[:, j], size, looked, [whole, place, motion, load])
     return z
 
 

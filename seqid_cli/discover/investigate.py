@@ -141,7 +141,7 @@ def events_of(model: Model, guess: Sequence[Mask], *, most: float = 0.5) -> list
     for event in find_events(rows, model.scaled()):
         scene, own = rows.scenes[event.scene], left[event.scene]
         file = model.ground.base.whole[event.scene].residual
-        unknown = (guess[event.scene] | scene.turns_back)[event.inside(scene)]
+        unknown = (guess[event.scene] | scene.turns_back | ~scene.slides)[event.inside(scene)]
         if (
             not of_law(event, scene, own)
             and np.mean(unknown[:, list(event.joints)]) <= most

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import binary_dilation, maximum_filter1d
+from scipy.ndimage import binary_dilation
 
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import SLIDES
@@ -85,16 +85,19 @@ class Scene:
 
     @cached_property
     def turns_back(self) -> Mask:
-        """Samples (N, n) that the low-pass mixes with some where a joint that slides turns back.
+        """Samples (N, n) that the low-pass mixes with some where a sliding joint stops or turns.
 
-        A controller that hunts, or a joint that shakes, may turn many times where the low-passed
+        A controller that hunts, or a joint that shakes, may stop many times where the low-passed
         motion goes on; friction then has less than its usual mean.
         """
-        motion, encoder = self.motion, self.angle
-        reach = max(1, int(REACH * motion.rate_hz / motion.lowpass.cutoff_hz))
-        ahead = encoder * np.where(motion.dq < 0.0, -1.0, 1.0)
-        farthest = maximum_filter1d(ahead, reach + 1, axis=0, origin=reach // 2)
-        back = farthest - ahead > TRAVEL_STEPS * noise_step(encoder)
+        motion, rate = self.motion, self.motion.rate_hz
+        gone = np.diff(self.angle, axis=0, prepend=self.angle[:1]) * np.sign(motion.dq)
+        back, step = np.zeros_like(self.slides), noise_step(self.angle)
+        for j, least in enumerate(step):
+            expected, way = np.cumsum(np.abs(motion.dq[:, j])) / rate, np.cumsum(gone[:, j])
+            later = np.interp(expected + 2.0 * TRAVEL_STEPS * least, expected, way)
+            back[:, j] = later - way < least
+        reach = max(1, int(REACH * rate / motion.lowpass.cutoff_hz))
         within = np.ones((2 * reach + 1, 1), dtype=bool)
         return np.asarray(binary_dilation(back & self.slides, within))
 

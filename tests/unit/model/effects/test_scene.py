@@ -1,4 +1,4 @@
-"""Where a joint turns back though its low-passed motion goes on."""
+"""Where a joint stops or turns back though its low-passed motion goes on."""
 
 from dataclasses import replace
 
@@ -10,8 +10,8 @@ from tests.unit.model.effects.scenes import CUTOFF_HZ, RATE_HZ, scene_of
 SPEED, HUNTS_HZ = 0.3, 3.0 * CUTOFF_HZ
 
 
-@pytest.mark.parametrize(("swing", "turns"), [(0.0, False), (0.5, False), (1.5, True)])
-def test_a_joint_that_turns_back_above_the_cut_off(swing: float, turns: bool) -> None:
+@pytest.mark.parametrize(("swing", "turns"), [(0.0, False), (0.5, False), (1.1, True), (1.5, True)])
+def test_a_joint_that_stops_above_the_cut_off(swing: float, turns: bool) -> None:
     """It hunts by `swing` of its speed between 4 and 6 s; the low-passed motion hardly shows it."""
     t = np.arange(0.0, 10.0, 1.0 / RATE_HZ)
     rate = 2.0 * np.pi * HUNTS_HZ

@@ -3,8 +3,8 @@
 The residual's mean over a short window is compared with what such windows show elsewhere: with
 windows of like speed, with all those in which a joint reverses, and with the nearest ones in state
 (same place, same motion or same load of this joint, same state of all joints). What the model does
-not know of friction, gears or load recurs there and so is no event; a push does not, and of a state
-that is seen once nobody can say. A push on link k moves the joints up to k, so their evidence is
+not know of friction, gears or load recurs there and so is no event; a push does not. A state
+that is seen once tells nothing. A push on link k moves the joints up to k, so their evidence is
 taken together.
 
     z_w = min_c |m_w - med_c| / max_c s_c

@@ -134,14 +134,15 @@ def guessed(model: Model) -> list[Mask]:
 def events_of(model: Model, guess: Sequence[Mask], *, most: float = 0.5) -> list[Interval]:
     """Stretches that stand out in what the model leaves, and are no errors of its laws.
 
-    At `most` of their samples an effect may have any torque (`guess`, (N, n)), or a joint turns
-    back above the cut-off. Nor do terms make `most` of them, beside what the file leaves.
+    At `most` of their samples an effect may have any torque (`guess`, (N, n)), a joint does not
+    slide, or stops above the cut-off. Nor do terms make `most` of them, beside what the file
+    leaves.
     """
     rows, left, found = model.ground.stage.rows, model.left(), list[Interval]()
     for event in find_events(rows, model.scaled()):
         scene, own = rows.scenes[event.scene], left[event.scene]
         file = model.ground.base.whole[event.scene].residual
-        unknown = (guess[event.scene] | scene.turns_back | ~scene.slides)[event.inside(scene)]
+        unknown = (guess[event.scene] | scene.stops | ~scene.slides)[event.inside(scene)]
         if (
             not of_law(event, scene, own)
             and np.mean(unknown[:, list(event.joints)]) <= most

@@ -46,6 +46,7 @@ def test_compare(rig: Rig) -> None:
     given = (["--json"], ["--format", "json"])
     done, again = (rig.run("compare", "a.json", "moved.json", *form) for form in given)
     assert done.code == again.code == 1
+    assert done.err == again.err
     found = json.loads(done.out)
     assert json.loads(again.out) | {"created": found["created"]} == found
     assert (found["schema"], found["changed"]) == (COMPARISON_SCHEMA, 1)

@@ -248,8 +248,9 @@ class Evidence:
                 break
             slope = self(logs)[1]
             bent, change = curvature @ step, before - slope
-            curvature += np.outer(change, change) / (change @ step)  # the secant of BFGS
-            curvature -= np.outer(bent, bent) / (step @ bent)
+            if change @ step > 0.0:  # the secant of BFGS; rounding has none
+                curvature += np.outer(change, change) / (change @ step)
+                curvature -= np.outer(bent, bent) / (step @ bent)
         return logs
 
     def _of_errors(

@@ -84,7 +84,7 @@ class Scene:
         return sliding(self.motion, SLIDES * self.sign_width)
 
     @cached_property
-    def turns_back(self) -> Mask:
+    def stops(self) -> Mask:
         """Samples (N, n) that the low-pass mixes with some where a sliding joint stops or turns.
 
         A controller that hunts, or a joint that shakes, may stop many times where the low-passed

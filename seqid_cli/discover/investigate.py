@@ -75,18 +75,19 @@ def investigate(
     step("choosing effects", 4, 10)
     found = select(Ground.of(rows, stages))
     step("looking for events", 8, 10)
-    guess = guessed(found.model)
-    events = events_of(found.model, guess)
+    first = found.model
+    guess = guessed(first)
+    events = events_of(first, guess)
     gone = [
         own | event[:, None] for own, event in zip(guess, event_masks(rows, events), strict=True)
     ]
     sure = rows.without(gone)
     step("choosing effects again", 8, 10)
     if not all(map(np.array_equal, sure.used, rows.used)):
-        model = found.model
-        found = select_among(Ground.of(sure, stages), model.hold, model.candidates)
+        found = select_among(Ground.of(sure, stages), first.hold, first.candidates)
         found.run()
     told = found.told(least)
+    events = [event for event in events if not of_terms(event, first)]
     step("estimating the noise", 9, 10)
     rows, left = told.model.ground.stage.rows, told.model.left()
     echo = encoder_residuals(logs, rows.scenes)
@@ -135,21 +136,25 @@ def events_of(model: Model, guess: Sequence[Mask], *, most: float = 0.5) -> list
     """Stretches that stand out in what the model leaves, and are no errors of its laws.
 
     At `most` of their samples an effect may have any torque (`guess`, (N, n)), a joint does not
-    slide, or stops above the cut-off. Nor do terms make `most` of them, beside what the file
-    leaves.
+    slide, or stops above the cut-off.
     """
     rows, left, found = model.ground.stage.rows, model.left(), list[Interval]()
     for event in find_events(rows, model.scaled()):
-        scene, own = rows.scenes[event.scene], left[event.scene]
-        file = model.ground.base.whole[event.scene].residual
+        scene = rows.scenes[event.scene]
         unknown = (guess[event.scene] | scene.stops | ~scene.slides)[event.inside(scene)]
         if (
-            not of_law(event, scene, own)
+            not of_law(event, scene, left[event.scene])
             and np.mean(unknown[:, list(event.joints)]) <= most
-            and event.squares(scene, file) > most**2 * event.squares(scene, own)
         ):
             found.append(event)
     return found
+
+
+def of_terms(event: Interval, model: Model) -> bool:
+    """Whether the terms of a model made an event: they add more there than the file leaves."""
+    file = model.ground.base.whole[event.scene].residual
+    scene, added = model.ground.stage.scenes[event.scene], file - model.left()[event.scene]
+    return event.squares(scene, added) >= event.squares(scene, file)
 
 
 def of_law(event: Interval, scene: Scene, residual: Array) -> bool:

@@ -130,21 +130,21 @@ def test_a_little_beside_all_of_the_models_torque_is_the_error_of_a_law(
     assert of_law(replace(PUSH, score=score), scene, residual) == expected
 
 
-@pytest.mark.parametrize(
-    ("until", "times", "events"), [(0.0, 1.0, [PUSH]), (5.3, 1.0, []), (0.0, 4.0, [])]
-)
-def test_a_push_is_no_event_where_effects_may_have_any_torque_or_make_what_is_left(
-    model: Model,
-    monkeypatch: pytest.MonkeyPatch,
-    until: float,
-    times: float,
-    events: list[Interval],
+@pytest.mark.parametrize(("until", "events"), [(0.0, [PUSH]), (5.3, [])])
+def test_a_push_is_no_event_where_effects_may_have_any_torque(
+    model: Model, monkeypatch: pytest.MonkeyPatch, until: float, events: list[Interval]
 ) -> None:
-    """A joint may stick until some time; terms leave a multiple of what the file leaves."""
     monkeypatch.setattr(investigate, "find_events", lambda *_: [PUSH])
     monkeypatch.setattr(investigate, "of_law", lambda *_: False)
-    left = [whole.residual for whole in model.ground.base.whole]
-    monkeypatch.setattr(model, "left", lambda: [times * one for one in left])
     sticks = [(s.motion.t > 4.9) & (s.motion.t < until) for s in model.ground.stage.scenes]
     guess = [np.outer(one, [False, True]) for one in sticks]
     assert investigate.events_of(model, guess) == events
+
+
+@pytest.mark.parametrize(("times", "expected"), [(0.9, False), (-0.1, True), (4.0, True)])
+def test_terms_that_add_more_than_the_file_leaves_make_an_event(
+    model: Model, monkeypatch: pytest.MonkeyPatch, times: float, expected: bool
+) -> None:
+    left = [whole.residual for whole in model.ground.base.whole]
+    monkeypatch.setattr(model, "left", lambda: [times * one for one in left])
+    assert investigate.of_terms(PUSH, model) == expected

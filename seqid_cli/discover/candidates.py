@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -75,10 +75,6 @@ def _values(scene: Scene) -> Array:
     sensor = motion.filtered(scene.sensor)
     left = residual_of(scene) - sensor + motion.filtered(scene.modelled_load)
     return np.stack([left, sensor, motion.filtered(motion.ddq), np.ones_like(left)], axis=-1)
-
-
-if TYPE_CHECKING:
-    from seqid_cli.discover.select.terms import Term
 
 
 @dataclass(frozen=True)
@@ -174,7 +170,6 @@ class Stage:
         self.high = high_band(rows)
         self.drive = drive_rows(rows)
         self._made: dict[tuple[object, ...], Channels] = {}
-        self.smooth: dict[tuple[int, bool], list[Term]] = {}  # see `smooth_terms`
         self.known: dict[tuple[object, ...], tuple[Array, dict[int, Array]]] = {}  # see `effects`
 
     @property

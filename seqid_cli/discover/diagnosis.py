@@ -22,7 +22,6 @@ from seqid_cli.discover.select.naming import TOLD, named
 from seqid_cli.discover.select.results import Taken
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.discover.select.smooth import SmoothFunction
-from seqid_cli.discover.select.terms import smooth_terms
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.model.effects.effect import Effect
@@ -229,8 +228,8 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
 def _excess(found: Investigation, robot: Robot, joint: int, times: float) -> UnexplainedPart:
     """Describe what is left at a joint by the smooth term that it is most like, if by any."""
     name, share = robot.joint_names[joint], 1.0 - times**-2
-    given = found.ground.stage, joint, found.ground.size
-    terms = [*smooth_terms(*given), *smooth_terms(*given, products=True)]
+    ground = found.ground
+    terms = [*ground.smooth_terms(joint), *ground.smooth_terms(joint, products=True)]
     gained = found.model.linear.gained([term.part for term in terms])
     best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
     if best is None or best[1].evidence <= 0.0:

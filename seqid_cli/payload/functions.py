@@ -2,34 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Unpack
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.identify.inputs import Models, imu_stage_for, prepare
-from seqid_cli.identify.options import Keywords, LogOptions, Source, documented
+from seqid_cli.identify.options import Keywords, documented
 from seqid_cli.logs.given import Logs, PathLike
 from seqid_cli.params.document import present
 from seqid_cli.params.io import write_json_atomic
 from seqid_cli.params.results.payload import PayloadFile
+from seqid_cli.payload.options import PayloadOptions
 
 if TYPE_CHECKING:
     from seqid_cli.robot.types import Robot
-
-
-@dataclass(frozen=True, kw_only=True)
-class PayloadOptions(LogOptions):
-    """How a payload is identified.
-
-    `source` is where joint motion comes from. `friction_change` [1] is the standard deviation by
-    which each joint's friction may differ from the model's, as a share of it: between two
-    recordings it changes with temperature and load. `good_error` [1] is the largest standard error
-    of the mass, as a share of it, with which the result is good.
-    """
-
-    source: Source = "auto"
-    friction_change: float = 0.2
-    good_error: float = 0.1
 
 
 @documented(Keywords)

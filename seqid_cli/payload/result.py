@@ -31,7 +31,7 @@ from seqid_cli.params.document import now, robot_id, tool
 from seqid_cli.params.results import payload
 from seqid_cli.params.schema import Matrix, Parameter, Verdict
 from seqid_cli.payload.fit import PayloadFit, fit_payload
-from seqid_cli.payload.functions import PayloadOptions
+from seqid_cli.payload.options import PayloadOptions
 from seqid_cli.robot.base_parameters import STANDARD, parameter_unit
 from seqid_cli.shares import percent
 from seqid_cli.typing import Array

@@ -8,12 +8,11 @@ from msgspec.structs import astuple
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.toml.read import read_robot_file
-from seqid_cli.robot.toml.schema import RobotFile
-from seqid_cli.robot.urdf.text import UrdfText, check_names, read_urdf_text
+from seqid_cli.robot.urdf.text import check_joints, parse_urdf
 
 if TYPE_CHECKING:
     from seqid_cli.robot.toml.schema import ImuEntry
-    from seqid_cli.robot.types import Array, Chain, Imu, Robot
+    from seqid_cli.robot.types import Imu, Robot
 
 
 def load_robot(path: Path) -> "Robot":
@@ -24,17 +23,26 @@ def load_robot(path: Path) -> "Robot":
 
     Raises ConfigError naming the file, the key's full path, the value and the remedy.
     """
-    raw, content, formulas = read_robot_file(path)
-    urdf = None
+    text = read_robot_file(path)
+    content, urdf = text.content, None
     names = tuple(joint.name for joint in content.joint)
-    if content.urdf is not None:
-        urdf = read_urdf_text(path.parent / content.urdf)
-        check_names(urdf, names, path)
+    if text.urdf_path is not None:
+        urdf = parse_urdf(text.urdf_path, text.urdf)
+        check_joints(urdf, content.joint, path)
     import numpy as np
 
     from seqid_cli.robot.types import Joint, OwnEffect, Robot
 
-    chain, nominal = _chain_of(path, content, urdf)
+    if urdf is None:
+        from seqid_cli.robot.kinematics import chain_from_dh
+
+        rows = [astuple(joint.dh) for joint in content.joint if joint.dh]
+        sliding = [k for k, joint in enumerate(content.joint) if joint.prismatic]
+        chain, nominal = chain_from_dh(rows, sliding), None
+    else:
+        from seqid_cli.robot.urdf.model import chain_from_urdf
+
+        chain, nominal = chain_from_urdf(urdf, names, path)
     if content.channels.effort == "gravity_compensated" and nominal is None:
         raise ConfigError(
             "channels.effort is 'gravity_compensated', but the gravity that the driver subtracts "
@@ -54,14 +62,14 @@ def load_robot(path: Path) -> "Robot":
             formula=formula,
             settings=entry.settings,
         )
-        for entry, formula in zip(content.effect, formulas, strict=True)
+        for entry, formula in zip(content.effect, text.formulas, strict=True)
     ]
     return Robot(
         name=content.name,
         joints=tuple(joints),
         chain=chain,
         gravity=np.array(content.gravity, dtype=float),
-        sha256=hashlib.sha256(raw + (urdf.raw if urdf else b"")).hexdigest(),
+        sha256=hashlib.sha256(text.raw + text.urdf).hexdigest(),
         source=path,
         imus=tuple(_imu(entry, names) for entry in content.imu),
         channels=content.channels,
@@ -69,31 +77,6 @@ def load_robot(path: Path) -> "Robot":
         urdf=urdf.path if urdf else None,
         effects=tuple(effects),
     )
-
-
-def _chain_of(
-    path: Path, content: RobotFile, urdf: UrdfText | None
-) -> "tuple[Chain, Array | None]":
-    """The geometry by DH parameters or URDF, and the inertials that the URDF has."""
-    if urdf is None:
-        from seqid_cli.robot.kinematics import chain_from_dh
-
-        rows = [astuple(joint.dh) for joint in content.joint if joint.dh]
-        sliding = [k for k, joint in enumerate(content.joint) if joint.prismatic]
-        return chain_from_dh(rows, sliding), None
-    from seqid_cli.robot.urdf.model import chain_from_urdf
-
-    names = tuple(joint.name for joint in content.joint)
-    for k, joint in enumerate(content.joint):
-        kind = urdf.joints[joint.name].kind
-        if joint.prismatic and kind != "prismatic":
-            message = f"joint[{k}].prismatic (joint {joint.name!r}) is true, but {urdf.path.name} "
-            raise ConfigError(
-                f"{message}has a {kind} joint",
-                where=str(path),
-                hint="Leave prismatic out: with a URDF it is the URDF that says so.",
-            )
-    return chain_from_urdf(urdf, names, path)
 
 
 def _imu(entry: "ImuEntry", joints: tuple[str, ...]) -> "Imu":

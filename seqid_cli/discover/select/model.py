@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -16,7 +16,7 @@ from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
 from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.noise import Noise, settled
 from seqid_cli.discover.select.rows import Part, Rows
-from seqid_cli.discover.select.terms import Term, effects
+from seqid_cli.discover.select.terms import Term, effects, smooth_terms
 from seqid_cli.discover.select.tuning import NEAR, Tuner
 from seqid_cli.discover.survey.rows import Rows as SurveyRows
 from seqid_cli.params.schema import Stages
@@ -66,6 +66,7 @@ class Ground:
     base: Base
     rows: Rows
     size: Array  # (channels,) N m, what the file leaves
+    _smooth: dict[tuple[int, bool], list[Term]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, own: SurveyRows, stages: Stages) -> Ground:
@@ -98,6 +99,13 @@ class Ground:
     def own_offset(self) -> float:
         """Time [s] by which torque may be early or late at any drive: one sample."""
         return max(scene.period for scene in self.stage.scenes)
+
+    def smooth_terms(self, joint: int, *, products: bool = False) -> list[Term]:
+        """Smooth functions of everything measured, or of two quantities, for one joint."""
+        if (joint, products) not in self._smooth:
+            made = smooth_terms(self.stage, joint, self.size, products=products)
+            self._smooth[joint, products] = made
+        return self._smooth[joint, products]
 
     def precision(self, hold: Hold, number: int) -> Array:
         """Precision (k, k) beforehand of the rigid body (0), or friction of a joint (from 1)."""

@@ -12,7 +12,7 @@ from seqid_cli.discover.select.linear import Linear
 from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.results import Key
 from seqid_cli.discover.select.rows import joints_below
-from seqid_cli.discover.select.terms import Term, smooth_terms
+from seqid_cli.discover.select.terms import Term
 from seqid_cli.discover.select.tuning import Tried, Tuner, best_of, most_visible, shape_of
 from seqid_cli.model.effects.effect import Effect
 
@@ -106,7 +106,7 @@ class Search:
             own = list[Tried]()
             for products in (False, True):
                 if not products or any(one.evidence > 0.0 for one in own):
-                    terms = smooth_terms(ground.stage, j, ground.size, products=products)
+                    terms = ground.smooth_terms(j, products=products)
                     own += _tried(linear, [term for term in terms if term.key not in had])
             found += sorted(own, key=lambda one: -one.evidence)[:SMOOTH_SHORTLIST]
         return found

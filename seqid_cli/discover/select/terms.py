@@ -75,12 +75,9 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
 
 def smooth_terms(stage: Stage, joint: int, size: Array, *, products: bool = False) -> list[Term]:
     """Smooth functions of everything measured, or of two quantities, for one joint."""
-    rows, key = stage.rows, (joint, products)
-    if key not in stage.smooth:
-        functions = smooth_products if products else smooth_functions
-        made = functions(rows, joint) if rows.count(joint) else []
-        stage.smooth[key] = [_smooth_term(stage, one, size) for one in made]
-    return stage.smooth[key]
+    functions = smooth_products if products else smooth_functions
+    made = functions(stage.rows, joint) if stage.rows.count(joint) else []
+    return [_smooth_term(stage, one, size) for one in made]
 
 
 def _smooth_term(stage: Stage, one: SmoothFunction, size: Array) -> Term:

@@ -4,13 +4,11 @@ import difflib
 import math
 import re
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from string import Formatter
 from typing import Any
 
 import msgspec
 
-from seqid_cli.errors import ConfigError
 from seqid_cli.robot.formula import (
     SYMBOLS,
     Formula,
@@ -21,7 +19,7 @@ from seqid_cli.robot.formula import (
 )
 from seqid_cli.robot.toml.schema import EffectEntry, ImuEntry, JointEntry, RobotFile
 
-_Problem = tuple[str, str]  # fault, hint
+Problem = tuple[str, str]  # fault, hint
 _OF_THE_LOG = ("time", "effort", "unit", "length_unit")  # not of each joint
 SMALLEST, LARGEST = 1e-12, 1e9  # in SI units, of any constant of a drive, of any number
 LEAST_AXIS = 1e-9  # length of an axis; a shorter one has no direction
@@ -54,29 +52,13 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return f"Did you mean '{found[0]}'? " if found else ""
 
 
-def check_content(path: Path, robot: RobotFile) -> tuple[Formula | None, ...]:
-    """Check the values of a robot file, apart from checks that need its URDF.
-
-    Returns the formula of each effect; None where an installed package offers the effect. Raises
-    ConfigError: a value makes no sense; the message names `path` and the key.
-    """
-    for message, hint in _problems(robot):
-        raise ConfigError(message, where=str(path), hint=hint)
-    formulas: list[Formula | None] = []
-    for k, effect in enumerate(robot.effect):
-        try:
-            text, joints = effect.torque, len(robot.joint)
-            known = None if text is None else parse_formula(text, joints, effect.settings)
-        except FormulaError as problem:
-            message = f"effect[{k}].torque {problem} (effect {effect.name!r})"
-            terms = f"'c1 * sign(dq) * abs(load)'; of {', '.join(SYMBOLS)}"
-            hint = f"Write a sum of terms as in {terms}."
-            raise ConfigError(message, where=str(path), hint=hint) from None
-        formulas.append(known)
-    return tuple(formulas)
+def formulas_of(robot: RobotFile) -> tuple[Formula | None, ...]:
+    """Return the formula of each effect; None where an installed package offers the effect."""
+    return tuple(_formula(effect, len(robot.joint)) for effect in robot.effect)
 
 
-def _problems(robot: RobotFile) -> Iterator[_Problem]:
+def problems(robot: RobotFile) -> Iterator[Problem]:
+    """Say which values make no sense, by their keys, apart from checks that need the URDF."""
     yield from _text("name", robot.name)
     yield from _text("urdf", "." if robot.urdf is None else robot.urdf)
     if not 0 < len(robot.joint) <= MOST_JOINTS:
@@ -100,9 +82,21 @@ def _problems(robot: RobotFile) -> Iterator[_Problem]:
     for k, effect in enumerate(robot.effect):
         yield from _effect(f"effect[{k}]", effect, joints)
     yield from _channels(robot)
+    for k, effect in enumerate(robot.effect):
+        try:
+            _formula(effect, len(robot.joint))
+        except FormulaError as problem:
+            terms = f"'c1 * sign(dq) * abs(load)'; of {', '.join(SYMBOLS)}"
+            hint = f"Write a sum of terms as in {terms}."
+            yield f"effect[{k}].torque {problem} (effect {effect.name!r})", hint
 
 
-def _numbers(key: str, named: str, value: Any) -> Iterator[_Problem]:
+def _formula(effect: EffectEntry, joints: int) -> Formula | None:
+    text = effect.torque
+    return None if text is None else parse_formula(text, joints, effect.settings)
+
+
+def _numbers(key: str, named: str, value: Any) -> Iterator[Problem]:
     """Numbers in a table, each with its key's full path, that are too large or not finite."""
     if isinstance(value, float) and not abs(value) <= LARGEST:
         fault = ", which no arm has" if math.isfinite(value) else ", not a finite number"
@@ -116,12 +110,12 @@ def _numbers(key: str, named: str, value: Any) -> Iterator[_Problem]:
             yield from _numbers(f"{key}[{k}]", named, item)
 
 
-def _text(key: str, value: str) -> Iterator[_Problem]:
+def _text(key: str, value: str) -> Iterator[Problem]:
     if not value.strip() or not value.isprintable():
         yield f"{key} is {value!r}", "Give it a name of printable characters."
 
 
-def _joint(key: str, joint: JointEntry, urdf: str | None) -> Iterator[_Problem]:
+def _joint(key: str, joint: JointEntry, urdf: str | None) -> Iterator[Problem]:
     named = f" (joint {joint.name!r})"
     if urdf is not None and joint.dh is not None:
         hint = "Give the geometry once: a urdf, or dh for every joint."
@@ -141,7 +135,7 @@ def _joint(key: str, joint: JointEntry, urdf: str | None) -> Iterator[_Problem]:
         yield text, "Write [lower, upper]."
 
 
-def _imu(key: str, imu: ImuEntry, joints: list[str]) -> Iterator[_Problem]:
+def _imu(key: str, imu: ImuEntry, joints: list[str]) -> Iterator[Problem]:
     named = f"(imu {imu.name!r})"
     if imu.after_joint not in joints:
         hint = f"{nearest(imu.after_joint, joints)}The robot's joints: {', '.join(joints)}."
@@ -155,7 +149,7 @@ def _imu(key: str, imu: ImuEntry, joints: list[str]) -> Iterator[_Problem]:
             yield text, "Give the direction in which the accelerometer senses."
 
 
-def _effect(key: str, effect: EffectEntry, joints: list[str]) -> Iterator[_Problem]:
+def _effect(key: str, effect: EffectEntry, joints: list[str]) -> Iterator[Problem]:
     named = f" (effect {effect.name!r})"
     if _WORD.fullmatch(effect.name) is None:
         yield f"{key}.name is {effect.name!r}", "Use small letters, digits and _."
@@ -169,7 +163,7 @@ def _effect(key: str, effect: EffectEntry, joints: list[str]) -> Iterator[_Probl
             yield f"{key}.settings.{name} is [{low}, {high}]{named}", hint
 
 
-def _channels(robot: RobotFile) -> Iterator[_Problem]:
+def _channels(robot: RobotFile) -> Iterator[Problem]:
     channels = robot.channels
     yield from _text("channels.time", "t" if channels.time is None else str(channels.time))
     for kind in channels.__struct_fields__:
@@ -198,7 +192,7 @@ def _channels(robot: RobotFile) -> Iterator[_Problem]:
                 )
 
 
-def _pattern(key: str, pattern: str, joints: int) -> Iterator[_Problem]:
+def _pattern(key: str, pattern: str, joints: int) -> Iterator[Problem]:
     yield from _text(key, pattern)
     hint = "Write {name}, {index} (from 1) or {index0} (from 0) into it, without format."
     try:

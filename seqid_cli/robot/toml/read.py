@@ -1,4 +1,4 @@
-"""Reading `robot.toml`: every failure names the file and the key's full path.
+"""Reading `robot.toml` and the URDF it names: every failure names file and full path of the key.
 
 Imports neither numpy nor Pinocchio, so that a wrong file is reported at once.
 """
@@ -6,6 +6,7 @@ Imports neither numpy nor Pinocchio, so that a wrong file is reported at once.
 import glob
 import re
 import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -13,20 +14,34 @@ import msgspec
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.formula import Formula
-from seqid_cli.robot.toml.checks import check_content, nearest
+from seqid_cli.robot.toml.checks import formulas_of, nearest, problems
 from seqid_cli.robot.toml.schema import SCHEMA, SCHEMA_VERSION, TABLES, RobotFile
 
-SIZE_LIMIT = 4 * 2**20  # bytes
+SIZE_LIMIT, URDF_LIMIT = 4 * 2**20, 64 * 2**20  # bytes
 MOST_PARTS = 32  # of a dotted key
 _PART = r"(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')"
 _DEEP_KEY = re.compile(rf"(?<![\w\-\"'.]){_PART}(?:[ \t]*\.[ \t]*{_PART}){{{MOST_PARTS}}}")
 
 
-def read_robot_file(path: Path) -> tuple[bytes, RobotFile, tuple[Formula | None, ...]]:
-    """Read and check a robot file, apart from checks that need its URDF.
+@dataclass(frozen=True)
+class RobotText:
+    """A robot file that passed its own checks, and the URDF that it names.
 
-    Returns the file as it lies on the disk, its content, and the formula of each effect. Raises
-    ConfigError naming the file and the key's full path.
+    `raw` and `urdf` are the bytes of the two. `formulas` are those of its effects, None where an
+    installed package offers the effect. `urdf_path` is None, and `urdf` empty, where none is named.
+    """
+
+    raw: bytes
+    content: RobotFile
+    formulas: tuple[Formula | None, ...]
+    urdf_path: Path | None
+    urdf: bytes
+
+
+def read_robot_file(path: Path) -> RobotText:
+    """Read a robot file and its URDF, and check all that needs no geometry.
+
+    Raises ConfigError naming the file and the key's full path.
     """
     raw = read_limited(path, "robot file", SIZE_LIMIT)
     document = _parse(path, raw)
@@ -46,7 +61,11 @@ def read_robot_file(path: Path) -> tuple[bytes, RobotFile, tuple[Formula | None,
     except (OverflowError, RecursionError):
         message, hint = "a number is too large or the nesting too deep", "Correct the value."
         raise ConfigError(message, where=str(path), hint=hint) from None
-    return raw, content, check_content(path, content)
+    for message, hint in problems(content):
+        raise ConfigError(message, where=str(path), hint=hint)
+    urdf_path = None if content.urdf is None else path.parent / content.urdf
+    urdf = b"" if urdf_path is None else read_limited(urdf_path, "URDF", URDF_LIMIT)
+    return RobotText(raw, content, formulas_of(content), urdf_path, urdf)
 
 
 def read_limited(path: Path, what: str, limit: int) -> bytes:

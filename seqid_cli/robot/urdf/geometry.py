@@ -16,7 +16,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from seqid_cli.robot.types import Array, Robot
-from seqid_cli.robot.urdf.text import read_urdf_text, readable
+from seqid_cli.robot.urdf.model import readable
+from seqid_cli.robot.urdf.text import read_urdf_text
 
 WALL_M = 20.0  # thickness of the walls around the workspace
 Box = Sequence[float]  # x, y, z of one corner, x, y, z of the other, in m in the base frame

@@ -1,9 +1,16 @@
-"""URDF to chain and nominal inertials. The only file that touches Pinocchio."""
+"""URDF to chain and nominal inertials. Arms as Pinocchio has them.
+
+Pinocchio refuses revolute and prismatic joints without a complete <limit>, which plays no part in
+the dynamics and which hand-made files lack, and links with the name of a joint, which URDF allows;
+both are repaired before it reads.
+"""
 
 import contextlib
+import copy
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -11,7 +18,9 @@ import pinocchio as pin
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.kinematics import tidy_axis, tidy_position, tidy_rotation
 from seqid_cli.robot.types import Array, Chain
-from seqid_cli.robot.urdf.text import UrdfText, readable
+from seqid_cli.robot.urdf.text import UrdfText
+
+WIDE = "1e9"
 
 
 def chain_from_urdf(
@@ -51,6 +60,27 @@ def whole_model(urdf: UrdfText) -> pin.Model:
             where=str(urdf.path),
             hint="Check it with `check_urdf` (liburdfdom-tools).",
         ) from None
+
+
+def readable(urdf: UrdfText) -> str:
+    """Repair parts that Pinocchio refuses and that play no part in the dynamics.
+
+    Every revolute and prismatic joint that lacks part of its <limit> gets a wide one; a link that
+    shares its name with a joint is renamed.
+    """
+    root = copy.deepcopy(urdf.root)
+    for joint in root.findall("joint"):
+        if joint.get("type") in ("revolute", "prismatic"):
+            limit, wide = joint.find("limit"), {"effort": WIDE, "velocity": WIDE}
+            if limit is None:
+                limit = ElementTree.SubElement(joint, "limit")
+                wide |= {"lower": f"-{WIDE}", "upper": WIDE}
+            limit.attrib.update({**wide, **limit.attrib})
+    for tag, key in (("link", "name"), ("joint/parent", "link"), ("joint/child", "link")):
+        for element in root.findall(tag):
+            if element.get(key) in urdf.joints:
+                element.set(key, f"{element.get(key)}/link")
+    return ElementTree.tostring(root, encoding="unicode")
 
 
 @contextlib.contextmanager

@@ -1,26 +1,21 @@
 """A URDF as text, without Pinocchio: its checks, its joints and their chains.
 
 Meshes, visuals and transmissions play no part in the dynamics and are neither read nor required.
-Pinocchio refuses revolute and prismatic joints without a complete <limit>, which plays no part
-either and which hand-made files lack, and links with the name of a joint, which URDF allows;
-`readable` repairs both.
 """
 
-import copy
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.toml.checks import LARGEST, LEAST_AXIS, nearest
-from seqid_cli.robot.toml.read import read_limited
+from seqid_cli.robot.toml.read import URDF_LIMIT, read_limited
+from seqid_cli.robot.toml.schema import JointEntry
 
-SIZE_LIMIT = 64 * 2**20  # bytes
 MOVABLE = frozenset({"revolute", "continuous", "prismatic"})
-WIDE = "1e9"
 _ANY, _SIZED = (-math.inf, math.inf), (-LARGEST, LARGEST)
 # How many numbers an attribute of a link or joint has, and between what they are.
 _VECTORS = ("origin/xyz", "origin/rpy", "inertial/origin/xyz", "inertial/origin/rpy", "axis/xyz")
@@ -68,13 +63,17 @@ class UrdfText:
 
 
 def read_urdf_text(path: Path) -> UrdfText:
-    """Read a URDF and check that it is one.
+    """Read a URDF and check that it is one, as `parse_urdf`; ConfigError also where it is not."""
+    return parse_urdf(path, read_limited(path, "URDF", URDF_LIMIT))
 
-    Raises ConfigError naming the file, the joint or link: it is missing, a xacro file, not
+
+def parse_urdf(path: Path, raw: bytes) -> UrdfText:
+    """Check the bytes of a URDF file.
+
+    Raises ConfigError naming the file `path`, the joint or link: it is a xacro file, not
     well-formed XML or not a URDF, has numbers that are none, names twice, or links that do not hang
     in one tree.
     """
-    raw = read_limited(path, "URDF", SIZE_LIMIT)
     text = re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
     problem, hint = "", ""
     try:
@@ -172,15 +171,15 @@ def _faults_of_the_tree(
         yield f"it has {found}", "All links must hang in one tree from one root."
 
 
-def check_names(urdf: UrdfText, names: tuple[str, ...], source: Path) -> None:
-    """Check that the robot file's joints `names` are joints of the URDF that move by themselves.
+def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> None:
+    """Check that the robot file's joints are joints of the URDF that move by themselves, and how.
 
     Raises ConfigError naming `source`, the key, the joint, and what the URDF has instead.
     """
     file = urdf.path.name
     known = f"Movable joints of {file}: {', '.join(urdf.movable) or 'none'}."
-    for k, name in enumerate(names):
-        joint = urdf.joints.get(name)
+    for k, entry in enumerate(joints):
+        name, joint = entry.name, urdf.joints.get(entry.name)
         if joint is None:
             fault, hint = f"is no joint of {file}", f"{nearest(name, urdf.movable)}{known}"
         elif joint.kind not in MOVABLE:
@@ -192,6 +191,14 @@ def check_names(urdf: UrdfText, names: tuple[str, ...], source: Path) -> None:
         else:
             continue
         raise ConfigError(f"joint[{k}].name {name!r} {fault}", where=str(source), hint=hint)
+    for k, entry in enumerate(joints):
+        kind = urdf.joints[entry.name].kind
+        if entry.prismatic and kind != "prismatic":
+            message = (
+                f"joint[{k}].prismatic (joint {entry.name!r}) is true, but {file} has a {kind}"
+            )
+            hint = "Leave prismatic out: with a URDF it is the URDF that says so."
+            raise ConfigError(f"{message} joint", where=str(source), hint=hint)
 
 
 def best_chain(
@@ -212,24 +219,3 @@ def best_chain(
         driven = (each for each in reversed(chain) if each.kind in MOVABLE and not each.follows)
         chains.append(tuple(driven))
     return max(chains, key=lambda chain: sum(map(worth, chain)), default=())
-
-
-def readable(urdf: UrdfText) -> str:
-    """Repair parts that Pinocchio refuses and that play no part in the dynamics.
-
-    Every revolute and prismatic joint that lacks part of its <limit> gets a wide one; a link that
-    shares its name with a joint is renamed.
-    """
-    root = copy.deepcopy(urdf.root)
-    for joint in root.findall("joint"):
-        if joint.get("type") in ("revolute", "prismatic"):
-            limit, wide = joint.find("limit"), {"effort": WIDE, "velocity": WIDE}
-            if limit is None:
-                limit = ElementTree.SubElement(joint, "limit")
-                wide |= {"lower": f"-{WIDE}", "upper": WIDE}
-            limit.attrib.update({**wide, **limit.attrib})
-    for tag, key in (("link", "name"), ("joint/parent", "link"), ("joint/child", "link")):
-        for element in root.findall(tag):
-            if element.get(key) in urdf.joints:
-                element.set(key, f"{element.get(key)}/link")
-    return ElementTree.tostring(root, encoding="unicode")

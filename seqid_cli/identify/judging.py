@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from msgspec.structs import replace
 
-from seqid_cli.identify.friction_surface.gravity_separation import gravity_columns
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import standard_parameters
 from seqid_cli.params import schema
 from seqid_cli.robot.base_parameters import free_basis, standard_regressor
+from seqid_cli.robot.kinematics import gravity_columns
 from seqid_cli.robot.regressor import inverse_dynamics
 from seqid_cli.robot.types import Robot
 from seqid_cli.shares import percent

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seqid_cli.robot.types import Array, Chain
+from seqid_cli.robot.types import Array, Chain, Robot
 
 ANGLE_NOISE = 1e-5  # rad; "1.5708" in a file means a quarter turn (it is 3.7e-6 off)
 
@@ -182,6 +182,38 @@ def forward(chain: Chain, q: Array) -> Frames:
         R[:, i] = R[:, i - 1] @ R_local[:, i]
         p[:, i] = p[:, i - 1] + np.einsum("nab,nb->na", R[:, i - 1], p_local[:, i])
     return Frames(R=R, p=p, z=np.einsum("niab,ib->nia", R, chain.axis))
+
+
+def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
+    """Vector a of Eq. 13 at positions q of one joint, the others locked.
+
+    `configuration` (n,): positions of the joints before it [rad]. `q` (K,): positions of the joint
+    itself [rad]. Returns (K, 2): m/s^2, to be multiplied by p_xi of Eq. 14; (K, 1) for a prismatic
+    joint, whose gravity force is mass times gravity along the axis; no column where gravity has no
+    part across the axis.
+    """
+    zero = configuration.copy()
+    zero[joint] = 0.0
+    R = forward(robot.chain, zero[None]).R[0, joint]
+    g = R.T @ robot.gravity
+    axis = robot.chain.axis[joint]
+    if robot.chain.prismatic[joint]:
+        column = np.full((len(q), 1), -float(g @ axis))
+        return column if abs(g @ axis) > 1e-6 else column[:, :0]
+    e_x, e_y = plane_across(axis)
+    g_x, g_y = float(g @ e_x), float(g @ e_y)
+    if np.hypot(g_x, g_y) < 1e-6:
+        return np.empty((len(q), 0))
+    sin, cos = np.sin(q), np.cos(q)
+    return np.column_stack([g_x * sin - g_y * cos, g_x * cos + g_y * sin])
+
+
+def plane_across(axis: Array) -> tuple[Array, Array]:
+    """Two unit vectors across a joint axis; x and y of the frame where the axis is z."""
+    start = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    e_x = start - axis * (axis @ start)
+    e_x /= np.linalg.norm(e_x)
+    return e_x, np.cross(axis, e_x)
 
 
 def link_angular_motion(

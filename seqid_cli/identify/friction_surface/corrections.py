@@ -26,11 +26,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seqid_cli.identify.friction_surface.gravity_separation import Clustered, gravity_columns
-from seqid_cli.identify.friction_surface.trials import Trial, configurations
+from seqid_cli.identify.friction_surface.gravity_separation import Clustered, configurations
+from seqid_cli.identify.friction_surface.trials import Trial
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.robot.base_parameters import Basis, base_parameters, gravity_base_regressor
+from seqid_cli.robot.kinematics import gravity_columns
 from seqid_cli.robot.types import Robot
 from seqid_cli.robust import PER_MEDIAN
 from seqid_cli.typing import Array

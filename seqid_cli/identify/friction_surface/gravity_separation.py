@@ -21,42 +21,10 @@ import numpy as np
 from numpy.polynomial import Chebyshev, chebyshev
 from scipy.linalg import block_diag
 
-from seqid_cli.identify.friction_surface.trials import Trial, configurations, speed_levels
-from seqid_cli.robot.kinematics import forward
+from seqid_cli.identify.friction_surface.trials import Trial, speed_levels
+from seqid_cli.robot.kinematics import gravity_columns
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Index, Mask
-
-
-def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
-    """Vector a of Eq. 13 at positions q of one joint, the others locked.
-
-    `configuration` (n,): positions of the joints before it [rad]. `q` (K,): positions of the joint
-    itself [rad]. Returns (K, 2): m/s^2, to be multiplied by p_xi of Eq. 14; (K, 1) for a prismatic
-    joint, whose gravity force is mass times gravity along the axis; no column where gravity has no
-    part across the axis.
-    """
-    zero = configuration.copy()
-    zero[joint] = 0.0
-    R = forward(robot.chain, zero[None]).R[0, joint]
-    g = R.T @ robot.gravity
-    axis = robot.chain.axis[joint]
-    if robot.chain.prismatic[joint]:
-        column = np.full((len(q), 1), -float(g @ axis))
-        return column if abs(g @ axis) > 1e-6 else column[:, :0]
-    e_x, e_y = plane_across(axis)
-    g_x, g_y = float(g @ e_x), float(g @ e_y)
-    if np.hypot(g_x, g_y) < 1e-6:
-        return np.empty((len(q), 0))
-    sin, cos = np.sin(q), np.cos(q)
-    return np.column_stack([g_x * sin - g_y * cos, g_x * cos + g_y * sin])
-
-
-def plane_across(axis: Array) -> tuple[Array, Array]:
-    """Two unit vectors across a joint axis; x and y of the frame where the axis is z."""
-    start = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
-    e_x = start - axis * (axis @ start)
-    e_x /= np.linalg.norm(e_x)
-    return e_x, np.cross(axis, e_x)
 
 
 @dataclass(frozen=True)
@@ -122,6 +90,21 @@ class Clustered:
         """Standard errors (p,), robust within clusters."""
         count, p = self.moves.shape
         return np.asarray(np.sqrt(np.sum(self.moves**2, axis=0) * count / max(count - p, 1)))
+
+
+def configurations(trials: list[Trial], *, same_configuration: float = 0.03) -> list[list[Trial]]:
+    """Group trials of one joint by where the other joints are locked."""
+    groups: list[list[Trial]] = []
+    for trial in trials:
+        others = np.arange(len(trial.configuration)) != trial.joint
+        for group in groups:
+            off = np.abs(trial.configuration - group[0].configuration)
+            if (off[others] < same_configuration).all():
+                group.append(trial)
+                break
+        else:
+            groups.append([trial])
+    return groups
 
 
 def _half_sums(group: list[Trial]) -> list[Array]:

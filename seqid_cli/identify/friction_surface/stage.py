@@ -12,7 +12,7 @@ from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_
 from seqid_cli.identify.friction_surface.fit import choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
 from seqid_cli.identify.friction_surface.prior import Sizes
-from seqid_cli.identify.friction_surface.trials import by_joint, collect_trials, speed_levels
+from seqid_cli.identify.friction_surface.trials import collect_trials, speed_levels
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
@@ -43,7 +43,7 @@ def identify_friction(
     reasons = dict.fromkeys(range(robot.n), "no constant-velocity trial moves this joint")
     for j in sorted({trial.joint for trial in trials}):
         reasons[j] = UNPAIRED
-        gravity = fit_gravity(robot, j, by_joint(trials, j))
+        gravity = fit_gravity(robot, j, [trial for trial in trials if trial.joint == j])
         if gravity.groups:
             firsts[j] = _fit(robot, j, gravity, options)
     surfaces = [firsts[j].surface if j in firsts else None for j in range(robot.n)]

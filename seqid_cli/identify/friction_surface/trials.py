@@ -77,11 +77,12 @@ class Trial:
 
 
 def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
-    """Constant-velocity trials of all logs.
+    """Constant-velocity trials of all logs, slowest first.
 
     Raises InputError if a log carries neither torque nor current.
     """
-    return reduced(recordings, partial(trials_of, robot), operator.add, open_if_long) or []
+    found = reduced(recordings, partial(trials_of, robot), operator.add, open_if_long) or []
+    return sorted(found, key=lambda trial: trial.speed)
 
 
 def trials_of(
@@ -221,11 +222,6 @@ def _ramps(
     return Ramps(positions @ window, off @ first, off @ second, tau[pieces] @ window, length / 2)
 
 
-def by_joint(trials: Iterable[Trial], joint: int) -> list[Trial]:
-    """Trials of one joint, slowest first."""
-    return sorted((t for t in trials if t.joint == joint), key=lambda trial: trial.speed)
-
-
 S = TypeVar("S", bound=Any)  # what was measured at a `speed`, rad/s
 
 
@@ -237,18 +233,3 @@ def speed_levels(trials: list[S], *, same_speed: float = 0.12) -> list[list[S]]:
             levels.append([])
         levels[-1].append(trial)
     return levels
-
-
-def configurations(trials: list[Trial], *, same_configuration: float = 0.03) -> list[list[Trial]]:
-    """Group trials of one joint by where the other joints are locked."""
-    groups: list[list[Trial]] = []
-    for trial in trials:
-        others = np.arange(len(trial.configuration)) != trial.joint
-        for group in groups:
-            off = np.abs(trial.configuration - group[0].configuration)
-            if (off[others] < same_configuration).all():
-                group.append(trial)
-                break
-        else:
-            groups.append([trial])
-    return groups

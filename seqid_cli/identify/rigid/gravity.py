@@ -16,7 +16,7 @@ from seqid_cli.identify.friction_surface.corrections import (
     SteadyGroup,
     without_acceleration,
 )
-from seqid_cli.identify.friction_surface.trials import Trial, by_joint, collect_trials
+from seqid_cli.identify.friction_surface.trials import Trial, collect_trials
 from seqid_cli.identify.regression.least_squares import Accumulator, Solution, solve
 from seqid_cli.identify.regression.slow_noise import Rows, whitener_of
 from seqid_cli.identify.rigid.parameters import rigid_stage
@@ -46,7 +46,7 @@ def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stag
     trials, surfaces = collect_trials(recordings, robot), friction_surfaces(stages, robot)
     cross = GravityRows(HeldJoints.of(robot, trials, surfaces), surfaces)
     for j in range(robot.n):
-        cross.add_joint(by_joint(trials, j), joints)
+        cross.add_joint([trial for trial in trials if trial.joint == j], joints)
     if not cross.used:
         message = "no constant-velocity trial of a joint with known friction was found"
         hint = "give the logs of the friction stage again, or record single-joint moves"

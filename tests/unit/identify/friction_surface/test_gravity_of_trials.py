@@ -6,13 +6,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from seqid_cli.identify.friction_surface.gravity_separation import (
-    GravityFit,
-    fit_gravity,
-    gravity_columns,
-)
+from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial
-from seqid_cli.robot.kinematics import forward
+from seqid_cli.robot.kinematics import forward, gravity_columns
 from seqid_cli.robot.types import Robot
 from tests import Array
 from tests.plants.robots.small import arm_6r

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from seqid_cli.identify.friction_surface.corrections import without_acceleration
-from seqid_cli.identify.friction_surface.gravity_separation import gravity_columns, plane_across
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial, collect_trials
 from seqid_cli.identify.options import FrictionOptions
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
-from seqid_cli.robot.kinematics import forward
+from seqid_cli.robot.kinematics import forward, gravity_columns, plane_across
 from seqid_cli.robot.regressor import inverse_dynamics
 from tests import Array
 from tests.plants.motions.trajectories import sweeps

@@ -63,7 +63,7 @@ class UrdfText:
 
 
 def read_urdf_text(path: Path) -> UrdfText:
-    """Read a URDF and check that it is one, as `parse_urdf`; ConfigError also where it is not."""
+    """Read a URDF file and check it, as `parse_urdf` does; ConfigError where there is none, too."""
     return parse_urdf(path, read_limited(path, "URDF", URDF_LIMIT))
 
 

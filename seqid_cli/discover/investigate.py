@@ -87,7 +87,7 @@ def investigate(
         found = select_among(Ground.of(sure, stages), first.hold, first.candidates)
         found.run()
     told = found.told(least)
-    events = [event for event in events if not of_terms(event, first)]
+    events = not_of_terms(events, first)
     step("estimating the noise", 9, 10)
     rows, left = told.model.ground.stage.rows, told.model.left()
     echo = encoder_residuals(logs, rows.scenes)
@@ -150,11 +150,15 @@ def events_of(model: Model, guess: Sequence[Mask], *, most: float = 0.5) -> list
     return found
 
 
-def of_terms(event: Interval, model: Model) -> bool:
-    """Whether the terms of a model made an event: they add more there than the file leaves."""
-    file = model.ground.base.whole[event.scene].residual
-    scene, added = model.ground.stage.scenes[event.scene], file - model.left()[event.scene]
-    return event.squares(scene, added) >= event.squares(scene, file)
+def not_of_terms(events: Sequence[Interval], model: Model) -> list[Interval]:
+    """Events but those that terms of a model made: they add more there than the file leaves."""
+    left, kept = model.left() if events else [], list[Interval]()
+    for event in events:
+        scene = model.ground.stage.scenes[event.scene]
+        file = model.ground.base.whole[event.scene].residual
+        if event.squares(scene, file - left[event.scene]) < event.squares(scene, file):
+            kept.append(event)
+    return kept
 
 
 def of_law(event: Interval, scene: Scene, residual: Array) -> bool:

@@ -10,7 +10,6 @@ from typing import Any
 import msgspec
 
 from seqid_cli.robot.formula import (
-    SYMBOLS,
     Formula,
     FormulaError,
     is_coefficient,
@@ -53,8 +52,19 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def formulas_of(robot: RobotFile) -> tuple[Formula | None, ...]:
-    """Return the formula of each effect; None where an installed package offers the effect."""
-    return tuple(_formula(effect, len(robot.joint)) for effect in robot.effect)
+    """Return the formula of each effect; None where an installed package offers the effect.
+
+    Raises FormulaError naming the key.
+    """
+    found: list[Formula | None] = []
+    for k, effect in enumerate(robot.effect):
+        text, joints = effect.torque, len(robot.joint)
+        try:
+            found.append(None if text is None else parse_formula(text, joints, effect.settings))
+        except FormulaError as problem:
+            message = f"effect[{k}].torque {problem} (effect {effect.name!r})"
+            raise FormulaError(message) from None
+    return tuple(found)
 
 
 def problems(robot: RobotFile) -> Iterator[Problem]:
@@ -82,18 +92,6 @@ def problems(robot: RobotFile) -> Iterator[Problem]:
     for k, effect in enumerate(robot.effect):
         yield from _effect(f"effect[{k}]", effect, joints)
     yield from _channels(robot)
-    for k, effect in enumerate(robot.effect):
-        try:
-            _formula(effect, len(robot.joint))
-        except FormulaError as problem:
-            terms = f"'c1 * sign(dq) * abs(load)'; of {', '.join(SYMBOLS)}"
-            hint = f"Write a sum of terms as in {terms}."
-            yield f"effect[{k}].torque {problem} (effect {effect.name!r})", hint
-
-
-def _formula(effect: EffectEntry, joints: int) -> Formula | None:
-    text = effect.torque
-    return None if text is None else parse_formula(text, joints, effect.settings)
 
 
 def _numbers(key: str, named: str, value: Any) -> Iterator[Problem]:

@@ -13,7 +13,7 @@ from typing import cast
 import msgspec
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.robot.formula import Formula
+from seqid_cli.robot.formula import SYMBOLS, Formula, FormulaError
 from seqid_cli.robot.toml.checks import formulas_of, nearest, problems
 from seqid_cli.robot.toml.schema import SCHEMA, SCHEMA_VERSION, TABLES, RobotFile
 
@@ -63,9 +63,14 @@ def read_robot_file(path: Path) -> RobotText:
         raise ConfigError(message, where=str(path), hint=hint) from None
     for message, hint in problems(content):
         raise ConfigError(message, where=str(path), hint=hint)
+    try:
+        formulas = formulas_of(content)
+    except FormulaError as problem:
+        hint = f"Write a sum of terms as in 'c1 * sign(dq) * abs(load)'; of {', '.join(SYMBOLS)}."
+        raise ConfigError(str(problem), where=str(path), hint=hint) from None
     urdf_path = None if content.urdf is None else path.parent / content.urdf
     urdf = b"" if urdf_path is None else read_limited(urdf_path, "URDF", URDF_LIMIT)
-    return RobotText(raw, content, formulas_of(content), urdf_path, urdf)
+    return RobotText(raw, content, formulas, urdf_path, urdf)
 
 
 def read_limited(path: Path, what: str, limit: int) -> bytes:

@@ -180,6 +180,7 @@ def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> 
     known = f"Movable joints of {file}: {', '.join(urdf.movable) or 'none'}."
     for k, entry in enumerate(joints):
         name, joint = entry.name, urdf.joints.get(entry.name)
+        key = f"joint[{k}].name {name!r}"
         if joint is None:
             fault, hint = f"is no joint of {file}", f"{nearest(name, urdf.movable)}{known}"
         elif joint.kind not in MOVABLE:
@@ -188,17 +189,13 @@ def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> 
         elif joint.follows:
             fault = f"follows joint {joint.follows!r} (mimic) in {file}"
             hint = "Leave it out, it is then locked at zero; or remove <mimic> from the URDF."
+        elif entry.prismatic and joint.kind != "prismatic":
+            key = f"joint[{k}].prismatic (joint {name!r})"
+            fault = f"is true, but {file} has a {joint.kind} joint"
+            hint = "Leave prismatic out: with a URDF it is the URDF that says so."
         else:
             continue
-        raise ConfigError(f"joint[{k}].name {name!r} {fault}", where=str(source), hint=hint)
-    for k, entry in enumerate(joints):
-        kind = urdf.joints[entry.name].kind
-        if entry.prismatic and kind != "prismatic":
-            message = (
-                f"joint[{k}].prismatic (joint {entry.name!r}) is true, but {file} has a {kind}"
-            )
-            hint = "Leave prismatic out: with a URDF it is the URDF that says so."
-            raise ConfigError(f"{message} joint", where=str(source), hint=hint)
+        raise ConfigError(f"{key} {fault}", where=str(source), hint=hint)
 
 
 def best_chain(

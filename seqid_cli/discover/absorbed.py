@@ -83,11 +83,12 @@ class FileTrials:
         own = [basis.names.index(name) for name in names if name in basis.names]
         if not joints or not own:
             return {}
-        weight = [self._weight(j) for j in joints]
-        every = [
-            w * np.split(self._at_rest(j), 2)[0][:, own]
-            for j, w in zip(joints, weight, strict=True)
-        ]
+        assert self.stages.friction is not None
+        weight, every = [], []  # all places of one joint count by the error of its friction
+        for j in joints:
+            error = self.stages.friction.joints[self.scene.robot.joint_names[j]].rmse
+            weight.append(1.0 / (max(error, 1e-12) * np.sqrt(self._trials(j).samples)))
+            every.append(weight[-1] * np.split(self._at_rest(j), 2)[0][:, own])
         told = np.zeros((basis.size, sum(map(len, every))))
         told[own] = np.linalg.pinv(np.vstack(every), rcond=OPEN)
         parts = np.split(told, np.cumsum([len(G) for G in every])[:-1], axis=1)
@@ -97,13 +98,6 @@ class FileTrials:
         """Columns (N, g) of gravity at a joint, where its trials lead."""
         q = self._trials(joint).motion.q
         return gravity_base_regressor(self.scene.robot, self.base.basis, q)[:, joint]
-
-    def _weight(self, joint: int) -> float:
-        """Of a place of a joint's trials: all of one joint count by the error of its friction."""
-        assert self.stages.friction is not None
-        name = self.scene.robot.joint_names[joint]
-        error = max(self.stages.friction.joints[name].rmse, 1e-12)
-        return float(1.0 / (error * np.sqrt(self._trials(joint).samples)))
 
 
 def _steady(scene: Scene, joint: int) -> Scene:
@@ -128,5 +122,4 @@ def _steady(scene: Scene, joint: int) -> Scene:
         usable=unfiltered,
         valid=unfiltered,
     )
-    model, width = scene.model, scene.sign_width
-    return Scene(robot=scene.robot, motion=motion, model=model, sign_width=width)
+    return Scene(robot=scene.robot, motion=motion, model=scene.model, sign_width=scene.sign_width)

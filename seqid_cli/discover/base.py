@@ -105,9 +105,8 @@ class Whole:
 
 def base_of(rows: Rows, stages: Stages) -> Base:
     """Compute the base columns of all rows; `stages` are the parameter file's."""
-    robot = rows.scenes[0].robot
+    robot, motions = rows.scenes[0].robot, [scene.motion for scene in rows.scenes]
     basis = free_basis(robot)
-    motions = [scene.motion for scene in rows.scenes]
     H, loaded = [], loaded_columns(robot, basis)
     for motion in motions:  # a joint's columns of links before it stay zero
         own_H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)
@@ -146,8 +145,7 @@ def base_of(rows: Rows, stages: Stages) -> Base:
 def residual_of(scene: Scene) -> Array:
     """Torque (N, n) N m that the file's model leaves at all samples."""
     assert scene.motion.tau is not None
-    left: Array = scene.motion.tau - scene.modelled_filtered
-    return left
+    return np.asarray(scene.motion.tau - scene.modelled_filtered)
 
 
 def has_trials(scene: Scene, joint: Joint) -> bool:
@@ -164,28 +162,20 @@ def friction_columns(
     Of some samples of a data set, not low-passed. Beside a surface there is a drag beyond the
     fastest speed at which it was identified.
     """
-    surface = scene.model.surfaces[joint]
-    if surface is None or stage is None:
-        return _simple(scene, joint, 2, part)
-    terms = len(stage.joints[scene.robot.joint_names[joint]].parameters)
-    if terms:  # Coulomb, viscous and offset of a simultaneous fit
-        return _simple(scene, joint, terms, part)
-    v = scene.motion.dq[part, joint]
+    surface, v = scene.model.surfaces[joint], scene.motion.dq[part, joint]
+    known = None if stage is None else stage.joints[scene.robot.joint_names[joint]]
+    if surface is None or known is None or known.parameters:  # these may have an offset
+        terms = 2 if surface is None or known is None else len(known.parameters)
+        return np.stack([scene.sign[part, joint], v, np.ones_like(v)], axis=1)[:, :terms]
     beyond = surface.scaling.faster(v) * np.sign(v)
     return np.column_stack([surface_columns(scene, joint, part), beyond])
-
-
-def _simple(scene: Scene, joint: int, terms: int, part: slice) -> Array:
-    v, sign = scene.motion.dq[part, joint], scene.sign[part, joint]
-    return np.stack([sign, v, np.ones_like(v)], axis=1)[:, :terms]
 
 
 def surface_columns(scene: Scene, joint: int, part: slice = slice(None)) -> Array:
     """Columns (N, entries) of a joint's friction surface, of some samples of a data set."""
     surface, motion = scene.model.surfaces[joint], scene.motion
     assert surface is not None
-    columns: Array = surface.columns(motion.q[part, joint], motion.dq[part, joint])
-    return columns[:, : surface.entries]
+    return surface.columns(motion.q[part, joint], motion.dq[part, joint])[:, : surface.entries]
 
 
 def _rigid_prior(basis: Basis, parts: Sequence[RigidStage | None]) -> Array:
@@ -193,15 +183,12 @@ def _rigid_prior(basis: Basis, parts: Sequence[RigidStage | None]) -> Array:
     rows = [np.zeros((0, basis.size))]
     index = {name: k for k, name in enumerate(basis.names)}
     for stage in parts:
-        if stage is None or not stage.parameters or not stage.covariance:
-            continue
-        known = [index.get(p.name, -1) for p in stage.parameters]
-        if min(known) < 0:
-            continue
-        L = whitened(np.array(stage.covariance))
-        wide = np.zeros((len(L), basis.size))
-        wide[:, known] = L
-        rows.append(wide)
+        if stage is not None and stage.parameters and stage.covariance:
+            known = [index.get(p.name, -1) for p in stage.parameters]
+            if min(known) >= 0:
+                L = whitened(np.array(stage.covariance))
+                rows.append(np.zeros((len(L), basis.size)))
+                rows[-1][:, known] = L
     return np.vstack(rows)
 
 
@@ -210,9 +197,6 @@ def _friction_prior(stage: FrictionStage | None, name: str, size: int) -> Array:
         return np.zeros((0, size))
     joint = stage.joints[name]
     if joint.parameters:
-        errors = np.array([max(p.std_error, 1e-12) for p in joint.parameters])
-        return np.diag(1.0 / errors)
+        return np.diag([1.0 / max(p.std_error, 1e-12) for p in joint.parameters])
     L = whitened(np.array(joint.covariance))
-    wide = np.zeros((len(L), size))
-    wide[:, : L.shape[1]] = L
-    return wide
+    return np.hstack([L, np.zeros((len(L), size - L.shape[1]))])

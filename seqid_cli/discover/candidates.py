@@ -62,19 +62,17 @@ def drive_rows(rows: Rows) -> DriveRows:
     """Take the rows of drives whose joints have a torque sensor in all logs."""
     if any(scene.sensor is None for scene in rows.scenes):
         return DriveRows()
-    every = [_values(scene) for scene in rows.scenes]
+    every = []  # what the file leaves of the drive's torque, then its columns (N, n), low-passed
+    for scene in rows.scenes:
+        motion = scene.motion
+        assert scene.sensor is not None
+        sensor = motion.filtered(scene.sensor)
+        left = residual_of(scene) - sensor + motion.filtered(scene.modelled_load)
+        shown = [left, sensor, motion.filtered(motion.ddq), np.ones_like(left)]
+        every.append(np.stack(shown, axis=-1))
     own = [rows.torque(j, [values[:, j] for values in every]) for j in range(rows.n)]
     known = [X if np.isfinite(X).all() else X[:0] for X in own]
     return DriveRows(tuple(X[:, 0] for X in known), tuple(X[:, 1:] for X in known))
-
-
-def _values(scene: Scene) -> Array:
-    """What the file leaves of the drive's torque, then its columns: (N, n, 4), low-passed."""
-    motion = scene.motion
-    assert scene.sensor is not None
-    sensor = motion.filtered(scene.sensor)
-    left = residual_of(scene) - sensor + motion.filtered(scene.modelled_load)
-    return np.stack([left, sensor, motion.filtered(motion.ddq), np.ones_like(left)], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -166,37 +164,28 @@ class Stage:
     """Rows and data sets on which candidates are tried, and what the `file` has of these."""
 
     def __init__(self, rows: Rows, file: FileTrials | None = None) -> None:
-        self.rows, self.file = rows, file
-        self.high = high_band(rows)
-        self.drive = drive_rows(rows)
+        self.rows, self.scenes, self.file = rows, rows.scenes, file
+        self.high, self.drive = high_band(rows), drive_rows(rows)
         self._made: dict[tuple[object, ...], Channels] = {}
         self.known: dict[tuple[object, ...], tuple[Array, dict[int, Array]]] = {}  # see `effects`
-
-    @property
-    def scenes(self) -> tuple[Scene, ...]:
-        """The data sets of the rows."""
-        return self.rows.scenes
 
     def columns(self, candidates: Sequence[Candidate]) -> list[Channels]:
         """Columns of candidates on the rows of the joints that they touch."""
         keys = [candidate.plain.address for candidate in candidates]
         missing = {k: c for k, c in zip(keys, candidates, strict=True) if k not in self._made}
-        for key, candidate in missing.items():
-            if candidate.effect.wide:
-                self._made[key] = self._wide(candidate)
+        self._made |= {k: self._wide(c) for k, c in missing.items() if c.effect.wide}
         longest = max(scene.samples for scene in self.scenes)
         together = max(1, min(TOGETHER, MOST_COLUMNS // longest))
         for passes in (1, 2):
-            narrow = [(k, c) for k, c in missing.items() if not c.effect.wide]
-            some = {k: c for k, c in narrow if c.effect.passes == passes}
+            alike = {k: c for k, c in missing.items() if c.effect.passes == passes}
+            some = [(k, c) for k, c in alike.items() if not c.effect.wide]
             for first in range(0, len(some), together):
-                part = list(some.items())[first : first + together]
-                made = self._computed([c for _, c in part], passes)
-                self._made.update(zip([k for k, _ in part], made, strict=True))
-        made = [self._made[key] for key in keys]
+                part = dict(some[first : first + together])
+                made = self._computed([*part.values()], passes)
+                self._made.update(zip(part, made, strict=True))
         return [
-            self.with_drive(own) if candidate.effect.drive else own
-            for own, candidate in zip(made, candidates, strict=True)
+            self.with_drive(self._made[key]) if candidate.effect.drive else self._made[key]
+            for key, candidate in zip(keys, candidates, strict=True)
         ]
 
     def with_drive(self, columns: Channels) -> dict[int, Array]:
@@ -216,37 +205,33 @@ class Stage:
 
     def _computed(self, candidates: Sequence[Candidate], passes: int) -> list[Channels]:
         """Columns of candidates that are low-passed alike, all in one go."""
-        owners: dict[int, list[tuple[int, int]]] = {}  # by joint: candidate, number of its columns
+        owners: dict[int, dict[int, int]] = {}  # by joint: candidates, number of their columns
 
         def together(scene: Scene) -> dict[int, Array]:
             raw = [c.columns(scene) for c in candidates]
             side_by_side = {}
             for j in sorted({joint for columns in raw for joint in columns}):
-                own = [(i, columns[j]) for i, columns in enumerate(raw) if j in columns]
-                owners[j] = [(i, X.shape[1]) for i, X in own]
-                side_by_side[j] = np.hstack([single(X) for _, X in own])
+                own = {i: columns[j] for i, columns in enumerate(raw) if j in columns}
+                owners[j] = {i: X.shape[1] for i, X in own.items()}
+                side_by_side[j] = np.hstack([single(X) for X in own.values()])
             return side_by_side
 
         result: list[dict[int, Array]] = [{} for _ in candidates]
         for j, whole in self.rows.columns(map(together, self.scenes), passes).items():
-            edges = np.cumsum([width for _, width in owners[j]])
-            for (i, _), X in zip(owners[j], np.split(whole, edges[:-1], axis=1), strict=True):
+            edges = np.cumsum([*owners[j].values()])
+            for i, X in zip(owners[j], np.split(whole, edges[:-1], axis=1), strict=True):
                 result[i][j] = np.ascontiguousarray(X)
         return list(result)
 
-    def in_file(self, candidate: Candidate) -> dict[int, Array]:
-        """What the file has absorbed of a candidate (see `FileTrials.absorbed`)."""
-        if not candidate.absorbed or self.file is None:
-            return {}
-        found = self.file.absorbed(candidate.effect, candidate.joint, candidate.settings)
-        return {k: own for k, own in found.items() if k or candidate.absorbed == "all"}
-
-    def beside_file(self, columns: Channels, in_file: dict[int, Array]) -> Channels:
-        """Columns less what the file has absorbed of them, on the rows that have some."""
-        if self.file is None or not in_file:
-            return columns
-        below = {c: X for c, X in columns.items() if c < self.rows.n}
-        return {**columns, **{j: self.file.beside(X, j, in_file) for j, X in below.items()}}
+    def in_file(self, candidate: Candidate, columns: Channels) -> tuple[dict[int, Array], Channels]:
+        """What the file has absorbed of a candidate (see `FileTrials`), and its columns less it."""
+        file = self.file
+        if not candidate.absorbed or file is None:
+            return {}, columns
+        found = file.absorbed(candidate.effect, candidate.joint, candidate.settings)
+        own = {k: a for k, a in found.items() if k or candidate.absorbed == "all"}
+        below = {j: file.beside(X, j, own) for j, X in columns.items() if j < self.rows.n}
+        return own, {**columns, **below}
 
 
 def candidates_of(

@@ -51,11 +51,7 @@ def diagnose(
 ) -> DiagnosisFile:
     """Find what a model lacks on these logs; what it has is not missing.
 
-    Raises
-    ------
-    InputError
-        If a log carries neither torque nor current, or if all logs' torque is an echo of the
-        command (see `usable_logs`).
+    Raises InputError: a log carries neither torque nor current, or the torque of all is an echo.
     """
     motion = options.motion
     known = fitted_effects(stages, robot, unexplained=True)
@@ -207,13 +203,10 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
     """Describe a smooth function that was taken."""
     what = taken.term.what
     assert isinstance(what, SmoothFunction)
-    told = taken.one.predicted
-    effects = [rival for rival in taken.rivals if not rival.term.smooth]
-    closest = None
-    if effects:
-        share = effects[0].predicted.total / max(told.total, 1e-300)
-        nearest = effects[0].term.name
-        closest = ClosestEffect(effect=nearest, share=float(np.clip(share, 0.0, 1.0)))
+    told, closest = taken.one.predicted, None
+    if effects := [rival for rival in taken.rivals if not rival.term.smooth]:
+        share = np.clip(effects[0].predicted.total / max(told.total, 1e-300), 0.0, 1.0)
+        closest = ClosestEffect(effect=effects[0].term.name, share=float(share))
     return UnexplainedPart(
         joint=robot.joint_names[what.joint],
         depends_on=list(what.quantities),
@@ -227,8 +220,7 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
 
 def _excess(found: Investigation, robot: Robot, joint: int, times: float) -> UnexplainedPart:
     """Describe what is left at a joint by the smooth term that it is most like, if by any."""
-    name, share = robot.joint_names[joint], 1.0 - times**-2
-    ground = found.ground
+    name, share, ground = robot.joint_names[joint], 1.0 - times**-2, found.ground
     terms = [*ground.smooth_terms(joint), *ground.smooth_terms(joint, products=True)]
     gained = found.model.linear.gained([term.part for term in terms])
     best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
@@ -236,8 +228,8 @@ def _excess(found: Investigation, robot: Robot, joint: int, times: float) -> Une
         return UnexplainedPart(joint=name, depends_on=[], share=share)
     what = best[0].what
     assert isinstance(what, SmoothFunction)
-    shown, on = left_over(found, robot, what), list(what.quantities)
-    return UnexplainedPart(joint=name, depends_on=on, share=share, evidence=shown)
+    on, evidence = list(what.quantities), left_over(found, robot, what)
+    return UnexplainedPart(joint=name, depends_on=on, share=share, evidence=evidence)
 
 
 def _joints(found: Investigation, robot: Robot) -> dict[str, ResidualEntry]:

@@ -79,13 +79,11 @@ def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEnt
     channel = max(shown, key=lambda c: shown[c])
     j, narrow = channel % n, channel // n != 1
     take = stage.rows.of if narrow else stage.high.of
-    scenes = stage.scenes if narrow else [scene.full or scene for scene in stage.scenes]
+    scenes = [scene if narrow else scene.full or scene for scene in stage.scenes]
     over = _over(term.what, theta[term.part.at(channel)], scenes, j)
     x = take(j, over.values) if over.values else term.part.torque(channel, theta)
-    sign = over.sign(scenes, j, take)
-    return _binned(
-        robot, j, over, x, taken.left[channel] * sign, model.linear.left_out[channel] * sign
-    )
+    sign, left = over.sign(scenes, j, take), model.linear.left_out[channel]
+    return _binned(robot, j, over, x, taken.left[channel] * sign, left * sign)
 
 
 def left_over(found: Investigation, robot: Robot, what: SmoothFunction) -> EvidenceEntry:
@@ -102,8 +100,7 @@ def pushed(found: Investigation, robot: Robot) -> EvidenceEntry | None:
     event = max(found.events, key=lambda one: one.score, default=None)
     if event is None:
         return None
-    left = found.model.left()[event.scene]
-    motion = found.ground.stage.scenes[event.scene].motion
+    left, motion = found.model.left()[event.scene], found.ground.stage.scenes[event.scene].motion
     t = motion.t - motion.t[0]
     near = (t >= event.start - AROUND_S) & (t <= event.end + AROUND_S)
     j = max(event.joints, key=lambda k: float(np.mean(left[near, k] ** 2)))
@@ -117,39 +114,31 @@ def _over(what: What, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
     Of a wave with columns sine, cosine, ... it is the place on it, 0 where it rises.
     """
     if isinstance(what, Candidate) and what.effect.over == "wave":
-        columns = [what.columns(scene)[j] for scene in scenes]
-        a, b = theta[::2], theta[1::2]
-        turns = [
-            np.arctan2(X[:, ::2] @ a + X[:, 1::2] @ b, X[:, 1::2] @ a - X[:, ::2] @ b)
-            for X in columns
-        ]
-        return _Over("wave", j, values=[np.mod(turn / (2 * np.pi), 1.0) for turn in turns])
+        turns, a, b = list[Array](), theta[::2], theta[1::2]
+        for X in (what.columns(scene)[j] for scene in scenes):
+            turn = np.arctan2(X[:, ::2] @ a + X[:, 1::2] @ b, X[:, 1::2] @ a - X[:, ::2] @ b)
+            turns.append(np.mod(turn / (2 * np.pi), 1.0))
+        return _Over("wave", j, values=turns)
     if isinstance(what, Candidate) and what.effect.over == "driving_load":
         along = [scene.load[:, j] * np.sign(scene.motion.dq[:, j]) for scene in scenes]
         return _Over("driving_load", j, what.sided, along)
     axis = what.axis(j)
-    found = _values(axis, scenes) if axis else None
-    if axis is None or found is None:
-        return _Over("torque", j)
-    return _Over(NAMES.get(axis.measure, axis.measure), axis.joint, what.sided, found)
-
-
-def _values(axis: Axis, scenes: Sequence[Scene]) -> list[Array] | None:
-    """A quantity (N,) by data set; time since the start of each log where they share no clock."""
-    found = [axis.values(scene) for scene in scenes]
-    known = [x for x in found if x is not None]
-    if len(known) < len(found):
-        return _values(Axis("time", axis.joint), scenes) if axis.measure == "session_time" else None
-    return known
+    axes = [axis] if axis else []
+    if axis and axis.measure == "session_time":  # where logs share no clock, since each one's start
+        axes.append(Axis("time", axis.joint))
+    for one in axes:
+        known = [x for scene in scenes if (x := one.values(scene)) is not None]
+        if len(known) == len(scenes):
+            return _Over(NAMES.get(one.measure, one.measure), one.joint, what.sided, known)
+    return _Over("torque", j)
 
 
 def _binned(
     robot: Robot, j: int, over: _Over, x: Array, y: Array, left: Array | None = None
 ) -> EvidenceEntry:
     """Means and spreads over x (M,) of y, left (M,) N m."""
-    bins = _bins(x)
-    after = [left[part] for part in bins] if left is not None else []
-    names = robot.joint_names
+    bins, names = _bins(x), robot.joint_names
+    before, after = ([r[part] for part in bins if r is not None] for r in (y, left))
     return EvidenceEntry(
         joint=names[j],
         quantity=over.quantity,
@@ -158,8 +147,8 @@ def _binned(
         sided=over.sided,
         x=_each(np.mean, [x[part] for part in bins]),
         count=[len(part) for part in bins],
-        before=_each(np.mean, [y[part] for part in bins]),
-        before_spread=_each(np.std, [y[part] for part in bins]),
+        before=_each(np.mean, before),
+        before_spread=_each(np.std, before),
         after=_each(np.mean, after),
         after_spread=_each(np.std, after),
     )
@@ -172,10 +161,8 @@ def _bins(x: Array) -> list[Index]:
         return [np.arange(len(x))] if len(x) else []
     cell = np.minimum((CELLS * (x - low) / span).astype(np.intp), CELLS - 1)
     count, ends = np.bincount(cell, minlength=CELLS), [0]
-    there = np.flatnonzero(count)
-    for at, after in pairwise(there.tolist()):
-        held = int(count[ends[-1] : at + 1].sum())
-        if held >= LEAST * len(x) or after - at > GAP:
+    for at, after in pairwise(np.flatnonzero(count).tolist()):
+        if count[ends[-1] : at + 1].sum() >= LEAST * len(x) or after - at > GAP:
             ends.append(at + 1)
     number = np.searchsorted(ends, cell, side="right") - 1
     return [np.flatnonzero(number == k) for k in range(len(ends))]
@@ -211,8 +198,8 @@ def _each_once(some: Iterable[Ranked]) -> list[Ranked]:
 
 
 def _rival(robot: Robot, one: Ranked, why_not: str) -> RivalEntry:
-    joint = robot.name_of(one.term.joint)
-    name = f"some function of {one.term.name}" if one.term.smooth else one.term.name
+    name, joint = one.term.name, robot.name_of(one.term.joint)
+    name = f"some function of {name}" if one.term.smooth else name
     return RivalEntry(effect=name, joint=joint, log_gain=one.predicted.total, why_not=why_not)
 
 
@@ -239,8 +226,7 @@ def _lacking(one: Ranked) -> str:
     if told.doubt >= options.doubt:
         chance, most = percent(told.doubt), percent(options.doubt)
         return f"gains nothing in {chance} of drawn blocks of time; {most} is allowed at most"
-    if one.gained.evidence <= options.chance:
-        evidence = one.gained.evidence
+    if (evidence := one.gained.evidence) <= options.chance:
         return f"log evidence of {evidence:.1f}, as of noise; {options.chance:g} is asked at least"
     if told.share <= options.improvement:
         share, least = percent(told.share), percent(options.improvement)

@@ -52,11 +52,10 @@ def diagnose(
     from seqid_cli.identify.log_set import LogSet
     from seqid_cli.identify.regression.equations import motion_uses
 
-    search = _search(inputs, options)
-    given = LogSet.of(inputs)
-    held = _excerpts(inputs, given, search)
-    found = diagnosed(held.recordings, inputs.robot, inputs.stages, options=search)
+    search, given = _search(inputs, options), LogSet.of(inputs)
     stages, arm = inputs.stages, inputs.robot
+    held = _excerpts(inputs, given, search)
+    found = diagnosed(held.recordings, arm, stages, options=search)
     said = [*held.notes(arm), *found.notes]
     file = structs.replace(
         found,
@@ -101,8 +100,8 @@ def refine(
         check_output(target, files)
     needs = ("friction", "inertia", *imu_stage_for(options.source))
     inputs = prepare(logs, robot, parameters, options, needs=needs, stored=False, **keywords)
-    rounds, smooth = options.rounds, options.with_unexplained
-    search = replace(_search(inputs, options), max_effects=rounds, with_unexplained=smooth)
+    search = replace(_search(inputs, options), max_effects=options.rounds)
+    search = replace(search, with_unexplained=options.with_unexplained)
     file = _refined(inputs, held_out, search)
     if target is not None:
         write_json_atomic(target, file, inputs=[*inputs.sources, *files])
@@ -129,7 +128,7 @@ def _excerpts(
 def _refined(
     inputs: Inputs, held_out: Sequence[Path | Recording], search: DiscoverOptions
 ) -> ParameterFile:
-    from seqid_cli.discover.excerpts.excerpts import one_each
+    from seqid_cli.discover.excerpts.excerpts import by_digest, one_each
     from seqid_cli.discover.refinement.confirm import confirm
     from seqid_cli.discover.refinement.earlier_logs import read_earlier
     from seqid_cli.discover.refinement.held_out import WholeLogs
@@ -142,23 +141,23 @@ def _refined(
     robot, previous = inputs.robot, inputs.previous
     training = LogSet.of(inputs)
     fitted = _excerpts(inputs, training, search, places=False)
-    at_hand = _places(fitted.recordings)
+    at_hand = {sha256: some[0].path for sha256, some in by_digest(fitted.recordings).items()}
     files = [log for log in held_out if isinstance(log, Path)]
     folders = [path.parent for path in inputs.parameters]
     found = find_earlier(previous.inputs, folders, at_hand=at_hand, held_out=files)
-    earlier = read_earlier(inputs, found, fitted, search.motion)
-    count = sum(map(len, earlier.by_stage.values()))
+    earlier, unread = read_earlier(inputs, found, fitted, search.motion)
+    count = sum(map(len, earlier.values()))
     training.tell("detail", text=f"{len(fitted.recordings)} logs to fit, {count} of earlier stages")
-    decided = decide(fitted.recordings, robot, previous, earlier=earlier.by_stage, options=search)
+    decided = decide(fitted.recordings, robot, previous, earlier=earlier, options=search)
 
     # Nothing is decided any more: now the held-out logs are opened.
     rest = replace(inputs, logs=tuple(held_out), missing=())
     kept_out = LogSet.of(rest)
     unseen = _excerpts(rest, kept_out, search, places=False)
-    check_unseen(_places(unseen.recordings), {**found.paths, **at_hand})
-    clock = inputs.options.time_source
-    whole = WholeLogs(tuple(files), robot, clock) if unseen.surveys else None
-    loop = confirm(decided, unseen.recordings, whole)
+    held = {sha256: some[0].path for sha256, some in by_digest(unseen.recordings).items()}
+    check_unseen(held, {**found.paths, **at_hand})
+    whole = WholeLogs(tuple(files), robot, inputs.options.time_source)
+    loop = confirm(decided, unseen.recordings, whole if unseen.surveys else None)
     verdicts = [*physics_verdicts(inputs.stages, robot), *training.verdicts(), *kept_out.verdicts()]
     both = [*one_each(fitted), *one_each(unseen)]
     loop = structs.replace(
@@ -171,17 +170,10 @@ def _refined(
             *(f"fitted: {note}" for note in fitted.notes(robot)),
             *(f"held out: {note}" for note in unseen.notes(robot)),
             *found.notes,
-            *earlier.notes,
+            *unread,
             *training.notes(),
             *kept_out.notes(),
             *loop.notes,
         ],
     )
     return refined(previous, robot_id(robot), training.inputs("effects"), decided.stages, loop)
-
-
-def _places(recordings: Sequence[Recording]) -> dict[str, Path]:
-    """Where each log is, by its SHA-256."""
-    from seqid_cli.discover.excerpts.excerpts import by_digest
-
-    return {sha256: some[0].path for sha256, some in by_digest(recordings).items()}

@@ -78,20 +78,17 @@ def investigate(
     first = found.model
     guess = guessed(first)
     events = events_of(first, guess)
-    gone = [
-        own | event[:, None] for own, event in zip(guess, event_masks(rows, events), strict=True)
-    ]
-    sure = rows.without(gone)
+    masks = zip(guess, event_masks(rows, events), strict=True)
+    sure = rows.without([own | event[:, None] for own, event in masks])
     step("choosing effects again", 8, 10)
     if not all(map(np.array_equal, sure.used, rows.used)):
         found = select_among(Ground.of(sure, stages), first.hold, first.candidates)
         found.run()
-    told = found.told(least)
-    events = not_of_terms(events, first)
+    told, events = found.told(least), not_of_terms(events, first)
     step("estimating the noise", 9, 10)
-    rows, left = told.model.ground.stage.rows, told.model.left()
+    rows = told.model.ground.stage.rows
     echo = encoder_residuals(logs, rows.scenes)
-    floor = noise_floor(logs, rows.scenes, left, echo, rows=rows)
+    floor = noise_floor(logs, rows.scenes, told.model.left(), echo, rows=rows)
     return Investigation(tuple(logs), told, floor, tuple(events))
 
 
@@ -124,11 +121,10 @@ def guessed(model: Model) -> list[Mask]:
     """Samples (N, n) of each data set at which effects of the model may have any torque."""
     scenes = model.ground.stage.scenes
     masks = [np.zeros_like(scene.slides) for scene in scenes]
-    for what in (term.what for term in model.terms):
+    for what in model.candidates:
         for scene, mask in zip(scenes, masks, strict=True):
-            if isinstance(what, Candidate):
-                for joint, own in what.effect.guessed(scene, what.joint, what.settings).items():
-                    mask[:, joint] |= own
+            for joint, own in what.effect.guessed(scene, what.joint, what.settings).items():
+                mask[:, joint] |= own
     return masks
 
 
@@ -142,10 +138,8 @@ def events_of(model: Model, guess: Sequence[Mask], *, most: float = 0.5) -> list
     for event in find_events(rows, model.scaled()):
         scene = rows.scenes[event.scene]
         unknown = (guess[event.scene] | scene.stops | ~scene.slides)[event.inside(scene)]
-        if (
-            not of_law(event, scene, left[event.scene])
-            and np.mean(unknown[:, list(event.joints)]) <= most
-        ):
+        known = np.mean(unknown[:, list(event.joints)]) <= most
+        if known and not of_law(event, scene, left[event.scene]):
             found.append(event)
     return found
 

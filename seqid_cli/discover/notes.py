@@ -83,12 +83,11 @@ def file_notes(
     found: Investigation, robot: Robot, ordinary: Array, named: Collection[str]
 ) -> tuple[str, ...]:
     """Joints at which the file leaves more than `ordinary` though nothing is found or `named`."""
-    notes, found_at = [], found.touched
+    notes, usual = [], np.maximum(ordinary, 1e-12)
     for j, left in enumerate(np.minimum(found.model.rms(), found.start)):
-        name, times = robot.joint_names[j], found.start[j] / max(ordinary[j], 1e-12)
-        if times <= MORE_THAN_NOISE or j in found_at or name in named:
+        name, times, anew = robot.joint_names[j], found.start[j] / usual[j], left / usual[j]
+        if times <= MORE_THAN_NOISE or j in found.touched or name in named:
             continue
-        anew = left / max(ordinary[j], 1e-12)
         many = f"joint {name}: the file leaves {times:.1f} times what torque noise and encoder do"
         if left < FITTED * found.start[j]:
             notes.append(
@@ -102,22 +101,20 @@ def file_notes(
 
 def _free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
     """Joints without a finding that a model fitted to these logs surely predicts worse."""
-    found_at, left, worse = found.touched, found.model.rms(), list[str]()
-    rows, told = found.ground.rows, Options()
-    for j, joint in ((j, x) for j, x in enumerate(robot.joints) if j not in found_at):
+    rows, left, worse = found.ground.rows, found.model.rms(), list[str]()
+    for j, joint in ((j, x) for j, x in enumerate(robot.joints) if j not in found.touched):
         free, file = (
             np.bincount(rows.block[j], weights=r[j] ** 2, minlength=rows.blocks)
             for r in (found.model.linear.left_out, found.ground.base.y)
         )
-        if doubt_of(free - (1.0 + told.improvement) * file) <= told.doubt:
+        if doubt_of(free - (1.0 + Options.improvement) * file) <= Options.doubt:
             sizes = f"{left[j]:.3g} against {found.start[j]:.3g} {joint.unit('N m')}"
             worse.append(f"{joint.name} ({sizes})")
-    if not worse:
-        return ()
-    return (
+    note = (
         f"these logs are too short to judge the model at {', '.join(worse)}: fitted to a part of "
-        "them, it predicts the rest worse than the file does",
+        "them, it predicts the rest worse than the file does"
     )
+    return (note,) if worse else ()
 
 
 def outside_notes(found: Investigation, robot: Robot, ordinary: Array) -> tuple[str, ...]:
@@ -161,9 +158,7 @@ def deflection_notes(stages: Stages, robot: Robot) -> tuple[str, ...]:
 
 def shown_offsets(found: Investigation) -> dict[int, float]:
     """Time offsets s of the base by joint, where they show."""
-    model, shown = found.model, {}
-    for j, offset in enumerate(model.offsets):
-        size = abs(offset) * rms(found.ground.base.timing[j])
-        if model.timed[j] and size > OFFSET_SHOWS * float(model.noise.sigma[j]):
-            shown[j] = offset
-    return shown
+    model, timing = found.model, found.ground.base.timing
+    size = [abs(offset) * rms(column) for offset, column in zip(model.offsets, timing, strict=True)]
+    shows = np.array(size) > OFFSET_SHOWS * model.noise.sigma[: len(size)]
+    return {j: offset for j, offset in enumerate(model.offsets) if model.timed[j] and shows[j]}

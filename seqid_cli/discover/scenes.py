@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from seqid_cli.discover.base import residual_of
 from seqid_cli.discover.noise.floor import encoder_residuals
 from seqid_cli.discover.select.options import Options
 from seqid_cli.errors import InputError
@@ -27,30 +28,24 @@ SAMPLES_PER_CUTOFF = 24  # enough for steps of friction, whose time is known to 
 
 
 def scenes_of(
-    recordings: Iterable[Recording],
-    robot: Robot,
-    stages: Stages,
-    *,
-    options: InertiaOptions,
+    recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: InertiaOptions
 ) -> list[Scene]:
     """Build the data set of every log with torque or current, with the model as it stands."""
     logs = list(recordings)
     motions = []
+    imu, source = stages.imu, options.source
     for log in logs:
-        torque_of(log)
-        motions.append(
-            log_motion(log, robot, options.motion, imu=stages.imu, source=options.source)
-        )
+        torque_of(log)  # there, before the motion is worked out
+        motions.append(log_motion(log, robot, options.motion, imu=imu, source=source))
     model = TorqueModel.from_stages(stages, robot)
     starts, shared = shared_starts(logs)
     top = np.max([np.max(np.abs(motion.dq), axis=0) for motion in motions], axis=0)
     width = sign_widths(model, top)
     scenes = []
-    for number, (recording, motion, start) in enumerate(zip(logs, motions, starts, strict=True)):
-        alone = scene_of_log(recording, robot, model, motion)
+    for number, (log, motion, start) in enumerate(zip(logs, motions, starts, strict=True)):
+        alone = scene_of_log(log, robot, model, motion)
         place = replace(alone, log=number, start=start, shared_clock=shared, sign_width=width)
-        full = replace(place, encoder=recording.q, measured=recording.tau)
-        scenes.append(thinned(full))
+        scenes.append(thinned(replace(place, encoder=log.q, measured=log.tau)))
     return scenes
 
 
@@ -75,10 +70,8 @@ def _is_coarse(log: Recording, scene: Scene, *, most: float = Options.improvemen
     """Whether encoder noise makes a share, of which terms count, of what the model leaves."""
     if scene.motion.source != "encoder":
         return False
-    assert scene.motion.tau is not None
-    left = scene.motion.tau - scene.modelled_filtered
-    echo = encoder_residuals([log], [scene])[0]
-    made, whole = (np.sum(np.where(scene.slides, x, 0.0) ** 2, axis=0) for x in (echo, left))
+    every = encoder_residuals([log], [scene])[0], residual_of(scene)
+    made, whole = (np.sum(np.where(scene.slides, x, 0.0) ** 2, axis=0) for x in every)
     return bool(np.any(made > most * whole))
 
 
@@ -99,12 +92,10 @@ def shared_starts(recordings: Sequence[Recording]) -> tuple[list[float], bool]:
     the logs that are asked, and a piece knows at any rate where in its log it begins.
     """
     logs = [whole_of(pieces[0]) for pieces in by_log(recordings)]
-    begun = np.array([whole.start for whole in logs])
-    lengths = np.array([whole.length for whole in logs])
+    begun, lengths = np.array([(whole.start, whole.length) for whole in logs]).T
     order = np.argsort(begun, kind="stable")
     apart = np.all(np.diff(begun[order]) >= 0.5 * lengths[order][:-1])
-    shared = bool(apart and np.ptp(begun) < LONGEST_SESSION_S)
-    if not shared:
+    if not apart or np.ptp(begun) >= LONGEST_SESSION_S:
         return [recording.offset for recording in recordings], False
     starts = np.array([recording.start for recording in recordings])
     return [float(x) for x in starts - starts.min()], True
@@ -118,8 +109,7 @@ def usable_logs(
     A log that comes in pieces is one if half of these are. Returns what is left, and a note on
     every log that was left out. Raises InputError: nothing is left.
     """
-    kept: list[Recording] = []
-    left_out: list[tuple[str, str]] = []
+    kept, left_out = list[Recording](), list[tuple[str, str]]()
     for pieces in by_log(recordings):
         every = [echoes(robot, x.t, x.q, x.tau, x.valid) for x in pieces if x.tau is not None]
         echoed = [", ".join(robot.joint_names[j] for j in found) for found in every if len(found)]

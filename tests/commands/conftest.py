@@ -138,7 +138,7 @@ def gathering(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("seqid_cli.discover.excerpts.excerpts.take_excerpts", take)
     monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.take_excerpts", take)
-    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.values_of", lambda *_: 0)
+    monkeypatch.setattr("seqid_cli.discover.refinement.earlier_logs.likely_rows", lambda *_: 0)
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, name: str, **functions: object) -> None:

@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -109,25 +110,24 @@ def take_excerpts(
     most = most_values / (robot.n + ARM + CHANNEL * channels)
     survey = partial(residual_survey, robot=robot, stages=stages, options=options)
     logs: Sequence[Path | Recording]
-    clock: TimeSource
+    clock: TimeSource = "header"
     if isinstance(recordings, LogSet) and sum(map(_likely, recordings.logs)) > most:
         logs, clock = recordings.logs, recordings.time_source
         surveys = tuple(recordings.mapped(survey, partial(open_if_long, least=PASSED_OVER)))
         if sum(_size(one.samples, one.rate_hz) for one in surveys) <= most:
             return Excerpts(tuple(recordings.again(imus=stages.imu is not None)))
     else:
-        held, clock = list(recordings), "header"
+        held = tuple(recordings)
         if sum(_size(len(log.t), log.rate_hz) for log in held) <= most:
-            return Excerpts(tuple(held))
+            return Excerpts(held)
         logs, surveys = held, tuple(map(survey, held))
-    samples = sum(one.samples for one in surveys)
     share = most / sum(_size(one.samples, one.rate_hz) for one in surveys)
-    ranges = excerpts_of(surveys, share * samples)
+    ranges = excerpts_of(surveys, share * sum(one.samples for one in surveys))
     extra = about_places(surveys, ranges) if places else [[] for _ in surveys]
     found = list[Recording]()
     for log, one, own, more in zip(logs, surveys, ranges, extra, strict=True):
         if own or more:
-            found += _read(log, one, sorted([*own, *more]), robot, clock)
+            found += _read(log, one, sorted([*own, *more]), robot, time_source=clock)
     seconds = sum(high - low for own in ranges for low, high in own)
     return Excerpts(tuple(found), sum(map(len, extra)), seconds, surveys)
 
@@ -138,11 +138,6 @@ def by_digest(recordings: Sequence[Recording]) -> dict[str, list[Recording]]:
     for recording in recordings:
         found.setdefault(whole_of(recording).sha256, []).append(recording)
     return found
-
-
-def values_of(paths: Iterable[Path], robot: Robot) -> int:
-    """Samples times joints that logs are likely to hold, as far as their formats tell."""
-    return robot.n * sum(map(likely_rows, paths))
 
 
 def one_each(held: Excerpts) -> list[Recording]:
@@ -163,23 +158,14 @@ def _likely(log: Path | Recording) -> int:
 
 
 def _read(
-    log: Path | Recording,
-    survey: ResidualSurvey,
-    ranges: Sequence[Range],
-    robot: Robot,
-    time_source: TimeSource,
+    log: Path | Recording, seen: ResidualSurvey, some: Sequence[Range], robot: Robot, **read: Any
 ) -> list[Recording]:
     if isinstance(log, Recording):
-        return cut(log, ranges)
+        return cut(log, some)
     with local_copy(log) as file:
+        check = partial(sound, robot=robot)
         found = read_pieces(
-            Path(file),
-            robot,
-            survey.whole,
-            ranges,
-            time_source=time_source,
-            kind=survey.kind,
-            sound=partial(sound, robot=robot),
+            Path(file), robot, seen.whole, some, kind=seen.kind, sound=check, **read
         )
     return [replace(piece, path=log) for piece in found]
 

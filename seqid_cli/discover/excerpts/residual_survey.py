@@ -73,7 +73,7 @@ def residual_survey(
     model = TorqueModel.from_stages(stages, robot)
     n, seen, held, tracks = robot.n, 0, 0, list[Track]()
     blocks, sums, found = list[Index](), list[Array](), list[Interval]()
-    for part in _parts(log, robot, stages, model, options):
+    for part in _parts(log, robot, stages, options):
         left, counts = part.tau - part.predicted, part.sliding & part.used[:, None]
         step = float(part.t[1] - part.t[0]) if len(part.t) > 1 else 0.0
         block, own = _block_sums(part, np.where(counts, left, 0.0), counts, step)
@@ -108,17 +108,13 @@ def residual_survey(
 
 
 def _parts(
-    log: Recording | SurveyedLog,
-    robot: Robot,
-    stages: Stages,
-    model: TorqueModel,
-    options: InertiaOptions,
+    log: Recording | SurveyedLog, robot: Robot, stages: Stages, options: InertiaOptions
 ) -> Iterable[LogPrediction]:
     options = replace(options, source="encoder")
     if not isinstance(log, SurveyedLog):
         return predict([log], robot, stages, options=options, unexplained=True)
     effects = [x for x in fitted_effects(stages, robot, unexplained=True) if x.local]
-    return Predictor(model, stages, options, effects)(log, 0)
+    return Predictor(TorqueModel.from_stages(stages, robot), stages, options, effects)(log, 0)
 
 
 def _block_sums(part: LogPrediction, left: Array, counts: Mask, step: float) -> tuple[Index, Array]:

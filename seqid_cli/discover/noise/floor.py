@@ -35,7 +35,7 @@ from seqid_cli.motion.filters.differentiation import differentiate, runs, shrink
 from seqid_cli.motion.motion import encoder_resolution
 from seqid_cli.motion.segmentation import unmoved
 from seqid_cli.robot.types import Joint
-from seqid_cli.typing import Array, Mask
+from seqid_cli.typing import Array
 
 BEYOND = 1.5  # of the cut-off, up to which positions are believed
 SHARP = 1e-9  # width of the sign [rad/s]
@@ -97,7 +97,11 @@ def noise_floor(
     for j in range(scenes[0].robot.n):
         of = [(scene, scene.slides[:, j]) for scene in scenes[:judged]]
         slid = [(x.motion, float(m.sum()) / x.motion.rate_hz) for x, m in of if m.any()]
-        heard, left = (_rms_of(values, of, j) for values in (echo, residual))
+        heard, left = (  # where it slides and they count
+            rms(own[own != 0.0])
+            for values in (echo, residual)
+            for own in [np.concatenate([x[m, j] for x, (_, m) in zip(values, of, strict=False)])]
+        )
         heard = heard if rows is None else rms(rows.torque(j, [e[:, j] for e in echo]))
         encoder = heard * np.exp(encoder_error * NORMAL_95)
         still = [
@@ -118,12 +122,6 @@ def noise_floor(
     return NoiseFloor(*np.array(found).T)
 
 
-def _rms_of(values: Sequence[Array], of: Sequence[tuple[Scene, Mask]], joint: int) -> float:
-    """RMS of a joint's values where it slides and they count."""
-    own = np.concatenate([x[m, joint] for x, (_, m) in zip(values, of, strict=False)])
-    return rms(own[own != 0.0])
-
-
 def rms(values: Array) -> float:
     """Root of the mean square; zero of nothing."""
     return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
@@ -141,7 +139,7 @@ def _rests(recording: Recording, scene: Scene) -> tuple[list[int], int]:
     still = unmoved(recording.q, encoder_resolution(scene.robot), round(STRETCH * period))
     quiet = shrink(still & recording.valid, round(period))
     lengths = [b - a for a, b in runs(quiet, len(quiet)) if b - a >= STRETCH * period]
-    length = int(np.median(lengths)) if lengths else 0
+    length = int(np.median(lengths or [0]))
     return stretches(quiet, length) if length else [], length
 
 
@@ -218,8 +216,7 @@ def _drawn(recording: Recording, scene: Scene, rng: np.random.Generator) -> Arra
     torque = scene.model.rigid(truth, v, a)
     torque += replace(scene.model, surfaces=sharp).friction(truth, v)
     right = lowpass(lowpass(torque, valid), valid)[::every]
-    residual: Array = right - motion.filtered(rigid) - motion.filtered(friction, times=2)
-    return residual
+    return np.asarray(right - motion.filtered(rigid) - motion.filtered(friction, times=2))
 
 
 def encoder_readings(

@@ -56,8 +56,7 @@ def power_gain(lowpass: Lowpass, frequency: Array, times: int) -> Array:
     rate = lowpass.rate_hz
     warped = np.tan(np.pi * np.minimum(frequency, 0.499999 * rate) / rate)
     ratio = warped / np.tan(np.pi * lowpass.cutoff_hz / rate)
-    gain: Array = (1.0 + ratio ** (2 * ORDER)) ** (-2.0 * times)
-    return gain
+    return np.asarray((1.0 + ratio ** (2 * ORDER)) ** (-2.0 * times))
 
 
 def stretches(mask: Mask, length: int) -> list[int]:
@@ -129,8 +128,10 @@ class Level:
         total = sum(seconds for _, seconds in slid)
         passed, scatter = np.zeros(len(RATIO)), np.zeros(len(RATIO))
         for motion, seconds in slid:
-            frequency, gain = _band(motion)
-            density = gain * _shapes(frequency / self.reference_hz)
+            top = min(0.5 * motion.rate_hz, 2.0 * motion.lowpass.cutoff_hz)
+            frequency = np.geomspace(1.0 / motion.t[-1], top, GRID)  # both signs together
+            passing = 2.0 * power_gain(motion.lowpass, frequency, 2)
+            density = passing * _shapes(frequency / self.reference_hz)
             passed += seconds / total * np.trapezoid(density, frequency)
             scatter += seconds / total**2 * np.trapezoid(density**2, frequency)
         middle = self.log_scale + np.log(passed)
@@ -158,10 +159,8 @@ def level_of(spectra: Sequence[Spectrum], reference_hz: float) -> Level:
     log-likelihood of one (Akaike's criterion): the excess of a band, noise that is not white, an
     exponent other than 1.
     """
-    bands = [spectrum.bands for spectrum in spectra]
-    frequency = np.concatenate([one.frequency for one in bands])
-    density = np.concatenate([one.density for one in bands])
-    averaged = np.concatenate([one.averaged for one in bands])
+    bands = [(one.frequency, one.density, one.averaged) for one in (x.bands for x in spectra)]
+    frequency, density, averaged = map(np.concatenate, zip(*bands, strict=True))
     # A mean of so many periodograms has a gamma distribution; its logarithm is off and scatters.
     known = np.log(np.maximum(density, TINY)) - digamma(averaged) + np.log(averaged)
     above = known - np.log(_shapes(frequency / reference_hz))
@@ -181,12 +180,4 @@ def level_of(spectra: Sequence[Spectrum], reference_hz: float) -> Level:
 
 def _shapes(relative: Array) -> Array:
     """S over s (K, F) at frequencies (F,) relative to f0."""
-    shapes: Array = 1.0 + RATIO[:, None] * relative ** -EXPONENT[:, None]
-    return shapes
-
-
-def _band(motion: Motion) -> tuple[Array, Array]:
-    """Frequencies (F,) Hz above zero, and the power of two passes there, both signs together."""
-    top = min(0.5 * motion.rate_hz, 2.0 * motion.lowpass.cutoff_hz)
-    frequency = np.geomspace(1.0 / motion.t[-1], top, GRID)
-    return frequency, 2.0 * power_gain(motion.lowpass, frequency, 2)
+    return np.asarray(1.0 + RATIO[:, None] * relative ** -EXPONENT[:, None])

@@ -43,8 +43,7 @@ def _p_value(rows: Rows, residual: Sequence[Array], joint: int) -> float:
     for scene, at, used, values in zip(rows.scenes, rows.picked, rows.used, residual, strict=True):
         time, z = _whitened(scene.motion, at, used[:, joint], values[:, joint])
         if len(z) > LAGS:
-            square = float(np.mean(z**2))
-            more, count = _lagged(time, z / np.sqrt(max(square, 1e-300)))
+            more, count = _lagged(time, z / np.sqrt(max(float(np.mean(z**2)), 1e-300)))
             product, pairs = product + more, pairs + count
     if pairs.min() < 2 * SAMPLES_PER_LAG:
         return 1.0
@@ -85,8 +84,7 @@ def _decorrelated(time: Index, covariances: Array, values: Array) -> Array:
         known = apart < len(covariances)
         band[k, : len(apart)][known] = covariances[apart[known]]
     lower = cholesky_banded(band, lower=True)
-    solved: Array = solve_banded((reach - 1, 0), lower, values)
-    return solved
+    return np.asarray(solve_banded((reach - 1, 0), lower, values))
 
 
 def _lagged(time: Index, z: Array) -> tuple[Array, Array]:

@@ -83,12 +83,11 @@ def _confirmed(found: Refinement, errors: Sequence[HeldOutError]) -> list[Refine
 
 def excess_note(times: Mapping[str, float], *, smooth: bool) -> tuple[str, ...]:
     """Say which joints have so many `times` the noise floor left, and what to do."""
-    said = [f"{name} ({x:.1f} times)" for name, x in times.items() if x > MORE_THAN_NOISE]
-    if not said:
-        return ()
+    said = ", ".join(f"{name} ({x:.1f} times)" for name, x in times.items() if x > MORE_THAN_NOISE)
     ask = "diagnose says on what it depends"
     ask += "" if smooth else ", refine --with-unexplained adds a smooth term for it"
-    return (f"more is left than torque noise and encoder account for: {', '.join(said)}; {ask}",)
+    note = f"more is left than torque noise and encoder account for: {said}; {ask}"
+    return (note,) if said else ()
 
 
 def _errors(

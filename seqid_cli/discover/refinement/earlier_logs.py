@@ -1,14 +1,15 @@
 """Logs of earlier stages, read for a refinement as far as memory bears them."""
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
-from seqid_cli.discover.excerpts.excerpts import Excerpts, by_digest, take_excerpts, values_of
+from seqid_cli.discover.excerpts.excerpts import Excerpts, by_digest, take_excerpts
 from seqid_cli.discover.refinement.log_sets import EarlierLogs
 from seqid_cli.identify.inputs import Inputs
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.identify.options import InertiaOptions
+from seqid_cli.logs.long import likely_rows
 from seqid_cli.logs.recording import Recording
 
 # Stages that need their logs as they are: moves of one joint, of which a piece may hold half.
@@ -17,25 +18,20 @@ TRIALS = ("friction", "gravity", "imu")
 MOST_OF_TRIALS = 8_000_000
 
 
-@dataclass(frozen=True)
-class Earlier:
-    """Logs, or pieces of them, by stage; and what is to be said of them."""
-
-    by_stage: Mapping[str, Sequence[Recording]]
-    notes: Sequence[str] = ()
-
-
 def read_earlier(
     inputs: Inputs, found: EarlierLogs, fitted: Excerpts, options: InertiaOptions
-) -> Earlier:
-    """Read the logs of earlier stages; one that is fitted anyway is not read a second time."""
+) -> tuple[dict[str, list[Recording]], list[str]]:
+    """Read the logs of earlier stages, or pieces of them, by stage; and what is to be said.
+
+    One that is fitted anyway is not read a second time.
+    """
     at_hand = by_digest(fitted.recordings)
     held = {sha256 for sha256, some in at_hand.items() if some[0].whole is None}
     trials = {sha256 for stage in TRIALS for sha256 in found.by_stage.get(stage, ())}
     needed = {x: path for x, path in found.paths.items() if x in trials and x not in held}
     others = {x: path for x, path in found.paths.items() if x not in trials and x not in at_hand}
     notes = []
-    if values_of(needed.values(), inputs.robot) > MOST_OF_TRIALS:
+    if inputs.robot.n * sum(map(likely_rows, needed.values())) > MOST_OF_TRIALS:
         notes.append(
             f"the {len(needed)} logs of earlier stages are too long to be held together;"
             " the model is fitted again without them"
@@ -44,9 +40,8 @@ def read_earlier(
     whole = {x.sha256: [x] for x in _logs(inputs, needed.values())} if needed else {}
     pieces = dict(at_hand)
     if others:
-        some, given = _logs(inputs, others.values()), (inputs.robot, inputs.stages)
-        held_of_them = take_excerpts(some, *given, options=options, places=False)
-        pieces |= by_digest(held_of_them.recordings)
+        given = _logs(inputs, others.values()), inputs.robot, inputs.stages
+        pieces |= by_digest(take_excerpts(*given, options=options, places=False).recordings)
     by_stage = dict[str, list[Recording]]()
     for stage, logs in found.by_stage.items():
         by_stage[stage] = own = []
@@ -54,7 +49,7 @@ def read_earlier(
             # Trials are taken as a whole, of others what is fitted of them.
             parts = [] if stage in TRIALS and sha256 not in held else pieces.get(sha256, [])
             own += parts or whole.get(sha256, [])
-    return Earlier(by_stage, notes)
+    return by_stage, notes
 
 
 def _logs(inputs: Inputs, paths: Iterable[Path]) -> LogSet:

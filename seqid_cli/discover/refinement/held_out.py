@@ -162,20 +162,18 @@ class WholeLogs:
             return None
         found: list[HeldOutError] = []
         for path in self.paths:
-            with local_copy(path) as file:
-                log = self._opened(Path(file))
+            with local_copy(path) as local:
+                log: Recording | SurveyedLog | None = None  # where a long one must be held
+                file, clock = Path(local), self.time_source
+                if likely_rows(file) >= LONG:
+                    opened = open_if_long(file, self.robot, time_source=clock, least=1)
+                    log = screened_long(opened, self.robot)[0] if opened is not None else None
+                elif likely_rows(file):
+                    log = read_screened(file, self.robot, time_source=clock).recording
                 if log is None:
                     return None
                 found.append(held_out_error([log], self.robot, stages, options=options))
         return joined(found)
-
-    def _opened(self, file: Path) -> Recording | SurveyedLog | None:
-        """A log to be passed over, or a short one; None for a long one that must be held."""
-        least, clock = likely_rows(file), self.time_source
-        if least < LONG:
-            return read_screened(file, self.robot, time_source=clock).recording if least else None
-        log = open_if_long(file, self.robot, time_source=clock, least=1)
-        return screened_long(log, self.robot)[0] if log is not None else None
 
 
 def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> Gain:
@@ -240,8 +238,7 @@ def gain_of(old: Array, new: Array) -> Gain:
 
 def _half_width(left: Array) -> float:
     """Half the interval of a sum of independent values (B,) about zero."""
-    count = len(left)
-    if count < 2:
+    if (count := len(left)) < 2:
         return float("inf")
     quantile = float(student_t.ppf(0.5 + 0.5 * LEVEL, count - 1))
     return quantile * float(np.sqrt(count / (count - 1) * np.sum(left**2)))

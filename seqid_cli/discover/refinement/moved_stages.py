@@ -1,7 +1,7 @@
 """Stages moved by deviations of the base, and held where logs hardly tell them."""
 
-import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from seqid_cli.discover.select.model import Model
 from seqid_cli.identify.rigid.parameters import representative_of
@@ -20,16 +20,15 @@ def held(new: Stages, old: Stages, fit: Model) -> Stages:
     Directions that these logs leave loose would wander with every effect that is added. `fit` is of
     the same logs, and `old` are the stages before.
     """
-    before, after = (_values(stages, fit) for stages in (old, new))
-    error = after[1]
-    at = np.flatnonzero((error > 0.0) & (before[1] > 0.0))
+    (before, known), (after, error) = (_values(stages, fit) for stages in (old, new))
+    at = np.flatnonzero((error > 0.0) & (known > 0.0))
     if not len(at):
         return new
     white = fit.linear.covariance[np.ix_(at, at)].copy()
     white *= float(np.median(error[at] ** 2 / np.diag(white)))
     scale = np.sqrt(np.diag(white))
     variance, direction = np.linalg.eigh(white / np.outer(scale, scale))
-    change = direction.T @ ((after[0] - before[0])[at] / scale)
+    change = direction.T @ ((after - before)[at] / scale)
     undone = np.where((change**2 < CLEAR**2 * variance) & (variance > LOOSE), change, 0.0)
     theta = np.zeros(fit.linear.size)
     theta[at] = -scale * (direction @ undone)
@@ -61,18 +60,16 @@ def moved(stages: Stages, fit: Model, theta: Array) -> Stages:
         for name, own in zip(robot.joint_names, where[1:], strict=False):
             if name in joints:
                 joints[name] = _moved_friction(joints[name], theta[own])
-        result.friction = msgspec.structs.replace(stages.friction, joints=joints)
+        result.friction = replace(stages.friction, joints=joints)
     by_name = dict(zip(basis.names, change, strict=True))
 
     def moved_rigid(stage: RigidStage | None) -> RigidStage | None:
         if stage is None:
             return None
         own = [
-            msgspec.structs.replace(p, value=float(p.value + by_name.get(p.name, 0.0)))
-            for p in stage.parameters
+            replace(p, value=float(p.value + by_name.get(p.name, 0.0))) for p in stage.parameters
         ]
-        anew = dict(stage.representative)
-        return msgspec.structs.replace(stage, parameters=own, representative=anew)
+        return replace(stage, parameters=own, representative=dict(stage.representative))
 
     result.gravity, result.inertia = moved_rigid(stages.gravity), moved_rigid(stages.inertia)
     last = result.inertia or result.gravity
@@ -90,10 +87,10 @@ def _moved_friction(joint: FrictionJoint, change: Array) -> FrictionJoint:
     if parameters:
         ahead, back = (own @ change for own in surface_entries(joint.speed_range[1], len(change)))
         pairs = zip(parameters, change, strict=True)
-        parameters = [msgspec.structs.replace(p, value=float(p.value + c)) for p, c in pairs]
+        parameters = [replace(p, value=float(p.value + c)) for p, c in pairs]
     else:
         ahead, back = change[:size], change[size : 2 * size] if joint.directional else change[:size]
-    return msgspec.structs.replace(
+    return replace(
         joint,
         positive=(positive + ahead.reshape(positive.shape)).tolist(),
         negative=(negative + back.reshape(negative.shape)).tolist(),

@@ -84,9 +84,8 @@ class Material:
 
     def without(self, log: Recording, stages: Stages, effects: Sequence[Fitted]) -> Recording:
         """A log without the torque of some effects."""
-        motion = self.options.motion
-        given = log, self.robot, stages, effects
-        return without_effects(*given, motion=motion.motion, source=motion.source)
+        options, given = self.options.motion, (log, self.robot, stages, effects)
+        return without_effects(*given, motion=options.motion, source=options.source)
 
     def freed(self, log: Recording, model: Refitted) -> Recording:
         """A log without effects: any, if it is fitted, else those that were there all along."""
@@ -114,8 +113,7 @@ def changed_joints(log: Recording, freed: Recording) -> Mask:
     """Joints (n,) whose torque or position the effects have changed."""
     assert log.tau is not None
     assert freed.tau is not None
-    changed: Mask = np.any((log.tau != freed.tau) | (log.q != freed.q), axis=0)
-    return changed
+    return np.asarray(np.any((log.tau != freed.tau) | (log.q != freed.q), axis=0))
 
 
 def unique(logs: Sequence[Recording]) -> list[Recording]:
@@ -151,14 +149,7 @@ def refitted(
         freed = Refitted(stages, tuple(_effects_of(material, fit)), late)
         stages = _stages(material, freed, fit)
         fit = _fitted(material, stages, [x.plain for x in fit.candidates], FREE)
-    return _with_values(material, stages, fit, late)
-
-
-def _with_values(material: Material, stages: Stages, fit: Model, late: frozenset[Key]) -> Refitted:
-    """Stages with effects as they are beside exactly these, to which they are written.
-
-    Their errors are beside a base that may move.
-    """
+    # Effects as they are beside exactly these stages; their errors are beside a base that may move.
     firm = copy(fit)
     firm.hold = FIRM
     firm.settle()
@@ -177,19 +168,11 @@ def _fitted(
 
 def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
     """The effects with their coefficients, and errors no narrower than the scatter over blocks."""
-    starts, shared = shared_starts(material.training)
-    session = session_of(material.training, starts, shared)
-    return [
-        FittedEffect(
-            what.effect,
-            what.joint,
-            what.settings,
-            fit.coefficients(term),
-            fit.covariance(term),
-            session,
-        )
-        for term, what in zip(fit.terms, fit.candidates, strict=True)
-    ]
+    session, found = session_of(material.training, *shared_starts(material.training)), []
+    for term, x in zip(fit.terms, fit.candidates, strict=True):
+        values = fit.coefficients(term), fit.covariance(term)
+        found.append(FittedEffect(x.effect, x.joint, x.settings, *values, session))
+    return found
 
 
 def _stages(material: Material, model: Refitted, fit: Model | None) -> Stages:
@@ -215,8 +198,7 @@ def _stages(material: Material, model: Refitted, fit: Model | None) -> Stages:
 def _sequential(material: Material, model: Refitted) -> Stages:
     """Friction, gravity and inertia again."""
     robot, motion, stages = material.robot, material.options.motion, model.stages
-    new = Stages(friction=stages.friction, gravity=stages.gravity, imu=stages.imu)
-    new.inertia = stages.inertia
+    new = msgspec.structs.replace(stages, effects=None)
     known = {identity(log): log for own in material.earlier.values() for log in own}
     now = known | {identity(log): log for log in material.training}
     freed = cache(lambda name: material.freed(now[name], model))
@@ -250,15 +232,14 @@ def _friction(
     travel = np.array([np.ptp(log.q, axis=0) for log in freed])
     moves = travel > MOVES * travel.max(axis=0)
     logs = [log for log, moving in zip(freed, moves, strict=True) if np.any(moving & changed)]
-    names = {name for name, anew in zip(robot.joint_names, changed, strict=True) if anew}
     if not logs:
         return old
+    names = {name for name, anew in zip(robot.joint_names, changed, strict=True) if anew}
     new = identify_friction(logs, robot, options=FrictionOptions())
-    joints = {n: j for n, j in new.joints.items() if n in names}
-    verdicts = [v for v in new.verdicts if v.joint in names]
+    kept = [v for v in old.verdicts if v.joint not in names]
     return msgspec.structs.replace(
-        old,
-        joints=old.joints | joints,  # in the file's order
-        verdicts=[*(v for v in old.verdicts if v.joint not in names), *verdicts],
+        old,  # joints in the file's order
+        joints=old.joints | {n: j for n, j in new.joints.items() if n in names},
+        verdicts=[*kept, *(v for v in new.verdicts if v.joint in names)],
         notes=list(dict.fromkeys([*old.notes, *new.notes])),
     )

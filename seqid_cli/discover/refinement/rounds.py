@@ -115,9 +115,9 @@ def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
         rest = [other for other in rest if not other.is_same_as(effect_of(taken))]
         stages = loop.model.stages
         account = _account(loop, found, taken)
-        accepted, reason = account.accepted, account.reason
-        loop.rounds.append(_round(loop, found, taken, accepted=accepted, reason=reason))
-        if accepted:
+        told = _round(loop, found, taken, accepted=account.accepted, reason=account.reason)
+        loop.rounds.append(told)
+        if account.accepted:
             loop.without = loop.without if loop.added else account.without
             loop.steps.append(account.model)
         else:
@@ -162,18 +162,13 @@ def _account(loop: Refinement, found: Investigation, taken: Taken) -> Account:
     freed = bool(candidate.absorbed) or loose  # the base had to leave the file there
     if loop.material.known or (freed and not loop.logs_before):
         return early
-    asked = after.accepted or freed or _has_company(loop, found, taken)
-    if not (loop.logs_before and asked):
+    had = [*known, candidate]  # what the model has not may have made up for the file there
+    others = [x for x in found.found.taken if x.term.smooth or not _among(effect_of(x), had)]
+    made_up = any(x.term.channels & taken.term.channels for x in others)
+    if not (loop.logs_before and (after.accepted or freed or made_up)):
         return after
     lately, along = (loop.error_everywhere(one.model) for one in (after, early))
     return after if likelier(lately, along) else early
-
-
-def _has_company(loop: Refinement, found: Investigation, taken: Taken) -> bool:
-    """Whether a term that the model has not made up for the file at an effect's joints."""
-    known = [*candidates_of_model(loop.model.effects), effect_of(taken)]
-    others = [x for x in found.found.taken if x.term.smooth or not _among(effect_of(x), known)]
-    return any(x.term.channels & taken.term.channels for x in others)
 
 
 def _predicted(taken: Taken) -> Gain:

@@ -35,12 +35,7 @@ from seqid_cli.discover.select.algebra import (
     scale_of,
     taken_back,
 )
-from seqid_cli.discover.select.rows import (
-    Gained,
-    Part,
-    Predicted,
-    Rows,
-)
+from seqid_cli.discover.select.rows import Gained, Part, Predicted, Rows
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array, Index
 

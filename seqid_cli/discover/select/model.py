@@ -11,6 +11,7 @@ import numpy as np
 from seqid_cli.discover.absorbed import FileTrials
 from seqid_cli.discover.base import Base, base_of
 from seqid_cli.discover.candidates import Candidate, Stage, candidates_of
+from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.noise.spectra import DETAIL
 from seqid_cli.discover.select.algebra import factored, half_log_det, scale_of
 from seqid_cli.discover.select.linear import Linear
@@ -74,13 +75,11 @@ class Ground:
         base = base_of(own, stages)
         stage = Stage(own, FileTrials(own.scenes[0], base, stages))
         high, drive = stage.high, stage.drive
-        below = tuple(own.blocks_of(j) for j in range(own.n))
-        y = (*base.y, *high.y, *drive.y)
-        seen = tuple(b[: len(v)] for b, v in zip(below, drive.y, strict=False))
-        block = (*below, *high.block, *seen)
+        below, y = [own.blocks_of(j) for j in range(own.n)], (*base.y, *high.y, *drive.y)
+        seen = [b[: len(v)] for b, v in zip(below, drive.y, strict=False)]
         size = np.array([np.sqrt(np.mean(v**2)) if len(v) else 1.0 for v in y])
         views = tuple(1 + (c // own.n != 1 and drive.of(c % own.n)) for c in range(len(y)))
-        rows = Rows(y, block, len(own.fold), views)
+        rows = Rows(y, (*below, *high.block, *seen), len(own.fold), views)
         return cls(stage, base, rows, np.maximum(size, 1e-12))
 
     @property
@@ -102,10 +101,10 @@ class Ground:
 
     def smooth_terms(self, joint: int, *, products: bool = False) -> list[Term]:
         """Smooth functions of everything measured, or of two quantities, for one joint."""
-        if (joint, products) not in self._smooth:
-            made = smooth_terms(self.stage, joint, self.size, products=products)
-            self._smooth[joint, products] = made
-        return self._smooth[joint, products]
+        key = joint, products
+        if key not in self._smooth:
+            self._smooth[key] = smooth_terms(self.stage, joint, self.size, products=products)
+        return self._smooth[key]
 
     def precision(self, hold: Hold, number: int) -> Array:
         """Precision (k, k) beforehand of the rigid body (0), or friction of a joint (from 1)."""
@@ -193,20 +192,18 @@ class Model:
         number = next(k for k, one in enumerate(self.terms) if one is term)
         return self.linear.where[len(self._base) + number]
 
-    def under(self, noise: Noise) -> Linear:
-        """The model under another noise."""
-        return self._with(self.terms, noise)
+    def under(self, noise: Noise, terms: Sequence[Term] | None = None) -> Linear:
+        """The model, or the base and some terms, under another noise."""
+        own = [term.part for term in (self.terms if terms is None else terms)]
+        parts = [*self._base, *own, *noise.slow(self.ground.stage)]
+        return Linear(self.ground.rows, parts, noise.weight)
 
     def beside(self, *terms: Term) -> Linear:
         """The model without some terms, the noise as it is."""
         rest = [one for one in self.terms if one not in terms]
         if not set(rest) <= set(self._fitted):
-            return self._with(rest, self.noise)
+            return self.under(self.noise, rest)
         return self.linear.without(*(one.part for one in self._fitted if one not in rest))
-
-    def _with(self, terms: Sequence[Term], noise: Noise) -> Linear:
-        parts = [*self._base, *(term.part for term in terms), *noise.slow(self.ground.stage)]
-        return Linear(self.ground.rows, parts, noise.weight)
 
     def add(self, candidates: Sequence[Candidate]) -> None:
         """Take in effects, and search their settings once more."""
@@ -287,9 +284,9 @@ class Model:
     def left(self, without: Term | None = None) -> list[Array]:
         """What is left (N, n) N m without a term, by scene; zero where a joint may stick."""
         parts = zip(self.ground.base.whole, self.deviation, self.shown(without), strict=True)
-        left = [whole.residual - base - terms for whole, base, terms in parts]
         return [
-            np.where(s.slides, r, 0.0) for s, r in zip(self.ground.stage.scenes, left, strict=True)
+            np.where(whole.scene.slides, whole.residual - base - terms, 0.0)
+            for whole, base, terms in parts
         ]
 
     def scaled(self) -> list[Array]:
@@ -299,7 +296,7 @@ class Model:
 
     def rms(self) -> Array:
         """RMS (n,) N m of each joint's residual where it was not fitted."""
-        return rms_of_rows(self.linear.left_out[: self.ground.n])
+        return np.array(list(map(rms, self.linear.left_out[: self.ground.n])))
 
     def coefficients(self, term: Term) -> Array:
         """A term's coefficients (k,), those below the cut-off where it has others above."""
@@ -309,15 +306,9 @@ class Model:
         """Covariance (k, k) of these coefficients, no narrower than they scatter over blocks."""
         first = self.where(term).start
         at = slice(first, first + term.what.size)
-        white = self.linear.covariance[at, at]
-        scattered = np.diag(self.linear.jackknife(at))
+        white, scattered = self.linear.covariance[at, at], np.diag(self.linear.jackknife(at))
         wider = np.sqrt(np.maximum(scattered / np.maximum(np.diag(white), 1e-300), 1.0))
         return np.asarray(white * np.outer(wider, wider))
-
-
-def rms_of_rows(left: Sequence[Array]) -> Array:
-    """RMS (channels,) N m of what is left (M_c,) of channels; zero where there are no rows."""
-    return np.array([np.sqrt(np.mean(r**2)) if len(r) else 0.0 for r in left])
 
 
 class Loosened:
@@ -347,9 +338,8 @@ class Loosened:
 
     def _half_log_det(self, at: slice, precision: Array) -> float:
         scale = scale_of(np.diag(precision) + self._told[at])
-        return half_log_det(factored(precision * np.outer(scale, scale))) - float(
-            np.log(scale).sum()
-        )
+        factor = factored(precision * np.outer(scale, scale))
+        return half_log_det(factor) - float(np.log(scale).sum())
 
     def _change(self, at: slice, more: Array) -> tuple[Array, float]:
         """(1 + D C)^-1 D and the logarithm of the determinant of 1 + D C."""

@@ -54,9 +54,8 @@ def reality(share: float, gain: float, *, of_share: float = 0.6) -> float:
     `share` is what it takes away of the squared error, `gain` the log evidence for it. The log odds
     are `of_share` of its logit and the gain's logarithm to base 10.
     """
-    share = float(np.clip(share, 1e-3, 1.0 - 1e-3))
-    odds = of_share * logit(share) + np.log10(max(gain, 1.0))
-    return float(expit(odds))
+    odds = of_share * logit(float(np.clip(share, 1e-3, 1.0 - 1e-3)))
+    return float(expit(odds + np.log10(max(gain, 1.0))))
 
 
 def steadiness(varied: float, share: float, left: float) -> float:
@@ -75,8 +74,7 @@ def named(taken: Taken, left: float = 1.0) -> Named:
     shares = _shares(taken)
     own = shares.pop(taken.term.name, 0.0)
     others = {name: share for name, share in shares.items() if share > Options.doubt}
-    there = reality(taken.share, taken.evidence)
-    there *= steadiness(taken.varied, taken.share, left)
+    there = reality(taken.share, taken.evidence) * steadiness(taken.varied, taken.share, left)
     every = (*others, *(name for name in taken.untried if name not in others))
     by_itself = there * own / (1.0 + len(taken.untried))
     return Named(there * (own + sum(others.values())), by_itself, every)
@@ -84,10 +82,8 @@ def named(taken: Taken, left: float = 1.0) -> Named:
 
 def _shares(taken: Taken) -> dict[str, float]:
     """Probability of each name."""
-    rivals = [rival for rival in taken.rivals if not rival.term.smooth]
-    scale = tempered(taken.one.predicted.total)
-    gains: dict[str, Array] = {}
-    for rival in rivals:
+    scale, gains = tempered(taken.one.predicted.total), dict[str, Array]()
+    for rival in (rival for rival in taken.rivals if not rival.term.smooth):
         name, own = rival.term.name, rival.predicted.drawn / scale
         gains[name] = np.maximum(gains.get(name, own), own)
     if taken.term.name in gains:

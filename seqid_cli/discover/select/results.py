@@ -4,8 +4,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+import numpy as np
+
+from seqid_cli.discover.noise.floor import rms
 from seqid_cli.discover.select.linear import Linear
-from seqid_cli.discover.select.model import Model, rms_of_rows
+from seqid_cli.discover.select.model import Model
 from seqid_cli.discover.select.rows import Gained, Predicted
 from seqid_cli.discover.select.terms import Term
 from seqid_cli.typing import Array
@@ -55,11 +58,10 @@ class Weighed:
         Of a smooth function by the squares of blocks that were left out as well: it follows large
         errors of a few blocks which an effect's law does not.
         """
-        model, channels = self.model, self.term.channels
-        share = min(self.one.predicted.share, model.beyond(model.ground.rows.y, channels))
-        if self.term.smooth:
-            share = min(share, model.beyond(self.linear.left_out, channels))
-        return share
+        model = self.model
+        first = [model.ground.rows.y, *([self.linear.left_out] if self.term.smooth else [])]
+        beyond = [model.beyond(left, self.term.channels) for left in first]
+        return min(self.one.predicted.share, *beyond)
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ class Taken:
     @property
     def without(self) -> Array:
         """RMS (channels,) N m of that."""
-        return rms_of_rows(self.left)
+        return np.array(list(map(rms, self.left)))
 
     @property
     def term(self) -> Term:

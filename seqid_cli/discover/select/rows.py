@@ -168,6 +168,5 @@ def doubt_of(gains: Array) -> float:
 
 def scatter(values: Array) -> float:
     """Standard error of the sum of independent values (blocks,)."""
-    if len(values) < 2:
-        return np.inf
-    return float(np.std(values, ddof=1) * np.sqrt(len(values)))
+    many = len(values) > 1
+    return float(np.std(values, ddof=1) * np.sqrt(len(values))) if many else np.inf

@@ -33,9 +33,7 @@ from seqid_cli.typing import Array
 
 
 def select(
-    ground: Ground,
-    options: Options | None = None,
-    catalogue: Sequence[Effect] | None = None,
+    ground: Ground, options: Options | None = None, catalogue: Sequence[Effect] | None = None
 ) -> Selection:
     """Select what the model lacks.
 
@@ -44,8 +42,7 @@ def select(
     up friction that has changed: the terms of such a model are tried with the base held as the file
     says, too.
     """
-    if catalogue is None:
-        catalogue = _known(ground)
+    catalogue = _known(ground) if catalogue is None else catalogue
     options = options or Options()
     first = Selection(Model(ground, HELD), options, catalogue)
     first.finish()
@@ -58,7 +55,8 @@ def select(
     if other.keys == first.keys and best is first:
         return best.merged()
     if changes:
-        other.proceed()
+        other.eliminate()
+        other.run()
         best = _best_of_all([first, other])
     if best.model.hold.doubt(ground.n) and best.keys != first.keys:
         held = Selection(Model(ground, HELD), options, catalogue)
@@ -82,10 +80,9 @@ def _best_of_all(every: Sequence[Selection]) -> Selection:
 
 def select_among(ground: Ground, hold: Hold, candidates: Sequence[Candidate]) -> Selection:
     """Begin with effects, and take back those that the model does not need."""
-    model = Model(ground, hold)
+    among = Selection(Model(ground, hold), Options(), _known(ground))
     if candidates:
-        model.add(candidates)
-    among = Selection(model, Options(), _known(ground))
+        among.model.add(candidates)
     among.eliminate()
     return among
 
@@ -113,12 +110,10 @@ class Selection:
         Every term must be better than chance, a smooth function better than effects by what is a
         tie, and standard errors of the file are not likely to be far too small.
         """
-        gained = [
-            again(term, self.model).predicted.total for term in self.model.terms if term.smooth
-        ]
-        granted = self.options.small * sum(gained) + self.options.chance * len(self.model.terms)
-        granted += self.model.hold.doubt(self.model.ground.n)
-        return self.model.under(noise).evidence - granted
+        model, options = self.model, self.options
+        gained = [again(term, model).predicted.total for term in model.terms if term.smooth]
+        granted = options.small * sum(gained) + options.chance * len(model.terms)
+        return model.under(noise).evidence - (granted + model.hold.doubt(model.ground.n))
 
     @property
     def keys(self) -> set[Key]:
@@ -129,12 +124,8 @@ class Selection:
         """Select, hold the base as the evidence says, and go on."""
         self.run()
         if self.model.rescale():
-            self.proceed()
-
-    def proceed(self) -> None:
-        """Go on with a base that is held in another way."""
-        self.eliminate()
-        self.run()
+            self.eliminate()
+            self.run()
 
     def merged(self) -> Selection:
         """Put one term in the place of two at one joint where it explains as much."""
@@ -175,17 +166,15 @@ class Selection:
 
     def _best(self, refused: set[Key]) -> Term | None:
         """The term to take next; none where none is worth it."""
-        linear, every = self.model.linear, self._search.everywhere()
-        tried = [one for one in every if one.evidence > 0.0 and one.term.key not in refused]
-        self._tried = tried
-        likely = [one for one in tried if one.evidence > self.options.chance]
-        able = [one for one in _ranked(linear, likely) if self._passes(one)]
+        every = [one for one in self._search.everywhere() if one.evidence > 0.0]
+        self._tried = [one for one in every if one.term.key not in refused]
+        likely = [one for one in self._tried if one.evidence > self.options.chance]
+        able = [one for one in _ranked(self.model.linear, likely) if self._passes(one)]
         best = self._simplest(able)
         if best is None:
             return None
-        self._tied[best.term.key] = [
-            one.term for one in able if not one.term.smooth and self._as_good(one, able[0])
-        ]
+        tied = [one.term for one in able if self._as_good(one, able[0])]
+        self._tied[best.term.key] = [term for term in tied if not term.smooth]
         return best.term
 
     def _simplest(self, ranked: Sequence[Ranked]) -> Ranked | None:
@@ -201,10 +190,10 @@ class Selection:
 
     def _as_good(self, one: Ranked, best: Ranked) -> bool:
         """Whether a term at one of the same channels is not clearly behind the best."""
-        options, behind = self.options, best.predicted.density - one.predicted.density
-        least = max(options.behind * scatter(behind), options.small * best.predicted.total, 1.0)
-        less = best.predicted.total - one.predicted.total
-        return bool(one.term.channels & best.term.channels) and less <= least
+        options, first, own = self.options, best.predicted, one.predicted
+        chance = options.behind * scatter(first.density - own.density)
+        near = first.total - own.total <= max(chance, options.small * first.total, 1.0)
+        return near and bool(one.term.channels & best.term.channels)
 
     def eliminate(self) -> set[Key]:
         """Take back, the weakest first, what is not worth it beside all others."""
@@ -229,9 +218,8 @@ class Selection:
         does as well takes a term's place.
         """
         tried, told = _ranked(self.model.linear, self._tried), self._all_taken(least)
-        taken, visible = self.keys, self._search.visible
-        hidden = {key: share for key, share in visible.items() if key not in taken}
-        left = tuple(one for one in tried if one.term.key not in taken)
+        hidden = {k: share for k, share in self._search.visible.items() if k not in self.keys}
+        left = tuple(one for one in tried if one.term.key not in self.keys)
         return Selected(self.model, told, hidden, left)
 
     def largest(self) -> Selected:
@@ -249,9 +237,7 @@ class Selection:
 
     def _all_taken(self, least: float) -> tuple[Taken, ...]:
         """Terms that are told, with their rivals; they give way to simpler ones."""
-        model = self.model
-        told = self._told_now(least)
-        better = dict[Term, Term]()
+        model, told, better = self.model, self._told_now(least), dict[Term, Term]()
         for term, one in told.items():
             law = self._law_of(term, told) if term.smooth else None
             better[term] = law or self._better(one, {other.key for other in better.values()})
@@ -292,32 +278,25 @@ class Selection:
     def _taken(self, own: Weighed) -> Taken:
         """A term and its rivals."""
         term, linear, one = own.term, own.linear, own.one
-        near = [
-            t
-            for t in self._search.near(term, linear)
-            if t.evidence > 0.0 and t.term.key != term.key and t.term.channels & term.channels
-        ]
-        ranked = tuple(sorted([one, *_ranked(linear, near)], key=_by_gain))
-        return Taken(
-            one,
-            ranked,
+        near = [x for x in self._search.near(term, linear) if x.term.channels & term.channels]
+        rivals = [x for x in near if x.evidence > 0.0 and x.term.key != term.key]
+        ranked = tuple(sorted([one, *_ranked(linear, rivals)], key=_by_gain))
+        told = (
             linear.left_out,
-            evidence=own.evidence,
-            share=own.share,
-            instead=self._instead_of(term) | self._as_share(own),
-            varied=self.model.linear.varied(term.part),
-            untried=self._untried(term),
+            own.evidence,
+            own.share,
+            self._instead_of(term) | self._as_share(own),
         )
+        return Taken(one, ranked, *told, self.model.linear.varied(term.part), self._untried(term))
 
     def _instead_of(self, term: Term) -> dict[str, float]:
         """Effects that other finished models have instead; how far these are behind, by name."""
-        found: dict[str, float] = {}
-        had = {one.key for one in self.model.terms}
+        found = dict[str, float]()
         for behind, terms in self.others:
-            if term.key not in {one.key for one in terms}:
-                for one in terms:
-                    if not one.smooth and one.key not in had and one.channels & term.channels:
-                        found[one.name] = min(behind, found.get(one.name, np.inf))
+            other = term.key not in {one.key for one in terms}
+            for one in (x for x in terms if other and not x.smooth and x.key not in self.keys):
+                if one.channels & term.channels:
+                    found[one.name] = min(behind, found.get(one.name, np.inf))
         return found
 
     def _as_share(self, own: Weighed) -> dict[str, float]:

@@ -65,8 +65,7 @@ def effects(stage: Stage, candidates: Sequence[Candidate], size: Array) -> list[
         if columns and next(iter(columns.values())).shape[1] and any(map(len, columns.values())):
             first = {c: candidate.size for c in columns if candidate.apart and c // n == 1}
             if candidate.address not in known:
-                in_file = stage.in_file(candidate)
-                beside = stage.beside_file(columns, in_file)
+                in_file, beside = stage.in_file(candidate, columns)
                 known[candidate.address] = np.diag(_precision(beside, size, first)), in_file
             precision, in_file = known[candidate.address]
             found.append(Term(candidate, Part(columns, precision, first=first, in_file=in_file)))

@@ -19,12 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from seqid_cli.discover.survey.event_windows import (
-    OVERLAP,
-    Windows,
-    tracks_of,
-    windows_of,
-)
+from seqid_cli.discover.survey.event_windows import OVERLAP, Windows, tracks_of, windows_of
 from seqid_cli.discover.survey.rows import BLOCK_S, SAMPLES_PER_CUTOFF, Rows
 from seqid_cli.model.effects.scene import Scene
 from seqid_cli.motion.filters.differentiation import runs

@@ -96,9 +96,8 @@ def compared(a: Source[Document], b: Source[Document], rule: RuleEntry) -> Compa
 
 
 def _kind(content: Document) -> str:
-    if isinstance(content, ParameterFile):
-        return "parameter"
-    return content.schema.removeprefix("seqid/").partition("@")[0]
+    kind = content.schema.removeprefix("seqid/").partition("@")[0]
+    return "parameter" if isinstance(content, ParameterFile) else kind
 
 
 def _judged(
@@ -241,8 +240,7 @@ def _angle_between(
 ) -> tuple[float, str]:
     """Angle between two mountings [rad], and what it is.
 
-    The angle about one axis of the link may not be determined, `unknown_deg` being a standard error
-    that says so: any value does, and it plays no part.
+    An axis with a standard error above `unknown_deg` is not determined, and plays no part.
     """
     turn = np.array(other.rotation) @ np.array(one.rotation).T  # in the link's frame
     errors = [each.std_errors_deg for each in (one, other) if len(each.std_errors_deg) == 3]

@@ -157,10 +157,9 @@ def has_trials(scene: Scene, joint: Joint) -> bool:
 def friction_columns(
     scene: Scene, stage: FrictionStage | None, joint: int, part: slice = slice(None)
 ) -> Array:
-    """Free friction of one joint: the terms of its surface, or Coulomb, viscous (and offset).
+    """Free friction of one joint, not low-passed: its surface, or Coulomb, viscous (and offset).
 
-    Of some samples of a data set, not low-passed. Beside a surface there is a drag beyond the
-    fastest speed at which it was identified.
+    Beside a surface there is a drag beyond the fastest speed at which it was identified.
     """
     surface, v = scene.model.surfaces[joint], scene.motion.dq[part, joint]
     known = None if stage is None else stage.joints[scene.robot.joint_names[joint]]

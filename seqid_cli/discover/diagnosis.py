@@ -49,10 +49,7 @@ HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 def diagnose(
     recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: DiscoverOptions
 ) -> DiagnosisFile:
-    """Find what a model lacks on these logs; what it has is not missing.
-
-    Raises InputError: a log carries neither torque nor current, or the torque of all is an echo.
-    """
+    """Find what a model lacks; InputError: a log without torque, or the torque of all an echo."""
     motion = options.motion
     known = fitted_effects(stages, robot, unexplained=True)
     kept, notes = usable_logs(recordings, robot)

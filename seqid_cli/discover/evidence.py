@@ -65,10 +65,7 @@ class _Over:
 
 
 def evidence_of(found: Investigation, robot: Robot, taken: Taken) -> EvidenceEntry:
-    """Bin what the model leaves of a term's joint without it, and with it.
-
-    Of its own joint, or of the one that shows it most where it is of the whole arm.
-    """
+    """Bin what is left without a term and with it, at its joint or the one that shows it most."""
     term, model, stage, n = taken.term, found.model, found.ground.stage, found.ground.n
     theta = model.linear.theta[model.where(term)]
     shown = {
@@ -109,10 +106,7 @@ def pushed(found: Investigation, robot: Robot) -> EvidenceEntry | None:
 
 
 def _over(what: What, theta: Array, scenes: Sequence[Scene], j: int) -> _Over:
-    """The quantity that a term with coefficients theta (k,) goes with at a joint.
-
-    Of a wave with columns sine, cosine, ... it is the place on it, 0 where it rises.
-    """
+    """What a term with coefficients theta (k,) goes with; of a wave the place, 0 where it rises."""
     if isinstance(what, Candidate) and what.effect.over == "wave":
         turns, a, b = list[Array](), theta[::2], theta[1::2]
         for X in (what.columns(scene)[j] for scene in scenes):

@@ -18,10 +18,7 @@ class DiagnoseOptions(LogOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RefineOptions(DiagnoseOptions):
-    """At most `rounds` effects are added.
-
-    `with_unexplained` adds a smooth term where no effect explains.
-    """
+    """At most `rounds` effects, and smooth terms `with_unexplained` where none explains."""
 
     rounds: int = 4
     with_unexplained: bool = False
@@ -29,11 +26,7 @@ class RefineOptions(DiagnoseOptions):
 
 @dataclass(frozen=True)
 class DiscoverOptions:
-    """How effects are looked for.
-
-    Refinement adds at most `max_effects`; `with_unexplained` lets it add a smooth term where no
-    effect of the catalogue explains a residual.
-    """
+    """How effects are looked for; refinement adds at most `max_effects` (see `RefineOptions`)."""
 
     motion: InertiaOptions = field(default_factory=lambda: InertiaOptions(source="needed"))
     max_effects: int = 4

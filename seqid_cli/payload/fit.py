@@ -43,12 +43,11 @@ FRICTION_TERMS = 2  # changes of each joint's friction: as it is, and in proport
 
 @dataclass(frozen=True)
 class PayloadFit:
-    """Standard parameters `phi` (10,) of the body in the frame of the last joint.
+    """Standard parameters `phi` (10,) of the body in the last joint's frame, with all errors.
 
-    `covariance` (10, 10) is with all errors; `determined` (10,) says which the logs give by
-    themselves. `before`, `after` (n,) N m are the RMS errors of the sliding samples without and
-    with the body, `measured` that of the torque, `friction_change` (n,) by how much friction was
-    found to differ [1].
+    `determined` (10,): what the logs give by themselves. `before`, `after` (n,) N m: RMS errors
+    of the sliding samples without and with the body, `measured` RMS torque; `friction_change`
+    (n,) [1].
     """
 
     phi: Array
@@ -70,12 +69,10 @@ def fit_payload(
     friction_change: float,
     rounds: int = 3,
 ) -> PayloadFit:
-    """Identify what the logs carry beyond a model.
+    """Identify what the logs carry beyond a model; they are held with their motion.
 
-    `recordings`: the logs; they are held with their motion, which the rounds share.
-    `friction_change`: standard deviation of each joint's change of friction [1]. Raises InputError
-    if a log carries neither torque nor current. Raises QualityError if no joint slides in these
-    logs.
+    `friction_change`: standard deviation of each joint's change of friction [1]. Raises
+    InputError: no torque or current in a log; QualityError: no joint slides.
     """
     logs = []
     for log in recordings:

@@ -76,10 +76,10 @@ def payload_file(inputs: Inputs, options: PayloadOptions) -> payload.PayloadFile
 def _entry(fit: PayloadFit, joint: str) -> tuple[payload.CarriedBodyEntry, dict[str, str]]:
     """The body, and how controllers take it where it has a mass and a centre."""
     known, whole = fit.determined[:4].copy(), bool(fit.determined.all())
+    values, errors, distance = fit.phi, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), 0.0
     if known[0] and fit.phi[0] > 0.0:
         values, errors, distance = carried(fit.phi, fit.covariance, whole=whole)
     else:
-        values, errors, distance = fit.phi, np.sqrt(np.maximum(np.diag(fit.covariance), 0.0)), 0.0
         known[1:] = whole = False
     mass, *center = (
         payload.Measured(
@@ -97,8 +97,7 @@ def _entry(fit: PayloadFit, joint: str) -> tuple[payload.CarriedBodyEntry, dict[
         inertia_std_errors=errors[4:].reshape(3, 3).tolist() if whole else [],
         distance=distance,
     )
-    settings = settings_of(values[0], values[1:4], entry.inertia) if known.all() else {}
-    return entry, settings
+    return entry, settings_of(values[0], values[1:4], entry.inertia) if known.all() else {}
 
 
 def carried(phi: Array, covariance: Array, *, whole: bool = True) -> tuple[Array, Array, float]:
@@ -150,10 +149,8 @@ def _verdicts(
 ) -> Iterator[Verdict]:
     mass, error = entry.mass.value, entry.mass.std_error
     if mass is None or error is None:
-        reason = (
-            "the mass is not determined: move a joint whose torque gravity changes, in more poses"
-        )
-        yield Verdict(good=False, reason=reason)
+        poses = "move a joint whose torque gravity changes, in more poses"
+        yield Verdict(good=False, reason=f"the mass is not determined: {poses}")
         return
     limit = percent(good_error)
     faults = {
@@ -179,8 +176,7 @@ def _verdicts(
 def _notes(
     fit: PayloadFit, entry: payload.CarriedBodyEntry, names: tuple[str, ...]
 ) -> Iterator[str]:
-    missing = [kind for k, kind in enumerate(STANDARD) if not fit.determined[k]]
-    if missing:
+    if missing := [kind for k, kind in enumerate(STANDARD) if not fit.determined[k]]:
         yield f"not determined by these logs: {', '.join(missing)} of the payload"
     if entry.distance > 0.0:
         yield (
@@ -188,8 +184,7 @@ def _notes(
             f"{entry.distance:.2g} standard errors away"
         )
     changes = zip(names, fit.friction_change.tolist(), strict=True)
-    changed = [f"{name} {percent(change)}" for name, change in changes if abs(change) > 0.05]
-    if changed:
+    if changed := [f"{name} {percent(change)}" for name, change in changes if abs(change) > 0.05]:
         yield f"friction differs from the model's: {', '.join(changed)}"
 
 

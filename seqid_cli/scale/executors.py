@@ -135,9 +135,8 @@ def processes(jobs: int | None = None) -> Iterator[Executor]:
 def dask_cluster(scheduler: str | None = None, jobs: int | None = None) -> Iterator[Executor]:
     """Connect to a Dask scheduler, or start a cluster of this machine for as long as it is needed.
 
-    `scheduler`: address of a running scheduler. `jobs`: workers of a cluster that is started; as
-    many as there are cores by default. Raises UsageError: no scheduler answers, or Dask is not
-    installed.
+    `jobs`: workers of a cluster that is started, else as many as cores. Raises UsageError: no
+    scheduler answers at the address `scheduler`, or Dask is not installed.
     """
     if not all(map(importlib.util.find_spec, ("dask", "distributed"))):
         hint = "Install it: python -m pip install 'seqid[dask]'"

@@ -46,11 +46,10 @@ def trend_file(
     stages = {own.stage: [x for x in series if x.stage == own.stage] for own in series}
     scatters = {stage: scatter_of(own) for stage, own in stages.items()}
     limit = _limit(series, [count for _, count in scatters.values() if count], options.alpha)
-    sizes: dict[tuple[str, str, str], float] = {}
+    changes, sizes = [], dict[tuple[str, str, str], float]()
     for own in series:
         kind, size = (own.robot, own.stage, own.unit), least_size * float(np.abs(own.values).max())
         sizes[kind] = max(sizes.get(kind, 0.0), size)
-    changes = []
     for own in series:
         least = sizes[own.robot, own.stage, own.unit]
         sigmas, change = best_change(own, scatters[own.stage][0], least)
@@ -98,18 +97,14 @@ def scatter_of(series: Sequence[trend.SeriesEntry], *, enough: int = 30) -> tupl
         if min(own.std_errors) > 0.0
     ]
     every = np.concatenate([np.zeros(0), *ratios])
-    if len(every) < enough:
-        return 1.0, 0
-    return max(float(gaussian_spread(every)), 1.0), len(every)
+    known = len(every) >= enough
+    return (max(float(gaussian_spread(every)), 1.0), len(every)) if known else (1.0, 0)
 
 
 def best_change(
     series: trend.SeriesEntry, inflation: float, least: float
 ) -> tuple[float, trend.ChangeEntry]:
-    """The step or drift that a quantity's values tell most clearly, and its standard errors.
-
-    `least` is the size that the quantity has at least.
-    """
+    """The clearest step or drift of a quantity of at least a size, and its standard errors."""
     count, days = len(series.values), days_of(series.dates)
     tried = [("step", k, (np.arange(count) >= k).astype(np.float64)) for k in range(1, count)]
     if count > 2 and days[-1] > 0.0:

@@ -41,8 +41,7 @@ def robots_of(files: Sequence[Named], by: By) -> dict[str, list[ParameterFile]]:
 def days_of(dates: Sequence[str]) -> Array:
     """Return the time (T,) in days since the first date."""
     times = np.array([_time(date) for date in dates])
-    days: Array = (times - times[0]) / 86400.0
-    return days
+    return np.asarray((times - times[0]) / 86400.0)
 
 
 def _time(date: str, path: str = "") -> float:
@@ -68,13 +67,9 @@ def series_of(robot: str, files: Sequence[ParameterFile]) -> Iterator[SeriesEntr
         if len(held) < 2:
             continue
         dates, values, errors, warmth = map(list, zip(*held, strict=True))
-        stage, joint, name, unit = quantity
         yield SeriesEntry(
             robot=robot,
-            stage=stage,
-            joint=joint,
-            name=name,
-            unit=unit,
+            **dict(zip(("stage", "joint", "name", "unit"), quantity, strict=True)),
             dates=dates,
             values=values,
             std_errors=errors,
@@ -116,6 +111,5 @@ def _mean_friction(
     v = np.repeat([speed, -speed], positions)
     mean = float(np.mean(np.sign(v) * surface.torque(q, v)))
     row = np.mean(np.sign(v)[:, None] * surface.columns(q, v), axis=0)
-    if surface.covariance.shape != (len(row), len(row)):
-        return mean, 0.0
-    return mean, float(np.sqrt(max(row @ surface.covariance @ row, 0.0)))
+    known = surface.covariance.shape == (len(row), len(row))
+    return mean, float(np.sqrt(max(row @ surface.covariance @ row, 0.0))) if known else 0.0

@@ -48,11 +48,7 @@ NORMAL_95 = np.array([0.0, -1.96, 1.96, 1.96])  # a deviate's middle, ends of it
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """RMS (n,) N m that a right model leaves.
-
-    `low`, `high` (n,) N m are its 95 % interval: what spectra leave open, how much the noise of
-    logs so short scatters about it, and how well the encoder's part is known.
-    """
+    """RMS (n,) N m that a right model leaves, and its 95 % interval `low`, `high` (n,)."""
 
     rms: Array
     low: Array
@@ -168,8 +164,7 @@ def _top_of_band(
 ) -> Spectrum:
     """What is left (N,) of the torque at the top of the band, the low-pass undone.
 
-    Steps of the torque, which reach above the cut-off, the model has below it. What the encoder's
-    noise makes (N,) is taken off. `band` are the cut-offs between which there is no motion.
+    What the encoder's noise makes (N,) is taken off. Between the cut-offs `band` nothing moves.
     """
     lowpass, rate = scene.motion.lowpass, scene.motion.rate_hz
     length = min(round(STRETCH * rate / lowpass.cutoff_hz), scene.samples)

@@ -155,9 +155,8 @@ class Level:
 def level_of(spectra: Sequence[Spectrum], reference_hz: float) -> Level:
     """White and 1/f^a noise of a joint, of which spectra show at least as much as there is.
 
-    r is the ratio of 1/f^a noise to white noise at `reference_hz`. A parameter more must gain a
-    log-likelihood of one (Akaike's criterion): the excess of a band, noise that is not white, an
-    exponent other than 1.
+    r is their ratio at `reference_hz`. The excess of a band, noise that is not white and an
+    exponent other than 1 must each gain a log-likelihood of one (Akaike's criterion).
     """
     bands = [(one.frequency, one.density, one.averaged) for one in (x.bands for x in spectra)]
     frequency, density, averaged = map(np.concatenate, zip(*bands, strict=True))

@@ -24,11 +24,10 @@ from seqid_cli.shares import percent
 def confirm(
     found: Refinement, held_out: Sequence[Recording], whole: WholeLogs | None = None
 ) -> ClosedLoop:
-    """Measure a refinement on logs that had no say in it.
+    """Measure a refinement on logs that had no say in it, before and after on the same samples.
 
-    `whole`: the held-out logs as they are, where `held_out` are pieces of them. Errors before and
-    after are on the same samples. Each round has its own gain beside the model before it, and is
-    confirmed where that is certainly more than nothing.
+    `whole`: the held-out logs as they are, where `held_out` are pieces of them. Each round's
+    gain is beside the model before, and is confirmed where that is certainly more than nothing.
     """
     robot, options = found.material.robot, found.material.options
     held_out, notes = usable_logs(held_out, robot)

@@ -189,8 +189,7 @@ def gain(before: HeldOutError, after: HeldOutError, joints: Collection[int]) -> 
 def likelier(one: HeldOutError, other: HeldOutError) -> bool:
     """Whether one model explains the same samples better than another, all joints together.
 
-    By the likelihood of normal errors, whose size is each joint's own and each model's: what a
-    joint loses counts as much as what another gains.
+    By the likelihood of normal errors of each joint's and model's own size: joints count alike.
     """
     first, second = (np.log(np.maximum(x.squares.sum(axis=0), 1e-300)) for x in (one, other))
     return bool(one.samples.sum(axis=0) @ (first - second) < 0.0)

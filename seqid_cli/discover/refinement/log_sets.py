@@ -26,11 +26,7 @@ _NAMED = 3  # logs that a note names
 
 
 def held_out_logs(logs: Logs, held_out: Logs) -> tuple[Path | Recording, ...]:
-    """Return the held-out logs, after making sure that none of them is to be fitted.
-
-    None is opened: by its place alone a log is known until the last decision has been made. Raises
-    UsageError: a log is in both lists; InputError: a path stands for no log.
-    """
+    """Return the held-out logs, unopened; raise UsageError if a place is in both lists."""
     files = expanded(listed(held_out))
     fitted = {_place(file): file for file in expanded(listed(logs))}
     for file in files:

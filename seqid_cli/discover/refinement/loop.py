@@ -112,8 +112,7 @@ class Refinement:
 class Account:
     """A model with one effect more, what was `taken` for it, and when the effects came.
 
-    `late` are those that came after the file was identified; `kept` says whether the stages stayed
-    as they were in this fit.
+    `late` came after the file was identified; the stages are `kept` as they were in this fit.
     """
 
     loop: Refinement

@@ -148,10 +148,9 @@ def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Record
 def _account(loop: Refinement, found: Investigation, taken: Taken) -> Account:
     """Whether an effect was there all along, or came late, and what the model with it does.
 
-    What is in the logs that the file was identified from was there all along. Else the account
-    holds that explains the logs of all stages better; where the file's logs are not at hand, that
-    which the base speaks for at the effect's joints. An effect that is refused as a late one is not
-    asked about if nothing speaks for the other account: that costs every stage again.
+    What is in the file's own logs was there all along. Else the account holds that explains the
+    logs of all stages better; without these the one that the base speaks for. Every stage again
+    is costly, and not asked for where nothing speaks for it.
     """
     candidate, late = effect_of(taken), loop.model.late
     known = candidates_of_model(loop.model.effects)

@@ -19,7 +19,7 @@ identified the file has R a in its base: theta + R a ~ N(0, P^-1) then, which co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -47,9 +47,8 @@ class Linear:
 
     def __init__(self, rows: Rows, parts: Sequence[Part], weight: Sequence[Array]) -> None:
         self.rows, self.parts, self.weight = rows, tuple(parts), tuple(weight)
-        edges = np.cumsum([0, *(part.size for part in self.parts)])
-        self.where = [slice(int(a), int(b)) for a, b in pairwise(edges)]
-        self.size = int(edges[-1])
+        self.where = _slices(part.size for part in self.parts)
+        self.size = sum(part.size for part in self.parts)
         self._own = list(map(self._of_channel, range(len(rows.y))))
         self._known: dict[int, tuple[Gained, Predicted]] = {}  # by parts of the model
 
@@ -111,9 +110,8 @@ class Linear:
 
     def _coupled(self, held: Array) -> Array:
         """Precision (p, p) of the parameters, from that of what is held."""
-        if not any(part.in_file for part in self.parts):
-            return held
-        return np.asarray(self.lift.T @ held @ self.lift)
+        coupled = any(part.in_file for part in self.parts)
+        return np.asarray(self.lift.T @ held @ self.lift) if coupled else held
 
     @cached_property
     def prior(self) -> Array:
@@ -143,20 +141,17 @@ class Linear:
 
     def _solved(self, factor: Factor, right: Array) -> Array:
         scale = self._scale[:, None] if right.ndim == 2 else self._scale
-        solved: Array = cho_solve(factor, right * scale, check_finite=False) * scale
-        return solved
+        return np.asarray(cho_solve(factor, right * scale, check_finite=False) * scale)
 
     def _halved(self, factor: Factor, right: Array) -> Array:
         """R^-T right (p, k) of a factor R: the square of it is right' M^-1 right."""
         scaled = right * self._scale[:, None]
-        solved: Array = solve_triangular(factor[0], scaled, trans="T", check_finite=False)
-        return solved
+        return np.asarray(solve_triangular(factor[0], scaled, trans="T", check_finite=False))
 
     @cached_property
     def _whole(self) -> tuple[Factor, Array]:
-        A, b = self.sums
-        factor = self._factor(A)
-        return factor, self._solved(factor, b)
+        factor = self._factor(self.sums[0])
+        return factor, self._solved(factor, self.sums[1])
 
     @cached_property
     def _without(self) -> list[tuple[Factor, Array]]:
@@ -207,13 +202,11 @@ class Linear:
                 for factor, theta in (self._whole, self._without_file, *self._without)
             ]
             value, alone, *others = (taken_back(a, S, part.precision) for a, S in solved)
-            rows = self.rows.independent[sorted(part.columns)].sum(axis=0)
-            a, S = solved[0]
+            rows, (a, S) = self.rows.independent[sorted(part.columns)].sum(axis=0), solved[0]
             seen = np.trace(np.linalg.inv(S) - part.precision)
             visible = float(seen / max(float(np.trace(self.sums[0][at, at])), 1e-300))
-            gained = Gained(value, a, S, max(visible, 0.0))
             told = Predicted(value - np.array(others), rows, value - alone)
-            self._known[id(part)] = gained, told
+            self._known[id(part)] = Gained(value, a, S, max(visible, 0.0)), told
         return self._known[id(part)]
 
     def varied(self, part: Part, *, spread: float = 0.3) -> float:
@@ -272,9 +265,8 @@ class Linear:
         """Try each term by itself."""
         found = []
         for first in range(0, len(terms), BATCH):
-            some = terms[first : first + BATCH]
             every = [(slice(0, len(y)),) for y in self._y]
-            crossed = self._crossed(some, every)
+            crossed = self._crossed(terms[first : first + BATCH], every)
             found += self._given(self._whole, crossed, self._with_file(crossed))
         return found
 
@@ -327,9 +319,8 @@ class Linear:
 
     def _crossed(self, terms: Sequence[Part], at: Sequence[Sequence[slice]]) -> _Crossed:
         """Products of terms with all else, over some slices of each channel's rows."""
-        edges = np.cumsum([0, *(term.size for term in terms)])
-        where = [slice(int(a), int(b)) for a, b in pairwise(edges)]
-        count, wide = len(at[0]), int(edges[-1])
+        where = _slices(term.size for term in terms)
+        count, wide = len(at[0]), where[-1].stop
         C, d = np.zeros((count, self.size, wide)), np.zeros((count, wide))
         D = [np.zeros((count, term.size, term.size)) for term in terms]
         first = dict[tuple[int, ...], int]()  # one of the terms with the same columns
@@ -374,10 +365,15 @@ class _Crossed:
         return self.C.sum(axis=0), self.d.sum(axis=0), [own.sum(axis=0) for own in self.D]
 
 
+def _slices(sizes: Iterable[int]) -> list[slice]:
+    """Places of so many numbers each, one after the other."""
+    edges: list[int] = np.cumsum([0, *sizes]).tolist()
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
 def _times(root: Array, columns: Sequence[Array]) -> Array:
     """Columns (M, k) each, side by side and times root (M,)."""
-    edges = np.cumsum([0, *(own.shape[1] for own in columns)])
-    result = np.empty((len(root), int(edges[-1])))
-    for own, (a, b) in zip(columns, pairwise(edges.tolist()), strict=True):
-        np.multiply(own, root[:, None], out=result[:, a:b])
+    result = np.empty((len(root), sum(own.shape[1] for own in columns)))
+    for own, at in zip(columns, _slices(own.shape[1] for own in columns), strict=True):
+        np.multiply(own, root[:, None], out=result[:, at])
     return result

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from seqid_cli.discover.candidates import Stage
 from seqid_cli.discover.select.linear import Linear
@@ -42,9 +43,8 @@ class Noise:
 
 def settled(stage: Stage, rows: Rows, size: Array, parts: Sequence[Part]) -> tuple[Linear, Noise]:
     """Fit a model and its noise in turn."""
-    windows = _windows(stage)
-    weight = [np.full(len(y), 1.0 / s**2) for y, s in zip(rows.y, size, strict=True)]
-    noise = Noise(size, tuple(weight))
+    windows, every = _windows(stage), zip(rows.y, size, strict=True)
+    noise = Noise(size, tuple(np.full(len(y), 1.0 / s**2) for y, s in every))
     linear = Linear(rows, parts, noise.weight)
     for _ in range(ROUNDS):
         noise = _of_residual(linear.residual(), noise.sigma, windows, stage, rows.shared)
@@ -60,8 +60,7 @@ def _of_residual(
     for c, r in enumerate(left):
         if not len(r):
             weight.append(r)
-            continue
-        if c // n == 1:
+        elif c // n == 1:
             found[c] = max(float(np.sqrt(np.mean(r**2))), 1e-12)
             own = found[c] * stage.high.weight[c - n]
             weight.append(np.full(len(r), 1.0 / (ALIKE * own**2)))
@@ -91,17 +90,11 @@ def slow_noise(
     deviation [N m] of the channel's noise. Blocks that are left out tell nothing of it, and a
     function of time would pass for an effect.
     """
-    rows = stage.rows
-    joint = channel % rows.n
-    order = np.arange(waves)
-    wide = np.zeros((rows.count(joint), waves * len(rows.scenes)))
-    first = 0
-    for number, scene in enumerate(rows.scenes):
-        t = scene.motion.t[rows.picked[number][rows.used[number][:, joint]]]
-        at = slice(number * waves, (number + 1) * waves)
-        length = float(scene.motion.t[-1])
-        wide[first : first + len(t), at] = np.cos(np.pi * np.outer(t / length, order))
-        first += len(t)
+    rows, order, own = stage.rows, np.arange(waves), []
+    for scene, picked, used in zip(rows.scenes, rows.picked, rows.used, strict=True):
+        t = scene.motion.t[picked[used[:, channel % rows.n]]] / float(scene.motion.t[-1])
+        own.append(np.cos(np.pi * np.outer(t, order)))
+    wide = np.asarray(block_diag(*own))
     power = 1.0 / np.maximum(order, 0.5)
     variance = 2.0 * (slow * size) ** 2 * power / np.sum(power)
     return Part({channel: wide}, np.diag(np.tile(1.0 / variance, len(rows.scenes))))

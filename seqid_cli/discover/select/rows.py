@@ -88,10 +88,9 @@ class Part:
 
 @dataclass(frozen=True)
 class Gained:
-    """What one term does to a model that does not have it.
+    """What one term does to a model that does not have it: `evidence` is the log Bayes factor.
 
-    `evidence` is the log Bayes factor; `coefficients` (k,) and their `covariance`; `visible` the
-    share of the columns' square that the model does not absorb.
+    `visible` is the share of the columns' square that the model does not absorb.
     """
 
     evidence: float
@@ -129,11 +128,7 @@ class Predicted:
 
     @property
     def share(self) -> float:
-        """Share of the squared error that goes, where noise of unit variance remains.
-
-        By the density, which knows what other blocks do not tell of a block; squared errors of
-        blocks that were left out do not.
-        """
+        """Share of the squared error that goes, by the density, where unit noise remains."""
         return float(self._share_of(self.total))
 
     @property

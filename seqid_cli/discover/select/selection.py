@@ -37,10 +37,9 @@ def select(
 ) -> Selection:
     """Select what the model lacks.
 
-    Of friction trials it is known what a file has taken up of an effect. Without them the base is
-    held in both ways to begin with, and the evidence chooses one. A base that is held loosely takes
-    up friction that has changed: the terms of such a model are tried with the base held as the file
-    says, too.
+    Friction trials tell what a file has taken up of an effect. Without them the base is held in
+    both ways at first, and the evidence chooses. A loose base takes up friction that has
+    changed: terms of such a model are tried with the base held as the file says, too.
     """
     catalogue = _known(ground) if catalogue is None else catalogue
     options = options or Options()
@@ -330,8 +329,7 @@ class Selection:
     def _untried(self, term: Term) -> tuple[str, ...]:
         """Effects that look like a term and have no share in its place.
 
-        They cannot be looked for at its joint, or stand beside it for the error of its law: the two
-        may be one effect.
+        They cannot be looked for at its joint, or stand beside it for the error of its law.
         """
         if not isinstance(term.what, Candidate):
             return ()

@@ -71,10 +71,6 @@ class SmoothFunction:
         place = np.arange(1.0, self.size + 1.0)
         return np.sqrt(place) if len(self.axes) > 1 else place
 
-    def basis(self, scene: Scene) -> Array:
-        """Compute the functions (N, K), unfiltered."""
-        return shape(scene, self.joint, self.axes, self.factor)
-
     def columns(self, rows: Rows) -> Array:
         """Compute the columns (M, k) on the joint's rows.
 
@@ -83,8 +79,8 @@ class SmoothFunction:
         """
         j, scenes = self.joint, rows.scenes
         if not {axis.measure for axis in self.axes} <= SLOW:
-            wide = rows.columns(({j: self.basis(scene)} for scene in scenes), passes=2)
-            return wide[j] @ self.mixing
+            whole = ({j: shape(scene, j, self.axes, self.factor)} for scene in scenes)
+            return rows.columns(whole, passes=2)[j] @ self.mixing
         values = [[v for x in scenes if (v := axis.values(x)) is not None] for axis in self.axes]
         every = zip(values, self.axes, strict=True)
         basis = reduce(tensor, [splines(rows.of(j, v), axis.knots) for v, axis in every])
@@ -98,8 +94,9 @@ class SmoothFunction:
     ) -> None:
         """Add its torque, low-passed, to (N, n) N m at all samples of every scene."""
         for torque, scene in zip(total, scenes, strict=True):
-            shown = self.basis(scene) @ (self.mixing @ coefficients)
-            torque[:, self.joint] += scene.motion.filtered(shown, times=2)
+            basis = shape(scene, self.joint, self.axes, self.factor)
+            shown = scene.motion.filtered(basis @ (self.mixing @ coefficients), times=2)
+            torque[:, self.joint] += shown
 
     def term(self, coefficients: Array) -> SmoothTerm:
         """Return the torque of coefficients (k,) as a model has it."""
@@ -112,13 +109,10 @@ def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
     own: tuple[Measure, ...] = ("position", "velocity", "acceleration", "load", "temperature")
     every: list[tuple[Measure, int, tuple[str, ...], str]]
     every = [(measure, joint, (measure,), measure) for measure in own]
-    sided: list[tuple[Measure, str]] = [
-        ("position", "position"),
-        ("load_size", "load"),
-        ("speed", "velocity"),
-        ("temperature", "temperature"),
-    ]
-    every += [(m, joint, (name, "direction"), f"{name} x direction") for m, name in sided]
+    sided: tuple[Measure, ...] = ("position", "load_size", "speed", "temperature")
+    names = ("position", "load", "velocity", "temperature")
+    for measure, name in zip(sided, names, strict=True):
+        every.append((measure, joint, (name, "direction"), f"{name} x direction"))
     for k, name in enumerate(rows.scenes[0].robot.joint_names):
         if k != joint:
             other = f"other_joint:{name}"
@@ -127,13 +121,11 @@ def smooth_functions(rows: Rows, joint: int) -> list[SmoothFunction]:
             label = f"position of {name} x direction"
             every.append(("position", k, (other, "direction"), label))
     clocks: list[tuple[Measure, str]] = [("time", "time since the log's start")]
-    if len(rows.scenes) > 1:
-        clocks.append(("session_time", "time of all logs"))
+    clocks += [("session_time", "time of all logs")] if len(rows.scenes) > 1 else []
     for measure, label in clocks:
         every.append((measure, joint, ("time",), label))
         every.append((measure, joint, ("time", "direction"), f"{label} x direction"))
-    found = [_smooth(rows, joint, *one) for one in every]
-    return [one for one in found if one is not None]
+    return [found for one in every if (found := _smooth(rows, joint, *one)) is not None]
 
 
 def _smooth(
@@ -153,9 +145,8 @@ def _axis(
 ) -> tuple[Axis | None, Array]:
     """Axis with `size` + 1 splines over the joint's rows, and the quantity there."""
     bare = Axis(measure, owner)
-    values = [bare.values(scene) for scene in rows.scenes]
-    known = [v for v in values if v is not None]
-    if len(known) < len(values):
+    known = [v for scene in rows.scenes if (v := bare.values(scene)) is not None]
+    if len(known) < len(rows.scenes):
         return None, np.zeros(0)
     x = rows.of(joint, known)
     knots = knots_of(x, rows.fold[rows.blocks_of(joint)], size - 1)
@@ -164,9 +155,8 @@ def _axis(
 
 def smooth_products(rows: Rows, j: int) -> list[SmoothFunction]:
     """Return functions of a joint's and another's position, and of both velocities."""
-    names = rows.scenes[0].robot.joint_names
+    names, found = rows.scenes[0].robot.joint_names, []
     measures: tuple[Measure, ...] = ("position", "velocity")
-    found = []
     for measure in measures:
         own, x = _axis(rows, j, measure, j, TENSOR_SIZE - 1)
         for k in range(rows.n):
@@ -175,10 +165,9 @@ def smooth_products(rows: Rows, j: int) -> list[SmoothFunction]:
                 continue
             U = smoothest(splines(x, own.knots), greville(own.knots))
             V = smoothest(splines(z, other.knots), greville(other.knots))
-            quantities = measure, f"other_joint:{names[k]}"
-            label = f"{measure} and that of {names[k]}"
+            told = (measure, f"other_joint:{names[k]}"), f"{measure} and that of {names[k]}"
             mixing = np.asarray(np.kron(U[:, :TENSOR_SIZE], V[:, :TENSOR_SIZE]))
-            found.append(SmoothFunction(j, quantities, label, (own, other), "one", mixing))
+            found.append(SmoothFunction(j, *told, (own, other), "one", mixing))
     return found
 
 
@@ -198,10 +187,8 @@ def knots_of(x: Array, fold: Index, count: int) -> tuple[float, ...] | None:
     low, high = float(edges[:, 0].max()), float(edges[:, 1].min())
     if high - low <= STILL * max(1.0, float(np.max(np.abs(x)))):
         return None
-    inside = x[(x >= low) & (x <= high)]
-    shares = np.quantile(inside, np.linspace(0.0, 1.0, count))
-    steps = np.linspace(low, high, count)
-    return tuple(float(knot) for knot in 0.5 * (shares + steps))
+    shares = np.quantile(x[(x >= low) & (x <= high)], np.linspace(0.0, 1.0, count))
+    return tuple((0.5 * (shares + np.linspace(low, high, count))).tolist())
 
 
 def smoothest(basis: Array, abscissae: Array) -> Array:

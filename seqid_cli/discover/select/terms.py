@@ -38,9 +38,8 @@ class Term:
     @property
     def freedom(self) -> int:
         """Number of parameters: coefficients and settings that are searched."""
-        if isinstance(self.what, SmoothFunction):
-            return self.part.size
-        return self.part.size + self.what.effect.searched(self.what.settings)
+        what, size = self.what, self.part.size
+        return size + what.effect.searched(what.settings) if isinstance(what, Candidate) else size
 
     @property
     def absorbed(self) -> bool:

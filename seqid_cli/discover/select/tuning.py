@@ -52,17 +52,12 @@ class Tuner:
 
     def gained(self, terms: Iterable[Term]) -> list[Tried]:
         """Try terms; those whose coefficients are not physical are left out."""
-        terms = list(terms)
-        gained = self.linear.gained([term.part for term in terms])
-        every = [Tried(t, g) for t, g in zip(terms, gained, strict=True)]
-        return [
-            one
-            for one in every
-            for c in [one.candidate]
-            if c.effect.plausible(
-                self.stage.scenes, c.joint, c.settings, one.gained.coefficients[: c.size]
-            )
-        ]
+        terms, found = list(terms), list[Tried]()
+        for one in map(Tried, terms, self.linear.gained([term.part for term in terms])):
+            c, values = one.candidate, one.gained.coefficients[: one.candidate.size]
+            if c.effect.plausible(self.stage.scenes, c.joint, c.settings, values):
+                found.append(one)
+        return found
 
     def tuned(self, tried: Tried, spacing: float = SPACING) -> Tried:
         """Search the continuous settings, then follow those that have more values."""
@@ -74,10 +69,8 @@ class Tuner:
     def _opened(self, tried: Tried) -> Tried:
         """The same with a setting that it lacks, at the best of its first values."""
         c = tried.candidate
-        more = c.effect.beyond(self.stage.scenes, c.joint)
-        lacking = [
-            replace(c, settings={**c.settings, **s}) for s in more if not s.keys() & c.settings
-        ]
+        more = [s for s in c.effect.beyond(self.stage.scenes, c.joint) if not s.keys() & c.settings]
+        lacking = [replace(c, settings={**c.settings, **s}) for s in more]
         return max([tried, *self.tried(lacking)], key=lambda one: one.evidence)
 
     def _moved(self, tried: Tried, but: str = "", /, **settings: float) -> Tried | None:
@@ -115,9 +108,8 @@ class Tuner:
     def _usual(self, tried: Tried, setting: Setting) -> Tried:
         """The same with a usual value of a setting, or none, where no other does clearly better."""
         every = [self._moved(tried, **{setting.name: value}) for value in setting.usual]
-        near = [
-            one for one in every if one and one.evidence > (1.0 - Options.small) * tried.evidence
-        ]
+        least = (1.0 - Options.small) * tried.evidence
+        near = [one for one in every if one and one.evidence > least]
         bare = None if setting.asked else self._moved(tried, setting.name)
         if bare is not None and bare.evidence > tried.evidence - Options.chance:
             return bare
@@ -125,15 +117,14 @@ class Tuner:
 
     def _followed(self, tried: Tried) -> Tried:
         """Take the next values of settings that have some while the evidence grows."""
-        best, specs = tried, tried.candidate.effect.settings
-        for setting in specs:
+        best = tried
+        for setting in tried.candidate.effect.settings:
             now = tried.candidate.settings.get(setting.name)
             first = setting.then.index(now) + 1 if now in setting.then else 0
             for value in setting.then[first:]:
                 found = self._moved(best, **{setting.name: value})
                 for other in _between(found) if found else ():
-                    if found:
-                        found = self._searched(found, other, NEAR)
+                    found = found and self._searched(found, other, NEAR)
                 if found is None or found.evidence <= best.evidence:
                     break
                 best = found

@@ -39,8 +39,7 @@ class Windows:
 class Track:
     """Samples of one log: `t` (M,) s, and what each joint does.
 
-    `values` (5, M, n) are position, velocity and acceleration, load of the gear, and residual, NaN
-    where a joint does not count.
+    `values` (5, M, n): position, velocity, acceleration, load, residual (NaN: does not count).
     """
 
     t: Array
@@ -62,15 +61,13 @@ def tracks_of(rows: Rows, left_out: Sequence[Array]) -> list[Track]:
     """The kept samples of every data set with each joint's scaled residual (M_j,) in its rows."""
     ends = np.cumsum([used.sum(axis=0) for used in rows.used], axis=0)
     own = [np.split(left_out[j], ends[:-1, j]) for j in range(rows.n)]
-    tracks = []
-    for number, (scene, at, used) in enumerate(
-        zip(rows.scenes, rows.picked, rows.used, strict=True)
-    ):
+    tracks, logs = list[Track](), zip(rows.scenes, rows.picked, rows.used, strict=True)
+    for number, (scene, at, used) in enumerate(logs):
         motion, residual = scene.motion, np.full(used.shape, np.nan)
         residual.T[used.T] = np.concatenate([parts[number] for parts in own])
         values = [motion.q[at], motion.dq[at], motion.ddq[at], scene.load[at], residual]
-        t, cutoff_hz = motion.t[at] - motion.t[0], motion.lowpass.cutoff_hz
-        tracks.append(Track(t, np.stack(values), cutoff_hz))
+        t = motion.t[at] - motion.t[0]
+        tracks.append(Track(t, np.stack(values), motion.lowpass.cutoff_hz))
     return tracks
 
 
@@ -79,21 +76,12 @@ def windows_of(tracks: Sequence[Track], length_s: float) -> Windows:
     top = np.max([np.max(np.abs(track.values[1]), axis=0) for track in tracks], axis=0)
     top = np.maximum(top, 1e-12)
     parts = [_windows_of_track(number, x, top, length_s) for number, x in enumerate(tracks)]
-    scene, centre, means, state, speed, reverses = (
-        np.concatenate(part) for part in zip(*parts, strict=True)
-    )
-    known = np.isfinite(means).any(axis=1)
-    states = state[known]
-    spread = np.std(states, axis=0) if len(states) else np.ones(states.shape[1])
-    return Windows(
-        length_s=length_s,
-        scene=scene[known],
-        centre=centre[known],
-        mean=means[known],
-        state=states / np.where(spread > 0, spread, 1.0),
-        speed=speed[known],
-        reverses=reverses[known],
-    )
+    every = [np.concatenate(part) for part in zip(*parts, strict=True)]
+    known = np.isfinite(every[2]).any(axis=1)
+    scene, centre, mean, state, speed, reverses = (part[known] for part in every)
+    spread = np.std(state, axis=0) if len(state) else np.ones(state.shape[1])
+    state = state / np.where(spread > 0, spread, 1.0)
+    return Windows(length_s, scene, centre, mean, state, speed, reverses)
 
 
 def _windows_of_track(number: int, track: Track, top: Array, length_s: float) -> tuple[Any, ...]:
@@ -119,16 +107,13 @@ def _windows_of_track(number: int, track: Track, top: Array, length_s: float) ->
 def _changes(values: Array) -> Array:
     """One (M, k) where a column's sign differs from that of the row before, else zero."""
     sign = np.sign(values)
-    changes: Array = (np.diff(sign, axis=0, prepend=sign[:1]) != 0).astype(float)
-    return changes
+    return np.asarray(np.diff(sign, axis=0, prepend=sign[:1]) != 0, dtype=np.float64)
 
 
 def _means(values: Array, low: Index, high: Index, fewest: float) -> Array:
     """Means (W, k) over half-open ranges of the finite values, NaN where fewer than `fewest`."""
-    there = np.isfinite(values)
-    sums = np.vstack([np.zeros(values.shape[1]), np.cumsum(np.where(there, values, 0.0), axis=0)])
-    counts = np.vstack([np.zeros(values.shape[1]), np.cumsum(there, axis=0)])
-    count = counts[high] - counts[low]
-    total = sums[high] - sums[low]
-    mean: Array = np.where(count >= max(fewest, 1.0), total / np.maximum(count, 1.0), np.nan)
-    return mean
+    there, none = np.isfinite(values), np.zeros(values.shape[1])
+    sums = np.vstack([none, np.cumsum(np.where(there, values, 0.0), axis=0)])
+    counts = np.vstack([none, np.cumsum(there, axis=0)])
+    total, count = sums[high] - sums[low], counts[high] - counts[low]
+    return np.where(count >= max(fewest, 1.0), total / np.maximum(count, 1.0), np.nan)

@@ -74,10 +74,7 @@ class Interval:
 
 
 def find_events(rows: Rows, left_out: Sequence[Array]) -> list[Interval]:
-    """Find what stands out, by data set and time, in the scaled residual (M_j,) of joints' rows.
-
-    What fills more than a small share of a log is no event but something that the model lacks.
-    """
+    """Find what stands out in joints' scaled residuals (M_j,), unless it fills much of a log."""
     tracks, found = tracks_of(rows, left_out), list[Interval]()
     every = [windows_of(tracks, length) for length in LENGTHS_S]
     scored = [(windows, scores(windows)) for windows in every]
@@ -101,14 +98,10 @@ def _occasions(events: Sequence[Interval]) -> list[tuple[float, float]]:
 
 def event_masks(rows: Rows, events: Sequence[Interval]) -> list[Mask]:
     """Samples (N,) of each data set that belong to events or feel them through the low-pass."""
-    masks = []
-    for number, scene in enumerate(rows.scenes):
-        margin = 0.5 / scene.motion.lowpass.cutoff_hz
-        mask = np.zeros(scene.samples, dtype=bool)
-        for event in events:
-            if event.scene == number:
-                mask |= event.inside(scene, margin)
-        masks.append(mask)
+    masks = [np.zeros(scene.samples, dtype=bool) for scene in rows.scenes]
+    for event in events:
+        scene = rows.scenes[event.scene]
+        masks[event.scene] |= event.inside(scene, 0.5 / scene.motion.lowpass.cutoff_hz)
     return masks
 
 
@@ -138,8 +131,7 @@ def _compared(m: Array, size: Array, looked: Index, likes: Sequence[Index]) -> A
         size = np.maximum(size, PER_MEDIAN * deviation)
         shifted = m[looked] - median
         rest = np.where(np.abs(shifted) < np.abs(rest), shifted, rest)
-    result: Array = np.nan_to_num(rest / np.maximum(size, 1e-300))
-    return result
+    return np.asarray(np.nan_to_num(rest / np.maximum(size, 1e-300)))
 
 
 def combined(z: Array) -> Array:
@@ -151,8 +143,7 @@ def combined(z: Array) -> Array:
         spread = 2.0 / (9.0 * k)
         deviate = (np.cbrt(squares[:, k - 1] / k) - 1.0 + spread) / np.sqrt(spread)
         best = np.maximum(best, deviate)
-    result: Array = best
-    return result
+    return np.asarray(best)
 
 
 def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[Index, Array]:
@@ -163,19 +154,17 @@ def _neighbours(windows: Windows, looked: Index, columns: list[int]) -> tuple[In
     overlap, and logs may be long.
     """
     stride = max(OVERLAP, len(windows.centre) // MOST_REFERENCES)
-    reference = np.arange(0, len(windows.centre), stride)
-    state = windows.state[:, columns]
+    reference, state = np.arange(0, len(windows.centre), stride), windows.state[:, columns]
     overlapping = 2 * int(np.ceil(BLOCK_S * OVERLAP / windows.length_s / stride))
     asked = [*range(1, min(NEIGHBOURS + overlapping, len(reference)) + 1)]
     tree = cKDTree(state[reference])
-    found, at = tree.query(state[looked], k=asked)
-    distance = np.asarray(found, dtype=np.float64)
+    distance, at = tree.query(state[looked], k=asked)
     index = reference[at]
-    same = windows.scene[index] == windows.scene[looked, None]
-    close = same & (np.abs(windows.centre[index] - windows.centre[looked, None]) < BLOCK_S)
+    close = np.abs(windows.centre[index] - windows.centre[looked, None]) < BLOCK_S
+    close &= windows.scene[index] == windows.scene[looked, None]
     order = np.argsort(close, axis=1, kind="stable")[:, :NEIGHBOURS]
     picked: Index = np.take_along_axis(np.where(close, -1, index), order, axis=1)
-    reached = np.median(np.take_along_axis(distance, order, axis=1), axis=1)
+    reached = np.median(np.take_along_axis(np.asarray(distance), order, axis=1), axis=1)
     usual = np.quantile(np.median(tree.query(state[reference], k=asked)[0], axis=1), USUAL)
     return picked, np.maximum(1.0, reached / max(float(usual), 1e-300))
 
@@ -193,8 +182,7 @@ def _medians(values: Array, count: Index) -> Array:
     ordered = np.sort(values, axis=1)
     low, high = np.maximum(count - 1, 0) // 2, np.minimum(count // 2, values.shape[1] - 1)
     row = np.arange(len(values))
-    medians: Array = 0.5 * (ordered[row, low] + ordered[row, high])
-    return medians
+    return np.asarray(0.5 * (ordered[row, low] + ordered[row, high]))
 
 
 def _class_size(windows: Windows, j: int) -> Array:
@@ -215,10 +203,7 @@ def _class_size(windows: Windows, j: int) -> Array:
 
 
 def places(number: int, scored: Sequence[tuple[Windows, Array]]) -> list[Interval]:
-    """Where one data set stands out, however often, over windows of all lengths with their scores.
-
-    Windows above the gate and what belongs to them.
-    """
+    """Where one data set stands out, over windows of all lengths with their scores."""
     found = list[Interval]()
     for windows, z in scored:
         here = windows.scene == number
@@ -238,9 +223,8 @@ def _joined(number: int, length_s: float, z: Array, centre: Array) -> list[Inter
         joints = np.flatnonzero(weight > 0.5 * max(GATE, weight.max())).tolist()
         start, end = max(float(centre[first]) - margin, 0.0), float(centre[stop - 1]) + margin
         if end - start <= LONGEST_S:
-            found.append(
-                Interval(number, start, end, tuple(joints or [int(np.argmax(weight))]), top)
-            )
+            joints = joints or [int(np.argmax(weight))]
+            found.append(Interval(number, start, end, tuple(joints), top))
         score[max(first - 2, 0) : stop + 2] = 0.0
     return found
 

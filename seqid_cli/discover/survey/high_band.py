@@ -7,6 +7,7 @@ further channels of the normal equations, one per joint, that no base column tou
 count as much as the joint's rows below the cut-off.
 """
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
@@ -50,24 +51,20 @@ def high_band(rows: Rows) -> HighBand:
     for scene, picked, counts, block in parts:
         full = scene.full or scene
         every = round(full.motion.rate_hz / scene.motion.rate_hz)
-        nearest = np.clip(
-            np.searchsorted(picked * every, np.arange(full.samples), side="right") - 1,
-            0,
-            len(picked) - 1,
-        )
-        stride = stride_of(scene.motion) * every
-        kept = np.abs(picked[nearest] * every - np.arange(full.samples)) < stride
+        at, own = picked * every, np.arange(full.samples)
+        nearest = np.clip(np.searchsorted(at, own, side="right") - 1, 0, len(at) - 1)
+        kept = np.abs(at[nearest] - own) < stride_of(scene.motion) * every
         kept &= block[nearest] % thin == 0
         counting = full.slides & kept[:, None] & counts.any(axis=0)
         high.append(_above(full))
         used.append(counting & ~_bursts(high[-1], counting, full))
         blocks.append(block[nearest])
-    masks = tuple(used)
-    joints = range(rows.n)
-    own = [np.concatenate([b[u[:, j]] for b, u in zip(blocks, masks, strict=True)]) for j in joints]
-    y = [np.concatenate([h[u[:, j], j] for h, u in zip(high, masks, strict=True)]) for j in joints]
-    weight = [np.sqrt(max(len(y[j]), 1) / max(rows.count(j), 1)) for j in joints]
-    return HighBand(masks, tuple(own), tuple(y), np.array(weight))
+    of, y = list[Index](), list[Array]()
+    for j in range(rows.n):
+        of.append(np.concatenate([b[u[:, j]] for b, u in zip(blocks, used, strict=True)]))
+        y.append(np.concatenate([h[u[:, j], j] for h, u in zip(high, used, strict=True)]))
+    weight = [np.sqrt(max(len(own), 1) / max(rows.count(j), 1)) for j, own in enumerate(y)]
+    return HighBand(tuple(used), tuple(of), tuple(y), np.array(weight))
 
 
 def both_bands(
@@ -79,22 +76,20 @@ def both_bands(
     a column lies above, what is left below comes from where the joint reverses, and there its law
     is known least: then that log's rows above alone count.
     """
-    below: dict[int, list[Array]] = {}
-    above: dict[int, list[Array]] = {}
+    below, above = defaultdict[int, list[Array]](list), defaultdict[int, list[Array]](list)
     for scene, columns in zip(rows.scenes, per_scene, strict=True):
         full = scene.full or scene
         every = round(full.motion.rate_hz / scene.motion.rate_hz)
         for joint, X in columns.items():
             low = full.motion.filtered(X, times=2)
             passing = np.mean(low**2) < PASSING * np.mean((X - low) ** 2)
-            below.setdefault(joint, []).append(low[::every] * (not passing))
-            above.setdefault(joint, []).append(X - low)
+            below[joint].append(low[::every] * (not passing))
+            above[joint].append(X - low)
     result = {}
-    for joint in below:
-        slow, fast = rows.torque(joint, below[joint]), high.of(joint, above[joint])
-        result[joint] = slow
+    for joint, slow in below.items():
+        result[joint] = rows.torque(joint, slow)
         # There are many rows above, and hundreds of candidates that keep theirs.
-        result[rows.n + joint] = cast(Array, fast.astype(np.float32))
+        result[rows.n + joint] = cast(Array, high.of(joint, above[joint]).astype(np.float32))
     return result
 
 
@@ -102,18 +97,16 @@ def _above(full: Scene) -> Array:
     """Measured torque (N, n) above the cut-off, that of the model taken away."""
     assert full.measured is not None
     left = full.measured - full.modelled
-    above: Array = left - full.motion.filtered(left, times=2)
-    return above
+    return np.asarray(left - full.motion.filtered(left, times=2))
 
 
 def _bursts(above: Array, counting: Mask, full: Scene) -> Mask:
     """Samples (N, n) about which there is far more above the cut-off than is usual in the log."""
     size = max(round(full.motion.rate_hz / full.motion.lowpass.cutoff_hz), 3)
     local = uniform_filter1d(above**2, size, axis=0)
-    usual = [
-        np.median(x[c]) if c.any() else np.inf for x, c in zip(local.T, counting.T, strict=True)
-    ]
-    return np.asarray(local > BURST**2 * np.array(usual))
+    every = zip(local.T, counting.T, strict=True)
+    usual = np.array([np.median(x[c]) if c.any() else np.inf for x, c in every])
+    return np.asarray(local > BURST**2 * usual)
 
 
 def full_residual(scene: Scene, left: Array) -> Array:

@@ -62,23 +62,20 @@ class Reversal:
 
 
 def reversals_of(scene: Scene, picked: Index, used: Mask, joint: int) -> list[Reversal]:
-    """Find what is uncertain in one joint's rows of one data set with torque.
+    """Find what is uncertain in one joint's rows: samples `picked` (M,), where `used` (M,).
 
-    Rows are the samples `picked` (M,), of which those of the mask `used` (M,) count; those of the
-    result are these alone. None where friction is small beside torque noise, or either is unknown.
+    None where friction is small beside torque noise, or either is unknown.
     """
     noise, number = _noise(scene, joint), np.cumsum(used) - 1
     uncertain = [(start, pulses / noise) for start, pulses in _uncertain(scene, joint)]
     found: list[Reversal] = []
     for row, every in low_passed(scene.motion, picked, uncertain):
         counts = np.flatnonzero(used[row : row + len(every)])
-        seen = every[counts]
-        felt = np.flatnonzero(
-            np.abs(seen).max(axis=1, initial=0.0) > SEEN * np.abs(seen).max(initial=0.0)
-        )
+        size = np.abs(seen := every[counts])
+        felt = np.flatnonzero(size.max(axis=1, initial=0.0) > SEEN * size.max(initial=0.0))
         if len(felt):
-            low, high = felt[0], felt[-1] + 1
-            found.append(Reversal.of(int(number[row + counts[low]]), seen[low:high]))
+            first = int(number[row + counts[felt[0]]])
+            found.append(Reversal.of(first, seen[felt[0] : felt[-1] + 1]))
     return sorted(found, key=lambda one: one.first)
 
 
@@ -87,8 +84,7 @@ def low_passed(
 ) -> Iterator[tuple[int, Array]]:
     """Low-pass pulses (m, k) twice that begin at a sample each; their first row and rows (r, k).
 
-    Rows that the low-pass has forgotten them at are left out. Pulses of one length, with nothing
-    missing about them, are low-passed at once.
+    Of rows that feel them. Pulses of one length, with nothing missing, are low-passed at once.
     """
     reach, alike = motion.lowpass.memory, dict[int, list[tuple[int, Array]]]()
     for first, pulses in uncertain:
@@ -101,9 +97,8 @@ def low_passed(
         start, stop = max(first, 0), min(first + len(pulses), motion.samples)
         values[start - low : stop - low] = pulses[start - first : stop - first]
         yield _at_rows(picked, low, _twice(motion, values, motion.valid[low:high]))
-    for length, own in alike.items():
-        values = np.zeros((length + 2 * reach, sum(pulses.shape[1] for _, pulses in own)))
-        values[reach : reach + length] = np.hstack([pulses for _, pulses in own])
+    for own in alike.values():
+        values = np.pad(np.hstack([pulses for _, pulses in own]), ((reach, reach), (0, 0)))
         values = _twice(motion, values, np.ones(len(values), dtype=bool))
         ends = np.cumsum([pulses.shape[1] for _, pulses in own])
         for (low, _), part in zip(own, np.split(values, ends[:-1], axis=1), strict=True):
@@ -124,9 +119,9 @@ def _at_rows(picked: Index, low: int, values: Array) -> tuple[int, Array]:
 
 def _uncertain(scene: Scene, joint: int) -> Iterator[tuple[int, Array]]:
     """First sample and standard deviations (m, k) N m of friction, for all that is uncertain."""
-    motion, rate = scene.motion, scene.motion.rate_hz
-    v, friction = motion.dq[:, joint], scene.friction[:, joint]
-    period = rate / motion.lowpass.cutoff_hz
+    v, friction = scene.motion.dq[:, joint], scene.friction[:, joint]
+    rate = scene.motion.rate_hz
+    period = rate / scene.motion.lowpass.cutoff_hz
     for start, stop in runs(~scene.slides[:, joint], len(v)):
         first, last = max(start - 1, 0), min(stop, len(v) - 1)
         turned = start > 0 and stop < len(v) and v[first] * v[last] < 0

@@ -64,8 +64,7 @@ class Rows:
 
     def blocks_of(self, joint: int) -> Index:
         """Block of every row of a joint."""
-        parts = [b[u[:, joint]] for b, u in zip(self.block, self.used, strict=True)]
-        return np.concatenate(parts)
+        return np.concatenate([b[u[:, joint]] for b, u in zip(self.block, self.used, strict=True)])
 
     def of(self, joint: int, values: Sequence[Array]) -> Array:
         """Stack the joint's rows of filtered values (N, ...), one array per data set."""
@@ -86,15 +85,13 @@ class Rows:
 
     @cached_property
     def _reversals(self) -> list[list[Reversal]]:
-        result: list[list[Reversal]] = []
-        for j in range(self.n):
-            found, first = [], 0
-            for number, scene in enumerate(self.scenes):
-                used = self.used[number][:, j]
-                for reversal in reversals_of(scene, self.picked[number], used, j):
-                    found.append(replace(reversal, first=reversal.first + first))
-                first += int(used.sum())
-            result.append(found)
+        result: list[list[Reversal]] = [[] for _ in range(self.n)]
+        for j, found in enumerate(result):
+            first = 0
+            for scene, picked, used in zip(self.scenes, self.picked, self.used, strict=True):
+                own = reversals_of(scene, picked, used[:, j], j)
+                found += [replace(reversal, first=reversal.first + first) for reversal in own]
+                first += int(used[:, j].sum())
         return result
 
     def columns(self, per_scene: Iterable[Mapping[int, Array]], passes: int) -> dict[int, Array]:
@@ -110,16 +107,12 @@ class Rows:
         """Low-pass values (N, K) of one data set and keep its rows (M, K)."""
         motion = self.scenes[number].motion
         every = stride_of(motion)
-        kept = self.picked[number] // every
-        return motion.filtered(values, passes, every=every)[kept]
+        return motion.filtered(values, passes, every=every)[self.picked[number] // every]
 
     def without(self, masks: Sequence[Mask]) -> Rows:
         """The same rows without some samples of each data set: (N,) of all joints, or (N, n)."""
-        used = tuple(
-            u & ~m.reshape(len(m), -1)[p]
-            for u, m, p in zip(self.used, masks, self.picked, strict=True)
-        )
-        return replace(self, used=used)
+        parts = zip(self.used, masks, self.picked, strict=True)
+        return replace(self, used=tuple(u & ~m.reshape(len(m), -1)[p] for u, m, p in parts))
 
 
 def stride_of(motion: Motion) -> int:
@@ -129,10 +122,9 @@ def stride_of(motion: Motion) -> int:
 
 def rows_of(scenes: Sequence[Scene]) -> Rows:
     """Choose the rows of all logs, their blocks and folds."""
-    picked, used, block, lengths = [], [], [], []
+    picked, used, block, lengths = list[Index](), list[Mask](), list[Index](), list[int]()
     periods = sum(float(s.motion.t[-1]) * s.motion.lowpass.cutoff_hz for s in scenes)
     thin = max(1, math.ceil(SAMPLES_PER_CUTOFF * periods / MOST_ROWS))  # very long logs: memory
-    first = 0
     for scene, outside in zip(scenes, extrapolated(scenes), strict=True):
         motion = scene.motion
         at = np.arange(0, motion.samples, stride_of(motion))
@@ -140,40 +132,31 @@ def rows_of(scenes: Sequence[Scene]) -> Rows:
         own = np.minimum((at * count) // motion.samples, count - 1)
         kept = own % thin == 0
         picked.append(at[kept])
-        counts = scene.slides & ~outside
-        used.append(counts[at[kept]])
-        block.append(own[kept] + first)
+        used.append((scene.slides & ~outside)[at[kept]])
+        block.append(own[kept] + sum(lengths))
         lengths.append(count)
-        first += count
-    kept = _moved(scenes, picked, used)
     folds = _folds(lengths)
-    kept = _predictable(kept, block, folds)
-    return Rows(tuple(scenes), tuple(picked), kept, tuple(block), folds)
+    counts = _predictable(_moved(scenes, picked, used), block, folds)
+    return Rows(tuple(scenes), tuple(picked), counts, tuple(block), folds)
 
 
 def extrapolated(scenes: Sequence[Scene]) -> list[Mask]:
     """Samples (N, n) where a friction surface is only held, or bent, beyond what was identified.
 
-    What is left there is the surface's extrapolation, nothing that the model lacks. A joint that
-    is hardly ever inside is not masked: then the surface is all there is; nor is Coulomb and
-    viscous friction, which the base has as columns that go on beyond.
+    Nothing that the model lacks is left there. Not masked are joints that are hardly ever
+    inside, and Coulomb and viscous friction, whose columns the base has beyond as well.
     """
-    found = [_extrapolated(scene) for scene in scenes]
+    found, surfaces = list[Mask](), scenes[0].model.surfaces
+    for scene in scenes:
+        motion, outside = scene.motion, scene.model.outside(scene.motion)
+        for j, surface in enumerate(scene.model.surfaces):
+            if surface is not None:
+                outside[:, j] |= surface.vague(motion.q[:, j], motion.dq[:, j])
+        reach = max(1, int(REACH * motion.rate_hz / motion.lowpass.cutoff_hz))  # of the low-pass
+        found.append(binary_dilation(outside, np.ones((2 * reach + 1, 1), dtype=bool)))
     share = np.mean(np.concatenate(found), axis=0)
-    surfaces = scenes[0].model.surfaces
     simple = np.array([s is None or s.positive.size <= SIMPLE for s in surfaces])
     return [outside & ~(simple | (share > MOST_OUTSIDE)) for outside in found]
-
-
-def _extrapolated(scene: Scene) -> Mask:
-    """Samples (N, n) that the low-pass reaches from where a surface is held, or bent."""
-    motion = scene.motion
-    reach = max(1, int(REACH * motion.rate_hz / motion.lowpass.cutoff_hz))
-    outside = scene.model.outside(motion)
-    for j, surface in enumerate(scene.model.surfaces):
-        if surface is not None:
-            outside[:, j] |= surface.vague(motion.q[:, j], motion.dq[:, j])
-    return np.asarray(binary_dilation(outside, np.ones((2 * reach + 1, 1), dtype=bool)))
 
 
 def _moved(
@@ -181,9 +164,8 @@ def _moved(
 ) -> tuple[Mask, ...]:
     """Leave out joints in logs in which they are only shaken or hardly move, or of next to no rows.
 
-    Where a held joint gives way a little, its brake or stiction holds what its base columns, and
-    its few rows elsewhere, would have to explain. Other logs do not predict a single move of a
-    joint: left out, it would count for more than all of them.
+    A held joint that gives way a little shows its brake or stiction; a single move of a joint
+    no other log predicts: left out, it would count for more than all of them.
     """
     travel = np.zeros((len(scenes), used[0].shape[1]))
     for own, scene, at, counts in zip(travel, scenes, picked, used, strict=True):
@@ -198,22 +180,20 @@ def _moved(
 
 def _predictable(used: Sequence[Mask], block: Sequence[Index], folds: Index) -> tuple[Mask, ...]:
     """Leave out joints that move in too few folds: the other folds would not predict them."""
-    number = int(folds.max()) + 1
-    counts = np.zeros((number, used[0].shape[1]))
+    counts = np.zeros((int(folds.max()) + 1, used[0].shape[1]))
     for u, b in zip(used, block, strict=True):
         np.add.at(counts, folds[b], u)
     share = counts / np.maximum(counts.sum(axis=0), 1)
-    enough = (share > LEAST_OF_FOLD).sum(axis=0) >= min(FEWEST_FOLDS, number)
+    enough = (share > LEAST_OF_FOLD).sum(axis=0) >= min(FEWEST_FOLDS, len(counts))
     enough |= not enough.any()
     return tuple(u & enough for u in used)
 
 
 def _folds(lengths: Sequence[int]) -> Index:
     """Folds of contiguous blocks: about FOLDS over all logs, and two in each at the least."""
-    total = sum(lengths)
     folds: list[Index] = []
     for length in lengths:
-        pieces = max(min(2, length), round(FOLDS * length / total))
+        pieces = max(min(2, length), round(FOLDS * length / sum(lengths)))
         start = folds[-1][-1] + 1 if folds else 0
         folds.append(start + (np.arange(length) * pieces) // length)
     return np.concatenate(folds).astype(np.intp)

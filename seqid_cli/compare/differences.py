@@ -22,24 +22,11 @@ from seqid_cli.errors import UsageError
 from seqid_cli.model.friction import SLIDES, FrictionSurface
 from seqid_cli.params.document import check_same_robot, now, poor_because, present, tool
 from seqid_cli.params.io import Document, Source
-from seqid_cli.params.results.comparison import (
-    COMPARISON_SCHEMA,
-    ComparisonFile,
-    Difference,
-    RuleEntry,
-)
+from seqid_cli.params.results import comparison
+from seqid_cli.params.results.comparison import ComparisonFile, Difference, RuleEntry
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.results.prediction import PredictionFile
-from seqid_cli.params.schema import (
-    EffectOfJoint,
-    FrictionJoint,
-    ImuCalibration,
-    ImuStage,
-    Parameter,
-    ParameterFile,
-    RigidStage,
-    Stages,
-)
+from seqid_cli.params import schema
 
 _POSITIONS, _SPEEDS = 13, 12  # points at which friction surfaces are compared, per direction
 _KINDS = ("parameter", "prediction", "diagnosis")
@@ -71,7 +58,7 @@ def compared(a: Source[Document], b: Source[Document], rule: RuleEntry) -> Compa
     notes, found = [], []
     if left.robot.sha256 != right.robot.sha256:
         notes.append("the robot files differ: geometry, limits or drives may have changed")
-    if isinstance(left, ParameterFile) and isinstance(right, ParameterFile):
+    if isinstance(left, schema.ParameterFile) and isinstance(right, schema.ParameterFile):
         found = [*_stages(left.stages, right.stages, rule)]
         notes += _verdict_notes(left.stages, right.stages)
     elif isinstance(left, PredictionFile) and isinstance(right, PredictionFile):
@@ -80,7 +67,7 @@ def compared(a: Source[Document], b: Source[Document], rule: RuleEntry) -> Compa
         found = [*_diagnoses(left, right, rule)]
     changed = sum(item.different for item in found)
     return ComparisonFile(
-        schema=COMPARISON_SCHEMA,
+        schema=comparison.COMPARISON_SCHEMA,
         created=now(),
         tool=tool(),
         kind=kind,
@@ -97,7 +84,7 @@ def compared(a: Source[Document], b: Source[Document], rule: RuleEntry) -> Compa
 
 def _kind(content: Document) -> str:
     kind = content.schema.removeprefix("seqid/").partition("@")[0]
-    return "parameter" if isinstance(content, ParameterFile) else kind
+    return "parameter" if isinstance(content, schema.ParameterFile) else kind
 
 
 def _judged(
@@ -137,7 +124,7 @@ def _both(left: Mapping[K, V], right: Mapping[K, V]) -> Iterator[tuple[K, V | No
         yield key, left.get(key), right.get(key)
 
 
-def _stages(a: Stages, b: Stages, rule: RuleEntry) -> Iterator[Difference]:
+def _stages(a: schema.Stages, b: schema.Stages, rule: RuleEntry) -> Iterator[Difference]:
     """Yield the differences of all stages; a stage that one file lacks is a difference."""
     for name, one, other in _both(present(a), present(b)):
         if name != "effects" and (one is None or other is None):
@@ -158,7 +145,12 @@ def _stages(a: Stages, b: Stages, rule: RuleEntry) -> Iterator[Difference]:
 
 
 def _rigid(
-    name: str, a: RigidStage, b: RigidStage, rule: RuleEntry, *, min_size: float = 1e-3
+    name: str,
+    a: schema.RigidStage,
+    b: schema.RigidStage,
+    rule: RuleEntry,
+    *,
+    min_size: float = 1e-3,
 ) -> Iterator[Difference]:
     least: dict[str, float] = {}
     for x in (*a.parameters, *b.parameters):
@@ -170,7 +162,7 @@ def _rigid(
         yield Difference(stage=name, name="rotor coupling", joint="", remark=remark)
 
 
-def _torque_constants_held(stage: RigidStage) -> list[Parameter]:
+def _torque_constants_held(stage: schema.RigidStage) -> list[schema.Parameter]:
     """Parameters without the errors of torque constants: both files have the same ones."""
     if not stage.torque_constant_moves or not stage.covariance:
         return stage.parameters
@@ -180,8 +172,8 @@ def _torque_constants_held(stage: RigidStage) -> list[Parameter]:
 
 def _parameters(
     stage: str,
-    a: Sequence[Parameter],
-    b: Sequence[Parameter],
+    a: Sequence[schema.Parameter],
+    b: Sequence[schema.Parameter],
     rule: RuleEntry,
     least: Mapping[str, float] = {},
     prefix: str = "",
@@ -197,7 +189,9 @@ def _parameters(
         yield _judged(where, rule, values, errors, least=least.get(one.unit, 0.0))
 
 
-def _surface(joint: str, a: FrictionJoint, b: FrictionJoint, rule: RuleEntry) -> Difference:
+def _surface(
+    joint: str, a: schema.FrictionJoint, b: schema.FrictionJoint, rule: RuleEntry
+) -> Difference:
     """Compare two surfaces over the positions and speeds of both; report the point most changed."""
     where = Difference(stage="friction", name="surface", joint=joint, unit=a.unit)
     (low, high), (slow, fast) = (
@@ -223,7 +217,7 @@ def _surface(joint: str, a: FrictionJoint, b: FrictionJoint, rule: RuleEntry) ->
     return replace(points[k], remark=f"at {q[k]:.3g}, speed {v[k]:.3g}")
 
 
-def _imus(a: ImuStage, b: ImuStage, rule: RuleEntry) -> Iterator[Difference]:
+def _imus(a: schema.ImuStage, b: schema.ImuStage, rule: RuleEntry) -> Iterator[Difference]:
     for name, one, other in _both(a.imus, b.imus):
         if one is None or other is None:
             yield _missing("imu", name, there=one is not None)
@@ -236,7 +230,7 @@ def _imus(a: ImuStage, b: ImuStage, rule: RuleEntry) -> Iterator[Difference]:
 
 
 def _angle_between(
-    one: ImuCalibration, other: ImuCalibration, *, unknown_deg: float = 30.0
+    one: schema.ImuCalibration, other: schema.ImuCalibration, *, unknown_deg: float = 30.0
 ) -> tuple[float, str]:
     """Angle between two mountings [rad], and what it is.
 
@@ -256,7 +250,7 @@ def _angle_between(
 
 
 def _effects(
-    a: Sequence[EffectOfJoint], b: Sequence[EffectOfJoint], rule: RuleEntry
+    a: Sequence[schema.EffectOfJoint], b: Sequence[schema.EffectOfJoint], rule: RuleEntry
 ) -> Iterator[Difference]:
     left, right = ({(item.effect, item.joint or ""): item for item in side} for side in (a, b))
     for (effect, joint), one, other in _both(left, right):
@@ -307,7 +301,7 @@ def _errors(
                 yield _missing(stage, name, joint, there=before is not None)
 
 
-def _verdict_notes(a: Stages, b: Stages) -> list[str]:
+def _verdict_notes(a: schema.Stages, b: schema.Stages) -> list[str]:
     notes = []
     for name in ("friction", "gravity", "imu", "inertia"):
         one, other = getattr(a, name), getattr(b, name)

@@ -102,11 +102,6 @@ class Candidate:
         return self.effect.name, self.joint
 
     @property
-    def plain(self) -> Candidate:
-        """The same beside a file that has absorbed nothing of it."""
-        return replace(self, absorbed="")
-
-    @property
     def address(self) -> tuple[object, ...]:
         """What it is with its settings."""
         return (*self.key, self.apart, self.absorbed, *sorted(self.settings.items()))
@@ -171,7 +166,7 @@ class Stage:
 
     def columns(self, candidates: Sequence[Candidate]) -> list[Channels]:
         """Columns of candidates on the rows of the joints that they touch."""
-        keys = [candidate.plain.address for candidate in candidates]
+        keys = [replace(candidate, absorbed="").address for candidate in candidates]
         missing = {k: c for k, c in zip(keys, candidates, strict=True) if k not in self._made}
         self._made |= {k: self._wide(c) for k, c in missing.items() if c.effect.wide}
         longest = max(scene.samples for scene in self.scenes)

@@ -28,17 +28,7 @@ from seqid_cli.model.effects.effect import Effect
 from seqid_cli.model.effects.fitted import fitted_effects
 from seqid_cli.model.effects.registry import CATALOGUE, catalogue_of
 from seqid_cli.params.document import now, robot_id, tool
-from seqid_cli.params.results.diagnosis import (
-    DIAGNOSIS_SCHEMA,
-    ClosestEffect,
-    DiagnosisFile,
-    EffectParameter,
-    EventEntry,
-    FindingEntry,
-    HiddenEntry,
-    ResidualEntry,
-    UnexplainedPart,
-)
+from seqid_cli.params.results import diagnosis
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array
@@ -48,7 +38,7 @@ HIDDEN = 0.2  # visible share below which an effect is said to be invisible
 
 def diagnose(
     recordings: Iterable[Recording], robot: Robot, stages: Stages, *, options: DiscoverOptions
-) -> DiagnosisFile:
+) -> diagnosis.DiagnosisFile:
     """Find what a model lacks; InputError: a log without torque, or the torque of all an echo."""
     motion = options.motion
     known = fitted_effects(stages, robot, unexplained=True)
@@ -63,7 +53,7 @@ def diagnose(
     return structs.replace(found, notes=said)
 
 
-def described(found: Investigation, robot: Robot) -> DiagnosisFile:
+def described(found: Investigation, robot: Robot) -> diagnosis.DiagnosisFile:
     """Turn a selection and events into findings, unexplained parts and a verdict."""
     sure = [taken for taken in found.found.effects if named(taken).confidence >= TOLD]
     findings = [_finding(found, robot, taken) for taken in sure]
@@ -77,8 +67,8 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
     findings.sort(key=lambda one: (-round(one.confidence, 2), -one.explains))
     rest += [_excess(found, robot, j, x) for j, x in excess.items() if j not in found.touched]
     visible = sorted(found.found.visible.items(), key=lambda x: x[1])
-    return DiagnosisFile(
-        schema=DIAGNOSIS_SCHEMA,
+    return diagnosis.DiagnosisFile(
+        schema=diagnosis.DIAGNOSIS_SCHEMA,
         created=now(),
         tool=tool(),
         robot=robot_id(robot),
@@ -90,7 +80,7 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
         unexplained=rest,
         joints=_joints(found, robot),
         events=[
-            EventEntry(
+            diagnosis.EventEntry(
                 log=str(log.path),
                 start=log.offset + event.start,
                 end=log.offset + event.end,
@@ -100,7 +90,7 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
             for log in [found.logs[event.scene]]
         ],
         hidden=[
-            HiddenEntry(effect=name, joint=robot.name_of(joint), visible=share)
+            diagnosis.HiddenEntry(effect=name, joint=robot.name_of(joint), visible=share)
             for (name, joint), share in visible
             if share < HIDDEN
         ],
@@ -108,7 +98,7 @@ def described(found: Investigation, robot: Robot) -> DiagnosisFile:
     )
 
 
-def _contact(found: Investigation, robot: Robot) -> FindingEntry:
+def _contact(found: Investigation, robot: Robot) -> diagnosis.FindingEntry:
     """The finding that stands for all events.
 
     A push stands alone. Where much more than noise is left all along, the largest moment of it may
@@ -126,7 +116,7 @@ def _contact(found: Investigation, robot: Robot) -> FindingEntry:
     inside = sum(energies)
     gained = sum(max(taken.one.predicted.total, 0.0) for taken in found.found.taken)
     confidence = float(max(event.certainty for event in found.events) * max(apart))
-    return FindingEntry(
+    return diagnosis.FindingEntry(
         effect=effect.name,
         joint=None,
         confidence=confidence,
@@ -140,7 +130,7 @@ def _contact(found: Investigation, robot: Robot) -> FindingEntry:
     )
 
 
-def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
+def _finding(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.FindingEntry:
     """Describe one effect that was taken."""
     what, model = taken.term.what, found.model
     assert isinstance(what, Candidate)
@@ -149,7 +139,7 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
     name = named(taken, float(np.max(left, initial=1.0)))
     found_there = model.coefficients(taken.term), model.covariance(taken.term)
     values = effect.reported(robot, what.joint, what.settings, *found_there)
-    return FindingEntry(
+    return diagnosis.FindingEntry(
         effect=effect.name,
         joint=robot.name_of(what.joint),
         confidence=name.confidence,
@@ -159,7 +149,9 @@ def _finding(found: Investigation, robot: Robot, taken: Taken) -> FindingEntry:
         separate_by=separate_by(effect, name.others, robot, what.joint),
         gain=taken.one.predicted.share,
         parameters=[
-            EffectParameter(name=v.name, value=v.value, std_error=v.std_error, unit=v.unit)
+            diagnosis.EffectParameter(
+                name=v.name, value=v.value, std_error=v.std_error, unit=v.unit
+            )
             for v in values
         ],
         settings=dict(what.settings),
@@ -196,15 +188,15 @@ def share_above(before: Array, after: Array, floor: Array) -> float:
     return float(np.clip(gone / max(above, 1e-300), 0.0, 1.0))
 
 
-def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> UnexplainedPart:
+def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> diagnosis.UnexplainedPart:
     """Describe a smooth function that was taken."""
     what = taken.term.what
     assert isinstance(what, SmoothFunction)
     told, closest = taken.one.predicted, None
     if effects := [rival for rival in taken.rivals if not rival.term.smooth]:
         share = np.clip(effects[0].predicted.total / max(told.total, 1e-300), 0.0, 1.0)
-        closest = ClosestEffect(effect=effects[0].term.name, share=float(share))
-    return UnexplainedPart(
+        closest = diagnosis.ClosestEffect(effect=effects[0].term.name, share=float(share))
+    return diagnosis.UnexplainedPart(
         joint=robot.joint_names[what.joint],
         depends_on=list(what.quantities),
         share=float(np.clip(told.share, 0.0, 1.0)),
@@ -215,27 +207,29 @@ def _unexplained(found: Investigation, robot: Robot, taken: Taken) -> Unexplaine
     )
 
 
-def _excess(found: Investigation, robot: Robot, joint: int, times: float) -> UnexplainedPart:
+def _excess(
+    found: Investigation, robot: Robot, joint: int, times: float
+) -> diagnosis.UnexplainedPart:
     """Describe what is left at a joint by the smooth term that it is most like, if by any."""
     name, share, ground = robot.joint_names[joint], 1.0 - times**-2, found.ground
     terms = [*ground.smooth_terms(joint), *ground.smooth_terms(joint, products=True)]
     gained = found.model.linear.gained([term.part for term in terms])
     best = max(zip(terms, gained, strict=True), key=lambda pair: pair[1].evidence, default=None)
     if best is None or best[1].evidence <= 0.0:
-        return UnexplainedPart(joint=name, depends_on=[], share=share)
+        return diagnosis.UnexplainedPart(joint=name, depends_on=[], share=share)
     what = best[0].what
     assert isinstance(what, SmoothFunction)
     on, evidence = list(what.quantities), left_over(found, robot, what)
-    return UnexplainedPart(joint=name, depends_on=on, share=share, evidence=evidence)
+    return diagnosis.UnexplainedPart(joint=name, depends_on=on, share=share, evidence=evidence)
 
 
-def _joints(found: Investigation, robot: Robot) -> dict[str, ResidualEntry]:
+def _joints(found: Investigation, robot: Robot) -> dict[str, diagnosis.ResidualEntry]:
     """The residual of each joint; without a sample there is nothing to compute numbers from."""
     rows, floor, entries = found.ground.stage.rows, found.floor, {}
     whites, left = white(rows, found.model.left()), found.model.rms()
     for j, name in enumerate(robot.joint_names):
         samples = rows.count(j)
-        entries[name] = ResidualEntry(
+        entries[name] = diagnosis.ResidualEntry(
             rmse=float(found.start[j]) if samples else None,
             noise_floor=float(floor.rms[j]) if samples else None,
             noise_floor_interval=list(floor.interval(j)) if samples else [],

@@ -2,8 +2,7 @@
 
 Before is what the model leaves without the effect, its base fitted anew, after is what it leaves
 with it: both on blocks of time that were left out of the fit, so that they show what the gain says.
-After must be flat, where the law is the right one. Of what was tried and not taken one line says
-why, with its number.
+After must be flat, where the law is the right one.
 """
 
 from collections.abc import Callable, Collection, Iterable, Sequence

@@ -73,12 +73,11 @@ class Excerpts:
         if not self.surveys:
             return ()
         whole = sum(survey.whole.length for survey in self.surveys)
-        pieces = len(self.recordings) - self.about_places
         about = f" and {self.about_places} about places that stand out" if self.about_places else ""
         said = (
             f"too long to be held: of {whole:.0f} s {self.seconds:.0f} s were looked at, in "
-            f"{pieces} pieces spread over the time and varied in motion{about}; "
-            "the rest was passed over once"
+            f"{len(self.recordings) - self.about_places} pieces spread over the time and varied in "
+            f"motion{about}; the rest was passed over once"
         )
         counts = sum(survey.counts.sum(axis=0) for survey in self.surveys)
         squares = sum(survey.squares.sum(axis=0) for survey in self.surveys)
@@ -177,10 +176,8 @@ def about_places(
     places = [(place, k) for k, survey in enumerate(surveys) for place in survey.places]
     result: list[list[Range]] = [[] for _ in surveys]
     for place, k in sorted(places, key=lambda found: -found[0].score):
-        inside = any(
-            low + INNER_S <= place.start and place.end <= high - INNER_S
-            for low, high in (*ranges[k], *result[k])
-        )
+        start, end = place.start - INNER_S, place.end + INNER_S
+        inside = any(low <= start and end <= high for low, high in (*ranges[k], *result[k]))
         if not inside and sum(map(len, result)) < MOST_PLACES:
             low, high = place.start - ABOUT_S, place.end + ABOUT_S
             result[k].append((max(low, 0.0), min(high, surveys[k].whole.length)))

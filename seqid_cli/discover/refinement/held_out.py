@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.stats import t as student_t
@@ -42,8 +42,7 @@ FEWEST_BLOCKS = 8  # of joined blocks: with fewer their spread tells little
 MOST_BLOCKS = 1000  # of a log that comes in parts
 
 
-@dataclass(frozen=True)
-class HeldOutError:
+class HeldOutError(NamedTuple):
     """Squared error (N m)^2 and samples (B, n) of every block, where a joint certainly slides.
 
     At rest the model says an interval: a wider one always fits better, and nothing is gained by it.
@@ -54,11 +53,6 @@ class HeldOutError:
     samples: Array
     outside: Array
     outside_samples: Array
-
-    @property
-    def parts(self) -> tuple[Array, Array, Array, Array]:
-        """All four arrays."""
-        return self.squares, self.samples, self.outside, self.outside_samples
 
     def rmse(self) -> Array:
         """RMS error (n,) N m as `predict` reports it; NaN for a joint that never slides."""
@@ -135,7 +129,7 @@ def held_out_error(
         seen += len(log.t)
         square, counts, beyond = log.residual**2, log.sliding, log.sliding & log.outside
         values = np.where(counts, square, 0.0), counts, np.where(beyond, square, 0.0), beyond
-        for total, of_joints in zip(found[-1].parts, values, strict=True):
+        for total, of_joints in zip(found[-1], values, strict=True):
             for own, value in zip(total.T, of_joints.T, strict=True):
                 own += np.bincount(block, weights=value, minlength=blocks)
     return joined(found)
@@ -143,7 +137,7 @@ def held_out_error(
 
 def joined(errors: Iterable[HeldOutError]) -> HeldOutError:
     """The blocks of all logs."""
-    return HeldOutError(*map(np.vstack, zip(*(error.parts for error in errors), strict=True)))
+    return HeldOutError(*map(np.vstack, zip(*errors, strict=True)))
 
 
 @dataclass(frozen=True)

@@ -79,8 +79,8 @@ class Refinement:
     def anew(self) -> Refitted:
         """The file identified anew with the training logs: what that gains is no effect's."""
         start = self.steps[0]
-        candidates = candidates_of_model(start.effects)
-        return refitted(self.material, start, candidates, late=start.late, kept=False)
+        given = self.material, start, candidates_of_model(start.effects)
+        return refitted(*given, late=start.late, kept=False)
 
     def error_of(self, model: Refitted) -> HeldOutError:
         """Squared errors of a model on the logs that are fitted."""
@@ -154,16 +154,14 @@ class Account:
     @property
     def likely(self) -> bool:
         """Whether the effect is likelier there than not, by what is gained."""
-        share = max(self.change.value, self.taken.share)
-        return reality(share, self.taken.evidence) > 0.5
+        return reality(max(self.change.value, self.taken.share), self.taken.evidence) > 0.5
 
     @cached_property
     def losing(self) -> list[int]:
         """Joints that lose more than all others gain."""
         joints = range(self.loop.material.robot.n)
-        if gain(*self._errors, joints).value > 0.0:
-            return []
-        return [j for j in joints if gain(*self._errors, [j]).loses]
+        gains = gain(*self._errors, joints).value > 0.0
+        return [j for j in joints if not gains and gain(*self._errors, [j]).loses]
 
     @property
     def unjudged(self) -> bool:

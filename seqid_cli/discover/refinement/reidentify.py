@@ -99,8 +99,7 @@ class Material:
     def logs_of(self, stage: str) -> list[Recording]:
         """The logs of an earlier stage, each once; those that are fitted last."""
         fitted = {identity(log) for log in self.training}
-        logs = unique(self.earlier.get(stage, ()))
-        return sorted(logs, key=lambda log: identity(log) in fitted)
+        return sorted(unique(self.earlier.get(stage, ())), key=lambda log: identity(log) in fitted)
 
     @property
     def known(self) -> bool:
@@ -148,7 +147,7 @@ def refitted(
     if not kept:
         freed = Refitted(stages, tuple(_effects_of(material, fit)), late)
         stages = _stages(material, freed, fit)
-        fit = _fitted(material, stages, [x.plain for x in fit.candidates], FREE)
+        fit = _fitted(material, stages, [replace(x, absorbed="") for x in fit.candidates], FREE)
     # Effects as they are beside exactly these stages; their errors are beside a base that may move.
     firm = copy(fit)
     firm.hold = FIRM
@@ -177,19 +176,19 @@ def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
 
 def _stages(material: Material, model: Refitted, fit: Model | None) -> Stages:
     """Every stage again, on logs without the effects, or else as `fit`, or a free base, moves."""
-    robot, motion, stages = material.robot, material.options.motion, model.stages
-    friction, earlier = stages.friction, material.earlier
+    robot, stages, friction = material.robot, model.stages, model.stages.friction
     if friction is not None and friction.method == "simultaneous":
         logs = unique([*material.logs_of("friction"), *material.training])
         freed = [material.freed(log, model) for log in logs]
         offset = any(len(j.parameters) == len(TERMS) for j in friction.joints.values())
-        new, inertia = identify_simultaneous(freed, robot, options=motion.motion, offset=offset)
+        motion = material.options.motion.motion
+        new, inertia = identify_simultaneous(freed, robot, options=motion, offset=offset)
         found = Stages(friction=new, imu=stages.imu, inertia=inertia)
         if not material.known:
             return found
         return held(found, stages, fit or _fitted(material, stages, (), FREE))
     needed = [s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None]
-    if all(earlier.get(stage) for stage in needed):
+    if all(material.earlier.get(stage) for stage in needed):
         return _sequential(material, model)
     joint = fit or _fitted(material, stages, (), FREE)
     return moved(stages, joint, joint.linear.theta)

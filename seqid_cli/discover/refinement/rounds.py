@@ -154,7 +154,8 @@ def _account(loop: Refinement, found: Investigation, taken: Taken) -> Account:
     """
     candidate, late = effect_of(taken), loop.model.late
     known = candidates_of_model(loop.model.effects)
-    after = Account(loop, taken, (*known, candidate.plain), late | {candidate.key}, kept=True)
+    plain = replace(candidate, absorbed="")  # beside a file that has absorbed nothing of it
+    after = Account(loop, taken, (*known, plain), late | {candidate.key}, kept=True)
     early = Account(loop, taken, (*known, candidate), late, kept=False)
     hold, n = found.model.hold, found.ground.n
     loose = max(hold.rigid, *(hold.of(c % n) for c in taken.term.channels)) > 1.0
@@ -172,8 +173,7 @@ def _account(loop: Refinement, found: Investigation, taken: Taken) -> Account:
 
 def _predicted(taken: Taken) -> Gain:
     """Share of the squared error on blocks that were left out, which the selection went by."""
-    told = taken.one.predicted
-    return Gain(told.share, *told.interval)
+    return Gain(taken.one.predicted.share, *taken.one.predicted.interval)
 
 
 def _round(

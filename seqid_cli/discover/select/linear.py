@@ -27,14 +27,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
 
-from seqid_cli.discover.select.algebra import (
-    Factor,
-    bayes_factor,
-    factored,
-    half_log_det,
-    scale_of,
-    taken_back,
-)
+from seqid_cli.discover.select import algebra
 from seqid_cli.discover.select.rows import Gained, Part, Predicted, Rows
 from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array, Index
@@ -134,28 +127,28 @@ class Linear:
 
     @cached_property
     def _scale(self) -> Array:
-        return scale_of(np.diag(self.prior) + np.diag(self.sums[0]))
+        return algebra.scale_of(np.diag(self.prior) + np.diag(self.sums[0]))
 
-    def _factor(self, A: Array) -> Factor:
-        return factored((A + self.prior) * np.outer(self._scale, self._scale))
+    def _factor(self, A: Array) -> algebra.Factor:
+        return algebra.factored((A + self.prior) * np.outer(self._scale, self._scale))
 
-    def _solved(self, factor: Factor, right: Array) -> Array:
+    def _solved(self, factor: algebra.Factor, right: Array) -> Array:
         scale = self._scale[:, None] if right.ndim == 2 else self._scale
         return np.asarray(cho_solve(factor, right * scale, check_finite=False) * scale)
 
-    def _halved(self, factor: Factor, right: Array) -> Array:
+    def _halved(self, factor: algebra.Factor, right: Array) -> Array:
         """R^-T right (p, k) of a factor R: the square of it is right' M^-1 right."""
         scaled = right * self._scale[:, None]
         return np.asarray(solve_triangular(factor[0], scaled, trans="T", check_finite=False))
 
     @cached_property
-    def _whole(self) -> tuple[Factor, Array]:
+    def _whole(self) -> tuple[algebra.Factor, Array]:
         factor = self._factor(self.sums[0])
         return factor, self._solved(factor, self.sums[1])
 
     @cached_property
-    def _without(self) -> list[tuple[Factor, Array]]:
-        """Factor and solution (p,) without each block."""
+    def _without(self) -> list[tuple[algebra.Factor, Array]]:
+        """algebra.Factor and solution (p,) without each block."""
         A, b = self.sums
         return [
             (factor, self._solved(factor, b - own_b))
@@ -164,8 +157,8 @@ class Linear:
         ]
 
     @cached_property
-    def _without_file(self) -> tuple[Factor, Array]:
-        """Factor and solution (p,) without what the parameter file says."""
+    def _without_file(self) -> tuple[algebra.Factor, Array]:
+        """algebra.Factor and solution (p,) without what the parameter file says."""
         A, b = self.sums
         factor = self._factor(A + self._coupled(self._blocks(file=False)) - self.prior)
         return factor, self._solved(factor, b)
@@ -201,7 +194,7 @@ class Linear:
                 (theta[at], self._solved(factor, np.eye(self.size)[:, at])[at])
                 for factor, theta in (self._whole, self._without_file, *self._without)
             ]
-            value, alone, *others = (taken_back(a, S, part.precision) for a, S in solved)
+            value, alone, *others = (algebra.taken_back(a, S, part.precision) for a, S in solved)
             rows, (a, S) = self.rows.independent[sorted(part.columns)].sum(axis=0), solved[0]
             seen = np.trace(np.linalg.inv(S) - part.precision)
             visible = float(seen / max(float(np.trace(self.sums[0][at, at])), 1e-300))
@@ -221,16 +214,16 @@ class Linear:
                 D[k] += torque[rows] @ weighted[rows]
                 d[k] += left[rows] @ weighted[rows]
         Z = self._halved(self._whole[0], C)
-        return float(bayes_factor(np.diag(D) - Z.T @ Z, d, np.eye(blocks) / spread**2)[0])
+        return float(algebra.bayes_factor(np.diag(D) - Z.T @ Z, d, np.eye(blocks) / spread**2)[0])
 
     @cached_property
     def evidence(self) -> float:
         """Log density of the rows, their weights' part aside."""
         factor, theta = self._whole
         scaled = self._blocks() * np.outer(self._scale, self._scale)
-        before = sum(half_log_det(factored(scaled[at, at])) for at in self.where)
+        before = sum(algebra.half_log_det(algebra.factored(scaled[at, at])) for at in self.where)
         square = sum(float(y @ y) for y in self._y)
-        return 0.5 * (float(self.sums[1] @ theta) - square) - half_log_det(factor) + before
+        return 0.5 * (float(self.sums[1] @ theta) - square) - algebra.half_log_det(factor) + before
 
     def residual(self) -> list[Array]:
         """What is left (M_c,) N m of every channel."""
@@ -288,7 +281,7 @@ class Linear:
                 S[k] = Z[:, at].T @ Z[:, at]
         rows, found = self.rows.independent, list[Predicted]()
         for i, (term, at, own) in enumerate(zip(terms, crossed.where, crossed.D, strict=True)):
-            others = bayes_factor(whole[i] - own - seen[i], left[:, at], term.precision)[0]
+            others = algebra.bayes_factor(whole[i] - own - seen[i], left[:, at], term.precision)[0]
             density, here = every[i].evidence - others, rows[sorted(term.columns)].sum(axis=0)
             found.append(Predicted(density, here, every[i].evidence - alone[i].evidence))
         return found
@@ -304,7 +297,10 @@ class Linear:
         return C + self.lift.T @ PR, own
 
     def _given(
-        self, solved: tuple[Factor, Array], crossed: _Crossed, told: tuple[Array, list[Array]]
+        self,
+        solved: tuple[algebra.Factor, Array],
+        crossed: _Crossed,
+        told: tuple[Array, list[Array]],
     ) -> list[Gained]:
         """What each term by itself does to a solved model, with the products C and D."""
         (factor, theta), (C, coupled), (_, d, whole) = solved, told, crossed.whole
@@ -312,7 +308,7 @@ class Linear:
         found = []
         for term, at, D, own in zip(crossed.terms, crossed.where, coupled, whole, strict=True):
             S = D - Z[:, at].T @ Z[:, at]
-            value, a, covariance = bayes_factor(S, left[at], term.precision)
+            value, a, covariance = algebra.bayes_factor(S, left[at], term.precision)
             visible = float(np.trace(S) / max(float(np.trace(own)), 1e-300))
             found.append(Gained(float(value), a, covariance, max(visible, 0.0)))
         return found

@@ -153,8 +153,7 @@ class Model:
 
     def rescale(self) -> bool:
         """Hold the base as loosely as the evidence says; return whether anything changes."""
-        first = self.hold
-        best, _ = self._best_hold(self.linear)
+        first, best = self.hold, self._best_hold(self.linear)[0]
         self.hold = best if best.doubt(self.ground.n) else HELD
         self.settle()
         return best is not first
@@ -214,21 +213,16 @@ class Model:
     def polish(self) -> None:
         """Search the settings of all effects again, with all others in place."""
         for number, term in enumerate(self.terms):
-            if isinstance(term.what, Candidate):
-                tuner = Tuner(self.ground.stage, self.beside(term), self.ground.size)
-                every = tuner.tried([term.what, *self._lines_at(term, term.what)])
-                if every:
+            if isinstance(what := term.what, Candidate):
+                tuner, some = Tuner(self.ground.stage, self.beside(term), self.ground.size), [what]
+                if what.effect.wide:  # a line in time, a ripple: where what is left without it says
+                    given = tuner.stage.scenes, [what.effect], self.left(without=term)
+                    near = (x for x in candidates_of(*given, {what.joint}) if x.is_same_as(what))
+                    some += [one for one in near if one.apart == what.apart]
+                if every := tuner.tried(some):
                     best = max(every, key=lambda one: one.evidence)
                     self.terms[number] = tuner.tuned(best, NEAR).term
         self.settle()
-
-    def _lines_at(self, term: Term, what: Candidate) -> list[Candidate]:
-        """Of a line in time or a ripple, the same where what is left without it says."""
-        if not what.effect.wide:
-            return []
-        scenes, left = self.ground.stage.scenes, self.left(without=term)
-        near = candidates_of(scenes, [what.effect], left, {what.joint})
-        return [one for one in near if one.apart == what.apart and one.is_same_as(what)]
 
     def squares(self, term: Term, channels: frozenset[int]) -> float:
         """Weighted square of a term's torque beside the file at some channels."""
@@ -271,8 +265,7 @@ class Model:
     def shown(self, without: Term | None = None) -> list[Array]:
         """Torque (N, n) N m of all terms but one beside the file, at all samples of every scene."""
         scenes, linear = self.ground.stage.scenes, self.linear
-        total = [np.zeros_like(scene.motion.q) for scene in scenes]
-        absorbed = np.zeros(linear.size)
+        total, absorbed = [np.zeros_like(x.motion.q) for x in scenes], np.zeros(linear.size)
         for term in (one for one in self.terms if one is not without):
             term.what.add_torque(total, scenes, self.coefficients(term))
             absorbed += linear.in_file(term.part) @ linear.theta[self.where(term)]

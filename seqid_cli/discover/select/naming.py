@@ -9,11 +9,7 @@ gains are tempered: no law is exactly the effect's, and of a large effect the ro
 that differ by less than the effect's own does from its law. Smooth functions have no part in it:
 where one is clearly better than all effects, it is what the selection takes. An effect that looks
 alike and that these logs lack the channels for cannot be ruled out: it is as likely as the name.
-Effects that another finished model has in its place, or that are a share of another term, count by
-their evidence.
-
-An effect has the same size all the time. Where the finished model leaves much above the noise
-floor, and a term has another size in every block, it may stand for the error of another law.
+Effects of `Taken.instead` count by their evidence.
 """
 
 from __future__ import annotations

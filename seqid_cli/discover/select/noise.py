@@ -29,10 +29,6 @@ class Noise:
     sigma: Array
     weight: tuple[Array, ...]
 
-    def level(self, joints: int) -> float:
-        """Mean logarithm of the joints' noise below the cut-off."""
-        return float(np.mean(np.log(self.sigma[:joints])))
-
     def slow(self, stage: Stage) -> list[Part]:
         """What of it is slower than a block of time, by joint."""
         n = stage.rows.n

@@ -68,8 +68,9 @@ def select(
 
 def _best_of_all(every: Sequence[Selection]) -> Selection:
     """The selection of the best model, all under the noise of the one that leaves least."""
-    joints = every[0].model.ground.n
-    least = min((one.model.noise for one in every), key=lambda noise: noise.level(joints))
+    below = every[0].model.ground.n  # channels below the cut-off
+    noises = [one.model.noise for one in every]
+    least = min(noises, key=lambda noise: float(np.mean(np.log(noise.sigma[:below]))))
     worth = [one.worth(least) for one in every]
     number = int(np.argmax(worth))
     best, behind = every[number], (worth[number] - value for value in worth)
@@ -142,10 +143,9 @@ class Selection:
 
     def _instead(self, a: Term, b: Term) -> Term | None:
         """What was as good as one of two terms, and explains as much as both."""
-        model, keys = self.model, {term.key for term in self.model.terms}
-        tied = [c for one in (a, b) for c in self._tied.get(one.key, ()) if c.key not in keys]
-        linear = model.beside(a, b)
-        least = model.linear.evidence - linear.evidence - self.options.chance
+        tied = [c for one in (a, b) for c in self._tied.get(one.key, ()) if c.key not in self.keys]
+        linear = self.model.beside(a, b)
+        least = self.model.linear.evidence - linear.evidence - self.options.chance
         gained = linear.gained([c.part for c in tied])
         able = [c for c, g in zip(tied, gained, strict=True) if g.evidence >= least]
         return min(able, key=lambda term: term.freedom, default=None)
@@ -230,9 +230,12 @@ class Selection:
 
     def _is_told(self, own: Weighed, least: float) -> bool:
         """Whether a term is worth it beside all others, likely, and by itself."""
-        worth = self._passes(own.one) and own.share > self.options.improvement
-        there = worth and reality(own.share, own.evidence) >= least
-        return there and not self._of_a_law(own.one)
+        model, one = self.model, own.one
+        worth = self._passes(one) and own.share > self.options.improvement
+        if not (worth and reality(own.share, own.evidence) >= least):
+            return False
+        # Not the error of a law either: the model's, or a term's that gains more.
+        return not (model.is_detail(one.term) or any(self._hides(x, one) for x in model.terms))
 
     def _all_taken(self, least: float) -> tuple[Taken, ...]:
         """Terms that are told, with their rivals; they give way to simpler ones."""
@@ -263,16 +266,14 @@ class Selection:
                 tuner = Tuner(model.ground.stage, neither, model.ground.size)
                 alone = [tuner.tuned(one) for one in tuner.tried([what])]
                 found += [one for one in alone if one.evidence >= least]
-        best = max(found, key=lambda one: one.evidence, default=None)
-        return best.term if best else None
+        return max(found, key=lambda one: one.evidence).term if found else None
 
     def _better(self, taken: Taken, gone: set[Key]) -> Term:
         """The simplest of a term and of its rivals that do as well."""
         terms = self.model.terms
         keys = gone | {one.key for one in terms if one is not taken.term and not is_wide(one)}
         free = [r for r in taken.rivals if r.term.key not in keys and self._passes(r)]
-        best = self._simplest(free)
-        return best.term if best else taken.term
+        return (self._simplest(free) or taken.one).term
 
     def _taken(self, own: Weighed) -> Taken:
         """A term and its rivals."""
@@ -331,19 +332,13 @@ class Selection:
 
         They cannot be looked for at its joint, or stand beside it for the error of its law.
         """
-        if not isinstance(term.what, Candidate):
-            return ()
-        scenes, alike = self.model.ground.stage.scenes, term.what.effect.alike
+        model, scenes = self.model, self.model.ground.stage.scenes
+        alike = term.what.effect.alike if isinstance(term.what, Candidate) else ()
         likely = (one for one in self.catalogue if one.name in alike)
         names = [one.name for one in likely if one.possible(scenes, term.joint)]
-        beside = [one for one in self.model.terms if one.name in alike and one.joint == term.joint]
-        names += [one.name for one in beside if self._hides(term, again(one, self.model))]
+        beside = [one for one in model.terms if one.name in alike and one.joint == term.joint]
+        names += [one.name for one in beside if self._hides(term, again(one, model))]
         return tuple(dict.fromkeys(names))
-
-    def _of_a_law(self, one: Ranked) -> bool:
-        """Whether it may be the error of a law: the model's, or a term's that gains more."""
-        model = self.model
-        return model.is_detail(one.term) or any(self._hides(term, one) for term in model.terms)
 
     def _hides(self, term: Term, one: Ranked) -> bool:
         """Whether a smaller one may be the error of a term's law."""

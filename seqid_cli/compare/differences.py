@@ -20,13 +20,13 @@ from msgspec.structs import replace
 
 from seqid_cli.errors import UsageError
 from seqid_cli.model.friction import SLIDES, FrictionSurface
+from seqid_cli.params import schema
 from seqid_cli.params.document import check_same_robot, now, poor_because, present, tool
 from seqid_cli.params.io import Document, Source
 from seqid_cli.params.results import comparison
 from seqid_cli.params.results.comparison import ComparisonFile, Difference, RuleEntry
 from seqid_cli.params.results.diagnosis import DiagnosisFile
 from seqid_cli.params.results.prediction import PredictionFile
-from seqid_cli.params import schema
 
 _POSITIONS, _SPEEDS = 13, 12  # points at which friction surfaces are compared, per direction
 _KINDS = ("parameter", "prediction", "diagnosis")

@@ -140,16 +140,12 @@ class Candidate:
         """Torque (N, k) per unit coefficient by joint, unfiltered."""
         return self.effect.columns(scene, self.joint, self.settings)
 
-    def add_torque(
-        self, total: Sequence[Array], scenes: Sequence[Scene], coefficients: Array
-    ) -> None:
-        """Add its torque, low-passed, to (N, n) N m at all samples of every data set."""
-        for torque, scene in zip(total, scenes, strict=True):
-            at = (scene.full or scene) if self.effect.wide else scene
-            every = round(at.motion.rate_hz / scene.motion.rate_hz)
-            for joint, X in self.columns(at).items():
-                shown = at.motion.filtered(X @ coefficients, times=self.effect.passes)
-                torque[:, joint] += shown[::every]
+    def torques(self, scene: Scene, c: Array) -> dict[int, Array]:
+        """Torque (N,) N m of coefficients c (k,) by joint, low-passed."""
+        at = (scene.full or scene) if self.effect.wide else scene
+        every, passes = round(at.motion.rate_hz / scene.motion.rate_hz), self.effect.passes
+        shown = {j: at.motion.filtered(X @ c, times=passes) for j, X in self.columns(at).items()}
+        return {j: torque[::every] for j, torque in shown.items()}
 
 
 MOST_COLUMNS = 2_000_000  # candidates times samples that are worked out together: memory

@@ -176,8 +176,8 @@ def about_places(
     places = [(place, k) for k, survey in enumerate(surveys) for place in survey.places]
     result: list[list[Range]] = [[] for _ in surveys]
     for place, k in sorted(places, key=lambda found: -found[0].score):
-        start, end = place.start - INNER_S, place.end + INNER_S
-        inside = any(low <= start and end <= high for low, high in (*ranges[k], *result[k]))
+        inner = [(low + INNER_S, high - INNER_S) for low, high in (*ranges[k], *result[k])]
+        inside = any(low <= place.start and place.end <= high for low, high in inner)
         if not inside and sum(map(len, result)) < MOST_PLACES:
             low, high = place.start - ABOUT_S, place.end + ABOUT_S
             result[k].append((max(low, 0.0), min(high, surveys[k].whole.length)))

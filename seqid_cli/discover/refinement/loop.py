@@ -10,30 +10,17 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import msgspec
+import numpy as np
 
 from seqid_cli.discover.candidates import Candidate
-from seqid_cli.discover.refinement.held_out import (
-    Gain,
-    HeldOutError,
-    doubt,
-    gain,
-    held_out_error,
-    joined,
-)
-from seqid_cli.discover.refinement.reidentify import (
-    Key,
-    Material,
-    Refitted,
-    identity,
-    refitted,
-    unique,
-)
+from seqid_cli.discover.refinement.held_out import Gain, HeldOutError, doubt, gain, held_out_error
+from seqid_cli.discover.refinement.reidentify import Material, Refitted, identity, refitted, unique
 from seqid_cli.discover.select.naming import reality
 from seqid_cli.discover.select.options import Options
-from seqid_cli.discover.select.results import Taken
+from seqid_cli.discover.select.results import Key, Taken
 from seqid_cli.discover.select.rows import joints_below
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.fitted import Fitted, FittedEffect, as_stage
+from seqid_cli.model.effects.fitted import FittedEffect, as_stage
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.schema import Stages
 from seqid_cli.robot.types import Robot
@@ -79,8 +66,7 @@ class Refinement:
     def anew(self) -> Refitted:
         """The file identified anew with the training logs: what that gains is no effect's."""
         start = self.steps[0]
-        given = self.material, start, candidates_of_model(start.effects)
-        return refitted(*given, late=start.late, kept=False)
+        return refitted(self.material, start, start.candidates, late=start.late, kept=False)
 
     def error_of(self, model: Refitted) -> HeldOutError:
         """Squared errors of a model on the logs that are fitted."""
@@ -94,7 +80,8 @@ class Refinement:
         key: Refitted | int = model if lasting else id(model.stages)
         if key not in self._before:
             self._before[key] = self._error(self.logs_before, replace(model, effects=lasting))
-        return joined([self.error_of(model), self._before[key]])
+        both = zip(self.error_of(model), self._before[key], strict=True)
+        return HeldOutError(*map(np.vstack, both))
 
     @cached_property
     def logs_before(self) -> list[Recording]:
@@ -202,12 +189,3 @@ def with_effects(model: Refitted, robot: Robot) -> Stages:
         for f in model.effects
     ]
     return msgspec.structs.replace(model.stages, effects=effects)
-
-
-def candidates_of_model(effects: Sequence[Fitted]) -> list[Candidate]:
-    """The model's effects as candidates, to be fitted again."""
-    return [
-        Candidate(f.effect, f.joint, dict(f.settings), apart=f.effect.wide)
-        for f in effects
-        if isinstance(f, FittedEffect)
-    ]

@@ -23,6 +23,7 @@ from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.moved_stages import held, moved
 from seqid_cli.discover.scenes import scenes_of, shared_starts
 from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Hold, Model
+from seqid_cli.discover.select.results import Key
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.options import FrictionOptions
@@ -36,7 +37,6 @@ from seqid_cli.params.schema import FrictionStage, Stages
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Mask
 
-Key = tuple[str, int | None]  # name of an effect, and its joint
 MOVES = 0.01  # of a joint's largest travel, from which a log is one of its own
 
 
@@ -52,6 +52,12 @@ class Refitted:
     def lasting(self) -> list[Fitted]:
         """Effects that were there all along."""
         return [f for f in self.effects if key_of(f) not in self.late]
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        """Its effects as candidates, to be fitted again."""
+        known = (f for f in self.effects if isinstance(f, FittedEffect))
+        return [Candidate(f.effect, f.joint, dict(f.settings), apart=f.effect.wide) for f in known]
 
 
 def key_of(fitted: Fitted) -> Key | None:

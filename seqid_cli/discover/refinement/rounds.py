@@ -17,17 +17,11 @@ from seqid_cli.discover.evidence import evidence_of, rivals_of
 from seqid_cli.discover.investigate import Investigation, investigate, investigate_beside
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.held_out import Gain, likelier
-from seqid_cli.discover.refinement.loop import (
-    LATE,
-    Account,
-    Refinement,
-    candidates_of_model,
-    effect_of,
-)
-from seqid_cli.discover.refinement.reidentify import Key, Material, Refitted, key_of
+from seqid_cli.discover.refinement.loop import LATE, Account, Refinement, effect_of
+from seqid_cli.discover.refinement.reidentify import Material, Refitted, key_of
 from seqid_cli.discover.scenes import usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.naming import named
-from seqid_cli.discover.select.results import Taken
+from seqid_cli.discover.select.results import Key, Taken
 from seqid_cli.discover.select.smooth import SmoothFunction
 from seqid_cli.discover.survey.events import Interval
 from seqid_cli.identify.prediction.predict import slides_from
@@ -105,7 +99,7 @@ def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
     rest, looked = [*map(effect_of, found.found.effects)], True
     several = len(rest) > 1 or loop.material.options.with_unexplained
     while loop.added < loop.material.options.max_effects:
-        known = [*candidates_of_model(loop.model.effects), *refused]
+        known = [*loop.model.candidates, *refused]
         tried = [x for x in found.found.effects if effect_of(x).key not in above]
         left = [x for x in tried if not _among(effect_of(x), known)]
         if not left:
@@ -153,7 +147,7 @@ def _account(loop: Refinement, found: Investigation, taken: Taken) -> Account:
     is costly, and not asked for where nothing speaks for it.
     """
     candidate, late = effect_of(taken), loop.model.late
-    known = candidates_of_model(loop.model.effects)
+    known = loop.model.candidates
     plain = replace(candidate, absorbed="")  # beside a file that has absorbed nothing of it
     after = Account(loop, taken, (*known, plain), late | {candidate.key}, kept=True)
     early = Account(loop, taken, (*known, candidate), late, kept=False)

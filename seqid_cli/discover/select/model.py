@@ -267,7 +267,9 @@ class Model:
         scenes, linear = self.ground.stage.scenes, self.linear
         total, absorbed = [np.zeros_like(x.motion.q) for x in scenes], np.zeros(linear.size)
         for term in (one for one in self.terms if one is not without):
-            term.what.add_torque(total, scenes, self.coefficients(term))
+            for torque, scene in zip(total, scenes, strict=True):
+                for j, own in term.what.torques(scene, self.coefficients(term)).items():
+                    torque[:, j] += own
             absorbed += linear.in_file(term.part) @ linear.theta[self.where(term)]
         if np.any(absorbed):
             parts = zip(total, self._deviation(absorbed), strict=True)

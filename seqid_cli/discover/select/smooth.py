@@ -5,7 +5,6 @@ bends more than the one before (eigenvectors of the second differences, Demmler 
 the constant first: not every base has an offset.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 
@@ -89,14 +88,10 @@ class SmoothFunction:
             basis = basis * rows.of(j, sign)
         return rows.whitened(j, basis @ self.mixing)
 
-    def add_torque(
-        self, total: Sequence[Array], scenes: Sequence[Scene], coefficients: Array
-    ) -> None:
-        """Add its torque, low-passed, to (N, n) N m at all samples of every scene."""
-        for torque, scene in zip(total, scenes, strict=True):
-            basis = shape(scene, self.joint, self.axes, self.factor)
-            shown = scene.motion.filtered(basis @ (self.mixing @ coefficients), times=2)
-            torque[:, self.joint] += shown
+    def torques(self, scene: Scene, c: Array) -> dict[int, Array]:
+        """Torque (N,) N m of coefficients c (k,) by joint, low-passed."""
+        torque = shape(scene, self.joint, self.axes, self.factor) @ (self.mixing @ c)
+        return {self.joint: scene.motion.filtered(torque, times=2)}
 
     def term(self, coefficients: Array) -> SmoothTerm:
         """Return the torque of coefficients (k,) as a model has it."""

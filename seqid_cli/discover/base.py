@@ -76,13 +76,17 @@ class Base:
         ]
         return np.sqrt(sum(squares, np.zeros(self.basis.size)) / max(rows, 1)), own[0], own[1]
 
-    def deviation(self, theta_rigid: Array, theta_friction: Sequence[Array]) -> list[Array]:
-        """Torque (N, n) N m of the base's deviations at every sample of each data set."""
-        rigid = theta_rigid.astype(np.float32)
-        return [
-            (whole.H @ rigid).astype(np.float64) + whole.friction(theta_friction)
-            for whole in self.whole
-        ]
+    def deviation(self, rigid: Array, friction: Sequence[Array]) -> list[Array]:
+        """Torque (N, n) N m of deviations (b,), (k_j,) at every sample of each data set."""
+        found = []
+        for whole in self.whole:
+            moved, torque = whole.H @ rigid.astype(np.float32), np.empty_like(whole.residual)
+            for j, own in enumerate(friction):
+                for part in tiles(len(torque)):
+                    torque[part, j] = friction_columns(whole.scene, whole.stage, j, part) @ own
+            low = whole.scene.motion.filtered(torque, times=2)
+            found.append(moved.astype(np.float64) + low)
+        return found
 
 
 @dataclass(frozen=True)
@@ -93,14 +97,6 @@ class Whole:
     scene: Scene
     stage: FrictionStage | None
     residual: Array  # (N, n) N m, of the file's model
-
-    def friction(self, theta: Sequence[Array]) -> Array:
-        """Torque (N, n) N m of each joint's free friction with coefficients (k_j,), low-passed."""
-        torque = np.empty_like(self.residual)
-        for j, own in enumerate(theta):
-            for part in tiles(len(torque)):
-                torque[part, j] = friction_columns(self.scene, self.stage, j, part) @ own
-        return self.scene.motion.filtered(torque, times=2)
 
 
 def base_of(rows: Rows, stages: Stages) -> Base:

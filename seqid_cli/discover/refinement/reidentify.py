@@ -22,7 +22,7 @@ from seqid_cli.discover.candidates import Candidate
 from seqid_cli.discover.options import DiscoverOptions
 from seqid_cli.discover.refinement.moved_stages import held, moved
 from seqid_cli.discover.scenes import scenes_of, shared_starts
-from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Hold, Model
+from seqid_cli.discover.select.model import FIRM, FREE, HELD, Ground, Model
 from seqid_cli.discover.select.results import Key
 from seqid_cli.discover.survey.rows import rows_of
 from seqid_cli.identify.friction_surface.stage import identify_friction
@@ -149,26 +149,18 @@ def refitted(
     if not candidates:
         bare = Refitted(stages, (), late)
         return bare if kept else replace(bare, stages=_stages(material, bare, None))
-    fit = _fitted(material, stages, candidates, HELD if kept else FREE)
+    fit = Model(material.ground(stages), HELD if kept else FREE, candidates)
     if not kept:
         freed = Refitted(stages, tuple(_effects_of(material, fit)), late)
         stages = _stages(material, freed, fit)
-        fit = _fitted(material, stages, [replace(x, absorbed="") for x in fit.candidates], FREE)
+        plain = [replace(x, absorbed="") for x in fit.candidates]
+        fit = Model(material.ground(stages), FREE, plain)
     # Effects as they are beside exactly these stages; their errors are beside a base that may move.
     firm = copy(fit)
     firm.hold = FIRM
     firm.settle()
     pairs = zip(_effects_of(material, fit), map(firm.coefficients, firm.terms), strict=True)
     return Refitted(stages, tuple(replace(x, coefficients=c) for x, c in pairs), late)
-
-
-def _fitted(
-    material: Material, stages: Stages, candidates: Sequence[Candidate], hold: Hold
-) -> Model:
-    """Base and effects fitted to the training logs, settings searched once more."""
-    fit = Model(material.ground(stages), hold)
-    fit.add(candidates)
-    return fit
 
 
 def _effects_of(material: Material, fit: Model) -> list[FittedEffect]:
@@ -192,11 +184,11 @@ def _stages(material: Material, model: Refitted, fit: Model | None) -> Stages:
         found = Stages(friction=new, imu=stages.imu, inertia=inertia)
         if not material.known:
             return found
-        return held(found, stages, fit or _fitted(material, stages, (), FREE))
+        return held(found, stages, fit or Model(material.ground(stages), FREE))
     needed = [s for s in ("friction", "gravity", "inertia") if getattr(stages, s) is not None]
     if all(material.earlier.get(stage) for stage in needed):
         return _sequential(material, model)
-    joint = fit or _fitted(material, stages, (), FREE)
+    joint = fit or Model(material.ground(stages), FREE)
     return moved(stages, joint, joint.linear.theta)
 
 

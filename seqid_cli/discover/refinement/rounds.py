@@ -101,7 +101,7 @@ def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
     while loop.added < loop.material.options.max_effects:
         known = [*loop.model.candidates, *refused]
         tried = [x for x in found.found.effects if effect_of(x).key not in above]
-        left = [x for x in tried if not _among(effect_of(x), known)]
+        left = [x for x in tried if not any(map(effect_of(x).is_same_as, known))]
         if not left:
             break
         taken = max(left, key=lambda taken: taken.evidence)
@@ -124,10 +124,6 @@ def _add_effects(loop: Refinement, found: Investigation) -> Investigation:
             found, looked = investigate_beside(found, *asked, candidates=rest)
             rest = [*map(effect_of, found.found.effects)] if looked else rest
     return found
-
-
-def _among(one: Candidate, others: Sequence[Candidate]) -> bool:
-    return any(one.is_same_as(other) for other in others)
 
 
 def quiet(logs: Sequence[Recording], events: Sequence[Interval]) -> tuple[Recording, ...]:
@@ -157,8 +153,8 @@ def _account(loop: Refinement, found: Investigation, taken: Taken) -> Account:
     if loop.material.known or (freed and not loop.logs_before):
         return early
     had = [*known, candidate]  # what the model has not may have made up for the file there
-    others = [x for x in found.found.taken if x.term.smooth or not _among(effect_of(x), had)]
-    made_up = any(x.term.channels & taken.term.channels for x in others)
+    near = [x for x in found.found.taken if x.term.channels & taken.term.channels]
+    made_up = any(x.term.smooth or not any(map(effect_of(x).is_same_as, had)) for x in near)
     if not (loop.logs_before and (after.accepted or freed or made_up)):
         return after
     lately, along = (loop.error_everywhere(one.model) for one in (after, early))

@@ -129,11 +129,13 @@ class Ground:
 class Model:
     """Base and terms, fitted together with the noise that they leave."""
 
-    def __init__(self, ground: Ground, hold: Hold) -> None:
+    def __init__(self, ground: Ground, hold: Hold, candidates: Sequence[Candidate] = ()) -> None:
         self.ground, self.hold = ground, hold
         self.terms: list[Term] = []
         self.timed = (True,) * ground.n
         self.settle()
+        if candidates:
+            self.add(candidates)
 
     def settle(self) -> None:
         """Fit all anew; an offset that is more than every drive has is left to effects."""

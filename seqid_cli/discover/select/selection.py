@@ -80,9 +80,7 @@ def _best_of_all(every: Sequence[Selection]) -> Selection:
 
 def select_among(ground: Ground, hold: Hold, candidates: Sequence[Candidate]) -> Selection:
     """Begin with effects, and take back those that the model does not need."""
-    among = Selection(Model(ground, hold), Options(), _known(ground))
-    if candidates:
-        among.model.add(candidates)
+    among = Selection(Model(ground, hold, candidates), Options(), _known(ground))
     among.eliminate()
     return among
 

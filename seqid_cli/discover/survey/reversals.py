@@ -32,7 +32,6 @@ OFF = 0.03  # of the time for which a joint does not certainly slide: standard e
 SPACING = 0.15  # periods of the cut-off between times at which friction may be anything
 EDGE = 3  # such times that are felt from either end of a rest
 SEEN = 1e-3  # of the largest, below which a row does not feel a reversal
-PASSES = 2
 GRID = 400
 ANYTHING = 1.0 / np.sqrt(3.0)  # standard deviation of what may be all from minus one to one
 THIRD = np.sqrt(20.0)  # standard deviation of third differences of white noise of unit size
@@ -86,7 +85,8 @@ def low_passed(
 
     Of rows that feel them. Pulses of one length, with nothing missing, are low-passed at once.
     """
-    reach, alike = motion.lowpass.memory, dict[int, list[tuple[int, Array]]]()
+    lowpass, alike = motion.lowpass, dict[int, list[tuple[int, Array]]]()
+    reach = lowpass.memory
     for first, pulses in uncertain:
         low, high = first - reach, first + len(pulses) + reach
         if low >= 0 and high <= motion.samples and motion.valid[low:high].all():
@@ -96,19 +96,15 @@ def low_passed(
         values = np.zeros((high - low, pulses.shape[1]))
         start, stop = max(first, 0), min(first + len(pulses), motion.samples)
         values[start - low : stop - low] = pulses[start - first : stop - first]
-        yield _at_rows(picked, low, _twice(motion, values, motion.valid[low:high]))
+        valid = motion.valid[low:high]
+        yield _at_rows(picked, low, lowpass(lowpass(values, valid), valid))
     for own in alike.values():
         values = np.pad(np.hstack([pulses for _, pulses in own]), ((reach, reach), (0, 0)))
-        values = _twice(motion, values, np.ones(len(values), dtype=bool))
+        valid = np.ones(len(values), dtype=bool)
+        values = lowpass(lowpass(values, valid), valid)
         ends = np.cumsum([pulses.shape[1] for _, pulses in own])
         for (low, _), part in zip(own, np.split(values, ends[:-1], axis=1), strict=True):
             yield _at_rows(picked, low, part)
-
-
-def _twice(motion: Motion, values: Array, valid: Mask) -> Array:
-    for _ in range(PASSES):
-        values = motion.lowpass(values, valid)
-    return values
 
 
 def _at_rows(picked: Index, low: int, values: Array) -> tuple[int, Array]:
@@ -171,7 +167,7 @@ def _noise(scene: Scene, joint: int) -> float:
     quick = np.diff(full.measured[full.motion.valid, joint], n=3)
     white = float(gaussian_spread(quick)) / THIRD if len(quick) else 0.0
     frequency = np.linspace(0.0, 0.5 * full.motion.rate_hz, GRID)
-    passed = float(np.sqrt(np.mean(power_gain(full.motion.lowpass, frequency, PASSES))))
+    passed = float(np.sqrt(np.mean(power_gain(full.motion.lowpass, frequency, 2))))
     torque = scene.motion.tau[scene.motion.usable, joint]
     detail = DETAIL * float(np.linalg.norm(torque)) / np.sqrt(max(len(torque), 1))
     return max(float(np.hypot(white * passed, detail)), 1e-12)

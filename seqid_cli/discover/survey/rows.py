@@ -98,16 +98,13 @@ class Rows:
         """Low-pass an effect's columns, log by log, and keep the rows of each joint."""
         rows: dict[int, list[Array]] = {}
         for number, columns in enumerate(per_scene):
+            motion = self.scenes[number].motion
+            every = stride_of(motion)
+            at, used = self.picked[number] // every, self.used[number]
             for joint, values in columns.items():
-                kept = self.filtered(number, values, passes)
-                rows.setdefault(joint, []).append(kept[self.used[number][:, joint]])
+                low = motion.filtered(values, passes, every=every)[at]
+                rows.setdefault(joint, []).append(low[used[:, joint]])
         return {j: self.whitened(j, np.concatenate(values)) for j, values in rows.items()}
-
-    def filtered(self, number: int, values: Array, passes: int) -> Array:
-        """Low-pass values (N, K) of one data set and keep its rows (M, K)."""
-        motion = self.scenes[number].motion
-        every = stride_of(motion)
-        return motion.filtered(values, passes, every=every)[self.picked[number] // every]
 
     def without(self, masks: Sequence[Mask]) -> Rows:
         """The same rows without some samples of each data set: (N,) of all joints, or (N, n)."""

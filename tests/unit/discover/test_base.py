@@ -64,5 +64,6 @@ def test_friction_of_a_surface_has_its_terms_and_a_drag_beyond(scenes: list[Scen
     law = (COULOMB[0] + VISCOUS[0] * held) * sign + (VISCOUS[0] + 0.7) * beyond
     own = motion.filtered(law, times=2)
     coefficients = np.array([COULOMB[0] + HALF, HALF, 0.7])
-    found = base.whole[0].friction([coefficients, coefficients])[:, 0]
+    still = np.zeros(base.basis.size)
+    found = base.deviation(still, [coefficients, coefficients])[0][:, 0]
     np.testing.assert_allclose(found, own, atol=1e-9)

@@ -194,10 +194,8 @@ def _surface(
 ) -> Difference:
     """Compare two surfaces over the positions and speeds of both; report the point most changed."""
     where = Difference(stage="friction", name="surface", joint=joint, unit=a.unit)
-    (low, high), (slow, fast) = (
-        (max(one[0], other[0]), min(one[1], other[1]))
-        for one, other in ((a.position_range, b.position_range), (a.speed_range, b.speed_range))
-    )
+    ranges = (a.position_range, b.position_range), (a.speed_range, b.speed_range)
+    (low, high), (slow, fast) = ((max(x[0], y[0]), min(x[1], y[1])) for x, y in ranges)
     slow = max(slow, SLIDES * a.sign_width, SLIDES * b.sign_width)
     if low > high or slow > fast:
         remark = "no position and speed is in the identified range of both"
@@ -209,10 +207,8 @@ def _surface(
     torques = np.array([surface.torque(q, v) for surface in surfaces]).T
     errors = np.array([surface.std_error(q, v) for surface in surfaces]).T
     size = float(np.abs(torques).max())
-    points = [
-        _judged(where, rule, tuple(pair), tuple(error), least=size)
-        for pair, error in zip(torques.tolist(), errors.tolist(), strict=True)
-    ]
+    both = zip(torques.tolist(), errors.tolist(), strict=True)
+    points = [_judged(where, rule, tuple(x), tuple(e), least=size) for x, e in both]
     k = max(range(len(points)), key=lambda k: (points[k].different, points[k].relative or 0.0))
     return replace(points[k], remark=f"at {q[k]:.3g}, speed {v[k]:.3g}")
 

@@ -108,10 +108,8 @@ def base_of(rows: Rows, stages: Stages) -> Base:
         own_H = base_regressor(robot, basis, motion.q, motion.dq, motion.ddq)
         H.append(np.zeros_like(own_H))
         H[-1][:, loaded] = motion.filtered(own_H[:, loaded])
-    timing = [
-        differentiate(scene.modelled_filtered, motion.rate_hz, motion.valid)[0]
-        for scene, motion in zip(rows.scenes, motions, strict=True)
-    ]
+    pairs = [(scene.modelled_filtered, scene.motion) for scene in rows.scenes]
+    timing = [differentiate(tau, motion.rate_hz, motion.valid)[0] for tau, motion in pairs]
     left = [residual_of(scene) for scene in rows.scenes]
     law = stages.friction
     own = [

@@ -132,9 +132,8 @@ class Candidate:
             return False
         every = () if self.effect.first_order else self.effect.settings
         told = [s.name for s in every if self.effect.wide or not s.continuous]
-        return all(
-            math.isclose(self.settings[s], other.settings[s], rel_tol=tolerance) for s in told
-        )
+        pairs = ((self.settings[name], other.settings[name]) for name in told)
+        return all(math.isclose(*pair, rel_tol=tolerance) for pair in pairs)
 
     def columns(self, scene: Scene) -> Columns:
         """Torque (N, k) per unit coefficient by joint, unfiltered."""
@@ -174,10 +173,8 @@ class Stage:
                 part = dict(some[first : first + together])
                 made = self._computed([*part.values()], passes)
                 self._made.update(zip(part, made, strict=True))
-        return [
-            self.with_drive(self._made[key]) if candidate.effect.drive else self._made[key]
-            for key, candidate in zip(keys, candidates, strict=True)
-        ]
+        pairs = [(c, self._made[key]) for key, c in zip(keys, candidates, strict=True)]
+        return [self.with_drive(own) if c.effect.drive else own for c, own in pairs]
 
     def with_drive(self, columns: Channels) -> dict[int, Array]:
         """The same columns on the rows of the drive as well, where there are some."""

@@ -109,10 +109,8 @@ def _contact(found: Investigation, robot: Robot) -> diagnosis.FindingEntry:
     energies = [e.energy(rows.scenes[e.scene], left[e.scene] / floor) for e in found.events]
     unknown = np.maximum((found.model.rms() / floor) ** 2 - 1.0, 0.0)
     beyond = unknown * [rows.count(j) for j in range(rows.n)]
-    apart = [
-        energy / max(energy + sum(beyond[j] for j in event.joints), 1e-300)
-        for event, energy in zip(found.events, energies, strict=True)
-    ]
+    near = [sum(beyond[j] for j in event.joints) for event in found.events]
+    apart = [e / max(e + rest, 1e-300) for e, rest in zip(energies, near, strict=True)]
     inside = sum(energies)
     gained = sum(max(taken.one.predicted.total, 0.0) for taken in found.found.taken)
     confidence = float(max(event.certainty for event in found.events) * max(apart))

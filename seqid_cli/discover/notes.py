@@ -102,10 +102,8 @@ def _free_base_notes(found: Investigation, robot: Robot) -> tuple[str, ...]:
     """Joints without a finding that a model fitted to these logs surely predicts worse."""
     rows, left, worse = found.ground.rows, found.model.rms(), list[str]()
     for j, joint in ((j, x) for j, x in enumerate(robot.joints) if j not in found.touched):
-        free, file = (
-            np.bincount(rows.block[j], weights=r[j] ** 2, minlength=rows.blocks)
-            for r in (found.model.linear.left_out, found.ground.base.y)
-        )
+        both = found.model.linear.left_out[j], found.ground.base.y[j]
+        free, file = (np.bincount(rows.block[j], r**2, minlength=rows.blocks) for r in both)
         if doubt_of(free - (1.0 + Options.improvement) * file) <= Options.doubt:
             sizes = f"{left[j]:.3g} against {found.start[j]:.3g} {joint.unit('N m')}"
             worse.append(f"{joint.name} ({sizes})")

@@ -91,14 +91,12 @@ def _notes(robots: Mapping[str, Sequence[ParameterFile]]) -> list[str]:
 
 def scatter_of(series: Sequence[trend.SeriesEntry], *, enough: int = 30) -> tuple[float, int]:
     """Inflation of the standard errors of one stage, and how many differences say so (0: none)."""
-    ratios = [
-        np.diff(own.values) / np.hypot(own.std_errors[1:], own.std_errors[:-1])
-        for own in series
-        if min(own.std_errors) > 0.0
-    ]
+    known = [(x.values, np.array(x.std_errors)) for x in series if min(x.std_errors) > 0.0]
+    ratios = [np.diff(values) / np.hypot(errors[1:], errors[:-1]) for values, errors in known]
     every = np.concatenate([np.zeros(0), *ratios])
-    known = len(every) >= enough
-    return (max(float(gaussian_spread(every)), 1.0), len(every)) if known else (1.0, 0)
+    if len(every) < enough:
+        return 1.0, 0
+    return max(float(gaussian_spread(every)), 1.0), len(every)
 
 
 def best_change(

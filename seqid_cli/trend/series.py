@@ -58,12 +58,9 @@ def series_of(robot: str, files: Sequence[ParameterFile]) -> Iterator[SeriesEntr
     """Yield every quantity of a robot that two of its files hold at least."""
     speeds = _shared_speeds(files)
     tables = [dict(_quantities(file.stages, speeds)) for file in files]
+    dated = [(file.created, table) for file, table in zip(files, tables, strict=True)]
     for quantity in dict.fromkeys(q for table in tables for q in table):
-        held = [
-            (file.created, *table[quantity])
-            for file, table in zip(files, tables, strict=True)
-            if quantity in table
-        ]
+        held = [(date, *table[quantity]) for date, table in dated if quantity in table]
         if len(held) < 2:
             continue
         dates, values, errors, warmth = map(list, zip(*held, strict=True))

@@ -81,12 +81,9 @@ class Excerpts:
         )
         counts = sum(survey.counts.sum(axis=0) for survey in self.surveys)
         squares = sum(survey.squares.sum(axis=0) for survey in self.surveys)
-        known = ", ".join(
-            f"{joint.name} {np.sqrt(s / c):.3g} {joint.unit('N m')}"
-            for joint, s, c in zip(robot.joints, squares, counts, strict=True)
-            if c
-        )
-        of_all = f"RMS residual of all logs as a whole, where joints slide: {known}"
+        every = zip(robot.joints, squares, counts, strict=True)
+        known = [f"{x.name} {np.sqrt(s / c):.3g} {x.unit('N m')}" for x, s, c in every if c]
+        of_all = f"RMS residual of all logs as a whole, where joints slide: {', '.join(known)}"
         return (said, of_all, *_time_notes(self.surveys, robot))
 
 

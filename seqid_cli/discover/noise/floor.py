@@ -93,11 +93,8 @@ def noise_floor(
     for j in range(scenes[0].robot.n):
         of = [(scene, scene.slides[:, j]) for scene in scenes[:judged]]
         slid = [(x.motion, float(m.sum()) / x.motion.rate_hz) for x, m in of if m.any()]
-        heard, left = (  # where it slides and they count
-            rms(own[own != 0.0])
-            for values in (echo, residual)
-            for own in [np.concatenate([x[m, j] for x, (_, m) in zip(values, of, strict=False)])]
-        )
+        slides = [[x[m, j] for x, (_, m) in zip(v, of, strict=False)] for v in (echo, residual)]
+        heard, left = (rms(own[own != 0.0]) for own in map(np.concatenate, slides))
         heard = heard if rows is None else rms(rows.torque(j, [e[:, j] for e in echo]))
         encoder = heard * np.exp(encoder_error * NORMAL_95)
         still = [
@@ -170,10 +167,8 @@ def _top_of_band(
     length = min(round(STRETCH * rate / lowpass.cutoff_hz), scene.samples)
     starts = stretches(scene.slides[:, joint] & (residual != 0.0), length)
     limits = [edge * lowpass.cutoff_hz for edge in band] if lowpass.active else [0.0, 0.0]
-    whole, heard = (
-        Spectrum.of(values, starts, length, rate, robust=True).within(*limits)
-        for values in (residual, echo)
-    )
+    spectra = (Spectrum.of(x, starts, length, rate, robust=True) for x in (residual, echo))
+    whole, heard = (spectrum.within(*limits) for spectrum in spectra)
     density = np.maximum(whole.density - heard.density, LEAST_SHARE * whole.density)
     raw = replace(whole, density=density / power_gain(lowpass, whole.frequency, 2))
     return raw.at_least(_rounding(recording, joint))

@@ -1,6 +1,7 @@
 """What held-out logs say of a refinement: opened after the last decision, they change none."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from msgspec import structs
@@ -13,7 +14,6 @@ from seqid_cli.discover.scenes import scenes_of, usable_logs, with_own_cutoffs
 from seqid_cli.discover.select.options import Options
 from seqid_cli.identify.options import InertiaOptions
 from seqid_cli.logs.recording import Recording
-from seqid_cli.model.effects.apply import without_effects
 from seqid_cli.params.evidence_schema import RefinementRound
 from seqid_cli.params.results.diagnosis import MORE_THAN_NOISE
 from seqid_cli.params.schema import ClosedLoop, Stages
@@ -39,12 +39,9 @@ def confirm(
     new, floor = after.rmse(), _floor(found, held_out, motion)
     judged = [j for j in range(robot.n) if np.isfinite(new[j])]
     changes = {names[j]: gain(before, after, [j]) for j in judged}
-    lost = [
-        f"{name} ({percent(-g.value)})"
-        for name, g in changes.items()
-        if g.loses and -g.value > Options.small
-    ]
-    said = f"predicted worse than before, in squared error where they slide: {', '.join(lost)}"
+    lost = {n: -g.value for n, g in changes.items() if g.loses and -g.value > Options.small}
+    worse = ", ".join(f"{name} ({percent(share)})" for name, share in lost.items())
+    said = f"predicted worse than before, in squared error where they slide: {worse}"
     times = {names[j]: float(new[j] / floor.rms[j]) for j in judged}
     accepted = [told for told in rounds if told.accepted]
     return ClosedLoop(
@@ -107,12 +104,9 @@ def _errors(
 
 def _floor(found: Refinement, held_out: Sequence[Recording], options: InertiaOptions) -> NoiseFloor:
     """Noise floor of the held-out logs; the training logs help to find it."""
-    material, model = found.material, found.model
-    given, motion = (material.robot, model.stages), options.motion
-    freed = [
-        without_effects(log, *given, model.effects, motion=motion, source=options.source)
-        for log in (*held_out, *material.training)
-    ]
-    scenes = scenes_of(freed, *given, options=options)
+    material = replace(found.material, options=replace(found.material.options, motion=options))
+    model, logs = found.model, (*held_out, *material.training)
+    freed = [material.without(log, model.stages, model.effects) for log in logs]
+    scenes = scenes_of(freed, material.robot, model.stages, options=options)
     left, echo = [residual_of(scene) for scene in scenes], encoder_residuals(freed, scenes)
     return noise_floor(freed, scenes, left, echo, judged=len(held_out))

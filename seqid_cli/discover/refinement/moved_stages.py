@@ -61,14 +61,12 @@ def moved(stages: Stages, fit: Model, theta: Array) -> Stages:
             if name in joints:
                 joints[name] = _moved_friction(joints[name], theta[own])
         result.friction = replace(stages.friction, joints=joints)
-    by_name = dict(zip(basis.names, change, strict=True))
+    more = dict(zip(basis.names, change, strict=True))
 
     def moved_rigid(stage: RigidStage | None) -> RigidStage | None:
         if stage is None:
             return None
-        own = [
-            replace(p, value=float(p.value + by_name.get(p.name, 0.0))) for p in stage.parameters
-        ]
+        own = [replace(p, value=float(p.value + more.get(p.name, 0.0))) for p in stage.parameters]
         return replace(stage, parameters=own, representative=dict(stage.representative))
 
     result.gravity, result.inertia = moved_rigid(stages.gravity), moved_rigid(stages.inertia)

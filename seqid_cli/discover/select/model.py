@@ -145,10 +145,8 @@ class Model:
         self.linear, self.noise = settled(g.stage, g.rows, g.size, parts)
         self._fitted = tuple(self.terms)
         self.__dict__.pop("deviation", None)  # of the model before
-        timed = tuple(
-            own and abs(offset) <= g.own_offset
-            for own, offset in zip(self.timed, self.offsets, strict=True)
-        )
+        pairs = zip(self.timed, self.offsets, strict=True)
+        timed = tuple(own and abs(offset) <= g.own_offset for own, offset in pairs)
         if timed != self.timed:
             self.timed = timed
             self.settle()
@@ -281,10 +279,7 @@ class Model:
     def left(self, without: Term | None = None) -> list[Array]:
         """What is left (N, n) N m without a term, by scene; zero where a joint may stick."""
         parts = zip(self.ground.base.whole, self.deviation, self.shown(without), strict=True)
-        return [
-            np.where(whole.scene.slides, whole.residual - base - terms, 0.0)
-            for whole, base, terms in parts
-        ]
+        return [np.where(own.scene.slides, own.residual - b - t, 0.0) for own, b, t in parts]
 
     def scaled(self) -> list[Array]:
         """Residual (M_j,) of each joint's rows where it was not fitted, over the joint's noise."""

@@ -32,6 +32,8 @@ _POSITIONS, _SPEEDS = 13, 12  # points at which friction surfaces are compared, 
 _KINDS = ("parameter", "prediction", "diagnosis")
 DEFAULT_SIGMA = 4.0  # one false alarm in 160 comparisons of 100 parameters each
 DEFAULT_RTOL = 0.01
+Two = tuple[float, float]  # of the first and of the second file
+Judged = PredictionFile | DiagnosisFile
 K = TypeVar("K")
 V = TypeVar("V")
 
@@ -88,12 +90,7 @@ def _kind(content: Document) -> str:
 
 
 def _judged(
-    where: Difference,
-    rule: RuleEntry,
-    values: tuple[float, float],
-    errors: tuple[float, float] = (0.0, 0.0),
-    *,
-    least: float = 0.0,
+    where: Difference, rule: RuleEntry, values: Two, errors: Two = (0.0, 0.0), *, least: float = 0.0
 ) -> Difference:
     """Judge two values and their standard errors; `least` is the size that they have at least."""
     a, b = values
@@ -145,12 +142,7 @@ def _stages(a: schema.Stages, b: schema.Stages, rule: RuleEntry) -> Iterator[Dif
 
 
 def _rigid(
-    name: str,
-    a: schema.RigidStage,
-    b: schema.RigidStage,
-    rule: RuleEntry,
-    *,
-    min_size: float = 1e-3,
+    name: str, a: schema.RigidStage, b: schema.RigidStage, rule: RuleEntry, min_size: float = 1e-3
 ) -> Iterator[Difference]:
     least: dict[str, float] = {}
     for x in (*a.parameters, *b.parameters):
@@ -275,11 +267,7 @@ def _diagnoses(a: DiagnosisFile, b: DiagnosisFile, rule: RuleEntry) -> Iterator[
 
 
 def _errors(
-    stage: str,
-    a: PredictionFile | DiagnosisFile,
-    b: PredictionFile | DiagnosisFile,
-    names: Sequence[str],
-    rule: RuleEntry,
+    stage: str, a: Judged, b: Judged, names: Sequence[str], rule: RuleEntry
 ) -> Iterator[Difference]:
     """Judge errors of every joint; one that neither file has is left out."""
     for joint, one, other in _both(a.joints, b.joints):

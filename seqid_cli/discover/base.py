@@ -156,7 +156,7 @@ def friction_columns(
     Beside a surface there is a drag beyond the fastest speed at which it was identified.
     """
     surface, v = scene.model.surfaces[joint], scene.motion.dq[part, joint]
-    known = None if stage is None else stage.joints[scene.robot.joint_names[joint]]
+    known = stage.joints.get(scene.robot.joint_names[joint]) if stage is not None else None
     if surface is None or known is None or known.parameters:  # these may have an offset
         terms = 2 if surface is None or known is None else len(known.parameters)
         return np.stack([scene.sign[part, joint], v, np.ones_like(v)], axis=1)[:, :terms]

@@ -107,17 +107,16 @@ class Gain:
 
 
 def held_out_error(
-    recordings: Iterable[Recording | SurveyedLog],
-    robot: Robot,
-    stages: Stages,
-    *,
-    options: InertiaOptions,
+    logs: Iterable[Recording | SurveyedLog], robot: Robot, stages: Stages, options: InertiaOptions
 ) -> HeldOutError:
     """Predict logs, smooth terms included, and add up the squared errors, block by block."""
     found, samples, seen = list[HeldOutError](), 0, 0
-    logs = cast("Iterable[Recording]", recordings)  # those that are passed over are predicted alike
-    every = predict(logs, robot, stages, options=options, unexplained=True, sliding_only=True)
-    for log in every:
+    given = (
+        cast("Iterable[Recording]", logs),
+        robot,
+        stages,
+    )  # what is passed over is predicted alike
+    for log in predict(*given, options=options, unexplained=True, sliding_only=True):
         if log.part == 0:  # blocks of a short log are shorter, of one that is not held longer
             length = float(log.t[-1] - log.t[0])
             length *= 1.0 if log.last else log.samples / len(log.t)

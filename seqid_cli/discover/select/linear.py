@@ -33,6 +33,7 @@ from seqid_cli.tiles import tiles
 from seqid_cli.typing import Array, Index
 
 BATCH = 200  # terms that are tried at once
+Solved = tuple[algebra.Factor, Array]  # factor and parameters (p,)
 
 
 class Linear:
@@ -142,12 +143,12 @@ class Linear:
         return np.asarray(solve_triangular(factor[0], scaled, trans="T", check_finite=False))
 
     @cached_property
-    def _whole(self) -> tuple[algebra.Factor, Array]:
+    def _whole(self) -> Solved:
         factor = self._factor(self.sums[0])
         return factor, self._solved(factor, self.sums[1])
 
     @cached_property
-    def _without(self) -> list[tuple[algebra.Factor, Array]]:
+    def _without(self) -> list[Solved]:
         """algebra.Factor and solution (p,) without each block."""
         A, b = self.sums
         return [
@@ -157,7 +158,7 @@ class Linear:
         ]
 
     @cached_property
-    def _without_file(self) -> tuple[algebra.Factor, Array]:
+    def _without_file(self) -> Solved:
         """algebra.Factor and solution (p,) without what the parameter file says."""
         A, b = self.sums
         factor = self._factor(A + self._coupled(self._blocks(file=False)) - self.prior)
@@ -297,10 +298,7 @@ class Linear:
         return C + self.lift.T @ PR, own
 
     def _given(
-        self,
-        solved: tuple[algebra.Factor, Array],
-        crossed: _Crossed,
-        told: tuple[Array, list[Array]],
+        self, solved: Solved, crossed: _Crossed, told: tuple[Array, list[Array]]
     ) -> list[Gained]:
         """What each term by itself does to a solved model, with the products C and D."""
         (factor, theta), (C, coupled), (_, d, whole) = solved, told, crossed.whole

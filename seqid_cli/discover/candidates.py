@@ -62,7 +62,7 @@ def drive_rows(rows: Rows) -> DriveRows:
     """Take the rows of drives whose joints have a torque sensor in all logs."""
     if any(scene.sensor is None for scene in rows.scenes):
         return DriveRows()
-    every = []  # what the file leaves of the drive's torque, then its columns (N, n), low-passed
+    every = []  # (N, n, 4), low-passed: what the file leaves of the drive's torque, its columns
     for scene in rows.scenes:
         motion = scene.motion
         assert scene.sensor is not None

@@ -158,7 +158,7 @@ def not_of_terms(events: Sequence[Interval], model: Model) -> list[Interval]:
 def of_law(event: Interval, scene: Scene, residual: Array) -> bool:
     """Whether an event's residual (N, n) N m is small beside the torque's swing around it.
 
-    One that stands out more against moments of like motion may be smaller, but for near rests.
+    One that stands out more against moments of like motion may be smaller, but not near rests.
     """
     inside, around = event.inside(scene), event.inside(scene, AROUND_S)
     period = round(scene.motion.rate_hz / scene.motion.lowpass.cutoff_hz)

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -123,7 +122,7 @@ def take_excerpts(
     found = list[Recording]()
     for log, one, own, more in zip(logs, surveys, ranges, extra, strict=True):
         if own or more:
-            found += _read(log, one, sorted([*own, *more]), robot, time_source=clock)
+            found += _read(log, one, sorted([*own, *more]), robot, clock)
     seconds = sum(high - low for own in ranges for low, high in own)
     return Excerpts(tuple(found), sum(map(len, extra)), seconds, surveys)
 
@@ -154,15 +153,14 @@ def _likely(log: Path | Recording) -> int:
 
 
 def _read(
-    log: Path | Recording, seen: ResidualSurvey, some: Sequence[Range], robot: Robot, **read: Any
+    log: Path | Recording, one: ResidualSurvey, some: list[Range], robot: Robot, clock: TimeSource
 ) -> list[Recording]:
     if isinstance(log, Recording):
         return cut(log, some)
     with local_copy(log) as file:
         check = partial(sound, robot=robot)
-        found = read_pieces(
-            Path(file), robot, seen.whole, some, kind=seen.kind, sound=check, **read
-        )
+        given = Path(file), robot, one.whole, some
+        found = read_pieces(*given, time_source=clock, kind=one.kind, sound=check)
     return [replace(piece, path=log) for piece in found]
 
 

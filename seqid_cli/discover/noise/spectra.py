@@ -129,8 +129,8 @@ class Level:
         passed, scatter = np.zeros(len(RATIO)), np.zeros(len(RATIO))
         for motion, seconds in slid:
             top = min(0.5 * motion.rate_hz, 2.0 * motion.lowpass.cutoff_hz)
-            frequency = np.geomspace(1.0 / motion.t[-1], top, GRID)  # both signs together
-            passing = 2.0 * power_gain(motion.lowpass, frequency, 2)
+            frequency = np.geomspace(1.0 / motion.t[-1], top, GRID)
+            passing = 2.0 * power_gain(motion.lowpass, frequency, 2)  # of both signs together
             density = passing * _shapes(frequency / self.reference_hz)
             passed += seconds / total * np.trapezoid(density, frequency)
             scatter += seconds / total**2 * np.trapezoid(density**2, frequency)

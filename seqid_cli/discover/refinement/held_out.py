@@ -111,11 +111,7 @@ def held_out_error(
 ) -> HeldOutError:
     """Predict logs, smooth terms included, and add up the squared errors, block by block."""
     found, samples, seen = list[HeldOutError](), 0, 0
-    given = (
-        cast("Iterable[Recording]", logs),
-        robot,
-        stages,
-    )  # what is passed over is predicted alike
+    given = cast("Iterable[Recording]", logs), robot, stages  # passed over: predicted alike
     for log in predict(*given, options=options, unexplained=True, sliding_only=True):
         if log.part == 0:  # blocks of a short log are shorter, of one that is not held longer
             length = float(log.t[-1] - log.t[0])

@@ -149,7 +149,7 @@ class Linear:
 
     @cached_property
     def _without(self) -> list[Solved]:
-        """algebra.Factor and solution (p,) without each block."""
+        """Factor and solution (p,) without each block."""
         A, b = self.sums
         return [
             (factor, self._solved(factor, b - own_b))
@@ -159,7 +159,7 @@ class Linear:
 
     @cached_property
     def _without_file(self) -> Solved:
-        """algebra.Factor and solution (p,) without what the parameter file says."""
+        """Factor and solution (p,) without what the parameter file says."""
         A, b = self.sums
         factor = self._factor(A + self._coupled(self._blocks(file=False)) - self.prior)
         return factor, self._solved(factor, b)

@@ -279,13 +279,10 @@ class Selection:
         near = [x for x in self._search.near(term, linear) if x.term.channels & term.channels]
         rivals = [x for x in near if x.evidence > 0.0 and x.term.key != term.key]
         ranked = tuple(sorted([one, *_ranked(linear, rivals)], key=_by_gain))
-        told = (
-            linear.left_out,
-            own.evidence,
-            own.share,
-            self._instead_of(term) | self._as_share(own),
-        )
-        return Taken(one, ranked, *told, self.model.linear.varied(term.part), self._untried(term))
+        instead = self._instead_of(term) | self._as_share(own)
+        told = one, ranked, linear.left_out, own.evidence, own.share, instead
+        varied = self.model.linear.varied(term.part)
+        return Taken(*told, varied=varied, untried=self._untried(term))
 
     def _instead_of(self, term: Term) -> dict[str, float]:
         """Effects that other finished models have instead; how far these are behind, by name."""

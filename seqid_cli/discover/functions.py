@@ -155,7 +155,7 @@ def _refined(
     kept_out = LogSet.of(rest)
     unseen = _excerpts(rest, kept_out, search, places=False)
     held = {sha256: some[0].path for sha256, some in by_digest(unseen.recordings).items()}
-    check_unseen(held, {**found.paths, **at_hand})
+    check_unseen(held.items(), {**found.paths, **at_hand})
     whole = WholeLogs(tuple(files), robot, inputs.options.time_source)
     loop = confirm(decided, unseen.recordings, whole if unseen.surveys else None)
     verdicts = [*physics_verdicts(inputs.stages, robot), *training.verdicts(), *kept_out.verdicts()]

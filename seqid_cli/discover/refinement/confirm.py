@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from msgspec import structs
@@ -65,12 +66,11 @@ def confirm(
 
 def _confirmed(found: Refinement, errors: Sequence[HeldOutError]) -> list[RefinementRound]:
     """The rounds, each effect that was added with what it gains on the held-out logs."""
-    robot, rounds, number = found.material.robot, list(found.rounds), 0
+    robot, rounds, steps = found.material.robot, list(found.rounds), pairwise(errors)
     for k, told in enumerate(rounds):
         if told.accepted:
             own = range(robot.n) if told.joint is None else [robot.joint_names.index(told.joint)]
-            change = gain(errors[number], errors[number + 1], own)
-            number += 1
+            change = gain(*next(steps), own)
             rounds[k] = structs.replace(
                 told, held_out_gain=change.value, interval=change.limits, confirmed=change.certain
             )

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from seqid_cli.errors import SeqidError, UsageError
 from seqid_cli.logs.given import Logs, expanded, listed
@@ -27,12 +27,10 @@ _NAMED = 3  # logs that a note names
 
 def held_out_logs(logs: Logs, held_out: Logs) -> tuple[Path | Recording, ...]:
     """Return the held-out logs, unopened; raise UsageError if a place is in both lists."""
-    files = expanded(listed(held_out))
+    files = tuple(expanded(listed(held_out)))
     fitted = {_place(file): file for file in expanded(listed(logs))}
-    for file in files:
-        if _place(file) in fitted:
-            raise _in_both(file, fitted[_place(file)])
-    return tuple(files)
+    check_unseen([(_place(file), file) for file in files], fitted)
+    return files
 
 
 def _place(log: Path | Recording) -> object:
@@ -42,18 +40,16 @@ def _place(log: Path | Recording) -> object:
     return log.resolve() if isinstance(log, Path) else id(log)
 
 
-def check_unseen(held_out: Mapping[str, Path], fitted: Mapping[str, Path]) -> None:
-    """Raise UsageError if a held-out log is a copy of one that was fitted; both by SHA-256."""
-    for sha256, path in held_out.items():
-        if sha256 in fitted:
-            raise _in_both(path, fitted[sha256])
-
-
-def _in_both(file: Path | Recording, other: Path | Recording) -> UsageError:
-    name, same = (str(log if isinstance(log, Path) else log.path) for log in (file, other))
-    where = name if name == same else f"{name} ({same})"
-    hint = "A held-out log must never be fitted: leave it out of one of the lists."
-    return UsageError("is given both to fit and to hold out", where=where, hint=hint)
+def check_unseen(
+    held_out: Iterable[tuple[object, Path | Recording]], fitted: Mapping[Any, Path | Recording]
+) -> None:
+    """Raise UsageError if a held-out log was fitted; both by their places, or by SHA-256."""
+    for own, file in held_out:
+        if own in fitted:
+            both = [str(x if isinstance(x, Path) else x.path) for x in (file, fitted[own])]
+            where = both[0] if both[0] == both[1] else f"{both[0]} ({both[1]})"
+            hint = "A held-out log must never be fitted: leave it out of one of the lists."
+            raise UsageError("is given both to fit and to hold out", where=where, hint=hint)
 
 
 @dataclass(frozen=True)

@@ -169,11 +169,7 @@ def _refined(
         notes=[
             *(f"fitted: {note}" for note in fitted.notes(robot)),
             *(f"held out: {note}" for note in unseen.notes(robot)),
-            *found.notes,
-            *unread,
-            *training.notes(),
-            *kept_out.notes(),
-            *loop.notes,
+            *(*found.notes, *unread, *training.notes(), *kept_out.notes(), *loop.notes),
         ],
     )
     return refined(previous, robot_id(robot), training.inputs("effects"), decided.stages, loop)

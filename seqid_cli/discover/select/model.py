@@ -188,8 +188,7 @@ class Model:
 
     def where(self, term: Term) -> slice:
         """Where a term's coefficients stand in the solution."""
-        number = next(k for k, one in enumerate(self.terms) if one is term)
-        return self.linear.where[len(self._base) + number]
+        return self.linear.where[len(self._base) + self.terms.index(term)]
 
     def under(self, noise: Noise, terms: Sequence[Term] | None = None) -> Linear:
         """The model, or the base and some terms, under another noise."""

@@ -68,13 +68,12 @@ class Weighed:
 class Taken:
     """A term of the finished model.
 
-    `rivals` ranks all that touches its channels, itself included, in its place; `left` (M_c,) N m
-    is what the model without it leaves of every channel's blocks, each fitted to all others.
-    `evidence` is the log evidence for it and `share` the part of the squared error that it takes
-    away, both no more than beside a base that may leave the file, and beyond the file as it is.
-    `instead` are effects that may stand in its place, no rivals, and how far these are behind in
-    log evidence. `varied` is the log evidence that its size is another one in every block.
-    `untried` are effects that look alike and that these logs lack the channels to look for.
+    `rivals` ranks all that touches its channels, itself included, in its place; `left` (M_c,) N
+    m is what the model without it leaves of left-out blocks. `evidence` (log) and `share` of
+    the squared error are no more than beside a base that may leave the file, and beyond the
+    file as it is. `instead`: effects that may stand in its place, no rivals, and how far they
+    are behind in log evidence. `varied`: log evidence that its size is another one in every
+    block. `untried`: effects that look alike and that these logs lack the channels to look for.
     """
 
     one: Ranked

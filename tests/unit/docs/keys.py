@@ -62,19 +62,11 @@ def _type(hint: Any) -> str:
         return f"object of {_type(inside[1])}"
     if origin is Literal:
         return " or ".join(f'"{item}"' for item in inside)
-    if isinstance(hint, type) and hint.__name__ in STRUCTS:
-        return "object" if hint.__name__ in INLINE else f"[{hint.__name__}](#{_anchor(hint)})"
-    return _NAMES[hint]
-
-
-def _anchor(kind: type) -> str:
-    return kind.__name__.lower()
-
-
-def main() -> None:
-    """Write the page."""
-    PAGE.write_text(rewritten(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    if hint in _NAMES:
+        return _NAMES[hint]
+    name = hint.__name__
+    return "object" if name in INLINE else f"[{name}](#{name.lower()})"
 
 
 if __name__ == "__main__":
-    main()
+    PAGE.write_text(rewritten(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

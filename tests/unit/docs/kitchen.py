@@ -7,7 +7,6 @@ page has made comes from the golden files, for `six_joint` from the classical fi
 import contextlib
 import hashlib
 import io
-import os
 import re
 import shutil
 from collections.abc import Iterator, Sequence
@@ -52,7 +51,6 @@ class Kitchen:
     """Where commands run; the same one on the same files runs once."""
 
     folder: Path
-    full: bool = False
     done: dict[tuple[str, ...], Done] = field(default_factory=dict)
 
     def page_folder(self, name: str) -> Path:
@@ -147,20 +145,9 @@ def written_by(words: Sequence[str]) -> list[str]:
     return [f"{path}/report.html" for path in paths] if words[0] == "run" else paths
 
 
-@contextlib.contextmanager
-def inside(folder: Path) -> Iterator[None]:
-    """Work in a folder for a while."""
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
-        yield
-    finally:
-        os.chdir(before)
-
-
 def _run(folder: Path, words: Sequence[str]) -> Done:
     out, err = io.StringIO(), io.StringIO()
-    with inside(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main(list(words))
     files = {n: (folder / n).read_bytes() for n in written_by(words) if (folder / n).exists()}
     return Done(code, out.getvalue() + err.getvalue(), out.getvalue(), files)

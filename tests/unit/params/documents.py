@@ -16,7 +16,6 @@ from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import (
     ClosedLoop,
     EffectOfJoint,
-    FrictionJoint,
     FrictionStage,
     ImuCalibration,
     ImuStage,
@@ -29,6 +28,7 @@ from seqid_cli.params.schema import (
     RobotId,
     Verdict,
 )
+from tests.plants.robots.made import friction_joint
 
 JOINTS = ["shoulder", "elbow"]
 STRIBECK = {"stribeck_speed": 0.1, "exponent": 2.0}
@@ -38,28 +38,14 @@ def robot() -> RobotId:
     return RobotId(name="arm", joints=list(JOINTS), sha256="0" * 64)
 
 
-def friction_joint() -> FrictionJoint:
-    surface = [[1.0], [1.0 / 3.0]]
-    return FrictionJoint(
-        position_order=1,
-        velocity_order=0,
-        max_error=0.25,
-        rmse=0.1,
-        position_range=[-2.0, 2.0],
-        speed_range=[0.1, 1.5],
-        sign_width=0.01,
-        directional=False,
-        positive=surface,
-        negative=surface,
-        covariance=[[0.01, 0.0], [0.0, 0.02]],
-    )
-
-
 def friction_stage(*, good: bool = True) -> FrictionStage:
     verdicts = [Verdict(joint=name, good=True) for name in JOINTS]
     if not good:
         verdicts[1] = Verdict(joint="elbow", good=False, reason="only 1 speed, 3 are needed")
-    joints = {name: friction_joint() for name in JOINTS}
+    ranges = {"position_range": [-2.0, 2.0], "speed_range": [0.1, 1.5], "sign_width": 0.01}
+    numbers = {"max_error": 0.25, "rmse": 0.1, "covariance": [[0.01, 0.0], [0.0, 0.02]]}
+    surface = [[1.0], [1.0 / 3.0]]
+    joints = {name: friction_joint(surface, **ranges, **numbers) for name in JOINTS}
     return FrictionStage(joints=joints, verdicts=verdicts, notes=["a remark"])
 
 
@@ -86,8 +72,7 @@ def friction_file() -> ParameterFile:
 
 
 def gravity_file() -> ParameterFile:
-    logs = [log("b", "gravity")]
-    return with_stage(friction_file(), robot(), logs, gravity=rigid_stage())
+    return with_stage(friction_file(), robot(), [log("b", "gravity")], gravity=rigid_stage())
 
 
 def imu_file() -> ParameterFile:
@@ -100,38 +85,30 @@ def inertia_file() -> ParameterFile:
 
 
 def full_file() -> ParameterFile:
-    effect = EffectOfJoint(
-        effect="stribeck", joint="elbow", settings=dict(STRIBECK), coefficients=[0.5]
-    )
-    file = with_stage(inertia_file(), robot(), [log("e", "effects")], effects=[effect])
+    effect = {"effect": "stribeck", "joint": "elbow", "settings": dict(STRIBECK)}
+    effects = [EffectOfJoint(**effect, coefficients=[0.5])]
+    file = with_stage(inertia_file(), robot(), [log("e", "effects")], effects=effects)
     file.closed_loop = closed_loop()
     return file
 
 
 def closed_loop() -> ClosedLoop:
+    gains = {"training_gain": 0.62, "training_interval": [0.55, 0.64], "held_out_gain": 0.6}
     accepted = RefinementRound(
         effect="stribeck",
         joint="elbow",
         confirmed=True,
-        training_gain=0.62,
-        training_interval=[0.55, 0.64],
-        held_out_gain=0.6,
         interval=[0.5, 0.63],
         evidence=evidence("elbow", "speed", "rad/s", sided=True),
         rivals=[rival("spring", 9.0, "explains 97.0 % less")],
+        **gains,
     )
-    refused = RefinementRound(
-        effect="spring",
-        joint="shoulder",
-        accepted=False,
-        training_gain=0.01,
-        held_out_gain=-0.02,
-        interval=[-0.04, 0.0],
-        reason="no gain on the held-out logs",
-    )
+    gains = {"training_gain": 0.01, "held_out_gain": -0.02, "interval": [-0.04, 0.0]}
+    reason = "no gain on the held-out logs"
+    refused = {"effect": "spring", "joint": "shoulder", "accepted": False, "reason": reason}
     return ClosedLoop(
         rounds=[accepted],
-        refused=[refused],
+        refused=[RefinementRound(**refused, **gains)],
         before={"elbow": JointRmse(rmse=0.2, rmse_outside=0.4, share_outside=0.1)},
         after={"elbow": JointRmse(rmse=0.1, rmse_outside=0.2, share_outside=0.1)},
         noise_floor={"elbow": 0.09},
@@ -156,6 +133,7 @@ def evidence(joint: str, quantity: str, unit: str, *, sided: bool = False) -> Ev
 
 def diagnosis_file() -> DiagnosisFile:
     told = "these logs cannot tell the two apart: it reaches 96.7 % of the gain"
+    torque = EffectParameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")
     finding = FindingEntry(
         effect="stribeck",
         joint="elbow",
@@ -164,7 +142,7 @@ def diagnosis_file() -> DiagnosisFile:
         confusable_with=["presliding_hysteresis", "quadratic_drag"],
         separate_by="slow reversals at two accelerations",
         gain=0.7,
-        parameters=[EffectParameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")],
+        parameters=[torque],
         settings={**STRIBECK, "stribeck_speed": 0.05},
         note="a remark",
         log_gain=300.0,
@@ -174,21 +152,13 @@ def diagnosis_file() -> DiagnosisFile:
             rival("payload", 90.0, "explains 70.0 % less", None),
         ],
     )
-    part = UnexplainedPart(
-        joint="shoulder",
-        depends_on=["position", "direction"],
-        share=0.4,
-        evidence=evidence("shoulder", "position", "rad"),
-    )
-    residual = ResidualEntry(
-        rmse=0.3,
-        noise_floor=0.1,
-        noise_floor_interval=[0.08, 0.13],
-        white=False,
-        rmse_explained=0.12,
-        samples=400,
-        tried=[rival("spring", 3.0, "gain of 0.9 standard errors; 2 are asked at least")],
-    )
+    shown = evidence("shoulder", "position", "rad")
+    depends_on = ["position", "direction"]
+    part = UnexplainedPart(joint="shoulder", depends_on=depends_on, share=0.4, evidence=shown)
+    told = {"rmse": 0.3, "rmse_explained": 0.12, "white": False, "samples": 400}
+    floor = {"noise_floor": 0.1, "noise_floor_interval": [0.08, 0.13]}
+    tried = [rival("spring", 3.0, "gain of 0.9 standard errors; 2 are asked at least")]
+    residual = ResidualEntry(**told, **floor, tried=tried)
     still = ResidualEntry(rmse=None, noise_floor=None, white=True, rmse_explained=None, samples=0)
     return DiagnosisFile(
         schema=DIAGNOSIS_SCHEMA,

@@ -92,21 +92,16 @@ def turned(euler: str, *degrees: float, free: bool = False) -> Edit:
 
 
 def moved_effect(a: ParameterFile, b: ParameterFile) -> None:
+    named = {"name": "stribeck_torque", "std_error": 0.01, "unit": "N m", "joint": "elbow"}
     for file, value in ((a, 1.0), (b, 1.2)):
-        file.stages.effects[0].parameters = [
-            Parameter(
-                name="stribeck_torque", value=value, std_error=0.01, unit="N m", joint="elbow"
-            )
-        ]
+        file.stages.effects[0].parameters = [Parameter(value=value, **named)]
     b.stages.effects[0].settings["stribeck_speed"] = 0.2
 
 
 def poor(a: ParameterFile, b: ParameterFile) -> None:
     """Of several verdicts on a joint all must be good."""
-    hole, few = (
-        Verdict(joint="elbow", good=False, reason=why)
-        for why in ("no values for a while", "too few speeds")
-    )
+    reasons = "no values for a while", "too few speeds"
+    hole, few = (Verdict(joint="elbow", good=False, reason=reason) for reason in reasons)
     for file in (a, b):
         file.stages.gravity.verdicts = [*file.stages.gravity.verdicts, hole]
     b.stages.friction.verdicts = [*b.stages.friction.verdicts, hole, few]

@@ -93,9 +93,9 @@ TRUE = {"m_1": SLIDE, "m_2": ARM, "mx_2": MX, "my_2": 0.0, "mz_2": MZ, "Iyy_2": 
 def test_all_stages_find_the_truth() -> None:
     """Equations of the plant and of the package are not of one source: Lagrange, Newton-Euler."""
     stages = identified()
-    joints = stages.friction.joints
-    assert [joint.unit for joint in joints.values()] == ["N", "N m"]
-    for j, joint in enumerate(joints.values()):
+    joints = stages.friction.joints.values()
+    assert [joint.unit for joint in joints] == ["N", "N m"]
+    for j, joint in enumerate(joints):
         assert not joint.directional
         surface = FrictionSurface.from_stage(joint)
         speed = np.linspace(*surface.scaling.speed, 30)

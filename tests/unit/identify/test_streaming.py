@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -22,6 +21,7 @@ from seqid_cli.robot.types import Robot
 from tests.plants.motions.trajectories import join, sweeps
 from tests.plants.robots.seven_joint import JOINTS, RATE_HZ, known_friction, write_arm, write_log
 from tests.plants.sensors import quantise
+from tests.unit.logs.writers import write_parquet
 
 OPTIONS = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=12.0), neighbours=())
 
@@ -106,11 +106,9 @@ def test_trials_are_those_of_the_held_log(rows: int, robot: Robot, tmp_path: Pat
         parts.append(sweeps(home, joint, span, speeds, 4.0, rate_hz=RATE_HZ, dwell=dwell))
     q = join(parts).q
     tau = np.random.default_rng(3).normal(size=q.shape) + 2.0 * np.sign(np.gradient(q, axis=0))
-    columns = {"t": np.arange(len(q)) / RATE_HZ}
-    for j, name in enumerate(JOINTS):
-        columns |= {f"{name}.position": quantise(q[:, j], 1e-6), f"{name}.torque": tau[:, j]}
-    path = tmp_path / "log.parquet"
-    pq.write_table(pa.table(columns), path, row_group_size=3_000)
+    t, path = np.arange(len(q)) / RATE_HZ, tmp_path / "log.parquet"
+    write_parquet(path, t, JOINTS, quantise(q, 1e-6), torque=tau)
+    pq.write_table(pq.read_table(path), path, row_group_size=3_000)
     found = trials_of(robot, surveyed(path, robot), 0, rows=rows)
     expected = trials_of(robot, read_recording(path, robot), 0)
     assert len(found) == len(expected) > 10

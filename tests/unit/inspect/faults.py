@@ -45,7 +45,7 @@ def read_columns(path: Path) -> Columns:
 
 def write_columns(path: Path, columns: Columns) -> None:
     """Write a Parquet log."""
-    pq.write_table(pa.table({name: pa.array(values) for name, values in columns.items()}), path)
+    pq.write_table(pa.table(columns), path)
 
 
 NO_LIMITS = {"position_limits = [-2.4, 2.4]\n": ""}

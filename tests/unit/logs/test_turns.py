@@ -26,10 +26,8 @@ def written(path: Path, q: Array, write: Write = parquet) -> Path:
 
 
 def limited(limits: tuple[float, float] | None, *, prismatic: bool = False) -> Robot:
-    arm = robot(ONE)
-    return replace(
-        arm, joints=(replace(arm.joints[0], position_limits=limits, prismatic=prismatic),)
-    )
+    joint = replace(robot(ONE).joints[0], position_limits=limits, prismatic=prismatic)
+    return replace(robot(ONE), joints=(joint,))
 
 
 @pytest.mark.parametrize("write", [parquet, csv_own, mcap_cdr, rosbag2_sqlite])

@@ -51,11 +51,7 @@ DEFINITIONS = {
     STRING: "string data\n",
 }
 _TOLD_BY = {"position": JOINT_STATE, "orientation": IMU, "joint_names": DYNAMIC, "data": STRING}
-COMPRESSIONS = {
-    "none": CompressionType.NONE,
-    "lz4": CompressionType.LZ4,
-    "zstd": CompressionType.ZSTD,
-}
+COMPRESSIONS = {kind.name.lower(): kind for kind in CompressionType}
 
 
 def write_parquet(
@@ -164,7 +160,6 @@ def encoded(
 
 
 def as_json(content: object) -> bytes:
-    """Write a message as JSON."""
     return json.dumps(content, default=vars).encode()
 
 
@@ -229,42 +224,29 @@ def rewrite(
     source: Path,
     target: Path,
     *,
-    compression: str = "zstd",
     chunking: bool = True,
     index: bool = True,
     crc: bool = True,
     summary: bool = True,
-    chunk_size: int = 1024 * 1024,
+    **storage: Any,
 ) -> Path:
     """Copy an MCAP file message by message with other settings of the writer."""
     summaries = ("use_statistics", "use_summary_offsets", "repeat_channels", "repeat_schemas")
-    with source.open("rb") as file, target.open("wb") as out:
-        writer = RawWriter(
-            out,
-            chunk_size=chunk_size,
-            compression=COMPRESSIONS[compression],
-            index_types=IndexType.ALL if index else IndexType.NONE,
-            use_chunking=chunking,
-            enable_crcs=crc,
-            enable_data_crcs=crc,
-            **dict.fromkeys(summaries, summary),
-        )
-        writer.start(profile="ros2")
-        links: dict[int, int] = {}
-        for schema, link, message in NonSeekingReader(file).iter_messages(log_time_order=False):
-            if link.id not in links:
-                own = schema and writer.register_schema(schema.name, schema.encoding, schema.data)
-                links[link.id] = writer.register_channel(
-                    link.topic, link.message_encoding, own or 0
-                )
-            stamps = message.publish_time, message.sequence
-            writer.add_message(links[link.id], message.log_time, message.data, *stamps)
-        writer.finish()
-    return target
+    storage |= dict.fromkeys(summaries, summary) | {"use_chunking": chunking}
+    storage |= dict.fromkeys(("enable_crcs", "enable_data_crcs"), crc)
+    storage["index_types"] = IndexType.ALL if index else IndexType.NONE
+    with source.open("rb") as file:
+        found = list(NonSeekingReader(file).iter_messages(log_time_order=False))
+    topics = {
+        link.topic: (link.message_encoding, schema.name, schema.encoding, schema.data)
+        for schema, link, _ in found
+    }
+    messages = ((link.topic, message.log_time, message.data) for _, link, message in found)
+    return write_raw(target, topics, messages, **storage)
 
 
 def _vector(values: Array) -> SimpleNamespace:
-    return SimpleNamespace(x=float(values[0]), y=float(values[1]), z=float(values[2]))
+    return SimpleNamespace(**dict(zip("xyz", map(float, values), strict=True)))
 
 
 def write_raw(
@@ -272,12 +254,12 @@ def write_raw(
     topics: Mapping[str, Channel],
     messages: Iterable[tuple[str, int, bytes]],
     *,
-    chunk_size: int = 1024 * 1024,
     compression: str = "zstd",
+    **storage: Any,
 ) -> Path:
     """Write messages (topic, log time in ns, bytes) as they are."""
     with path.open("wb") as out:
-        writer = RawWriter(out, chunk_size=chunk_size, compression=COMPRESSIONS[compression])
+        writer = RawWriter(out, compression=COMPRESSIONS[compression], **storage)
         writer.start(profile="ros2")
         channels = {}
         for topic, told in topics.items():

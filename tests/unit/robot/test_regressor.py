@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from seqid_cli.robot import regressor
 from seqid_cli.robot.base_parameters import (
     base_parameters,
     base_regressor,
@@ -22,13 +23,8 @@ from seqid_cli.robot.kinematics import (
     tidy_position,
     tidy_rotation,
 )
-from seqid_cli.robot.regressor import (
-    gravity_regressor,
-    inverse_dynamics,
-    rotor_regressor,
-    torque_regressor,
-)
-from seqid_cli.robot.types import Array, Chain, Robot
+from seqid_cli.robot.regressor import inverse_dynamics, rotor_regressor, torque_regressor
+from seqid_cli.robot.types import Array, Chain
 from tests.plants.robots.small import (
     HALF,
     arm_6r,
@@ -137,28 +133,18 @@ def test_diagonal_rotor_loads_its_own_joint_only() -> None:
     np.testing.assert_array_equal(coupled[:, :, slides], Y[:, :, slides])
 
 
-def _arm(*rows: tuple[float, float, float], slides: tuple[int, ...] = (), ratio: float) -> Robot:
-    """An arm of (alpha, a, d) per joint."""
-    chain = chain_from_dh([(*row, 0.0) for row in rows], slides)
-    return robot_from_chain(chain, gear_ratio=ratio)
-
-
 SKEW = random_model(np.random.default_rng(3), [False, False, True, False])[1]
+SCARA = [(0, 0, 0.4, 0), (0, 0.3, 0, 0), (0, 0.25, 0, 0), (0, 0, 0, 0)]
+PANDA = np.zeros((7, 4))
+PANDA[:, 0] = HALF * np.array([0, -1, 1, 1, -1, 1, 1])
+PANDA[[3, 4, 6], 1] = 0.0825, -0.0825, 0.088
+PANDA[[0, 2, 4], 2] = 0.333, 0.316, 0.384
 ROBOTS = {
     "planar": planar_2r(),
     "arm_6r": arm_6r(gear_ratio=101.0),
-    "scara": _arm((0, 0, 0.4), (0, 0.3, 0), (0, 0.25, 0), (0, 0, 0), slides=(2,), ratio=50.0),
+    "scara": robot_from_chain(chain_from_dh(SCARA, (2,)), gear_ratio=50.0),
     "skew": robot_from_chain(SKEW, gravity=np.array([1.0, 2.0, -9.0]), gear_ratio=-30.0),
-    "seven": _arm(
-        (0, 0, 0.333),
-        (-HALF, 0, 0),
-        (HALF, 0, 0.316),
-        (HALF, 0.0825, 0),
-        (-HALF, -0.0825, 0.384),
-        (HALF, 0, 0),
-        (HALF, 0.088, 0),
-        ratio=100.0,
-    ),
+    "seven": robot_from_chain(chain_from_dh(PANDA.tolist()), gear_ratio=100.0),
 }
 
 
@@ -191,7 +177,7 @@ def test_gravity_parameters_are_those_of_gravity_alone(name: str) -> None:
     q, _, _ = states(rng, 100, robot.n)
     at_rest = base_regressor(robot, basis, q, np.zeros_like(q), np.zeros_like(q))
     assert abs(at_rest[:, :, g:]).max(initial=0.0) < 1e-10
-    Y = gravity_regressor(robot.chain, robot.gravity, q)
+    Y = regressor.gravity_regressor(robot.chain, robot.gravity, q)
     phi = rng.normal(size=11 * robot.n)
     expected = Y @ phi[: 10 * robot.n]
     found = at_rest[:, :, :g] @ (basis.expression[:g] @ phi)

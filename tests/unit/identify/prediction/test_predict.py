@@ -5,8 +5,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from msgspec.structs import replace
 
@@ -25,8 +23,9 @@ from seqid_cli.params.schema import EffectOfJoint, EffectSession, FrictionStage,
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.made import friction_joint, made_recording
-from tests.plants.robots.seven_joint import known_model, write_arm, write_log
+from tests.plants.robots.seven_joint import JOINTS, known_model, write_arm, write_log
 from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_robot
+from tests.unit.inspect.faults import read_columns, write_columns
 from tests.unit.model.effects.scenes import CUTOFF_HZ, RATE_HZ, settings_of, wander
 
 ROWS, MOVING = 30_000, 24_000
@@ -43,16 +42,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two logs of the same motion, a rest at its end, whose torques have nothing in common."""
     folder = tmp_path_factory.mktemp("arm")
     path = write_log(folder / "log.parquet", load_robot(write_arm(folder)), ROWS)
-    columns = {k: np.array(v) for k, v in pq.read_table(path).to_pydict().items()}
-    for name in columns:
-        if name.endswith(".position"):
-            columns[name][MOVING:] = columns[name][MOVING]
-    pq.write_table(pa.table(columns), path)
-    rng = np.random.default_rng(3)
-    for name in columns:
-        if name.endswith(".torque"):
-            columns[name] = 7.0 + 100.0 * rng.standard_normal(ROWS)
-    pq.write_table(pa.table(columns), folder / "other.parquet")
+    columns, rng = read_columns(path), np.random.default_rng(3)
+    for name in JOINTS:
+        columns[f"{name}.position"][MOVING:] = columns[f"{name}.position"][MOVING]
+    write_columns(path, columns)
+    for name in JOINTS:
+        columns[f"{name}.torque"] = 7.0 + 100.0 * rng.standard_normal(ROWS)
+    write_columns(folder / "other.parquet", columns)
     return folder
 
 
@@ -169,27 +165,17 @@ def test_another_torque_changes_nothing_of_the_prediction(
 def test_rest_holds_what_the_effects_allow() -> None:
     """Above the friction surface, within it and the hump: no error once the hump is known."""
     robot, top, hump, speed = two_joint_robot(), 4.0, 1.0, 0.3
-    joints = {
-        name: friction_joint(
-            [[coulomb + 0.5 * viscous * top, 0.5 * viscous * top]],
-            speed_range=[0.0, top],
-            sign_width=SIGN_WIDTH,
-        )
-        for name, coulomb, viscous in zip(robot.joint_names, COULOMB, VISCOUS, strict=True)
-    }
-    stribeck = EffectOfJoint(
-        effect="stribeck",
-        joint="joint_1",
-        settings={"stribeck_speed": speed, "exponent": 2.0},
-        coefficients=[hump],
-    )
+    half, own = 0.5 * top * np.array(VISCOUS), {"speed_range": [0.0, top], "sign_width": SIGN_WIDTH}
+    entries = np.column_stack([COULOMB + half, half])
+    each = zip(robot.joint_names, entries, strict=True)
+    joints = {name: friction_joint([entry], **own) for name, entry in each}
+    told = {"settings": {"stribeck_speed": speed, "exponent": 2.0}, "coefficients": [hump]}
+    stribeck = EffectOfJoint(effect="stribeck", joint="joint_1", **told)
     q = wander(20.0, seed=2)
     dq = np.gradient(q, 1.0 / RATE_HZ, axis=0)
     s = np.tanh(dq / SIGN_WIDTH)
-    tau = s * np.array(COULOMB) + np.array(VISCOUS) * dq
-    tau += np.column_stack(
-        [hump * np.exp(-((dq[:, 0] / speed) ** 2)) * s[:, 0], np.full(len(q), 0.4)]
-    )
+    tau = s * np.array(COULOMB) + np.array(VISCOUS) * dq + [0.0, 0.4]
+    tau[:, 0] += hump * np.exp(-((dq[:, 0] / speed) ** 2)) * s[:, 0]
     t = np.arange(len(q)) / RATE_HZ
     tau[(t > 5.3) & (t < 6.7), 0] = COULOMB[0] + 0.95 * hump  # all that the joint can hold
     options = InertiaOptions(motion=MotionOptions(cutoff_hz=CUTOFF_HZ))

@@ -91,10 +91,8 @@ def test_a_clock_that_no_stamp_holds_starts_from_zero(tmp_path: Path, start: flo
 
 
 def test_layouts_show_the_topics() -> None:
-    curves = [
-        curve.get("name", "")
-        for curve in ElementTree.parse(LAYOUTS / "plotjuggler.xml").iter("curve")
-    ]
+    layout = ElementTree.parse(LAYOUTS / "plotjuggler.xml")
+    curves = [curve.get("name", "") for curve in layout.iter("curve")]
     panels = json.loads((LAYOUTS / "foxglove.json").read_text())["configById"].values()
     paths = [path["value"] for panel in panels for path in panel["paths"]]
     for topic in TOPICS:

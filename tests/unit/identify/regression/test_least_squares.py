@@ -3,13 +3,8 @@
 import numpy as np
 import pytest
 
-from seqid_cli.identify.regression.least_squares import (
-    MOST_BLOCKS,
-    Accumulator,
-    Prior,
-    solve,
-    whitened,
-)
+from seqid_cli.identify.regression.least_squares import MOST_BLOCKS, Accumulator, Prior, solve
+from seqid_cli.identify.regression.least_squares import whitened as rows_of
 from tests import Array
 
 NOISES = (0.1, 2.0, 0.5)
@@ -110,7 +105,7 @@ def test_a_prior_alone_keeps_its_covariance() -> None:
     """What no row touches comes out as certain as it went in."""
     rng = np.random.default_rng(13)
     B, value = rng.standard_normal((2, 2)), np.array([4.0, -1.0])
-    rows = whitened(B @ B.T)
+    rows = rows_of(B @ B.T)
     H = np.hstack([rng.standard_normal((600, 3)), np.zeros((600, 2))])
     joint = accumulated(*of(H, np.arange(1.0, 6.0), 0.1, rng), rows=20)
     got = solve([joint], prior=Prior(np.hstack([np.zeros((2, 3)), rows]), rows @ value))

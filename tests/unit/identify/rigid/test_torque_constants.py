@@ -69,8 +69,7 @@ def test_scaled_torque_moves_every_stage_as_told(known: Known) -> None:
     robot, _, before, after = known
     surfaces = [stages.friction.joints["joint_1"].positive for stages in (before, after)]
     np.testing.assert_allclose(surfaces[1], (1.0 + STEP) * np.array(surfaces[0]), rtol=1e-9)
-    seen, told = seen_and_told(before.gravity, after.gravity)
-    np.testing.assert_allclose(seen, told, rtol=1e-6)
+    np.testing.assert_allclose(*seen_and_told(before.gravity, after.gravity), rtol=1e-6)
     # The rotor's torque enters by thinned samples, and the weights of the rows move a little.
     seen, told = seen_and_told(before.inertia, after.inertia)
     np.testing.assert_allclose(seen, told, rtol=1e-3)

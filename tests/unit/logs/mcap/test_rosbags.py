@@ -110,25 +110,25 @@ def test_damaged_page_is_refused_with_a_remedy_unless_it_is_not_needed(tmp_path:
         found = outcome(path)
         if isinstance(found, InputError):
             refused += 1
-            assert ".recover" in found.hint or found.hint.startswith("Record ")
             assert found.where == str(path)
+            assert ".recover" in found.hint or found.hint.startswith("Record ")
         elif not found.partial:
             np.testing.assert_array_equal(found.q, MOTION.q)
     assert refused > 10
 
 
+CHANGES = {
+    "cut": ("", "cannot be read"),
+    "other types": ("UPDATE topics SET type = x'00ff'", "cannot be read"),
+    "no bag": ("DROP TABLE messages; DROP TABLE topics", "missing tables"),
+}
 COMPUTING = {
     "view": "CREATE VIEW more AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) "
     "SELECT x FROM c",
     "column": "CREATE TABLE more(a INTEGER, b BLOB GENERATED ALWAYS AS (zeroblob(900000000)))",
     "trigger": "CREATE TRIGGER more AFTER INSERT ON messages BEGIN DELETE FROM topics; END",
 }
-CHANGES = {
-    "cut": (lambda path: path.write_bytes(path.read_bytes()[:20_000]), "cannot be read"),
-    "other types": ("UPDATE topics SET type = x'00ff'", "cannot be read"),
-    "no bag": ("DROP TABLE messages; DROP TABLE topics", "missing tables"),
-    **{name: (text, "computes values") for name, text in COMPUTING.items()},
-}
+CHANGES |= {name: (text, "computes values") for name, text in COMPUTING.items()}
 
 
 @pytest.mark.parametrize("name", CHANGES)
@@ -136,13 +136,13 @@ def test_a_database_that_is_no_sound_bag_is_refused(name: str, tmp_path: Path) -
     path = storage(rosbag2_sqlite(tmp_path / "bag", DATA))
     assert isinstance(outcome(path), Recording)
     change, message = CHANGES[name]
-    if isinstance(change, str):
-        executed(path, change)
+    if name == "cut":
+        path.write_bytes(path.read_bytes()[:20_000])
     else:
-        change(path)
-    with pytest.raises(InputError, match=message) as caught:
-        read_recording(path, make_robot())
-    assert name != "cut" or ".recover" in caught.value.hint
+        executed(path, change)
+    found = outcome(path)
+    assert message in found.message
+    assert name != "cut" or ".recover" in found.hint
 
 
 @pytest.mark.parametrize("pack", [bz2.compress, lz4.frame.compress], ids=["bz2", "lz4"])

@@ -236,11 +236,7 @@ def test_episodes_become_stretches_with_gaps(tmp_path: Path) -> None:
 
 
 def test_rows_without_an_episode_are_left_out(tmp_path: Path) -> None:
-    table = lerobot_table([episode(0.0)])
-    numbers = pa.array([0] * 180 + [None] * 20, pa.int64())
-    place = table.schema.get_field_index("episode_index")
-    table = table.set_column(place, "episode_index", numbers)
-    recording = read(tmp_path, table)
+    recording = read(tmp_path, COLUMNS | {"episode_index": [0] * 180 + [None] * 20})
     assert len(recording.t) == 180
     assert warned(recording, "20 rows without episode_index")
 
@@ -314,14 +310,3 @@ def test_joint_state_messages_in_a_table(tmp_path: Path) -> None:
     rows["name"] = [names] * 100 + [names[::-1]] * 100
     with pytest.raises(InputError, match="change from row to row"):
         read(tmp_path, rows)
-
-
-@pytest.mark.parametrize("form", ["{name}/{kind}", "{kind}.{name}"])
-@pytest.mark.parametrize("current", [False, True])
-def test_effort_is_what_the_robot_file_says(tmp_path: Path, form: str, current: bool) -> None:
-    columns = {"time": MOTION.t, form.format(name="gripper", kind="position"): MOTION.t}
-    for name, q, tau in zip(JOINTS, MOTION.q.T, MOTION.tau.T, strict=True):
-        columns |= {form.format(name=name, kind="position"): q}
-        columns |= {form.format(name=name, kind="effort"): tau}
-    recording = read(tmp_path, columns, Channels(effort="current") if current else Channels())
-    np.testing.assert_allclose(recording.tau, MOTION.tau * ([1.0, 2.0, 3.0] if current else 1.0))

@@ -41,10 +41,8 @@ def write_log(path: Path, rate_hz: float, lost: int, seed: int) -> Path:
     tau = INERTIA * ddq + COULOMB * np.tanh(dq / 0.01) + VISCOUS * dq
     tau += rng.normal(0.0, 0.1, len(t))
     kept = np.arange(len(t)) % round(0.12 * rate_hz) >= lost
-    rows = (quantise(q, 2e-5)[kept, None], dq[kept, None], tau[kept, None])
-    position, velocity, torque = rows
-    own = {"dq": velocity, "torque": torque}
-    return write_parquet(path, t[: kept.sum()], ["base"], position, **own)
+    q, dq, tau = (x[kept, None] for x in (quantise(q, 2e-5), dq, tau))
+    return write_parquet(path, t[: kept.sum()], ["base"], q, dq=dq, torque=tau)
 
 
 @pytest.fixture
@@ -61,9 +59,7 @@ def test_the_order_of_the_logs_does_not_matter() -> None:
 
 
 @pytest.mark.usefixtures("robot")
-def test_later_commands_take_the_files_cutoff(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_predict_takes_the_files_cutoff(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     logs = [write_log(tmp_path / f"{k}.parquet", rate, 0, k) for k, rate in enumerate((250, 1000))]
     arm, out = ["-r", str(tmp_path / "robot.toml")], tmp_path / "model.json"
     assert run(["simultaneous", *map(str, logs), *arm, "-o", str(out)]) == 0
@@ -80,9 +76,7 @@ def test_later_commands_take_the_files_cutoff(
         assert "cut-off: " in capsys.readouterr().err
 
 
-def test_a_log_too_slow_for_the_models_cutoff_says_what_it_allows(
-    robot: Robot, tmp_path: Path
-) -> None:
+def test_a_log_too_slow_for_the_cutoff_says_what_it_allows(robot: Robot, tmp_path: Path) -> None:
     recording = read_recording(write_log(tmp_path / "slow.parquet", 25.0, 0, 1), robot)
     options = MotionOptions(12.0, origin="of the inertia stage")
     with pytest.raises(InputError, match=r"the highest that this log allows is 6.25 Hz"):

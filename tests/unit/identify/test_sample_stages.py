@@ -171,9 +171,7 @@ def test_pairs_for_an_arm_of_which_nothing_is_known(six_joint: Rig, one_joint: R
     assert missing_pairs(one_joint.robot, basis, np.zeros((basis.size, 0))) == []
 
 
-def test_logs_and_stages_that_lack_what_a_stage_needs_are_refused(
-    one_joint: Rig, six_joint: Rig
-) -> None:
+def test_logs_and_stages_that_lack_something_are_refused(one_joint: Rig, six_joint: Rig) -> None:
     drills, robot = one_joint.logs("friction"), one_joint.robot
     with pytest.raises(UsageError, match="friction stage"):
         identify_gravity(drills, robot, Stages())

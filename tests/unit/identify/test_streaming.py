@@ -76,9 +76,7 @@ def test_inertia_is_that_of_the_held_log(
     assert found.not_excited == held.not_excited
 
 
-def test_the_bits_do_not_tell_how_the_file_was_cut(
-    folder: Path, robot: Robot, tmp_path: Path
-) -> None:
+def test_bits_do_not_tell_how_the_file_was_cut(folder: Path, robot: Robot, tmp_path: Path) -> None:
     path = tmp_path / "log.parquet"
     pq.write_table(pq.read_table(folder / "log.parquet"), path, row_group_size=997)
     first, second = (inertia_of(p, robot) for p in (folder / "log.parquet", path))
@@ -86,9 +84,7 @@ def test_the_bits_do_not_tell_how_the_file_was_cut(
     assert first.covariance == second.covariance
 
 
-def test_a_log_shorter_than_the_filter_is_refused(
-    folder: Path, robot: Robot, tmp_path: Path
-) -> None:
+def test_a_log_shorter_than_the_filter_is_told(folder: Path, robot: Robot, tmp_path: Path) -> None:
     path = tmp_path / "log.parquet"
     pq.write_table(pq.read_table(folder / "log.parquet").slice(0, 400), path)
     options = InertiaOptions(source="encoder", motion=MotionOptions(cutoff_hz=2.0))

@@ -17,8 +17,10 @@ from seqid_cli.robot.regressor import inverse_dynamics
 from tests import ROOT
 from tests.unit.inspect.faults import SAMPLES, SIX, read_columns, write_columns
 
+WAVES = pytest.param("validation/fourier_1", marks=pytest.mark.slow)
 
-@pytest.mark.parametrize("log", ["validation/fourier_1", "inertia/shoulder_lift__elbow"])
+
+@pytest.mark.parametrize("log", [WAVES, "inertia/shoulder_lift__elbow"])
 def test_a_driver_that_subtracts_gravity_is_told_from_a_mounting(tmp_path: Path, log: str) -> None:
     folder = SAMPLES / "six_joint"
     robot = load_robot(folder / "robot.toml")

@@ -91,21 +91,14 @@ def lerobot(path: Path, data: Data) -> Path:
 
 def lerobot_table(episodes: Sequence[Data]) -> pa.Table:
     """Columns of a LeRobot data file; the clock begins again with each episode."""
-    kind, parts = pa.list_(pa.float32()), []
+    parts, lists = [], ("observation.state", "observation.effort", "action")
     for number, data in enumerate(episodes):
-        count = len(data.t)
-        state, effort = (
-            pa.array(list(values.astype(np.float32)), kind) for values in (data.q, data.current)
-        )
-        found = {
-            "observation.state": state,
-            "observation.effort": effort,
-            "action": state,
-            "timestamp": pa.array((data.t - data.t[0]).astype(np.float32)),
-            "episode_index": pa.array(np.full(count, number)),
-        }
-        indices = dict.fromkeys(("frame_index", "index", "task_index"), pa.array(range(count)))
-        parts.append(pa.table(found | indices))
+        values = [list(x.astype(np.float32)) for x in (data.q, data.current, data.q)]
+        t = (data.t - data.t[0]).astype(np.float32)
+        found = dict(zip(lists, values, strict=True)) | {"timestamp": t}
+        rows = np.arange(len(t))
+        found |= {"episode_index": np.full(len(t), number), "frame_index": rows}
+        parts.append(pa.table(found | {"index": rows, "task_index": rows}))
     return pa.concat_tables(parts)
 
 
@@ -137,23 +130,12 @@ def csv_franka(path: Path, data: Data) -> Path:
     n = len(data.joints)
     groups = [f"state.{g}" for g in ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered")]
     names = [f"{group}[{i}]" for group in [*groups, "cmd.q_d"] for i in range(n)]
-    lines = [",".join(["time", "success_rate", *names])]
-    for t, q, dq, tau in zip(data.t, data.q, data.dq, data.torque, strict=True):
-        row = np.concatenate([q, q, dq, dq, tau, tau * 0.0, q])
-        lines.append(f"{round(float(t) * 1000)},1," + ",".join(f"{v:.17g}" for v in row))
-    path.write_text("\n".join(lines) + "\n")
+    q, dq, tau = data.q, data.dq, data.torque
+    milliseconds = np.column_stack([np.rint(data.t * 1000), np.ones(len(q))])
+    rows = np.hstack([milliseconds, q, q, dq, dq, tau, tau * 0.0, q])
+    header = ",".join(["time", "success_rate", *names])
+    np.savetxt(path, rows, fmt="%.17g", delimiter=",", header=header, comments="")
     return path
-
-
-def mcap_cdr(path: Path, data: Data) -> Path:
-    """sensor_msgs/msg/JointState as ROS 2 records it."""
-    messages = joint_states(data, dq=data.dq)
-    return write_messages(path.with_suffix(".mcap"), messages, encoding="cdr")
-
-
-def mcap_json(path: Path, data: Data) -> Path:
-    """Fields of JointState as JSON with a JSON schema."""
-    return write_messages(path.with_suffix(".mcap"), joint_states(data), encoding="json")
 
 
 def mcap_json_bare(path: Path, data: Data) -> Path:
@@ -167,24 +149,27 @@ def joint_states(data: Data, dq: Array | None = None) -> list[Message]:
     return joint_messages(data.stamps_ns, data.joints, data.q, dq=dq, effort=data.current)
 
 
-def mcap_dynamic(path: Path, data: Data) -> Path:
-    """control_msgs/msg/DynamicJointState."""
-    return write_messages(path.with_suffix(".mcap"), dynamic_states(data), encoding="cdr")
-
-
 def dynamic_states(data: Data) -> list[Message]:
-    """Messages with the joints in another order, and with another interface."""
+    """control_msgs/msg/DynamicJointState, joints in another order, with another interface."""
     kinds = ["position", "velocity", "effort", "estop"]
-    messages = []
+    messages, names = [], list(data.joints[::-1])
     values = np.stack([data.q, data.dq, data.current, np.zeros_like(data.q)], axis=2)[:, ::-1]
     for stamp, rows in zip(data.stamps_ns.tolist(), values.tolist(), strict=True):
-        message = SimpleNamespace(
-            header=header(stamp),
-            joint_names=list(data.joints[::-1]),
-            interface_values=[SimpleNamespace(interface_names=kinds, values=row) for row in rows],
-        )
-        messages.append(("/dynamic_joint_states", stamp, message))
+        own = [SimpleNamespace(interface_names=kinds, values=row) for row in rows]
+        message = {"header": header(stamp), "joint_names": names, "interface_values": own}
+        messages.append(("/dynamic_joint_states", stamp, SimpleNamespace(**message)))
     return messages
+
+
+def mcap(messages: Callable[[Data], list[Message]], encoding: str) -> Write:
+    def write(path: Path, data: Data) -> Path:
+        return write_messages(path.with_suffix(".mcap"), messages(data), encoding=encoding)
+
+    return write
+
+
+mcap_cdr = mcap(lambda data: joint_states(data, dq=data.dq), "cdr")
+mcap_dynamic, mcap_json = mcap(dynamic_states, "cdr"), mcap(joint_states, "json")
 
 
 def mcap_foxglove_protobuf(
@@ -246,17 +231,14 @@ def write_bag(
 
 
 def rosbag2_sqlite(path: Path, data: Data) -> Path:
-    """A ROS 2 bag folder with an SQLite file; returns the folder."""
     return write_bag(path, reversed_states(data))
 
 
 def rosbag2_mcap(path: Path, data: Data) -> Path:
-    """A ROS 2 bag folder with an MCAP file; returns the folder."""
     return write_bag(path, reversed_states(data), plugin=StoragePlugin.MCAP)
 
 
 def rosbag1(path: Path, data: Data) -> Path:
-    """A ROS 1 bag."""
     return write_bag(path.with_suffix(".bag"), reversed_states(data))
 
 

@@ -9,7 +9,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.errors import ConfigError
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import scene_of_log
@@ -66,15 +65,6 @@ def test_the_gravity_that_a_driver_subtracts_is_added_again(
     found = read(tmp_path, logged, with_channels(Channels(effort="gravity_compensated")))
     np.testing.assert_allclose(found.tau, TRUTH.tau, atol=1e-9)
     assert np.abs(gravity).max() > 10.0
-
-
-def test_gravity_compensation_without_a_model_is_refused(tmp_path: Path) -> None:
-    text = (ROOT / "sample_logs" / "one_joint" / "robot.toml").read_text()
-    path = tmp_path / "robot.toml"
-    path.write_text(text.replace('effort = "current"', 'effort = "gravity_compensated"'))
-    with pytest.raises(ConfigError, match="the gravity that the driver subtracts") as caught:
-        load_robot(path)
-    assert "urdf with <inertial>" in caught.value.hint
 
 
 @pytest.mark.parametrize("logged_as", ["voltage", "pwm"])

@@ -129,9 +129,7 @@ def test_motion_by_blocks_is_the_whole_motion(
 
 
 @pytest.mark.parametrize("resolution", [0.0, STEP])
-def test_a_survey_in_parts_chooses_as_that_of_the_whole_log(
-    log: Recording, resolution: float
-) -> None:
+def test_a_survey_in_parts_is_that_of_the_whole_log(log: Recording, resolution: float) -> None:
     known = np.full(3, resolution)
     survey = Survey(3, RATE, SAMPLES)
     for block in in_parts(log, [911]):

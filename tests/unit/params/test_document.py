@@ -88,9 +88,7 @@ documents = st.recursive(
 
 @settings(deadline=None, max_examples=40)
 @given(documents, finite)
-def test_text_is_json_of_the_document_rounded_once_to_twelve_digits(
-    document: object, value: float
-) -> None:
+def test_text_is_json_of_rounded_numbers(document: object, value: float) -> None:
     assert json.loads(encode(document)) == plain(document)
     rounded = plain(value)
     assert isinstance(rounded, float)
@@ -198,9 +196,7 @@ WRONG = [  # a key of the full file, its value, what is said of it, or of anothe
 
 
 @pytest.mark.parametrize(("key", "value", "message"), WRONG)
-def test_wrong_content_is_named_by_its_key(
-    tmp_path: Path, key: str, value: object, message: str
-) -> None:
+def test_wrong_content_has_its_key(tmp_path: Path, key: str, value: object, message: str) -> None:
     error = problem(tmp_path / "p.json", edited(key, value))
     named = re.sub(r"\.(\d+)", r"[\1]", f"$.{key}")
     assert error.message.startswith(message if message.startswith("$") else f"{named}: {message}")
@@ -234,9 +230,7 @@ def test_a_missing_file_a_folder_and_a_huge_file(tmp_path: Path) -> None:
             read_parameters(path)
 
 
-def test_older_files_are_migrated_step_by_step(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_older_files_are_migrated_in_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "p.json"
     path.write_text(edited("robot.joint_names", []))
 

@@ -30,9 +30,7 @@ def test_two_writers_never_tear_a_file(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_new_file_has_the_usual_rights_and_a_link_stays_one_if_it_leads_somewhere(
-    tmp_path: Path,
-) -> None:
+def test_new_files_have_the_usual_rights_and_links_that_lead_somewhere_stay(tmp_path: Path) -> None:
     (tmp_path / "real.json").touch()
     for name, target in (("link.json", "real.json"), ("loop.json", "loop.json")):
         (tmp_path / name).symlink_to(tmp_path / target)

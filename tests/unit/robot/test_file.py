@@ -97,8 +97,10 @@ OF_THE_JOINT = {  # what follows the keys of the first joint
     "torque_constant = 5e-324": r"torque_constant .* 1e-12 or more",
 }
 OFFERED = {"gear_ration = 2.0": "'gear_ratio'", "imu joint": "'two'"}  # in the hint
+OFFERED["no model"] = "urdf with <inertial>"
 BOTH = ONE + TWO
 MANY = "".join(ONE.replace('"one"', f'"j{k}"') for k in range(200))
+NO_GRAVITY = '[channels]\neffort = "gravity_compensated"\n'
 PRISMATIC = 'urdf = "arm.urdf"\n[[joint]]\nname = "elbow"\nprismatic = true\n'
 WRONG_IMU = IMU + "accelerometers = [ { position = [0, 0, 0], axes = [0, 0, 1] } ]\n"
 NO_AXIS = IMU + SENSOR.replace("3.0, 4.0", "0.0, 0.0")
@@ -126,6 +128,7 @@ OF_THE_FILE = {  # what follows the head of the file
     "geometry overflows": (ONE.replace("0.1", "1e300"), r"dh\.a .* which no arm has"),
     "huge": (ONE + f"gear_ratio = 1{'0' * 400}\n", r"gear_ratio|too large"),
     "deep": ("x = " + "[" * 100000 + "\n", "not valid TOML"),
+    "no model": (ONE + NO_GRAVITY, "the gravity that the driver subtracts"),
     "slide": (PRISMATIC, r"joint\[0\].prismatic .* revolute joint"),
 }
 FUTURE = "\nkey_of_the_future = 1\n"  # the schema is checked before anything else

@@ -99,9 +99,7 @@ def test_a_robot_file_has_its_effects(tmp_path: Path) -> None:
         ('name = "cable"\n[[effect]]\nname = "cable"', "cable"),
     ],
 )
-def test_what_is_wrong_is_said_with_file_key_and_remedy(
-    tmp_path: Path, table: str, said: str
-) -> None:
+def test_what_is_wrong_is_said_with_key_and_remedy(tmp_path: Path, table: str, said: str) -> None:
     path = robot_file(tmp_path, table)
     with pytest.raises(ConfigError) as caught:
         load_robot(path)

@@ -44,9 +44,7 @@ X, Z = np.eye(3)[[0, 2]]
     prismatic=st.lists(st.booleans(), min_size=1, max_size=8),
     seed=st.integers(min_value=0, max_value=2**32 - 1),
 )
-def test_regressor_and_newton_euler_are_pinocchios_on_any_chain(
-    prismatic: list[bool], seed: int
-) -> None:
+def test_regressor_and_torque_are_pinocchios_on_any_chain(prismatic: list[bool], seed: int) -> None:
     rng = np.random.default_rng(seed)
     model, chain = random_model(rng, prismatic)
     model.gravity.linear = gravity = rng.normal(size=3) * 5.0

@@ -26,7 +26,7 @@ from tests.plants.robots.stages import save_robot
 @pytest.mark.parametrize(
     ("text", "names"), [(urdf_6r(), NAMES_6R), (urdf_gantry(), NAMES_GANTRY)], ids=["6r", "gantry"]
 )
-def test_regressor_and_nominal_torque_are_pinocchios(
+def test_regressor_and_torque_are_pinocchios(
     tmp_path: Path, text: str, names: tuple[str, ...]
 ) -> None:
     robot = save_robot(tmp_path, text, names)
@@ -88,9 +88,7 @@ ORDER, KNOWN = "not in chain order: ", ", ".join(NAMES_6R)
         (urdf_6r(), "tool_mount", "'tool_mount' is a fixed joint", "can be driven"),
     ],
 )
-def test_joints_that_are_no_chain_are_named(
-    tmp_path: Path, text: str, names: str, message: str, hint: str
-) -> None:
+def test_joints_of_no_chain(tmp_path: Path, text: str, names: str, message: str, hint: str) -> None:
     with pytest.raises(ConfigError, match=message) as caught:
         save_robot(tmp_path, text, tuple(names.split()))
     assert hint in caught.value.hint

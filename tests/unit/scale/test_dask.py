@@ -63,9 +63,7 @@ def test_the_cluster_changes_no_bit_and_no_order(
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
-def test_a_scheduler_that_is_not_there_is_named(
-    address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_scheduler_is_named(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("seqid_cli.scale.executors.PATIENCE_S", 0.2)
     with pytest.raises(UsageError, match="no Dask scheduler answers"), dask_cluster(address):
         raise AssertionError

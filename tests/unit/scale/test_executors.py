@@ -102,16 +102,16 @@ def test_a_death_is_blamed_on_the_item_at_hand_and_the_rest_is_done() -> None:
     found = replies(dies, range(8), 2)
     assert failed(found) == [1, 3]
     for number in (1, 3):
-        assert isinstance(found[number].error, InputError)
-        assert str(found[number].error).startswith(f"{number}: its process was killed")
-        assert "--jobs" in found[number].error.hint
+        with pytest.raises(InputError, match=f"^{number}: its process was killed") as caught:
+            found[number].get()
+        assert "--jobs" in caught.value.hint
 
 
 def test_results_that_cannot_travel_have_their_own_words() -> None:
     found = replies(unsendable, range(3), 1)
     assert failed(found) == [1]
-    assert isinstance(found[1].error, UsageError)
-    assert "the workers cannot do this work" in str(found[1].error)
+    with pytest.raises(UsageError, match="the workers cannot do this work"):
+        found[1].get()
 
 
 def leave(how: type[BaseException], before: set[Any]) -> None:
@@ -126,9 +126,7 @@ def leave(how: type[BaseException], before: set[Any]) -> None:
 
 
 @pytest.mark.parametrize("how", [InputError, KeyboardInterrupt])
-def test_leaving_early_ends_the_processes_in_the_middle_of_their_work(
-    how: type[BaseException],
-) -> None:
+def test_leaving_early_ends_the_processes_at_work(how: type[BaseException]) -> None:
     before = set(multiprocessing.active_children())
     usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
     try:

@@ -66,9 +66,7 @@ def assert_p_xi(fit: GravityFit, atol: float) -> None:
         np.testing.assert_allclose(group.p_xi, p, atol=atol)
 
 
-def test_p_xi_of_each_configuration_is_recovered_and_symmetric_friction_is_no_alarm(
-    robot: Robot,
-) -> None:
+def test_p_xi_is_recovered_and_symmetric_friction_is_no_alarm(robot: Robot) -> None:
     z, alarms = [], 0
     for seed in range(20):
         fit = fit_gravity(robot, JOINT, trials_of(robot, seed))
@@ -90,9 +88,7 @@ def test_friction_that_depends_on_direction_is_seen(robot: Robot, asymmetry: flo
 
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.1])
-def test_a_spring_is_neither_friction_nor_direction_dependent(
-    robot: Robot, asymmetry: float
-) -> None:
+def test_a_spring_is_no_friction_that_depends_on_direction(robot: Robot, asymmetry: float) -> None:
     q = np.linspace(-1.9, 1.9, 50)
     for seed in range(300, 310):
         trials = trials_of(robot, seed, asymmetry=asymmetry)

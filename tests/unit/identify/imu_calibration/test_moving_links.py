@@ -28,9 +28,7 @@ pytestmark = pytest.mark.slow
 HUNTS = case_of("planar", 10039)  # joint 2 hunts in some swings of joint 1
 
 
-def test_a_joint_that_hunts_leaves_lever_scales_and_the_error_of_accelerations(
-    tmp_path: Path,
-) -> None:
+def test_a_joint_that_hunts_leaves_lever_scales_and_errors(tmp_path: Path) -> None:
     """With joint 2 taken for locked the scales are 0.1 % off.
 
     Perfect sensors: acceleration by the whole array goes with its lever about the joint.

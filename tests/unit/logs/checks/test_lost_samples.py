@@ -65,9 +65,7 @@ def repaired(full: Stream, kept: NDArray[np.bool_]) -> tuple[Mended, NDArray[np.
 @pytest.mark.parametrize("velocity", [True, False])
 @pytest.mark.parametrize("rate_hz", RATES)
 @pytest.mark.parametrize("n", [1, 2, 6])
-def test_drops_with_even_stamps_are_found_and_bridged(
-    rate_hz: float, n: int, velocity: bool
-) -> None:
+def test_drops_with_even_stamps_are_bridged(rate_hz: float, n: int, velocity: bool) -> None:
     for seed in SEEDS:
         full = arm(seed, rate_hz, n)
         gap = max(6, round(0.03 * rate_hz))

@@ -127,9 +127,7 @@ HALF = imu_messages(stamps(MOTION.t), "/array/accel_1", MOTION.q)
     ],
     ids=["topic", "names", "a joint less", "half an array"],
 )
-def test_what_is_missing_is_said_with_what_is_there(
-    tmp_path: Path, messages: list[Message], said: str
-) -> None:
+def test_what_is_missing_is_said(tmp_path: Path, messages: list[Message], said: str) -> None:
     with pytest.raises(InputError) as caught:
         read(tmp_path, messages)
     assert said in caught.value.message
@@ -139,9 +137,7 @@ def test_what_is_missing_is_said_with_what_is_there(
         assert (topic.topic, topic.messages) == ("/arm/joint_states", 200)
 
 
-def test_messages_that_cannot_be_decoded_are_counted_and_their_encoding_named(
-    tmp_path: Path,
-) -> None:
+def test_what_cannot_be_decoded_is_counted_and_its_encoding_named(tmp_path: Path) -> None:
     messages = joints()
     for _, _, content in messages[50:53]:
         content.position = [1.0, 2.0]

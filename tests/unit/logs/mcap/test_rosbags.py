@@ -186,9 +186,7 @@ def test_damaged_ros1_bag(tmp_path: Path, change: str) -> None:
         assert found.partial
 
 
-def test_without_the_library_the_way_to_install_it_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_library_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first, second = rosbag1(tmp_path / "log", DATA), rosbag2_sqlite(tmp_path / "sqlite", DATA)
     needless = rosbag2_mcap(tmp_path / "mcap", DATA)
     for name in [name for name in sys.modules if name.split(".")[0] == "rosbags"]:

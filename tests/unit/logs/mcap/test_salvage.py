@@ -70,9 +70,7 @@ def test_reading_goes_on_behind_garbage(
 
 
 @pytest.mark.parametrize("chunking", [True, False])
-def test_garbage_where_nothing_tells_the_chunks(
-    tmp_path: Path, source: Path, chunking: bool
-) -> None:
+def test_garbage_where_chunks_are_not_told(tmp_path: Path, source: Path, chunking: bool) -> None:
     path = rewrite(source, tmp_path / "log", chunking=chunking, chunk_size=20_000)
     data = bytearray(path.read_bytes())
     data = data[: records(data, 0x0F)[0]]

@@ -43,9 +43,7 @@ ALL = ["run2.parquet", "run10.parquet", "sub/run1.MCAP"]
         (["run?.parquet"], ALL[:1]),
     ],
 )
-def test_logs_come_once_in_natural_order(
-    folder: Path, arguments: list[str], expected: list[str]
-) -> None:
+def test_logs_come_once_in_order(folder: Path, arguments: list[str], expected: list[str]) -> None:
     assert names(expand([str(folder / each) for each in arguments]), folder) == expected
 
 
@@ -105,9 +103,7 @@ def tables(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("argument", ["", "a", "a/*", "**"])
-def test_tables_of_a_folder_that_are_no_logs_are_left_out_and_told(
-    tables: Path, argument: str
-) -> None:
+def test_tables_in_a_folder_that_are_no_logs_are_left_out(tables: Path, argument: str) -> None:
     notes: list[str] = []
     found = expand([str(tables / argument)], notes.append)
     assert names(found, tables) == ["a/log.csv", "a/times.csv"]

@@ -81,9 +81,7 @@ def test_the_result_is_that_of_local_logs_under_other_names(
     assert file.inputs[-1].path == named[1]
 
 
-def test_damage_is_told_under_the_name_of_the_object(
-    store: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_damage_has_the_name_of_the_object(store: str, capsys: pytest.CaptureFixture[str]) -> None:
     fsspec.filesystem("memory").pipe_file("/lab/robot=r1/bad.parquet", b"PAR1" + b"\0" * 50)
     assert run(["inertia", store, *GIVEN, *ONE]) == 2
     told = capsys.readouterr().err

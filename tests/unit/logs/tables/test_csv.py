@@ -173,9 +173,7 @@ def test_columns_without_names_are_read_by_their_numbers(tmp_path: Path) -> None
         np.testing.assert_array_equal(recording.q, MOTION.q[:, order])
 
 
-def test_lines_that_are_left_out_are_told(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_lines_left_out_are_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     recording = read(tmp_path, text(ROWS)[:-5])
     np.testing.assert_array_equal(recording.q, MOTION.q[:-1])
     assert recording.partial == ""

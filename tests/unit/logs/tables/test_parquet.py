@@ -264,9 +264,7 @@ MOTORS = ["wrist", "shoulder", "gripper", "elbow"]
         *((names, [0, 1, 2]) for names in (None, 7, ["a", "b"], [["a"]], {"x": [], "y": []})),
     ],
 )
-def test_joints_are_matched_by_the_names_of_the_data_set(
-    tmp_path: Path, names: object, columns: list[int]
-) -> None:
+def test_joints_are_matched_by_names(tmp_path: Path, names: object, columns: list[int]) -> None:
     recording = read_set(tmp_path, names, 4)
     np.testing.assert_allclose(recording.q, curve(MOTION.t, 4)[:, columns], atol=1e-6)
     assert warned(recording, "in the order of the robot file") == (columns != ORDER)

@@ -55,9 +55,7 @@ def test_imus_alone_say_their_error(scene: Case) -> None:
 
 
 @pytest.mark.parametrize("factor", [-1.0, 0.0])
-def test_flipped_or_dead_imus_alone_are_an_error_that_names_them(
-    scene: Case, factor: float
-) -> None:
+def test_flipped_or_dead_imus_alone_are_named(scene: Case, factor: float) -> None:
     bad = {k: factor * v for k, v in scene.recording.accelerometers.items()}
     given = replace(scene, recording=replace(scene.recording, accelerometers=bad))
     with pytest.raises(InputError, match=r"imu_a is left out.*imu_b is left out") as caught:

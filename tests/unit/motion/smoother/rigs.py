@@ -98,9 +98,7 @@ def bound(c: Case, rig: Rig) -> Array:
 
     It knows the sensors' noise and faults, where they sit, and the motion.
     """
-    views = [
-        encoder_view(c.recording.q[:, j], float(c.plant.encoder_step[j])) for j in range(c.robot.n)
-    ]
+    views = map(encoder_view, c.recording.q.T, c.plant.encoder_step.tolist())
     imus = []
     for x, array in zip(mounted_imus(c.recording, c.robot, c.stage), c.plant.imus, strict=True):
         noise = np.full(x.place.channels, np.hypot(array.noise, array.resolution / np.sqrt(12)))

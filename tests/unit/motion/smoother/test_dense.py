@@ -142,10 +142,9 @@ class Dense:
             if step == 0.0:
                 parts.append((at_samples[0, :, j] - view.q) / np.sqrt(view.white))
                 continue
-            code = np.round(view.q / step)
+            code, fast = np.round(view.q / step), speed[:, j] >= step
             first = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1, [SAMPLES]])
             lasts = np.repeat(np.diff(first), np.diff(first))
-            fast = speed[:, j] >= step
             variance = step**2 / 12 * np.where(fast, 1, lasts)
             parts.append((at_samples[0, :, j] - view.q) / np.sqrt(variance))
             edge = np.append(np.abs(np.diff(code)) == 1, False) & ~fast

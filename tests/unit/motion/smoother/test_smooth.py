@@ -11,15 +11,14 @@ from seqid_cli.motion.smoother.smooth import Smoothed, smoothed_motion
 from seqid_cli.params.schema import ImuStage
 from seqid_cli.robot.types import Chain
 from tests.plants.fused import Fault, Rig
+from tests.unit.motion.smoother import rigs
 from tests.unit.motion.smoother.rigs import (
     RIGS,
     SETTLED,
     alone,
-    bound,
     coverage,
     differentiated,
     error,
-    from_imus,
     recorded,
     rms,
     scene,
@@ -49,13 +48,12 @@ def test_both_sources_together_come_near_the_bound_with_the_error_stated(name: s
     rig, s = RIGS[name], scene(name)
     share = {"six": 0.75, "two": 0.06}.get(name, 0.05)
     assert (error(rig) < share * differentiated(s)).all()
-    assert (error(rig) < 0.75 * from_imus(s)).all()
-    assert (error(rig) < 1.3 * bound(s, rig)).all()
+    assert (error(rig) < 0.75 * rigs.from_imus(s)).all()
+    assert (error(rig) < 1.3 * rigs.bound(s, rig)).all()
     got, truth = smoothed(rig), s.log.truth
     off = np.stack([got.q - truth.q, got.dq - truth.dq, got.ddq - truth.ddq], axis=2)
     ratio = rms(off / np.sqrt(variance(got)))
-    assert (ratio > 0.5).all()
-    assert (ratio < 1.8).all()
+    assert 0.5 < ratio.min() < ratio.max() < 1.8
     assert tuple(got.mounted) == tuple(imu.name for imu in s.plant.imus)
     known = slice(0, 3 if name == "six" else 2)  # turns about z do not show how far along z it is
     for imu in s.plant.imus:
@@ -86,8 +84,7 @@ def test_any_sensors_and_their_faults_leave_fusion_better(
 ) -> None:
     assert len(smoothed(rig).mounted) == len(recorded(rig).robot.imus)
     assert (error(rig) < share * alone(rig)).all()
-    assert (coverage(rig) >= least).all()
-    assert (coverage(rig) < most).all()
+    assert least <= coverage(rig).min() < coverage(rig).max() < most
 
 
 @pytest.mark.parametrize("joints", [1, 2, 6])
@@ -120,17 +117,16 @@ def test_a_calibration_of_the_channels_is_used() -> None:
     gains, bias = 1.0 + 0.1 * np.linspace(-1, 1, 12), 0.5 * np.linspace(1, -1, 12)
     values = c.recording.accelerometers["imu_a"] * gains + bias
     array, own = c.plant.imus[0], c.stage.imus["imu_a"]
+    errors = {"scale_std_errors": 1e-3, "bias_std_errors": 0.02, "tilt_std_errors_deg": 0.05}
     known = msgspec.structs.replace(
         own,
         lever=list(array.lever),
         lever_std_errors=[1e-3] * 3,
         accelerometer_scale=list(gains),
-        accelerometer_scale_std_errors=[1e-3] * 12,
         accelerometer_bias=list(bias),
-        accelerometer_bias_std_errors=[0.02] * 12,
         accelerometer_axes=array.axes.tolist(),
-        accelerometer_tilt_std_errors_deg=[0.05] * 12,
         noise_density=None,
+        **{f"accelerometer_{name}": [size] * 12 for name, size in errors.items()},
     )
     recording = replace(c.recording, accelerometers={"imu_a": values})
     got = smoothed_motion(recording, c.robot, ImuStage(imus={"imu_a": known}))
@@ -217,5 +213,4 @@ def test_a_slower_log_is_smoothed_on_finer_knots() -> None:
     off = (got.ddq - recorded(rig).truth[::4])[inner]
     assert (np.sqrt(np.mean(off**2, axis=0)) < 1.6 * error(rig)).all()
     ratio = np.sqrt(np.mean(off**2 / variance(got)[inner, :, 2], axis=0))
-    assert (ratio > 0.5).all()
-    assert (ratio < 1.8).all()
+    assert 0.5 < ratio.min() < ratio.max() < 1.8

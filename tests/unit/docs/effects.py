@@ -29,7 +29,6 @@ REMARKS = {  # by what is true of an effect
 
 
 def rewritten(text: str) -> str:
-    """Return the page with its tables and entries as the catalogue has them."""
     robot = load_robot(ROBOT)
     parts = [text.partition(GENERATED)[0] + _overview()]
     for family in dict.fromkeys(effect.family for effect in CATALOGUE.values()):
@@ -73,7 +72,6 @@ def _links(names: tuple[str, ...]) -> str:
 
 
 def _parameters(effect: Effect, robot: Robot) -> str:
-    """Every parameter that some setting brings, with its unit at a revolute joint."""
     found: dict[str, str] = {}
     joint = None if effect.arm else JOINT
     for settings in _settings(effect):

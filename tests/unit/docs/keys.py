@@ -26,18 +26,12 @@ STRUCTS: dict[str, type[msgspec.Struct]] = {
 }
 # Told where they stand: an object of one or two keys that needs no table.
 INLINE = ("Tool", "FileId", "JointRmse")
-_TABLE = re.compile(r"<!-- keys: (\w+) -->\n(.*?)<!-- /keys -->", re.DOTALL)
+TABLE = re.compile(r"<!-- keys: (\w+) -->\n(.*?)<!-- /keys -->", re.DOTALL)
 _NAMES = {float: "number", int: "integer", str: "string", bool: "boolean", types.NoneType: "null"}
 
 
 def rewritten(text: str) -> str:
-    """Return the page with every table as the types have it."""
-    return _TABLE.sub(lambda m: f"<!-- keys: {m[1]} -->\n{_table(m[1], m[2])}<!-- /keys -->", text)
-
-
-def described(text: str) -> set[str]:
-    """Return the types that the page has a table of."""
-    return {found[1] for found in _TABLE.finditer(text)}
+    return TABLE.sub(lambda m: f"<!-- keys: {m[1]} -->\n{_table(m[1], m[2])}<!-- /keys -->", text)
 
 
 def _table(name: str, before: str) -> str:

@@ -29,11 +29,6 @@ class Block:
     text: str
     exit_code: int = 0
 
-    @property
-    def end(self) -> int:
-        """The line behind the last one of the code."""
-        return self.line + len(self.text.splitlines())
-
 
 @dataclass(frozen=True)
 class Step:
@@ -78,7 +73,8 @@ def steps(page: Path) -> list[Step]:
     for block, after in zip(pages, [*pages[1:], None], strict=False):
         if block.language not in SHELL:
             continue
-        told = after is not None and after.language == "text" and after.line - block.end <= 3
+        end = block.line + block.text.count("\n") + 1
+        told = after is not None and after.language == "text" and after.line - end <= 3
         shown = tuple(after.text.splitlines()) if told else ()
         *own, last = [*_commands(block, known)] or [None]
         found += own
@@ -106,7 +102,6 @@ def _prose(page: Path) -> str:
 
 
 def links(page: Path) -> list[str]:
-    """Return the targets of links and images outside of code."""
     return _LINK.findall(re.sub(r"`[^`\n]*`", "", _prose(page)))
 
 

@@ -24,7 +24,6 @@ def planter(
 def changed(
     columns: Columns, _: np.random.Generator, pattern: str, change: Callable[[Array], Array]
 ) -> None:
-    """The columns whose names are like a pattern, each changed alike."""
     columns.update({n: change(values) for n, values in columns.items() if fnmatch(n, pattern)})
 
 
@@ -146,7 +145,6 @@ repeated_rows = changed("*", lambda x: np.insert(x, [200, 700, 701, 702], x[[200
 
 @planter
 def renamed(columns: Columns, _: np.random.Generator, old: str, new: str | None) -> None:
-    """Another part of names, or the columns with it gone."""
     for name in [*columns]:
         values = columns.pop(name)
         if new or old not in name:

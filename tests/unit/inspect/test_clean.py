@@ -19,7 +19,6 @@ FOLDERS = [(rig, stage) for rig in RIGS for stage in SERVES if (SAMPLES / rig / 
 
 
 def logs_of(*folders: Path) -> list[Path]:
-    """Return all logs, of a long row of like ones every fourth."""
     files = expand([str(folder) for folder in folders])
     return files[::4] if len(files) > 5 else files
 

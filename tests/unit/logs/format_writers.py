@@ -20,15 +20,8 @@ from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
 from tests import Array
-from tests.unit.logs.writers import (
-    Message,
-    as_json,
-    encoded,
-    header,
-    joint_messages,
-    write_messages,
-    write_raw,
-)
+from tests.unit.logs import writers
+from tests.unit.logs.writers import Message, as_json, joint_messages, write_messages, write_raw
 
 T0_NS = 1_700_000_000_000_000_000
 
@@ -46,7 +39,6 @@ class Data:
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
-        """Stamps of the rows as an epoch time."""
         return np.rint(self.t * 1e9).astype(np.int64) + T0_NS
 
 
@@ -69,8 +61,6 @@ OWN = ("t", "{name}.position", "{name}.velocity", "{name}.current")
 
 
 def named(*patterns: str) -> Write:
-    """Parquet with the time and one column per joint; see `columns`."""
-
     def write(path: Path, data: Data) -> Path:
         path = path.with_suffix(".parquet")
         pq.write_table(columns(data, *patterns), path)
@@ -103,7 +93,6 @@ def lerobot_table(episodes: Sequence[Data]) -> pa.Table:
 
 
 def csv_own(path: Path, data: Data) -> Path:
-    """Our own names as Arrow writes CSV."""
     path = path.with_suffix(".csv")
     pa_csv.write_csv(columns(data, *OWN), path)
     return path
@@ -145,7 +134,6 @@ def mcap_json_bare(path: Path, data: Data) -> Path:
 
 
 def joint_states(data: Data, dq: Array | None = None) -> list[Message]:
-    """Messages with the current as effort."""
     return joint_messages(data.stamps_ns, data.joints, data.q, dq=dq, effort=data.current)
 
 
@@ -156,7 +144,7 @@ def dynamic_states(data: Data) -> list[Message]:
     values = np.stack([data.q, data.dq, data.current, np.zeros_like(data.q)], axis=2)[:, ::-1]
     for stamp, rows in zip(data.stamps_ns.tolist(), values.tolist(), strict=True):
         own = [SimpleNamespace(interface_names=kinds, values=row) for row in rows]
-        message = {"header": header(stamp), "joint_names": names, "interface_values": own}
+        message = {"header": writers.header(stamp), "joint_names": names, "interface_values": own}
         messages.append(("/dynamic_joint_states", stamp, SimpleNamespace(**message)))
     return messages
 
@@ -175,7 +163,6 @@ mcap_dynamic, mcap_json = mcap(dynamic_states, "cdr"), mcap(joint_states, "json"
 def mcap_foxglove_protobuf(
     path: Path, data: Data, topic: str = "/joint_states", chunk_size: int = 1024 * 1024
 ) -> Path:
-    """foxglove.JointStates by the generated classes."""
     path = path.with_suffix(".mcap")
     with path.open("wb") as out, ProtobufWriter(out, chunk_size=chunk_size) as writer:
         for i, stamp in enumerate(data.stamps_ns.tolist()):
@@ -190,7 +177,6 @@ def mcap_foxglove_protobuf(
 
 
 def mcap_foxglove_json(path: Path, data: Data) -> Path:
-    """foxglove.JointStates as JSON."""
     rows = []
     for i, stamp in enumerate(data.stamps_ns.tolist()):
         sec, nsec = divmod(stamp, 10**9)
@@ -212,7 +198,7 @@ def write_bag(
     compression: CompressionMode | None = None,
 ) -> Path:
     """Write a ROS 1 bag, where the path ends with `.bag`, or the folder of a ROS 2 bag."""
-    topics, rows = encoded(messages, "cdr")
+    topics, rows = writers.encoded(messages, "cdr")
     humble, noetic = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
     first = path.suffix == ".bag"
     writer = Bag1Writer(path) if first else Bag2Writer(path, version=9, storage_plugin=plugin)
@@ -243,7 +229,6 @@ def rosbag1(path: Path, data: Data) -> Path:
 
 
 def reversed_states(data: Data) -> list[Message]:
-    """Joint states with the joints in reverse order."""
     rows = {name: getattr(data, name)[:, ::-1] for name in ("q", "dq", "current")}
     turned = replace(data, joints=data.joints[::-1], **rows)
     return joint_states(turned, dq=turned.dq)

@@ -30,7 +30,6 @@ def robot(folder: Path) -> Robot:
 
 @cache
 def sample(folder: Path, name: str, every: int) -> Data:
-    """A sample log; velocities are made up: it has none."""
     table = pq.read_table(folder / f"{name}.parquet")[::every]
     joints = robot(folder).joint_names
 
@@ -76,7 +75,6 @@ def test_same_recording(tmp_path: Path, label: str, folder: Path, name: str, eve
 
 
 MOTION = make_motion(grid(100))
-
 
 NAMED = ("csv", "rosbag1", "mcap cdr", "mcap json")
 

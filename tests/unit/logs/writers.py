@@ -100,7 +100,6 @@ def write_mcap(
     zero_stamps: bool = False,
     **channels: Any,
 ) -> Path:
-    """Write the topics of `arm_messages`."""
     messages = []
     for topic, stamp, content in arm_messages(t, joints, q, **channels):
         if zero_stamps:
@@ -140,9 +139,7 @@ def arm_messages(
 
 
 def encoded(
-    messages: Sequence[Message],
-    encoding: Encoding,
-    definitions: Mapping[str, str] = DEFINITIONS,
+    messages: Sequence[Message], encoding: Encoding, definitions: Mapping[str, str] = DEFINITIONS
 ) -> tuple[dict[str, Channel], Iterator[tuple[str, int, bytes]]]:
     """Encode messages for `write_raw`; the type of each topic is told from their fields."""
     topics: dict[str, Channel] = {}
@@ -153,8 +150,8 @@ def encoded(
             if encoding == "json":
                 schema, encode[topic] = ("jsonschema", b'{"type":"object"}'), as_json
             else:
-                schema = "ros2msg", definitions[kind].encode()
-                encode[topic] = serialize_dynamic(kind, definitions[kind])[kind]
+                schema = "ros2msg", DEFINITIONS[kind].encode()
+                encode[topic] = serialize_dynamic(kind, DEFINITIONS[kind])[kind]
             topics[topic] = (encoding, kind, *schema)
     return topics, ((topic, at, encode[topic](content)) for topic, at, content in messages)
 
@@ -164,15 +161,10 @@ def as_json(content: object) -> bytes:
 
 
 def write_messages(
-    path: Path,
-    messages: Sequence[Message],
-    *,
-    encoding: Encoding,
-    definitions: Mapping[str, str] = DEFINITIONS,
-    **storage: Any,
+    path: Path, messages: Sequence[Message], *, encoding: Encoding, **storage: Any
 ) -> Path:
     """Write messages in the given order; `storage`: see `write_raw`."""
-    return write_raw(path, *encoded(messages, encoding, definitions), **storage)
+    return write_raw(path, *encoded(messages, encoding), **storage)
 
 
 def joint_messages(
@@ -184,7 +176,6 @@ def joint_messages(
     effort: Array | None = None,
     topic: str = "/joint_states",
 ) -> list[Message]:
-    """JointState messages, one per row."""
     quantities = {"position": q, "velocity": dq, "effort": effort}
     messages = []
     for i, stamp in enumerate(stamps_ns.tolist()):
@@ -215,7 +206,6 @@ def imu_messages(
 
 
 def header(stamp_ns: int, frame: str = "base_link") -> SimpleNamespace:
-    """Make a std_msgs/Header."""
     sec, nanosec = divmod(stamp_ns, 1_000_000_000)
     return SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame)
 

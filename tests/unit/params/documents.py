@@ -1,30 +1,15 @@
 """Parameter files of a two-joint robot, for tests."""
 
+from seqid_cli.params import schema as p
 from seqid_cli.params.document import now, tool, with_stage
 from seqid_cli.params.evidence_schema import EvidenceEntry, RivalEntry
-from seqid_cli.params.results.diagnosis import (
-    DIAGNOSIS_SCHEMA,
-    DiagnosisFile,
-    EffectParameter,
-    EventEntry,
-    FindingEntry,
-    HiddenEntry,
-    ResidualEntry,
-    UnexplainedPart,
-)
+from seqid_cli.params.results import diagnosis as d
 from seqid_cli.params.results.prediction import FileId
 from seqid_cli.params.schema import (
-    ClosedLoop,
     EffectOfJoint,
-    FrictionStage,
-    ImuCalibration,
-    ImuStage,
     InputLog,
-    JointRmse,
-    Parameter,
     ParameterFile,
     RefinementRound,
-    RigidStage,
     RobotId,
     Verdict,
 )
@@ -38,7 +23,7 @@ def robot() -> RobotId:
     return RobotId(name="arm", joints=list(JOINTS), sha256="0" * 64)
 
 
-def friction_stage(*, good: bool = True) -> FrictionStage:
+def friction_stage(*, good: bool = True) -> p.FrictionStage:
     verdicts = [Verdict(joint=name, good=True) for name in JOINTS]
     if not good:
         verdicts[1] = Verdict(joint="elbow", good=False, reason="only 1 speed, 3 are needed")
@@ -46,21 +31,21 @@ def friction_stage(*, good: bool = True) -> FrictionStage:
     numbers = {"max_error": 0.25, "rmse": 0.1, "covariance": [[0.01, 0.0], [0.0, 0.02]]}
     surface = [[1.0], [1.0 / 3.0]]
     joints = {name: friction_joint(surface, **ranges, **numbers) for name in JOINTS}
-    return FrictionStage(joints=joints, verdicts=verdicts, notes=["a remark"])
+    return p.FrictionStage(joints=joints, verdicts=verdicts, notes=["a remark"])
 
 
-def rigid_stage(unit: str = "kg m") -> RigidStage:
-    parameter = Parameter(name="mx_1", value=1.25, std_error=0.01, unit=unit, joint="shoulder")
+def rigid_stage(unit: str = "kg m") -> p.RigidStage:
+    parameter = p.Parameter(name="mx_1", value=1.25, std_error=0.01, unit=unit, joint="shoulder")
     verdicts = [Verdict(joint=name, good=True) for name in JOINTS]
     numbers = {"condition": 12.5, "rank": 1, "covariance": [[1e-4]]}
     rmse = dict.fromkeys(JOINTS, 0.2)
-    return RigidStage(parameters=[parameter], rmse=rmse, verdicts=verdicts, **numbers)
+    return p.RigidStage(parameters=[parameter], rmse=rmse, verdicts=verdicts, **numbers)
 
 
-def imu_stage() -> ImuStage:
+def imu_stage() -> p.ImuStage:
     turn = [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
-    calibration = ImuCalibration(rotation=turn, std_error_deg=0.3, configurations=4)
-    return ImuStage(imus={"imu_a": calibration}, verdicts=[Verdict(joint="imu_a", good=True)])
+    calibration = p.ImuCalibration(rotation=turn, std_error_deg=0.3, configurations=4)
+    return p.ImuStage(imus={"imu_a": calibration}, verdicts=[Verdict(joint="imu_a", good=True)])
 
 
 def log(name: str, stage: str) -> InputLog:
@@ -92,7 +77,7 @@ def full_file() -> ParameterFile:
     return file
 
 
-def closed_loop() -> ClosedLoop:
+def closed_loop() -> p.ClosedLoop:
     gains = {"training_gain": 0.62, "training_interval": [0.55, 0.64], "held_out_gain": 0.6}
     accepted = RefinementRound(
         effect="stribeck",
@@ -106,11 +91,11 @@ def closed_loop() -> ClosedLoop:
     gains = {"training_gain": 0.01, "held_out_gain": -0.02, "interval": [-0.04, 0.0]}
     reason = "no gain on the held-out logs"
     refused = {"effect": "spring", "joint": "shoulder", "accepted": False, "reason": reason}
-    return ClosedLoop(
+    return p.ClosedLoop(
         rounds=[accepted],
         refused=[RefinementRound(**refused, **gains)],
-        before={"elbow": JointRmse(rmse=0.2, rmse_outside=0.4, share_outside=0.1)},
-        after={"elbow": JointRmse(rmse=0.1, rmse_outside=0.2, share_outside=0.1)},
+        before={"elbow": p.JointRmse(rmse=0.2, rmse_outside=0.4, share_outside=0.1)},
+        after={"elbow": p.JointRmse(rmse=0.1, rmse_outside=0.2, share_outside=0.1)},
         noise_floor={"elbow": 0.09},
         noise_floor_interval={"elbow": [0.08, 0.11]},
         gain_interval={"elbow": [0.7, 0.8]},
@@ -131,10 +116,10 @@ def evidence(joint: str, quantity: str, unit: str, *, sided: bool = False) -> Ev
     return EvidenceEntry(**shown, x=[-1.0, 0.0, 1.0], count=[50, 51, 50], **before, **after)
 
 
-def diagnosis_file() -> DiagnosisFile:
+def diagnosis_file() -> d.DiagnosisFile:
     told = "these logs cannot tell the two apart: it reaches 96.7 % of the gain"
-    torque = EffectParameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")
-    finding = FindingEntry(
+    torque = d.EffectParameter(name="stribeck_torque", value=1.5, std_error=0.05, unit="N m")
+    finding = d.FindingEntry(
         effect="stribeck",
         joint="elbow",
         confidence=0.97,
@@ -154,14 +139,14 @@ def diagnosis_file() -> DiagnosisFile:
     )
     shown = evidence("shoulder", "position", "rad")
     depends_on = ["position", "direction"]
-    part = UnexplainedPart(joint="shoulder", depends_on=depends_on, share=0.4, evidence=shown)
+    part = d.UnexplainedPart(joint="shoulder", depends_on=depends_on, share=0.4, evidence=shown)
     told = {"rmse": 0.3, "rmse_explained": 0.12, "white": False, "samples": 400}
     floor = {"noise_floor": 0.1, "noise_floor_interval": [0.08, 0.13]}
     tried = [rival("spring", 3.0, "gain of 0.9 standard errors; 2 are asked at least")]
-    residual = ResidualEntry(**told, **floor, tried=tried)
-    still = ResidualEntry(rmse=None, noise_floor=None, white=True, rmse_explained=None, samples=0)
-    return DiagnosisFile(
-        schema=DIAGNOSIS_SCHEMA,
+    residual = d.ResidualEntry(**told, **floor, tried=tried)
+    still = d.ResidualEntry(rmse=None, noise_floor=None, white=True, rmse_explained=None, samples=0)
+    return d.DiagnosisFile(
+        schema=d.DIAGNOSIS_SCHEMA,
         created=now(),
         tool=tool(),
         robot=robot(),
@@ -172,7 +157,7 @@ def diagnosis_file() -> DiagnosisFile:
         findings=[finding],
         unexplained=[part],
         joints={"shoulder": still, "elbow": residual},
-        events=[EventEntry(log="v", start=1.5, end=2.0, joints=["elbow"])],
-        hidden=[HiddenEntry(effect="payload", joint=None, visible=0.02)],
+        events=[d.EventEntry(log="v", start=1.5, end=2.0, joints=["elbow"])],
+        hidden=[d.HiddenEntry(effect="payload", joint=None, visible=0.02)],
         notes=["another remark"],
     )

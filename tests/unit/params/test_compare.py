@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterator
-from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +68,6 @@ def moved_surface(a: ParameterFile, b: ParameterFile) -> None:
 
 
 def same_surface(a: ParameterFile, b: ParameterFile) -> None:
-    """The same friction, over another range and of higher orders."""
     joint = b.stages.friction.joints["elbow"]
     # 1 + x/3 with x = q / 2 becomes 1 + (2/3) x' over twice the range.
     joint.position_range = [-4.0, 4.0]
@@ -121,11 +119,12 @@ def other_file(a: ParameterFile, b: ParameterFile) -> None:
 
 
 def of_the_second(place: str, value: object) -> Edit:
-    """Put something else into the second file."""
-
     def edit(a: ParameterFile, b: ParameterFile) -> None:
-        owner, _, name = f"stages.{place}".rpartition(".")
-        setattr(attrgetter(owner)(b), name, value)
+        *names, last = place.split(".")
+        owner = b.stages
+        for name in names:
+            owner = owner[name] if isinstance(owner, dict) else getattr(owner, name)
+        setattr(owner, last, value)
 
     return edit
 
@@ -137,9 +136,7 @@ CASES: dict[str, Edit] = {
     "without IMUs": of_the_second("imu", None),
     "other coefficients of the same friction": same_surface,
     "other friction": moved_surface,
-    "speeds of another range": lambda a, b: setattr(
-        b.stages.friction.joints["elbow"], "speed_range", [2.0, 3.0]
-    ),
+    "speeds of another range": of_the_second("friction.joints.elbow.speed_range", [2.0, 3.0]),
     "turned by half a degree": turned("x", 0.5),
     "turned by 3 degrees": turned("x", 3.0),
     "turned about the free axis": turned("z", 143.0, free=True),

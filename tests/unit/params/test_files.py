@@ -15,7 +15,7 @@ PROGRAM = """
 import sys
 from pathlib import Path
 from seqid_cli.params.files import write_text_atomic
-for _ in range(60):
+for _ in range(30):
     write_text_atomic(Path(sys.argv[1]), sys.argv[2] * 100_000)
 """
 

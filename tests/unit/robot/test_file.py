@@ -25,14 +25,13 @@ def _load(folder: Path, text: str | bytes) -> Robot:
     return load_robot(path)
 
 
-FULL = f"""{HEAD}{ONE}torque_constant = 0.119
-gear_ratio = -101
+DRIVE = "torque_constant = 0.119\ngear_ratio = -101"
+FULL = f"""{HEAD}{ONE}{DRIVE}
 rotor_inertia = 1e-4
 encoder_resolution = 4.8e-5
 position_limits = [-2.8, 2]
 velocity_limit = 2
-{TWO}torque_constant = 0.119
-gear_ratio = -101
+{TWO}{DRIVE}
 prismatic = true
 {IMU}{SENSOR}
 [[imu]]

@@ -27,7 +27,6 @@ GOLDEN = ("-r", str(RIG / "robot.toml"), "-p", str(RIG / "golden.json"), "--moti
 
 @pytest.fixture(scope="module")
 def scheduler() -> Iterator[str]:
-    """Start a scheduler and two workers as threads; returns the address."""
     from distributed import LocalCluster
 
     with LocalCluster(
@@ -38,7 +37,6 @@ def scheduler() -> Iterator[str]:
 
 @pytest.fixture
 def logs(tmp_path: Path) -> list[str]:
-    """Return five logs, of which the middle one is damaged."""
     source = sorted((RIG / "inertia").glob("*.parquet"))
     names = [tmp_path / f"{k}.parquet" for k in range(5)]
     for k, name in enumerate(names):  # no two alike: a copy would be left out

@@ -17,8 +17,6 @@ from seqid_cli.scale.executors import Reply, WorkerError, ordered, processes
 
 @dataclass(frozen=True)
 class Waiting:
-    """Waits the longer the earlier the item is."""
-
     items: int
     step_s: float = 0.01
 
@@ -27,7 +25,7 @@ class Waiting:
         return item
 
 
-def state(item: int) -> tuple[int, int, bool]:
+def state(_: int) -> tuple[int, int, bool]:
     """Process, threads of BLAS, and whether interrupts are left to the asking process."""
     import numpy as np
     from threadpoolctl import threadpool_info
@@ -90,8 +88,8 @@ def test_errors_keep_their_kind_and_bugs_their_traceback(here: bool) -> None:
     assert failed(found) == [2, 4, 6]
     with pytest.raises(InputError) as caught:
         found[2].get()
-    assert (caught.value.message, caught.value.hint) == ("lacks the channel", "record it")
-    assert caught.value.where == "log 2"
+    told = caught.value.message, caught.value.hint, caught.value.where
+    assert told == ("lacks the channel", "record it", "log 2")
     with pytest.raises(WorkerError, match=r"^4: ZeroDivisionError: nothing to divide by\n") as bug:
         found[4].get()
     assert "in fails" in bug.value.__notes__[0]

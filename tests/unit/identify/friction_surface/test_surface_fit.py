@@ -29,10 +29,7 @@ WHITE = replace(TRUE, trial=0.0, slow=0.0, unsteady=0.0, edge=0.0)
 def data_of(
     D: Array, rng: np.random.Generator, sizes: Sizes = WHITE, doubt: float = 0.0
 ) -> list[SpeedData]:
-    """Both directions at twelve speeds of the surface with entries D, and errors of given sizes.
-
-    The inertia's standard error makes a torque of `doubt` N m times the speed.
-    """
+    """Both ways at twelve speeds; the inertia's error makes `doubt` N m times the speed."""
     result = []
     for speed, direction in product(SPEEDS, (1, -1)):
         q = np.sort(rng.uniform(*SCALING.position, SLICES))

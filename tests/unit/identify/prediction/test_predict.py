@@ -1,7 +1,7 @@
 """Predictions: long logs as held ones, blind to the measured torque, at rest what effects allow."""
 
 import pickle
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -68,17 +68,13 @@ def _many_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(blocks, "LEAST_BLOCK", 9_000)
 
 
-def long_of(
-    path: Path, robot: Robot, stages: Stages, options: InertiaOptions
-) -> Iterable[LogPrediction]:
-    log = open_surveyed(path, robot)
-    assert log is not None
+def long_of(path: Path, robot: Robot, stages: Stages) -> Iterable[LogPrediction]:
     model, effects = TorqueModel.from_stages(stages, robot), fitted_effects(stages, robot)
-    return Predictor(model, stages, options, effects)(log, 0)
+    return Predictor(model, stages, OPTIONS, effects)(open_surveyed(path, robot), 0)
 
 
-def held_of(path: Path, robot: Robot, stages: Stages, options: InertiaOptions) -> LogPrediction:
-    (held,) = predict([read_recording(path, robot)], robot, stages, options=options)
+def held_of(path: Path, robot: Robot, stages: Stages) -> LogPrediction:
+    (held,) = predict([read_recording(path, robot)], robot, stages, options=OPTIONS)
     return held
 
 
@@ -86,22 +82,24 @@ def held_of(path: Path, robot: Robot, stages: Stages, options: InertiaOptions) -
 def all_local(folder: Path, robot: Robot, stages: Stages) -> list[FittedEffect]:
     """Every effect of the catalogue that can be told part by part, each of some N m."""
     recording = read_recording(folder / "log.parquet", robot)
-    model = TorqueModel.from_stages(stages, robot)
-    motion = estimate_motion(recording, robot, MotionOptions())
-    scene = scene_of_log(recording, robot, model, motion)
+    given = (
+        TorqueModel.from_stages(stages, robot),
+        estimate_motion(recording, robot, MotionOptions()),
+    )
+    scene = scene_of_log(recording, robot, *given)
     session = EffectSession(logs=[recording.sha256], starts=[0.0], origin=recording.start)
     found = []
     for effect in CATALOGUE.values():
         if effect.name == "external_contact":
             continue
         joint = None if effect.arm else 1
-        for settings in settings_of(effect, [scene], joint)[:1]:
-            columns = effect.columns(scene, joint, settings)
-            size = max(float(np.sqrt(np.mean(X**2))) for X in columns.values())
-            count = len(effect.coefficients(settings))
-            # What shifts torque in time takes its derivative, and that of rounding errors.
-            values = np.full(count, (0.1 if effect.timing else 2.0) / max(size, 1e-9))
-            found.append(FittedEffect(effect, joint, settings, values, np.eye(count), session))
+        settings = settings_of(effect, [scene], joint)[0]
+        columns = effect.columns(scene, joint, settings).values()
+        size = max(float(np.sqrt(np.mean(X**2))) for X in columns)
+        count = len(effect.coefficients(settings))
+        # What shifts torque in time takes its derivative, and that of rounding errors.
+        values = np.full(count, (0.1 if effect.timing else 2.0) / max(size, 1e-9))
+        found.append(FittedEffect(effect, joint, settings, values, np.eye(count), session))
     return [each for each in found if each.local]
 
 
@@ -115,9 +113,9 @@ def test_the_parts_are_the_held_log(
         all_local = request.getfixturevalue("all_local")
         assert len(all_local) >= 18
         whole = replace(stages, effects=[as_stage(x, robot) for x in all_local])
-    sent = pickle.dumps(long_of(path, robot, whole, OPTIONS))
+    sent = pickle.dumps(long_of(path, robot, whole))
     assert len(sent) < 100_000
-    parts, held = list(pickle.loads(sent)), held_of(path, robot, whole, OPTIONS)
+    parts, held = list(pickle.loads(sent)), held_of(path, robot, whole)
     assert [part.part for part in parts] == list(range(len(parts)))
     assert [part.last for part in parts] == [False] * (len(parts) - 1) + [True]
     assert len(parts) >= 3
@@ -135,7 +133,7 @@ def test_the_parts_are_the_held_log(
     assert held.motion.acceleration_error
     assert parts[-1].motion.acceleration_error == pytest.approx(held.motion.acceleration_error)
     if with_effects:
-        bare = held_of(path, robot, stages, OPTIONS)
+        bare = held_of(path, robot, stages)
         assert np.sqrt(np.mean((held.predicted - bare.predicted) ** 2)) > 1.0
 
 
@@ -146,9 +144,9 @@ def test_another_torque_changes_nothing_of_the_prediction(
 ) -> None:
     told = replace(stages, effects=EFFECTS)
 
-    def predicted(name: str) -> Iterator[LogPrediction]:
-        given = folder / name, robot, told, OPTIONS
-        return iter([held_of(*given)] if way == "held" else long_of(*given))
+    def predicted(name: str) -> Iterable[LogPrediction]:
+        given = folder / name, robot, told
+        return [held_of(*given)] if way == "held" else long_of(*given)
 
     states = set()
     for one, other in zip(predicted("log.parquet"), predicted("other.parquet"), strict=True):

@@ -19,7 +19,6 @@ TRIALS, ROWS, LENGTH, RATE_HZ = 24, 8, 38, 100.0  # rows of a trial, samples of 
 
 
 def coloured(rng: np.random.Generator, pole: float, shape: tuple[int, ...]) -> Array:
-    """First-order process of unit variance."""
     drive = rng.standard_normal(shape)
     drive[1:] *= np.sqrt(1 - pole**2)
     return lfilter([1.0], [1.0, -pole], drive, axis=0)
@@ -29,14 +28,12 @@ def coloured(rng: np.random.Generator, pole: float, shape: tuple[int, ...]) -> A
 def test_intervals_hold_the_truth_as_often_as_they_say(pole: float) -> None:
     errors = []
     for seed in range(SEEDS):
-        rng, joints = np.random.default_rng(seed), []
-        for size in (0.3, 1.5):
+        rng, joints = np.random.default_rng(seed), [Accumulator(len(THETA)) for _ in range(2)]
+        for joint, size in zip(joints, (0.3, 1.5), strict=True):
             H = coloured(rng, 0.97, (SAMPLES, len(THETA)))
             y = H @ THETA + size * coloured(rng, pole, (SAMPLES,))
-            joint = Accumulator(len(THETA))
             for block in blocks(SAMPLES, 60.0):
                 joint.add(H[block], y[block])
-            joints.append(joint)
         got = solve(joints)
         errors.append((got.theta - THETA) / np.sqrt(np.diag(got.covariance)))
     assert 0.90 <= float(np.mean(np.abs(errors) < 1.96)) <= 0.99

@@ -15,7 +15,6 @@ from tests.plants.simulate import Plant
 
 
 def stage_of(robot: Robot, plant: Plant, *, off: float, seed: int = 0) -> RigidStage:
-    """The true base parameters with errors of `off` standard errors each."""
     basis, standard = free_basis(robot), true_standard(plant)
     theta = basis.expression @ np.array([standard[name] for name in standard_names(robot.n)])
     error = 0.02 * np.abs(theta) + 0.02 * np.median(np.abs(theta))

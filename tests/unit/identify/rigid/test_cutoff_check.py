@@ -25,10 +25,7 @@ def result(H: Array, y: Array) -> Result:
 
 
 def checked(seed: int, *, shrunk: float) -> tuple[CutoffCheck, Array]:
-    """The same rows twice, the second with a little noise of its own; its first column is off.
-
-    Returns the check, and the standard errors of the first.
-    """
+    """The check of the same rows, noisier and one column off; standard errors of the first."""
     rng = np.random.default_rng(seed)
     H = rng.standard_normal((BLOCKS * ROWS, len(THETA)))
     y = H @ THETA + 0.5 * rng.standard_normal(len(H))

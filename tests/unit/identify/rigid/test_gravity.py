@@ -31,7 +31,6 @@ SPREAD = 0.0004
 
 
 def trials(rng: np.random.Generator) -> list[Trial]:
-    """Both ways at four speeds, with the true friction."""
     true = surface_of(POSITIVE, NEGATIVE, np.zeros((12, 12)))
     lever = 9.81 * np.sin(np.deg2rad(30.0)) * MOMENT
     result = []

@@ -21,7 +21,6 @@ def motion(seed: int = 0, speed: float = 1.0) -> tuple[Array, Array, Array, Arra
 
 
 def gravity(q: Array) -> Array:
-    """Torque of two links in the vertical plane."""
     both = 4.0 * np.cos(q.sum(axis=1))
     return np.stack([9.0 * np.cos(q[:, 0]) + both, both], axis=1)
 

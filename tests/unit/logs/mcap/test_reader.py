@@ -15,26 +15,9 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap.reader import list_topics
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
-from tests.unit.logs.samples import (
-    ARRAY,
-    GYRO,
-    JOINTS,
-    Motion,
-    grid,
-    make_motion,
-    make_robot,
-    write_motion,
-)
-from tests.unit.logs.writers import (
-    DEFINITIONS,
-    JOINT_STATE,
-    Message,
-    encoded,
-    imu_messages,
-    joint_messages,
-    write_messages,
-    write_raw,
-)
+from tests.unit.logs import samples, writers
+from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, Motion, grid, make_motion, make_robot
+from tests.unit.logs.writers import JOINT_STATE, Message, imu_messages, write_messages, write_raw
 
 ROBOT = make_robot(imus=(ARRAY, GYRO))
 MOTION = make_motion(grid(200))
@@ -49,7 +32,7 @@ def read(folder: Path, messages: list[Message], encoding: str = "cdr") -> Record
 
 
 def joints(motion: Motion = MOTION, names: Sequence[str] = JOINTS, **options: str) -> list[Message]:
-    return joint_messages(stamps(motion.t), names, motion.q[:, : len(names)], **options)
+    return writers.joint_messages(stamps(motion.t), names, motion.q[:, : len(names)], **options)
 
 
 def hand(motion: Motion, late_s: float = 0.0) -> list[Message]:
@@ -61,7 +44,7 @@ def hand(motion: Motion, late_s: float = 0.0) -> list[Message]:
 def test_joint_states_split_over_two_messages(tmp_path: Path, delay_s: float) -> None:
     later = make_motion(MOTION.t + delay_s)
     parts = [
-        joint_messages(stamps(m.t), JOINTS[own], m.q[:, own], effort=m.tau[:, own])
+        writers.joint_messages(stamps(m.t), JOINTS[own], m.q[:, own], effort=m.tau[:, own])
         for m, own in ((MOTION, slice(1)), (later, slice(1, None)))
     ]
     recording = read(tmp_path, [message for pair in zip(*parts, strict=True) for message in pair])
@@ -74,10 +57,10 @@ def test_joint_states_split_over_two_messages(tmp_path: Path, delay_s: float) ->
 
 
 def test_header_stamps_log_times_and_zeros(tmp_path: Path) -> None:
-    path = write_motion(tmp_path / "log.mcap", MOTION, log_offset_ns=3_000_000)
+    path = samples.write_motion(tmp_path / "log.mcap", MOTION, log_offset_ns=3_000_000)
     assert read_recording(path, ROBOT).health.log_minus_header_s == pytest.approx(0.003)
     by_log = read_recording(path, ROBOT, time_source="log")
-    path = write_motion(tmp_path / "zero.mcap", MOTION, zero_stamps=True)
+    path = samples.write_motion(tmp_path / "zero.mcap", MOTION, zero_stamps=True)
     without = read_recording(path, ROBOT)
     assert without.health.log_minus_header_s is None
     assert any("all zero" in warning for warning in without.health.warnings)
@@ -168,21 +151,20 @@ def test_json_with_other_spellings_of_the_stamp(tmp_path: Path) -> None:
 T0 = 1_700_000_000
 
 
-def test_cdr_of_a_definition_with_other_fields(tmp_path: Path) -> None:
-    other = DEFINITIONS[JOINT_STATE].replace(
+def test_cdr_of_other_fields(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = writers.DEFINITIONS[JOINT_STATE].replace(
         "string[] name", "uint8 mode\nstring[] name\n# not the usual one"
     )
     messages = joints()
     for _, _, content in messages:
         content.mode = 3
-    path = tmp_path / "log.mcap"
-    write_messages(path, messages, encoding="cdr", definitions={JOINT_STATE: other})
-    np.testing.assert_array_equal(read_recording(path, make_robot()).q, MOTION.q)
+    monkeypatch.setitem(writers.DEFINITIONS, JOINT_STATE, other)
+    np.testing.assert_array_equal(read(tmp_path, messages).q, MOTION.q)
 
 
 def test_cdr_of_both_byte_orders_and_of_another_representation(tmp_path: Path) -> None:
     humble, rows = get_typestore(Stores.ROS2_HUMBLE), []
-    for k, (topic, _, data) in enumerate(encoded(joints(), "cdr")[1]):
+    for k, (topic, _, data) in enumerate(writers.encoded(joints(), "cdr")[1]):
         content = humble.deserialize_cdr(data, JOINT_STATE)
         turned = humble.serialize_cdr(content, JOINT_STATE, little_endian=bool(k % 2))
         rows.append((topic, k, bytes(turned)))

@@ -14,13 +14,11 @@ RATE = 500.0
 
 
 def chosen(q: Array, rate_hz: float, resolution: Array | None = None) -> Cutoff:
-    """The cut-off that a log of these positions chooses."""
     known = np.zeros(q.shape[1]) if resolution is None else resolution
     return Survey.of(q, rate_hz).cutoff(known)
 
 
 def motion(rng: np.random.Generator, seconds: float = 20.0, top_hz: float = 1.5) -> Array:
-    """Two joints on random sums of sines."""
     t = np.arange(round(seconds * RATE)) / RATE
     frequency = rng.uniform(0.1, top_hz, (8, 2))
     phase = rng.uniform(0, 2 * np.pi, (8, 2))
@@ -36,7 +34,6 @@ def test_the_coarser_the_encoder_the_lower_the_cutoff() -> None:
 
 @pytest.mark.parametrize("counts", [600, 4096])
 def test_the_acceleration_noise_is_what_quantisation_makes(counts: int) -> None:
-    """Differentiate the rounding error of many motions below the chosen cut-off."""
     step = 2 * np.pi / counts
     errors, claimed = [], []
     for seed in range(6):

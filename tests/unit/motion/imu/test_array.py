@@ -33,7 +33,6 @@ def squared(w: Array) -> Array:
 
 @pytest.fixture(params=["tetrahedron", "random"])
 def imu(request: pytest.FixtureRequest) -> Imu:
-    """Twelve accelerometers that see everything."""
     if request.param == "tetrahedron":
         return imu_of(*tetrahedral_array(0.05))
     rng = np.random.default_rng(0)

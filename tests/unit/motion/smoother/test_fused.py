@@ -41,7 +41,6 @@ def fused(name: str, hz: float | None = None) -> Motion:
 
 
 def error(s: Case, motion: Motion) -> Array:
-    """RMS error (n,) of low-passed accelerations."""
     true = motion.lowpass(s.log.truth.ddq)
     return np.asarray(np.sqrt(np.mean((motion.ddq - true)[motion.usable] ** 2, axis=0)))
 
@@ -69,12 +68,10 @@ def test_an_inertia_is_not_shrunk_by_the_smoothers_error(name: str) -> None:
 
 
 def changed(s: Case, **given: object) -> Case:
-    """The scene with some of its recording replaced."""
     return replace(s, recording=replace(s.recording, **given))
 
 
 def without(s: Case, *names: str) -> Case:
-    """The scene with some IMUs' readings gone."""
     kept = {k: v for k, v in s.recording.accelerometers.items() if k not in names}
     return changed(s, accelerometers=kept)
 
@@ -168,7 +165,6 @@ def test_noise_of_locked_joints_is_no_motion() -> None:
 
 
 def test_joints_beyond_all_imus_keep_their_encoders() -> None:
-    """The smoother knows nothing of them that their encoders do not know."""
     s = scene("two")
     got = best(without(s, "imu_b"), "fused")
     before = encoder(s, got.cutoff.hz)

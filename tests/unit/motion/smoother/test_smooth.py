@@ -14,14 +14,11 @@ from tests.plants.fused import Fault, Rig
 from tests.unit.motion.smoother import rigs
 from tests.unit.motion.smoother.rigs import (
     RIGS,
-    SETTLED,
     alone,
     coverage,
-    differentiated,
     error,
     recorded,
     rms,
-    scene,
     smoothed,
     variance,
 )
@@ -33,7 +30,6 @@ EVERYTHING = Fault(bias=0.2, drift=0.05, gain=0.01, tilt_deg=0.5, delay_s=0.0203
 
 
 def again(rig: Rig, *, chain: Chain | None = None, **changed: object) -> Smoothed:
-    """Smooth a rig once more, its chain or its recording changed."""
     c = recorded(rig)
     robot = replace(c.robot, chain=chain or c.robot.chain)
     return smoothed_motion(replace(c.recording, **changed), robot, c.stage)
@@ -41,13 +37,10 @@ def again(rig: Rig, *, chain: Chain | None = None, **changed: object) -> Smoothe
 
 @pytest.mark.parametrize("name", RIGS)
 def test_both_sources_together_come_near_the_bound_with_the_error_stated(name: str) -> None:
-    """The bound knows noise, mounting, and how large and alike the joints' jerks are as a whole.
-
-    Where jerks are larger for a while, as when friction turns over, the smoother comes below it.
-    """
-    rig, s = RIGS[name], scene(name)
+    """The bound takes jerks for equally large all the time: the smoother may come below it."""
+    rig, s = RIGS[name], rigs.scene(name)
     share = {"six": 0.75, "two": 0.06}.get(name, 0.05)
-    assert (error(rig) < share * differentiated(s)).all()
+    assert (error(rig) < share * rigs.differentiated(s)).all()
     assert (error(rig) < 0.75 * rigs.from_imus(s)).all()
     assert (error(rig) < 1.3 * rigs.bound(s, rig)).all()
     got, truth = smoothed(rig), s.log.truth
@@ -65,7 +58,7 @@ def test_both_sources_together_come_near_the_bound_with_the_error_stated(name: s
 def test_without_imus_it_is_as_good_as_the_best_differentiation(name: str) -> None:
     got = smoothed(RIGS[name], imus=False)
     assert tuple(got.mounted) == ()
-    assert (alone(RIGS[name]) < 1.1 * differentiated(scene(name))).all()
+    assert (alone(RIGS[name]) < 1.1 * rigs.differentiated(rigs.scene(name))).all()
     assert (coverage(RIGS[name], got) < 2.5).all()
 
 
@@ -135,25 +128,21 @@ def test_a_calibration_of_the_channels_is_used() -> None:
 
 
 def test_damaged_readings_and_positions_cost_little() -> None:
-    """Clipped accelerometers, a dead channel, lost positions, a gap."""
     clipped = replace(TWO, fault=Fault(limit=20.0))
     assert np.mean(np.abs(recorded(clipped).recording.accelerometers["imu_b"]) >= 20.0) > 1e-3
     assert (error(clipped) < 1.5 * error(TWO)).all()
-
     log, truth = recorded(TWO).recording, recorded(TWO).log.truth
     values = log.accelerometers["imu_b"].copy()
     values[1500:, 4] = values[1500, 4]
     got = again(TWO, accelerometers=log.accelerometers | {"imu_b": values})
     assert tuple(got.mounted) == ("imu_a", "imu_b")
     assert (error(TWO, got) < 1.3 * error(TWO)).all()
-
     q = log.q.copy()
     q[1000:1200, 1], q[50, 0], q[-5:] = np.nan, np.inf, np.nan
     got = again(TWO, q=q)
     assert np.isfinite(got.ddq).all()
     assert (error(TWO, got) < 1.2 * error(TWO)).all()
-    assert np.abs(got.q - truth.q)[SETTLED].max() < 0.01
-
+    assert np.abs(got.q - truth.q)[rigs.SETTLED].max() < 0.01
     s = recorded(RIGS["one"])
     valid, q = s.recording.valid.copy(), s.recording.q.copy()
     valid[1000:1100], q[1000:1100] = False, 7.0
@@ -166,7 +155,6 @@ def test_damaged_readings_and_positions_cost_little() -> None:
 
 @pytest.mark.parametrize(("joint", "deg"), [(3, 5.0), (4, 30.0)])
 def test_wrong_geometry_leaves_an_imu_out_and_says_so(joint: int, deg: float) -> None:
-    """A joint axis that the robot file has wrong."""
     rig = Rig(6)
     chain = recorded(rig).robot.chain
     R = chain.rotation.copy()
@@ -194,7 +182,7 @@ def test_a_healthy_imu_is_kept_however_fine_the_encoders(rig: Rig) -> None:
 
 
 def test_chunks_join_without_a_seam() -> None:
-    s, whole = scene("one"), smoothed(RIGS["one"])
+    s, whole = rigs.scene("one"), smoothed(RIGS["one"])
     got = smoothed_motion(s.recording, s.robot, s.stage, chunk_s=1.2)
     assert rms((got.ddq - whole.ddq) / np.sqrt(variance(whole)[:, :, 2]))[0] < 0.5
     assert np.abs(np.diff(got.q - whole.q, axis=0)).max() < 1e-4

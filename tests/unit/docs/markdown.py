@@ -73,8 +73,8 @@ def steps(page: Path) -> list[Step]:
     for block, after in zip(pages, [*pages[1:], None], strict=False):
         if block.language not in SHELL:
             continue
-        end = block.line + block.text.count("\n") + 1
-        told = after is not None and after.language == "text" and after.line - end <= 3
+        end = block.line + block.text.count("\n")
+        told = after and after.language == "text" and after.line - end < 5
         shown = tuple(after.text.splitlines()) if told else ()
         *own, last = [*_commands(block, known)] or [None]
         found += own

@@ -25,10 +25,7 @@ def logs_of(*folders: Path) -> list[Path]:
 
 @pytest.mark.parametrize(
     ("rig", "stage"),
-    [
-        pytest.param(*one, marks=[pytest.mark.slow] if one[0] == "six_joint" else [])
-        for one in FOLDERS
-    ],
+    [pytest.param(*one, marks=[pytest.mark.slow] * (one[0] == "six_joint")) for one in FOLDERS],
 )
 def test_sample_logs_are_good(rig: str, stage: str) -> None:
     report = inspect_logs(logs_of(SAMPLES / rig / stage), sample_robot(rig))
@@ -48,8 +45,8 @@ UR5E = ("0_train", "0_holdout", "5_train", "5_holdout")
 TRUE = {
     # the position advances by up to 1 rad between two samples: samples were lost without a gap
     "laas_cogging/acc_current": {"position_jump"},
-    **{f"ur5e_joints/joint_{part}": {"samples_lost"} for part in UR5E},
     # one row per stop, at uneven times; the velocity is that of the standing motor
+    **{f"ur5e_joints/joint_{part}": {"samples_lost"} for part in UR5E},
     "laas_cogging/stopped_data": {"jitter", "velocity_zero"},
     "dfki_simple_pendulum/gravity_compensation": {"torque_echo"},
     "dfki_simple_pendulum/pd_1nm_torque_limited_swingup_failure": {"torque_echo"},

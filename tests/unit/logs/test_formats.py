@@ -43,8 +43,8 @@ def sample(folder: Path, name: str, every: int) -> Data:
 
 
 def check_arrays(recording: Recording, data: Data, label: str) -> None:
-    step = FLOAT32_STEP if label in FLOAT32 else 2.0**-50
-    late = 2e-9 if label not in FLOAT32 else FLOAT32_STEP * float(data.t[-1])
+    coarse = (FLOAT32_STEP, FLOAT32_STEP * float(data.t[-1]))
+    step, late = coarse if label in FLOAT32 else (2.0**-50, 2e-9)
     np.testing.assert_allclose(recording.t, data.t - data.t[0], rtol=0, atol=late)
     np.testing.assert_allclose(recording.q, data.q, rtol=step, atol=0)
     scale = np.abs(data.torque).max(axis=0)

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal
@@ -232,7 +233,7 @@ def rewrite(
         for schema, link, _ in found
     }
     messages = ((link.topic, message.log_time, message.data) for _, link, message in found)
-    return write_raw(target, topics, messages, **storage)
+    return write_raw(target, topics, messages, at_once=False, **storage)
 
 
 def _vector(values: Array) -> SimpleNamespace:
@@ -245,18 +246,23 @@ def write_raw(
     messages: Iterable[tuple[str, int, bytes]],
     *,
     compression: str = "zstd",
+    at_once: bool = True,
     **storage: Any,
 ) -> Path:
-    """Write messages (topic, log time in ns, bytes) as they are."""
+    """Write messages (topic, log time in ns, bytes), all channels before them or as they come."""
     with path.open("wb") as out:
         writer = RawWriter(out, compression=COMPRESSIONS[compression], **storage)
         writer.start(profile="ros2")
-        channels = {}
-        for topic, told in topics.items():
+
+        @cache
+        def channel(topic: str) -> int:
+            told = topics[topic]
             encoding, *schema = (told,) if isinstance(told, str) else told
             number = writer.register_schema(*schema) if schema else 0
-            channels[topic] = writer.register_channel(topic, encoding, number)
+            return writer.register_channel(topic, encoding, number)
+
+        list(map(channel, topics if at_once else ()))
         for topic, stamp, data in messages:
-            writer.add_message(channels[topic], stamp, data, stamp)
+            writer.add_message(channel(topic), stamp, data, stamp)
         writer.finish()
     return path

@@ -18,10 +18,17 @@ PAGE = ROOT / "docs" / "effects.md"
 ROBOT = ROOT / "sample_logs" / "six_joint" / "robot.toml"
 JOINT = 2
 GENERATED = "## All effects"  # from here on the page is the registry's
+REMARKS = {  # by what is true of an effect
+    "change": "a constant one that was there when the model was identified hides in the model's own"
+    " parameters; it shows against an earlier parameter file only",
+    "wide": "it is looked for above the low-pass cut-off as well",
+    "slow": "slow noise of the torque channel looks alike: it counts only where it holds from one"
+    " ten-second stretch to the next",
+    "timing": "it shifts torque in time, as a wrong clock does",
+}
 
 
 def rewritten(text: str) -> str:
-    """Return the page with its tables and entries as the catalogue has them."""
     robot = load_robot(ROBOT)
     parts = [text.partition(GENERATED)[0] + _overview()]
     for family in dict.fromkeys(effect.family for effect in CATALOGUE.values()):
@@ -32,31 +39,26 @@ def rewritten(text: str) -> str:
 
 def _overview() -> str:
     rows = "".join(
-        f"| {_links((effect.name,))} | {effect.family} | {_where(effect)} | {_title(effect)} |\n"
+        f"| {_links((effect.name,))} | {effect.family} | {_where(effect)} | {title} |\n"
         for effect in CATALOGUE.values()
+        for title in [_docstring(effect).splitlines()[0].replace("|", "\\|")]
     )
     return f"{GENERATED}\n\n| name | family | of | what it is |\n|---|---|---|---|\n{rows}"
 
 
 def _entry(effect: Effect, robot: Robot) -> str:
-    lines = [f"### {effect.name}\n", _docstring(effect) + "\n"]
     facts = [("Of", _where(effect)), ("Parameters", _parameters(effect, robot))]
     if effect.settings:
         facts.append(("Settings", "; ".join(_setting(s) for s in effect.settings)))
-    facts.append(("Not told apart from", _links(effect.alike)))
-    facts.append(("To separate", effect.separate_by))
-    if remarks := "; ".join(_remarks(effect)):
-        facts.append(("Note", remarks))
-    lines += [f"- **{name}**: {text}" for name, text in facts]
-    return "\n".join(lines) + "\n"
+    facts += [("Not told apart from", _links(effect.alike)), ("To separate", effect.separate_by)]
+    if remarks := [text for name, text in REMARKS.items() if getattr(effect, name)]:
+        facts.append(("Note", "; ".join(remarks)))
+    lines = "".join(f"- **{name}**: {text}\n" for name, text in facts)
+    return f"### {effect.name}\n\n{_docstring(effect)}\n\n{lines}"
 
 
 def _docstring(effect: Effect) -> str:
     return (sys.modules[type(effect).__module__].__doc__ or "").strip()
-
-
-def _title(effect: Effect) -> str:
-    return _docstring(effect).splitlines()[0].replace("|", "\\|")
 
 
 def _where(effect: Effect) -> str:
@@ -70,7 +72,6 @@ def _links(names: tuple[str, ...]) -> str:
 
 
 def _parameters(effect: Effect, robot: Robot) -> str:
-    """Every parameter that some setting brings, with its unit at a revolute joint."""
     found: dict[str, str] = {}
     joint = None if effect.arm else JOINT
     for settings in _settings(effect):
@@ -82,8 +83,7 @@ def _parameters(effect: Effect, robot: Robot) -> str:
 
 
 def _settings(effect: Effect) -> Iterator[dict[str, float]]:
-    axes = [_corners(setting) for setting in effect.settings]
-    for values in product(*axes):
+    for values in product(*map(_corners, effect.settings)):
         yield {s.name: value for s, value in zip(effect.settings, values, strict=True)}
 
 
@@ -103,23 +103,6 @@ def _setting(setting: Setting) -> str:
 
 def _unit(unit: str) -> str:
     return "-" if unit == "1" else unit
-
-
-def _remarks(effect: Effect) -> Iterator[str]:
-    if effect.change:
-        yield (
-            "a constant one that was there when the model was identified hides in the model's own"
-            " parameters; it shows against an earlier parameter file only"
-        )
-    if effect.wide:
-        yield "it is looked for above the low-pass cut-off as well"
-    if effect.slow:
-        yield (
-            "slow noise of the torque channel looks alike: it counts only where it holds from one"
-            " ten-second stretch to the next"
-        )
-    if effect.timing:
-        yield "it shifts torque in time, as a wrong clock does"
 
 
 if __name__ == "__main__":

@@ -26,18 +26,12 @@ STRUCTS: dict[str, type[msgspec.Struct]] = {
 }
 # Told where they stand: an object of one or two keys that needs no table.
 INLINE = ("Tool", "FileId", "JointRmse")
-_TABLE = re.compile(r"<!-- keys: (\w+) -->\n(.*?)<!-- /keys -->", re.DOTALL)
+TABLE = re.compile(r"<!-- keys: (\w+) -->\n(.*?)<!-- /keys -->", re.DOTALL)
 _NAMES = {float: "number", int: "integer", str: "string", bool: "boolean", types.NoneType: "null"}
 
 
 def rewritten(text: str) -> str:
-    """Return the page with every table as the types have it."""
-    return _TABLE.sub(lambda m: f"<!-- keys: {m[1]} -->\n{_table(m[1], m[2])}<!-- /keys -->", text)
-
-
-def described(text: str) -> set[str]:
-    """Return the types that the page has a table of."""
-    return {found[1] for found in _TABLE.finditer(text)}
+    return TABLE.sub(lambda m: f"<!-- keys: {m[1]} -->\n{_table(m[1], m[2])}<!-- /keys -->", text)
 
 
 def _table(name: str, before: str) -> str:
@@ -62,19 +56,11 @@ def _type(hint: Any) -> str:
         return f"object of {_type(inside[1])}"
     if origin is Literal:
         return " or ".join(f'"{item}"' for item in inside)
-    if isinstance(hint, type) and hint.__name__ in STRUCTS:
-        return "object" if hint.__name__ in INLINE else f"[{hint.__name__}](#{_anchor(hint)})"
-    return _NAMES[hint]
-
-
-def _anchor(kind: type) -> str:
-    return kind.__name__.lower()
-
-
-def main() -> None:
-    """Write the page."""
-    PAGE.write_text(rewritten(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    if hint in _NAMES:
+        return _NAMES[hint]
+    name = hint.__name__
+    return "object" if name in INLINE else f"[{name}](#{name.lower()})"
 
 
 if __name__ == "__main__":
-    main()
+    PAGE.write_text(rewritten(PAGE.read_text(encoding="utf-8")), encoding="utf-8")

@@ -7,7 +7,6 @@ page has made comes from the golden files, for `six_joint` from the classical fi
 import contextlib
 import hashlib
 import io
-import os
 import re
 import shutil
 from collections.abc import Iterator, Sequence
@@ -52,11 +51,9 @@ class Kitchen:
     """Where commands run; the same one on the same files runs once."""
 
     folder: Path
-    full: bool = False
     done: dict[tuple[str, ...], Done] = field(default_factory=dict)
 
     def page_folder(self, name: str) -> Path:
-        """Return the folder of a page, made where it is not there."""
         path = self.folder / name
         if not path.exists():
             path.mkdir()
@@ -65,7 +62,8 @@ class Kitchen:
 
     def cook(self, folder: Path, words: Sequence[str]) -> Done:
         """Run `seqid` with these words in a folder, or bring what it wrote the last time."""
-        key = (*words, *_digests(folder, words))
+        read = [folder / name for name in read_by(words) if "sample_logs" not in Path(name).parts]
+        key = (*words, *(hashlib.sha256(p.read_bytes()).hexdigest() for p in read if p.is_file()))
         if key not in self.done:
             self.done[key] = _run(folder, words)
         done = self.done[key]
@@ -74,7 +72,6 @@ class Kitchen:
         return done
 
     def fetch(self, folder: Path, name: str, rig: str) -> None:
-        """Make a file that a command of the page reads."""
         path = Path(name)
         if path.parent.parts[:1] == ("out",):
             rig = path.parent.parts[1]
@@ -107,7 +104,6 @@ class Kitchen:
 
 
 def rig_of(words: Sequence[str], default: str = "one_joint") -> str:
-    """Return the sample robot that a command line is about."""
     return next((rig for rig in RIGS if any(rig in word for word in words)), default)
 
 
@@ -124,13 +120,11 @@ def is_dear(words: Sequence[str]) -> bool:
 
 
 def parsed(words: Sequence[str]) -> dict[str, Any]:
-    """Return what the command takes from these words; wrong options raise."""
     with load_command(words[0]).make_context(words[0], list(words[1:])) as context:
         return dict(context.params)
 
 
 def read_by(words: Sequence[str]) -> Iterator[str]:
-    """Yield the paths that a command reads."""
     asked = parsed(words)
     for name in (*READ, "torques") if words[0] == "report" else READ:
         value = asked.get(name)
@@ -140,39 +134,19 @@ def read_by(words: Sequence[str]) -> Iterator[str]:
 
 
 def written_by(words: Sequence[str]) -> list[str]:
-    """Return the paths that a command writes."""
     asked = parsed(words)
     names = WRITTEN[:1] if words[0] == "report" else WRITTEN
     paths = [str(asked[name]) for name in names if asked.get(name) is not None]
     return [f"{path}/report.html" for path in paths] if words[0] == "run" else paths
 
 
-@contextlib.contextmanager
-def inside(folder: Path) -> Iterator[None]:
-    """Work in a folder for a while."""
-    before = Path.cwd()
-    os.chdir(folder)
-    try:
-        yield
-    finally:
-        os.chdir(before)
-
-
 def _run(folder: Path, words: Sequence[str]) -> Done:
     out, err = io.StringIO(), io.StringIO()
-    with inside(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = main(list(words))
     files = {n: (folder / n).read_bytes() for n in written_by(words) if (folder / n).exists()}
     return Done(code, out.getvalue() + err.getvalue(), out.getvalue(), files)
 
 
-def _digests(folder: Path, words: Sequence[str]) -> Iterator[str]:
-    for name in read_by(words):
-        path = folder / name
-        if path.is_file() and "sample_logs" not in path.parts:
-            yield hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 def masked(line: str) -> str:
-    """Return a line of output without its numbers and its spacing."""
     return re.sub(r"\s+", " ", re.sub(r"[-+]?\d[\d.]*(e[-+]?\d+)?", "#", line)).strip()

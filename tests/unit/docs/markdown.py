@@ -29,11 +29,6 @@ class Block:
     text: str
     exit_code: int = 0
 
-    @property
-    def end(self) -> int:
-        """The line behind the last one of the code."""
-        return self.line + len(self.text.splitlines())
-
 
 @dataclass(frozen=True)
 class Step:
@@ -61,7 +56,7 @@ def blocks(page: Path) -> list[Block]:
             end = next(i for i in range(k + 1, len(lines)) if lines[i].strip() == fence[1])
             found.append(Block(page, k + 2, fence[2], "\n".join(lines[k + 1 : end]), code))
             k, code = end, 0
-        elif _indented(lines, k):
+        elif lines[k].startswith("    ") and (k == 0 or not lines[k - 1]):
             while k + 1 < len(lines) and (lines[k + 1].startswith("    ") or not lines[k + 1]):
                 k += 1
             text = "\n".join(line[4:] for line in lines[start : k + 1]).rstrip()
@@ -70,29 +65,20 @@ def blocks(page: Path) -> list[Block]:
     return found
 
 
-def _indented(lines: list[str], k: int) -> bool:
-    return lines[k].startswith("    ") and (k == 0 or not lines[k - 1])
-
-
 def steps(page: Path) -> list[Step]:
-    """Return the command lines of a page in order.
-
-    Raises
-    ------
-    ValueError
-        If a block that says it is for the shell has a line of a program that nobody checks.
-    """
+    """Return the command lines of a page in order; of unknown programs it raises ValueError."""
     found: list[Step] = []
     known: dict[str, str] = {}
     pages = blocks(page)
     for block, after in zip(pages, [*pages[1:], None], strict=False):
         if block.language not in SHELL:
             continue
-        told = after is not None and after.language == "text" and after.line - block.end <= 3
+        end = block.line + block.text.count("\n")
+        told = after and after.language == "text" and after.line - end < 5
         shown = tuple(after.text.splitlines()) if told else ()
-        own = list(_commands(block, known))
-        found += own[:-1]
-        found += [replace(step, exit_code=block.exit_code, shown=shown) for step in own[-1:]]
+        *own, last = [*_commands(block, known)] or [None]
+        found += own
+        found += [replace(last, exit_code=block.exit_code, shown=shown)] if last else []
     return found
 
 
@@ -108,19 +94,18 @@ def _commands(block: Block, known: dict[str, str]) -> Iterator[Step]:
         if program in PROGRAMS:
             yield Step(block.page, number, tuple(shlex.split(line, comments=True)))
         elif block.language in ("sh", "bash") and not program.startswith("#"):
-            message = f"{block.page.name}:{number}: nobody checks {program!r}"
-            raise ValueError(message)
+            raise ValueError(f"{block.page.name}:{number}: nobody checks {program!r}")
 
 
-def links(page: Path) -> Iterator[str]:
-    """Yield the targets of links and images outside of code."""
-    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-    for found in _LINK.finditer(re.sub(r"`[^`\n]*`", "", text)):
-        yield found[1]
+def _prose(page: Path) -> str:
+    return re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+def links(page: Path) -> list[str]:
+    return _LINK.findall(re.sub(r"`[^`\n]*`", "", _prose(page)))
 
 
 def anchors(page: Path) -> set[str]:
     """Return the anchors that headings of a page have, as GitHub makes them."""
-    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-    headings = re.findall(r"^#{1,6} (.+)$", text, flags=re.MULTILINE)
+    headings = re.findall(r"^#{1,6} (.+)$", _prose(page), flags=re.MULTILINE)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}

@@ -12,20 +12,14 @@ from tests.unit.docs.markdown import ROOT
 NOTEBOOK = ROOT / "docs" / "notebook.ipynb"
 
 
-def main() -> None:
-    """Run all cells in a folder of their own, with the samples in it."""
+if __name__ == "__main__":
     book = nbformat.read(NOTEBOOK, as_version=4)
+    os.environ["PYTHONPATH"] = str(ROOT)
     with tempfile.TemporaryDirectory() as folder:
         (Path(folder) / "sample_logs").symlink_to(ROOT / "sample_logs")
-        os.environ["PYTHONPATH"] = str(ROOT)
-        nbclient.NotebookClient(
-            book, timeout=600, resources={"metadata": {"path": folder}}
-        ).execute()
+        own = {"metadata": {"path": folder}}
+        nbclient.NotebookClient(book, timeout=600, resources=own).execute()
     for cell in book.cells:
         cell.metadata = nbformat.NotebookNode()  # no times of the run
     book.metadata.pop("language_info", None)
     nbformat.write(book, NOTEBOOK)
-
-
-if __name__ == "__main__":
-    main()

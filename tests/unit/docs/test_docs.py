@@ -3,6 +3,7 @@
 Commands that take long are parsed here and run by `make docs-test`.
 """
 
+import contextlib
 import json
 import os
 import re
@@ -19,18 +20,8 @@ import seqid_cli
 from seqid_cli.commands.app import COMMANDS
 from tests.plants import strangers
 from tests.unit.docs import keys
-from tests.unit.docs.kitchen import (
-    SAMPLES,
-    Done,
-    Kitchen,
-    inside,
-    is_dear,
-    masked,
-    parsed,
-    read_by,
-    rig_of,
-    written_by,
-)
+from tests.unit.docs import kitchen as cooking
+from tests.unit.docs.kitchen import SAMPLES, Done, Kitchen, masked, parsed, read_by, rig_of
 from tests.unit.docs.markdown import PAGES, ROOT, Step, anchors, blocks, links, steps
 
 NAMES = [str(page.relative_to(ROOT)) for page in PAGES]
@@ -48,13 +39,12 @@ PREPARED: dict[str, dict[str, Path]] = {
         **{f"logs/{x}": SIX / x for x in ("friction", "gravity", "imu", "inertia", "validation")},
         "my_arm.urdf": SIX / "six_joint.urdf",
     },
-}
-TAKEN_BY_PYTHON: dict[str, dict[str, Path]] = {
-    "docs/inspect.md": {
+    "docs/inspect.md python": {
         "run.parquet": SAMPLES / "one_joint" / "imu" / "joint_1_posture_1.parquet",
         "robot.toml": SAMPLES / "one_joint" / "robot.toml",
-    }
+    },
 }
+STRANGERS = ("docs/from_files.md", "docs/robots.md")
 # What the reader is told to write between two blocks, after the first TOML of the page.
 COMPLETED: dict[str, dict[str, Path]] = {
     "docs/own_robot.md": {name: SIX / name for name in ("robot.toml", "six_joint.urdf")}
@@ -65,20 +55,18 @@ MADE_UP = ("logs/monday", "logs/tuesday", "logs/friday", "LOG")
 
 @pytest.fixture(scope="module")
 def kitchen(tmp_path_factory: pytest.TempPathFactory) -> Kitchen:
-    return Kitchen(tmp_path_factory.mktemp("docs"), full=FULL)
+    return Kitchen(tmp_path_factory.mktemp("docs"))
 
 
-def prepared(
-    kitchen: Kitchen, name: str, own: str = "", given: dict[str, dict[str, Path]] = PREPARED
-) -> Path:
-    folder = kitchen.page_folder((own or name).replace("/", "_"))
-    if name in ("docs/from_files.md", "docs/robots.md") and not (folder / "arm.urdf").exists():
+def prepared(kitchen: Kitchen, name: str) -> Path:
+    folder = kitchen.page_folder(name.replace("/", "_"))
+    if name.split()[0] in STRANGERS and not (folder / "arm.urdf").exists():
         made = kitchen.folder / "strangers"
         if not made.exists():
             made.mkdir()
             strangers.make(made)
         shutil.copytree(made, folder, dirs_exist_ok=True)
-    for path, sample in given.get(name, {}).items():
+    for path, sample in PREPARED.get(name, {}).items():
         target = folder / path
         target.parent.mkdir(parents=True, exist_ok=True)
         if not target.exists():
@@ -88,19 +76,19 @@ def prepared(
 
 @pytest.mark.parametrize("name", NAMES)
 def test_commands_are_what_the_program_takes(name: str) -> None:
+    checks = {"seqid": _check_seqid, "pip": _check_pip, "python": _check_module}
     for step in steps(ROOT / name):
-        program = step.words[0]
-        if program == "seqid":
-            _check_seqid(step)
-        elif program == "make":
-            done = subprocess.run(
-                ["make", "-n", *step.words[1:]], cwd=ROOT, capture_output=True, text=True
-            )
-            assert done.returncode == 0, f"{step}\n{done.stderr}"
-        elif program == "pip":
-            _check_pip(step)
-        elif program == "python":
-            _check_module(step)
+        if step.words[0] == "make":
+            made_by(*step.words[1:])
+        elif check := checks.get(step.words[0]):
+            check(step)
+
+
+def made_by(*words: str, folder: Path = ROOT) -> str:
+    command = ["make", "-n", *words]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, f"{words}\n{done.stderr}"
+    return done.stdout
 
 
 def _check_seqid(step: Step) -> None:
@@ -127,7 +115,6 @@ def _check_module(step: Step) -> None:
         return
     found = find_spec(step.words[2])
     assert found is not None, str(step)
-    assert found.origin is not None
     places = found.submodule_search_locations
     files = sorted(Path(places[0]).rglob("*.py")) if places else [Path(found.origin)]
     source = "".join(file.read_text(encoding="utf-8") for file in files)
@@ -160,12 +147,13 @@ def _cooked(kitchen: Kitchen, folder: Path, step: Step, rig: str) -> Done | None
     words, target = _redirected(step.words[1:])
     if any(word.startswith(MADE_UP) for word in words):
         return None
-    if is_dear([*words, rig]) and not kitchen.full:
-        for path in written_by(words):
+    if cooking.is_dear([*words, rig]) and not FULL:
+        for path in cooking.written_by(words):
             if path.endswith(".json") and "diagnosis" not in path:
                 kitchen.fetch(folder, path, rig)
         return None
-    words = tuple(w for w in words if "diagnosis" not in w or not _lacking(folder, w, rig))
+    made = FULL or rig == "one_joint"  # else a diagnosis takes too long
+    words = tuple(w for w in words if made or "diagnosis" not in w or (folder / w).exists())
     for path in read_by(words):
         if not list(folder.glob(path)) and path.endswith((".json", "torques.parquet")):
             kitchen.fetch(folder, path, rig)
@@ -176,13 +164,7 @@ def _cooked(kitchen: Kitchen, folder: Path, step: Step, rig: str) -> Done | None
     return done
 
 
-def _lacking(folder: Path, word: str, rig: str) -> bool:
-    """Return whether a diagnosis was not made because that takes long."""
-    return rig != "one_joint" and not FULL and not (folder / word).exists()
-
-
 def _redirected(words: tuple[str, ...]) -> tuple[tuple[str, ...], str]:
-    """Split a command line into what the program gets and where its output goes."""
     if ">" not in words:
         return words, ""
     at = words.index(">")
@@ -198,20 +180,18 @@ def _check_shown(step: Step, said: list[str]) -> None:
     real = [masked(line) for line in said]
     for line in step.shown:
         shown = masked(line)
-        if shown in ("", "..."):
-            continue
-        if shown.endswith(" ..."):
-            ok = any(line.startswith(shown.removesuffix(" ...")) for line in real)
-        else:
-            ok = shown in real
-        assert ok, f"{step}\ndoes not say: {line}\nbut:\n" + "\n".join(said)
+        start = shown.removesuffix(" ...")
+        cut = [x for x in real if start != shown and x.startswith(start)]
+        assert cut or shown in ("", "...", *real), (
+            f"{step}\ndoes not say: {line}\nbut:\n" + "\n".join(said)
+        )
 
 
 @pytest.mark.parametrize("name", RUN)
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_python_runs(name: str, kitchen: Kitchen) -> None:
-    folder = prepared(kitchen, name, f"{name} python", TAKEN_BY_PYTHON)
+    folder = prepared(kitchen, f"{name} python")
     space: dict[str, object] = {}
     for block in blocks(ROOT / name):
         imports = block.language == "indented" and re.match(r"(from|import) \w", block.text)
@@ -221,7 +201,7 @@ def test_python_runs(name: str, kitchen: Kitchen) -> None:
             if not (folder / path).exists():
                 kitchen.fetch(folder, path, rig_of([block.text]))
         code = compile("\n" * (block.line - 1) + block.text, str(block.page), "exec")
-        with inside(folder):
+        with contextlib.chdir(folder):
             exec(code, space)
 
 
@@ -247,7 +227,8 @@ def test_the_keys_of_the_files_are_told() -> None:
     text = keys.PAGE.read_text(encoding="utf-8")
     assert keys.rewritten(text) == text, "run python -m tests.unit.docs.keys and say what is new"
     assert "TODO" not in text
-    assert keys.described(text) | set(keys.INLINE) == set(keys.STRUCTS)
+    told = {name for name, _ in keys.TABLE.findall(text)}
+    assert told | set(keys.INLINE) == set(keys.STRUCTS)
 
 
 def test_the_makefile_of_the_page_runs_what_the_program_takes(tmp_path: Path) -> None:
@@ -255,9 +236,8 @@ def test_the_makefile_of_the_page_runs_what_the_program_takes(tmp_path: Path) ->
     text = next(block.text for block in blocks(page) if block.language == "make")
     (tmp_path / "Makefile").write_text(text + "\n", encoding="utf-8")
     shutil.copytree(SAMPLES / "one_joint", tmp_path / "robots" / "arm")
-    done = subprocess.run(["make", "-n"], cwd=tmp_path, capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
-    ran = [shlex.split(line)[1:] for line in done.stdout.splitlines() if line.startswith("seqid")]
+    lines = made_by(folder=tmp_path).splitlines()
+    ran = [shlex.split(line)[1:] for line in lines if line.startswith("seqid")]
     assert [words[0] for words in ran][:3] == ["friction", "gravity", "inertia"]
     assert {words[0] for words in ran[3:]} == {"predict", "diagnose", "report"}
     for words in ran:
@@ -287,8 +267,7 @@ def test_the_workflow_makes_targets_that_there_are() -> None:
     always = {"lint", "types", "test-all", "golden", "docs-test"}
     assert set(targets) == always | {"locked", "test-oldest", "audit", "fuzz"}
     for target in targets:
-        done = subprocess.run(["make", "-n", target], cwd=ROOT, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+        made_by(target)
 
 
 def test_actions_are_pinned_and_dependencies_locked() -> None:

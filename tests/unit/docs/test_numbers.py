@@ -17,13 +17,11 @@ ROWS = [
 
 
 def modules(where: str) -> list[ModuleType]:
-    """The modules whose files a row names."""
     paths = re.findall(r"`([\w/]+)\.py`", where)
     return [import_module(f"seqid_cli.{path.replace('/', '.')}") for path in paths]
 
 
 def defaults(module: ModuleType, owner: str) -> dict[str, object]:
-    """Defaults of the arguments of a function, a class or a method."""
     classes = [kind for kind in vars(module).values() if inspect.isclass(kind)]
     owners = [vars(place).get(owner) for place in (module, *classes)]
     signatures = [inspect.signature(own).parameters for own in owners if callable(own)]
@@ -32,18 +30,13 @@ def defaults(module: ModuleType, owner: str) -> dict[str, object]:
 
 def test_names_are_in_the_files_of_their_row() -> None:
     assert len(ROWS) > 200
-    missing = []
     for names, _, _, where in ROWS:
-        texts = [inspect.getsource(module) for module in modules(where)]
-        for name in re.findall(r"`([\w.]+)`", names) if texts else ():
-            last = name.rsplit(".", 1)[-1]
-            if not any(re.search(rf"\b{last}\b", text) for text in texts):
-                missing.append(f"{name} in {where}")
-    assert not missing
+        text = "\n".join(map(inspect.getsource, modules(where)))
+        for name in re.findall(r"`(?:\w+\.)*(\w+)`", names) if text else ():
+            assert re.search(rf"\b{name}\b", text), f"{name} in {where}"
 
 
 def test_arguments_have_the_default_of_their_row() -> None:
-    wrong = []
     for names, default, _, where in ROWS:
         if not (asked := re.fullmatch(r"`(\w+)` of `(\w+)`", names)):
             continue
@@ -51,6 +44,5 @@ def test_arguments_have_the_default_of_their_row() -> None:
         found = [known for x in modules(where) if (known := defaults(x, asked[2]))]
         values = [known.get(asked[1]) for known in found]
         tuples = [value if isinstance(value, tuple) else (value,) for value in values]
-        if not values or any(value not in allowed for value in tuples):
-            wrong.append(f"{names}: {default}, not {values}")
-    assert not wrong
+        assert values, names
+        assert all(value in allowed for value in tuples), f"{names}: {default}, not {values}"

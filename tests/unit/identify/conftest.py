@@ -1,18 +1,12 @@
+from collections.abc import Callable
+
 import pytest
 
 from tests.plants.robots.sample import Rig, sample_rig
 
 
-@pytest.fixture(scope="session")
-def one_joint() -> Rig:
-    return sample_rig("one_joint")
+def rig_fixture(name: str) -> Callable[[], Rig]:
+    return pytest.fixture(lambda: sample_rig(name), scope="session", name=name)
 
 
-@pytest.fixture(scope="session")
-def two_joint() -> Rig:
-    return sample_rig("two_joint")
-
-
-@pytest.fixture(scope="session")
-def six_joint() -> Rig:
-    return sample_rig("six_joint")
+one_joint, two_joint, six_joint = map(rig_fixture, ("one_joint", "two_joint", "six_joint"))

@@ -8,13 +8,7 @@ from seqid_cli.identify.judging import friction_verdicts, inertia_verdicts, judg
 from seqid_cli.identify.log_set import LogSet
 from seqid_cli.inspect.findings import found
 from seqid_cli.params.schema import Parameter, RigidStage, Stages, Verdict
-from seqid_cli.robot.types import Robot
 from tests.plants.robots.sample import Rig
-
-
-@pytest.fixture
-def robot(one_joint: Rig) -> Robot:
-    return one_joint.robot
 
 
 def poor(verdicts: list[Verdict]) -> list[str]:
@@ -31,8 +25,7 @@ def test_friction_that_drives_is_poor(one_joint: Rig, share: float) -> None:
     stage = replace(one_joint.friction, joints={"joint_1": driving})
     (verdict,) = friction_verdicts(stage, one_joint.robot)
     assert verdict.joint == "joint_1"
-    assert "it would drive the joint" in verdict.reason
-    assert "sign of torque or current" in verdict.reason
+    assert "it would drive the joint. The sign of torque or current is wrong" in verdict.reason
 
 
 @pytest.mark.parametrize("factor", [-1.0, 7.2, 0.1])
@@ -50,20 +43,19 @@ def test_gravity_of_another_size_or_sign_is_poor(one_joint: Rig, factor: float) 
     ("value", "error", "expected"), [(-0.0247, 0.0052, ["six"]), (-0.02, 0.01, [])]
 )
 def test_a_rotor_of_negative_inertia_is_poor(
-    robot: Robot, value: float, error: float, expected: list[str]
+    one_joint: Rig, value: float, error: float, expected: list[str]
 ) -> None:
-    rotor = Parameter(
-        name="Ia_6", value=value, std_error=error, unit="kg m^2", joint="six", terms={"Ia_6": 1.0}
-    )
+    named = {"name": "Ia_6", "unit": "kg m^2", "joint": "six", "terms": {"Ia_6": 1.0}}
+    rotor = Parameter(value=value, std_error=error, **named)
     stage = RigidStage(parameters=[rotor], condition=1.0, rank=1)
-    assert poor([*inertia_verdicts(stage, robot)]) == expected
+    assert poor([*inertia_verdicts(stage, one_joint.robot)]) == expected
 
 
-def test_errors_of_logs_are_verdicts_and_warnings_are_notes(robot: Robot) -> None:
+def test_errors_of_logs_are_verdicts_and_warnings_are_notes(one_joint: Rig) -> None:
     error = found("joints_swapped", "the torque of a is b's", joint="a, b", channel="torque")
     warning = found("torque_saturated", "is at 5 in 3 %", joint="a", channel="current")
     seen = [replace(finding, log=name) for finding in (error, warning) for name in ("x", "y", "z")]
-    logs = LogSet([], robot, findings=seen)
+    logs = LogSet([], one_joint.robot, findings=seen)
     verdicts = logs.verdicts()
     assert poor(verdicts) == ["a", "b"]
     assert verdicts[0].reason.startswith("[joints_swapped] x and 2 more logs: torque the torque")

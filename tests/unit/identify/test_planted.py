@@ -21,7 +21,6 @@ FOLDERS = ("gravity", "imu", "inertia", "simultaneous", "validation")
 
 
 def spike(columns: Columns, rng: np.random.Generator) -> None:
-    """One sample of the position is off while the joint moves."""
     q = columns["joint_1.position"]
     moving = np.flatnonzero(np.abs(np.gradient(q, columns["t"])) > 0.05)
     inner = moving[(moving > len(q) // 8) & (moving < len(q) - len(q) // 8)]
@@ -58,10 +57,8 @@ def verdicts(stage: str, logs: Sequence[Path]) -> Sequence[Any]:
     if stage == "simultaneous":
         stages = identify.simultaneous(logs, ROBOT).stages
         return [*stages.friction.verdicts, *stages.inertia.verdicts]
-    if stage == "imu":
-        return identify.imu_calib(logs, ROBOT, parameters=GOLDEN).stages.imu.verdicts
-    found = getattr(identify, stage)(logs, ROBOT, GOLDEN).stages
-    return getattr(found, stage).verdicts
+    run = getattr(identify, "imu_calib" if stage == "imu" else stage)
+    return getattr(run(logs, ROBOT, parameters=GOLDEN).stages, stage).verdicts
 
 
 @pytest.mark.parametrize("fault", FAULTS)
@@ -81,9 +78,7 @@ def test_the_stage_says_it(stage: str, fault: str, tmp_path: Path) -> None:
 
 def test_a_spike_does_not_spoil_the_prediction(tmp_path: Path) -> None:
     """One damaged sample used to make the error seven times as large."""
-    sound, found = (
-        identify.predict(list(planted(fault, "validation", tmp_path)), ROBOT, GOLDEN)
-        for fault in ("none", "spike")
-    )
+    logs = [list(planted(fault, "validation", tmp_path)) for fault in ("none", "spike")]
+    sound, found = (identify.predict(own, ROBOT, GOLDEN) for own in logs)
     assert found.joints["joint_1"].rmse == pytest.approx(sound.joints["joint_1"].rmse, rel=0.03)
     assert not any(verdict.good for verdict in found.verdicts if not verdict.joint)

@@ -21,7 +21,6 @@ from tests.plants.sensors import quantise
 
 pytestmark = pytest.mark.slow
 
-
 RATE = 250.0
 G = 9.81
 SLIDE, ARM = 8.0, 3.0  # masses, kg
@@ -46,10 +45,7 @@ def slider() -> Robot:
 
 
 def load(reference: Reference) -> Array:
-    """Lagrange's equations of the slide and the pendulum, friction added, (N, 2) N and N m.
-
-    Height of the pendulum's centre over the slide: (mx sin q + mz cos q) / m.
-    """
+    """Lagrange's equations and friction; the pendulum's centre is (mx sin q + mz cos q) / m up."""
     q, dq, ddq = reference.q[:, 1], reference.dq, reference.ddq
     s, c = np.sin(q), np.cos(q)
     lever = MX * c - MZ * s  # derivative of the height's moment
@@ -93,9 +89,9 @@ TRUE = {"m_1": SLIDE, "m_2": ARM, "mx_2": MX, "my_2": 0.0, "mz_2": MZ, "Iyy_2": 
 def test_all_stages_find_the_truth() -> None:
     """Equations of the plant and of the package are not of one source: Lagrange, Newton-Euler."""
     stages = identified()
-    joints = stages.friction.joints
-    assert [joint.unit for joint in joints.values()] == ["N", "N m"]
-    for j, joint in enumerate(joints.values()):
+    joints = stages.friction.joints.values()
+    assert [joint.unit for joint in joints] == ["N", "N m"]
+    for j, joint in enumerate(joints):
         assert not joint.directional
         surface = FrictionSurface.from_stage(joint)
         speed = np.linspace(*surface.scaling.speed, 30)
@@ -103,7 +99,6 @@ def test_all_stages_find_the_truth() -> None:
         true = DRY[j] + VISCOUS[j] * speed
         for sign in (1, -1):
             np.testing.assert_allclose(sign * surface.torque(middle, sign * speed), true, rtol=0.02)
-
     gravity, inertia = stages.gravity, stages.inertia
     assert gravity.not_excited == []
     assert {p.unit for p in gravity.parameters} == {"kg", "kg m"}

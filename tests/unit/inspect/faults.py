@@ -33,19 +33,16 @@ class Fault:
 
     @property
     def without_imus(self) -> bool:
-        """Whether IMUs play no part in it."""
         return self.rig == "six_joint" and not self.triad and not self.joint.startswith("imu")
 
 
 def read_columns(path: Path) -> Columns:
-    """Read a Parquet log, columns writable."""
     table = pq.read_table(path)
     return {name: table[name].to_numpy().copy() for name in table.column_names}
 
 
 def write_columns(path: Path, columns: Columns) -> None:
-    """Write a Parquet log."""
-    pq.write_table(pa.table({name: pa.array(values) for name, values in columns.items()}), path)
+    pq.write_table(pa.table(columns), path)
 
 
 NO_LIMITS = {"position_limits = [-2.4, 2.4]\n": ""}
@@ -112,7 +109,7 @@ FAULTS = (
           robot={"[0.0, 0.0, -9.81]": "[9.81, 0.0, 0.0]"}),
     Fault("joints renamed", "joints_swapped", "elbow, wrist_1",
           p.swapped(("elbow.position", "wrist_1.position"), ("elbow.current", "wrist_1.current"),
-              ("elbow.velocity", "wrist_1.velocity"))),
+          ("elbow.velocity", "wrist_1.velocity"))),
     Fault("effort is current", "effort_is_current", "shoulder_lift",
           p.renamed(".current", ".torque")),
     Fault("torque called current", "effort_is_torque", "elbow", p.times(8.0, "*.current")),
@@ -135,11 +132,9 @@ FAULTS = (
     Fault("triad, axis flipped", "imu_left_handed", "imu_b", p.negated("imu_b.ay"), triad=True),
     Fault("triad, axes swapped", "imu_left_handed", "imu_b", p.swapped(("imu_b.ax", "imu_b.az")),
           triad=True),
-    Fault("gyro in degrees", "gyro_in_degrees", "imu_b",
-          p.times(DEGREES, "imu_b.g?"), triad=True),
+    Fault("gyro in degrees", "gyro_in_degrees", "imu_b", p.times(DEGREES, "imu_b.g?"), triad=True),
     Fault("gyro axis flipped", "imu_left_handed", "imu_b", p.negated("imu_b.gz"), triad=True),
-    Fault("gyro scale", "gyro_scale", "imu_b", p.times(0.5, "imu_b.g?"),
-          triad=True),
+    Fault("gyro scale", "gyro_scale", "imu_b", p.times(0.5, "imu_b.g?"), triad=True),
     Fault("encoder dead", "position_stuck", "elbow", p.constant("elbow.position", 0.3)),
     Fault("all in degrees, neither limits nor velocity", "position_in_degrees", "shoulder_pan",
           p.both(p.renamed(".velocity", None), p.times(DEGREES, "*.position")),
@@ -172,7 +167,6 @@ TOGETHER = (
 
 
 def groups() -> list[list[Fault]]:
-    """All faults: those that share a log, and each of the others by itself."""
     assert len(BY_NAME) == len(FAULTS)
     shared = [[BY_NAME[name] for name in names.split("; ")] for names in TOGETHER]
     known = {fault.name for own in shared for fault in own}

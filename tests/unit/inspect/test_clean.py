@@ -7,6 +7,7 @@ import pytest
 from seqid_cli.inspect.inspection import inspect_log, inspect_logs
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.robot.file import load_robot
+from seqid_cli.robot.types import Robot
 from tests.plants.robots.sample import sample_robot
 from tests.unit.inspect.faults import SAMPLES
 
@@ -18,17 +19,13 @@ FOLDERS = [(rig, stage) for rig in RIGS for stage in SERVES if (SAMPLES / rig / 
 
 
 def logs_of(*folders: Path) -> list[Path]:
-    """Return all logs, of a long row of like ones every fourth."""
     files = expand([str(folder) for folder in folders])
     return files[::4] if len(files) > 5 else files
 
 
 @pytest.mark.parametrize(
     ("rig", "stage"),
-    [
-        pytest.param(*one, marks=[pytest.mark.slow] if one[0] == "six_joint" else [])
-        for one in FOLDERS
-    ],
+    [pytest.param(*one, marks=[pytest.mark.slow] * (one[0] == "six_joint")) for one in FOLDERS],
 )
 def test_sample_logs_are_good(rig: str, stage: str) -> None:
     report = inspect_logs(logs_of(SAMPLES / rig / stage), sample_robot(rig))
@@ -43,16 +40,13 @@ def test_sample_logs_are_good_without_a_robot_file(rig: str) -> None:
     assert {len(log.joints) for log in report.logs} == {RIGS[rig]}
 
 
+UR5E = ("0_train", "0_holdout", "5_train", "5_holdout")
 # What is really wrong with the recordings, looked at one by one.
 TRUE = {
     # the position advances by up to 1 rad between two samples: samples were lost without a gap
     "laas_cogging/acc_current": {"position_jump"},
     # one row per stop, at uneven times; the velocity is that of the standing motor
-    **{
-        f"ur5e_joints/joint_{j}_{part}": {"samples_lost"}
-        for j in (0, 5)
-        for part in ("train", "holdout")
-    },
+    **{f"ur5e_joints/joint_{part}": {"samples_lost"} for part in UR5E},
     "laas_cogging/stopped_data": {"jitter", "velocity_zero"},
     "dfki_simple_pendulum/gravity_compensation": {"torque_echo"},
     "dfki_simple_pendulum/pd_1nm_torque_limited_swingup_failure": {"torque_echo"},
@@ -67,6 +61,10 @@ TRUE = {
 
 def name_of(path: Path) -> str:
     return f"{path.parent.name}/{path.stem}"
+
+
+def codes(*given: Path | Robot) -> set[str]:
+    return {finding.code for finding in inspect_log(*given).findings}
 
 
 # Logs of one robot are much alike: every fourth of the many of the UR10e, one of the TX40's two
@@ -86,8 +84,6 @@ def test_findings_on_recorded_logs_are_true(path: Path) -> None:
     if not robot_file.exists():  # one for each joint that a log is named after
         robot_file = path.with_name(f"{path.stem.rpartition('_')[0]}_robot.toml")
     expected = TRUE.get(name_of(path), set())
-    found = inspect_log(path, load_robot(robot_file)).findings
-    assert {finding.code for finding in found} == expected
-    if expected or path.parent.name != "ur10e_innopolis":
-        alone = inspect_log(path).findings  # the model's part is missing then
-        assert {finding.code for finding in alone} == expected - {"model_mismatch"}
+    assert codes(path, load_robot(robot_file)) == expected
+    if expected or path.parent.name != "ur10e_innopolis":  # without the model's part
+        assert codes(path) == expected - {"model_mismatch"}

@@ -2,6 +2,7 @@
 
 import shutil
 from collections.abc import Sequence
+from fnmatch import fnmatch
 from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,15 +16,8 @@ from seqid_cli.params.results.inspection import InspectionFile
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.kinematics import link_motion
 from tests.plants.robots.sample import sample_robot
-from tests.unit.inspect.faults import (
-    SAMPLES,
-    SINGLE,
-    SIX,
-    Fault,
-    groups,
-    read_columns,
-    write_columns,
-)
+from tests.unit.inspect import faults as table
+from tests.unit.inspect.faults import SAMPLES, SINGLE, SIX, Fault, read_columns
 from tests.unit.inspect.planting import Columns
 from tests.unit.logs.writers import Message, arm_messages, write_messages
 
@@ -31,7 +25,6 @@ SEED = 5
 
 
 def inspect_planted(faults: Sequence[Fault], folder: Path) -> InspectionFile:
-    """Plant faults into a copy of the log that they share, and inspect that."""
     first = faults[0]
     ((*base, without_imus, triad),) = {(f.rig, f.base, f.without_imus, f.triad) for f in faults}
     columns = {n: x.copy() for n, x in sound_columns(*base, without_imus, triad).items()}
@@ -47,7 +40,7 @@ def inspect_planted(faults: Sequence[Fault], folder: Path) -> InspectionFile:
             assert old in text
             text = text.replace(old, new)
         fault.plant(columns, np.random.default_rng(SEED))
-    write_columns(folder / "log.parquet", columns)
+    table.write_columns(folder / "log.parquet", columns)
     for urdf in (SAMPLES / first.rig).glob("*.urdf"):
         shutil.copy(urdf, folder)
     (folder / "robot.toml").write_text(text)
@@ -56,7 +49,6 @@ def inspect_planted(faults: Sequence[Fault], folder: Path) -> InspectionFile:
 
 @cache
 def sound_columns(rig: str, base: str, without_imus: bool, triad: bool) -> Columns:
-    """Columns of a sample log as the faults find them."""
     columns = read_columns(SAMPLES / rig / f"{base}.parquet")
     if without_imus:
         columns = {name: values for name, values in columns.items() if "imu" not in name}
@@ -95,7 +87,7 @@ def turn_into_triad(columns: Columns) -> None:
     "faults",
     [
         pytest.param(own, id=own[0].name, marks=[] if len(own) > 1 else [pytest.mark.slow])
-        for own in groups()
+        for own in table.groups()
     ],
 )
 def test_a_planted_fault_is_found_and_nothing_else(faults: list[Fault], tmp_path: Path) -> None:
@@ -121,12 +113,12 @@ def messages(imu_late_s: float, log_late_s: float) -> list[Message]:
     """Of joints and of imu_a; the robot file has another IMU, which a log need not have."""
     columns = read_columns(FOLDER / "validation" / "fourier_1.parquet")
     columns = {name: values[:1000] for name, values in columns.items()}
-    q, effort = (
-        np.column_stack([columns[f"{name}.{kind}"] for name in SIX])
-        for kind in ("position", "current")
+    q, effort, array = (
+        np.column_stack([values for name, values in columns.items() if fnmatch(name, pattern)])
+        for pattern in ("*.position", "*.current", "imu_a.*")
     )
-    array = {"imu_a": np.column_stack([columns[f"imu_a.a{k}"] for k in range(1, 13)])}
     joints = arm_messages(columns["t"], SIX, q, effort=effort)
+    array = {"imu_a": array}
     both = arm_messages(columns["t"] + imu_late_s, SIX, q, accelerometers=array)
     made = joints + [message for message in both if message[0] != "/joint_states"]
     late = round(log_late_s * 1e9)

@@ -20,15 +20,8 @@ from rosbags.rosbag2 import Writer as Bag2Writer
 from rosbags.typesys import Stores, get_typestore
 
 from tests import Array
-from tests.unit.logs.writers import (
-    Message,
-    as_json,
-    encoded,
-    header,
-    joint_messages,
-    write_messages,
-    write_raw,
-)
+from tests.unit.logs import writers
+from tests.unit.logs.writers import Message, as_json, joint_messages, write_messages, write_raw
 
 T0_NS = 1_700_000_000_000_000_000
 
@@ -46,7 +39,6 @@ class Data:
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
-        """Stamps of the rows as an epoch time."""
         return np.rint(self.t * 1e9).astype(np.int64) + T0_NS
 
 
@@ -69,8 +61,6 @@ OWN = ("t", "{name}.position", "{name}.velocity", "{name}.current")
 
 
 def named(*patterns: str) -> Write:
-    """Parquet with the time and one column per joint; see `columns`."""
-
     def write(path: Path, data: Data) -> Path:
         path = path.with_suffix(".parquet")
         pq.write_table(columns(data, *patterns), path)
@@ -91,26 +81,18 @@ def lerobot(path: Path, data: Data) -> Path:
 
 def lerobot_table(episodes: Sequence[Data]) -> pa.Table:
     """Columns of a LeRobot data file; the clock begins again with each episode."""
-    kind, parts = pa.list_(pa.float32()), []
+    parts, lists = [], ("observation.state", "observation.effort", "action")
     for number, data in enumerate(episodes):
-        count = len(data.t)
-        state, effort = (
-            pa.array(list(values.astype(np.float32)), kind) for values in (data.q, data.current)
-        )
-        found = {
-            "observation.state": state,
-            "observation.effort": effort,
-            "action": state,
-            "timestamp": pa.array((data.t - data.t[0]).astype(np.float32)),
-            "episode_index": pa.array(np.full(count, number)),
-        }
-        indices = dict.fromkeys(("frame_index", "index", "task_index"), pa.array(range(count)))
-        parts.append(pa.table(found | indices))
+        values = [list(x.astype(np.float32)) for x in (data.q, data.current, data.q)]
+        t = (data.t - data.t[0]).astype(np.float32)
+        found = dict(zip(lists, values, strict=True)) | {"timestamp": t}
+        rows = np.arange(len(t))
+        found |= {"episode_index": np.full(len(t), number), "frame_index": rows}
+        parts.append(pa.table(found | {"index": rows, "task_index": rows}))
     return pa.concat_tables(parts)
 
 
 def csv_own(path: Path, data: Data) -> Path:
-    """Our own names as Arrow writes CSV."""
     path = path.with_suffix(".csv")
     pa_csv.write_csv(columns(data, *OWN), path)
     return path
@@ -137,23 +119,12 @@ def csv_franka(path: Path, data: Data) -> Path:
     n = len(data.joints)
     groups = [f"state.{g}" for g in ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered")]
     names = [f"{group}[{i}]" for group in [*groups, "cmd.q_d"] for i in range(n)]
-    lines = [",".join(["time", "success_rate", *names])]
-    for t, q, dq, tau in zip(data.t, data.q, data.dq, data.torque, strict=True):
-        row = np.concatenate([q, q, dq, dq, tau, tau * 0.0, q])
-        lines.append(f"{round(float(t) * 1000)},1," + ",".join(f"{v:.17g}" for v in row))
-    path.write_text("\n".join(lines) + "\n")
+    q, dq, tau = data.q, data.dq, data.torque
+    milliseconds = np.column_stack([np.rint(data.t * 1000), np.ones(len(q))])
+    rows = np.hstack([milliseconds, q, q, dq, dq, tau, tau * 0.0, q])
+    header = ",".join(["time", "success_rate", *names])
+    np.savetxt(path, rows, fmt="%.17g", delimiter=",", header=header, comments="")
     return path
-
-
-def mcap_cdr(path: Path, data: Data) -> Path:
-    """sensor_msgs/msg/JointState as ROS 2 records it."""
-    messages = joint_states(data, dq=data.dq)
-    return write_messages(path.with_suffix(".mcap"), messages, encoding="cdr")
-
-
-def mcap_json(path: Path, data: Data) -> Path:
-    """Fields of JointState as JSON with a JSON schema."""
-    return write_messages(path.with_suffix(".mcap"), joint_states(data), encoding="json")
 
 
 def mcap_json_bare(path: Path, data: Data) -> Path:
@@ -163,34 +134,35 @@ def mcap_json_bare(path: Path, data: Data) -> Path:
 
 
 def joint_states(data: Data, dq: Array | None = None) -> list[Message]:
-    """Messages with the current as effort."""
     return joint_messages(data.stamps_ns, data.joints, data.q, dq=dq, effort=data.current)
 
 
-def mcap_dynamic(path: Path, data: Data) -> Path:
-    """control_msgs/msg/DynamicJointState."""
-    return write_messages(path.with_suffix(".mcap"), dynamic_states(data), encoding="cdr")
-
-
 def dynamic_states(data: Data) -> list[Message]:
-    """Messages with the joints in another order, and with another interface."""
+    """control_msgs/msg/DynamicJointState, joints in another order, with another interface."""
     kinds = ["position", "velocity", "effort", "estop"]
-    messages = []
+    messages, names = [], list(data.joints[::-1])
     values = np.stack([data.q, data.dq, data.current, np.zeros_like(data.q)], axis=2)[:, ::-1]
     for stamp, rows in zip(data.stamps_ns.tolist(), values.tolist(), strict=True):
-        message = SimpleNamespace(
-            header=header(stamp),
-            joint_names=list(data.joints[::-1]),
-            interface_values=[SimpleNamespace(interface_names=kinds, values=row) for row in rows],
-        )
-        messages.append(("/dynamic_joint_states", stamp, message))
+        own = [SimpleNamespace(interface_names=kinds, values=row) for row in rows]
+        message = {"header": writers.header(stamp), "joint_names": names, "interface_values": own}
+        messages.append(("/dynamic_joint_states", stamp, SimpleNamespace(**message)))
     return messages
+
+
+def mcap(messages: Callable[[Data], list[Message]], encoding: str) -> Write:
+    def write(path: Path, data: Data) -> Path:
+        return write_messages(path.with_suffix(".mcap"), messages(data), encoding=encoding)
+
+    return write
+
+
+mcap_cdr = mcap(lambda data: joint_states(data, dq=data.dq), "cdr")
+mcap_dynamic, mcap_json = mcap(dynamic_states, "cdr"), mcap(joint_states, "json")
 
 
 def mcap_foxglove_protobuf(
     path: Path, data: Data, topic: str = "/joint_states", chunk_size: int = 1024 * 1024
 ) -> Path:
-    """foxglove.JointStates by the generated classes."""
     path = path.with_suffix(".mcap")
     with path.open("wb") as out, ProtobufWriter(out, chunk_size=chunk_size) as writer:
         for i, stamp in enumerate(data.stamps_ns.tolist()):
@@ -205,7 +177,6 @@ def mcap_foxglove_protobuf(
 
 
 def mcap_foxglove_json(path: Path, data: Data) -> Path:
-    """foxglove.JointStates as JSON."""
     rows = []
     for i, stamp in enumerate(data.stamps_ns.tolist()):
         sec, nsec = divmod(stamp, 10**9)
@@ -227,7 +198,7 @@ def write_bag(
     compression: CompressionMode | None = None,
 ) -> Path:
     """Write a ROS 1 bag, where the path ends with `.bag`, or the folder of a ROS 2 bag."""
-    topics, rows = encoded(messages, "cdr")
+    topics, rows = writers.encoded(messages, "cdr")
     humble, noetic = get_typestore(Stores.ROS2_HUMBLE), get_typestore(Stores.ROS1_NOETIC)
     first = path.suffix == ".bag"
     writer = Bag1Writer(path) if first else Bag2Writer(path, version=9, storage_plugin=plugin)
@@ -246,22 +217,18 @@ def write_bag(
 
 
 def rosbag2_sqlite(path: Path, data: Data) -> Path:
-    """A ROS 2 bag folder with an SQLite file; returns the folder."""
     return write_bag(path, reversed_states(data))
 
 
 def rosbag2_mcap(path: Path, data: Data) -> Path:
-    """A ROS 2 bag folder with an MCAP file; returns the folder."""
     return write_bag(path, reversed_states(data), plugin=StoragePlugin.MCAP)
 
 
 def rosbag1(path: Path, data: Data) -> Path:
-    """A ROS 1 bag."""
     return write_bag(path.with_suffix(".bag"), reversed_states(data))
 
 
 def reversed_states(data: Data) -> list[Message]:
-    """Joint states with the joints in reverse order."""
     rows = {name: getattr(data, name)[:, ::-1] for name in ("q", "dq", "current")}
     turned = replace(data, joints=data.joints[::-1], **rows)
     return joint_states(turned, dq=turned.dq)

@@ -9,16 +9,8 @@ import numpy as np
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.read import read_recording
-from tests.unit.logs.samples import (
-    ARRAY,
-    GYRO,
-    JOINTS,
-    grid,
-    make_motion,
-    make_robot,
-    read_raw,
-    write_motion,
-)
+from tests.unit.logs import samples
+from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot
 from tests.unit.logs.writers import rewrite, write_parquet
 
 ROBOT = make_robot(imus=(ARRAY, GYRO), constants=0.1)
@@ -28,7 +20,7 @@ def sound_logs(folder: Path) -> tuple[Mapping[str, bytes], np.ndarray]:
     """Sound logs of every encoding and storage by their kind, and the positions (N, n) in them."""
     motion, found = make_motion(grid(300)), {}
     for encoding in ("cdr", "json"):
-        source = write_motion(folder / f"{encoding}.mcap", motion, encoding=encoding)
+        source = samples.write_motion(folder / f"{encoding}.mcap", motion, encoding=encoding)
         for compression, crc in product(("none", "lz4", "zstd"), (True, False)):
             name = f"{encoding}-{compression}-{'crc' if crc else 'no_crc'}"
             stored = {"compression": compression, "crc": crc, "summary": crc, "chunk_size": 8192}
@@ -41,7 +33,6 @@ def sound_logs(folder: Path) -> tuple[Mapping[str, bytes], np.ndarray]:
 
 
 def problem(kind: str, data: bytes, path: Path, sound: np.ndarray) -> str:
-    """Read a damaged log; returns what went wrong, empty if nothing."""
     path.write_bytes(data)
     checked = "crc" in kind.split("-") and "none" not in kind
     try:
@@ -53,7 +44,6 @@ def problem(kind: str, data: bytes, path: Path, sound: np.ndarray) -> str:
 
 
 def _unusable(path: Path) -> str:
-    """What a recording may not be, whatever the file."""
     recording = read_recording(path, ROBOT)
     values = [recording.t, recording.q, recording.dq, recording.tau]
     values += [*recording.accelerometers.values(), *recording.gyros.values()]
@@ -64,8 +54,7 @@ def _unusable(path: Path) -> str:
 
 
 def _made_up(path: Path, sound: np.ndarray) -> str:
-    """Rows that the sound log has not."""
-    rows = np.ascontiguousarray(read_raw(path, ROBOT).joints.channels["position"])
+    rows = np.ascontiguousarray(samples.read_raw(path, ROBOT).joints.channels["position"])
     known = {row.tobytes() for row in sound}
     strange = sum(row.tobytes() not in known for row in rows)
     return f"{strange} of {len(rows)} rows are made up" if strange else ""

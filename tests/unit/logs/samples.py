@@ -30,13 +30,9 @@ def make_robot(
     channels: Channels | None = None,
 ) -> Robot:
     """Build a robot whose kinematics do not matter."""
-    n = len(names)
-    each = constants if isinstance(constants, Sequence) else [constants] * n
-    joints = tuple(
-        Joint(name, torque_constant=constant, gear_ratio=gear_ratio)
-        for name, constant in zip(names, each, strict=True)
-    )
-    robot = robot_from_chain(chain_from_dh([(0.0, 0.0, 0.0, 0.0)] * n))
+    each = zip(names, np.broadcast_to(constants, len(names)).tolist(), strict=True)
+    joints = tuple(Joint(name, torque_constant=k, gear_ratio=gear_ratio) for name, k in each)
+    robot = robot_from_chain(chain_from_dh([(0.0, 0.0, 0.0, 0.0)] * len(names)))
     return replace(robot, joints=joints, imus=tuple(imus), channels=channels or Channels())
 
 
@@ -53,22 +49,15 @@ class Motion:
 
 
 def curve(t: Array, width: int, shift: float = 0.0) -> Array:
-    """Give smooth columns, all different."""
     k = np.arange(width)
     return np.sin((1.0 + 0.3 * k) * t[:, None] + 0.7 * k + shift)
 
 
 def make_motion(t: Array, n: int = 3) -> Motion:
-    """Evaluate the motion at given times."""
     gravity = np.array([0.0, 0.0, 9.81] * 2)
-    return Motion(
-        t=t,
-        q=curve(t, n),
-        dq=curve(t, n, 0.5) * 1.3,
-        tau=curve(t, n, 1.0) * 20.0,
-        accelerometers={"array": curve(t, 6) + gravity, "hand": curve(t, 3, 2.0) + gravity[:3]},
-        gyros={"hand": curve(t, 3, 3.0)},
-    )
+    q, dq, tau = curve(t, n), curve(t, n, 0.5) * 1.3, curve(t, n, 1.0) * 20.0
+    accelerometers = {"array": curve(t, 6) + gravity, "hand": curve(t, 3, 2.0) + gravity[:3]}
+    return Motion(t, q, dq, tau, accelerometers, {"hand": curve(t, 3, 3.0)})
 
 
 def write_motion(path: Path, motion: Motion, **options: Any) -> Path:
@@ -82,7 +71,6 @@ def write_motion(path: Path, motion: Motion, **options: Any) -> Path:
 
 
 def grid(count: int = 200, rate_hz: float = 100.0) -> Array:
-    """Give uniform times from 0."""
     return np.arange(count) / rate_hz
 
 

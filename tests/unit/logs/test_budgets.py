@@ -1,5 +1,6 @@
 """A few bytes that stand for gigabytes end in a message, before the gigabytes are there."""
 
+import re
 import struct
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -54,9 +55,8 @@ def record(opcode: int, content: bytes) -> bytes:
 
 
 def channel(number: int) -> bytes:
-    topic = f"/topic_{number}".encode()
-    head = struct.pack("<HHI", number, 0, len(topic))
-    return record(4, head + topic + struct.pack("<I", 3) + b"cdr" + struct.pack("<I", 0))
+    topic = f"/topic_{number:05}".encode()
+    return record(4, struct.pack("<HHI12sI3sI", number, 0, len(topic), topic, 3, b"cdr", 0))
 
 
 CHANNELS = b"".join(map(channel, range(1 << 16)))
@@ -68,9 +68,7 @@ TURNS = b"".join(record(5, struct.pack("<HIQQ", n, 0, 0, 0)) for n in range(1 <<
     [(CHANNELS, *[TURNS] * 8), [TURNS] * 8, [EMPTY * 100_000] * 20, [record(4, b"") * 90_000] * 20],
     ids=["channels", "unknown channels", "foreign records", "definitions"],
 )
-def test_records_that_are_work_for_nothing_end_in_a_message(
-    raws: Sequence[bytes], tmp_path: Path
-) -> None:
+def test_records_that_are_work_for_nothing_are_told(raws: Sequence[bytes], tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
     path.write_bytes(MAGIC + record(1, bytes(8)) + b"".join(record(6, chunk(raw)) for raw in raws))
     scan = Scan(path, lambda topic: True)
@@ -105,23 +103,22 @@ def test_a_definition_of_megabytes_is_not_parsed(monkeypatch: pytest.MonkeyPatch
 
 def test_too_little_memory_is_not_told_as_damage(tmp_path: Path) -> None:
     error = damaged(tmp_path / "log.parquet", pa.ArrowMemoryError("malloc of size 64 failed"))
-    assert "too little memory" in error.message
-    assert "malloc of size 64" in error.message
+    assert re.search("too little memory.*malloc of size 64", error.message)
 
 
 def zeros(count: int) -> pa.Array:
     return pa.array(np.zeros(count, np.int8))
 
 
-def one_value(rows: int = ROOM // 8) -> pa.Table:
-    one = pa.DictionaryArray.from_arrays(zeros(rows), pa.array([0.0]))
+def one_value() -> pa.Table:
+    one = pa.DictionaryArray.from_arrays(zeros(ROOM // 8), pa.array([0.0]))
     return pa.table({"time": one, "j.position": one})
 
 
-def lists(size: int = ROOM // 4, rows: int = 100) -> pa.Table:
-    offsets = pa.array(np.linspace(0, size, rows + 1).astype(np.int32))
-    values = pa.ListArray.from_arrays(offsets, zeros(size))
-    return pa.table({"time": np.arange(float(rows)), "position": values})
+def lists() -> pa.Table:
+    offsets = pa.array(np.linspace(0, ROOM // 4, 101).astype(np.int32))
+    values = pa.ListArray.from_arrays(offsets, zeros(ROOM // 4))
+    return pa.table({"time": np.arange(100.0), "position": values})
 
 
 @pytest.mark.parametrize("table", [one_value, pytest.param(lists, marks=pytest.mark.slow)])
@@ -140,9 +137,7 @@ def test_a_table_of_one_value_is_refused(
 
 
 @pytest.mark.parametrize("plain", [True, False])
-def test_texts_are_refused_before_they_are_read(
-    plain: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_texts_are_not_read(plain: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     texts = pa.DictionaryArray.from_arrays(zeros(1000), pa.array(["x" * 9]))
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table({"time": texts}), path, store_schema=not plain)

@@ -5,11 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
-from seqid_cli.errors import ConfigError
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.model.effects.apply import scene_of_log
@@ -20,6 +17,8 @@ from seqid_cli.params.schema import Stages
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Channels, Robot
 from tests import ROOT
+from tests.unit.inspect.faults import read_columns, write_columns
+from tests.unit.inspect.planting import Columns
 
 SIX = ROOT / "sample_logs" / "six_joint"
 LOG = SIX / "validation" / "fourier_1.parquet"
@@ -29,13 +28,12 @@ TRUTH = read_recording(LOG, ROBOT)
 
 
 @pytest.fixture
-def logged() -> dict[str, np.ndarray]:
-    table = pq.read_table(LOG)
-    return {n: table.column(n).to_numpy() for n in table.column_names if not n.startswith("imu")}
+def logged() -> Columns:
+    return {name: x for name, x in read_columns(LOG).items() if not name.startswith("imu")}
 
 
-def read(folder: Path, logged: dict[str, np.ndarray], robot: Robot) -> Recording:
-    pq.write_table(pa.table(logged), folder / "log.parquet")
+def read(folder: Path, logged: Columns, robot: Robot) -> Recording:
+    write_columns(folder / "log.parquet", logged)
     return read_recording(folder / "log.parquet", robot)
 
 
@@ -44,7 +42,7 @@ def with_channels(channels: Channels, **joint: float) -> Robot:
     return replace(ROBOT, joints=joints, channels=channels, imus=())
 
 
-def test_degrees_of_all_angles(tmp_path: Path, logged: dict[str, np.ndarray]) -> None:
+def test_degrees_of_all_angles(tmp_path: Path, logged: Columns) -> None:
     for name in NAMES:
         logged[f"{name}.position"] = np.rad2deg(logged[f"{name}.position"])
         logged[f"{name}.link_position"] = logged[f"{name}.position"] + 1.0
@@ -53,9 +51,7 @@ def test_degrees_of_all_angles(tmp_path: Path, logged: dict[str, np.ndarray]) ->
     np.testing.assert_allclose(found.link_position - found.q, np.pi / 180.0, atol=1e-12)
 
 
-def test_the_gravity_that_a_driver_subtracts_is_added_again(
-    tmp_path: Path, logged: dict[str, np.ndarray]
-) -> None:
+def test_gravity_that_a_driver_subtracts_is_added_again(tmp_path: Path, logged: Columns) -> None:
     """By the potential energy of the URDF's bodies: its slope is the gravity torque."""
     model = pin.buildModelFromUrdf(str(SIX / "six_joint.urdf"))
     data = model.createData()
@@ -68,19 +64,10 @@ def test_the_gravity_that_a_driver_subtracts_is_added_again(
     assert np.abs(gravity).max() > 10.0
 
 
-def test_gravity_compensation_without_a_model_is_refused(tmp_path: Path) -> None:
-    text = (ROOT / "sample_logs" / "one_joint" / "robot.toml").read_text()
-    path = tmp_path / "robot.toml"
-    path.write_text(text.replace('effort = "current"', 'effort = "gravity_compensated"'))
-    with pytest.raises(ConfigError, match="the gravity that the driver subtracts") as caught:
-        load_robot(path)
-    assert "urdf with <inertial>" in caught.value.hint
-
-
 @pytest.mark.parametrize("logged_as", ["voltage", "pwm"])
 @pytest.mark.parametrize("velocity", [True, False])
 def test_voltage_and_duty_cycle_give_the_current(
-    tmp_path: Path, logged: dict[str, np.ndarray], logged_as: str, velocity: bool
+    tmp_path: Path, logged: Columns, logged_as: str, velocity: bool
 ) -> None:
     """u = R i + k_e w, at the motor."""
     resistance, supply = 2.5, 24.0
@@ -95,9 +82,7 @@ def test_voltage_and_duty_cycle_give_the_current(
     np.testing.assert_allclose(read(tmp_path, logged, robot).tau, TRUTH.tau, atol=1e-6)
 
 
-def test_a_torque_sensor_stands_beside_the_motors_torque_and_is_the_load_of_effects(
-    tmp_path: Path, logged: dict[str, np.ndarray]
-) -> None:
+def test_a_torque_sensor_is_the_load_of_effects(tmp_path: Path, logged: Columns) -> None:
     slow = np.outer(np.sin(logged["t"]), np.linspace(0.0, 1.0, 6))
     logged |= {f"{name}.load": slow[:, j] for j, name in enumerate(NAMES)}
     robot = replace(ROBOT, imus=())

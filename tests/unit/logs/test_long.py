@@ -17,16 +17,8 @@ from seqid_cli.logs.storage import temporary
 from seqid_cli.logs.tables import parquet
 from seqid_cli.motion.blocks import joined
 from tests import Array
-from tests.unit.logs.samples import (
-    ARRAY,
-    GYRO,
-    JOINTS,
-    curve,
-    grid,
-    make_motion,
-    make_robot,
-    write_motion,
-)
+from tests.unit.logs import samples
+from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, curve, grid, make_motion, make_robot
 from tests.unit.logs.writers import write_parquet
 
 ROBOT = make_robot(imus=(ARRAY, GYRO))
@@ -45,15 +37,15 @@ def _small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 def written(folder: Path, form: str = "parquet") -> Path:
     motion = make_motion(grid(SAMPLES))
     if form == "mcap":
-        return write_motion(folder / "log.mcap", motion)
+        return samples.write_motion(folder / "log.mcap", motion)
     warm = 20.0 + 0.1 * motion.t[:, None] + np.arange(3.0)
     later = replace(motion, t=START + motion.t)
-    return write_motion(folder / "log.parquet", later, temperature=warm)
+    return samples.write_motion(folder / "log.parquet", later, temperature=warm)
 
 
 def without_imus(folder: Path) -> Path:
     motion = replace(make_motion(grid(SAMPLES)), accelerometers={}, gyros={})
-    return write_motion(folder / "log.mcap", motion)
+    return samples.write_motion(folder / "log.mcap", motion)
 
 
 def with_torque(folder: Path, t: Array, tau: Array | None = None) -> Path:
@@ -78,7 +70,6 @@ def test_samples_base_and_warnings_are_those_of_the_whole_log(
     path = write(tmp_path)
     whole, log = read_recording(path, make_robot()), open_long(path, make_robot())
     assert SAMPLES <= likely_rows(path) < SAMPLES + 1
-    assert log is not None
     parts = list(log.blocks())
     starts = np.cumsum([0, *(part.samples for part in parts)])
     assert [part.start for part in parts] == starts[:-1].tolist()
@@ -113,7 +104,6 @@ def test_a_log_that_changes_between_two_passes_is_refused(
         monkeypatch.setattr(temporary.Spool, "complete", False)
     path = with_torque(tmp_path, grid(SAMPLES))
     log = open_long(path, make_robot())
-    assert log is not None
     log.sha256  # noqa: B018  # as it was
     with_torque(tmp_path, grid(SAMPLES)).rename(tmp_path / "other.parquet").replace(path)
     if not spooled:
@@ -145,7 +135,6 @@ def assert_same(one: Recording, other: Recording) -> None:
 def test_pieces_of_a_log_that_is_passed_over_are_cut_out_of_it(form: str, tmp_path: Path) -> None:
     path = written(tmp_path, form)
     held, long = read_recording(path, ROBOT), open_long(path, ROBOT)
-    assert long is not None
     assert whole_of(long) == whole_of(held)
     expected = cut(held, RANGES)
     for kind in (form, ""):  # of other formats they are cut
@@ -163,7 +152,6 @@ def test_pieces_of_a_log_that_is_passed_over_are_cut_out_of_it(form: str, tmp_pa
 def test_pieces_of_uneven_stamps(tmp_path: Path) -> None:
     path = with_torque(tmp_path, START + grid(SAMPLES) + 0.001 * NOISE)
     held, long = read_recording(path, make_robot()), open_long(path, make_robot())
-    assert long is not None
     for piece in read_pieces(path, make_robot(), whole_of(long), RANGES, kind="parquet"):
         at = piece.start - held.start + piece.t
         expected = np.column_stack([np.interp(at, held.t, q) for q in held.q.T])

@@ -41,9 +41,8 @@ def test_jitter_is_interpolated_and_bursts_as_well(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.q, curve(recording.t + t[0], 3), atol=1e-6)
     assert recording.valid.all()
     bursts = read_times(tmp_path, np.repeat(grid(100, 20.0), 5) + np.tile(np.arange(5) * 1e-4, 100))
-    assert bursts.health.jitter > 0.5
-    assert bursts.rate_hz == pytest.approx(100.0, rel=0.02)
     assert bursts.valid.all()
+    assert (bursts.rate_hz, bursts.health.jitter > 0.5) == (pytest.approx(100.0, rel=0.02), True)
     assert np.abs(bursts.q).max() <= 1.0  # a spline through bursts would swing
 
 
@@ -52,8 +51,7 @@ def test_gap_is_bridged_by_a_straight_line_and_marked(tmp_path: Path) -> None:
     np.testing.assert_array_equal(np.flatnonzero(~recording.valid), np.arange(200, 240))
     np.testing.assert_allclose(recording.health.gaps, [(1.99, 2.40)], atol=1e-9)
     expected = curve(grid(500), 3)
-    share = np.arange(1, 41)[:, None] / 41
-    expected[200:240] = (1 - share) * expected[199] + share * expected[240]
+    expected[200:240] = np.linspace(expected[199], expected[240], 42)[1:-1]
     np.testing.assert_allclose(recording.q, expected, atol=1e-9)
 
 
@@ -112,8 +110,6 @@ def test_unknown_time_source(tmp_path: Path) -> None:
 
 
 def test_bases_of_other_rates_do_not_alias() -> None:
-    """As of an IMU that is slower or faster than the joints."""
-
     def on_base(t: Array, values: Array, rate_hz: float) -> tuple[Array, Array]:
         stream = Stream("imu", T0 + np.rint(t * 1e9).astype(np.int64), {"gyro": values})
         count = int(t[-1] * rate_hz + 1e-6) + 1

@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 
 from seqid_cli.logs.long import open_long
-from seqid_cli.logs.raw import Array, Stream
+from seqid_cli.logs.raw import Stream
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.turns import in_turns
 from seqid_cli.robot.types import Robot
+from tests import Array
 from tests.unit.logs.format_writers import Data, Write, csv_own, mcap_cdr, parquet, rosbag2_sqlite
 from tests.unit.logs.test_formats import ONE, robot
 
 TURN = 2.0 * np.pi
 T = np.arange(0.0, 20.0, 0.01)
-LIMITS = [(-3.0, 3.0), (-0.5, 6.0), None]
+Limits = tuple[float, float] | None
+LIMITS: list[Limits] = [(-3.0, 3.0), (-0.5, 6.0), None]
 
 
 def written(path: Path, q: Array, write: Write = parquet) -> Path:
@@ -25,18 +27,14 @@ def written(path: Path, q: Array, write: Write = parquet) -> Path:
     return write(path, Data(T, robot(ONE).joint_names, column, dq, column, column))
 
 
-def limited(limits: tuple[float, float] | None, *, prismatic: bool = False) -> Robot:
-    arm = robot(ONE)
-    return replace(
-        arm, joints=(replace(arm.joints[0], position_limits=limits, prismatic=prismatic),)
-    )
+def limited(limits: Limits, prismatic: bool = False) -> Robot:
+    joint = replace(robot(ONE).joints[0], position_limits=limits, prismatic=prismatic)
+    return replace(robot(ONE), joints=(joint,))
 
 
 @pytest.mark.parametrize("write", [parquet, csv_own, mcap_cdr, rosbag2_sqlite])
 @pytest.mark.parametrize("limits", LIMITS)
-def test_a_position_that_wraps_runs_on_within_the_limits(
-    tmp_path: Path, write: Write, limits: tuple[float, float] | None
-) -> None:
+def test_wraps_run_on_within_the_limits(tmp_path: Path, write: Write, limits: Limits) -> None:
     middle = sum(limits) / 2 if limits else 0.0
     q = middle - 2.0 * np.cos(T)
     log = written(tmp_path / "log", q % TURN, write)
@@ -52,15 +50,14 @@ def test_a_position_that_wraps_runs_on_within_the_limits(
         np.testing.assert_allclose(found, middle - 1.5 + np.sin(T), atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("q", "prismatic"),
-    [(2.9 * np.sin(T), False), (np.rad2deg(2.9 * np.sin(T)), False), (np.sin(T) % TURN, True)],
-    ids=["within the limits", "degrees", "slide"],
-)
-def test_other_positions_stay_as_they_are(tmp_path: Path, q: Array, prismatic: bool) -> None:
-    log = written(tmp_path / "log", q)
-    arm = limited((-3.0, 3.0), prismatic=prismatic)
-    np.testing.assert_array_equal(read_recording(log, arm).q[:, 0], q)
+WITHIN = 2.9 * np.sin(T)
+OTHERS = {"within the limits": WITHIN, "degrees": np.rad2deg(WITHIN), "slide": np.sin(T) % TURN}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_other_positions_stay_as_they_are(tmp_path: Path, name: str) -> None:
+    log, arm = written(tmp_path / "log", OTHERS[name]), limited((-3.0, 3.0), name == "slide")
+    np.testing.assert_array_equal(read_recording(log, arm).q[:, 0], OTHERS[name])
 
 
 @pytest.mark.parametrize("chance", [False, True])

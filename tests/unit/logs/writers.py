@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, Literal
@@ -51,11 +52,7 @@ DEFINITIONS = {
     STRING: "string data\n",
 }
 _TOLD_BY = {"position": JOINT_STATE, "orientation": IMU, "joint_names": DYNAMIC, "data": STRING}
-COMPRESSIONS = {
-    "none": CompressionType.NONE,
-    "lz4": CompressionType.LZ4,
-    "zstd": CompressionType.ZSTD,
-}
+COMPRESSIONS = {kind.name.lower(): kind for kind in CompressionType}
 
 
 def write_parquet(
@@ -104,7 +101,6 @@ def write_mcap(
     zero_stamps: bool = False,
     **channels: Any,
 ) -> Path:
-    """Write the topics of `arm_messages`."""
     messages = []
     for topic, stamp, content in arm_messages(t, joints, q, **channels):
         if zero_stamps:
@@ -144,9 +140,7 @@ def arm_messages(
 
 
 def encoded(
-    messages: Sequence[Message],
-    encoding: Encoding,
-    definitions: Mapping[str, str] = DEFINITIONS,
+    messages: Sequence[Message], encoding: Encoding, definitions: Mapping[str, str] = DEFINITIONS
 ) -> tuple[dict[str, Channel], Iterator[tuple[str, int, bytes]]]:
     """Encode messages for `write_raw`; the type of each topic is told from their fields."""
     topics: dict[str, Channel] = {}
@@ -157,27 +151,21 @@ def encoded(
             if encoding == "json":
                 schema, encode[topic] = ("jsonschema", b'{"type":"object"}'), as_json
             else:
-                schema = "ros2msg", definitions[kind].encode()
-                encode[topic] = serialize_dynamic(kind, definitions[kind])[kind]
+                schema = "ros2msg", DEFINITIONS[kind].encode()
+                encode[topic] = serialize_dynamic(kind, DEFINITIONS[kind])[kind]
             topics[topic] = (encoding, kind, *schema)
     return topics, ((topic, at, encode[topic](content)) for topic, at, content in messages)
 
 
 def as_json(content: object) -> bytes:
-    """Write a message as JSON."""
     return json.dumps(content, default=vars).encode()
 
 
 def write_messages(
-    path: Path,
-    messages: Sequence[Message],
-    *,
-    encoding: Encoding,
-    definitions: Mapping[str, str] = DEFINITIONS,
-    **storage: Any,
+    path: Path, messages: Sequence[Message], *, encoding: Encoding, **storage: Any
 ) -> Path:
     """Write messages in the given order; `storage`: see `write_raw`."""
-    return write_raw(path, *encoded(messages, encoding, definitions), **storage)
+    return write_raw(path, *encoded(messages, encoding), **storage)
 
 
 def joint_messages(
@@ -189,7 +177,6 @@ def joint_messages(
     effort: Array | None = None,
     topic: str = "/joint_states",
 ) -> list[Message]:
-    """JointState messages, one per row."""
     quantities = {"position": q, "velocity": dq, "effort": effort}
     messages = []
     for i, stamp in enumerate(stamps_ns.tolist()):
@@ -220,7 +207,6 @@ def imu_messages(
 
 
 def header(stamp_ns: int, frame: str = "base_link") -> SimpleNamespace:
-    """Make a std_msgs/Header."""
     sec, nanosec = divmod(stamp_ns, 1_000_000_000)
     return SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec), frame_id=frame)
 
@@ -229,42 +215,29 @@ def rewrite(
     source: Path,
     target: Path,
     *,
-    compression: str = "zstd",
     chunking: bool = True,
     index: bool = True,
     crc: bool = True,
     summary: bool = True,
-    chunk_size: int = 1024 * 1024,
+    **storage: Any,
 ) -> Path:
     """Copy an MCAP file message by message with other settings of the writer."""
     summaries = ("use_statistics", "use_summary_offsets", "repeat_channels", "repeat_schemas")
-    with source.open("rb") as file, target.open("wb") as out:
-        writer = RawWriter(
-            out,
-            chunk_size=chunk_size,
-            compression=COMPRESSIONS[compression],
-            index_types=IndexType.ALL if index else IndexType.NONE,
-            use_chunking=chunking,
-            enable_crcs=crc,
-            enable_data_crcs=crc,
-            **dict.fromkeys(summaries, summary),
-        )
-        writer.start(profile="ros2")
-        links: dict[int, int] = {}
-        for schema, link, message in NonSeekingReader(file).iter_messages(log_time_order=False):
-            if link.id not in links:
-                own = schema and writer.register_schema(schema.name, schema.encoding, schema.data)
-                links[link.id] = writer.register_channel(
-                    link.topic, link.message_encoding, own or 0
-                )
-            stamps = message.publish_time, message.sequence
-            writer.add_message(links[link.id], message.log_time, message.data, *stamps)
-        writer.finish()
-    return target
+    storage |= dict.fromkeys(summaries, summary) | {"use_chunking": chunking}
+    storage |= dict.fromkeys(("enable_crcs", "enable_data_crcs"), crc)
+    storage["index_types"] = IndexType.ALL if index else IndexType.NONE
+    with source.open("rb") as file:
+        found = list(NonSeekingReader(file).iter_messages(log_time_order=False))
+    topics = {
+        link.topic: (link.message_encoding, schema.name, schema.encoding, schema.data)
+        for schema, link, _ in found
+    }
+    messages = ((link.topic, message.log_time, message.data) for _, link, message in found)
+    return write_raw(target, topics, messages, at_once=False, **storage)
 
 
 def _vector(values: Array) -> SimpleNamespace:
-    return SimpleNamespace(x=float(values[0]), y=float(values[1]), z=float(values[2]))
+    return SimpleNamespace(**dict(zip("xyz", map(float, values), strict=True)))
 
 
 def write_raw(
@@ -272,19 +245,24 @@ def write_raw(
     topics: Mapping[str, Channel],
     messages: Iterable[tuple[str, int, bytes]],
     *,
-    chunk_size: int = 1024 * 1024,
     compression: str = "zstd",
+    at_once: bool = True,
+    **storage: Any,
 ) -> Path:
-    """Write messages (topic, log time in ns, bytes) as they are."""
+    """Write messages (topic, log time in ns, bytes), all channels before them or as they come."""
     with path.open("wb") as out:
-        writer = RawWriter(out, chunk_size=chunk_size, compression=COMPRESSIONS[compression])
+        writer = RawWriter(out, compression=COMPRESSIONS[compression], **storage)
         writer.start(profile="ros2")
-        channels = {}
-        for topic, told in topics.items():
+
+        @cache
+        def channel(topic: str) -> int:
+            told = topics[topic]
             encoding, *schema = (told,) if isinstance(told, str) else told
             number = writer.register_schema(*schema) if schema else 0
-            channels[topic] = writer.register_channel(topic, encoding, number)
+            return writer.register_channel(topic, encoding, number)
+
+        list(map(channel, topics if at_once else ()))
         for topic, stamp, data in messages:
-            writer.add_message(channels[topic], stamp, data, stamp)
+            writer.add_message(channel(topic), stamp, data, stamp)
         writer.finish()
     return path

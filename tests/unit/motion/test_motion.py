@@ -24,7 +24,6 @@ RATE = 500.0
 
 
 def curves(samples: int = 6000) -> tuple[Array, Array, Array]:
-    """Positions, velocities and accelerations of two joints."""
     t = np.arange(samples) / RATE
     w, phase = np.array([2.0, 3.1]), np.array([0.3, 1.0])
     angle = t[:, None] * w + phase
@@ -34,7 +33,6 @@ def curves(samples: int = 6000) -> tuple[Array, Array, Array]:
 def motion_of(
     q: Array, hz: float | None = None, tau: Array | None = None, invalid: Array | None = None
 ) -> Motion:
-    """Motion of a log of two joints, some of its samples invalid."""
     log = made_recording(q, tau, rate_hz=RATE)
     log.valid[[] if invalid is None else invalid] = False
     return estimate_motion(log, planar_2r(), MotionOptions(cutoff_hz=hz))
@@ -66,8 +64,7 @@ def test_samples_near_ends_and_gaps_are_not_usable() -> None:
     motion = motion_of(q, 10.0, invalid=np.arange(3000, 3010))
     margin = 2 * motion.lowpass.settling
     expected = np.zeros(len(q), dtype=bool)
-    expected[margin : 3000 - margin] = True
-    expected[3010 + margin : len(q) - margin] = True
+    expected[margin : 3000 - margin] = expected[3010 + margin : len(q) - margin] = True
     np.testing.assert_array_equal(motion.usable, expected)
 
 
@@ -98,7 +95,6 @@ def log() -> Recording:
 
 
 def in_parts(recording: Recording, sizes: list[int]) -> Iterator[Block]:
-    """The samples in blocks of the given sizes, over and over."""
     start, turn = 0, 0
     while start < len(recording.t):
         part = slice(start, start + sizes[turn % len(sizes)])
@@ -129,9 +125,7 @@ def test_motion_by_blocks_is_the_whole_motion(
 
 
 @pytest.mark.parametrize("resolution", [0.0, STEP])
-def test_a_survey_in_parts_chooses_as_that_of_the_whole_log(
-    log: Recording, resolution: float
-) -> None:
+def test_a_survey_in_parts_is_that_of_the_whole_log(log: Recording, resolution: float) -> None:
     known = np.full(3, resolution)
     survey = Survey(3, RATE, SAMPLES)
     for block in in_parts(log, [911]):

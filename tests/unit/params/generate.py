@@ -24,12 +24,10 @@ DOCUMENTS: Mapping[str, type[msgspec.Struct]] = {
 
 
 def schema_path(name: str) -> Path:
-    """Return where the JSON Schema of a document such as `seqid/params@1` ships."""
     return SCHEMA_FOLDER / (name.removeprefix("seqid/").replace("@", "-") + ".json")
 
 
 def json_schema(name: str) -> dict[str, object]:
-    """Return the JSON Schema (draft 2020-12) of a document such as `seqid/params@1`."""
     document = DOCUMENTS[name]
     (reference,), components = msgspec.json.schema_components(
         [document], ref_template="#/$defs/{name}"

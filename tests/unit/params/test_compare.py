@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Iterator
-from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +68,6 @@ def moved_surface(a: ParameterFile, b: ParameterFile) -> None:
 
 
 def same_surface(a: ParameterFile, b: ParameterFile) -> None:
-    """The same friction, over another range and of higher orders."""
     joint = b.stages.friction.joints["elbow"]
     # 1 + x/3 with x = q / 2 becomes 1 + (2/3) x' over twice the range.
     joint.position_range = [-4.0, 4.0]
@@ -92,21 +90,16 @@ def turned(euler: str, *degrees: float, free: bool = False) -> Edit:
 
 
 def moved_effect(a: ParameterFile, b: ParameterFile) -> None:
+    named = {"name": "stribeck_torque", "std_error": 0.01, "unit": "N m", "joint": "elbow"}
     for file, value in ((a, 1.0), (b, 1.2)):
-        file.stages.effects[0].parameters = [
-            Parameter(
-                name="stribeck_torque", value=value, std_error=0.01, unit="N m", joint="elbow"
-            )
-        ]
+        file.stages.effects[0].parameters = [Parameter(value=value, **named)]
     b.stages.effects[0].settings["stribeck_speed"] = 0.2
 
 
 def poor(a: ParameterFile, b: ParameterFile) -> None:
     """Of several verdicts on a joint all must be good."""
-    hole, few = (
-        Verdict(joint="elbow", good=False, reason=why)
-        for why in ("no values for a while", "too few speeds")
-    )
+    reasons = "no values for a while", "too few speeds"
+    hole, few = (Verdict(joint="elbow", good=False, reason=reason) for reason in reasons)
     for file in (a, b):
         file.stages.gravity.verdicts = [*file.stages.gravity.verdicts, hole]
     b.stages.friction.verdicts = [*b.stages.friction.verdicts, hole, few]
@@ -126,11 +119,12 @@ def other_file(a: ParameterFile, b: ParameterFile) -> None:
 
 
 def of_the_second(place: str, value: object) -> Edit:
-    """Put something else into the second file."""
-
     def edit(a: ParameterFile, b: ParameterFile) -> None:
-        owner, _, name = f"stages.{place}".rpartition(".")
-        setattr(attrgetter(owner)(b), name, value)
+        *names, last = place.split(".")
+        owner = b.stages
+        for name in names:
+            owner = owner[name] if isinstance(owner, dict) else getattr(owner, name)
+        setattr(owner, last, value)
 
     return edit
 
@@ -142,9 +136,7 @@ CASES: dict[str, Edit] = {
     "without IMUs": of_the_second("imu", None),
     "other coefficients of the same friction": same_surface,
     "other friction": moved_surface,
-    "speeds of another range": lambda a, b: setattr(
-        b.stages.friction.joints["elbow"], "speed_range", [2.0, 3.0]
-    ),
+    "speeds of another range": of_the_second("friction.joints.elbow.speed_range", [2.0, 3.0]),
     "turned by half a degree": turned("x", 0.5),
     "turned by 3 degrees": turned("x", 3.0),
     "turned about the free axis": turned("z", 143.0, free=True),

@@ -20,19 +20,8 @@ from seqid_cli.params.encode import LARGEST, encode, plain
 from seqid_cli.params.io import read_parameters, write_json_atomic
 from seqid_cli.params.results.diagnosis import DIAGNOSIS_SCHEMA
 from seqid_cli.params.schema import SCHEMA, EffectOfJoint, Stages
-from tests.unit.params.documents import (
-    closed_loop,
-    diagnosis_file,
-    friction_file,
-    friction_stage,
-    full_file,
-    gravity_file,
-    imu_file,
-    inertia_file,
-    log,
-    rigid_stage,
-    robot,
-)
+from tests.unit.params import documents as made
+from tests.unit.params.documents import diagnosis_file, full_file, gravity_file, log, robot
 from tests.unit.params.generate import DOCUMENTS, json_schema, schema_path
 
 
@@ -42,28 +31,24 @@ def test_what_rested_on_a_stage_goes_when_it_is_done_again() -> None:
     assert stale_stages(file, ["imu"]) == ("inertia", "effects")
     assert stale_stages(file, ["friction", "inertia"]) == ("gravity", "effects")
     assert stale_stages(None, ["friction"]) == ()
-    assert stale_stages(friction_file(), ["gravity"]) == ()
-    again = with_stage(file, robot(), [], friction=friction_stage(good=False))
+    assert stale_stages(made.friction_file(), ["gravity"]) == ()
+    again = with_stage(file, robot(), [], friction=made.friction_stage(good=False))
     assert list(present(again.stages)) == ["friction", "imu"]
     assert [item.stage for item in again.inputs] == ["imu"]
     assert again.closed_loop is None
 
 
 def test_a_refined_file_keeps_every_input_and_replaces_the_stages() -> None:
-    before = inertia_file()
-    new = Stages(
-        friction=friction_stage(good=False),
-        inertia=rigid_stage("N m"),
-        effects=[EffectOfJoint(effect="stribeck", joint="elbow")],
-    )
-    after = refined(before, robot(), [log("e", "effects")], new, closed_loop())
-    assert after.stages.friction == new.friction
-    assert after.stages.gravity == before.stages.gravity
-    assert after.stages.imu == before.stages.imu
-    assert after.stages.effects == new.effects
+    before = made.inertia_file()
+    old, effects = before.stages, [EffectOfJoint(effect="stribeck", joint="elbow")]
+    friction, inertia = made.friction_stage(good=False), made.rigid_stage("N m")
+    new = Stages(friction=friction, inertia=inertia, effects=effects)
+    after = refined(before, robot(), [log("e", "effects")], new, made.closed_loop())
+    for name, source in (("friction", new), ("gravity", old), ("imu", old), ("effects", new)):
+        assert getattr(after.stages, name) == getattr(source, name)
     assert after.inputs == [*before.inputs, log("e", "effects")]
-    assert after.closed_loop == closed_loop()
-    nothing = refined(before, robot(), [], before.stages, closed_loop())
+    assert after.closed_loop == made.closed_loop()
+    nothing = refined(before, robot(), [], before.stages, made.closed_loop())
     assert nothing.stages.effects == []  # that there are none is said
 
 
@@ -80,13 +65,11 @@ def refused_at(name: str, document: object) -> set[str]:
 
 
 def test_the_schema_refuses_what_breaks_the_contract() -> None:
-    document = json.loads(encode(full_file()))
-    document["schema"] = "seqid/params@2"
+    document = json.loads(encode(full_file())) | {"schema": "seqid/params@2"}
     document["stages"]["inertia"]["surprise"] = 1
     del document["robot"]["sha256"]
     assert refused_at(SCHEMA, document) == {"$.schema", "$.robot", "$.stages.inertia"}
-    document = json.loads(encode(diagnosis_file()))
-    document["verdict"] = "perhaps"
+    document = json.loads(encode(diagnosis_file())) | {"verdict": "perhaps"}
     del document["findings"][0]["separate_by"]
     document["joints"]["elbow"]["white"] = 1
     places = {"$.verdict", "$.findings[0]", "$.joints.elbow.white"}
@@ -97,15 +80,13 @@ finite = st.floats(allow_nan=False, allow_infinity=False, min_value=-LARGEST, ma
 documents = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**53), 2**53) | finite | st.text(),
     lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
-    max_leaves=20,
+    max_leaves=8,
 )
 
 
 @settings(deadline=None, max_examples=40)
 @given(documents, finite)
-def test_text_is_json_of_the_document_rounded_once_to_twelve_digits(
-    document: object, value: float
-) -> None:
+def test_text_is_json_of_rounded_numbers(document: object, value: float) -> None:
     assert json.loads(encode(document)) == plain(document)
     rounded = plain(value)
     assert isinstance(rounded, float)
@@ -117,14 +98,14 @@ def test_text_is_json_of_the_document_rounded_once_to_twelve_digits(
 def test_what_no_sample_shows_is_written_as_a_file_may_hold_it(tmp_path: Path) -> None:
     file = full_file()
     file.stages.gravity.parameters[0].std_error = 1e150
-    (tmp_path / "model.json").write_text(encode(file))
-    stage = read_parameters(tmp_path / "model.json").stages.gravity
+    (tmp_path / "p.json").write_text(encode(file))
+    stage = read_parameters(tmp_path / "p.json").stages.gravity
     assert stage.parameters[0].std_error == LARGEST == UNTOLD
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_a_number_that_is_not_finite_is_named(bad: float) -> None:
-    stage = rigid_stage()
+    stage = made.rigid_stage()
     stage.parameters[0].value = bad
     with pytest.raises(ValueError, match=r"^\$\.parameters\[0\]\.value is -?(nan|inf)"):
         encode(stage)
@@ -150,11 +131,10 @@ def problem(path: Path, text: str | bytes) -> ConfigError:
 
 
 def test_what_is_written_is_read_back(tmp_path: Path) -> None:
-    path = tmp_path / "p.json"
-    write_json_atomic(path, full_file())
-    file = read_parameters(path)
-    assert plain(file) == plain(full_file()) | {"created": file.created}
-    before = path.read_bytes()
+    path, given = tmp_path / "p.json", full_file()
+    write_json_atomic(path, given)
+    file, before = read_parameters(path), path.read_bytes()
+    assert plain(file) == plain(given)
     write_json_atomic(path, file)
     assert path.read_bytes() == before
 
@@ -213,22 +193,16 @@ WRONG = [  # a key of the full file, its value, what is said of it, or of anothe
 
 
 @pytest.mark.parametrize(("key", "value", "message"), WRONG)
-def test_wrong_content_is_named_by_its_key(
-    tmp_path: Path, key: str, value: object, message: str
-) -> None:
+def test_wrong_content_has_its_key(tmp_path: Path, key: str, value: object, message: str) -> None:
     error = problem(tmp_path / "p.json", edited(key, value))
     named = re.sub(r"\.(\d+)", r"[\1]", f"$.{key}")
     assert error.message.startswith(message if message.startswith("$") else f"{named}: {message}")
 
 
 def test_a_closed_loop_needs_no_more_than_the_contract(tmp_path: Path) -> None:
-    older = {
-        "rounds": [{"effect": "stribeck", "joint": "elbow"}, {"effect": "payload"}],
-        "before": {"elbow": {"rmse": 0.5}},
-        "after": {"elbow": {"rmse": 0.5}},
-        "noise_floor": {"elbow": 0.1},
-        "evaluated_on": ["v.parquet"],
-    }
+    rounds, rmse = [{"effect": "stribeck", "joint": "elbow"}, {"effect": "payload"}], {"rmse": 0.5}
+    older = {"rounds": rounds, "before": {"elbow": rmse}, "after": {"elbow": rmse}}
+    older |= {"noise_floor": {"elbow": 0.1}, "evaluated_on": ["v.parquet"]}
     path = tmp_path / "p.json"
     path.write_text(edited("closed_loop", older))
     loop = read_parameters(path).closed_loop
@@ -249,9 +223,7 @@ def test_a_missing_file_a_folder_and_a_huge_file(tmp_path: Path) -> None:
             read_parameters(path)
 
 
-def test_older_files_are_migrated_step_by_step(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_older_files_are_migrated_in_steps(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "p.json"
     path.write_text(edited("robot.joint_names", []))
 
@@ -259,22 +231,20 @@ def test_older_files_are_migrated_step_by_step(
         del document["robot"]["joint_names"]
         return document
 
-    def third(document: dict[str, object]) -> dict[str, object]:
-        return document | {"schema": "seqid/params@3", "created": "migrated"}
-
+    steps = {1: second, 2: lambda x: x | {"schema": "seqid/params@3", "created": "migrated"}}
     monkeypatch.setattr(io, "PARAMS_VERSION", 3)
-    monkeypatch.setattr(io, "PARAMS_MIGRATIONS", {1: second, 2: third})
+    monkeypatch.setattr(io, "PARAMS_MIGRATIONS", steps)
     file = read_parameters(path)
     assert (file.schema, file.created) == ("seqid/params@3", "migrated")
-    monkeypatch.setattr(io, "PARAMS_MIGRATIONS", {1: second})
+    del steps[2]
     with pytest.raises(ConfigError, match="old version seqid/params@1"):
         read_parameters(path)
 
 
 def test_two_branches_are_joined_unless_they_disagree() -> None:
-    both = join([("g.json", gravity_file()), ("i.json", imu_file())])
+    both = join([("g.json", gravity_file()), ("i.json", made.imu_file())])
     assert both.stages.gravity == gravity_file().stages.gravity
-    assert both.stages.imu == imu_file().stages.imu
+    assert both.stages.imu == made.imu_file().stages.imu
     assert [log.path for log in both.inputs] == ["a", "b", "c"]
     other = gravity_file()
     other.stages.friction.joints["elbow"].rmse = 0.7

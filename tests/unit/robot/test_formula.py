@@ -10,14 +10,12 @@ from seqid_cli.errors import ConfigError
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.formula import LONGEST, FormulaError, Symbol, parse_formula
 
-ARM = """\
+DH = "dh = { alpha = 0, a = 0.3, d = 0, theta0 = 0 }"
+ARM = f"""\
 schema = "seqid/robot@1"
 name = "arm"
 gravity = [0, 0, -9.81]
-joint = [
-  { name = "shoulder", dh = { alpha = 0, a = 0, d = 0, theta0 = 0 } },
-  { name = "elbow", dh = { alpha = 0, a = 0.3, d = 0, theta0 = 0 } },
-]
+joint = [{{ name = "shoulder", {DH} }}, {{ name = "elbow", {DH} }}]
 """
 
 REFUSED = {
@@ -82,10 +80,9 @@ def robot_file(folder: Path, table: str) -> Path:
 
 
 def test_a_robot_file_has_its_effects(tmp_path: Path) -> None:
-    table = (
-        'name = "cable"\njoint = "elbow"\ntorque = "c * tanh(q / w)"\nsettings = { w = [0.1, 1] }'
-    )
-    (own,) = load_robot(robot_file(tmp_path, table)).effects
+    law = 'torque = "c * tanh(q / w)"\nsettings = { w = [0.1, 1] }'
+    path = robot_file(tmp_path, f'name = "cable"\njoint = "elbow"\n{law}')
+    (own,) = load_robot(path).effects
     assert (own.name, own.joint, own.settings) == ("cable", 1, {"w": (0.1, 1.0)})
     assert own.formula.coefficients == ("c",)
 
@@ -102,9 +99,7 @@ def test_a_robot_file_has_its_effects(tmp_path: Path) -> None:
         ('name = "cable"\n[[effect]]\nname = "cable"', "cable"),
     ],
 )
-def test_what_is_wrong_is_said_with_file_key_and_remedy(
-    tmp_path: Path, table: str, said: str
-) -> None:
+def test_what_is_wrong_is_said_with_key_and_remedy(tmp_path: Path, table: str, said: str) -> None:
     path = robot_file(tmp_path, table)
     with pytest.raises(ConfigError) as caught:
         load_robot(path)

@@ -9,30 +9,21 @@ import pytest
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.regressor import inverse_dynamics, torque_regressor
-from tests.plants.robots.small import (
-    GRAVITY,
-    NAMES_6R,
-    NAMES_GANTRY,
-    joint,
-    link,
-    states,
-    urdf,
-    urdf_6r,
-    urdf_gantry,
-)
+from tests.plants.robots import small
+from tests.plants.robots.small import NAMES_6R, joint, link, urdf, urdf_6r
 from tests.plants.robots.stages import save_robot
 
+ARMS = [(urdf_6r(), NAMES_6R), (small.urdf_gantry(), small.NAMES_GANTRY)]
 
-@pytest.mark.parametrize(
-    ("text", "names"), [(urdf_6r(), NAMES_6R), (urdf_gantry(), NAMES_GANTRY)], ids=["6r", "gantry"]
-)
-def test_regressor_and_nominal_torque_are_pinocchios(
+
+@pytest.mark.parametrize(("text", "names"), ARMS, ids=["6r", "gantry"])
+def test_regressor_and_torque_are_pinocchios(
     tmp_path: Path, text: str, names: tuple[str, ...]
 ) -> None:
     robot = save_robot(tmp_path, text, names)
     model = pin.buildModelFromXML(text)
     data = model.createData()
-    q, dq, ddq = states(np.random.default_rng(0), 8, robot.n)
+    q, dq, ddq = small.states(np.random.default_rng(0), 8, robot.n)
     Y = torque_regressor(robot.chain, robot.gravity, q, dq, ddq)
     tau = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, dq, ddq)
     for k in range(8):
@@ -44,14 +35,11 @@ def test_regressor_and_nominal_torque_are_pinocchios(
 
 
 def test_joints_that_are_not_named_are_locked_at_zero_and_merged(tmp_path: Path) -> None:
-    robot = save_robot(tmp_path, urdf_6r(), ("shoulder_lift", "elbow"))
-    whole = save_robot(tmp_path, urdf_6r(), NAMES_6R)
-    q = np.random.default_rng(3).normal(size=(3, 2))
-    wide = np.pad(q, ((0, 0), (1, 3)))
-    some, every = (
-        inverse_dynamics(arm.chain, GRAVITY, arm.nominal, at, 0.0 * at, 0.0 * at)
-        for arm, at in ((robot, q), (whole, wide))
-    )
+    q, found = np.random.default_rng(3).normal(size=(3, 2)), []
+    for names, at in ((NAMES_6R[1:3], q), (NAMES_6R, np.pad(q, ((0, 0), (1, 3))))):
+        arm, still = save_robot(tmp_path, urdf_6r(), names), 0.0 * at
+        found.append(inverse_dynamics(arm.chain, arm.gravity, arm.nominal, at, still, still))
+    some, every = found
     np.testing.assert_allclose(some, every[:, 1:3], atol=1e-10)
 
 
@@ -103,7 +91,6 @@ def test_rounded_angles_are_tidied(tmp_path: Path) -> None:
 
 
 def turning(*, mass: float | None = None, **options: str) -> str:
-    """An arm of one joint."""
     return urdf(link("a"), link("b", mass=mass), joint("turn", "a", "b", **options))
 
 

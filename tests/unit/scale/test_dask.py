@@ -27,7 +27,6 @@ GOLDEN = ("-r", str(RIG / "robot.toml"), "-p", str(RIG / "golden.json"), "--moti
 
 @pytest.fixture(scope="module")
 def scheduler() -> Iterator[str]:
-    """Start a scheduler and two workers as threads; returns the address."""
     from distributed import LocalCluster
 
     with LocalCluster(
@@ -38,7 +37,6 @@ def scheduler() -> Iterator[str]:
 
 @pytest.fixture
 def logs(tmp_path: Path) -> list[str]:
-    """Return five logs, of which the middle one is damaged."""
     source = sorted((RIG / "inertia").glob("*.parquet"))
     names = [tmp_path / f"{k}.parquet" for k in range(5)]
     for k, name in enumerate(names):  # no two alike: a copy would be left out
@@ -63,9 +61,7 @@ def test_the_cluster_changes_no_bit_and_no_order(
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nonsense://x"])
-def test_a_scheduler_that_is_not_there_is_named(
-    address: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_scheduler_is_named(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("seqid_cli.scale.executors.PATIENCE_S", 0.2)
     with pytest.raises(UsageError, match="no Dask scheduler answers"), dask_cluster(address):
         raise AssertionError

@@ -17,8 +17,6 @@ from seqid_cli.scale.executors import Reply, WorkerError, ordered, processes
 
 @dataclass(frozen=True)
 class Waiting:
-    """Waits the longer the earlier the item is."""
-
     items: int
     step_s: float = 0.01
 
@@ -27,7 +25,7 @@ class Waiting:
         return item
 
 
-def state(item: int) -> tuple[int, int, bool]:
+def state(_: int) -> tuple[int, int, bool]:
     """Process, threads of BLAS, and whether interrupts are left to the asking process."""
     import numpy as np
     from threadpoolctl import threadpool_info
@@ -90,8 +88,8 @@ def test_errors_keep_their_kind_and_bugs_their_traceback(here: bool) -> None:
     assert failed(found) == [2, 4, 6]
     with pytest.raises(InputError) as caught:
         found[2].get()
-    assert (caught.value.message, caught.value.hint) == ("lacks the channel", "record it")
-    assert caught.value.where == "log 2"
+    told = caught.value.message, caught.value.hint, caught.value.where
+    assert told == ("lacks the channel", "record it", "log 2")
     with pytest.raises(WorkerError, match=r"^4: ZeroDivisionError: nothing to divide by\n") as bug:
         found[4].get()
     assert "in fails" in bug.value.__notes__[0]
@@ -102,16 +100,16 @@ def test_a_death_is_blamed_on_the_item_at_hand_and_the_rest_is_done() -> None:
     found = replies(dies, range(8), 2)
     assert failed(found) == [1, 3]
     for number in (1, 3):
-        assert isinstance(found[number].error, InputError)
-        assert str(found[number].error).startswith(f"{number}: its process was killed")
-        assert "--jobs" in found[number].error.hint
+        with pytest.raises(InputError, match=f"^{number}: its process was killed") as caught:
+            found[number].get()
+        assert "--jobs" in caught.value.hint
 
 
 def test_results_that_cannot_travel_have_their_own_words() -> None:
     found = replies(unsendable, range(3), 1)
     assert failed(found) == [1]
-    assert isinstance(found[1].error, UsageError)
-    assert "the workers cannot do this work" in str(found[1].error)
+    with pytest.raises(UsageError, match="the workers cannot do this work"):
+        found[1].get()
 
 
 def leave(how: type[BaseException], before: set[Any]) -> None:
@@ -126,9 +124,7 @@ def leave(how: type[BaseException], before: set[Any]) -> None:
 
 
 @pytest.mark.parametrize("how", [InputError, KeyboardInterrupt])
-def test_leaving_early_ends_the_processes_in_the_middle_of_their_work(
-    how: type[BaseException],
-) -> None:
+def test_leaving_early_ends_the_processes_at_work(how: type[BaseException]) -> None:
     before = set(multiprocessing.active_children())
     usual = signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored in the background
     try:

@@ -28,29 +28,15 @@ def robot() -> Robot:
 def trial(joint: int, velocity: float, q: Array, tau: Array, configuration: Array) -> Trial:
     places = np.tile(configuration, (len(q), 1))
     places[:, joint] = q
-    return Trial(
-        joint=joint,
-        velocity=velocity,
-        q=q,
-        dq=np.full(len(q), velocity),
-        ddq=np.zeros(len(q)),
-        tau=tau,
-        ramps=Ramps(),
-        weight=20.0,
-        configuration=configuration,
-        places=places,
-        t=np.arange(len(q)) * 0.01,
-        seconds=0.01,
-    )
+    motion = (joint, velocity, q, np.full(len(q), velocity), np.zeros(len(q)), tau)
+    return Trial(*motion, Ramps(), 20.0, configuration, places, np.arange(len(q)) * 0.01, 0.01)
 
 
-def trials_of(
-    robot: Robot, seed: int, *, asymmetry: float = 0.0, directions: tuple[int, ...] = (1, -1)
-) -> list[Trial]:
+def trials_of(robot: Robot, seed: int, *, asymmetry: float = 0.0) -> list[Trial]:
     """Trials of the elbow with friction that is larger forward by the share `asymmetry`."""
     rng, trials = np.random.default_rng(seed), []
     groups = zip(CONFIGURATIONS, P_XI, strict=True)
-    for (configuration, p), speed, direction in product(groups, SPEEDS, directions):
+    for (configuration, p), speed, direction in product(groups, SPEEDS, (1, -1)):
         q = np.linspace(-2, 2, SLICES)[::direction] + 0.01 * rng.standard_normal()
         friction = 6.0 + 2.0 * speed + 0.6 * np.sin(q + 0.4) + 0.3 * np.sin(2 * q)
         friction = friction * (1 + asymmetry * direction)
@@ -66,9 +52,7 @@ def assert_p_xi(fit: GravityFit, atol: float) -> None:
         np.testing.assert_allclose(group.p_xi, p, atol=atol)
 
 
-def test_p_xi_of_each_configuration_is_recovered_and_symmetric_friction_is_no_alarm(
-    robot: Robot,
-) -> None:
+def test_p_xi_is_recovered_and_symmetric_friction_is_no_alarm(robot: Robot) -> None:
     z, alarms = [], 0
     for seed in range(20):
         fit = fit_gravity(robot, JOINT, trials_of(robot, seed))
@@ -90,9 +74,7 @@ def test_friction_that_depends_on_direction_is_seen(robot: Robot, asymmetry: flo
 
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.1])
-def test_a_spring_is_neither_friction_nor_direction_dependent(
-    robot: Robot, asymmetry: float
-) -> None:
+def test_a_spring_is_no_friction_that_depends_on_direction(robot: Robot, asymmetry: float) -> None:
     q = np.linspace(-1.9, 1.9, 50)
     for seed in range(300, 310):
         trials = trials_of(robot, seed, asymmetry=asymmetry)
@@ -101,24 +83,20 @@ def test_a_spring_is_neither_friction_nor_direction_dependent(
         fit = fit_gravity(robot, JOINT, sprung)
         assert not fit.directional
         for group in fit.groups:
-            left: dict[float, list[Array]] = {}  # by speed: what both directions have
+            left = dict.fromkeys(SPEEDS, 0.0)  # by speed: what both directions have
             for each in group.trials:
                 order = np.argsort(each.q)
                 own = (each.tau - group.torque(each.q))[order]
-                left.setdefault(abs(each.velocity), []).append(np.interp(q, each.q[order], own))
-            for ahead, back in left.values():
-                assert np.std(ahead + back) < 0.3  # of a spring that makes 12 N m
+                left[abs(each.velocity)] += np.interp(q, each.q[order], own)
+            assert all(np.std(both) < 0.3 for both in left.values())  # of 12 N m of the spring
 
 
 def test_trials_without_twins_are_counted(robot: Robot) -> None:
     both = [t for t in trials_of(robot, 0) if t.configuration[1] > -1]
-    alone = [t for t in trials_of(robot, 1, directions=(1,)) if t.configuration[1] < -1]
-    fit = fit_gravity(robot, JOINT, both + alone)
-    assert len(fit.groups) == 1
-    assert fit.unpaired == len(alone)
-    none = fit_gravity(robot, JOINT, alone)
-    assert none.groups == []
-    assert none.unpaired == len(alone)
+    alone = [t for t in trials_of(robot, 1) if t.configuration[1] < -1 and t.velocity > 0]
+    for trials, groups in ((both + alone, 1), (alone, 0)):
+        fit = fit_gravity(robot, JOINT, trials)
+        assert (len(fit.groups), fit.unpaired) == (groups, len(alone))
 
 
 def test_a_wrist_that_stands_along_gravity_in_some_postures_only(robot: Robot) -> None:

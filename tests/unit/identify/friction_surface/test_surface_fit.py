@@ -7,21 +7,11 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from seqid_cli.identify.friction_surface.fit import (
-    DEVIATION,
-    SurfaceFit,
-    choose_orders,
-    fit_surfaces,
-    highest_orders,
-)
+from seqid_cli.identify.friction_surface import fit as fitting
+from seqid_cli.identify.friction_surface.fit import SurfaceFit, choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.prior import Sizes
-from seqid_cli.identify.friction_surface.reduction import (
-    MAX_POSITION_ORDER,
-    Orders,
-    SpeedData,
-    edges_of,
-    reduce_trials,
-)
+from seqid_cli.identify.friction_surface.reduction import MAX_POSITION_ORDER as HIGHEST
+from seqid_cli.identify.friction_surface.reduction import Orders, SpeedData, edges_of, reduce_trials
 from seqid_cli.identify.friction_surface.summary import errors_of
 from seqid_cli.model.friction_basis import Scaling
 from tests import Array
@@ -39,10 +29,7 @@ WHITE = replace(TRUE, trial=0.0, slow=0.0, unsteady=0.0, edge=0.0)
 def data_of(
     D: Array, rng: np.random.Generator, sizes: Sizes = WHITE, doubt: float = 0.0
 ) -> list[SpeedData]:
-    """Both directions at twelve speeds of the surface with entries D, and errors of given sizes.
-
-    The inertia's standard error makes a torque of `doubt` N m times the speed.
-    """
+    """Both ways at twelve speeds; the inertia's error makes `doubt` N m times the speed."""
     result = []
     for speed, direction in product(SPEEDS, (1, -1)):
         q = np.sort(rng.uniform(*SCALING.position, SLICES))
@@ -51,7 +38,7 @@ def data_of(
         weight = rng.uniform(5.0, 50.0, SLICES)
         edges = edges_of(0.02 * np.arange(SLICES), 0.02)
         push = doubt * speed * np.linspace(1.0, -0.5, SLICES)
-        own = np.hstack([SCALING.over_position.values(q, MAX_POSITION_ORDER), edges])
+        own = np.hstack([SCALING.over_position.values(q, HIGHEST), edges])
         size = own.shape[1] - edges.shape[1]
         spread = np.sqrt(sizes.own(SCALING, size, np.array([speed])).sum(axis=0)[0])
         error = own @ (spread[: own.shape[1]] * rng.standard_normal(own.shape[1]))
@@ -76,9 +63,9 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
     for item in data:
         speed = np.full(len(item.q), item.speed)
         columns.append(SCALING.basis(item.q, speed, orders.position, orders.velocity))
-        values = SCALING.over_position.values(item.q, MAX_POSITION_ORDER)
+        values = SCALING.over_position.values(item.q, HIGHEST)
         own = np.column_stack([values, item.edges, item.push, item.doubt])
-        variance = sizes.own(SCALING, MAX_POSITION_ORDER + 1, np.array([item.speed])).sum(axis=0)
+        variance = sizes.own(SCALING, HIGHEST + 1, np.array([item.speed])).sum(axis=0)
         shared = own * np.sqrt(variance)
         blocks.append(shared @ shared.T + np.diag(sizes.noise**2 / item.weight))
     A, V = np.vstack(columns), block_diag(*blocks)
@@ -91,21 +78,21 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
     return covariance @ (weighing.T @ np.concatenate([x.friction for x in data])), covariance
 
 
-@pytest.mark.parametrize(("m", "l"), [(MAX_POSITION_ORDER, 11), (0, 0), (3, 2), (1, 5)])
+@pytest.mark.parametrize(("m", "l"), [(HIGHEST, 11), (0, 0), (3, 2), (1, 5)])
 def test_both_steps_together_are_the_generalised_least_squares(m: int, l: int) -> None:
     data = data_of(COEFFICIENTS, np.random.default_rng(0), TRUE, doubt=0.05)
     reduced, orders = reduce_trials(data, SCALING), Orders(m, l)
-    fit = SurfaceFit(reduced, TRUE, highest_orders([reduced], None, None))
+    fit = SurfaceFit(reduced, TRUE, fitting.highest_orders([reduced], None, None))
     entries, covariance = direct(data, TRUE, orders)
     np.testing.assert_allclose(fit.entries(orders).ravel(), entries, atol=1e-8)
-    if m == MAX_POSITION_ORDER:  # that of fewer orders allows for what they leave out
+    if m == HIGHEST:  # that of fewer orders allows for what they leave out
         np.testing.assert_allclose(fit.covariance(orders), covariance, atol=1e-9)
 
 
 def drawn(sizes: Sizes, rng: np.random.Generator) -> Array:
     """A surface of the highest orders, drawn from the prior; Coulomb friction of 5."""
-    prior = sizes.prior(SCALING, MAX_POSITION_ORDER + 1, Orders(MAX_POSITION_ORDER, 11))
-    D: Array = prior[: MAX_POSITION_ORDER + 1] * rng.standard_normal((MAX_POSITION_ORDER + 1, 12))
+    prior = sizes.prior(SCALING, HIGHEST + 1, Orders(HIGHEST, 11))
+    D: Array = prior[: HIGHEST + 1] * rng.standard_normal((HIGHEST + 1, 12))
     D[0, :2] = 5.0, 0.5
     return D
 
@@ -121,7 +108,7 @@ def test_standard_errors_hold() -> None:
         orders = chosen(fit)
         q, v = rng.uniform(-2, 2, 20), rng.uniform(0.2, 4.0, 20)
         A = SCALING.basis(q, v, orders.position, orders.velocity)
-        true = SCALING.basis(q, v, MAX_POSITION_ORDER, 11) @ D.ravel()
+        true = SCALING.basis(q, v, HIGHEST, 11) @ D.ravel()
         error = np.sqrt(np.einsum("nk,kl,nl->n", A, fit.covariance(orders), A))
         z.append((A @ fit.entries(orders).ravel() - true) / error)
     rms = float(np.sqrt(np.mean(np.concatenate(z) ** 2)))
@@ -144,7 +131,7 @@ def test_orders_of_a_known_surface_are_never_too_low(m: int, l: int) -> None:
         found = chosen(fit)
         assert found.position >= m
         assert found.velocity >= l
-        assert fit.deviation(found) <= DEVIATION
+        assert fit.deviation(found) <= fitting.DEVIATION
 
 
 def test_high_orders_do_not_swing_between_the_speeds() -> None:
@@ -152,8 +139,8 @@ def test_high_orders_do_not_swing_between_the_speeds() -> None:
     fit = surface_fit(data_of(known_surface(3, 2), np.random.default_rng(9)))
     q, v = (x.ravel() for x in np.meshgrid(np.linspace(-1.9, 1.9, 30), np.linspace(0.3, 3.8, 60)))
     true = SCALING.basis(q, v, 3, 2) @ known_surface(3, 2).ravel()
-    entries = fit.entries(Orders(MAX_POSITION_ORDER, 11))
-    off = SCALING.basis(q, v, MAX_POSITION_ORDER, 11) @ entries.ravel() - true
+    entries = fit.entries(Orders(HIGHEST, 11))
+    off = SCALING.basis(q, v, HIGHEST, 11) @ entries.ravel() - true
     assert np.sqrt(np.mean(off**2)) < 0.02
     assert np.abs(off).max() < 0.12
 

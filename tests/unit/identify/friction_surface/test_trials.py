@@ -9,7 +9,6 @@ from seqid_cli.identify.friction_surface.corrections import without_acceleration
 from seqid_cli.identify.friction_surface.stage import identify_friction
 from seqid_cli.identify.friction_surface.trials import Ramps, Trial, collect_trials
 from seqid_cli.identify.options import FrictionOptions
-from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.friction_basis import Scaling
 from seqid_cli.robot.kinematics import forward, gravity_columns, plane_across
@@ -53,14 +52,10 @@ def test_columns_times_p_xi_are_the_gravity_torque(seed: int) -> None:
         np.testing.assert_allclose(found, tau, rtol=1e-9, atol=1e-9)
 
 
-def recording(q: Array, tau: Array, rate_hz: float = 250.0) -> Recording:
-    return made_recording(q, tau, rate_hz=rate_hz)
-
-
 def test_slices_average_position_and_torque() -> None:
-    """Torque that is linear in the position comes out as that line, without noise of counts."""
     reference = sweeps(HOME, 1, (-1.5, 1.5), [0.3, 1.0], 8.0, rate_hz=250.0)
-    log = recording(quantise(reference.q, 2 * np.pi / 600), 2.0 * reference.q + 1.0)
+    counts = quantise(reference.q, 2 * np.pi / 600)
+    log = made_recording(counts, 2.0 * reference.q + 1.0, rate_hz=250.0)
     trials = collect_trials([log], planar_2r())
     assert sorted(round(t.velocity, 2) for t in trials) == [-1.0, -0.3, 0.3, 1.0]
     for own in trials:
@@ -72,14 +67,13 @@ def test_slices_average_position_and_torque() -> None:
         # Means over a window of the ramps are those of torque and position alike.
         np.testing.assert_allclose(own.ramps.tau, 2.0 * own.ramps.q + 1.0, atol=0.02)
         assert np.abs(own.ramps.dq).min() < 0.5 * own.speed
-        assert own.ramps.ddq.max() > 2.0
-        assert own.ramps.ddq.min() < -2.0
+        assert own.ramps.ddq.min() < -2.0 < 2.0 < own.ramps.ddq.max()
         assert len(own.q) * own.weight <= len(reference.q)
 
 
 def test_trials_know_how_warm_the_joint_was() -> None:
     reference = sweeps(HOME, 1, (-1.0, 1.0), [0.5, 1.0], 10.0, rate_hz=250.0)
-    cold = recording(reference.q, np.tanh(20.0 * reference.dq))
+    cold = made_recording(reference.q, np.tanh(20.0 * reference.dq), rate_hz=250.0)
     celsius = np.column_stack([np.full(len(reference.q), 50.0), 20.0 + cold.t])
     celsius[::7] = np.nan
     warm = replace(cold, temperature=celsius)
@@ -104,7 +98,8 @@ def trials_of(*, wobble: float = 0.0, seed: int = 0) -> list[Trial]:
     tau = np.zeros_like(path)
     tau[:, 1] = INERTIA * a + (COULOMB + VISCOUS * np.abs(v)) * np.sign(v)
     tau[:, 1] += 0.05 * rng.standard_normal(len(path))
-    return collect_trials([recording(quantise(path, 1e-4), tau, rate)], planar_2r())
+    log = made_recording(quantise(path, 1e-4), tau, rate_hz=rate)
+    return collect_trials([log], planar_2r())
 
 
 def friction_left(trials: list[Trial]) -> Array:

@@ -11,20 +11,9 @@ from seqid_cli.identify.imu_calibration.calibrate import calibrate_imus
 from seqid_cli.identify.imu_calibration.segments import cleaned
 from seqid_cli.motion.imu.array import calibrated as without_faults
 from seqid_cli.motion.options import MotionOptions
+from tests.plants import instruments as plants
 from tests.plants.arms.rigs import one_joint
-from tests.plants.instruments import (
-    COARSE,
-    FINE,
-    GYRO,
-    Case,
-    calibrated,
-    instruments,
-    recordings,
-    scene_of,
-    scored,
-    scores,
-    true_mounting,
-)
+from tests.plants.instruments import COARSE, FINE, GYRO, Case, instruments, scene_of, scored
 from tests.plants.motions.experiments import swing
 from tests.plants.motions.trajectories import hold, join
 from tests.plants.robots.lab import recording_of, robot_of
@@ -36,7 +25,7 @@ from tests.plants.simulate import simulate
 @pytest.mark.parametrize("case", [COARSE, FINE], ids=lambda case: case.label)
 def test_errors_of_a_faulty_array_are_those_reported(case: Case) -> None:
     """Four instruments: mounting, offset, gains and biases, all within their standard errors."""
-    seen = [score for seed in range(4) for score in scores((case, seed))]
+    seen = [score for seed in range(4) for score in plants.scores((case, seed))]
     for name in ("z_turn", "z_delay", "z_gain", "z_bias"):
         z = np.concatenate([getattr(score, name) for score in seen])
         assert np.sqrt(np.mean(z**2)) < 2.0, name
@@ -49,13 +38,10 @@ def test_errors_of_a_faulty_array_are_those_reported(case: Case) -> None:
 
 @pytest.mark.slow
 def test_a_gyro_is_calibrated_with_its_triad() -> None:
-    """Calibrated readings are those of a better instrument, in the calibration's frame.
-
-    That differs from the simulated one by the common tilt.
-    """
+    """Its readings are those of a better instrument, in a frame turned by the common tilt."""
     scene = scene_of(GYRO)
     imu, nominal = instruments(scene, 0)[1], scene.robot.imus[1]
-    calibration = calibrated(scene, 0).imus["imu_b"]
+    calibration = plants.calibrated(scene, 0).imus["imu_b"]
     truth = imu.gyro_faults
     for values, errors, true in (
         (calibration.gyro_bias, calibration.gyro_bias_std_errors, truth.biases(3)),
@@ -64,11 +50,10 @@ def test_a_gyro_is_calibrated_with_its_triad() -> None:
         assert np.all(np.abs(np.array(values) - true) < 4 * np.array(errors))
     assert calibration.time_offset_s == pytest.approx(0.002, abs=2e-4)
     assert np.abs(scored(imu, calibration).z_turn).max() < 4.0
-
     f = 10.0 * np.random.default_rng(0).standard_normal((200, 3))
     readings = imu.faults.gains(3) * (f @ imu.faults.axes(imu.axes).T) + imu.faults.biases(3)
     better, mended, _ = without_faults(nominal, calibration, readings, None)
-    turned = f @ imu.rotation.T @ true_mounting(imu)
+    turned = f @ imu.rotation.T @ plants.true_mounting(imu)
     before, after = readings - turned @ nominal.axes.T, mended - turned @ better.axes.T
     assert np.sqrt(np.mean(after**2)) < 0.2 * np.sqrt(np.mean(before**2))
 
@@ -77,7 +62,7 @@ def test_a_triad_without_a_gyro_is_calibrated_by_gravity_and_the_encoders() -> N
     own = scene_of(FINE)
     logs = [
         replace(log, accelerometers={"imu_a": log.accelerometers["imu_a"][:, :3]})
-        for log in recordings(own, 1)
+        for log in plants.recordings(own, 1)
     ]
     imu = own.robot.imus[0]
     triad = replace(imu, positions=imu.positions[:3], axes=imu.axes[:3])
@@ -97,8 +82,7 @@ def test_spikes_and_saturation_are_bridged_and_jolts_are_not_spikes() -> None:
     values[1200, 1] = np.nan
     values[:, 2] = np.clip(values[:, 2], -4.0, 4.0)
     bridged, bad = cleaned(values, np.ones(2000, dtype=bool))
-    assert bad[500, 0]
-    assert bad[1200, 1]
+    assert bad[[500, 1200], [0, 1]].all()
     assert bad[:, 0].sum() < 5
     assert np.abs(bridged - clean)[:, :2].max() < 0.3
     flat = np.abs(clean[:, 2]) > 4.05

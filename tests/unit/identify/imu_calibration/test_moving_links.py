@@ -11,16 +11,8 @@ from seqid_cli import identify
 from seqid_cli.discover.notes import deflection_notes
 from seqid_cli.identify.imu_calibration.calibrate import deflecting
 from seqid_cli.params.schema import EffectOfJoint, ImuStage, Stages
-from tests.plants.instruments import (
-    BACKLASH,
-    ELASTIC,
-    STIFF,
-    Case,
-    calibrated,
-    instruments,
-    scene_of,
-    scored,
-)
+from tests.plants import instruments as plants
+from tests.plants.instruments import BACKLASH, ELASTIC, STIFF, Case, scene_of
 from tests.studies.coverage.cases import case_of, draw, record
 
 pytestmark = pytest.mark.slow
@@ -28,18 +20,12 @@ pytestmark = pytest.mark.slow
 HUNTS = case_of("planar", 10039)  # joint 2 hunts in some swings of joint 1
 
 
-def test_a_joint_that_hunts_leaves_lever_scales_and_the_error_of_accelerations(
-    tmp_path: Path,
-) -> None:
-    """With joint 2 taken for locked the scales are 0.1 % off.
-
-    Perfect sensors: acceleration by the whole array goes with its lever about the joint.
-    """
+def test_a_joint_that_hunts_leaves_lever_scales_and_errors(tmp_path: Path) -> None:
+    """With joint 2 taken for locked the scales are 0.1 % off."""
     drawn = draw(HUNTS)
     record(HUNTS, replace(drawn, trials=[x for x in drawn.trials if x.stage == "imu"]), tmp_path)
-    found = identify.imu_calib(str(tmp_path / "imu"), tmp_path / "robot.toml").stages.imu.imus[
-        "imu_b"
-    ]
+    file = identify.imu_calib(str(tmp_path / "imu"), tmp_path / "robot.toml")
+    found = file.stages.imu.imus["imu_b"]
     lever, errors = np.array(found.lever[:2]), np.array(found.lever_std_errors[:2])
     (true,) = (imu.lever[:2] for imu in drawn.plant.imus if imu.name == "imu_b")
     assert np.all(np.abs(lever - true) < 3.0 * errors)
@@ -50,12 +36,12 @@ def test_a_joint_that_hunts_leaves_lever_scales_and_the_error_of_accelerations(
 
 @cache
 def stage(case: Case) -> ImuStage:
-    return calibrated(scene_of(case), 0)
+    return plants.calibrated(scene_of(case), 0)
 
 
 def test_a_stiff_arm_has_no_joint_that_deflects() -> None:
     found = stage(STIFF)
-    assert all(deflecting(calibration) is None for calibration in found.imus.values())
+    assert set(map(deflecting, found.imus.values())) == {None}
     assert not any("elastic" in verdict.reason for verdict in found.verdicts)
     assert deflection_notes(Stages(imu=found), scene_of(STIFF).robot) == ()
 
@@ -68,7 +54,7 @@ def test_the_joint_that_deflects_is_named_and_widens_errors(case: Case) -> None:
     behind = found.imus["imu_b"]
     assert deflecting(behind).joint == "joint_2"
     assert "the link after joint_2" in " ".join(verdict.reason for verdict in found.verdicts)
-    assert np.abs(scored(instruments(scene, 0)[1], behind).z_turn).max() < 3.0
+    assert np.abs(plants.scored(plants.instruments(scene, 0)[1], behind).z_turn).max() < 3.0
     assert behind.std_error_deg > stage(STIFF).imus["imu_b"].std_error_deg
 
 

@@ -1,12 +1,10 @@
 """Predictions: long logs as held ones, blind to the measured torque, at rest what effects allow."""
 
 import pickle
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from msgspec.structs import replace
 
@@ -25,8 +23,9 @@ from seqid_cli.params.schema import EffectOfJoint, EffectSession, FrictionStage,
 from seqid_cli.robot.file import load_robot
 from seqid_cli.robot.types import Robot
 from tests.plants.robots.made import friction_joint, made_recording
-from tests.plants.robots.seven_joint import known_model, write_arm, write_log
+from tests.plants.robots.seven_joint import JOINTS, known_model, write_arm, write_log
 from tests.plants.robots.two_joint import COULOMB, SIGN_WIDTH, VISCOUS, two_joint_robot
+from tests.unit.inspect.faults import read_columns, write_columns
 from tests.unit.model.effects.scenes import CUTOFF_HZ, RATE_HZ, settings_of, wander
 
 ROWS, MOVING = 30_000, 24_000
@@ -43,16 +42,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two logs of the same motion, a rest at its end, whose torques have nothing in common."""
     folder = tmp_path_factory.mktemp("arm")
     path = write_log(folder / "log.parquet", load_robot(write_arm(folder)), ROWS)
-    columns = {k: np.array(v) for k, v in pq.read_table(path).to_pydict().items()}
-    for name in columns:
-        if name.endswith(".position"):
-            columns[name][MOVING:] = columns[name][MOVING]
-    pq.write_table(pa.table(columns), path)
-    rng = np.random.default_rng(3)
-    for name in columns:
-        if name.endswith(".torque"):
-            columns[name] = 7.0 + 100.0 * rng.standard_normal(ROWS)
-    pq.write_table(pa.table(columns), folder / "other.parquet")
+    columns, rng = read_columns(path), np.random.default_rng(3)
+    for name in JOINTS:
+        columns[f"{name}.position"][MOVING:] = columns[f"{name}.position"][MOVING]
+    write_columns(path, columns)
+    for name in JOINTS:
+        columns[f"{name}.torque"] = 7.0 + 100.0 * rng.standard_normal(ROWS)
+    write_columns(folder / "other.parquet", columns)
     return folder
 
 
@@ -72,17 +68,13 @@ def _many_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(blocks, "LEAST_BLOCK", 9_000)
 
 
-def long_of(
-    path: Path, robot: Robot, stages: Stages, options: InertiaOptions
-) -> Iterable[LogPrediction]:
-    log = open_surveyed(path, robot)
-    assert log is not None
+def long_of(path: Path, robot: Robot, stages: Stages) -> Iterable[LogPrediction]:
     model, effects = TorqueModel.from_stages(stages, robot), fitted_effects(stages, robot)
-    return Predictor(model, stages, options, effects)(log, 0)
+    return Predictor(model, stages, OPTIONS, effects)(open_surveyed(path, robot), 0)
 
 
-def held_of(path: Path, robot: Robot, stages: Stages, options: InertiaOptions) -> LogPrediction:
-    (held,) = predict([read_recording(path, robot)], robot, stages, options=options)
+def held_of(path: Path, robot: Robot, stages: Stages) -> LogPrediction:
+    (held,) = predict([read_recording(path, robot)], robot, stages, options=OPTIONS)
     return held
 
 
@@ -90,22 +82,24 @@ def held_of(path: Path, robot: Robot, stages: Stages, options: InertiaOptions) -
 def all_local(folder: Path, robot: Robot, stages: Stages) -> list[FittedEffect]:
     """Every effect of the catalogue that can be told part by part, each of some N m."""
     recording = read_recording(folder / "log.parquet", robot)
-    model = TorqueModel.from_stages(stages, robot)
-    motion = estimate_motion(recording, robot, MotionOptions())
-    scene = scene_of_log(recording, robot, model, motion)
+    given = (
+        TorqueModel.from_stages(stages, robot),
+        estimate_motion(recording, robot, MotionOptions()),
+    )
+    scene = scene_of_log(recording, robot, *given)
     session = EffectSession(logs=[recording.sha256], starts=[0.0], origin=recording.start)
     found = []
     for effect in CATALOGUE.values():
         if effect.name == "external_contact":
             continue
         joint = None if effect.arm else 1
-        for settings in settings_of(effect, [scene], joint)[:1]:
-            columns = effect.columns(scene, joint, settings)
-            size = max(float(np.sqrt(np.mean(X**2))) for X in columns.values())
-            count = len(effect.coefficients(settings))
-            # What shifts torque in time takes its derivative, and that of rounding errors.
-            values = np.full(count, (0.1 if effect.timing else 2.0) / max(size, 1e-9))
-            found.append(FittedEffect(effect, joint, settings, values, np.eye(count), session))
+        settings = settings_of(effect, [scene], joint)[0]
+        columns = effect.columns(scene, joint, settings).values()
+        size = max(float(np.sqrt(np.mean(X**2))) for X in columns)
+        count = len(effect.coefficients(settings))
+        # What shifts torque in time takes its derivative, and that of rounding errors.
+        values = np.full(count, (0.1 if effect.timing else 2.0) / max(size, 1e-9))
+        found.append(FittedEffect(effect, joint, settings, values, np.eye(count), session))
     return [each for each in found if each.local]
 
 
@@ -119,9 +113,9 @@ def test_the_parts_are_the_held_log(
         all_local = request.getfixturevalue("all_local")
         assert len(all_local) >= 18
         whole = replace(stages, effects=[as_stage(x, robot) for x in all_local])
-    sent = pickle.dumps(long_of(path, robot, whole, OPTIONS))
+    sent = pickle.dumps(long_of(path, robot, whole))
     assert len(sent) < 100_000
-    parts, held = list(pickle.loads(sent)), held_of(path, robot, whole, OPTIONS)
+    parts, held = list(pickle.loads(sent)), held_of(path, robot, whole)
     assert [part.part for part in parts] == list(range(len(parts)))
     assert [part.last for part in parts] == [False] * (len(parts) - 1) + [True]
     assert len(parts) >= 3
@@ -139,7 +133,7 @@ def test_the_parts_are_the_held_log(
     assert held.motion.acceleration_error
     assert parts[-1].motion.acceleration_error == pytest.approx(held.motion.acceleration_error)
     if with_effects:
-        bare = held_of(path, robot, stages, OPTIONS)
+        bare = held_of(path, robot, stages)
         assert np.sqrt(np.mean((held.predicted - bare.predicted) ** 2)) > 1.0
 
 
@@ -150,9 +144,9 @@ def test_another_torque_changes_nothing_of_the_prediction(
 ) -> None:
     told = replace(stages, effects=EFFECTS)
 
-    def predicted(name: str) -> Iterator[LogPrediction]:
-        given = folder / name, robot, told, OPTIONS
-        return iter([held_of(*given)] if way == "held" else long_of(*given))
+    def predicted(name: str) -> Iterable[LogPrediction]:
+        given = folder / name, robot, told
+        return [held_of(*given)] if way == "held" else long_of(*given)
 
     states = set()
     for one, other in zip(predicted("log.parquet"), predicted("other.parquet"), strict=True):
@@ -169,27 +163,17 @@ def test_another_torque_changes_nothing_of_the_prediction(
 def test_rest_holds_what_the_effects_allow() -> None:
     """Above the friction surface, within it and the hump: no error once the hump is known."""
     robot, top, hump, speed = two_joint_robot(), 4.0, 1.0, 0.3
-    joints = {
-        name: friction_joint(
-            [[coulomb + 0.5 * viscous * top, 0.5 * viscous * top]],
-            speed_range=[0.0, top],
-            sign_width=SIGN_WIDTH,
-        )
-        for name, coulomb, viscous in zip(robot.joint_names, COULOMB, VISCOUS, strict=True)
-    }
-    stribeck = EffectOfJoint(
-        effect="stribeck",
-        joint="joint_1",
-        settings={"stribeck_speed": speed, "exponent": 2.0},
-        coefficients=[hump],
-    )
+    half, own = 0.5 * top * np.array(VISCOUS), {"speed_range": [0.0, top], "sign_width": SIGN_WIDTH}
+    entries = np.column_stack([COULOMB + half, half])
+    each = zip(robot.joint_names, entries, strict=True)
+    joints = {name: friction_joint([entry], **own) for name, entry in each}
+    told = {"settings": {"stribeck_speed": speed, "exponent": 2.0}, "coefficients": [hump]}
+    stribeck = EffectOfJoint(effect="stribeck", joint="joint_1", **told)
     q = wander(20.0, seed=2)
     dq = np.gradient(q, 1.0 / RATE_HZ, axis=0)
     s = np.tanh(dq / SIGN_WIDTH)
-    tau = s * np.array(COULOMB) + np.array(VISCOUS) * dq
-    tau += np.column_stack(
-        [hump * np.exp(-((dq[:, 0] / speed) ** 2)) * s[:, 0], np.full(len(q), 0.4)]
-    )
+    tau = s * np.array(COULOMB) + np.array(VISCOUS) * dq + [0.0, 0.4]
+    tau[:, 0] += hump * np.exp(-((dq[:, 0] / speed) ** 2)) * s[:, 0]
     t = np.arange(len(q)) / RATE_HZ
     tau[(t > 5.3) & (t < 6.7), 0] = COULOMB[0] + 0.95 * hump  # all that the joint can hold
     options = InertiaOptions(motion=MotionOptions(cutoff_hz=CUTOFF_HZ))

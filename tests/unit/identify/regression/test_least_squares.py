@@ -3,21 +3,14 @@
 import numpy as np
 import pytest
 
-from seqid_cli.identify.regression.least_squares import (
-    MOST_BLOCKS,
-    Accumulator,
-    Prior,
-    solve,
-    whitened,
-)
+from seqid_cli.identify.regression.least_squares import MOST_BLOCKS, Accumulator, Prior, solve
+from seqid_cli.identify.regression.least_squares import whitened as rows_of
 from tests import Array
 
 NOISES = (0.1, 2.0, 0.5)
 THETA = np.array([3.0, -1.0, 0.02, 5.0, 0.0, 0.4, -7.0])
 SCALES = np.array([1.0, 0.01, 30.0, 2.0, 1.0, 5.0, 0.1])
 P = len(THETA)
-
-Rows = tuple[Array, Array]  # H (N, p), y (N,)
 
 
 def accumulated(H: Array, y: Array, rows: int = 40) -> Accumulator:
@@ -27,19 +20,15 @@ def accumulated(H: Array, y: Array, rows: int = 40) -> Accumulator:
     return joint
 
 
-def of(H: Array, theta: Array, noise: float, rng: np.random.Generator) -> Rows:
+def of(H: Array, theta: Array, noise: float, rng: np.random.Generator) -> tuple[Array, Array]:
     return H, H @ theta + noise * rng.standard_normal(len(H))
-
-
-def joints_of(rng: np.random.Generator, *, rows: int = 480) -> list[Rows]:
-    """Three joints of different noise, columns of very different size."""
-    return [of(rng.standard_normal((rows, P)) * SCALES, THETA, noise, rng) for noise in NOISES]
 
 
 @pytest.mark.parametrize("known", [False, True])
 def test_the_solution_is_that_of_the_stacked_weighted_rows(*, known: bool) -> None:
-    rng = np.random.default_rng(11)
-    joints = joints_of(rng, rows=40 if known else 480)
+    rng, shape = np.random.default_rng(11), (40 if known else 480, P)
+    # Three joints of different noise, columns of very different size.
+    joints = [of(rng.standard_normal(shape) * SCALES, THETA, noise, rng) for noise in NOISES]
     A = rng.standard_normal((3, P)) / SCALES * 4
     prior = Prior(A, A @ THETA + rng.standard_normal(3))
     given = prior if known else None
@@ -79,8 +68,7 @@ def test_what_cannot_be_told_apart_is_not_determined() -> None:
     H[:, 4] = 2.0 * H[:, 1]
     H[:, 2] = 0.0
     got = solve([accumulated(*of(H, THETA, 0.01, rng))])
-    expected = np.ones(P, dtype=bool)
-    expected[[1, 2, 4]] = False
+    expected = ~np.isin(np.arange(P), [1, 2, 4])
     np.testing.assert_array_equal(got.determined, expected)
     assert got.rank == P - 2
     np.testing.assert_allclose(got.theta[expected], THETA[expected], atol=0.01)
@@ -89,8 +77,7 @@ def test_what_cannot_be_told_apart_is_not_determined() -> None:
     assert np.isfinite(got.covariance).all()
     nothing = solve([Accumulator(3)])
     assert nothing.rank == 0
-    assert not nothing.determined.any()
-    assert not nothing.theta.any()
+    assert not np.any([nothing.determined, nothing.theta])
 
 
 @pytest.mark.parametrize("quiet", [1e-3, 1e-7, 1e-11])
@@ -107,10 +94,9 @@ def test_a_quiet_joint_hides_no_parameters_of_a_loud_one(quiet: float) -> None:
 
 
 def test_a_prior_alone_keeps_its_covariance() -> None:
-    """What no row touches comes out as certain as it went in."""
     rng = np.random.default_rng(13)
     B, value = rng.standard_normal((2, 2)), np.array([4.0, -1.0])
-    rows = whitened(B @ B.T)
+    rows = rows_of(B @ B.T)
     H = np.hstack([rng.standard_normal((600, 3)), np.zeros((600, 2))])
     joint = accumulated(*of(H, np.arange(1.0, 6.0), 0.1, rng), rows=20)
     got = solve([joint], prior=Prior(np.hstack([np.zeros((2, 3)), rows]), rows @ value))

@@ -3,11 +3,7 @@
 import numpy as np
 import pytest
 
-from seqid_cli.identify.rigid.parameters import (
-    made_consistent,
-    parameters_of,
-    representative_of,
-)
+from seqid_cli.identify.rigid.parameters import made_consistent, parameters_of, representative_of
 from seqid_cli.model.bodies.pseudo_inertia import pseudo_inertia
 from seqid_cli.model.torque import standard_parameters
 from seqid_cli.params.schema import RigidStage, Stages
@@ -19,19 +15,16 @@ from tests.plants.simulate import Plant
 
 
 def stage_of(robot: Robot, plant: Plant, *, off: float, seed: int = 0) -> RigidStage:
-    """The true base parameters with errors of `off` standard errors each."""
     basis, standard = free_basis(robot), true_standard(plant)
     theta = basis.expression @ np.array([standard[name] for name in standard_names(robot.n)])
     error = 0.02 * np.abs(theta) + 0.02 * np.median(np.abs(theta))
     theta = theta + off * error * np.random.default_rng(seed).standard_normal(len(theta))
-    covariance = np.diag(error**2)
+    covariance, size = np.diag(error**2), basis.size
     return RigidStage(
-        parameters=parameters_of(robot, basis, np.arange(basis.size), theta, covariance),
-        condition=1.0,
-        rank=basis.size,
-        structural_rank=basis.size,
+        parameters=parameters_of(robot, basis, np.arange(size), theta, covariance),
         representative=representative_of(basis, theta, np.zeros(robot.n)),
         covariance=covariance.tolist(),
+        **{"condition": 1.0, "rank": size, "structural_rank": size},
     )
 
 

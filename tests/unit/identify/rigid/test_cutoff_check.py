@@ -3,12 +3,8 @@
 import numpy as np
 
 from seqid_cli.identify.regression.least_squares import Accumulator, solve
-from seqid_cli.identify.rigid.cutoff_check import (
-    CutoffCheck,
-    Result,
-    cutoff_check,
-    with_cutoff_check,
-)
+from seqid_cli.identify.rigid import cutoff_check as checks
+from seqid_cli.identify.rigid.cutoff_check import CutoffCheck, Result, cutoff_check
 from seqid_cli.identify.rigid.posterior import Posterior
 from seqid_cli.params.schema import Parameter, RigidStage
 from seqid_cli.robot.base_parameters import base_parameters
@@ -29,10 +25,7 @@ def result(H: Array, y: Array) -> Result:
 
 
 def checked(seed: int, *, shrunk: float) -> tuple[CutoffCheck, Array]:
-    """The same rows twice, the second with a little noise of its own; its first column is off.
-
-    Returns the check, and the standard errors of the first.
-    """
+    """The check of the same rows, noisier and one column off; standard errors of the first."""
     rng = np.random.default_rng(seed)
     H = rng.standard_normal((BLOCKS * ROWS, len(THETA)))
     y = H @ THETA + 0.5 * rng.standard_normal(len(H))
@@ -65,7 +58,7 @@ def test_the_stage_is_poor_where_the_difference_matters() -> None:
     parameter = Parameter(name=name, value=1.0, std_error=0.1, unit="kg m")
     stage = RigidStage(parameters=[parameter], condition=1.0, rank=1)
     none, mild, poor = (
-        with_cutoff_check(stage, CutoffCheck(np.zeros((1, 0)), differences), basis)
+        checks.with_cutoff_check(stage, CutoffCheck(np.zeros((1, 0)), differences), basis)
         for differences in ((), ((0, 0.7, 1.5),), ((0, 0.7, -6.0),))
     )
     assert none == stage

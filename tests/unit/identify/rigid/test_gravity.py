@@ -1,5 +1,7 @@
 """What the friction stage does not know widens the standard errors of gravity."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 
@@ -29,20 +31,17 @@ SPREAD = 0.0004
 
 
 def trials(rng: np.random.Generator) -> list[Trial]:
-    """Both ways at four speeds, with the true friction."""
     true = surface_of(POSITIVE, NEGATIVE, np.zeros((12, 12)))
     lever = 9.81 * np.sin(np.deg2rad(30.0)) * MOMENT
     result = []
-    for speed in (0.5, 1.0, 2.0, 4.0):
-        for direction in (1, -1):
-            q = np.linspace(-2.4, 2.4, 64)[::direction]
-            v = np.full(64, direction * speed)
-            # The axis leans by 30 degrees about x: gravity's part across it lies along -y.
-            tau = lever * np.cos(q) + true.torque(q, v) + NOISE * rng.standard_normal(64)
-            still = np.zeros(64)
-            t = 10.0 * len(result) + np.arange(64) * 0.02
-            motion = (0, direction * speed, q, v, still, tau)
-            result.append(Trial(*motion, Ramps(), 20.0, np.zeros(1), q[:, None], t, 0.02))
+    for speed, direction in product((0.5, 1.0, 2.0, 4.0), (1, -1)):
+        q = np.linspace(-2.4, 2.4, 64)[::direction]
+        v, still = np.full(64, direction * speed), np.zeros(64)
+        # The axis leans by 30 degrees about x: gravity's part across it lies along -y.
+        tau = lever * np.cos(q) + true.torque(q, v) + NOISE * rng.standard_normal(64)
+        t = 10.0 * len(result) + np.arange(64) * 0.02
+        motion = (0, direction * speed, q, v, still, tau)
+        result.append(Trial(*motion, Ramps(), 20.0, np.zeros(1), q[:, None], t, 0.02))
     return result
 
 

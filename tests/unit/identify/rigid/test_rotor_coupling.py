@@ -53,10 +53,10 @@ def plant_of(alpha: float, *, coupled: bool) -> Plant:
 
 def identified(plant: Plant, robot: Robot, seed: int = 0, logs: int | None = None) -> RigidStage:
     trials = inertia_trials(plant, [np.array([0.2, 0.4])], np.random.default_rng(seed), seconds=6.0)
-    recordings = [
-        recording_of(plant, trial.name, simulate(plant, trial.reference, seed, every=4))
-        for trial in trials[:logs]
+    seen = [
+        (trial.name, simulate(plant, trial.reference, seed, every=4)) for trial in trials[:logs]
     ]
+    recordings = [recording_of(plant, *each) for each in seen]
     none = friction_joint([[0.0]], speed_range=[0.05, 5.0], sign_width=0.005, covariance=[[1e-12]])
     friction = FrictionStage(joints=dict.fromkeys(robot.joint_names, none))
     options = InertiaOptions()
@@ -64,7 +64,6 @@ def identified(plant: Plant, robot: Robot, seed: int = 0, logs: int | None = Non
 
 
 def off(plant: Plant, stage: RigidStage) -> float:
-    """The largest error of a parameter, in standard errors."""
     standard = true_standard(plant)
     return max(abs(p.value - true_value(p.terms, standard)) / p.std_error for p in stage.parameters)
 
@@ -73,10 +72,7 @@ def off(plant: Plant, stage: RigidStage) -> float:
 @pytest.mark.parametrize(
     ("axes", "coupled", "seen"),
     [
-        ("skew", False, False),
-        ("skew", True, True),
-        ("parallel", False, False),
-        ("parallel", True, True),
+        *((axes, real, real) for axes in ("skew", "parallel") for real in (False, True)),
         # The second rotor's spin has no part along the first axis: both models are the same.
         ("perpendicular", True, False),
     ],
@@ -92,7 +88,6 @@ def test_the_coupling_is_chosen_rightly(axes: str, coupled: bool, seen: bool) ->
 
 
 def test_unknown_rotors_are_identified_with_the_links() -> None:
-    """Without rotor inertias in the robot file they are parameters, and full rank is reached."""
     plant = plant_of(AXES["perpendicular"], coupled=False)
     robot = robot_of("two_axes", plant)
     joints = tuple(replace(joint, rotor_inertia=None) for joint in robot.joints)

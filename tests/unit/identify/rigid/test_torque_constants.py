@@ -24,7 +24,6 @@ STEP = 1e-3  # by which a joint's torque is scaled
 
 
 def stated(robot: Robot) -> Robot:
-    """The robot with the error of the first joint's torque constant stated."""
     first, *others = robot.joints
     return replace(robot, joints=(replace(first, torque_constant_error=ERROR), *others))
 
@@ -46,41 +45,35 @@ def identified_from(rig: Rig, robot: Robot, step: float) -> Stages:
     return stages
 
 
-Known = tuple[Robot, Stages, Stages, Stages]
-
-
 @pytest.fixture(scope="module")
-def known(one_joint: Rig) -> Known:
-    """The robot; stages without a stated error, with one, and with one of scaled torque."""
+def known(one_joint: Rig) -> list[Stages]:
+    """Stages without a stated error, with one, and with one of scaled torque."""
     plain, robot = one_joint.robot, stated(one_joint.robot)
     given = ((plain, 0.0), (robot, 0.0), (robot, STEP))
-    return robot, *(identified_from(one_joint, *each) for each in given)  # type: ignore[return-value]
+    return [identified_from(one_joint, *each) for each in given]
 
 
 def seen_and_told(before: RigidStage, after: RigidStage) -> tuple[Array, Array]:
-    """How parameters moved, and how they should have."""
     value = [[p.value for p in stage.parameters] for stage in (before, after)]
     told = np.array(before.torque_constant_moves["joint_1"]) * STEP / ERROR
     return np.subtract(value[1], value[0]), told
 
 
 @pytest.mark.slow
-def test_scaled_torque_moves_every_stage_as_told(known: Known) -> None:
-    robot, _, before, after = known
+def test_scaled_torque_moves_every_stage_as_told(known: list[Stages]) -> None:
+    _, before, after = known
     surfaces = [stages.friction.joints["joint_1"].positive for stages in (before, after)]
     np.testing.assert_allclose(surfaces[1], (1.0 + STEP) * np.array(surfaces[0]), rtol=1e-9)
-    seen, told = seen_and_told(before.gravity, after.gravity)
-    np.testing.assert_allclose(seen, told, rtol=1e-6)
+    np.testing.assert_allclose(*seen_and_told(before.gravity, after.gravity), rtol=1e-6)
     # The rotor's torque enters by thinned samples, and the weights of the rows move a little.
     seen, told = seen_and_told(before.inertia, after.inertia)
     np.testing.assert_allclose(seen, told, rtol=1e-3)
-    assert robot.joints[0].rotor_inertia
     assert told[0] > 1.02 * STEP * before.inertia.parameters[0].value  # the rotor does not scale
 
 
 @pytest.mark.slow
-def test_what_is_held_against_the_same_torque_does_not_change(known: Known) -> None:
-    _, plain, with_error, _ = known
+def test_what_is_held_against_the_same_torque_does_not_change(known: list[Stages]) -> None:
+    plain, with_error, _ = known
     for name in ("gravity", "inertia"):
         one, other = getattr(plain, name), getattr(with_error, name)
         assert one.torque_constant_moves == {}
@@ -95,9 +88,11 @@ def test_what_is_held_against_the_same_torque_does_not_change(known: Known) -> N
 
 
 @pytest.mark.slow
-def test_export_counts_one_error_for_gravity_and_inertia(known: Known) -> None:
-    robot, _, stages, _ = known
-    demand = identified(stages, robot)
+def test_export_counts_one_error_for_gravity_and_inertia(
+    known: list[Stages], one_joint: Rig
+) -> None:
+    stages = known[1]
+    demand = identified(stages, stated(one_joint.robot))
     np.testing.assert_allclose(np.sqrt(np.diag(demand.covariance)), demand.errors, rtol=1e-9)
     moves = [x.torque_constant_moves["joint_1"] for x in (stages.inertia, stages.gravity)]
     first, second, *_ = np.concatenate(moves)

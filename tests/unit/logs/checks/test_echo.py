@@ -21,7 +21,6 @@ def motion(seed: int = 0, speed: float = 1.0) -> tuple[Array, Array, Array, Arra
 
 
 def gravity(q: Array) -> Array:
-    """Torque of two links in the vertical plane."""
     both = 4.0 * np.cos(q.sum(axis=1))
     return np.stack([9.0 * np.cos(q[:, 0]) + both, both], axis=1)
 
@@ -51,9 +50,7 @@ CASES = [(1.0, 1.0, 0.2), (1.0, 0.3, 0.2), (0.2, 1.0, 0.2), (0.2, 0.3, 0.2), (1.
 
 
 @pytest.mark.parametrize(("speed", "share", "inertia"), CASES)
-def test_torque_with_friction_or_inertia_is_none(
-    speed: float, share: float, inertia: float
-) -> None:
+def test_torque_of_friction_or_inertia_is_none(speed: float, share: float, inertia: float) -> None:
     t, q, dq, ddq = motion(speed=speed)
     assert found(t, q, gravity(q) + share * friction(dq) + inertia * ddq, 6) == []
 

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 
 from seqid_cli.logs.checks.lost_samples import Mended, mended
 from seqid_cli.logs.long import open_long
@@ -20,7 +21,6 @@ SEEDS = range(4)
 
 
 def arm(seed: int, rate_hz: float, n: int, *, count: float = 2e-5) -> Stream:
-    """Joints that swing, rest and swing again, with quantised encoders and noisy velocities."""
     rng = np.random.default_rng(seed)
     t = np.arange(round(20.0 * rate_hz)) / rate_hz
     w, phase = rng.uniform(0.6, 3.0, (2, n)), rng.uniform(0.0, 6.0, (2, n))
@@ -38,16 +38,14 @@ def arm(seed: int, rate_hz: float, n: int, *, count: float = 2e-5) -> Stream:
 
 
 def having(stream: Stream, **channels: Array | None) -> Stream:
-    """With other channels, or without those that are None."""
-    both = {**stream.channels, **channels}
-    return replace(stream, channels={name: own for name, own in both.items() if own is not None})
+    both = (stream.channels | channels).items()
+    return replace(stream, channels={name: own for name, own in both if own is not None})
 
 
 def lossy(seed: int, samples: int, *, every: int, gap: int) -> NDArray[np.bool_]:
     """Which samples are left where some are lost again and again, at uneven distances."""
     rng = np.random.default_rng(100 + seed)
-    kept = np.ones(samples, np.bool_)
-    at = every
+    kept, at = np.ones(samples, np.bool_), every
     while at + gap + 10 < samples:
         kept[at : at + int(rng.integers(max(2, gap // 2), gap + 1))] = False
         at += int(rng.integers(every // 2, 2 * every))
@@ -55,7 +53,6 @@ def lossy(seed: int, samples: int, *, every: int, gap: int) -> NDArray[np.bool_]
 
 
 def repaired(full: Stream, kept: NDArray[np.bool_]) -> tuple[Mended, NDArray[np.intp]]:
-    """What is found where the stamps are even although samples are lost, and where they are."""
     found = mended(replace(full.take(kept), stamp_ns=full.stamp_ns[: kept.sum()]))
     places = np.flatnonzero(np.diff(np.flatnonzero(kept)) > 1)
     assert set(found.losses.rows) <= set(places)
@@ -65,9 +62,7 @@ def repaired(full: Stream, kept: NDArray[np.bool_]) -> tuple[Mended, NDArray[np.
 @pytest.mark.parametrize("velocity", [True, False])
 @pytest.mark.parametrize("rate_hz", RATES)
 @pytest.mark.parametrize("n", [1, 2, 6])
-def test_drops_with_even_stamps_are_found_and_bridged(
-    rate_hz: float, n: int, velocity: bool
-) -> None:
+def test_drops_with_even_stamps_are_bridged(rate_hz: float, n: int, velocity: bool) -> None:
     for seed in SEEDS:
         full = arm(seed, rate_hz, n)
         gap = max(6, round(0.03 * rate_hz))
@@ -79,9 +74,9 @@ def test_drops_with_even_stamps_are_found_and_bridged(
         if sped.all():
             assert np.ptp(at[~found.bridged] - true[kept]) < 2.5 / rate_hz
         moments = np.interp(at, at[~found.bridged], true[kept])[found.bridged]
-        bridged = found.stream.channels["position"][found.bridged]
-        truth = np.column_stack([np.interp(moments, true, q) for q in full.channels["position"].T])
-        assert np.sqrt(np.mean((bridged - truth) ** 2)) < 1e-3
+        off = make_interp_spline(true, full.channels["position"], 1)(moments)
+        off -= found.stream.channels["position"][found.bridged]
+        assert np.sqrt(np.mean(off**2)) < 1e-3
 
 
 @pytest.mark.parametrize("rate_hz", [250.0, 1000.0])
@@ -100,7 +95,6 @@ KINDS = ("sound", "coarse", "few", "quantised", "differentiated", "true stamps",
 
 
 def sound_arm(kind: str, seed: int, rate_hz: float, n: int) -> Stream:
-    """A log without losses, or with such as its stamps show."""
     log = arm(seed, rate_hz, n, count={"coarse": 2e-3, "few": 1.6e-2}.get(kind, 2e-5))
     q, dq = log.channels["position"], log.channels["velocity"]
     gap = max(4, round(0.03 * rate_hz))

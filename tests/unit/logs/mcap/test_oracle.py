@@ -19,21 +19,12 @@ from mcap_ros2.decoder import DecoderFactory
 
 from seqid_cli.logs.mcap.reader import read_blocks
 from seqid_cli.logs.raw import Stream, joined
+from tests.unit.logs import writers
 from tests.unit.logs.samples import GYRO, JOINTS, make_robot, read_raw
-from tests.unit.logs.writers import (
-    Message,
-    encoded,
-    header,
-    imu_messages,
-    joint_messages,
-    rewrite,
-    write_messages,
-    write_raw,
-)
+from tests.unit.logs.writers import Message, joint_messages, write_messages
 
 ROBOT = make_robot(imus=(GYRO,))
 QUANTITIES = ("position", "velocity", "effort")
-
 
 layouts = st.builds(  # what stays the same from message to message
     SimpleNamespace,
@@ -56,11 +47,11 @@ def logs(draw: st.DrawFn) -> list[Message]:
             stamp = int(rng.integers(1, 1 << 60))
             values = rng.normal(size=(3, len(layout.names)))
             values[values > 2.0] = special
-            content = SimpleNamespace(header=header(stamp, layout.frame), name=layout.names)
+            content = SimpleNamespace(header=writers.header(stamp, layout.frame), name=layout.names)
             for name, row, there in zip(QUANTITIES, values, layout.given, strict=True):
                 setattr(content, name, row.tolist() if there else [])
             messages.append(("/joint_states", stamp, content))
-    for imu in imu_messages(
+    for imu in writers.imu_messages(
         rng.integers(1, 1 << 60, 30), "/hand/data", rng.normal(size=(30, 3)), np.zeros((30, 3))
     ):
         messages.insert(int(rng.integers(0, len(messages) + 1)), imu)
@@ -70,20 +61,15 @@ def logs(draw: st.DrawFn) -> list[Message]:
 storages = st.fixed_dictionaries(
     {
         "compression": st.sampled_from(["none", "lz4", "zstd"]),
-        "chunking": st.booleans(),
-        "index": st.booleans(),
-        "crc": st.booleans(),
-        "summary": st.booleans(),
+        **dict.fromkeys(("chunking", "index", "crc", "summary"), st.booleans()),
         "chunk_size": st.sampled_from([200, 5_000, 1 << 20]),
     }
 )
-
 
 Rows = tuple[list[int], list[np.ndarray]]  # stamps and values
 
 
 def official(path: Path) -> tuple[Rows, Rows]:
-    """Joints and IMU, message by message."""
     joints: Rows = ([], [])
     imus: Rows = ([], [])
     with path.open("rb") as file:
@@ -112,18 +98,16 @@ def assert_joints(stream: Stream, stamps: Sequence[int], rows: Sequence[np.ndarr
     np.testing.assert_array_equal(np.hstack(found), rows)
 
 
-@settings(
-    max_examples=15,
-    deadline=None,
-    derandomize=True,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
-)
+FIXTURE = HealthCheck.function_scoped_fixture
+
+
+@settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=[FIXTURE])
 @given(messages=logs(), storage=storages, rows=st.sampled_from([None, 1, 100]))
 def test_cdr_and_json(
     messages: list[Message], storage: dict[str, object], rows: int | None, tmp_path: Path
 ) -> None:
     source = write_messages(tmp_path / "source.mcap", messages, encoding="cdr")
-    path = rewrite(source, tmp_path / "log.mcap", **storage)  # type: ignore[arg-type]
+    path = writers.rewrite(source, tmp_path / "log.mcap", **storage)  # type: ignore[arg-type]
     as_json = write_messages(tmp_path / "json.mcap", messages, encoding="json")
     joints, imus = official(source)
     for blocks in (list(read_blocks(path, ROBOT, rows=rows)), [read_raw(as_json, ROBOT)]):
@@ -156,7 +140,6 @@ def test_protobuf(tmp_path: Path) -> None:
 
 
 def positions(rows: int, frame: str = "base") -> tuple[list[Message], np.ndarray]:
-    """Messages of positions alone, and these."""
     q = np.random.default_rng(5).normal(size=(rows, 3))
     messages = joint_messages(np.arange(1, rows + 1), JOINTS, q)
     for _, _, content in messages:
@@ -168,12 +151,12 @@ def test_padding_is_not_structure(tmp_path: Path) -> None:
     """Some middleware leaves what was in memory between the fields."""
     messages, q = positions(400, frame="abcd")
     rng, padded = np.random.default_rng(5), []
-    for topic, log_ns, content in encoded(messages, "cdr")[1]:
+    for topic, log_ns, content in writers.encoded(messages, "cdr")[1]:
         data = bytearray(content)
         assert data[21:24] == b"\0\0\0"  # behind the frame's five bytes
         data[21:24] = rng.bytes(3)
         padded.append((topic, log_ns, bytes(data)))
-    path = write_raw(tmp_path / "log.mcap", {"/joint_states": "cdr"}, padded)
+    path = writers.write_raw(tmp_path / "log.mcap", {"/joint_states": "cdr"}, padded)
     np.testing.assert_array_equal(read_raw(path, make_robot()).joints.channels["position"], q)
 
 

@@ -15,26 +15,9 @@ from seqid_cli.errors import InputError
 from seqid_cli.logs.mcap.reader import list_topics
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
-from tests.unit.logs.samples import (
-    ARRAY,
-    GYRO,
-    JOINTS,
-    Motion,
-    grid,
-    make_motion,
-    make_robot,
-    write_motion,
-)
-from tests.unit.logs.writers import (
-    DEFINITIONS,
-    JOINT_STATE,
-    Message,
-    encoded,
-    imu_messages,
-    joint_messages,
-    write_messages,
-    write_raw,
-)
+from tests.unit.logs import samples, writers
+from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, Motion, grid, make_motion, make_robot
+from tests.unit.logs.writers import JOINT_STATE, Message, imu_messages, write_messages, write_raw
 
 ROBOT = make_robot(imus=(ARRAY, GYRO))
 MOTION = make_motion(grid(200))
@@ -49,7 +32,7 @@ def read(folder: Path, messages: list[Message], encoding: str = "cdr") -> Record
 
 
 def joints(motion: Motion = MOTION, names: Sequence[str] = JOINTS, **options: str) -> list[Message]:
-    return joint_messages(stamps(motion.t), names, motion.q[:, : len(names)], **options)
+    return writers.joint_messages(stamps(motion.t), names, motion.q[:, : len(names)], **options)
 
 
 def hand(motion: Motion, late_s: float = 0.0) -> list[Message]:
@@ -61,7 +44,7 @@ def hand(motion: Motion, late_s: float = 0.0) -> list[Message]:
 def test_joint_states_split_over_two_messages(tmp_path: Path, delay_s: float) -> None:
     later = make_motion(MOTION.t + delay_s)
     parts = [
-        joint_messages(stamps(m.t), JOINTS[own], m.q[:, own], effort=m.tau[:, own])
+        writers.joint_messages(stamps(m.t), JOINTS[own], m.q[:, own], effort=m.tau[:, own])
         for m, own in ((MOTION, slice(1)), (later, slice(1, None)))
     ]
     recording = read(tmp_path, [message for pair in zip(*parts, strict=True) for message in pair])
@@ -74,10 +57,10 @@ def test_joint_states_split_over_two_messages(tmp_path: Path, delay_s: float) ->
 
 
 def test_header_stamps_log_times_and_zeros(tmp_path: Path) -> None:
-    path = write_motion(tmp_path / "log.mcap", MOTION, log_offset_ns=3_000_000)
+    path = samples.write_motion(tmp_path / "log.mcap", MOTION, log_offset_ns=3_000_000)
     assert read_recording(path, ROBOT).health.log_minus_header_s == pytest.approx(0.003)
     by_log = read_recording(path, ROBOT, time_source="log")
-    path = write_motion(tmp_path / "zero.mcap", MOTION, zero_stamps=True)
+    path = samples.write_motion(tmp_path / "zero.mcap", MOTION, zero_stamps=True)
     without = read_recording(path, ROBOT)
     assert without.health.log_minus_header_s is None
     assert any("all zero" in warning for warning in without.health.warnings)
@@ -127,9 +110,7 @@ HALF = imu_messages(stamps(MOTION.t), "/array/accel_1", MOTION.q)
     ],
     ids=["topic", "names", "a joint less", "half an array"],
 )
-def test_what_is_missing_is_said_with_what_is_there(
-    tmp_path: Path, messages: list[Message], said: str
-) -> None:
+def test_what_is_missing_is_said(tmp_path: Path, messages: list[Message], said: str) -> None:
     with pytest.raises(InputError) as caught:
         read(tmp_path, messages)
     assert said in caught.value.message
@@ -139,9 +120,7 @@ def test_what_is_missing_is_said_with_what_is_there(
         assert (topic.topic, topic.messages) == ("/arm/joint_states", 200)
 
 
-def test_messages_that_cannot_be_decoded_are_counted_and_their_encoding_named(
-    tmp_path: Path,
-) -> None:
+def test_what_cannot_be_decoded_is_counted_and_its_encoding_named(tmp_path: Path) -> None:
     messages = joints()
     for _, _, content in messages[50:53]:
         content.position = [1.0, 2.0]
@@ -172,21 +151,20 @@ def test_json_with_other_spellings_of_the_stamp(tmp_path: Path) -> None:
 T0 = 1_700_000_000
 
 
-def test_cdr_of_a_definition_with_other_fields(tmp_path: Path) -> None:
-    other = DEFINITIONS[JOINT_STATE].replace(
+def test_cdr_of_other_fields(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = writers.DEFINITIONS[JOINT_STATE].replace(
         "string[] name", "uint8 mode\nstring[] name\n# not the usual one"
     )
     messages = joints()
     for _, _, content in messages:
         content.mode = 3
-    path = tmp_path / "log.mcap"
-    write_messages(path, messages, encoding="cdr", definitions={JOINT_STATE: other})
-    np.testing.assert_array_equal(read_recording(path, make_robot()).q, MOTION.q)
+    monkeypatch.setitem(writers.DEFINITIONS, JOINT_STATE, other)
+    np.testing.assert_array_equal(read(tmp_path, messages).q, MOTION.q)
 
 
 def test_cdr_of_both_byte_orders_and_of_another_representation(tmp_path: Path) -> None:
     humble, rows = get_typestore(Stores.ROS2_HUMBLE), []
-    for k, (topic, _, data) in enumerate(encoded(joints(), "cdr")[1]):
+    for k, (topic, _, data) in enumerate(writers.encoded(joints(), "cdr")[1]):
         content = humble.deserialize_cdr(data, JOINT_STATE)
         turned = humble.serialize_cdr(content, JOINT_STATE, little_endian=bool(k % 2))
         rows.append((topic, k, bytes(turned)))
@@ -245,12 +223,11 @@ def test_protobuf_with_the_fields_of_sensor_msgs(tmp_path: Path) -> None:
     channels = {topic: ("protobuf", kind, "protobuf", text) for topic, kind in topics.items()}
     path = write_raw(tmp_path / "log.mcap", channels, messages)
     recording = read_recording(path, make_robot(imus=(GYRO,)))
-    np.testing.assert_array_equal(recording.q, MOTION.q)
-    np.testing.assert_array_equal(recording.tau, MOTION.tau)
     assert recording.dq is None
-    for name in ("gyros", "accelerometers"):
-        found, expected = getattr(recording, name)["hand"], getattr(MOTION, name)["hand"]
-        np.testing.assert_array_equal(found, expected)
+    for read in (lambda x: x.q, lambda x: x.tau, lambda x: x.gyros["hand"]):
+        np.testing.assert_array_equal(read(recording), read(MOTION))
+    found = recording.accelerometers["hand"]
+    np.testing.assert_array_equal(found, MOTION.accelerometers["hand"])
     np.testing.assert_allclose(recording.t, MOTION.t, atol=1e-9)
 
 

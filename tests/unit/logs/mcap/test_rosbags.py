@@ -20,16 +20,8 @@ from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
 from seqid_cli.logs.storage.files import expand
 from seqid_cli.robot.toml.schema import Channels
-from tests.unit.logs.format_writers import (
-    T0_NS,
-    Data,
-    dynamic_states,
-    reversed_states,
-    rosbag1,
-    rosbag2_mcap,
-    rosbag2_sqlite,
-    write_bag,
-)
+from tests.unit.logs import format_writers as formats
+from tests.unit.logs.format_writers import T0_NS, Data, rosbag1, rosbag2_sqlite, write_bag
 from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, grid, make_motion, make_robot
 from tests.unit.logs.writers import arm_messages
 
@@ -62,7 +54,7 @@ def test_joints_and_imus(tmp_path: Path, version: int) -> None:
 def test_dynamic_joint_states(tmp_path: Path, defined: bool) -> None:
     """Without a definition in the bag (before 2023) the usual one is taken."""
     current = {"effort": "current", "velocity": "speed"}
-    messages = dynamic_states(DATA)
+    messages = formats.dynamic_states(DATA)
     for _, _, content in messages:
         for one in content.interface_values:
             one.interface_names = [current.get(name, name) for name in one.interface_names]
@@ -78,15 +70,15 @@ def test_dynamic_joint_states(tmp_path: Path, defined: bool) -> None:
 
 
 def executed(path: Path, text: str) -> None:
-    """Change a database."""
     with closing(sqlite3.connect(path)) as database, database:
         database.executescript(text)
 
 
 def test_compression(tmp_path: Path) -> None:
-    bag = write_bag(tmp_path / "one", reversed_states(DATA), compression=CompressionMode.MESSAGE)
+    messages = formats.reversed_states(DATA)
+    bag = write_bag(tmp_path / "one", messages, compression=CompressionMode.MESSAGE)
     np.testing.assert_array_equal(read_recording(bag, make_robot()).q, MOTION.q)
-    bag = write_bag(tmp_path / "all", reversed_states(DATA), compression=CompressionMode.FILE)
+    bag = write_bag(tmp_path / "all", messages, compression=CompressionMode.FILE)
     with pytest.raises(InputError, match="ROS 2 bag without") as caught:
         read_recording(bag, make_robot())
     assert "zstd -d" in caught.value.hint
@@ -110,49 +102,42 @@ def test_damaged_page_is_refused_with_a_remedy_unless_it_is_not_needed(tmp_path:
         found = outcome(path)
         if isinstance(found, InputError):
             refused += 1
-            assert ".recover" in found.hint or found.hint.startswith("Record ")
             assert found.where == str(path)
+            assert ".recover" in found.hint or found.hint.startswith("Record ")
         elif not found.partial:
             np.testing.assert_array_equal(found.q, MOTION.q)
     assert refused > 10
 
 
-COMPUTING = {
-    "view": "CREATE VIEW more AS WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) "
-    "SELECT x FROM c",
-    "column": "CREATE TABLE more(a INTEGER, b BLOB GENERATED ALWAYS AS (zeroblob(900000000)))",
-    "trigger": "CREATE TRIGGER more AFTER INSERT ON messages BEGIN DELETE FROM topics; END",
-}
+ENDLESS = "WITH RECURSIVE c(x) AS (SELECT 1 UNION ALL SELECT x + 1 FROM c) SELECT x FROM c"
 CHANGES = {
-    "cut": (lambda path: path.write_bytes(path.read_bytes()[:20_000]), "cannot be read"),
-    "other types": ("UPDATE topics SET type = x'00ff'", "cannot be read"),
-    "no bag": ("DROP TABLE messages; DROP TABLE topics", "missing tables"),
-    **{name: (text, "computes values") for name, text in COMPUTING.items()},
+    "": "cannot be read",  # the file is cut
+    "UPDATE topics SET type = x'00ff'": "cannot be read",
+    "DROP TABLE messages; DROP TABLE topics": "missing tables",
+    f"CREATE VIEW a AS {ENDLESS}": "computes values",
+    "CREATE TABLE a(a, b BLOB GENERATED ALWAYS AS (zeroblob(900000000)))": "computes values",
+    "CREATE TRIGGER a AFTER INSERT ON messages BEGIN DELETE FROM topics; END": "computes values",
 }
 
 
-@pytest.mark.parametrize("name", CHANGES)
-def test_a_database_that_is_no_sound_bag_is_refused(name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("change", CHANGES, ids=range(len(CHANGES)))
+def test_a_database_that_is_no_sound_bag_is_refused(change: str, tmp_path: Path) -> None:
     path = storage(rosbag2_sqlite(tmp_path / "bag", DATA))
     assert isinstance(outcome(path), Recording)
-    change, message = CHANGES[name]
-    if isinstance(change, str):
+    if change:
         executed(path, change)
     else:
-        change(path)
-    with pytest.raises(InputError, match=message) as caught:
-        read_recording(path, make_robot())
-    assert name != "cut" or ".recover" in caught.value.hint
+        path.write_bytes(path.read_bytes()[:20_000])
+    found = outcome(path)
+    assert CHANGES[change] in found.message
+    assert change or ".recover" in found.hint
 
 
 @pytest.mark.parametrize("pack", [bz2.compress, lz4.frame.compress], ids=["bz2", "lz4"])
 def test_a_chunk_that_unpacks_to_gigabytes_is_refused(pack: Callable[[bytes], bytes]) -> None:
-    def usual(_: bytes) -> bytes:
-        raise AssertionError
-
-    unpack = _bounded(usual)
+    unpack = _bounded(pytest.fail)
     assert unpack(pack(b"sound" * 1000)) == b"sound" * 1000
-    bomb = pack(bytes(allowed(0) + (1 << 22))) if pack is bz2.compress else pack(bytes(300 << 20))
+    bomb = pack(bytes(allowed(0) + (1 << 22) if pack is bz2.compress else 300 << 20))
     with pytest.raises(ValueError, match="unpacks to over"):
         unpack(bomb)
 
@@ -186,11 +171,9 @@ def test_damaged_ros1_bag(tmp_path: Path, change: str) -> None:
         assert found.partial
 
 
-def test_without_the_library_the_way_to_install_it_is_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_library_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     first, second = rosbag1(tmp_path / "log", DATA), rosbag2_sqlite(tmp_path / "sqlite", DATA)
-    needless = rosbag2_mcap(tmp_path / "mcap", DATA)
+    needless = formats.rosbag2_mcap(tmp_path / "mcap", DATA)
     for name in [name for name in sys.modules if name.split(".")[0] == "rosbags"]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "rosbags", None)

@@ -1,5 +1,6 @@
 """Damaged MCAP files: what is lost is counted, the rest is used; and memory stays flat."""
 
+import re
 import struct
 import tracemalloc
 from pathlib import Path
@@ -27,7 +28,6 @@ def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def records(data: bytes, opcode: int) -> list[int]:
-    """Where the records of a kind begin."""
     found, at, kind = [], 8, 0
     while at + 9 <= len(data) and kind != 0x0F:
         kind, length = struct.unpack_from("<BQ", data, at)
@@ -37,7 +37,6 @@ def records(data: bytes, opcode: int) -> list[int]:
 
 
 def read_rows(path: Path, least: int) -> tuple[int, str]:
-    """How many rows of the log are read, in order and no others, and what is said."""
     raw = read_raw(path, ROBOT)
     known = {row.tobytes(): i for i, row in enumerate(Q)}
     rows = np.ascontiguousarray(raw.joints.channels["position"])
@@ -54,9 +53,7 @@ def test_reading_goes_on_behind_garbage(
 ) -> None:
     path = rewrite(source, tmp_path / "log", compression=compression, chunk_size=20_000)
     data = bytearray(path.read_bytes())
-    chunks = records(data, 0x06)
-    assert len(chunks) > 10
-    at = chunks[4]
+    at = records(data, 0x06)[4]
     if damage == "opcode":
         data[at : at + 9] = b"\x55" + b"\xff" * 8
     elif damage == "length":
@@ -70,9 +67,7 @@ def test_reading_goes_on_behind_garbage(
 
 
 @pytest.mark.parametrize("chunking", [True, False])
-def test_garbage_where_nothing_tells_the_chunks(
-    tmp_path: Path, source: Path, chunking: bool
-) -> None:
+def test_garbage_where_chunks_are_not_told(tmp_path: Path, source: Path, chunking: bool) -> None:
     path = rewrite(source, tmp_path / "log", chunking=chunking, chunk_size=20_000)
     data = bytearray(path.read_bytes())
     data = data[: records(data, 0x0F)[0]]
@@ -98,9 +93,9 @@ def test_blocks_of_a_cut_file(
     np.testing.assert_array_equal(rows, Q[: len(rows)])
     assert COUNT / 8 < len(rows) < COUNT
     assert chunk_size > 20_000 or abs(len(rows) / COUNT - share) < 0.1
-    assert [bool(block.partial) for block in blocks] == [False] * (len(blocks) - 1) + [True]
-    assert "breaks off" in blocks[-1].partial
-    assert "messages were read" in blocks[-1].partial
+    *before, last = (block.partial for block in blocks)
+    assert not any(before)
+    assert re.search("breaks off.*messages were read", last)
 
 
 def test_recording_that_was_not_closed_or_holds_nothing(tmp_path: Path, source: Path) -> None:
@@ -124,4 +119,4 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
         tracemalloc.stop()
         return size
 
-    assert peak(60_000) < 1.2 * peak(10_000)
+    assert peak(40_000) < 1.2 * peak(10_000)

@@ -16,13 +16,16 @@ from seqid_cli.logs.storage.files import check_log, expand
 from seqid_cli.logs.storage.temporary import temporary_folder
 
 
+def write(folder: Path, names: str) -> Path:
+    for path in map(folder.joinpath, names.split()):
+        path.parent.mkdir(exist_ok=True, parents=True)
+        path.write_bytes(b"{}")
+    return folder
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    for name in ("run10.parquet", "run2.parquet", "sub/run1.MCAP", ".hidden.mcap", "notes.txt"):
-        path = tmp_path / name
-        path.parent.mkdir(exist_ok=True)
-        path.write_bytes(b"x")
-    return tmp_path
+    return write(tmp_path, "run10.parquet run2.parquet sub/run1.MCAP .hidden.mcap notes.txt")
 
 
 def names(paths: list[Path], folder: Path) -> list[str]:
@@ -43,9 +46,7 @@ ALL = ["run2.parquet", "run10.parquet", "sub/run1.MCAP"]
         (["run?.parquet"], ALL[:1]),
     ],
 )
-def test_logs_come_once_in_natural_order(
-    folder: Path, arguments: list[str], expected: list[str]
-) -> None:
+def test_logs_come_once_in_order(folder: Path, arguments: list[str], expected: list[str]) -> None:
     assert names(expand([str(folder / each) for each in arguments]), folder) == expected
 
 
@@ -105,20 +106,15 @@ def tables(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("argument", ["", "a", "a/*", "**"])
-def test_tables_of_a_folder_that_are_no_logs_are_left_out_and_told(
-    tables: Path, argument: str
-) -> None:
+def test_tables_in_a_folder_that_are_no_logs_are_left_out(tables: Path, argument: str) -> None:
     notes: list[str] = []
     found = expand([str(tables / argument)], notes.append)
     assert names(found, tables) == ["a/log.csv", "a/times.csv"]
     assert len(notes) == 4
-    for words in (
-        ("result.csv", "no column of time"),
-        ("points.csv", "no column of time"),
-        ("numbers.tsv", "no line of names"),
-        ("torques.parquet", "seqid predict wrote it"),
-    ):
-        assert any(all(word in note for word in words) for note in notes), notes
+    told = dict.fromkeys(("result.csv", "points.csv"), "no column of time")
+    told |= {"numbers.tsv": "no line of names", "torques.parquet": "seqid predict wrote it"}
+    for name, said in told.items():
+        assert any(name in note and said in note for note in notes), notes
     for name in ("a/log.csv", "a/times.csv"):
         (tables / name).unlink()
     with pytest.raises(InputError, match="no log in this folder"):
@@ -147,10 +143,7 @@ def test_bag_folder_stands_for_its_files(tmp_path: Path) -> None:
 
 
 def test_description_of_a_data_set_is_no_log(tmp_path: Path) -> None:
-    for name in ("info.json", "tasks.parquet", "episodes/x.parquet", "../data/e.parquet"):
-        path = tmp_path / "meta" / name
-        path.parent.mkdir(exist_ok=True, parents=True)
-        path.write_bytes(b"{}")
+    write(tmp_path, "meta/info.json meta/tasks.parquet meta/episodes/x.parquet data/e.parquet")
     assert names(expand([str(tmp_path)]), tmp_path) == ["data/e.parquet"]
 
 

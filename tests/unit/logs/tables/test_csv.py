@@ -1,6 +1,7 @@
 """CSV logs: every way of writing them, and what is wrong with them."""
 
 import datetime as dt
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -33,12 +34,10 @@ def text(rows: list[str], header: str = HEADER, end: str = "\n") -> bytes:
 
 
 def beside(more: str, header: str) -> bytes:
-    """One column more."""
     return text([row + "," + more for row in ROWS], f"{HEADER},{header}")
 
 
 def changed(column: int, words: dict[int, str]) -> list[str]:
-    """Rows with other words in a column."""
     rows = [row.split(",") for row in ROWS]
     for row, word in words.items():
         rows[row][column] = word
@@ -52,16 +51,11 @@ def read(folder: Path, content: bytes, channels: Channels | None = None) -> Reco
 
 SPELLINGS = {
     f"{mark!r} {end!r} {bom!r}": text(lines(mark), bom + mark.join(NAMES), end)
-    for mark in ",;\t "
-    for end in ("\n", "\r\n")
-    for bom in ("", "\ufeff")
+    for mark, end, bom in product(",;\t ", ("\n", "\r\n"), ("", "\ufeff"))
 }
-SPELLINGS |= {
-    f"decimal commas, {mark!r}": text(
-        [row.replace(".", ",") for row in lines(mark)], mark.join(NAMES)
-    )
-    for mark in ";\t "
-}
+for mark in ";\t ":
+    commas = [row.replace(".", ",") for row in lines(mark)]
+    SPELLINGS[f"decimal commas, {mark!r}"] = text(commas, mark.join(NAMES))
 SPELLINGS |= {
     "comments": text(ROWS, f"# made by a logger\n#\n{HEADER}"),
     "names in a comment": text(ROWS, f"# {HEADER}"),
@@ -84,9 +78,10 @@ def test_every_spelling_gives_the_same(tmp_path: Path, content: bytes) -> None:
     assert (recording.format, recording.partial, recording.health.warnings) == ("csv", "", ())
 
 
-@pytest.mark.parametrize(
-    "word", ["", "nan", "NaN", "-nan", "null", "None", "inf", "1e400", "NA", "9" * 400]
-)
+WORDS = ("", "nan", "NaN", "-nan", "null", "None", "inf", "1e400", "NA", "9" * 400)
+
+
+@pytest.mark.parametrize("word", WORDS)
 def test_missing_values_and_too_large_numbers(tmp_path: Path, word: str) -> None:
     recording = read(tmp_path, text(changed(2, {20: word, 50: word})))
     assert recording.valid.all()
@@ -121,16 +116,10 @@ def test_names_and_units_of_time(tmp_path: Path, name: str) -> None:
         assert recording.start == pytest.approx(1_700_000_000.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("pattern", "names"),
-    [
-        ("a_{index}", "a_1,a_2,a_3"),
-        ("actual_q_{index0}", "actual_q_0,actual_q_1,actual_q_2"),
-        ("{name}/pos", "shoulder/pos,elbow/pos,wrist/pos"),
-    ],
-)
-def test_names_of_the_robot_file_win(tmp_path: Path, pattern: str, names: str) -> None:
-    content = text([row + ",9.0" for row in ROWS], f"clock,{names},shoulder.position")
+@pytest.mark.parametrize("pattern", ["a_{index}", "actual_q_{index0}", "{name}/pos"])
+def test_names_of_the_robot_file_win(tmp_path: Path, pattern: str) -> None:
+    each = (pattern.format(name=name, index=k + 1, index0=k) for k, name in enumerate(JOINTS))
+    content = text([row + ",9.0" for row in ROWS], ",".join(["clock", *each, "shoulder.position"]))
     recording = read(tmp_path, content, Channels(time="clock", position=pattern))
     np.testing.assert_array_equal(recording.q, MOTION.q)
     with pytest.raises(InputError, match="b_1"):
@@ -173,9 +162,7 @@ def test_columns_without_names_are_read_by_their_numbers(tmp_path: Path) -> None
         np.testing.assert_array_equal(recording.q, MOTION.q[:, order])
 
 
-def test_lines_that_are_left_out_are_told(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_lines_left_out_are_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     recording = read(tmp_path, text(ROWS)[:-5])
     np.testing.assert_array_equal(recording.q, MOTION.q[:-1])
     assert recording.partial == ""

@@ -12,18 +12,11 @@ import pytest
 from seqid_cli.errors import InputError
 from seqid_cli.logs.read import read_recording
 from seqid_cli.logs.recording import Recording
+from seqid_cli.motion.filters.differentiation import runs
 from seqid_cli.robot.types import Channels
+from tests.unit.logs import samples
 from tests.unit.logs.format_writers import Data, lerobot_table
-from tests.unit.logs.samples import (
-    ARRAY,
-    GYRO,
-    JOINTS,
-    curve,
-    grid,
-    make_motion,
-    make_robot,
-    write_motion,
-)
+from tests.unit.logs.samples import ARRAY, GYRO, JOINTS, curve, grid, make_motion, make_robot
 
 MOTION = make_motion(grid())
 LISTS = pa.list_(pa.float32())
@@ -49,7 +42,7 @@ def warned(recording: Recording, *words: str) -> bool:
 
 
 def test_default_names(tmp_path: Path) -> None:
-    path = write_motion(tmp_path / "log.parquet", MOTION, temperature=MOTION.q + 30.0)
+    path = samples.write_motion(tmp_path / "log.parquet", MOTION, temperature=MOTION.q + 30.0)
     recording = read_recording(path, make_robot(imus=(ARRAY, GYRO)))
     found = (recording.q, recording.dq, recording.tau, recording.temperature)
     np.testing.assert_array_equal(found, (MOTION.q, MOTION.dq, MOTION.tau, MOTION.q + 30.0))
@@ -99,13 +92,11 @@ def test_coarse_time_and_rows_without_time_are_told(tmp_path: Path) -> None:
 
 def test_integer_decimal_and_nested_columns(tmp_path: Path) -> None:
     counts = np.arange(len(MOTION.t))
+    shoulder = pa.array(counts.astype(float)).dictionary_encode()
     wrist = pa.array(counts.astype(float)).cast(pa.decimal128(9, 2))
-    columns = {
-        "t": MOTION.t,
-        "elbow": pa.array([{"position": int(k)} for k in counts]),
-        "wrist": pa.StructArray.from_arrays([wrist], ["position"]),
-        "shoulder.position": pa.array(counts.astype(float)).dictionary_encode(),
-    }
+    columns = {"t": MOTION.t, "elbow": [{"position": int(k)} for k in counts]}
+    columns |= {"wrist": pa.StructArray.from_arrays([wrist], ["position"])}
+    columns |= {"shoulder.position": shoulder}
     np.testing.assert_array_equal(read(tmp_path, columns).q, np.tile(counts[:, None], (1, 3)))
 
 
@@ -177,7 +168,7 @@ def test_names_of_imus(tmp_path: Path, accelerometer: str, gyro: str, ends: str)
 
 @pytest.mark.parametrize("dropped", ["array.a3", "hand.az", "hand.gx"])
 def test_half_an_imu_names_the_columns(tmp_path: Path, dropped: str) -> None:
-    path = write_motion(tmp_path / "log.parquet", MOTION)
+    path = samples.write_motion(tmp_path / "log.parquet", MOTION)
     pq.write_table(pq.read_table(path).drop_columns([dropped]), path)
     with pytest.raises(InputError, match=dropped):
         read_recording(path, make_robot(imus=(ARRAY, GYRO)))
@@ -209,7 +200,7 @@ def test_optional_channel_of_some_joints(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("at", [slice(-40, -20), slice(-8, -4), slice(4, 400)])
 def test_damaged_footer_and_pages(tmp_path: Path, at: slice) -> None:
-    path = write_motion(tmp_path / "log.parquet", MOTION)
+    path = samples.write_motion(tmp_path / "log.parquet", MOTION)
     data = bytearray(path.read_bytes())
     data[at] = b"\xff" * len(data[at])
     path.write_bytes(data)
@@ -227,20 +218,15 @@ def test_episodes_become_stretches_with_gaps(tmp_path: Path) -> None:
     episodes = [episode(0.0), episode(5.0, 60), episode(9.0, 90)]
     recording = read(tmp_path, lerobot_table(episodes))
     assert warned(recording, "3 episodes")
-    starts = np.flatnonzero(np.diff(recording.valid.astype(int), prepend=0) > 0)
-    ends = np.flatnonzero(np.diff(recording.valid.astype(int), append=0) < 0) + 1
-    assert (ends - starts).tolist() == [200, 60, 90]
-    for start, end, data in zip(starts, ends, episodes, strict=True):
+    found = runs(recording.valid, len(recording.t))
+    assert [end - start for start, end in found] == [200, 60, 90]
+    for (start, end), data in zip(found, episodes, strict=True):
         np.testing.assert_allclose(recording.q[start:end], data.q, atol=2e-5)
     assert [end - start > 1.0 for start, end in recording.health.gaps] == [True, True]
 
 
 def test_rows_without_an_episode_are_left_out(tmp_path: Path) -> None:
-    table = lerobot_table([episode(0.0)])
-    numbers = pa.array([0] * 180 + [None] * 20, pa.int64())
-    place = table.schema.get_field_index("episode_index")
-    table = table.set_column(place, "episode_index", numbers)
-    recording = read(tmp_path, table)
+    recording = read(tmp_path, COLUMNS | {"episode_index": [0] * 180 + [None] * 20})
     assert len(recording.t) == 180
     assert warned(recording, "20 rows without episode_index")
 
@@ -268,9 +254,7 @@ MOTORS = ["wrist", "shoulder", "gripper", "elbow"]
         *((names, [0, 1, 2]) for names in (None, 7, ["a", "b"], [["a"]], {"x": [], "y": []})),
     ],
 )
-def test_joints_are_matched_by_the_names_of_the_data_set(
-    tmp_path: Path, names: object, columns: list[int]
-) -> None:
+def test_joints_are_matched_by_names(tmp_path: Path, names: object, columns: list[int]) -> None:
     recording = read_set(tmp_path, names, 4)
     np.testing.assert_allclose(recording.q, curve(MOTION.t, 4)[:, columns], atol=1e-6)
     assert warned(recording, "in the order of the robot file") == (columns != ORDER)
@@ -300,13 +284,8 @@ def test_missing_lists_and_values(tmp_path: Path, kind: pa.DataType) -> None:
 
 def test_joint_state_messages_in_a_table(tmp_path: Path) -> None:
     names = ["wrist", "elbow", "shoulder"]
-    rows = {
-        "timestamp": MOTION.t,
-        "name": [names] * 200,
-        "position": list(MOTION.q[:, ::-1]),
-        "velocity": [[]] * 200,
-        "effort": list(MOTION.tau[:, ::-1]),
-    }
+    rows = {"timestamp": MOTION.t, "name": [names] * 200, "velocity": [[]] * 200}
+    rows |= {"position": list(MOTION.q[:, ::-1]), "effort": list(MOTION.tau[:, ::-1])}
     recording = read(tmp_path, rows)
     np.testing.assert_array_equal(recording.q, MOTION.q)
     np.testing.assert_array_equal(recording.tau, MOTION.tau)
@@ -314,14 +293,3 @@ def test_joint_state_messages_in_a_table(tmp_path: Path) -> None:
     rows["name"] = [names] * 100 + [names[::-1]] * 100
     with pytest.raises(InputError, match="change from row to row"):
         read(tmp_path, rows)
-
-
-@pytest.mark.parametrize("form", ["{name}/{kind}", "{kind}.{name}"])
-@pytest.mark.parametrize("current", [False, True])
-def test_effort_is_what_the_robot_file_says(tmp_path: Path, form: str, current: bool) -> None:
-    columns = {"time": MOTION.t, form.format(name="gripper", kind="position"): MOTION.t}
-    for name, q, tau in zip(JOINTS, MOTION.q.T, MOTION.tau.T, strict=True):
-        columns |= {form.format(name=name, kind="position"): q}
-        columns |= {form.format(name=name, kind="effort"): tau}
-    recording = read(tmp_path, columns, Channels(effort="current") if current else Channels())
-    np.testing.assert_allclose(recording.tau, MOTION.tau * ([1.0, 2.0, 3.0] if current else 1.0))

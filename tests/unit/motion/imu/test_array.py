@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 
 from seqid_cli.motion.filters.butterworth import Lowpass
-from seqid_cli.motion.imu.array import (
-    array_inverse,
-    array_matrix,
-    layout,
-    layout_statements,
-    read_angular,
-)
+from seqid_cli.motion.imu import array as arrays
+from seqid_cli.motion.imu.array import array_matrix, layout, layout_statements, read_angular
 from seqid_cli.robot.types import Imu
 from seqid_cli.typing import Array
 from tests.plants.mechanics.rigid import LinkMotion
@@ -38,14 +33,12 @@ def squared(w: Array) -> Array:
 
 @pytest.fixture(params=["tetrahedron", "random"])
 def imu(request: pytest.FixtureRequest) -> Imu:
-    """Twelve accelerometers that see everything."""
     if request.param == "tetrahedron":
         return imu_of(*tetrahedral_array(0.05))
     rng = np.random.default_rng(0)
     axes = rng.standard_normal((12, 3))
-    return imu_of(
-        rng.uniform(-0.1, 0.1, (12, 3)), axes / np.linalg.norm(axes, axis=1, keepdims=True)
-    )
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
+    return imu_of(rng.uniform(-0.1, 0.1, (12, 3)), axes)
 
 
 def test_twelve_accelerometers_give_the_motion_exactly(imu: Imu) -> None:
@@ -53,7 +46,7 @@ def test_twelve_accelerometers_give_the_motion_exactly(imu: Imu) -> None:
     got = read_angular(imu, values, None, OPEN, np.ones(len(w), dtype=bool))
     np.testing.assert_allclose(got.dw, dw, atol=1e-7)
     np.testing.assert_allclose(got.products, squared(w), atol=1e-7)
-    inverse = array_inverse(imu)
+    inverse = arrays.array_inverse(imu)
     np.testing.assert_allclose(inverse @ array_matrix(imu), np.eye(12), atol=1e-8)
     np.testing.assert_allclose(layout(imu).errors, np.linalg.norm(inverse, axis=1), rtol=1e-8)
 
@@ -93,13 +86,10 @@ def test_a_gyro_is_differentiated() -> None:
 def test_a_layout_is_described_in_words(imu: Imu) -> None:
     assert layout_statements(imu) == []
     positions, axes = tetrahedral_array(0.05)
-    point = layout_statements(imu_of(np.zeros((12, 3)), axes))
-    assert "the angular acceleration cannot be told from the rest" in point
-    assert any("one point" in text for text in point)
-    few = imu_of(positions[:9], axes[:9])
-    assert any("fewer than the 12" in text for text in layout_statements(few))
+    point, few = imu_of(0.0 * positions, axes), imu_of(positions[:9], axes[:9])
+    flat = imu_of(positions * [1.0, 1.0, 0.0], axes)
+    for given, said in ((point, "one point"), (few, "fewer than the 12"), (flat, "plane")):
+        assert any(said in text for text in layout_statements(given))
+    assert "the angular acceleration cannot be told from the rest" in layout_statements(point)
     assert np.isinf(layout(few).errors).any()
-    flat = positions.copy()
-    flat[:, 2] = 0.0
-    assert any("plane" in text for text in layout_statements(imu_of(flat, axes)))
     assert layout_statements(imu_of(np.zeros((3, 3)), np.eye(3), gyro=True)) == []

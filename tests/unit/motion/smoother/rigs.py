@@ -39,13 +39,11 @@ def scene(name: str) -> Case:
 
 @cache
 def smoothed(rig: Rig, *, imus: bool = True) -> Smoothed:
-    """What the smoother makes of a rig, with its IMUs or without."""
     c = recorded(rig)
     return smoothed_motion(c.recording, c.robot, c.stage if imus else None)
 
 
 def rms(values: Array) -> Array:
-    """RMS (n,) away from the ends."""
     return np.asarray(np.sqrt(np.mean(values[SETTLED] ** 2, axis=0)))
 
 
@@ -60,7 +58,6 @@ def alone(rig: Rig) -> Array:
 
 
 def variance(got: Smoothed) -> Array:
-    """Stated variance (N, n, 3) of q, dq, ddq at every sample."""
     return interpolated(np.arange(len(got.q)), got.places, got.variance)
 
 
@@ -71,10 +68,7 @@ def coverage(rig: Rig, got: Smoothed | None = None) -> Array:
 
 
 def differentiated(c: Case) -> Array:
-    """Errors (n,) of the acceleration of encoders, each with the cut-off of least error.
-
-    Only who knows the truth can choose so.
-    """
+    """Errors (n,) of encoders' acceleration, by the best cut-off, which only the truth tells."""
     rate = c.recording.rate_hz
     found = [differentiate(Lowpass(float(hz), rate)(c.recording.q), rate) for hz in ENCODER_HZ]
     return np.asarray(np.min([rms(ddq - c.truth) for _, ddq in found], axis=0))
@@ -94,13 +88,8 @@ def from_imus(c: Case) -> Array:
 
 
 def bound(c: Case, rig: Rig) -> Array:
-    """Cramer-Rao bound (n,) of the acceleration, for a white jerk of the true size.
-
-    It knows the sensors' noise and faults, where they sit, and the motion.
-    """
-    views = [
-        encoder_view(c.recording.q[:, j], float(c.plant.encoder_step[j])) for j in range(c.robot.n)
-    ]
+    """Cramer-Rao bound (n,) for a white jerk, of who knows its size, all sensors and the motion."""
+    views = map(encoder_view, c.recording.q.T, c.plant.encoder_step.tolist())
     imus = []
     for x, array in zip(mounted_imus(c.recording, c.robot, c.stage), c.plant.imus, strict=True):
         noise = np.full(x.place.channels, np.hypot(array.noise, array.resolution / np.sqrt(12)))

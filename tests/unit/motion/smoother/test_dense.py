@@ -43,7 +43,6 @@ TOLERANCE = 1e-6  # of the stated error
 
 
 def true_motion(t: Array) -> Array:
-    """q, dq, ddq (3, N, 2) of a smooth motion."""
     w, a = np.array([3.1, 4.3]), np.array([0.9, 0.7])
     angle = np.outer(t, w) + np.array([0.3, -1.1])
     return np.stack([a * np.sin(angle), a * w * np.cos(angle), -a * w**2 * np.sin(angle)])
@@ -104,10 +103,7 @@ def smoothed(step: float) -> Solution:
 
 
 class Dense:
-    """Residuals of everything, over their standard deviations, in one vector of unknowns.
-
-    Unknowns: coefficients, then of each IMU the changes of its biases, place, turn and clock.
-    """
+    """All residuals, over their standard deviations, by coefficients and each IMU's constants."""
 
     def __init__(self, found: Solution, step: float) -> None:
         self.found, self.chunk, self.step = found, found.chunk, step
@@ -115,7 +111,6 @@ class Dense:
         self.t = DT * np.arange(SAMPLES)
 
     def splines(self, c: Array, t: Array) -> Array:
-        """q, dq, ddq (3, len(t), 2)."""
         spline = BSpline(self.knots, c, 3)
         return np.stack([spline(t, nu=order) for order in range(3)])
 
@@ -128,7 +123,6 @@ class Dense:
         return np.concatenate([np.ravel(p) for p in parts])
 
     def jerks(self, c: Array) -> list[Array]:
-        """White jerk, correlated between the joints."""
         jerk = BSpline(self.knots, c, 3).derivative(3)(self.t + 0.5 * DT) / JERK.relative
         covariance = JERK.correlation * np.outer(JERK.size, JERK.size)
         return [np.linalg.solve(np.linalg.cholesky(covariance), jerk.T)]
@@ -142,10 +136,9 @@ class Dense:
             if step == 0.0:
                 parts.append((at_samples[0, :, j] - view.q) / np.sqrt(view.white))
                 continue
-            code = np.round(view.q / step)
+            code, fast = np.round(view.q / step), speed[:, j] >= step
             first = np.concatenate([[0], np.flatnonzero(np.diff(code)) + 1, [SAMPLES]])
             lasts = np.repeat(np.diff(first), np.diff(first))
-            fast = speed[:, j] >= step
             variance = step**2 / 12 * np.where(fast, 1, lasts)
             parts.append((at_samples[0, :, j] - view.q) / np.sqrt(variance))
             edge = np.append(np.abs(np.diff(code)) == 1, False) & ~fast
@@ -167,7 +160,6 @@ class Dense:
 
 
 def jacobian(dense: Dense, x: Array) -> Array:
-    """Central differences (M, N) of the residuals."""
     changes = 1e-6 * np.diag(np.maximum(np.abs(x), 1.0))
     return np.column_stack([(dense(x + h) - dense(x - h)) / (2 * h.sum()) for h in changes])
 

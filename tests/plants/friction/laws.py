@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import exp
 
 import numpy as np
 from scipy.signal import lfilter
@@ -34,18 +33,6 @@ class Extra:
             return Friction(forward, backward, smooth)
 
         return law
-
-
-@dataclass(frozen=True)
-class Stribeck:
-    """level exp(-(v/speed)^2) sign(v)."""
-
-    level: float
-    speed: float
-
-    def __call__(self, q: float, v: float, load: float) -> tuple[float, float, float]:
-        more = self.level * exp(-((v / self.speed) ** 2))
-        return more, more, 0.0
 
 
 @dataclass(frozen=True)

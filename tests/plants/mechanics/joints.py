@@ -40,12 +40,10 @@ class RigidJoints(_Joints):
     """Drives and links move as one; friction may act on combinations of the joints' rates."""
 
     def __post_init__(self) -> None:
-        start, hidden, self._reflected = self.start, self.hidden, self.rigid.arm.reflected
-        self._a = hidden.coupling
+        self._a, self._reflected = self.hidden.coupling, self.rigid.arm.reflected
         self._back = np.linalg.inv(self._a) if self._a is not None else None
-        self._q, self._half = start.copy(), np.zeros(len(start))
-        self._ddq, self._load, self._sign = (np.zeros(len(start)) for _ in range(3))
-        self._first = True
+        self._q, self._first = self.start.copy(), True
+        self._half, self._ddq, self._load, self._sign = np.zeros((4, len(self._q)))
 
     def reading_angle(self) -> Array:
         """Angle of the drives, which the controller reads now, (n,) rad."""
@@ -79,8 +77,7 @@ class RigidJoints(_Joints):
             return ddq, rub + dry.smooth
         a, back = self._a, self._back
         dry = self.law(t, a @ q, a @ dq, self._load)
-        turned = back.T @ mass @ back
-        force = back.T @ push - dry.smooth
+        turned, force = back.T @ mass @ back, back.T @ push - dry.smooth
         rates = a @ self._half
         spin, rub, self._sign = stick_slip(turned, force, rates, self.dt, dry, self._sign)
         return back @ spin, a.T @ (rub + dry.smooth)
@@ -106,12 +103,10 @@ class ElasticJoints(_Joints):
         self._drive = np.arange(n)  # which coordinate a joint's friction and motor act on
         self._drive[self._joints] = n + np.arange(len(self._joints))
         stiff = [s.stiffness / swung(self.rigid, s.joint, start) for s in hidden.springs]
-        fastest = np.sqrt(max(stiff))
-        parts = int(np.ceil(fastest * self.dt / FINEST))
+        parts = int(np.ceil(np.sqrt(max(stiff)) * self.dt / FINEST))
         self._parts = max(2, parts + parts % 2)  # even
-        self._x = self._at_rest(start)
-        self._v, self._a = np.zeros_like(self._x), np.zeros_like(self._x)
-        self._sign, self._load = np.zeros_like(self._x), np.zeros(n)
+        self._x, self._load = self._at_rest(start), np.zeros(n)
+        self._v, self._a, self._sign = np.zeros((3, len(self._x)))
 
     def _at_rest(self, start: Array) -> Array:
         """Coordinates at rest with the drives at `start` and the springs carrying gravity."""
@@ -179,8 +174,6 @@ class ElasticJoints(_Joints):
 
 def swung(rigid: Rigid, joint: int, q: Array) -> float:
     """Inertia of drive and link against each other with the other joints free, kg m^2."""
-    reflected = rigid.arm.reflected
-    mass, _ = rigid.terms(q, np.zeros_like(q))
-    mass = mass.copy()
+    reflected, mass = rigid.arm.reflected, rigid.terms(q, np.zeros_like(q))[0].copy()
     mass[joint, joint] -= reflected[joint]
     return float(1.0 / (np.linalg.inv(mass)[joint, joint] + 1.0 / reflected[joint]))

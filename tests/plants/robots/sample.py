@@ -91,15 +91,18 @@ class Rig:
     def inertia(self) -> RigidStage:
         return self.inertia_of(self.logs("inertia"))
 
+    @cached_property
+    def known(self) -> Stages:
+        """What the inertia stage starts from."""
+        return Stages(friction=self.friction, gravity=self.gravity, imu=self.imu)
+
     def inertia_of(self, logs: list[Recording], source: str = "auto") -> RigidStage:
         """The inertia stage from some of the logs, or with another source of motion."""
-        stages = Stages(friction=self.friction, gravity=self.gravity, imu=self.imu)
-        return identify_inertia(logs, self.robot, stages, options=InertiaOptions(source=source))
+        return identify_inertia(logs, self.robot, self.known, options=InertiaOptions(source=source))
 
     @cached_property
     def stages(self) -> Stages:
-        known = Stages(friction=self.friction, gravity=self.gravity, imu=self.imu)
-        return replace(known, inertia=self.inertia)
+        return replace(self.known, inertia=self.inertia)
 
     @cached_property
     def simultaneous(self) -> Stages:

@@ -131,11 +131,11 @@ def case(rig: Rig) -> Case:
     return Case(plant, robot, recording, stage_of(plant, rng), log.truth.ddq, log)
 
 
-def stage_of(plant: Plant, rng: np.random.Generator) -> ImuStage:
+def stage_of(plant: Plant, rng: np.random.Generator, off_deg: float = 0.1) -> ImuStage:
     """Calibration of the mounting alone, a tenth of a degree off."""
     found = {}
     for imu in plant.imus:
-        off = Rotation.from_rotvec(np.radians(0.1) * rng.standard_normal(3)).as_matrix()
+        off = Rotation.from_rotvec(np.radians(off_deg) * rng.standard_normal(3)).as_matrix()
         rotation = (imu.rotation @ off).tolist()
         found[imu.name] = ImuCalibration(rotation=rotation, std_error_deg=0.1, noise_density=0.05)
     return ImuStage(imus=found)

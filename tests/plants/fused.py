@@ -87,18 +87,14 @@ def simulated(rig: Rig) -> Log:
 
 def _late(log: Log, delay: float, plant: Plant, link: int) -> LinkMotion:
     """A link's true motion when readings were taken that are stamped t."""
-    t = log.t - delay
-    q, dq, ddq = (
-        np.column_stack([np.interp(t, log.t, x) for x in values.T])
-        for values in (log.truth.q, log.truth.dq, log.truth.ddq)
-    )
-    return link_motion(plant.arm, link, q, dq, ddq)
+    parts = (log.truth.q, log.truth.dq, log.truth.ddq)
+    late = (np.transpose([np.interp(log.t - delay, log.t, x) for x in own.T]) for own in parts)
+    return link_motion(plant.arm, link, *late)
 
 
 def readings(
     array: AccelerometerArray, motion: LinkMotion, fault: Fault, rng: np.random.Generator
 ) -> Array:
-    """Readings (N, K) of an array with its faults."""
     tilts = Rotation.from_rotvec(np.radians(fault.tilt_deg) * rng.standard_normal(array.axes.shape))
     true = replace(array, axes=tilts.apply(array.axes), bias=0.0)
     count = len(array.axes)

@@ -164,11 +164,8 @@ def true_mounting(imu: AccelerometerArray) -> Array:
 
 
 def _z(found: list[float | None], errors: list[float | None], truth: Array) -> tuple[float, ...]:
-    return tuple(
-        float((value - true) / error)
-        for value, error, true in zip(found, errors, truth, strict=True)
-        if value is not None and error is not None
-    )
+    own = zip(found, errors, truth, strict=True)
+    return tuple(float((x - true) / e) for x, e, true in own if x is not None and e is not None)
 
 
 def scores(of: tuple[Case, int]) -> list[Score]:

@@ -36,7 +36,6 @@ def limits_used(belief: Belief, move: PlannedMove, rate_hz: float = 500.0) -> Ar
 
 
 def reference_of(move: PlannedMove, plant: Plant) -> Reference:
-    """A planned move at the control rate, with a rest before and after it."""
     _, q, dq, ddq = sampled(move, plant.arm.names, RATE_HZ)
     first, last = (hold(q[k], REST_S, RATE_HZ) for k in (0, -1))
     return join([first, Reference(q, dq, ddq, RATE_HZ), last])
@@ -45,7 +44,6 @@ def reference_of(move: PlannedMove, plant: Plant) -> Reference:
 def recorded(
     plant: Plant, moves: Sequence[PlannedMove], seed: int, *, every: int = 2, start: float = 0.0
 ) -> list[Recording]:
-    """Run planned moves one after the other, a log each."""
     logs = []
     for number, move in enumerate(moves):
         motion = reference_of(move, plant)

@@ -28,8 +28,6 @@ T0_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
 
 @dataclass(frozen=True)
 class Recipe:
-    """What one robot's samples consist of."""
-
     plant: Plant
     trials: Sequence[Trial]
     change: Injection
@@ -109,7 +107,6 @@ SIX_POSTURES = np.array(
 
 
 def six_joint_trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
-    """All logs of the UR5e-sized arm."""
     postures = list(SIX_POSTURES)
     return [
         *experiments.friction_trials(plant, postures[0], lowest=0.08),
@@ -132,9 +129,8 @@ def six_joint_recipe() -> Recipe:
 
 
 RECIPES: Mapping[str, Callable[[], Recipe]] = {
-    "one_joint": one_joint_recipe,
-    "two_joint": two_joint_recipe,
-    "six_joint": six_joint_recipe,
+    make.__name__.removesuffix("_recipe"): make
+    for make in (one_joint_recipe, two_joint_recipe, six_joint_recipe)
 }
 
 
@@ -182,7 +178,6 @@ def friction_table(plant: Plant, joint: int) -> dict[str, object]:
 
 
 def save(folder: Path, recipe: Recipe, trial: Trial, log: Log) -> None:
-    """Write one log in the format of its stage."""
     plant, path = recipe.plant, folder / trial.stage / f"{trial.name}.parquet"
     encoding = recipe.formats.get(f"{trial.stage}/{trial.name}", recipe.formats.get(trial.stage))
     if encoding is None:

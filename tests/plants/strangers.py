@@ -64,7 +64,6 @@ WRITERS: dict[str, Callable[[Path, Data], object]] = {
 
 
 def make(folder: Path) -> None:
-    """Write the logs of all four, and the arm's URDF."""
     shutil.copy(SIX / "six_joint.urdf", folder / "arm.urdf")
     for part, stage in SETS.items():
         logs = sorted((SIX / stage).iterdir())

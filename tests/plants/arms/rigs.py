@@ -43,8 +43,7 @@ def array_on(
 
 def _light_link(izz: float, mx: float, mass: float) -> Array:
     """Standard parameters (10,) of a flat bar along x with `izz` about the joint's axis."""
-    thin = 0.02 * izz
-    return np.array([mass, mx, 0.0, 0.0, thin, 0.0, izz, 0.0, 0.0, izz])
+    return np.array([mass, mx, 0.0, 0.0, 0.02 * izz, 0.0, izz, 0.0, 0.0, izz])
 
 
 def off_nominal(arm: Arm, share: float) -> Arm:
@@ -162,8 +161,7 @@ def standard_parameters(
 
 def plain(friction: SurfaceFriction) -> SurfaceFriction:
     """Coulomb and viscous friction alone."""
-    none = np.zeros_like(friction.coulomb)
-    return replace(friction, stribeck=none, amplitude=np.zeros_like(friction.amplitude))
+    return replace(friction, stribeck=0 * friction.stribeck, amplitude=0 * friction.amplitude)
 
 
 def geared(arm: Arm, friction: SurfaceFriction, inertia: Array, **own: Any) -> Plant:
@@ -187,13 +185,13 @@ def six_joint(*, simple_friction: bool = False) -> Plant:
         for i, body in enumerate(UR5E_BODIES)
     ]
     arm = Arm(UR5E_NAMES, UR5E_DH, np.array(bodies), DOWN, np.full(6, 101.0), UR5E_ROTORS)
-    first, second = 0.08 + 0.015 * np.sin(k), 0.05 + 0.01 * np.cos(k)
+    waves = (0.08 + 0.015 * np.sin(k), 0.05 + 0.01 * np.cos(k), np.full(6, 0.02))
     friction = SurfaceFriction(
         coulomb=UR5E_COULOMB,
         viscous=np.array([7.4, 8.3, 5.8, 1.7, 1.5, 1.3]),
         stribeck=np.array([1.1, 1.3, 0.9, 0.3, 0.3, 0.25]),
         stribeck_speed=np.array([0.15, 0.15, 0.18, 0.25, 0.25, 0.25]),
-        amplitude=np.column_stack([first, second, np.full(6, 0.02)]),
+        amplitude=np.column_stack(waves),
         phase=np.column_stack([0.4 + 1.1 * k, 2.0 - 0.7 * k, 0.5 * k]),
     )
     imus = (

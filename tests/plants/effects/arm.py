@@ -99,7 +99,6 @@ def bump(plant: Plant, joint: int, size: float) -> Plant:
 
 
 def other_speed(plant: Plant, joint: int, size: float) -> Plant:
-    """Torque sin(4 v_other + 0.6)."""
     torque, k = clear(plant, joint, size), other(joint)
     return on_joint(plant, joint, lambda q, dq: -torque * np.sin(4.0 * dq[k] + 0.6))
 

@@ -64,7 +64,7 @@ def saturation(plant: Plant, joint: int, size: float) -> Plant:
 
     def stage(t: float, tau: Array, angle: Array) -> Array:
         most = np.clip(tau, -top, top)
-        return np.asarray(most * (1.0 - share * (most / rated) ** 2))
+        return most * (1.0 - share * (most / rated) ** 2)
 
     return plant.hiding(drives=lambda run: stage)
 
@@ -74,8 +74,7 @@ def lag(plant: Plant, joint: int, size: float) -> Plant:
     time = at(plant, joint, 0.004 * size)
 
     def begin(run: Run) -> Stage:
-        share = run.dt / (run.dt + time)  # so that the mean delay is `time`
-        now: Array | None = None
+        share, now = run.dt / (run.dt + time), None  # so that the mean delay is `time`
 
         def stage(t: float, tau: Array, angle: Array) -> Array:
             nonlocal now
@@ -102,7 +101,6 @@ def _amperes(plant: Plant, joint: int, size: float) -> Array:
 
 
 def bias(plant: Plant, joint: int, size: float) -> Plant:
-    """Offset of the current sensor."""
     offset = _amperes(plant, joint, size)
     return plant.hiding(currents=lambda t, current: current + offset)
 

@@ -58,13 +58,11 @@ class RigidJoints(_Joints):
         for source in self.sources:
             push = push + source(t, q, dq)
         ddq, friction = self._slip(t, q, dq, mass, push)
-        if self._first:
-            self._half = -0.5 * dt * ddq  # so that it is the first row that is at rest
-            self._first = False
+        if self._first:  # so that it is the first row that is at rest
+            self._half, self._first = -0.5 * dt * ddq, False
         self._load = tau - friction - self._reflected * ddq
         row = Row(q, self._half + 0.5 * dt * ddq, ddq, friction, q)
-        self._ddq = ddq
-        self._half = self._half + dt * ddq
+        self._ddq, self._half = ddq, self._half + dt * ddq
         self._q = q + dt * self._half
         return row
 
@@ -121,11 +119,10 @@ class ElasticJoints(_Joints):
         return self._x[self._drive]
 
     def step(self, t: float, tau: Array) -> Row:
-        n, h, drive = self._n, self.dt / self._parts, self._drive
+        n, h, drive, own = self._n, self.dt / self._parts, self._drive, self._joints
         now = self._v + 0.5 * h * self._a
         mass = np.zeros((len(self._x), len(self._x)))
         mass[:n, :n], bias = self.rigid.terms(self._x[:n], now[:n])
-        own = self._joints
         mass[own, own] -= self._reflected[own]
         mass[drive[own], drive[own]] = self._reflected[own]
         inverse = np.asarray(np.linalg.inv(mass))
@@ -150,9 +147,8 @@ class ElasticJoints(_Joints):
         self, h: float, mass: Array, inverse: Array, slow: Array, levels: Friction
     ) -> Array:
         """Update the acceleration; return the dry friction of every coordinate."""
-        force, n = slow.copy(), self._n
-        x, v, a = self._x, self._v, self._a
-        for k, spring in enumerate(self._springs, start=n):
+        force, x, v, a = slow.copy(), self._x, self._v, self._a
+        for k, spring in enumerate(self._springs, start=self._n):
             i = spring.joint
             rate = v[k] - v[i] + 0.5 * h * (a[k] - a[i])
             torque = spring.torque(float(x[k] - x[i]), float(rate))
@@ -161,15 +157,15 @@ class ElasticJoints(_Joints):
         sign, drive = self._sign, self._drive
         rub = np.where(sign > 0, levels.forward, -levels.backward)
         guess = inverse @ (force - rub)
-        slipping = sign[drive]
-        if not slipping.all() or ((v + h * guess)[drive] * slipping).min() < 0:
+        if not sign[drive].all() or ((v + h * guess) * sign)[drive].min() < 0:
             guess, rub, self._sign = stick_slip(mass, force, v, h, levels, sign)
         self._a = guess
         return rub
 
     def _row(self, h: float, friction: Array) -> Row:
-        n, rate = self._n, self._v + 0.5 * h * self._a
-        return Row(self._x[:n].copy(), rate[:n], self._a[:n].copy(), friction, self._x[self._drive])
+        rate = self._v + 0.5 * h * self._a
+        links = (x[: self._n].copy() for x in (self._x, rate, self._a))
+        return Row(*links, friction, self._x[self._drive])
 
 
 def swung(rigid: Rigid, joint: int, q: Array) -> float:

@@ -52,7 +52,6 @@ def placement(row: Array) -> tuple[Array, Array]:
 
 
 def build_model(arm: Arm) -> pin.Model:
-    """Build the Pinocchio model of `arm`, without its rotors."""
     model = pin.Model()
     model.gravity.linear = arm.gravity
     parent = 0

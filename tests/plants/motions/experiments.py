@@ -103,13 +103,10 @@ def imu_trials(
     plant: Plant, postures: Sequence[Array], *, rate_hz: float = 1000.0, turns: int = 3
 ) -> list[Trial]:
     """Joint 1 rotates in each locked posture; then every other joint by itself."""
-    names = plant.arm.names
+    names, how = plant.arm.names, {"share": 0.4, "rate_hz": rate_hz}
     asked = [(f"{names[0]}_posture_{k}", posture, 0) for k, posture in enumerate(postures, start=1)]
     asked += [(names[joint], postures[0], joint) for joint in range(1, plant.arm.n)]
-    return [
-        Trial("imu", name, swing(plant, *at, turns, share=0.4, rate_hz=rate_hz), imus=True)
-        for name, *at in asked
-    ]
+    return [Trial("imu", name, swing(plant, *at, turns, **how), imus=True) for name, *at in asked]
 
 
 def inertia_trials(

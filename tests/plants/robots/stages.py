@@ -19,7 +19,6 @@ SAMPLES = ROOT / "sample_logs"
 
 
 def save_robot(folder: Path, text: str, names: tuple[str, ...], *, joint_extra: str = "") -> Robot:
-    """Write a URDF and a robot file that names it."""
     (folder / "arm.urdf").write_text(text)
     tables = "".join(f'[[joint]]\nname = "{name}"\n{joint_extra}' for name in names)
     (folder / "robot.toml").write_text(

@@ -16,7 +16,6 @@ KINDS = ("load_dependent_friction", "gear_efficiency", "thermal_friction", "torq
 KINDS += ("spring",)
 TRAVEL, SPEED = 0.85, 0.75  # of what the other logs use, in the sequential experiments
 SPEEDS, SLOWEST = 6, 0.2  # of the friction trials; the slowest as a share of the fastest
-POSTURES = 2  # in which gravity trials are run
 PERIODS = (5.626, 6.126, 6.374)  # s, of the Fourier series
 TRIAL_EVERY, EVERY = 4, 2  # control periods per row
 HELD_OUT_S = 14.0  # of a held-out log, about
@@ -48,8 +47,7 @@ def case_of(rig: str, kind: str, seed: int) -> Case:
 
 def references(case: Case) -> list[tuple[str, Reference, int]]:
     """Stage or part, motion, and control periods per row of every log, in the order of time."""
-    plant = declared(case.condition)
-    rng = np.random.default_rng([case.seed, 11])
+    plant, rng = declared(case.condition), np.random.default_rng([case.seed, 11])
     middle = plant.position_limits.mean(axis=1, keepdims=True)
     small = replace(
         plant,
@@ -60,7 +58,7 @@ def references(case: Case) -> list[tuple[str, Reference, int]]:
     pairs = [(0, 1)] * 3 if case.rig == "two" else None
     trials = [
         *friction_trials(small, postures[0], speeds=SPEEDS, lowest=SLOWEST),
-        *gravity_trials(small, postures[:POSTURES], speeds=(0.3,)),
+        *gravity_trials(small, postures[:2], speeds=(0.3,)),
         *inertia_trials(small, postures, rng, pairs=pairs, seconds=5.0),
     ]
     one, two, three = (float(x) for x in rng.permutation(PERIODS))

@@ -14,10 +14,10 @@ from seqid_cli.discover.refinement.held_out import held_out_error
 from seqid_cli.discover.refinement.reidentify import Material
 from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
 from tests.plants.robots.identified import sequential
-from tests.studies.loop.logs import KINDS, Case, case_of, recorded
+from tests.studies.loop.logs import KINDS, case_of, recorded
 from tests.studies.records import results
 from tests.studies.tables import counted, grouped, number
-from tests.studies.undeclared.cases import built
+from tests.studies.undeclared.cases import Condition, built
 from tests.studies.undeclared.refine import NEAR, file_of, told_model
 
 # Nothing was set on these: of two joints 11 to 14 were looked at, of six 30.
@@ -52,7 +52,7 @@ class Result:
         return right and all(self.confirmed) and self.ratio <= NEAR
 
 
-def run_case(case: Case, cache: Path) -> Result:
+def run_case(case: Condition, cache: Path) -> Result:
     logs, options = recorded(case, cache), DiscoverOptions()
     robot, stages = logs.robot, sequential(logs.earlier, logs.robot)
     file = file_of(robot, stages, logs.earlier)
@@ -62,17 +62,17 @@ def run_case(case: Case, cache: Path) -> Result:
     seconds = time.process_time() - clock
     options = on_the_same_samples(options, stages, robot)
     material = Material(logs.training, logs.earlier, robot, options)
-    told = told_model(material, stages, built(case.condition)[1], late=False)
+    told = told_model(material, stages, built(case)[1], late=False)
     error = held_out_error(logs.held_out, robot, told, options=options.motion)
-    name = robot.joint_names[case.joint]
-    after = loop.after[name]
+    kind, joint, _ = case.effects[0]
+    after = loop.after[name := robot.joint_names[joint]]
     rounds = [(f"{r.effect}@{r.joint}", r) for r in (*loop.rounds, *loop.refused)]
     return Result(
-        kind=case.kind,
+        kind=kind,
         rig=case.rig,
         before=loop.before[name].rmse,
         after=after.rmse,
-        told=float(error.rmse()[case.joint]),
+        told=float(error.rmse()[joint]),
         inside=after.rmse_inside,
         outside=after.rmse_outside,
         share=after.share_outside,

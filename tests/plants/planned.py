@@ -31,8 +31,11 @@ def limits_used(belief: Belief, move: PlannedMove, rate_hz: float = 500.0) -> Ar
     most = (half, limits.speed, limits.acceleration)
     states = zip((np.abs(q - middle), np.abs(dq), np.abs(ddq)), most, strict=True)
     shares = [np.max((used / limit)[:, limits.moves]) for used, limit in states]
-    moves = Moves(t, q[None], dq[None], ddq[None])
-    return np.array([*shares, belief.overload(moves, belief.regressor(moves))[0]])
+    loads = []
+    for part in (slice(start, start + 2000) for start in range(0, len(t), 2000)):  # little memory
+        moves = Moves(t[part], *(x[None, part] for x in (q, dq, ddq)))
+        loads.append(belief.overload(moves, belief.regressor(moves))[0])
+    return np.array([*shares, max(loads)])
 
 
 def reference_of(move: PlannedMove, plant: Plant) -> Reference:

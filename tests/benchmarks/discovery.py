@@ -42,26 +42,23 @@ SUBJECTS = (
 
 
 def study(chosen: Namespace) -> str:
-    rows = []
-    for subject in SUBJECTS[: 1 if chosen.quick else None]:
-        with TemporaryDirectory() as name:
-            rows.append(_row(subject, Path(name)))
+    rows = [_row(subject) for subject in SUBJECTS[: 1 if chosen.quick else None]]
     head = ["robot", "samples", "found", "diagnose, CPU s", "refine, CPU s", "refine over diagnose"]
     return table(head, rows)
 
 
-def _row(subject: Subject, folder: Path) -> list[str]:
-    logs, samples = recorded(subject, folder)
+def _row(subject: Subject) -> list[str]:
     sample = ROOT / "sample_logs" / subject.rig
     robot = ["-r", str(sample / "robot.toml")]
-    _run("run", str(sample), *robot, "-o", str(folder / "model"))
-    model = [*robot, "-p", str(folder / "model" / "inertia.json")]
-    fit, held = logs[:-HELD_OUT], logs[-HELD_OUT:]
-    out = folder / "diagnosis.json"
-    diagnosis = _run("diagnose", *fit, *model, "-o", str(out))
-    told = json.loads(out.read_bytes())["findings"]
-    kept = [part for log in held for part in ("--holdout", log)]
-    refined = _run("refine", *fit, *kept, *model, "-o", str(folder / "refined.json"))
+    with TemporaryDirectory() as folder:
+        logs, samples = recorded(subject, Path(folder))
+        _run("run", str(sample), *robot, "-o", f"{folder}/model")
+        model = [*robot, "-p", f"{folder}/model/inertia.json"]
+        fit, held = logs[:-HELD_OUT], logs[-HELD_OUT:]
+        diagnosis = _run("diagnose", *fit, *model, "-o", f"{folder}/diagnosis.json")
+        told = json.loads(Path(folder, "diagnosis.json").read_bytes())["findings"]
+        kept = [part for log in held for part in ("--holdout", log)]
+        refined = _run("refine", *fit, *kept, *model, "-o", f"{folder}/refined.json")
     found = ", ".join(f"{one['effect']} at {one['joint']}" for one in told) or "-"
     costs = [f"{diagnosis:.1f}", f"{refined:.1f}", f"{refined / diagnosis:.1f}"]
     return [subject.rig, f"{samples:,}", found, *costs]
@@ -74,7 +71,7 @@ def recorded(subject: Subject, folder: Path) -> tuple[list[str], int]:
     one, two = (partial(waves, period=period) for period in PERIODS[:2])
     samples = 0
     for number in range(subject.logs + HELD_OUT):
-        make, share = (one, moves, two, zigzags)[number % 4], SPEEDS[number % len(SPEEDS)]
+        make, share = (one, moves, two, zigzags)[number % 4], SPEEDS[number % 4]
         motion = make(plant, rng, share=share, seconds=SECONDS)
         start = PAUSE_S + number * (SECONDS + PAUSE_S)
         log = simulate(plant, motion, 5000 + number, every=EVERY, imus=True, start=start)

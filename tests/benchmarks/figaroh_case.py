@@ -3,7 +3,6 @@
 import json
 import resource
 import sys
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,14 +26,14 @@ def held_mib() -> float:
     return pages * resource.getpagesize() / 2**20
 
 
-def main(arguments: Sequence[str]) -> int:
+def main(urdf: str, given: str) -> None:
     pin = import_module("pinocchio")
     regressor = import_module("figaroh.tools.regressor")
     decomposition = import_module("figaroh.tools.qrdecomposition")
     tools = import_module("figaroh.identification.identification_tools")
-    model = pin.buildModelFromUrdf(arguments[0])
+    model = pin.buildModelFromUrdf(urdf)
     robot = SimpleNamespace(model=model, data=model.createData())
-    with np.load(arguments[1]) as arrays:
+    with np.load(given) as arrays:
         q, dq, ddq, tau = (arrays[name] for name in ("q", "dq", "ddq", "tau"))
     cpu, base = usage()[0], held_mib()
     standard = tools.get_standard_parameters(model, CONFIG)
@@ -47,8 +46,7 @@ def main(arguments: Sequence[str]) -> int:
     result = {"cpu_s": after - cpu, "peak": peak, "base": base, "size": len(found)}
     result["rms"] = float(np.sqrt(np.mean(residual**2)))
     sys.stdout.write(json.dumps(result) + "\n")
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main(*sys.argv[1:])

@@ -44,13 +44,12 @@ def study(chosen: Namespace) -> str:
             ("pyarrow iter_batches", "iter_batches", columns, half, 0),
             ("seqid, by blocks", "parquet_blocks", fewer, half // 2, 0),
         ]
-        names = "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)"
-        parts = (
-            ("JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB", "message", cdr),
-            (names, "message", others),
-            ("Parquet, 14 of 29 columns, zstd, row groups of 131,072", "row", tables),
-        )
-        return "\n\n".join(_compared(*part, rounds) for part in parts)
+        parts = {
+            "JointState (7 joints) and Imu as CDR, zstd, chunks of 768 KiB": cdr,
+            "JointState as JSON, foxglove.JointStates as protobuf (7 joints, zstd)": others,
+            "Parquet, 14 of 29 columns, zstd, row groups of 131,072": tables,
+        }
+        return "\n\n".join(_compared(*part, rounds) for part in parts.items())
 
 
 def _told(case: str, path: Path, count: int) -> Told:
@@ -60,7 +59,8 @@ def _told(case: str, path: Path, count: int) -> Told:
     return {"us": 1e6 * result["cpu_s"] / count, "peak": result["peak"]}
 
 
-def _compared(title: str, unit: str, subjects: Sequence[Subject], rounds: int) -> str:
+def _compared(title: str, subjects: Sequence[Subject], rounds: int) -> str:
+    unit = "row" if title.startswith("Parquet") else "message"
     jobs = [partial(_told, case, path, count) for _, case, path, count, _ in subjects]
     found = in_turns(jobs, rounds)
     rows = []

@@ -4,6 +4,7 @@ import json
 import struct
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from importlib import import_module
 from itertools import chain
 from pathlib import Path
@@ -37,7 +38,6 @@ def decompress(path: Path) -> int:
 
 
 def seqid_blocks(path: Path, **options: Any) -> int:
-    """Read everything into arrays, a block at a time."""
     reader = import_module("seqid_cli.logs.mcap.reader")
     blocks = reader.read_blocks(path, make_robot(JOINTS, imus=(GYRO,)), **options)
     return sum(len(raw.joints) + sum(map(len, chain(*raw.imus.values()))) for raw in blocks)
@@ -113,13 +113,11 @@ def _ros(topic: str, message: Any) -> Message:
 
 
 def _gathered(messages: Iterable[Message]) -> int:
-    stamps: list[int] = []
-    rows: dict[str, list[list[float]]] = {}
+    stamps, rows = list[int](), dict[str, list[list[float]]]()
     for topic, stamp, row in messages:
         stamps.append(stamp)
         rows.setdefault(topic, []).append(row)
-    arrays = [np.array(stamps), *map(np.array, rows.values())]
-    return len(arrays[0])
+    return len([np.array(stamps), *map(np.array, rows.values())][0])
 
 
 def _columns(tables: Iterable[Any]) -> int:
@@ -139,12 +137,8 @@ CASES: dict[Callable[[Path], int], list[str]] = {  # and what they import
 }
 
 
-def main(name: str, path: Path) -> None:
-    (case,) = (case for case in CASES if case.__name__ == name)
+if __name__ == "__main__":
+    (case,) = (case for case in CASES if case.__name__ == sys.argv[1])
     for needed in CASES[case]:
         import_module(needed)
-    tell(lambda: case(path))
-
-
-if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]))
+    tell(partial(case, Path(sys.argv[2])))

@@ -32,7 +32,6 @@ def study(chosen: Namespace) -> str:
 
 
 def _spent(job: Job) -> float:
-    """CPU seconds."""
     before = time.process_time()
     job()
     return time.process_time() - before
@@ -46,7 +45,7 @@ def _regressor(rounds: int) -> list[list[str]]:
     rng = np.random.default_rng(1)
     with TemporaryDirectory() as name:
         robot = load_robot(write_arm(Path(name)))
-        model = pin.buildModelFromUrdf(str(Path(name) / "arm.urdf"))
+        model = pin.buildModelFromUrdf(f"{name}/arm.urdf")
     data, basis = model.createData(), free_basis(robot)
     q, dq, ddq = (rng.normal(size=(8192, 7)) for _ in range(3))
 
@@ -82,7 +81,7 @@ def _least_squares(rounds: int, *, quick: bool) -> list[list[str]]:
     stacked = np.ascontiguousarray(rows).reshape(-1, width)
 
     def ours_job() -> Array:
-        joints = [_accumulated(rows[j], y[j]) for j in range(len(loaded))]
+        joints = [_accumulated(*own) for own in zip(rows, y, strict=True)]
         return triangular(np.vstack([joint.total for joint in joints]))
 
     jobs = [lambda: np.linalg.lstsq(stacked, y.ravel(), rcond=None), ours_job]
@@ -99,9 +98,8 @@ def _least_squares(rounds: int, *, quick: bool) -> list[list[str]]:
         R = _accumulated(dense, dense @ theta).total
         solved = np.linalg.solve(R[:-1, :-1], R[:-1, -1])
         reference = np.linalg.lstsq(dense, dense @ theta, rcond=None)[0]
-        size = np.linalg.norm(theta)
-        errors = [float(np.linalg.norm(x - theta) / size) for x in (solved, reference)]
-        told = f"{errors[0]:.1e} (lstsq {errors[1]:.1e})"
+        errors = [np.linalg.norm(x - theta) / np.linalg.norm(theta) for x in (solved, reference)]
+        told = "{:.1e} (lstsq {:.1e})".format(*errors)
         found.append([f"{name}, condition 1e{power}", "", "", "", told])
     return found
 
@@ -128,8 +126,7 @@ def smoother(chosen: Namespace) -> str:
     rows = []
     for label, rig in rigs.items():
         c = case(rig)
-        job = partial(_spent, partial(smoothed_motion, c.recording, c.robot, c.stage))
-        cpu = min(job() for _ in range(repeats))
-        span = float(np.ptp(c.recording.t))
+        job = partial(smoothed_motion, c.recording, c.robot, c.stage)
+        cpu, span = min(_spent(job) for _ in range(repeats)), float(np.ptp(c.recording.t))
         rows.append([label, f"{span:.0f}", f"{cpu:.2f}", f"{span / cpu:.0f}"])
     return table(["rig, 1 kHz", "log, s", "CPU, s", "times faster than real time"], rows)

@@ -11,18 +11,9 @@ from mcap.writer import Writer
 from numpy.typing import NDArray
 
 from tests import Array
+from tests.unit.logs import writers
 from tests.unit.logs.format_writers import Data, mcap_foxglove_protobuf
-from tests.unit.logs.writers import (
-    COMPRESSIONS,
-    DEFINITIONS,
-    IMU,
-    JOINT_STATE,
-    Message,
-    imu_messages,
-    joint_messages,
-    write_mcap,
-    write_messages,
-)
+from tests.unit.logs.writers import IMU, JOINT_STATE
 
 JOINTS = tuple(f"panda_joint{i + 1}" for i in range(7))
 N = len(JOINTS)
@@ -41,8 +32,8 @@ def joint_values(count: int, rng: np.random.Generator) -> Array:
     return values + 1e-4 * rng.normal(size=values.shape)
 
 
-def template(path: Path, message: Message, encoding: str = "cdr") -> bytes:
-    write_messages(path, [message], encoding=encoding)  # type: ignore[arg-type]
+def template(path: Path, message: writers.Message, encoding: str = "cdr") -> bytes:
+    writers.write_messages(path, [message], encoding=encoding)  # type: ignore[arg-type]
     with path.open("rb") as file:
         ((_, _, written),) = make_reader(file).iter_messages()
     path.unlink()
@@ -53,15 +44,15 @@ def write_cdr(path: Path, messages: int, compression: str = "zstd") -> Path:
     """Half JointState, half Imu, at 1 kHz with jittered arrival."""
     zero = np.zeros((1, N))
     at = np.array([T0])
-    (joint,) = joint_messages(at, JOINTS, zero, dq=zero, effort=zero)
-    (imu,) = imu_messages(at, "/hand/data", np.zeros((1, 3)))
+    (joint,) = writers.joint_messages(at, JOINTS, zero, dq=zero, effort=zero)
+    (imu,) = writers.imu_messages(at, "/hand/data", np.zeros((1, 3)))
     joint_form, imu_form = template(path, joint), template(path, imu)
     rng = np.random.default_rng(1)
     with path.open("wb") as out:
-        writer = Writer(out, chunk_size=CHUNK, compression=COMPRESSIONS[compression])
+        writer = Writer(out, chunk_size=CHUNK, compression=writers.COMPRESSIONS[compression])
         writer.start(profile="ros2")
         schemas = [
-            writer.register_schema(kind, "ros2msg", DEFINITIONS[kind].encode())
+            writer.register_schema(kind, "ros2msg", writers.DEFINITIONS[kind].encode())
             for kind in (JOINT_STATE, IMU)
         ]
         joints = writer.register_channel("/joint_states", "cdr", schemas[0])
@@ -100,7 +91,7 @@ def _put_doubles(rows: NDArray[np.uint8], at: int, values: Array) -> None:
 def write_json(path: Path, messages: int) -> Path:
     d = made(messages, 2)
     more = {"dq": d.dq, "effort": d.torque, "chunk_size": CHUNK}
-    return write_mcap(path, d.t, d.joints, d.q, encoding="json", **more)  # type: ignore[arg-type]
+    return writers.write_mcap(path, d.t, d.joints, d.q, encoding="json", **more)  # type: ignore[arg-type]
 
 
 def write_protobuf(path: Path, messages: int) -> Path:

@@ -25,15 +25,12 @@ from tests.benchmarks.measure import Told, in_turns, middle, module, told_by
 from tests.plants.robots.seven_joint import RATE_HZ, motion, write_arm, write_log
 from tests.studies.tables import table
 
-INTERPRETER = "SEQID_FIGAROH"
 SAMPLES = 100_000
 NOISE = 0.05  # N m
 LEFT_OUT = (
     "FIGAROH was not measured: `SEQID_FIGAROH` names no interpreter that has it "
     "(tests/benchmarks/whole_run.py says how to make one)."
 )
-
-
 COMPARED, LONGER, LONGEST = 200_000, 1_000_000, 2_000_000
 ROUNDS = 2
 CASES = {
@@ -83,8 +80,7 @@ def _all_runs(
     # The script uses what seqid with every sample wrote beside the log.
     wanted = [(thinned, compared), (every, compared), (script, compared)]
     wanted += [(every, longer), (thinned, longer)]
-    found = in_turns([partial(run, *one) for one in wanted], rounds)
-    runs = dict(zip(wanted, found, strict=True))
+    runs = dict(zip(wanted, in_turns([partial(run, *x) for x in wanted], rounds), strict=True))
     runs |= {(case, longest): [run(case, longest)] for case in (every, thinned)}
     order = sorted(runs, key=lambda key: (key[1], list(CASES).index(key[0])))
     return {key: runs[key] for key in order}
@@ -106,7 +102,7 @@ def _gaps(run: dict[str, Any], reference: dict[str, Any]) -> list[float]:
 
 def _against_figaroh(folder: Path, robot_path: Path, *, quick: bool, rounds: int) -> str:
     """The same arrays to both: regressor, base parameters, solution; or why there is no table."""
-    other = os.environ.get(INTERPRETER, "")
+    other = os.environ.get("SEQID_FIGAROH", "")
     has_it = [other, "-c", "import figaroh"]
     if not other or subprocess.run(has_it, capture_output=True, check=False).returncode:
         return LEFT_OUT

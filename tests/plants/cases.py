@@ -10,8 +10,7 @@ from tests.plants.motions.trials import Drill, drills
 from tests.plants.simulate import Plant
 
 RIGS: Mapping[str, Callable[..., Plant]] = {
-    "vertical_two_joint": vertical_two_joint,
-    "six_joint": six_joint,
+    rig.__name__: rig for rig in (vertical_two_joint, six_joint)
 }
 
 

@@ -20,8 +20,8 @@ class Gains:
 
 def gains_for(inertia: Array, *, bandwidth: float, observer: float) -> Gains:
     """Critically damped PD of `bandwidth` rad/s on the given inertias (n,) kg m^2."""
-    rate = np.full_like(inertia, observer)
-    return Gains(inertia * bandwidth**2, 2.0 * inertia * bandwidth, rate)
+    damping = 2.0 * inertia * bandwidth
+    return Gains(inertia * bandwidth**2, damping, np.full_like(inertia, observer))
 
 
 def feedforward(nominal: Rigid, reference: Reference, coulomb: Array) -> Array:

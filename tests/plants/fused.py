@@ -13,7 +13,6 @@ from tests import Array
 from tests.plants.arms.rigs import array_on, one_joint, six_joint, two_joint
 from tests.plants.mechanics.rigid import LinkMotion, link_motion
 from tests.plants.motions.experiments import inertia_trials, validation_trials
-from tests.plants.motions.trajectories import Reference
 from tests.plants.robots.lab import recording_of, robot_of
 from tests.plants.sensors import AccelerometerArray, quantise
 from tests.plants.simulate import Log, Plant, simulate
@@ -60,13 +59,11 @@ def _arrays(plant: Plant, layout: str) -> tuple[AccelerometerArray, ...]:
     """The plant's own arrays, or one at the end or one on each link."""
     if layout == "two" or plant.arm.n < 6:
         return plant.imus
-    links = range(plant.arm.n) if layout == "each" else [plant.arm.n - 1]
-    turns = [(0.3 - 0.2 * link, 0.5 * link, 0.4) for link in links]
-    levers = [(0.05, 0.02, -0.03 + 0.01 * link) for link in links]
-    return tuple(
-        array_on(f"imu_{link + 1}", link, turn, lever, size=0.06, bias=0.02)
-        for link, turn, lever in zip(links, turns, levers, strict=True)
-    )
+    found = []
+    for link in range(0 if layout == "each" else plant.arm.n - 1, plant.arm.n):
+        at = (0.3 - 0.2 * link, 0.5 * link, 0.4), (0.05, 0.02, -0.03 + 0.01 * link)
+        found.append(array_on(f"imu_{link + 1}", link, *at, size=0.06, bias=0.02))
+    return tuple(found)
 
 
 def built(rig: Rig) -> Plant:
@@ -76,41 +73,32 @@ def built(rig: Rig) -> Plant:
     return replace(plant, imus=_arrays(plant, rig.layout))
 
 
-def reference(rig: Rig, plant: Plant, rng: np.random.Generator) -> Reference:
-    """Inertia trials of one or two joints, a validation run of six."""
-    if rig.joints == 6:
-        return validation_trials(plant, rng, seconds=rig.seconds)[0].reference
-    posture = np.array([0.0, 0.5])[: rig.joints]
-    return inertia_trials(plant, [posture], rng, seconds=rig.seconds)[0].reference
-
-
 @cache
 def simulated(rig: Rig) -> Log:
-    """The truth does not depend on the faults."""
-    rng = np.random.default_rng(0)
-    plant = built(rig)
-    return simulate(plant, reference(rig, plant, rng), 0, imus=False)
+    """Inertia trials of one or two joints, a validation run of six; faults do not change it."""
+    rng, plant = np.random.default_rng(0), built(rig)
+    if rig.joints == 6:
+        trials = validation_trials(plant, rng, seconds=rig.seconds)
+    else:
+        posture = np.array([0.0, 0.5])[: rig.joints]
+        trials = inertia_trials(plant, [posture], rng, seconds=rig.seconds)
+    return simulate(plant, trials[0].reference, 0, imus=False)
 
 
 def _late(log: Log, delay: float, plant: Plant, link: int) -> LinkMotion:
     """A link's true motion when readings were taken that are stamped t."""
-    t = log.t - delay
-    q, dq, ddq = (
-        np.column_stack([np.interp(t, log.t, x) for x in values.T])
-        for values in (log.truth.q, log.truth.dq, log.truth.ddq)
-    )
-    return link_motion(plant.arm, link, q, dq, ddq)
+    parts = (log.truth.q, log.truth.dq, log.truth.ddq)
+    late = (np.transpose([np.interp(log.t - delay, log.t, x) for x in own.T]) for own in parts)
+    return link_motion(plant.arm, link, *late)
 
 
 def readings(
     array: AccelerometerArray, motion: LinkMotion, fault: Fault, rng: np.random.Generator
 ) -> Array:
-    """Readings (N, K) of an array with its faults."""
     tilts = Rotation.from_rotvec(np.radians(fault.tilt_deg) * rng.standard_normal(array.axes.shape))
     true = replace(array, axes=tilts.apply(array.axes), bias=0.0)
-    ideal = true.ideal(motion)
-    count = ideal.shape[1]
-    ideal = ideal * (1.0 + fault.gain * rng.standard_normal(count))
+    count = len(array.axes)
+    ideal = true.ideal(motion) * (1.0 + fault.gain * rng.standard_normal(count))
     ideal += fault.bias * rng.standard_normal(count)
     ideal += fault.drift * rng.standard_normal(count) * np.linspace(0, 1, len(ideal))[:, None]
     noisy = ideal + array.noise * rng.standard_normal(ideal.shape)
@@ -118,21 +106,18 @@ def readings(
 
 
 def case(rig: Rig) -> Case:
-    plant = built(rig)
-    log = simulated(replace(rig, gyro=False, fault=Fault()))
-    rng = np.random.default_rng(1000)
-    robot = robot_of("rig", plant)
+    plant, rng = built(rig), np.random.default_rng(1000)
+    log, robot = simulated(replace(rig, gyro=False, fault=Fault())), robot_of("rig", plant)
     accelerometers, gyros, imus = {}, {}, []
     for imu, array in zip(robot.imus, plant.imus, strict=True):
         motion = _late(log, rig.fault.delay_s, plant, array.after)
         kept = replace(array, positions=np.zeros((3, 3)), axes=np.eye(3)) if rig.gyro else array
-        values = readings(kept, motion, rig.fault, rng)
+        accelerometers[imu.name] = readings(kept, motion, rig.fault, rng)
         if rig.gyro:
             rates = motion.omega @ array.rotation + GYRO_BIAS * rng.standard_normal(3)
             gyros[imu.name] = rates + GYRO_NOISE * rng.standard_normal(rates.shape)
             imu = replace(imu, positions=kept.positions, axes=kept.axes, gyro=True)
         imus.append(imu)
-        accelerometers[imu.name] = values
     if rig.fault.lost:
         last, half = imus[-1].name, len(log.t) // 2
         for values in (each[last] for each in (accelerometers, gyros) if last in each):

@@ -14,7 +14,7 @@ from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.types import Robot
 from tests import Array
 from tests.plants.arms.rigs import one_joint, six_joint, two_joint
-from tests.plants.effects.drive import backlash, elastic
+from tests.plants.effects import drive
 from tests.plants.mechanics.rigid import link_motion
 from tests.plants.motions.experiments import swing
 from tests.plants.robots.lab import recording_of, robot_of
@@ -49,17 +49,15 @@ class Case:
     gyro: bool = False
     delay: float = 0.002
     turns: int | None = None  # swings, where it is not as many as usual
-    hidden: str | None = None  # effect of `DRIVES`
-    joint: int = 0  # that has it
+    hidden: str | None = None  # effect of a drive that joint 2 has
 
 
-DRIVES = {"elastic": elastic, "backlash": backlash}
 COARSE = Case("one joint, 400 counts", "one", 2 * np.pi / 400)
 FINE = Case("one joint, 17 bits", "one", 2 * np.pi / 2**17)
 GYRO = Case("six joints, 17 bits, gyro", "six", 2 * np.pi / 2**17, gyro=True)
 STIFF = Case("stiff joint 1", "two", 2 * np.pi / 2**17, turns=1)
-ELASTIC = replace(STIFF, label="elastic joint 2", hidden="elastic", joint=1)
-BACKLASH = replace(STIFF, label="backlash joint 2", hidden="backlash", joint=1)
+ELASTIC = replace(STIFF, label="elastic joint 2", hidden="elastic")
+BACKLASH = replace(STIFF, label="backlash joint 2", hidden="backlash")
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ class Score:
 def scene_of(case: Case) -> Scene:
     plant = ROBOTS[case.robot]()
     if case.hidden is not None:
-        plant = DRIVES[case.hidden](plant, case.joint, 1.0)
+        plant = getattr(drive, case.hidden)(plant, 1, 1.0)
     plant = replace(plant, imus=tuple(_instrument(imu, case) for imu in plant.imus))
     postures = [np.array(posture) for posture in POSTURES[case.robot]]
     moves = [(posture, 0) for posture in postures]
@@ -109,7 +107,6 @@ def _instrument(imu: AccelerometerArray, case: Case) -> AccelerometerArray:
 
 
 def instruments(scene: Scene, seed: int) -> list[AccelerometerArray]:
-    """The IMUs of one seed."""
     found = []
     for number, imu in enumerate(scene.plant.imus, start=1000 * seed):
         gyro = replace(imu.gyro_faults, seed=500 + number)
@@ -122,11 +119,9 @@ def recordings(scene: Scene, seed: int) -> list[Recording]:
     found = []
     phase = np.random.default_rng([seed, 0]).random(scene.plant.arm.n) * scene.case.step
     for number, log in enumerate(scene.logs):
-        rng = np.random.default_rng([seed, number + 1])
+        rng, truth = np.random.default_rng([seed, number + 1]), log.truth
         rate = 1.0 / float(log.t[1] - log.t[0])
-        truth = log.truth
-        accelerometers: dict[str, Array] = {}
-        gyros: dict[str, Array] = {}
+        accelerometers, gyros = dict[str, Array](), dict[str, Array]()
         for imu in instruments(scene, seed):
             motion = link_motion(scene.plant.arm, imu.after, truth.q, truth.dq, truth.ddq)
             accelerometers[imu.name] = imu.read(motion, rng, rate)
@@ -143,12 +138,9 @@ def calibrated(scene: Scene, seed: int) -> ImuStage:
 
 
 def scored(imu: AccelerometerArray, found: ImuCalibration) -> Score:
-    """Compare a calibration with the instrument that it is of."""
-    R = np.array(found.rotation)
-    off = np.degrees(Rotation.from_matrix(R @ true_mounting(imu).T).as_rotvec())
-    sigma = np.array(found.std_errors_deg)
-    known = sigma < 5.0
-    k = len(imu.axes)
+    turn = np.array(found.rotation) @ true_mounting(imu).T
+    off, sigma = np.degrees(Rotation.from_matrix(turn).as_rotvec()), np.array(found.std_errors_deg)
+    known, k = sigma < 5.0, len(imu.axes)
     scales, biases = found.accelerometer_scale_std_errors, found.accelerometer_bias_std_errors
     late = found.time_offset_s - imu.faults.delay
     return Score(
@@ -172,15 +164,11 @@ def true_mounting(imu: AccelerometerArray) -> Array:
 
 
 def _z(found: list[float | None], errors: list[float | None], truth: Array) -> tuple[float, ...]:
-    return tuple(
-        float((value - true) / error)
-        for value, error, true in zip(found, errors, truth, strict=True)
-        if value is not None and error is not None
-    )
+    own = zip(found, errors, truth, strict=True)
+    return tuple(float((x - true) / e) for x, e, true in own if x is not None and e is not None)
 
 
 def scores(of: tuple[Case, int]) -> list[Score]:
-    case, seed = of
-    scene = scene_of(case)
+    scene, seed = scene_of(of[0]), of[1]
     stage = calibrated(scene, seed)
     return [scored(imu, stage.imus[imu.name]) for imu in instruments(scene, seed)]

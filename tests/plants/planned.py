@@ -21,12 +21,9 @@ from tests.plants.simulate import Plant, simulate
 RATE_HZ = 1000.0
 REST_S = 0.5  # before and after each move
 PAUSE_S = 10.0  # between moves
-FOLDERS = {"imu-calib": "imu"}  # of stages whose name is not that of their folder
 
 
-def limits_used(
-    belief: Belief, move: PlannedMove, rate_hz: float = 500.0, *, at_once: int = 2000
-) -> Array:
+def limits_used(belief: Belief, move: PlannedMove, rate_hz: float = 500.0) -> Array:
     """Largest share of the limits of position (about the middle), speed, acceleration, torque."""
     limits = belief.limits
     t, q, dq, ddq = sampled(move, belief.robot.joint_names, rate_hz)
@@ -35,23 +32,21 @@ def limits_used(
     states = zip((np.abs(q - middle), np.abs(dq), np.abs(ddq)), most, strict=True)
     shares = [np.max((used / limit)[:, limits.moves]) for used, limit in states]
     loads = []
-    for part in (slice(start, start + at_once) for start in range(0, len(t), at_once)):
+    for part in (slice(start, start + 2000) for start in range(0, len(t), 2000)):  # little memory
         moves = Moves(t[part], *(x[None, part] for x in (q, dq, ddq)))
         loads.append(belief.overload(moves, belief.regressor(moves))[0])
     return np.array([*shares, max(loads)])
 
 
 def reference_of(move: PlannedMove, plant: Plant) -> Reference:
-    """A planned move at the control rate, with a rest before and after it."""
     _, q, dq, ddq = sampled(move, plant.arm.names, RATE_HZ)
-    ends = [hold(q[k], REST_S, RATE_HZ) for k in (0, -1)]
-    return join([ends[0], Reference(q, dq, ddq, RATE_HZ), ends[1]])
+    first, last = (hold(q[k], REST_S, RATE_HZ) for k in (0, -1))
+    return join([first, Reference(q, dq, ddq, RATE_HZ), last])
 
 
 def recorded(
     plant: Plant, moves: Sequence[PlannedMove], seed: int, *, every: int = 2, start: float = 0.0
 ) -> list[Recording]:
-    """Run planned moves one after the other, a log each."""
     logs = []
     for number, move in enumerate(moves):
         motion = reference_of(move, plant)
@@ -64,13 +59,12 @@ def recorded(
 
 def record(plan: PlanFile, folder: Path) -> None:
     """Write the logs of a plan for a sample robot as `STAGE/MOVE.parquet`."""
-    plant: Plant = getattr(rigs, plan.robot.name)()
-    start = 0.0
+    plant, start = getattr(rigs, plan.robot.name)(), 0.0
     for seed, move in enumerate(plan.moves):
         motion, imus = reference_of(move, plant), move.stage not in ("friction", "gravity")
         log = simulate(plant, motion, seed, every=4, imus=imus, start=start)
         start += motion.duration + PAUSE_S
-        part = FOLDERS.get(move.stage, move.stage)
+        part = move.stage.removesuffix("-calib")  # of the IMUs
         write_log(folder / part / f"{move.name}.parquet", plant, log)
 
 

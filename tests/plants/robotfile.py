@@ -40,8 +40,8 @@ def urdf_text(name: str, plant: Plant) -> str:
     """URDF of the arm with the inertials that its maker would publish (`plant.nominal`)."""
     parent, parts = "base_link", '  <link name="base_link"/>\n'
     for i, joint in enumerate(plant.arm.names):
-        mass, phi = float(plant.nominal.phi[i, 0]), plant.nominal.phi[i]
-        centre = phi[1:4] / mass
+        phi = plant.nominal.phi[i]
+        mass, centre = float(phi[0]), phi[1:4] / float(phi[0])
         xx, xy, yy, xz, yz, zz = phi[4:]
         shift = mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
         central = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - shift

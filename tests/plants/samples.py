@@ -3,7 +3,7 @@
 import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -13,14 +13,8 @@ import pyarrow.parquet as pq
 from tests.plants.arms.rigs import one_joint, six_joint, two_joint
 from tests.plants.effects.registry import Injection, inject
 from tests.plants.friction.laws import Extra
-from tests.plants.motions.experiments import (
-    Trial,
-    friction_trials,
-    gravity_trials,
-    imu_trials,
-    inertia_trials,
-    validation_trials,
-)
+from tests.plants.motions import experiments
+from tests.plants.motions.experiments import Trial
 from tests.plants.motions.trials import PERIODS, moves, waves, zigzags
 from tests.plants.robotfile import robot_toml, urdf_text
 from tests.plants.robots.lab import true_friction, true_standard, write_log
@@ -34,8 +28,6 @@ T0_NS = 1_767_225_600_000_000_000  # 2026-01-01T00:00:00Z
 
 @dataclass(frozen=True)
 class Recipe:
-    """What one robot's samples consist of."""
-
     plant: Plant
     trials: Sequence[Trial]
     change: Injection
@@ -44,7 +36,7 @@ class Recipe:
     every: int
     formats: Mapping[str, Encoding]
     urdf: str | None = None
-    base: Mapping[str, float] | None = None
+    base: Mapping[str, float] = field(default_factory=dict)
 
 
 def changed_trials(plant: Plant, seed: int, *, seconds: float, imus: bool) -> list[Trial]:
@@ -59,14 +51,13 @@ def changed_trials(plant: Plant, seed: int, *, seconds: float, imus: bool) -> li
 
 
 def one_joint_trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
-    """All logs of the one-joint rig."""
     home = [np.zeros(1)]
     return [
-        *friction_trials(plant, home[0]),
-        *gravity_trials(plant, home, speeds=(0.1, 0.2)),
-        *imu_trials(plant, home),
-        *inertia_trials(plant, home, rng, seconds=12.0),
-        *validation_trials(plant, rng, seconds=12.0),
+        *experiments.friction_trials(plant, home[0]),
+        *experiments.gravity_trials(plant, home, speeds=(0.1, 0.2)),
+        *experiments.imu_trials(plant, home),
+        *experiments.inertia_trials(plant, home, rng, seconds=12.0),
+        *experiments.validation_trials(plant, rng, seconds=12.0),
     ]
 
 
@@ -83,10 +74,10 @@ def two_joint_trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
     """All logs of the planar rig; there is no gravity to identify."""
     postures = [np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9)]
     return [
-        *friction_trials(plant, postures[0]),
-        *imu_trials(plant, postures, turns=1),
-        *inertia_trials(plant, postures[1:], rng, pairs=[(0, 1), (0, 1)], seconds=8.0),
-        *validation_trials(plant, rng, seconds=12.0, points=6),
+        *experiments.friction_trials(plant, postures[0]),
+        *experiments.imu_trials(plant, postures, turns=1),
+        *experiments.inertia_trials(plant, postures[1:], rng, pairs=[(0, 1), (0, 1)], seconds=8.0),
+        *experiments.validation_trials(plant, rng, seconds=12.0, points=6),
     ]
 
 
@@ -116,14 +107,13 @@ SIX_POSTURES = np.array(
 
 
 def six_joint_trials(plant: Plant, rng: np.random.Generator) -> list[Trial]:
-    """All logs of the UR5e-sized arm."""
     postures = list(SIX_POSTURES)
     return [
-        *friction_trials(plant, postures[0], lowest=0.08),
-        *gravity_trials(plant, postures[:5], speeds=(0.3,)),
-        *imu_trials(plant, postures, turns=2),
-        *inertia_trials(plant, postures, rng, seconds=5.0),
-        *validation_trials(plant, rng, seconds=15.0, points=6),
+        *experiments.friction_trials(plant, postures[0], lowest=0.08),
+        *experiments.gravity_trials(plant, postures[:5], speeds=(0.3,)),
+        *experiments.imu_trials(plant, postures, turns=2),
+        *experiments.inertia_trials(plant, postures, rng, seconds=5.0),
+        *experiments.validation_trials(plant, rng, seconds=15.0, points=6),
     ]
 
 
@@ -139,9 +129,8 @@ def six_joint_recipe() -> Recipe:
 
 
 RECIPES: Mapping[str, Callable[[], Recipe]] = {
-    "one_joint": one_joint_recipe,
-    "two_joint": two_joint_recipe,
-    "six_joint": six_joint_recipe,
+    make.__name__.removesuffix("_recipe"): make
+    for make in (one_joint_recipe, two_joint_recipe, six_joint_recipe)
 }
 
 
@@ -153,15 +142,15 @@ def truth_document(name: str, recipe: Recipe) -> dict[str, object]:
     joint = None if change.joint is None else arm.names[change.joint]
     rotors = {f"Ia_{i + 1}": float(arm.rotor_inertia[i]) for i in range(arm.n)}
     amperes = np.sqrt(plant.current_noise**2 + np.asarray(plant.current_step) ** 2 / 12.0)
-    torque_noise = amperes * plant.torque_per_ampere
+    torque_noise = (amperes * plant.torque_per_ampere).tolist()
     return {
         "robot": name,
         "joints": list(arm.names),
         "parameters": {k: x for k, x in true_standard(plant).items() if k not in rotors},
         "rotor_inertia": rotors,
-        "base_parameters": dict(recipe.base or {}),
+        "base_parameters": dict(recipe.base),
         "rotor_coupling": "full" if arm.rotor_coupling else "diagonal",
-        "torque_noise_std": dict(zip(arm.names, torque_noise.tolist(), strict=True)),
+        "torque_noise_std": dict(zip(arm.names, torque_noise, strict=True)),
         "friction": {joint: friction_table(plant, i) for i, joint in enumerate(arm.names)},
         "imus": {
             imu.name: {
@@ -183,22 +172,17 @@ def friction_table(plant: Plant, joint: int) -> dict[str, object]:
     positions, speeds = np.linspace(low, high, 25), np.geomspace(0.02 * top, top, 12)
     velocities = np.concatenate([-speeds[::-1], speeds])
     q, v = (x.ravel() for x in np.meshgrid(positions, velocities, indexing="ij"))
-    table = true_friction(plant, joint, q, v).reshape(len(positions), -1)
-    return {
-        "position": positions.tolist(),
-        "velocity": velocities.tolist(),
-        "torque": np.round(table, 9).tolist(),
-    }
+    table = np.round(true_friction(plant, joint, q, v).reshape(len(positions), -1), 9)
+    grid = {"position": positions.tolist(), "velocity": velocities.tolist()}
+    return grid | {"torque": table.tolist()}
 
 
 def save(folder: Path, recipe: Recipe, trial: Trial, log: Log) -> None:
-    """Write one log in the format of its stage."""
-    plant, path = recipe.plant, folder / trial.stage / trial.name
+    plant, path = recipe.plant, folder / trial.stage / f"{trial.name}.parquet"
     encoding = recipe.formats.get(f"{trial.stage}/{trial.name}", recipe.formats.get(trial.stage))
     if encoding is None:
-        write_log(path.with_suffix(".parquet"), plant, log)
-        pack(path.with_suffix(".parquet"))
-        return
+        write_log(path, plant, log)
+        return pack(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     own = (path.with_suffix(".mcap"), log.t, plant.arm.names, log.q)
     arrays = log.accelerometers or None
@@ -208,27 +192,20 @@ def save(folder: Path, recipe: Recipe, trial: Trial, log: Log) -> None:
 def pack(path: Path) -> None:
     """Write a Parquet file again, smaller: many values as byte streams, few in a dictionary."""
     table = pq.read_table(path)
-    columns = zip(table.column_names, table.columns, strict=True)
-    many = [name for name, column in columns if len(column.unique()) > len(column) / 8]
-    pq.write_table(
-        table,
-        path,
-        compression="zstd",
-        compression_level=9,
-        use_dictionary=[name for name in table.column_names if name not in many],
-        column_encoding=dict.fromkeys(many, "BYTE_STREAM_SPLIT"),
-    )
+    many = [x for x in table.column_names if len(table[x].unique()) > len(table) / 8]
+    few = [x for x in table.column_names if x not in many]
+    how = {"use_dictionary": few, "column_encoding": dict.fromkeys(many, "BYTE_STREAM_SPLIT")}
+    pq.write_table(table, path, compression="zstd", compression_level=9, **how)
 
 
 def make(outdir: Path, name: str) -> None:
-    """Write the samples of one robot: robot file, truth, logs."""
     recipe, folder = RECIPES[name](), outdir / name
     folder.mkdir(parents=True, exist_ok=True)
     text = robot_toml(name, recipe.plant, urdf=recipe.urdf)
     (folder / "robot.toml").write_text(text, encoding="ascii")
     if recipe.urdf is not None:
         (folder / recipe.urdf).write_text(urdf_text(name, recipe.plant), encoding="ascii")
-    document = json.dumps(truth_document(name, recipe), indent=None) + "\n"
+    document = json.dumps(truth_document(name, recipe)) + "\n"
     (folder / "truth.json").write_text(document, encoding="ascii")
     parts = (
         (SEED + 1000, recipe.plant, recipe.trials, recipe.every),

@@ -25,14 +25,12 @@ class Faults:
     limit: float = np.inf  # where the channels saturate
 
     def gains(self, count: int) -> Array:
-        """Gain of each channel, (count,)."""
         return 1.0 + self.scale * self._rng(1).standard_normal(count)
 
     def axes(self, nominal: Array) -> Array:
         """Unit axes as they are, (K, 3)."""
         off = self.tilt * self._rng(2).standard_normal(nominal.shape)
-        off -= np.sum(off * nominal, axis=1, keepdims=True) * nominal
-        moved = nominal + off
+        moved = nominal + (off - np.sum(off * nominal, axis=1, keepdims=True) * nominal)
         return np.asarray(moved / np.linalg.norm(moved, axis=1, keepdims=True))
 
     def biases(self, count: int) -> Array:
@@ -61,8 +59,7 @@ def delayed(values: Array, delay: float, rate_hz: float) -> Array:
     if delay == 0.0:
         return values
     t = np.arange(len(values)) / rate_hz
-    spline = CubicSpline(t, values)
-    return np.asarray(spline(np.clip(t - delay, t[0], t[-1])))
+    return np.asarray(CubicSpline(t, values)(np.clip(t - delay, t[0], t[-1])))
 
 
 @dataclass(frozen=True)
@@ -86,8 +83,7 @@ class AccelerometerArray:
     def ideal(self, motion: LinkMotion) -> Array:
         """Specific force along each axis, (N, K) m/s^2."""
         own = self.axes if self.faults is None else self.faults.axes(self.axes)
-        points = self.lever + self.positions @ self.rotation.T
-        axes = own @ self.rotation.T
+        points, axes = self.lever + self.positions @ self.rotation.T, own @ self.rotation.T
         omega, alpha = motion.omega[:, None, :], motion.alpha[:, None, :]
         force = motion.force[:, None, :] + np.cross(alpha, points)
         force = force + np.cross(omega, np.cross(omega, points))
@@ -135,8 +131,7 @@ def noise(
         return np.asarray(white * std)
     corners = 10.0 ** np.arange(-1, np.log10(rate_hz / 8.0))
     total = np.zeros_like(white)
-    for corner in corners:
-        pole = float(np.exp(-2.0 * np.pi * corner / rate_hz))
+    for pole in np.exp(-2.0 * np.pi * corners / rate_hz).tolist():
         drive = rng.standard_normal(white.shape)
         drive[1:] *= np.sqrt(1.0 - pole**2)
         total += lfilter([1.0], [1.0, -pole], drive, axis=0)

@@ -46,9 +46,7 @@ class Plant:
 
     def hiding(self, **parts: Any) -> Plant:
         """The same with one part more of each kind of `Hidden`."""
-        more: dict[str, Any] = {
-            kind: (*getattr(self.hidden, kind), part) for kind, part in parts.items()
-        }
+        more = {kind: (*getattr(self.hidden, kind), part) for kind, part in parts.items()}
         return replace(self, hidden=replace(self.hidden, **more))
 
 
@@ -110,7 +108,6 @@ def simulate(
 
 
 def _seen(plant: Plant, angle: Array) -> Array:
-    """Angle with the encoders' errors, (..., n) rad."""
     for error in plant.hidden.encoders:
         angle = angle + error(angle)
     return angle
@@ -143,9 +140,8 @@ def _run(plant: Plant, reference: Reference, run: Run) -> Truth:
     period after, so position, current and acceleration of one row belong to the same instant.
     """
     dt, hidden = run.dt, plant.hidden
-    controller = Controller(plant.gains, dt)
+    controller, wanted = Controller(plant.gains, dt), reference.q
     ahead = feedforward(Rigid(plant.nominal), reference, plant.coulomb_guess)
-    wanted = reference.q
     stages = [begin(run) for begin in hidden.drives]
     sources = tuple(begin(run) for begin in hidden.torques)
     kind = ElasticJoints if hidden.springs else RigidJoints
@@ -155,11 +151,9 @@ def _run(plant: Plant, reference: Reference, run: Run) -> Truth:
         t = run.start + k * dt
         angle = body.reading_angle()
         seen = quantise(_seen(plant, angle), plant.encoder_step)
-        tau = controller.torque(seen, wanted[k], ahead[k])
-        out.commanded[k] = tau
+        out.commanded[k] = tau = controller.torque(seen, wanted[k], ahead[k])
         for stage in stages:
             tau = stage(t, tau, angle)
-        row = body.step(t, tau)
-        out.q[k], out.dq[k], out.ddq[k], out.friction[k], out.angle[k] = row
+        out.q[k], out.dq[k], out.ddq[k], out.friction[k], out.angle[k] = body.step(t, tau)
         out.tau[k] = tau
     return out

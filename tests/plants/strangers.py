@@ -9,6 +9,7 @@ import json
 import shutil
 import sys
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,12 +34,6 @@ def data_of(path: Path, every: int = 2) -> Data:
     return Data(log.t[rows], robot.joint_names, q, dq[rows], tau / ampere, tau)
 
 
-def ros(path: Path, data: Data) -> None:
-    """A folder of a ROS 2 bag; effort is torque."""
-    as_torque = Data(data.t, data.joints, data.q, data.dq, data.torque, data.torque)
-    rosbag2_mcap(path, as_torque)
-
-
 def german(path: Path, data: Data) -> None:
     """Semicolons, decimal commas, degrees, in Latin-1."""
     count = len(data.joints)
@@ -61,11 +56,14 @@ def lerobot(folder: Path, episodes: Sequence[Data]) -> None:
     (folder / "meta" / "info.json").write_text(json.dumps(info))
 
 
-WRITERS: dict[str, Callable[[Path, Data], object]] = {"ur": csv_rtde, "ros": ros, "german": german}
+WRITERS: dict[str, Callable[[Path, Data], object]] = {
+    "ur": csv_rtde,
+    "ros": lambda path, data: rosbag2_mcap(path, replace(data, current=data.torque)),
+    "german": german,
+}
 
 
 def make(folder: Path) -> None:
-    """Write the logs of all four, and the arm's URDF."""
     shutil.copy(SIX / "six_joint.urdf", folder / "arm.urdf")
     for part, stage in SETS.items():
         logs = sorted((SIX / stage).iterdir())

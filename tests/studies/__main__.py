@@ -3,7 +3,7 @@
 import argparse
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 
 from tests import ROOT
 from tests.benchmarks import discovery, ingestion, kernels, whole_run
@@ -37,7 +37,7 @@ STUDIES: Mapping[str, tuple[str, Callable[[argparse.Namespace], str]]] = {  # pa
 SLOW = ("six_joint", "planned_errors", "recorded_effects")  # even of one rig
 
 
-def main(arguments: Sequence[str]) -> int:
+def main() -> None:
     """Print the tables; a full run also puts them into their document."""
     usual = [name for name, (page, _) in STUDIES.items() if page == USUAL]
     parser = argparse.ArgumentParser(prog="python -m tests.studies", description=__doc__)
@@ -45,7 +45,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--only", nargs="+", choices=list(STUDIES), default=usual)
     undeclared.add_arguments(parser)
     table_two.add_arguments(parser)
-    chosen = parser.parse_args(arguments)
+    chosen = parser.parse_args()
     for name in chosen.only:  # a missing marker shows before the work is done
         if written(name, chosen):
             page = ROOT / "docs" / STUDIES[name][0]
@@ -58,17 +58,13 @@ def main(arguments: Sequence[str]) -> int:
         tables.show(page_name, name, content + "\n", kept=written(name, chosen))
         sys.stdout.flush()
         sys.stderr.write(f"{name}: {time.monotonic() - start:.0f} s\n")
-    return 0
 
 
 def written(name: str, chosen: argparse.Namespace) -> bool:
     """Whether a study's tables go into its document: not those of a part of it."""
-    if chosen.quick:
-        return False
-    if name == "coverage":
-        return coverage.whole(chosen)
-    return name != "undeclared" or undeclared.whole(chosen)
+    whole = {"coverage": coverage.whole, "undeclared": undeclared.whole}
+    return not chosen.quick and (name not in whole or whole[name](chosen))
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main()

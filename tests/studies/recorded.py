@@ -41,36 +41,31 @@ class Case:
     baseline_cutoff_hz: float
 
     def logs(self) -> tuple[Robot, list[Recording], list[Recording]]:
-        """The robot, the training logs and the held-out ones."""
         robot = load_robot(self.folder / "robot.toml")
-        train = [read_recording(self.folder / name, robot) for name in self.train]
-        return robot, train, [read_recording(self.folder / name, robot) for name in self.held_out]
+        train, rest = ([read_recording(path, robot) for path in part] for part in self._paths)
+        return robot, train, rest
+
+    @property
+    def _paths(self) -> list[list[Path]]:
+        parts = (self.train, self.held_out)
+        return [[self.folder / f"{name}.parquet" for name in part] for part in parts]
 
     @property
     def missing(self) -> str:
-        there = all((self.folder / name).is_file() for name in (*self.train, *self.held_out))
+        there = all(path.is_file() for part in self._paths for path in part)
         return "" if there else f"{self.name}: left out, its logs are not beside the project."
 
 
-STAUBLI, UR10E = DATA / "staubli_tx40", DATA / "ur10e_innopolis"
-TRIALS = "identification__ur-20_02_{}.parquet"
+UR10E = DATA / "ur10e_innopolis"
+STAUBLI_RMSE, UR10E_RMSE = (
+    (1.88, 4.28, 1.07, 0.62, 5.27, 2.20),
+    (2.58, 3.77, 1.18, 0.39, 0.81, 0.63),
+)
+NAMES = ("12-50sec_12harm", "12-40sec_12harm", "10-30sec_12harm", "19_15harm50sec")
+TRIALS = tuple(f"identification__ur-20_02_{name}" for name in NAMES)
 CASES = (
-    Case(
-        "Staubli TX40",
-        STAUBLI,
-        ("train.parquet",),
-        ("holdout.parquet",),
-        (1.88, 4.28, 1.07, 0.62, 5.27, 2.20),
-        40.0,
-    ),
-    Case(
-        "UR10e",
-        UR10E,
-        tuple(map(TRIALS.format, ("12-50sec_12harm", "12-40sec_12harm", "10-30sec_12harm"))),
-        (TRIALS.format("19_15harm50sec"),),
-        (2.58, 3.77, 1.18, 0.39, 0.81, 0.63),
-        5.0,
-    ),
+    Case("Staubli TX40", DATA / "staubli_tx40", ("train",), ("holdout",), STAUBLI_RMSE, 40.0),
+    Case("UR10e", UR10E, TRIALS[:3], TRIALS[3:], UR10E_RMSE, 5.0),
 )
 
 
@@ -81,10 +76,9 @@ def classical(chosen: Namespace) -> str:
 
 def predicted(case: Case, cutoff_hz: float | None = None) -> HeldOut:
     """Fit the training logs, predict the held-out ones; the cut-off is chosen if not given."""
-    motion = MotionOptions(cutoff_hz=cutoff_hz)
     robot, train, rest = case.logs()
-    stages = simultaneous(train, robot, motion=motion)
-    return held_out(rest, robot, stages, InertiaOptions(motion=motion))
+    stages = simultaneous(train, robot, cutoff_hz=cutoff_hz)
+    return held_out(rest, robot, stages, InertiaOptions(MotionOptions(cutoff_hz=cutoff_hz)))
 
 
 def _classical(case: Case) -> str:
@@ -98,11 +92,10 @@ def _classical(case: Case) -> str:
     }
     rows = [[name, *(number(float(x), 3) for x in values)] for name, values in sizes.items()]
     rows.append(["share sliding, %", *(f"{100 * float(x):.0f}" for x in found.sliding_share)])
-    header = [f"{case.name}, held-out RMSE, N m"]
-    header += [f"joint {k + 1}" for k in range(len(case.baseline))]
+    joints = [f"joint {k + 1}" for k in range(len(case.baseline))]
     cutoffs = ", ".join(f"{hz:.1f}" for hz in found.cutoff_hz)
     note = f"{case.name}: cut-off chosen for the held-out log {cutoffs} Hz."
-    return f"{table(header, rows)}\n\n{note}"
+    return f"{table([f'{case.name}, held-out RMSE, N m', *joints], rows)}\n\n{note}"
 
 
 HEADER = ("data set", "asked", "found (confidence)", "before", "after", "limit", "met", "CPU s")
@@ -114,13 +107,11 @@ ECHOES = {"gravity_compensation", "pd_1nm_torque_limited_swingup_failure"}
 NAN = float("nan")
 
 
-def row(
-    data: str, asked: str, found: str, met: bool, seconds: float, sizes: Sequence[float] = ()
-) -> list[str]:
-    """An answer: what was asked and found, CPU time, RMSE [N m] before, after, and its limit."""
+def row(*said: str, met: bool, seconds: float, sizes: Sequence[float] = ()) -> list[str]:
+    """Data, asked, found, RMSE [N m] before and after, its limit, whether that is met, CPU time."""
     cells = [number(x, 3) for x in (*sizes, NAN, NAN, NAN)[:3]]
     took = number(seconds) if seconds < 10 else f"{seconds:.0f}"
-    return [data, asked, found, *cells, "yes" if met else "no", took]
+    return [*said, *cells, "yes" if met else "no", took]
 
 
 @dataclass(frozen=True)
@@ -147,20 +138,22 @@ class Closed:
     refined_s: float
 
     def answer(self, asked: Asked) -> list[str]:
-        names = [self.robot.joint_names[joint] for joint in asked.joints]
-        found = [f for f in self.named.findings if f.effect in asked.effects and f.joint in names]
-        given = (self.name, asked.text, _told(found))
+        names, sizes = [self.robot.joint_names[joint] for joint in asked.joints], ()
+        found, kept = (
+            [x for x in every if x.effect in asked.effects and x.joint in names]
+            for every in (self.named.findings, [r for r in self.loop.rounds if r.accepted])
+        )
+        if asked.there:
+            before, after = (x[names[0]].rmse for x in (self.loop.before, self.loop.after))
+            sizes = (before, after, asked.limit)
+            met = bool(found) and after < before and not after > asked.limit
+        else:
+            met = not found and not kept
         seconds = self.diagnosed_s + self.refined_s
-        if not asked.there:
-            kept = [r for r in self.loop.rounds if r.accepted and r.effect in asked.effects]
-            return row(*given, not found and not any(r.joint in names for r in kept), seconds)
-        before, after = (errors[names[0]].rmse for errors in (self.loop.before, self.loop.after))
-        met = bool(found) and after < before and not after > asked.limit
-        return row(*given, met, seconds, (before, after, asked.limit))
+        return row(self.name, asked.text, _told(found), met=met, seconds=seconds, sizes=sizes)
 
 
 def diagnosed(logs: Sequence[Recording], robot: Robot, most: int) -> DiagnosisFile:
-    """What the classical fit of these logs lacks on them."""
     motion = MotionOptions()
     friction, inertia = identify_simultaneous(logs, robot, options=motion, offset=True)
     options = DiscoverOptions(InertiaOptions(motion), max_effects=most)
@@ -182,7 +175,8 @@ def ripple(data: str, path: Path, joint: int, order: float, *, there: bool) -> l
     left = found.joints[name]
     # The lines of several joints lie above the cut-off, where the model is not judged.
     sizes = (left.rmse, left.rmse_explained) if alone else ()
-    return row(data, asked, _told(near), bool(near) == there, seconds, sizes)
+    met = bool(near) == there
+    return row(data, asked, _told(near), met=met, seconds=seconds, sizes=sizes)
 
 
 def echoes(data: str, logs: Sequence[Path], robot: Robot) -> list[str]:
@@ -195,20 +189,20 @@ def echoes(data: str, logs: Sequence[Path], robot: Robot) -> list[str]:
             refused.add(path.stem)
     told = f"refused: {', '.join(sorted(refused)) or 'none'} of {len(logs)}"
     took, asked = time.process_time() - start, "logs with an echo refused, no others"
-    return row(data, asked, told, refused == ECHOES, took)
+    return row(data, asked, told, met=refused == ECHOES, seconds=took)
 
 
 def _told(findings: Sequence[FindingEntry]) -> str:
     """Findings with their confidence; of ripples the order and the lag."""
-    return "; ".join(f"{f.effect}{_at(f)} ({f.confidence:.2f})" for f in findings) or "-"
-
-
-def _at(finding: FindingEntry) -> str:
-    if finding.effect not in RIPPLE:
-        return f" at {finding.joint}"
-    lag = 1e3 * finding.settings["lag"]
-    late = f", {lag:.0f} ms late" if lag > 0 else ""
-    return f" of order {number(finding.settings['order'], 4)}{late}"
+    said = []
+    for f in findings:
+        at = f"at {f.joint}"
+        if f.effect in RIPPLE:
+            lag = 1e3 * f.settings["lag"]
+            late = f", {lag:.0f} ms late" if lag > 0 else ""
+            at = f"of order {number(f.settings['order'], 4)}{late}"
+        said.append(f"{f.effect} {at} ({f.confidence:.2f})")
+    return "; ".join(said) or "-"
 
 
 MOST = 6  # effects, for six joints; every round costs a search of its own
@@ -254,7 +248,6 @@ def effects(chosen: Namespace) -> str:
 
 
 def closed(case: Case) -> Closed:
-    """Fit the training logs, refine with them, look at the held-out ones."""
     robot, train, rest = case.logs()
     friction, inertia = identify_simultaneous(train, robot, options=MotionOptions(), offset=True)
     earlier = {"friction": train}
@@ -282,8 +275,8 @@ def rendered(found: Closed) -> str:
         sizes = [number(before, 3), number(after, 3), gain, number(loop.noise_floor[joint], 3)]
         rows.append([str(k + 1), _named(found, joint) or "-", *sizes])
     header = [f"{found.name}, joint", "added", "before", "after", "gain, %", "noise floor"]
-    lines = [table(header, rows), ""]
-    lines.append("Held-out RMSE, N m; gain in mean square with its 95 % interval.")
+    note = "Held-out RMSE, N m; gain in mean square with its 95 % interval."
+    lines = [table(header, rows), "", note]
     if whole := _named(found, None):
         lines.append(f"Of the whole arm: {whole}.")
     if refused := [f"{r.effect} at {r.joint or 'the whole arm'}" for r in loop.refused]:
@@ -296,7 +289,9 @@ def _named(found: Closed, joint: str | None) -> str:
     """Effects at a joint with their parameters and standard errors."""
     said = []
     for entry in (entry for entry in found.effects if entry.joint == joint):
-        named = [(p, f"{number(p.value)} +- {number(p.std_error)}") for p in entry.parameters]
-        values = [f"{p.name} {value} {p.unit}" for p, value in named]
+        values = [
+            f"{p.name} {number(p.value)} +- {number(p.std_error)} {p.unit}"
+            for p in entry.parameters
+        ]
         said.append(f"{entry.effect} ({', '.join(values)})")
     return "; ".join(said)

@@ -59,7 +59,6 @@ def seeds_of(text: str) -> range:
 def mapped(
     work: Callable[[C], R], cases: Mapping[str, C], processes: int
 ) -> Iterator[tuple[str, R]]:
-    """Yield the cases' keys and results as they come."""
     if processes <= 1 or len(cases) < 2:
         yield from ((key, work(case)) for key, case in cases.items())
         return

@@ -16,7 +16,6 @@ import pyarrow.parquet as pq
 from tests import ROOT
 from tests.studies.tables import show, table
 
-PAGE = "trust.md"
 SAMPLE = ROOT / "sample_logs" / "one_joint"
 TRIAL = SAMPLE / "inertia" / "joint_1.parquet"
 PAUSE_S, NOISE = 1.0, 0.01  # between two trials; of a channel's standard deviation
@@ -26,28 +25,26 @@ HEADER = ("command", "within 1 GiB", "exit code", "peak, MiB", "CPU, s")
 def write_log(path: Path, hours: float) -> int:
     """Write a log of some hours; returns its rows."""
     trial, rng, begun, rows = pq.read_table(TRIAL), np.random.default_rng(0), 0.0, 0
-    t, current = (trial.column(name).to_numpy() for name in ("t", "joint_1.current"))
+    names = ("t", "joint_1.current")
+    t, current = (trial.column(name).to_numpy() for name in names)
     with pq.ParquetWriter(path, trial.schema) as writer:
         while begun < hours * 3600.0:
-            noise = NOISE * current.std() * rng.standard_normal(len(t))
-            block = trial.set_column(0, "t", pa.array(t - t[0] + begun))
-            place = trial.schema.names.index("joint_1.current")
-            writer.write_table(
-                block.set_column(place, "joint_1.current", pa.array(current + noise))
-            )
+            noise, block = NOISE * current.std() * rng.standard_normal(len(t)), trial
+            for name, values in zip(names, (t - t[0] + begun, current + noise), strict=True):
+                block = block.set_column(block.schema.names.index(name), name, pa.array(values))
+            writer.write_table(block)
             begun, rows = begun + float(t[-1] - t[0]) + PAUSE_S, rows + len(t)
     return rows
 
 
 def lines(log: Path) -> Iterator[tuple[str, ...]]:
-    out, robot = log.parent, ("-r", str(SAMPLE / "robot.toml"))
-    model = ("-p", str(SAMPLE / "golden.json"))
-    yield "inspect", str(log), *robot
-    encoder = ("--motion", "encoder")
-    yield "inertia", str(log), *robot, *model, *encoder, "-o", str(out / "inertia.json")
-    made = ("-o", str(out / "p.json"), "--torques", str(out / "t.parquet"))
-    yield "predict", str(log), *robot, *model, *encoder, *made
-    yield "diagnose", str(log), *robot, *model, "-o", str(out / "d.json")
+    out, given = log.parent, (str(log), "-r", str(SAMPLE / "robot.toml"))
+    model = (*given, "-p", str(SAMPLE / "golden.json"))
+    encoder = (*model, "--motion", "encoder")
+    yield "inspect", *given
+    yield "inertia", *encoder, "-o", str(out / "inertia.json")
+    yield "predict", *encoder, "-o", str(out / "p.json"), "--torques", str(out / "t.parquet")
+    yield "diagnose", *model, "-o", str(out / "d.json")
 
 
 def measured(line: Sequence[str]) -> tuple[str, ...]:
@@ -81,19 +78,18 @@ def _run(line: Sequence[str], limit: Callable[[], None] | None) -> tuple[int, st
     return code, said, used.ru_maxrss >> 10, used.ru_utime + used.ru_stime
 
 
-def main(arguments: Sequence[str]) -> int:
+def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.studies.soak", description=__doc__)
     parser.add_argument("--hours", type=float, default=2.0)
     parser.add_argument("--write", action="store_true", help="put the table into docs/trust.md")
-    chosen = parser.parse_args(arguments)
+    chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as work:
         log = Path(work) / "long.parquet"
         sys.stderr.write(f"{write_log(log, chosen.hours)} rows, {log.stat().st_size >> 20} MiB\n")
         cells = [measured(line) for line in lines(log)]
-    text = table(HEADER, cells)
-    show(PAGE, "soak", text, kept=chosen.write)
+    show("trust.md", "soak", table(HEADER, cells), kept=chosen.write)
     return 1 if {code for _, _, code, *_ in cells} - {"0", "1"} else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

@@ -18,7 +18,6 @@ def rms(values: ArrayLike) -> float:
 
 
 def share_within(z: ArrayLike, limit: float) -> float:
-    """Share of values whose magnitude is at most `limit`."""
     return float(np.mean(np.abs(np.asarray(z, dtype=np.float64)) <= limit))
 
 

@@ -15,6 +15,7 @@ from tests.plants.simulate import Plant
 GRAVITY = 9.81
 DOWN = np.array([0.0, 0.0, -GRAVITY])
 TILT = np.deg2rad(30.0)  # between the one-joint rig's axis and gravity
+NAMES = ("joint_1", "joint_2")
 GEAR = 6.0
 COUNTS = 100  # encoder counts per motor turn
 ROTOR = 2.5e-6  # kg m^2, Maxon 2140 class
@@ -24,21 +25,16 @@ MOMENT = 0.0087  # kg m
 LINK_MASS = 0.12  # kg
 UPPER_LENGTH = 0.3  # m, l_1 of Eq. 43
 PI_1 = 0.0388  # kg m^2, I_1zz + N_1^2 I_m1 + m_2 l_1^2
+Three = tuple[float, float, float]
 
 
 def mounting(x: float, z: float, x2: float) -> Array:
-    """A rotation R_link_from_imu (3, 3), by angles in rad about x, z and x again."""
+    """Rotate a link's frame by angles in rad about x, z and x again: R_link_from_imu (3, 3)."""
     return np.asarray(rot_x(x) @ rot_z(np.array(z)) @ rot_x(x2))
 
 
 def array_on(
-    name: str,
-    after: int,
-    turn: tuple[float, float, float],
-    lever: tuple[float, float, float],
-    *,
-    size: float = 0.05,
-    bias: float = 0.0,
+    name: str, after: int, turn: Three, lever: Three, *, size: float = 0.05, bias: float = 0.0
 ) -> AccelerometerArray:
     """Twelve accelerometers over `size` m on the link after a joint, mounted as `mounting` says."""
     place = mounting(*turn), np.array(lever)
@@ -47,8 +43,7 @@ def array_on(
 
 def _light_link(izz: float, mx: float, mass: float) -> Array:
     """Standard parameters (10,) of a flat bar along x with `izz` about the joint's axis."""
-    thin = 0.02 * izz
-    return np.array([mass, mx, 0.0, 0.0, thin, 0.0, izz, 0.0, 0.0, izz])
+    return np.array([mass, mx, 0.0, 0.0, 0.02 * izz, 0.0, izz, 0.0, 0.0, izz])
 
 
 def off_nominal(arm: Arm, share: float) -> Arm:
@@ -60,10 +55,8 @@ def off_nominal(arm: Arm, share: float) -> Arm:
 def _paper_rig(
     dh: Array, phi: Array, friction: SurfaceFriction, inertia: Array, counts: int, **own: Any
 ) -> Plant:
-    """A rig of the paper: its motors, gears and encoders on every joint."""
     n = len(dh)
-    names = tuple(f"joint_{k + 1}" for k in range(n))
-    arm = Arm(names, dh, phi, DOWN, np.full(n, GEAR), np.full(n, ROTOR))
+    arm = Arm(NAMES[:n], dh, phi, DOWN, np.full(n, GEAR), np.full(n, ROTOR))
     return Plant(
         arm=arm,
         nominal=off_nominal(arm, 0.15),
@@ -154,8 +147,6 @@ UR5E_BODIES = (
 )
 UR5E_ROTORS = np.array([1.0e-4, 1.0e-4, 8.0e-5, 2.4e-5, 2.4e-5, 2.2e-5])
 UR5E_COULOMB = np.array([8.2, 9.4, 6.6, 1.9, 1.7, 1.4])
-UR5E_SPEED = np.array([2.2, 2.2, 2.6, 3.1, 3.1, 3.1])
-UR5E_ACCELERATION = np.array([9.0, 9.0, 12.0, 22.0, 22.0, 25.0])
 
 
 def standard_parameters(
@@ -165,14 +156,12 @@ def standard_parameters(
     c = np.array(centre)
     central = mass * turn @ np.diag(np.array(gyration) ** 2) @ turn.T
     about = central + mass * (c @ c * np.eye(3) - np.outer(c, c))
-    upper = [about[0, 0], about[0, 1], about[1, 1], about[0, 2], about[1, 2], about[2, 2]]
-    return np.array([mass, *(mass * c), *upper])
+    return np.array([mass, *(mass * c), *about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
 
 
 def plain(friction: SurfaceFriction) -> SurfaceFriction:
     """Coulomb and viscous friction alone."""
-    none = np.zeros_like(friction.coulomb)
-    return replace(friction, stribeck=none, amplitude=np.zeros_like(friction.amplitude))
+    return replace(friction, stribeck=0 * friction.stribeck, amplitude=0 * friction.amplitude)
 
 
 def geared(arm: Arm, friction: SurfaceFriction, inertia: Array, **own: Any) -> Plant:
@@ -196,13 +185,13 @@ def six_joint(*, simple_friction: bool = False) -> Plant:
         for i, body in enumerate(UR5E_BODIES)
     ]
     arm = Arm(UR5E_NAMES, UR5E_DH, np.array(bodies), DOWN, np.full(6, 101.0), UR5E_ROTORS)
-    first, second = 0.08 + 0.015 * np.sin(k), 0.05 + 0.01 * np.cos(k)
+    waves = (0.08 + 0.015 * np.sin(k), 0.05 + 0.01 * np.cos(k), np.full(6, 0.02))
     friction = SurfaceFriction(
         coulomb=UR5E_COULOMB,
         viscous=np.array([7.4, 8.3, 5.8, 1.7, 1.5, 1.3]),
         stribeck=np.array([1.1, 1.3, 0.9, 0.3, 0.3, 0.25]),
         stribeck_speed=np.array([0.15, 0.15, 0.18, 0.25, 0.25, 0.25]),
-        amplitude=np.column_stack([first, second, np.full(6, 0.02)]),
+        amplitude=np.column_stack(waves),
         phase=np.column_stack([0.4 + 1.1 * k, 2.0 - 0.7 * k, 0.5 * k]),
     )
     imus = (
@@ -219,8 +208,8 @@ def six_joint(*, simple_friction: bool = False) -> Plant:
         position_limits=np.array(
             [[-2.8, 2.8], [-2.7, 0.3], [-2.4, 2.4], [-2.9, 2.9], [-2.8, 2.8], [-2.8, 2.8]]
         ),
-        velocity_limits=UR5E_SPEED,
-        acceleration_limits=UR5E_ACCELERATION,
+        velocity_limits=np.array([2.2, 2.2, 2.6, 3.1, 3.1, 3.1]),
+        acceleration_limits=np.array([9.0, 9.0, 12.0, 22.0, 22.0, 25.0]),
         current_step=np.array([2.0**-5] * 3 + [2.0**-6] * 3),
         imus=imus,
     )

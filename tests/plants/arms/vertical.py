@@ -8,8 +8,6 @@ from tests.plants.mechanics.rigid import Arm
 from tests.plants.simulate import Plant
 
 LENGTH = 0.4  # m, of each link
-MOTOR_COUNTS = 2**14  # encoder counts per motor turn
-RATED = np.array([30.0, 9.0])  # N m, for the noise: 0.4 % of it
 
 
 def vertical_two_joint(*, simple_friction: bool = False) -> Plant:
@@ -34,7 +32,7 @@ def vertical_two_joint(*, simple_friction: bool = False) -> Plant:
         amplitude=np.array([[0.07, 0.04], [0.08, 0.03]]),
         phase=np.array([[0.4, 2.0], [-1.1, 0.6]]),
     )
-    drive = np.array([0.11, 0.09])
+    drive, rated = np.array([0.11, 0.09]), np.array([30.0, 9.0])  # N m/A, N m
     imus = (
         array_on("imu_a", 0, (0.3, 0.5, -0.2), (0.3, 0.02, 0.03)),
         array_on("imu_b", 1, (-0.4, 0.8, 0.1), (0.25, -0.02, 0.02)),
@@ -44,8 +42,8 @@ def vertical_two_joint(*, simple_friction: bool = False) -> Plant:
         plain(friction) if simple_friction else friction,
         np.array([1.0, 0.12]),
         torque_constant=drive,
-        encoder_step=2.0 * np.pi / (MOTOR_COUNTS * arm.gear),
-        current_noise=0.004 * RATED / (drive * arm.gear),
+        encoder_step=2.0 * np.pi / (2**14 * arm.gear),
+        current_noise=0.004 * rated / (drive * arm.gear),
         position_limits=np.array([[-2.6, 2.6], [-2.4, 2.4]]),
         velocity_limits=np.array([2.6, 3.2]),
         acceleration_limits=np.array([10.0, 16.0]),

@@ -7,15 +7,7 @@ import pinocchio as pin
 
 from tests import Array
 from tests.plants.arms.rigs import GRAVITY, standard_parameters
-from tests.plants.effects.friction import (
-    STATES,
-    at,
-    clear,
-    middle_and_half,
-    on_joint,
-    rated_torque,
-    source_on,
-)
+from tests.plants.effects.friction import at, clear, on_joint, place_of, rated_torque, source_on
 from tests.plants.mechanics.hidden import Run, TorqueSource
 from tests.plants.mechanics.rigid import build_model, rot_x, rot_z
 from tests.plants.simulate import Plant
@@ -30,7 +22,7 @@ def reach(plant: Plant) -> float:
     """Largest lever arm of the tool point about any joint's axis in 400 random postures, m."""
     rng, model = np.random.default_rng(1), build_model(plant.arm)
     data, last, most = model.createData(), plant.arm.n, 0.0
-    for _ in range(STATES):
+    for _ in range(400):
         pin.computeJointJacobians(model, data, rng.uniform(*plant.position_limits.T))
         jac = pin.getJointJacobian(model, data, last, pin.LOCAL_WORLD_ALIGNED)
         lever = data.oMi[last].rotation @ tool_point(plant)
@@ -39,14 +31,9 @@ def reach(plant: Plant) -> float:
     return most
 
 
-def strongest(plant: Plant) -> float:
-    """Rated torque of the strongest joint, N m."""
-    return float(rated_torque(plant).max())
-
-
 def payload(plant: Plant, joint: int, size: float) -> Plant:
     """Body at the tool point whose weight is a clear torque for the strongest joint."""
-    mass = 0.05 * size * strongest(plant) / (GRAVITY * reach(plant))
+    mass = 0.05 * size * float(rated_torque(plant).max()) / (GRAVITY * reach(plant))
     body = standard_parameters(mass, tuple(tool_point(plant)), (0.05, 0.05, 0.05), np.eye(3))
     phi = plant.arm.phi.copy()
     phi[-1] += body
@@ -67,21 +54,19 @@ def rotor_inertia(plant: Plant, joint: int, size: float) -> Plant:
 
 def contact(plant: Plant, joint: int, size: float) -> Plant:
     """Half-sine pushes of the last link, 10 % of rated times size for the strongest joint."""
-    mean = 0.10 * size * strongest(plant) / reach(plant)
+    mean = 0.10 * size * float(rated_torque(plant).max()) / reach(plant)
     arm, point = plant.arm, tool_point(plant)
 
     def begin(run: Run) -> TorqueSource:
         rng = np.random.default_rng([run.seed, round(1000.0 * run.start), 11])
-        count = int(rng.integers(1, 3))
-        pushes = []
+        count, pushes = int(rng.integers(1, 3)), []
         for part in range(count):
             share = (part + rng.uniform(0.15, 0.75)) / count
             way = rng.standard_normal(3)
             force = mean * rng.uniform(0.8, 1.2) / np.linalg.norm(way)
             first = run.start + share * run.duration
             pushes.append((first, float(rng.uniform(0.2, 0.6)), force * way))
-        model = build_model(arm)
-        data = model.createData()
+        data = (model := build_model(arm)).createData()
 
         def source(t: float, q: Array, dq: Array) -> Array:
             for first, length, most in pushes:
@@ -105,25 +90,23 @@ def other(joint: int) -> int:
 
 def bump(plant: Plant, joint: int, size: float) -> Plant:
     """Torque bump over position, a tenth of the range wide, near the middle of it."""
-    middle, half = middle_and_half(plant, joint)
-    place, width, torque = middle + 0.15 * half, 0.10 * half, clear(plant, joint, size)
+    (place, half), torque = place_of(plant, joint, 0.15), clear(plant, joint, size)
     return on_joint(
-        plant, joint, lambda q, dq: -torque * np.exp(-0.5 * ((q[joint] - place) / width) ** 2)
+        plant,
+        joint,
+        lambda q, dq: -torque * np.exp(-0.5 * ((q[joint] - place) / (0.1 * half)) ** 2),
     )
 
 
 def other_speed(plant: Plant, joint: int, size: float) -> Plant:
-    """Torque sin(4 v_other + 0.6)."""
     torque, k = clear(plant, joint, size), other(joint)
     return on_joint(plant, joint, lambda q, dq: -torque * np.sin(4.0 * dq[k] + 0.6))
 
 
 def two_positions(plant: Plant, joint: int, size: float) -> Plant:
     """Torque sin(3 q_j) cos(2 q_k + 0.5) of this joint and the one before."""
-    torque, j, k = clear(plant, joint, size), joint, other(joint)
-    return on_joint(
-        plant, j, lambda q, dq: -torque * (np.sin(3.0 * q[j]) * np.cos(2.0 * q[k] + 0.5))
-    )
+    most, j, k = clear(plant, joint, size), joint, other(joint)
+    return on_joint(plant, j, lambda q, dq: -most * (np.sin(3 * q[j]) * np.cos(2 * q[k] + 0.5)))
 
 
 def acceleration_cube(plant: Plant, joint: int, size: float) -> Plant:

@@ -11,11 +11,6 @@ from tests.plants.mechanics.joints import swung
 from tests.plants.mechanics.rigid import Rigid
 from tests.plants.simulate import Plant
 
-BEND = 0.020  # rad, of an elastic joint at rated torque and size 1: lowest vibration 5 to 16 Hz
-GAP = 0.004  # rad, of a loose joint at size 1
-CONTACT_BEND = 0.001  # rad, of a loose joint's teeth at rated torque
-DRIFT_TIME = 900.0  # s, after which a drifting sensor is off by a clear torque
-
 
 def ripple(plant: Plant, joint: int, size: float) -> Plant:
     """Order 2 of the motor (strain wave), also without current: sin(2 gear angle + 0.7)."""
@@ -26,13 +21,13 @@ def ripple(plant: Plant, joint: int, size: float) -> Plant:
 
 
 def elastic(plant: Plant, joint: int, size: float) -> Plant:
-    """Joint that bends by 20 mrad times size at rated torque, damping ratio 3 %."""
-    return _spring(plant, joint, BEND * size, 0.03)
+    """Joint that bends by 20 mrad times size at rated torque, damping ratio 3 %; 5 to 16 Hz."""
+    return _spring(plant, joint, 0.020 * size, 0.03)
 
 
 def backlash(plant: Plant, joint: int, size: float) -> Plant:
     """Gap of 4 mrad times size in all, between teeth that bend by 1 mrad at rated torque."""
-    return _spring(plant, joint, CONTACT_BEND, 0.2, GAP * size)
+    return _spring(plant, joint, 0.001, 0.2, 0.004 * size)
 
 
 def _spring(plant: Plant, joint: int, bend: float, ratio: float, gap: float = 0.0) -> Plant:
@@ -51,8 +46,7 @@ def coupling(plant: Plant, joint: int, size: float) -> Plant:
 
 def encoder(plant: Plant, joint: int, size: float) -> Plant:
     """Eccentric disc: 5 mrad of the motor's turn times size, once per turn."""
-    gear = float(plant.arm.gear[joint])
-    amplitude = at(plant, joint, 0.005 * size / gear)
+    amplitude = at(plant, joint, 0.005 * size / (gear := float(plant.arm.gear[joint])))
     return plant.hiding(encoders=lambda angle: amplitude * np.sin(gear * angle + 0.4))
 
 
@@ -70,7 +64,7 @@ def saturation(plant: Plant, joint: int, size: float) -> Plant:
 
     def stage(t: float, tau: Array, angle: Array) -> Array:
         most = np.clip(tau, -top, top)
-        return np.asarray(most * (1.0 - share * (most / rated) ** 2))
+        return most * (1.0 - share * (most / rated) ** 2)
 
     return plant.hiding(drives=lambda run: stage)
 
@@ -80,8 +74,7 @@ def lag(plant: Plant, joint: int, size: float) -> Plant:
     time = at(plant, joint, 0.004 * size)
 
     def begin(run: Run) -> Stage:
-        share = run.dt / (run.dt + time)  # so that the mean delay is `time`
-        now: Array | None = None
+        share, now = run.dt / (run.dt + time), None  # so that the mean delay is `time`
 
         def stage(t: float, tau: Array, angle: Array) -> Array:
             nonlocal now
@@ -108,14 +101,13 @@ def _amperes(plant: Plant, joint: int, size: float) -> Array:
 
 
 def bias(plant: Plant, joint: int, size: float) -> Plant:
-    """Offset of the current sensor."""
     offset = _amperes(plant, joint, size)
     return plant.hiding(currents=lambda t, current: current + offset)
 
 
 def drift(plant: Plant, joint: int, size: float) -> Plant:
     """Offset that grows by a clear torque in 15 minutes since power-on."""
-    slope = _amperes(plant, joint, size) / DRIFT_TIME
+    slope = _amperes(plant, joint, size) / 900.0
     return plant.hiding(currents=lambda t, current: current + slope * t[:, None])
 
 

@@ -6,22 +6,19 @@ is clear, about 5 % of rated torque (`CLEAR`) where the docstring says nothing e
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from math import cos
+from math import cos, exp
 
 import numpy as np
 
 from tests import Array
-from tests.plants.friction.laws import Bristles, Curve, Extra, Heat, MeshLoss, Stribeck, Warming
+from tests.plants.friction.laws import Bristles, Curve, Extra, Heat, MeshLoss, Warming
 from tests.plants.mechanics.hidden import Run, TorqueSource
 from tests.plants.mechanics.rigid import Rigid
 from tests.plants.simulate import Plant
 
 CLEAR = 0.05  # share of rated torque at size 1
 BUSY = 0.6  # share of the limits of speed and acceleration that busy motion uses at once
-STATES = 400
-USUAL_SPEED = 0.3  # share of the top speed at which the gears warm up
-WARMING = 20.0  # K, after hours of usual work
-WARMING_TIME = 300.0  # s
+WARMING = 20.0  # K, after hours of usual work, with a time constant of 300 s
 
 
 def rated_torque(plant: Plant) -> Array:
@@ -29,7 +26,7 @@ def rated_torque(plant: Plant) -> Array:
     rng = np.random.default_rng(0)
     rigid, law = Rigid(plant.arm), plant.friction.begin()
     most = np.zeros(plant.arm.n)
-    for _ in range(STATES):
+    for _ in range(400):
         q = rng.uniform(*plant.position_limits.T)
         dq, ddq = rng.uniform(-BUSY, BUSY, (2, plant.arm.n))
         dq, ddq = dq * plant.velocity_limits, ddq * plant.acceleration_limits
@@ -54,10 +51,15 @@ def _add(plant: Plant, joint: int, curve: Curve) -> Plant:
     return replace(plant, friction=Extra(plant.friction, joint, curve))
 
 
+def _level(plant: Plant, joint: int, most: float, share: Callable[[float, float], float]) -> Plant:
+    """`most` N m more dry friction both ways, times a share that depends on q and v."""
+    return _add(plant, joint, lambda q, v, load: (most * share(q, v), most * share(q, v), 0.0))
+
+
 def stribeck(plant: Plant, joint: int, size: float) -> Plant:
     """Stribeck hump; its speed is 6 % of the top speed."""
     speed = 0.06 * float(plant.velocity_limits[joint])
-    return _add(plant, joint, Stribeck(clear(plant, joint, size), speed))
+    return _level(plant, joint, clear(plant, joint, size), lambda q, v: exp(-((v / speed) ** 2)))
 
 
 def asymmetric(plant: Plant, joint: int, size: float) -> Plant:
@@ -81,8 +83,8 @@ def _power(plant: Plant, joint: int, size: float, share: float, exponent: float)
 
     Below an exponent of 1 it counts as dry, so that it is not stiff at rest.
     """
-    reference = (share * float(plant.velocity_limits[joint])) ** exponent
-    factor = clear(plant, joint, size) / reference
+    top = share * float(plant.velocity_limits[joint])
+    factor = clear(plant, joint, size) / top**exponent
 
     def curve(q: float, v: float, load: float) -> tuple[float, float, float]:
         size = factor * abs(v) ** exponent
@@ -118,17 +120,20 @@ def presliding(plant: Plant, joint: int, size: float) -> Plant:
 def level_wave(plant: Plant, joint: int, size: float) -> Plant:
     """Coulomb level that varies as cos(3 q), by at most 80 % of it."""
     more = min(clear(plant, joint, size), 0.8 * dry_level(plant, joint))
-    return _add(plant, joint, lambda q, v, load: (more * cos(3.0 * q), more * cos(3.0 * q), 0.0))
+    return _level(plant, joint, more, lambda q, v: cos(3.0 * q))
 
 
 def thermal(plant: Plant, joint: int, size: float) -> Plant:
-    """Warm gears turn more easily: 20 K take a clear torque off the viscous one at top speed."""
+    """Warm gears turn more easily: 20 K take a clear torque off the viscous one at top speed.
+
+    They warm up at 30 % of that speed.
+    """
     middle, zero = plant.position_limits.mean(axis=1), np.zeros(plant.arm.n)
-    dq = USUAL_SPEED * plant.velocity_limits
+    dq = 0.3 * plant.velocity_limits
     dry = plant.friction.begin()(0.0, middle, dq, zero)
     usual = (dry.forward + dry.smooth) * dq
     loss = usual / WARMING
-    heat = Heat(capacity=WARMING_TIME * loss, loss=loss, usual=usual)
+    heat = Heat(capacity=300.0 * loss, loss=loss, usual=usual)
     viscous = plant.friction.begin()(0.0, middle, plant.velocity_limits, zero).smooth
     share = min(clear(plant, joint, size) / float(viscous[joint]), 0.6)
     thinning = at(plant, joint, -np.log1p(-share) / WARMING)
@@ -142,10 +147,11 @@ def at(plant: Plant, joint: int, value: float) -> Array:
     return out
 
 
-def middle_and_half(plant: Plant, joint: int) -> tuple[float, float]:
-    """Middle of a joint's range and half of its width, rad."""
+def place_of(plant: Plant, joint: int, share: float = 0.0) -> tuple[float, float]:
+    """A place at a share of the way from the middle of a joint's range, half of that range, rad."""
     low, high = plant.position_limits[joint]
-    return float(0.5 * (low + high)), float(0.5 * (high - low))
+    half = float(0.5 * (high - low))
+    return float(0.5 * (low + high)) + share * half, half
 
 
 def source_on(joint: int, law: Callable[[Array, Array], float]) -> TorqueSource:
@@ -172,15 +178,13 @@ class LinearSpring:
     rest: float
 
     def __call__(self, run: Run) -> TorqueSource:
-        i = self.joint
-        return source_on(i, lambda q, dq: -self.stiffness * (q[i] - self.rest))
+        return source_on(self.joint, lambda q, dq: -self.stiffness * (q[self.joint] - self.rest))
 
 
 def spring(plant: Plant, joint: int, size: float) -> Plant:
     """Linear spring; clear at 60 % of the way from its rest, near the middle, to the end."""
-    middle, half = middle_and_half(plant, joint)
-    stiffness = clear(plant, joint, size) / (0.6 * half)
-    return plant.hiding(torques=LinearSpring(joint, stiffness, middle + 0.1 * half))
+    rest, half = place_of(plant, joint, 0.1)
+    return plant.hiding(torques=LinearSpring(joint, clear(plant, joint, size) / (0.6 * half), rest))
 
 
 def counterbalance(plant: Plant, joint: int, size: float) -> Plant:
@@ -190,7 +194,7 @@ def counterbalance(plant: Plant, joint: int, size: float) -> Plant:
     the spring's length without tension. Its torque is minus the slope of its energy.
     """
     arm, slack = 0.3, 0.5
-    middle, half = middle_and_half(plant, joint)
+    middle, half = place_of(plant, joint)
 
     def torque(q: float, stiffness: float) -> float:
         angle = q - (middle - 0.5)

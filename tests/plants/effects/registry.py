@@ -10,8 +10,6 @@ from tests.plants.simulate import Plant
 
 @dataclass(frozen=True)
 class Entry:
-    """One kind of undeclared effect."""
-
     kind: str | None  # the catalogue's name, None outside of it
     make: Callable[[Plant, int, float], Plant]
     place: Literal["joint", "arm"] = "joint"  # whose it is
@@ -23,10 +21,8 @@ class Entry:
 class Injection:
     """A plant with one undeclared effect more than `declared`, as its robot file says."""
 
-    name: str
     kind: str | None
     joint: int | None  # None: of the whole arm or its measurement
-    size: float
     depends_on: tuple[str, ...]
     declared: Plant
     plant: Plant
@@ -81,4 +77,4 @@ def inject(name: str, plant: Plant, joint: int, size: float = 1.0) -> Injection:
     partner = plant.arm.names[arm.other(joint)] if plant.arm.n > 1 else ""
     depends = tuple(f"{x}:{partner}" if x == "other_joint" else x for x in entry.depends_on)
     at = joint if entry.place == "joint" else None
-    return Injection(name, entry.kind, at, size, depends, plant, entry.make(plant, joint, size))
+    return Injection(entry.kind, at, depends, plant, entry.make(plant, joint, size))

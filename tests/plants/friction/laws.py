@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import exp
 
 import numpy as np
 from scipy.signal import lfilter
@@ -37,18 +36,6 @@ class Extra:
 
 
 @dataclass(frozen=True)
-class Stribeck:
-    """level exp(-(v/speed)^2) sign(v)."""
-
-    level: float
-    speed: float
-
-    def __call__(self, q: float, v: float, load: float) -> tuple[float, float, float]:
-        more = self.level * exp(-((v / self.speed) ** 2))
-        return more, more, 0.0
-
-
-@dataclass(frozen=True)
 class MeshLoss:
     """|load| sign(v), times `driving` where the drive moves the load, else `back_driving`."""
 
@@ -77,8 +64,7 @@ class Bristles:
     damping: float
 
     def begin(self) -> Law:
-        base, i = self.base.begin(), self.joint
-        bend, before = 0.0, np.nan
+        base, i, bend, before = self.base.begin(), self.joint, 0.0, np.nan
 
         def law(t: float, q: Array, dq: Array, load: Array) -> Friction:
             nonlocal bend, before
@@ -143,19 +129,15 @@ class Warming:
     thinning: Array
 
     def begin(self) -> Law:
-        """The law of one run; its temperature follows its own friction power."""
-        base, heat = self.base.begin(), self.heat
+        base, heat, then = self.base.begin(), self.heat, 0.0
         degrees: Array | None = None
-        then = 0.0
 
         def law(t: float, q: Array, dq: Array, load: Array) -> Friction:
             nonlocal degrees, then
             if degrees is None:
                 degrees, then = heat.at(t), t
-            cold = base(t, q, dq, load)
-            felt = cold._replace(
-                smooth=cold.smooth * np.exp(-self.thinning * (degrees - heat.ambient))
-            )
+            cold, thinner = base(t, q, dq, load), np.exp(-self.thinning * (degrees - heat.ambient))
+            felt = cold._replace(smooth=cold.smooth * thinner)
             if t > then:
                 degrees = heat.advance(degrees, np.abs(felt.sliding(dq) * dq), t - then)
                 then = t

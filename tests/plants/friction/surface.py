@@ -17,7 +17,6 @@ class Friction(NamedTuple):
     smooth: Array
 
     def sliding(self, dq: Array) -> Array:
-        """Torque at a velocity other than zero."""
         return np.where(dq > 0, self.forward, -self.backward) + self.smooth
 
 
@@ -61,7 +60,7 @@ class Frictionless:
     """No friction at all, for checks of the mechanics."""
 
     def begin(self) -> Law:
-        return lambda t, q, dq, load: Friction(*(np.zeros_like(q) for _ in range(3)))
+        return lambda t, q, dq, load: Friction(*np.zeros((3, *q.shape)))
 
 
 def stick_slip(

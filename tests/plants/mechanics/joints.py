@@ -40,12 +40,10 @@ class RigidJoints(_Joints):
     """Drives and links move as one; friction may act on combinations of the joints' rates."""
 
     def __post_init__(self) -> None:
-        start, hidden, self._reflected = self.start, self.hidden, self.rigid.arm.reflected
-        self._a = hidden.coupling
+        self._a, self._reflected = self.hidden.coupling, self.rigid.arm.reflected
         self._back = np.linalg.inv(self._a) if self._a is not None else None
-        self._q, self._half = start.copy(), np.zeros(len(start))
-        self._ddq, self._load, self._sign = (np.zeros(len(start)) for _ in range(3))
-        self._first = True
+        self._q, self._first = self.start.copy(), True
+        self._half, self._ddq, self._load, self._sign = np.zeros((4, len(self._q)))
 
     def reading_angle(self) -> Array:
         """Angle of the drives, which the controller reads now, (n,) rad."""
@@ -60,13 +58,11 @@ class RigidJoints(_Joints):
         for source in self.sources:
             push = push + source(t, q, dq)
         ddq, friction = self._slip(t, q, dq, mass, push)
-        if self._first:
-            self._half = -0.5 * dt * ddq  # so that it is the first row that is at rest
-            self._first = False
+        if self._first:  # so that it is the first row that is at rest
+            self._half, self._first = -0.5 * dt * ddq, False
         self._load = tau - friction - self._reflected * ddq
         row = Row(q, self._half + 0.5 * dt * ddq, ddq, friction, q)
-        self._ddq = ddq
-        self._half = self._half + dt * ddq
+        self._ddq, self._half = ddq, self._half + dt * ddq
         self._q = q + dt * self._half
         return row
 
@@ -79,8 +75,7 @@ class RigidJoints(_Joints):
             return ddq, rub + dry.smooth
         a, back = self._a, self._back
         dry = self.law(t, a @ q, a @ dq, self._load)
-        turned = back.T @ mass @ back
-        force = back.T @ push - dry.smooth
+        turned, force = back.T @ mass @ back, back.T @ push - dry.smooth
         rates = a @ self._half
         spin, rub, self._sign = stick_slip(turned, force, rates, self.dt, dry, self._sign)
         return back @ spin, a.T @ (rub + dry.smooth)
@@ -106,12 +101,10 @@ class ElasticJoints(_Joints):
         self._drive = np.arange(n)  # which coordinate a joint's friction and motor act on
         self._drive[self._joints] = n + np.arange(len(self._joints))
         stiff = [s.stiffness / swung(self.rigid, s.joint, start) for s in hidden.springs]
-        fastest = np.sqrt(max(stiff))
-        parts = int(np.ceil(fastest * self.dt / FINEST))
+        parts = int(np.ceil(np.sqrt(max(stiff)) * self.dt / FINEST))
         self._parts = max(2, parts + parts % 2)  # even
-        self._x = self._at_rest(start)
-        self._v, self._a = np.zeros_like(self._x), np.zeros_like(self._x)
-        self._sign, self._load = np.zeros_like(self._x), np.zeros(n)
+        self._x, self._load = self._at_rest(start), np.zeros(n)
+        self._v, self._a, self._sign = np.zeros((3, len(self._x)))
 
     def _at_rest(self, start: Array) -> Array:
         """Coordinates at rest with the drives at `start` and the springs carrying gravity."""
@@ -126,11 +119,10 @@ class ElasticJoints(_Joints):
         return self._x[self._drive]
 
     def step(self, t: float, tau: Array) -> Row:
-        n, h, drive = self._n, self.dt / self._parts, self._drive
+        n, h, drive, own = self._n, self.dt / self._parts, self._drive, self._joints
         now = self._v + 0.5 * h * self._a
         mass = np.zeros((len(self._x), len(self._x)))
         mass[:n, :n], bias = self.rigid.terms(self._x[:n], now[:n])
-        own = self._joints
         mass[own, own] -= self._reflected[own]
         mass[drive[own], drive[own]] = self._reflected[own]
         inverse = np.asarray(np.linalg.inv(mass))
@@ -155,9 +147,8 @@ class ElasticJoints(_Joints):
         self, h: float, mass: Array, inverse: Array, slow: Array, levels: Friction
     ) -> Array:
         """Update the acceleration; return the dry friction of every coordinate."""
-        force, n = slow.copy(), self._n
-        x, v, a = self._x, self._v, self._a
-        for k, spring in enumerate(self._springs, start=n):
+        force, x, v, a = slow.copy(), self._x, self._v, self._a
+        for k, spring in enumerate(self._springs, start=self._n):
             i = spring.joint
             rate = v[k] - v[i] + 0.5 * h * (a[k] - a[i])
             torque = spring.torque(float(x[k] - x[i]), float(rate))
@@ -166,21 +157,19 @@ class ElasticJoints(_Joints):
         sign, drive = self._sign, self._drive
         rub = np.where(sign > 0, levels.forward, -levels.backward)
         guess = inverse @ (force - rub)
-        slipping = sign[drive]
-        if not slipping.all() or ((v + h * guess)[drive] * slipping).min() < 0:
+        if not sign[drive].all() or ((v + h * guess) * sign)[drive].min() < 0:
             guess, rub, self._sign = stick_slip(mass, force, v, h, levels, sign)
         self._a = guess
         return rub
 
     def _row(self, h: float, friction: Array) -> Row:
-        n, rate = self._n, self._v + 0.5 * h * self._a
-        return Row(self._x[:n].copy(), rate[:n], self._a[:n].copy(), friction, self._x[self._drive])
+        rate = self._v + 0.5 * h * self._a
+        links = (x[: self._n].copy() for x in (self._x, rate, self._a))
+        return Row(*links, friction, self._x[self._drive])
 
 
 def swung(rigid: Rigid, joint: int, q: Array) -> float:
     """Inertia of drive and link against each other with the other joints free, kg m^2."""
-    reflected = rigid.arm.reflected
-    mass, _ = rigid.terms(q, np.zeros_like(q))
-    mass = mass.copy()
+    reflected, mass = rigid.arm.reflected, rigid.terms(q, np.zeros_like(q))[0].copy()
     mass[joint, joint] -= reflected[joint]
     return float(1.0 / (np.linalg.inv(mass)[joint, joint] + 1.0 / reflected[joint]))

@@ -32,18 +32,15 @@ class Arm:
         return self.gear**2 * self.rotor_inertia
 
 
-def rot_x(angle: float) -> Array:
-    """Rotation about x by `angle` rad, (3, 3)."""
+def rot_x(angle: float) -> Array:  # rad
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
 
 
 def rot_z(angle: Array) -> Array:
     """Rotations about z by `angle` (N,) rad, (N, 3, 3)."""
-    c, s = np.cos(angle), np.sin(angle)
-    out = np.zeros((*angle.shape, 3, 3))
-    out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1] = c, -s, s, c
-    out[..., 2, 2] = 1.0
+    (c, s), out = (np.cos(angle), np.sin(angle)), np.zeros((*angle.shape, 3, 3))
+    out[..., 0, 0], out[..., 0, 1], out[..., 1, 0], out[..., 1, 1], out[..., 2, 2] = c, -s, s, c, 1
     return out
 
 
@@ -55,7 +52,6 @@ def placement(row: Array) -> tuple[Array, Array]:
 
 
 def build_model(arm: Arm) -> pin.Model:
-    """Build the Pinocchio model of `arm`, without its rotors."""
     model = pin.Model()
     model.gravity.linear = arm.gravity
     parent = 0
@@ -71,11 +67,8 @@ class Rigid:
     """M(q) and h(q, dq) of M ddq + h = tau, rotors included."""
 
     def __init__(self, arm: Arm) -> None:
-        self.arm = arm
-        self._model = build_model(arm)
-        self._data = self._model.createData()
-        self._reflected = np.diag(arm.reflected)
-        self._zero = np.zeros(arm.n)
+        self.arm, self._model = arm, build_model(arm)
+        self._data, self._reflected = self._model.createData(), np.diag(arm.reflected)
         self._lower = np.tril_indices(arm.n, -1)
 
     def terms(self, q: Array, dq: Array) -> tuple[Array, Array]:
@@ -84,10 +77,10 @@ class Rigid:
         mass[self._lower] = mass.T[self._lower]
         mass = mass + self._reflected
         bias = pin.nonLinearEffects(self._model, self._data, q, dq)
-        if not self.arm.rotor_coupling:
-            return mass, bias
-        extra_mass, extra_bias = self._rotor_terms(q, dq)
-        return mass + extra_mass, bias + extra_bias
+        if self.arm.rotor_coupling:
+            extra_mass, extra_bias = self._rotor_terms(q, dq)
+            mass, bias = mass + extra_mass, bias + extra_bias
+        return mass, bias
 
     def gravity_torque(self, q: Array) -> Array:
         """Torque (n,) N m that holds the arm at rest."""
@@ -111,15 +104,13 @@ class Rigid:
         """Reaction of spin I_m N dq_i z_i on the link before joint i, and of that link on it."""
         model, data, arm = self._model, self._data, self.arm
         pin.computeJointJacobians(model, data, q)
-        pin.forwardKinematics(model, data, q, dq, self._zero)
+        pin.forwardKinematics(model, data, q, dq, np.zeros(arm.n))
         mass, bias = np.zeros((arm.n, arm.n)), np.zeros(arm.n)
         for i in range(1, arm.n):
             spin = arm.gear[i] * arm.rotor_inertia[i]
             jac = pin.getJointJacobian(model, data, i, pin.LOCAL_WORLD_ALIGNED)[3:]
-            axis = data.oMi[i + 1].rotation[:, 2]
-            turn = data.oMi[i].rotation
-            omega = turn @ data.v[i].angular
-            lever = jac.T @ axis
+            axis, turn = data.oMi[i + 1].rotation[:, 2], data.oMi[i].rotation
+            omega, lever = turn @ data.v[i].angular, jac.T @ axis
             mass[i] += spin * lever
             mass[:, i] += spin * lever
             bias[i] += spin * axis @ (turn @ data.a[i].angular)

@@ -7,18 +7,8 @@ from itertools import combinations
 import numpy as np
 
 from tests import Array
-from tests.plants.motions.trajectories import (
-    Profile,
-    Reference,
-    fourier,
-    hold,
-    join,
-    point_to_point,
-    sweeps,
-    together,
-    trapezoids,
-    zigzag,
-)
+from tests.plants.motions import trajectories as line
+from tests.plants.motions.trajectories import Profile, Reference, hold, join
 from tests.plants.simulate import Plant
 
 
@@ -45,7 +35,6 @@ def spans(plant: Plant) -> Array:
 
 
 def top_of(plant: Plant, joint: int) -> tuple[float, float]:
-    """Limits of a joint's speed and acceleration, rad/s, rad/s^2."""
     return float(plant.velocity_limits[joint]), float(plant.acceleration_limits[joint])
 
 
@@ -62,7 +51,7 @@ def swept(
     """One joint both ways over a share `span` of its range, at `shares` of its top speed."""
     top, accel = top_of(plant, joint)
     ends, speeds = span_of(plant, joint, span), [top * share for share in shares]
-    return sweeps(posture, joint, ends, speeds, accel, rate_hz=rate_hz, dwell=dwell)
+    return line.sweeps(posture, joint, ends, speeds, accel, rate_hz=rate_hz, dwell=dwell)
 
 
 def friction_trials(
@@ -76,10 +65,9 @@ def friction_trials(
     """Each joint by itself, both ways over its range at every speed, in a locked posture."""
     trials = []
     for joint, name in enumerate(plant.arm.names):
-        top, accel = top_of(plant, joint)
-        pace = [float(v) for v in np.geomspace(lowest * top, top, speeds)]
-        ends = span_of(plant, joint)
-        motion = sweeps(posture, joint, ends, pace, accel, rate_hz=rate_hz)
+        (top, accel), ends = top_of(plant, joint), span_of(plant, joint)
+        pace = np.geomspace(lowest * top, top, speeds).tolist()
+        motion = line.sweeps(posture, joint, ends, pace, accel, rate_hz=rate_hz)
         trials.append(Trial("friction", name, motion))
     return trials
 
@@ -98,7 +86,7 @@ def gravity_trials(
         for posture in postures:
             sweep = swept(plant, posture, joint, speeds, rate_hz)
             if parts:
-                parts.append(trapezoids(parts[-1].q[-1], sweep.q[0], *limits, rate_hz))
+                parts.append(line.trapezoids(parts[-1].q[-1], sweep.q[0], *limits, rate_hz))
             parts.append(sweep)
         trials.append(Trial("gravity", plant.arm.names[joint], join(parts)))
     return trials
@@ -115,13 +103,10 @@ def imu_trials(
     plant: Plant, postures: Sequence[Array], *, rate_hz: float = 1000.0, turns: int = 3
 ) -> list[Trial]:
     """Joint 1 rotates in each locked posture; then every other joint by itself."""
-    names = plant.arm.names
+    names, how = plant.arm.names, {"share": 0.4, "rate_hz": rate_hz}
     asked = [(f"{names[0]}_posture_{k}", posture, 0) for k, posture in enumerate(postures, start=1)]
     asked += [(names[joint], postures[0], joint) for joint in range(1, plant.arm.n)]
-    return [
-        Trial("imu", name, swing(plant, *at, turns, share=0.4, rate_hz=rate_hz), imus=True)
-        for name, *at in asked
-    ]
+    return [Trial("imu", name, swing(plant, *at, turns, **how), imus=True) for name, *at in asked]
 
 
 def inertia_trials(
@@ -144,7 +129,7 @@ def inertia_trials(
     for number, group in enumerate(groups):
         posture = postures[number % len(postures)]
         moving = {j: _busy(plant, j, float(posture[j]), rng, seconds, rate_hz) for j in group}
-        motion = together(posture, moving, rate_hz)
+        motion = line.together(posture, moving, rate_hz)
         start = hold(motion.q[0], 0.3, rate_hz)
         label = "__".join(plant.arm.names[joint] for joint in group)
         label += f"_{number + 1}" if groups.count(group) > 1 else ""
@@ -159,7 +144,7 @@ def _busy(
     low, high = span_of(plant, joint)
     half = (high - low) / 3.0
     centre = float(np.clip(centre, low + half, high - half))
-    return zigzag(rng, (centre - half, centre + half), *top_of(plant, joint), seconds, rate)
+    return line.zigzag(rng, (centre - half, centre + half), *top_of(plant, joint), seconds, rate)
 
 
 def validation_trials(
@@ -173,7 +158,7 @@ def validation_trials(
     """Motion of all joints that no stage sees: a Fourier series, then moves between postures."""
     limits = *spans(plant), 0.9 * plant.velocity_limits, 0.9 * plant.acceleration_limits
     harmonics = max(4, round(0.8 * seconds))
-    series = fourier(rng, *limits, seconds=seconds, harmonics=harmonics, rate_hz=rate_hz)
-    moves = point_to_point(rng, *limits, points=points, rate_hz=rate_hz)
+    series = line.fourier(rng, *limits, seconds=seconds, harmonics=harmonics, rate_hz=rate_hz)
+    moves = line.point_to_point(rng, *limits, points=points, rate_hz=rate_hz)
     named = (("fourier_1", series), ("point_to_point", moves))
     return [Trial("validation", name, motion, imus=True) for name, motion in named]

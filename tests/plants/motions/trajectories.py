@@ -19,7 +19,6 @@ class Reference:
 
     @property
     def duration(self) -> float:
-        """Length, s."""
         return len(self.q) / self.rate_hz
 
 
@@ -27,16 +26,13 @@ Profile = tuple[Array, Array, Array]  # position, velocity, acceleration of one 
 
 
 def join(parts: Sequence[Reference]) -> Reference:
-    """Put references one after the other."""
     series = zip(*((p.q, p.dq, p.ddq) for p in parts), strict=True)
     return Reference(*map(np.concatenate, series), parts[0].rate_hz)
 
 
 def hold(q: Array, seconds: float, rate_hz: float) -> Reference:
-    """Stay at q (n,)."""
     count = round(seconds * rate_hz)
-    zero = np.zeros((count, len(q)))
-    return Reference(np.tile(q, (count, 1)), zero, zero.copy(), rate_hz)
+    return Reference(np.tile(q, (count, 1)), *np.zeros((2, count, len(q))), rate_hz)
 
 
 def trapezoid(start: float, end: float, speed: float, accel: float, rate_hz: float) -> Profile:
@@ -46,12 +42,9 @@ def trapezoid(start: float, end: float, speed: float, accel: float, rate_hz: flo
     if way == 0.0:
         return np.full(1, start), np.zeros(1), np.zeros(1)
     ramp, total = top / accel, way / top + top / accel
-    t = np.arange(1, int(np.ceil(total * rate_hz)) + 1) / rate_hz
-    t = np.minimum(t, total)
-    up = np.minimum(t, ramp)
-    down = np.maximum(t - (total - ramp), 0.0)
-    flat = t - up - down
-    sign = np.sign(end - start)
+    t = np.minimum(np.arange(1, int(np.ceil(total * rate_hz)) + 1) / rate_hz, total)
+    up, down = np.minimum(t, ramp), np.maximum(t - (total - ramp), 0.0)
+    flat, sign = t - up - down, np.sign(end - start)
     speed_now = accel * (up - down)
     moved = 0.5 * accel * up**2 + top * flat + top * down - 0.5 * accel * down**2
     push = np.where(t < ramp, accel, np.where(t > total - ramp, -accel, 0.0))
@@ -97,9 +90,7 @@ def zigzag(
 ) -> Profile:
     """Trapezoids of varied length, speed and acceleration between points drawn from `span`."""
     low, high = span
-    here = 0.5 * (low + high)
-    parts: list[Profile] = []
-    count = 0
+    here, count, parts = 0.5 * (low + high), 0, list[Profile]()
     while count < seconds * rate_hz:
         side = low if here > 0.5 * (low + high) else high
         there = float(side + (here - side) * 0.6 * rng.random())
@@ -107,8 +98,7 @@ def zigzag(
         parts.append(trapezoid(here, there, pace, push, rate_hz))
         count += len(parts[-1][0])
         here = there
-    q, dq, ddq = map(np.concatenate, zip(*parts, strict=True))
-    return q, dq, ddq
+    return tuple(map(np.concatenate, zip(*parts, strict=True)))
 
 
 def together(home: Array, moving: dict[int, Profile], rate_hz: float) -> Reference:
@@ -135,10 +125,8 @@ def point_to_point(
     here = 0.5 * (low + high)
     parts = [hold(here, dwell, rate_hz)]
     for _ in range(points):
-        there = rng.uniform(low, high)
-        move = trapezoids(here, there, speed, accel, rate_hz)
-        parts += [move, hold(there, dwell, rate_hz)]
-        here = there
+        before, here = here, rng.uniform(low, high)
+        parts += [trapezoids(before, here, speed, accel, rate_hz), hold(here, dwell, rate_hz)]
     return join(parts)
 
 
@@ -150,9 +138,8 @@ def fourier(
     `limits` (n,) are the lowest and the highest position, speed, acceleration; each joint is scaled
     until it reaches the first of them.
     """
-    t = np.arange(round(seconds * rate_hz)) / rate_hz
+    t, k = np.arange(round(seconds * rate_hz)) / rate_hz, np.arange(1, harmonics + 1)
     base = 2.0 * np.pi / seconds
-    k = np.arange(1, harmonics + 1)
     weight = rng.standard_normal((2, harmonics, len(limits[0]))) / k[None, :, None]
     q, dq, ddq = _series(weight, base * np.outer(t, k), (base * k)[:, None])
     return _scaled(_windowed(t, seconds, (q - q.mean(axis=0), dq, ddq)), limits, rate_hz)

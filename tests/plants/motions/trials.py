@@ -1,20 +1,13 @@
 """The logs of a study of undeclared effects: training and held-out, minutes apart."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tests import Array
+from tests.plants.motions import trajectories as line
 from tests.plants.motions.experiments import spans
-from tests.plants.motions.trajectories import (
-    Reference,
-    hold,
-    join,
-    periodic,
-    point_to_point,
-    together,
-    zigzag,
-)
+from tests.plants.motions.trajectories import Reference
 from tests.plants.simulate import Log, Plant, simulate
 
 RATE_HZ = 1000.0  # of the control
@@ -49,7 +42,7 @@ def waves(
     plant: Plant, rng: np.random.Generator, *, period: float, share: float, seconds: float = 20.0
 ) -> Reference:
     """Fourier series of all joints over whole periods, three of them in 20 s."""
-    return periodic(
+    return line.periodic(
         rng,
         *_bounds(plant, share),
         period=period,
@@ -68,7 +61,7 @@ def moves(
     state = rng.bit_generator.state
     while True:
         rng.bit_generator.state = state
-        motion = point_to_point(rng, *limits, points=points, rate_hz=RATE_HZ)
+        motion = line.point_to_point(rng, *limits, points=points, rate_hz=RATE_HZ)
         if motion.duration >= seconds - 2.0 * REST:
             return _rested(motion)
         points += 1
@@ -81,15 +74,15 @@ def zigzags(
     low, high, speed, accel = _bounds(plant, share)
     length = max(seconds - 2.0 * REST - 3.0, 0.5)
     profiles = {
-        joint: zigzag(rng, (a, b), top, push, length, RATE_HZ)
+        joint: line.zigzag(rng, (a, b), top, push, length, RATE_HZ)
         for joint, (a, b, top, push) in enumerate(np.array([low, high, speed, accel]).T.tolist())
     }
-    return _rested(together(0.5 * (low + high), profiles, RATE_HZ))
+    return _rested(line.together(0.5 * (low + high), profiles, RATE_HZ))
 
 
 def _rested(motion: Reference) -> Reference:
-    ends = hold(motion.q[0], REST, RATE_HZ), hold(motion.q[-1], REST, RATE_HZ)
-    return join([ends[0], motion, ends[1]])
+    first, last = (line.hold(motion.q[k], REST, RATE_HZ) for k in (0, -1))
+    return line.join([first, motion, last])
 
 
 def drills(plant: Plant, seed: int, *, seconds: float = 20.0) -> tuple[Drill, ...]:
@@ -108,13 +101,11 @@ def drills(plant: Plant, seed: int, *, seconds: float = 20.0) -> tuple[Drill, ..
     made = []
     for name, make, share, period in plan:
         more = {} if period is None else {"period": period}
-        made.append((name, make(plant, rng, share=share, seconds=seconds, **more), period))
+        motion = make(plant, rng, share=share, seconds=seconds, **more)
+        made.append(Drill(name, motion, 0.0, period, name.startswith("held")))
     pauses = rng.uniform(120.0, 240.0, len(plan)).round(3)
     starts = 20.0 + np.cumsum(pauses) - pauses[0]
-    return tuple(
-        Drill(name, reference, float(start), period, name.startswith("held"))
-        for (name, reference, period), start in zip(made, starts, strict=True)
-    )
+    return tuple(replace(x, start=float(s)) for x, s in zip(made, starts, strict=True))
 
 
 def run_drill(plant: Plant, drill: Drill, seed: int) -> Log:

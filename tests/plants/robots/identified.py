@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -30,7 +31,6 @@ def sequential(logs: Logs, robot: Robot) -> Stages:
 
 
 def before_inertia(logs: Logs, robot: Robot) -> Stages:
-    """All stages but the last."""
     surface = identify_friction(logs["friction"], robot, options=FrictionOptions())
     slow = [*logs["friction"], *logs.get("gravity", ())]
     return Stages(
@@ -41,19 +41,16 @@ def before_inertia(logs: Logs, robot: Robot) -> Stages:
 
 
 def with_inertia(logs: Logs, robot: Robot, stages: Stages, options: InertiaOptions) -> Stages:
-    """The stages with inertia identified as `options` say."""
-    found = identify_inertia(logs["inertia"], robot, stages, options=options)
-    return replace(stages, inertia=found)
+    return replace(
+        stages, inertia=identify_inertia(logs["inertia"], robot, stages, options=options)
+    )
 
 
 def simultaneous(
-    recordings: Sequence[Recording],
-    robot: Robot,
-    imu: ImuStage | None = None,
-    motion: MotionOptions | None = None,
+    recordings: Sequence[Recording], robot: Robot, imu: ImuStage | None = None, **own: Any
 ) -> Stages:
     """Everything in one least squares, with Coulomb and viscous friction alone (Eq. 5-6)."""
-    options = motion or MotionOptions()
+    options = MotionOptions(**own)
     friction, inertia = identify_simultaneous(recordings, robot, options=options, offset=False)
     return Stages(friction=friction, imu=imu, inertia=inertia)
 

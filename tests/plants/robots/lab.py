@@ -1,5 +1,6 @@
 """From a simulated plant to the recordings that the stages read, without files in between."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -63,26 +64,20 @@ def run(
     name: str, plant: Plant, trials: Sequence[Trial], repetition: int, *, every: int = 1
 ) -> Experiment:
     """Simulate all trials anew, with the noise seeds of this repetition."""
-    recordings: dict[str, list[Recording]] = {}
-    logs: dict[str, list[Log]] = {}
-    for number, trial in enumerate(trials):
-        seed = SEED_STRIDE * (repetition + 1) + number
+    recordings, logs = defaultdict[str, list[Recording]](list), defaultdict[str, list[Log]](list)
+    for seed, trial in enumerate(trials, start=SEED_STRIDE * (repetition + 1)):
         log = simulate(plant, trial.reference, seed, every=every, imus=trial.imus)
         label = f"{trial.stage}/{trial.name}"
-        recordings.setdefault(trial.stage, []).append(recording_of(plant, label, log))
-        logs.setdefault(trial.stage, []).append(log)
-    return Experiment(plant, robot_of(name, plant), recordings, logs)
+        recordings[trial.stage].append(recording_of(plant, label, log))
+        logs[trial.stage].append(log)
+    return Experiment(plant, robot_of(name, plant), dict(recordings), dict(logs))
 
 
 def true_standard(plant: Plant) -> dict[str, float]:
     """Standard parameters of all links and rotor inertias, by the names of the parameter file."""
-    arm = plant.arm
-    links = {
-        f"{symbol}_{link + 1}": float(arm.phi[link, k])
-        for link in range(arm.n)
-        for k, symbol in enumerate(PHI_NAMES)
-    }
-    return links | {f"Ia_{i + 1}": float(x) for i, x in enumerate(arm.rotor_inertia)}
+    names = [f"{symbol}_{link + 1}" for link in range(plant.arm.n) for symbol in PHI_NAMES]
+    links = dict(zip(names, plant.arm.phi.ravel().tolist(), strict=True))
+    return links | {f"Ia_{i + 1}": float(x) for i, x in enumerate(plant.arm.rotor_inertia)}
 
 
 def true_value(terms: Mapping[str, float], standard: Mapping[str, float]) -> float:

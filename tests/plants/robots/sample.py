@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -44,6 +44,7 @@ class Rig:
     """One robot of the sample logs; stages are identified when first asked for."""
 
     name: str
+    read: dict[str, list[Recording]] = field(default_factory=dict, compare=False)
 
     @property
     def folder(self) -> Path:
@@ -64,15 +65,10 @@ class Rig:
 
     def logs(self, stage: str) -> list[Recording]:
         """The recordings of one stage, read once; none where it has no folder."""
-        if stage not in self._recordings:
-            folder = self.folder / stage
-            paths = sorted(folder.iterdir()) if folder.exists() else []
-            self._recordings[stage] = [read_recording(path, self.robot) for path in paths]
-        return self._recordings[stage]
-
-    @cached_property
-    def _recordings(self) -> dict[str, list[Recording]]:
-        return {}
+        if stage not in self.read:
+            paths = sorted((self.folder / stage).glob("*"))
+            self.read[stage] = [read_recording(path, self.robot) for path in paths]
+        return self.read[stage]
 
     @cached_property
     def friction(self) -> FrictionStage:
@@ -91,15 +87,18 @@ class Rig:
     def inertia(self) -> RigidStage:
         return self.inertia_of(self.logs("inertia"))
 
+    @cached_property
+    def known(self) -> Stages:
+        """What the inertia stage starts from."""
+        return Stages(friction=self.friction, gravity=self.gravity, imu=self.imu)
+
     def inertia_of(self, logs: list[Recording], source: str = "auto") -> RigidStage:
         """The inertia stage from some of the logs, or with another source of motion."""
-        stages = Stages(friction=self.friction, gravity=self.gravity, imu=self.imu)
-        return identify_inertia(logs, self.robot, stages, options=InertiaOptions(source=source))
+        return identify_inertia(logs, self.robot, self.known, options=InertiaOptions(source=source))
 
     @cached_property
     def stages(self) -> Stages:
-        known = Stages(friction=self.friction, gravity=self.gravity, imu=self.imu)
-        return replace(known, inertia=self.inertia)
+        return replace(self.known, inertia=self.inertia)
 
     @cached_property
     def simultaneous(self) -> Stages:

@@ -22,8 +22,6 @@ RESOLUTION = 2 * np.pi / 2**20
 GROUP = 131_072
 TORQUE_NOISE = 0.3
 COULOMB, VISCOUS, FASTEST, SIGN_WIDTH = 2.0, 1.5, 6.0, 0.02
-HARMONICS = 8
-PERIOD_S = 10.0
 
 # Where each joint sits in the frame of the one before: xyz [m] and quarters of a roll; axes are z.
 PLACES = ("0 0 0.333", "0 0 0", "0 -0.316 0", "0.0825 0 0", "-0.0825 0.384 0", "0 0 0", "0.088 0 0")
@@ -32,7 +30,6 @@ JOINTS = tuple(f"joint_{i + 1}" for i in range(N))
 
 
 def write_arm(folder: Path) -> Path:
-    """Write the URDF and the robot file; returns the latter."""
     links = ['<link name="base"/>']
     for i, (xyz, roll) in enumerate(zip(PLACES, ROLLS, strict=True)):
         mass, size = 4.0 - 0.45 * i, 0.05 - 0.006 * i
@@ -56,15 +53,9 @@ def write_arm(folder: Path) -> Path:
 def known_friction() -> Stages:
     """The friction of the logs, as a stage of orders (0, 1)."""
     ahead, back = surface_entries(FASTEST, 2)
-    values = np.array([COULOMB, VISCOUS])
-    covariance = ahead @ np.diag([1e-4, 1e-4]) @ ahead.T
-    joint = friction_joint(
-        [(ahead @ values).tolist()],
-        [(back @ values).tolist()],
-        speed_range=[0.0, FASTEST],
-        sign_width=SIGN_WIDTH,
-        covariance=covariance.tolist(),
-    )
+    values, covariance = np.array([COULOMB, VISCOUS]), ahead @ np.diag([1e-4, 1e-4]) @ ahead.T
+    own = {"speed_range": [0.0, FASTEST], "sign_width": SIGN_WIDTH}
+    joint = friction_joint([ahead @ values], [back @ values], covariance=covariance.tolist(), **own)
     return Stages(friction=FrictionStage(joints=dict.fromkeys(JOINTS, joint)))
 
 
@@ -79,9 +70,8 @@ def known_model(robot: Robot, share: float = 1.0) -> Stages:
 
 def motion(t: Array) -> tuple[Array, Array, Array]:
     """Position, velocity and acceleration (M, 7) at times t [s]."""
-    rng = np.random.default_rng(5)
-    w = 2 * np.pi * np.arange(1, HARMONICS + 1) / PERIOD_S
-    size = rng.normal(size=(2, HARMONICS, N)) * 0.15
+    w = 2 * np.pi * np.arange(1, 9) / 10.0
+    size = np.random.default_rng(5).normal(size=(2, len(w), N)) * 0.15
     sine, cosine = np.sin(np.outer(t, w)), np.cos(np.outer(t, w))
     # Every period is a little different, so that a long log is not one period many times.
     slow = 1 + 0.2 * np.sin(2 * np.pi * t[:, None] / 313.0)
@@ -95,17 +85,15 @@ def motion(t: Array) -> tuple[Array, Array, Array]:
 def write_log(path: Path, robot: Robot, rows: int) -> Path:
     """Write a Parquet log: time, position and torque, in row groups of 131,072."""
     assert robot.nominal is not None
-    rng = np.random.default_rng(6)
-    writer = None
+    rng, writer = np.random.default_rng(6), None
     for first in range(0, rows, GROUP):
         t = (first + np.arange(min(GROUP, rows - first))) / RATE_HZ
         q, dq, ddq = motion(t)
         tau = inverse_dynamics(robot.chain, robot.gravity, robot.nominal, q, dq, ddq)
         tau += (COULOMB + VISCOUS * np.abs(dq)) * np.tanh(dq / SIGN_WIDTH)
         tau += TORQUE_NOISE * rng.normal(size=tau.shape)
-        counted = RESOLUTION * np.round(q / RESOLUTION)
-        columns = {f"{name}.position": counted[:, j] for j, name in enumerate(JOINTS)}
-        columns |= {f"{name}.torque": tau[:, j] for j, name in enumerate(JOINTS)}
+        channels = {"position": RESOLUTION * np.round(q / RESOLUTION), "torque": tau}
+        columns = {f"{x}.{k}": v[:, j] for k, v in channels.items() for j, x in enumerate(JOINTS)}
         table = pa.table({"t": t} | columns)
         writer = writer or pq.ParquetWriter(path, table.schema, compression="zstd")
         writer.write_table(table)

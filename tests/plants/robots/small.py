@@ -28,15 +28,13 @@ def robot_from_chain(
 
 
 def arm_6r(*, gear_ratio: float | None = None) -> Robot:
-    return robot_from_chain(
-        chain_from_dh([(alpha, a, d, 0.0) for alpha, a, d in ARM_6R]), gear_ratio=gear_ratio
-    )
+    return robot_from_chain(chain_from_dh([(*row, 0.0) for row in ARM_6R]), gear_ratio=gear_ratio)
 
 
 def planar_2r() -> Robot:
     """Return the arm of Sec. 4.2: two vertical axes, l_1 = 0.3 m."""
-    rows = [(0.0, 0.0, 0.0, 0.0), (0.0, 0.3, 0.0, 0.0)]
-    return robot_from_chain(chain_from_dh(rows), gear_ratio=6.0)
+    chain = chain_from_dh([(0.0, 0.0, 0.0, 0.0), (0.0, 0.3, 0.0, 0.0)])
+    return robot_from_chain(chain, gear_ratio=6.0)
 
 
 def link(name: str, *, mass: float | None = None, x: float = 0.0, mesh: str = "") -> str:
@@ -51,21 +49,13 @@ def link(name: str, *, mass: float | None = None, x: float = 0.0, mesh: str = ""
     )
 
 
-def joint(
-    name: str,
-    parent: str,
-    child: str,
-    *,
-    kind: str = "revolute",
-    xyz: str = "0 0 0",
-    rpy: str = "0 0 0",
-    axis: str = "0 0 1",
-    extra: str = "",
-) -> str:
-    limit = '<limit lower="-3" upper="3" effort="100" velocity="3"/>'
+def joint(name: str, parent: str, child: str, *, kind: str = "revolute", **own: str) -> str:
+    """A joint at `xyz` and `rpy` about `axis`, and what is `extra` in it."""
+    own = {"xyz": "0 0 0", "rpy": "0 0 0", "axis": "0 0 1", "extra": ""} | own
     return (
         f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
-        f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>{limit}{extra}</joint>'
+        '<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>'
+        '<limit lower="-3" upper="3" effort="100" velocity="3"/>{extra}</joint>'.format(**own)
     )
 
 
@@ -115,21 +105,16 @@ NAMES_GANTRY = ("rail", "swing", "reach", "twist")
 
 def random_model(rng: np.random.Generator, prismatic: list[bool]) -> tuple[pin.Model, Chain]:
     """Draw a serial arm with random axes and inertias, as Pinocchio's model and as a Chain."""
-    model = pin.Model()
-    parent = 0
-    rotations, positions, axes = [], [], []
+    model, parent, rotations, positions, axes = pin.Model(), 0, [], [], []
     for k, slides in enumerate(prismatic):
-        axis = rng.normal(size=3)
+        axis, quaternion = rng.normal(size=3), rng.normal(size=4)
         axis /= np.linalg.norm(axis)
-        quaternion = rng.normal(size=4)
-        placement = pin.SE3(
-            pin.Quaternion(quaternion / np.linalg.norm(quaternion)).toRotationMatrix(),
-            rng.normal(size=3),
-        )
+        turn = pin.Quaternion(quaternion / np.linalg.norm(quaternion)).toRotationMatrix()
+        placement = pin.SE3(turn, rng.normal(size=3))
         kind = pin.JointModelPrismaticUnaligned if slides else pin.JointModelRevoluteUnaligned
         parent = model.addJoint(parent, kind(axis), placement, f"j{k}")
         model.appendBodyToJoint(parent, random_inertia(rng), pin.SE3.Identity())
-        rotations.append(placement.rotation.copy())
+        rotations.append(turn)
         positions.append(placement.translation.copy())
         axes.append(axis)
     chain = Chain(np.array(rotations), np.array(positions), np.array(axes), np.array(prismatic))
@@ -142,7 +127,6 @@ def random_inertia(rng: np.random.Generator) -> pin.Inertia:
 
 
 def states(rng: np.random.Generator, samples: int, n: int) -> tuple[Array, Array, Array]:
-    """Draw q, dq, ddq (samples, n)."""
     q, dq, ddq = rng.normal(size=(3, samples, n))
     return 2.0 * q, dq, 3.0 * ddq
 

@@ -1,10 +1,12 @@
 """Arms to export: robot files on disk, and parameter files of bodies that exist."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
+from seqid_cli.identify.rigid.parameters import parameters_of, representative_of
 from seqid_cli.params.schema import FrictionStage, RigidStage, Stages
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.file import load_robot
@@ -17,7 +19,6 @@ SAMPLES = ROOT / "sample_logs"
 
 
 def save_robot(folder: Path, text: str, names: tuple[str, ...], *, joint_extra: str = "") -> Robot:
-    """Write a URDF and a robot file that names it."""
     (folder / "arm.urdf").write_text(text)
     tables = "".join(f'[[joint]]\nname = "{name}"\n{joint_extra}' for name in names)
     (folder / "robot.toml").write_text(
@@ -52,37 +53,29 @@ def random_bodies(rng: np.random.Generator, n: int) -> Array:
     """Draw standard parameters (n, 10) of bodies that exist."""
     rows = []
     for _ in range(n):
-        points = 0.1 * rng.normal(size=(8, 3))
-        mass = float(rng.uniform(0.5, 5.0))
+        points, mass = 0.1 * rng.normal(size=(8, 3)), float(rng.uniform(0.5, 5.0))
         spread = points.T @ points / 8.0
         inertia = mass * (np.trace(spread) * np.eye(3) - spread)
-        body = pin.Inertia(mass, 0.1 * rng.normal(size=3), inertia)
-        rows.append(body.toDynamicParameters())
+        rows.append(pin.Inertia(mass, 0.1 * rng.normal(size=3), inertia).toDynamicParameters())
     return np.array(rows)
 
 
 def inertia_stage(
     robot: Robot,
     phi: Array,
-    rotor: Array | None = None,
+    rotor: Array | float = 0.0,
     *,
     error: float = 1e-3,
-    shift: Array | None = None,
+    shift: Array | float = 0.0,
 ) -> RigidStage:
     """Write base parameters of known bodies (n, 10) as an inertia stage that holds all of them."""
-    from seqid_cli.identify.rigid.parameters import parameters_of, representative_of
-
     basis = free_basis(robot)
-    rotors = np.zeros(robot.n) if rotor is None else rotor
-    values = basis.expression @ np.concatenate([phi.ravel(), rotors])
+    values = basis.expression @ np.concatenate([phi.ravel(), np.zeros(robot.n) + rotor])
     errors = error * (np.abs(values) + 0.1 * np.abs(values).max())
-    if shift is not None:
-        values = values + shift * errors
-    covariance = np.diag(errors**2)
-    every = np.arange(basis.size)
+    values, covariance = values + shift * errors, np.diag(errors**2)
     known = np.array([joint.rotor_inertia or 0.0 for joint in robot.joints])
     return RigidStage(
-        parameters=parameters_of(robot, basis, every, values, covariance),
+        parameters=parameters_of(robot, basis, np.arange(basis.size), values, covariance),
         condition=1.0,
         rank=basis.size,
         structural_rank=basis.size,
@@ -107,8 +100,5 @@ def friction_stage(robot: Robot, *, directional: bool = False, log: bool = False
     return FrictionStage(joints=joints)
 
 
-def stages_of(robot: Robot, phi: Array, rotor: Array | None = None, **more: object) -> Stages:
-    return Stages(
-        friction=friction_stage(robot),
-        inertia=inertia_stage(robot, phi, rotor, **more),  # type: ignore[arg-type]
-    )
+def stages_of(robot: Robot, phi: Array, rotor: Array | float = 0.0, **more: Any) -> Stages:
+    return Stages(friction=friction_stage(robot), inertia=inertia_stage(robot, phi, rotor, **more))

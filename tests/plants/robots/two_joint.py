@@ -39,20 +39,14 @@ def friction_surface(
     """Coulomb [N m] and viscous [N m s/rad] friction up to `top` rad/s, of some order in speed."""
     half = 0.5 * viscous * top
     entries = [coulomb + half, half, *np.zeros(order - 1)]
-    entry = friction_joint(
-        [entries],
-        speed_range=[0.0, top],
-        sign_width=SIGN_WIDTH,
-        covariance=(variance * np.eye(len(entries))).tolist(),
-    )
-    return FrictionSurface.from_stage(entry)
+    own = {"speed_range": [0.0, top], "sign_width": SIGN_WIDTH}
+    own |= {"covariance": (variance * np.eye(len(entries))).tolist()}
+    return FrictionSurface.from_stage(friction_joint([entries], **own))
 
 
 def torque_model(robot: Robot, seed: int = 5) -> TorqueModel:
     """Return rigid body with physical links, rotors, Coulomb and viscous friction."""
     rng = np.random.default_rng(seed)
     phi = np.array([random_inertia(rng).toDynamicParameters() for _ in range(robot.n)])
-    surfaces: list[FrictionSurface | None] = [
-        friction_surface(c, v) for c, v in zip(COULOMB, VISCOUS, strict=True)
-    ]
+    surfaces = [friction_surface(c, v) for c, v in zip(COULOMB, VISCOUS, strict=True)]
     return TorqueModel(robot, surfaces, phi, np.array(ROTOR), "diagonal")

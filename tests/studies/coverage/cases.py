@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -13,13 +12,8 @@ from tests.plants.arms.rigs import mounting, off_nominal
 from tests.plants.controller import gains_for
 from tests.plants.friction.surface import SurfaceFriction
 from tests.plants.mechanics.rigid import Arm, Rigid
-from tests.plants.motions.experiments import (
-    Trial,
-    friction_trials,
-    gravity_trials,
-    imu_trials,
-    inertia_trials,
-)
+from tests.plants.motions import experiments
+from tests.plants.motions.experiments import Trial
 from tests.plants.robotfile import robot_toml
 from tests.plants.robots.lab import write_log
 from tests.plants.samples import SIX_POSTURES
@@ -59,7 +53,7 @@ class Drawn:
 
 
 def case_of(rig: str, seed: int) -> Case:
-    return Case(rig, seed, *list(product(NOISES, ENCODERS))[seed % 4])
+    return Case(rig, seed, NOISES[seed % 4 // 2], ENCODERS[seed % 2])
 
 
 def draw(case: Case) -> Drawn:
@@ -67,22 +61,18 @@ def draw(case: Case) -> Drawn:
     rng = np.random.default_rng([STREAM[case.rig], case.seed])
     drawn = {"one": _one, "planar": _planar, "six": _six}[case.rig](rng, case.seed // 4)
     turn = COUNTS[case.encoder] * (LARGE if case.rig == "six" else 1)
-    plant = replace(
-        drawn.plant,
-        encoder_step=np.full(drawn.plant.arm.n, 2 * np.pi / turn),
-        coloured=HALF if case.noise == "coloured" else 0.0,
-    )
-    return replace(drawn, plant=plant)
+    steps = np.full(drawn.plant.arm.n, 2 * np.pi / turn)
+    coloured = HALF if case.noise == "coloured" else 0.0
+    return replace(drawn, plant=replace(drawn.plant, encoder_step=steps, coloured=coloured))
 
 
 def record(case: Case, drawn: Drawn, folder: Path) -> None:
     """Simulate all trials; write `robot.toml` and `<stage>/<trial>.parquet` into `folder`."""
-    text = robot_toml(case.rig, drawn.plant)
-    (folder / "robot.toml").write_text(text, encoding="ascii")
+    (folder / "robot.toml").write_text(robot_toml(case.rig, drawn.plant), encoding="ascii")
     for number, trial in enumerate(drawn.trials):
         state = np.random.SeedSequence([STREAM[case.rig], case.seed, number]).generate_state(1)
-        own = {"every": drawn.every, "imus": trial.imus}
-        log = simulate(drawn.plant, trial.reference, int(state[0]), **own)
+        seed = int(state[0])
+        log = simulate(drawn.plant, trial.reference, seed, every=drawn.every, imus=trial.imus)
         write_log(folder / trial.stage / f"{trial.name}.parquet", drawn.plant, log)
 
 
@@ -90,8 +80,7 @@ def _flat_link(rng: np.random.Generator, mass: float, along: float, gyration: fl
     """Standard parameters (10,) of a flat link: centre of mass at `along` m, a little aside."""
     aside = along * rng.uniform(-0.2, 0.2)
     izz = mass * (along**2 + aside**2 + gyration**2)
-    thin = 0.02 * izz
-    return np.array([mass, mass * along, mass * aside, 0, thin, 0, izz, 0, 0, izz])
+    return np.array([mass, mass * along, mass * aside, 0, 0.02 * izz, 0, izz, 0, 0, izz])
 
 
 def _surface(rng: np.random.Generator, coulomb: Array, top: Array) -> SurfaceFriction:
@@ -149,15 +138,14 @@ def _one(rng: np.random.Generator, number: int) -> Drawn:
     coulomb = rng.uniform(0.02, 0.04, 1)
     top, push = rng.uniform(6.0, 9.0, 1), rng.uniform(40.0, 70.0, 1)
     plant = _plant(rng, arm, link[9] + arm.reflected, coulomb, top, push)
-    imus = number % 2 == 0
-    if imus:
+    if imus := number % 2 == 0:
         plant = replace(plant, imus=_arrays(rng, {0: np.array([0.06, 0.012, 0.008])}))
     home = [np.zeros(1)]
     trials = [
-        *friction_trials(plant, home[0], speeds=int(rng.integers(8, 13))),
-        *gravity_trials(plant, home, speeds=(0.1, 0.2)),
-        *(imu_trials(plant, home) if imus else ()),
-        *inertia_trials(plant, home, rng, seconds=float(rng.uniform(8.0, 14.0))),
+        *experiments.friction_trials(plant, home[0], speeds=int(rng.integers(8, 13))),
+        *experiments.gravity_trials(plant, home, speeds=(0.1, 0.2)),
+        *(experiments.imu_trials(plant, home) if imus else ()),
+        *experiments.inertia_trials(plant, home, rng, seconds=float(rng.uniform(8.0, 14.0))),
     ]
     return Drawn(plant, trials, {"imus": imus})
 
@@ -173,15 +161,9 @@ def _planar(rng: np.random.Generator, number: int) -> Drawn:
     tilted, imus = number % 2 == 1, number // 2 % 2 == 0
     tilt, azimuth = np.deg2rad(rng.uniform(5.0, 20.0)) * tilted, rng.uniform(-np.pi, np.pi)
     aside = np.sin(tilt) * np.array([np.cos(azimuth), np.sin(azimuth)])
-    arm = Arm(
-        names=("joint_1", "joint_2"),
-        dh=np.array([[0.0, 0.0, 0.0, 0.0], [0.0, length, 0.0, 0.0]]),
-        phi=np.array([upper, fore]),
-        gravity=rigs.GRAVITY * np.array([*aside, -np.cos(tilt)]),
-        gear=gear,
-        rotor_inertia=rotor,
-        rotor_coupling=bool(rng.uniform() < 0.5),
-    )
+    dh = np.array([[0.0, 0.0, 0.0, 0.0], [0.0, length, 0.0, 0.0]])
+    down, coupled = rigs.GRAVITY * np.array([*aside, -np.cos(tilt)]), bool(rng.uniform() < 0.5)
+    arm = Arm(rigs.NAMES, dh, np.array([upper, fore]), down, gear, rotor, coupled)
     coulomb = rng.uniform([0.03, 0.015], [0.06, 0.04])
     top, push = rng.uniform([4.0, 6.0], [7.0, 9.0]), rng.uniform([20.0, 40.0], [40.0, 70.0])
     inertia = np.array([outer.sum(), fore[9]]) + arm.reflected
@@ -192,13 +174,14 @@ def _planar(rng: np.random.Generator, number: int) -> Drawn:
     postures = [np.array([0.0, angle]) for angle in (0.0, 1.2, -0.9, 2.3, -1.9)]
     twice = [(0, 1), (0, 1)]
     trials = [
-        *friction_trials(plant, postures[0], speeds=int(rng.integers(8, 13))),
-        *(gravity_trials(plant, postures[1:4], speeds=(0.1,)) if tilted else ()),
-        *(imu_trials(plant, postures, turns=1) if imus else ()),
-        *inertia_trials(plant, postures[1:], rng, pairs=twice, seconds=float(rng.uniform(10, 16))),
+        *experiments.friction_trials(plant, postures[0], speeds=int(rng.integers(8, 13))),
+        *(experiments.gravity_trials(plant, postures[1:4], speeds=(0.1,)) if tilted else ()),
+        *(experiments.imu_trials(plant, postures, turns=1) if imus else ()),
+        *experiments.inertia_trials(
+            plant, postures[1:], rng, pairs=twice, seconds=float(rng.uniform(10, 16))
+        ),
     ]
-    traits = {"tilted": tilted, "imus": imus, "rotor_coupling": arm.rotor_coupling}
-    return Drawn(plant, trials, traits)
+    return Drawn(plant, trials, {"tilted": tilted, "imus": imus, "rotor_coupling": coupled})
 
 
 def _six(rng: np.random.Generator, number: int) -> Drawn:
@@ -233,9 +216,9 @@ def _six(rng: np.random.Generator, number: int) -> Drawn:
     )
     postures, rate = list(SIX_POSTURES), 500.0
     trials = [
-        *friction_trials(plant, postures[0], rate_hz=rate, speeds=7, lowest=0.12),
-        *gravity_trials(plant, postures[:4], rate_hz=rate, speeds=(0.3,)),
-        *imu_trials(plant, postures[:5], rate_hz=rate, turns=1),
-        *inertia_trials(plant, postures, rng, rate_hz=rate, seconds=4.0),
+        *experiments.friction_trials(plant, postures[0], rate_hz=rate, speeds=7, lowest=0.12),
+        *experiments.gravity_trials(plant, postures[:4], rate_hz=rate, speeds=(0.3,)),
+        *experiments.imu_trials(plant, postures[:5], rate_hz=rate, turns=1),
+        *experiments.inertia_trials(plant, postures, rng, rate_hz=rate, seconds=4.0),
     ]
     return Drawn(plant, trials, {"rotor_coupling": coupled}, every=2)

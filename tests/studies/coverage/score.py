@@ -21,8 +21,7 @@ from tests.plants.sensors import AccelerometerArray
 from tests.plants.simulate import Plant
 from tests.studies.coverage.cases import STREAM, Case, draw, record
 
-Row = dict[str, Any]
-Result = dict[str, Any]
+Row = Result = dict[str, Any]
 
 # The function of each stage, and the folders of the logs that it gets.
 STAGES = {
@@ -48,8 +47,8 @@ def score(case: Case) -> Result:
         result["cpu_s"] = round(time.process_time() - start, 2)
     result |= {"failed": problem} if problem else {}
     result["rows"] = compare(case, drawn.plant, stages)
-    found = {name: stage for name in STAGES if (stage := getattr(stages, name)) is not None}
-    result["verdicts"] = {name: all(v.good for v in own.verdicts) for name, own in found.items()}
+    found = {name: stage.verdicts for name in STAGES if (stage := getattr(stages, name))}
+    result["verdicts"] = {name: all(v.good for v in own) for name, own in found.items()}
     if inertia := stages.inertia:
         result |= {"rotor_coupling": inertia.rotor_coupling, "notes": list(inertia.notes)}
     return result
@@ -60,11 +59,10 @@ def identified(folder: Path) -> tuple[Stages, str]:
     stages, known = Stages(), []
     for name, (identify_it, kinds) in STAGES.items():
         logs = [str(folder / kind) for kind in kinds if (folder / kind).is_dir()]
-        out = folder / f"{name}.json"
+        robot, out = folder / "robot.toml", folder / f"{name}.json"
         try:
             with warnings.catch_warnings(action="ignore", category=SeqidWarning):
                 if logs:
-                    robot = folder / "robot.toml"
                     stages, known = identify_it(logs, robot, *known, output=out).stages, [out]
         except SeqidError as error:
             return stages, f"{name}: {error.message}"
@@ -84,7 +82,6 @@ def compare(case: Case, plant: Plant, stages: Stages) -> list[Row]:
 
 
 def row(group: str, name: str, *numbers: float) -> Row:
-    """Estimate, stated standard error and truth of one quantity."""
     kinds = zip(("estimate", "std_error", "truth"), map(float, numbers), strict=True)
     return {"group": group, "name": name, **dict(kinds)}
 

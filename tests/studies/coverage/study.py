@@ -29,23 +29,20 @@ def study(chosen: Namespace) -> str:
     for rig in [chosen.rig] if chosen.rig else ["planar"] if chosen.quick else NAMES:
         if rig not in NAMES:
             raise SystemExit(f"coverage has no rig {rig!r}, only {', '.join(NAMES)}")
-        kept = results(
-            {case.label: case for case in (case_of(rig, seed) for seed in seeds)},
-            score,
-            Result,
-            chosen.cache / "coverage" / f"{rig}.jsonl",
-            sources=program,
-            run=not chosen.tables,
-            processes=chosen.processes,
-            told=lambda result: f"{result['cpu_s']} s {result.get('failed', '')}",
-        )
-        if found := list(kept.values()):
+        cases = {case.label: case for case in (case_of(rig, seed) for seed in seeds)}
+        path = chosen.cache / "coverage" / f"{rig}.jsonl"
+        how = {"sources": program, "run": not chosen.tables, "processes": chosen.processes}
+        if found := list(results(cases, score, Result, path, told=_told, **how).values()):
             made, cpu = sorted(r["seed"] for r in found), np.mean([r["cpu_s"] for r in found])
             parts.append(
                 f"### {NAMES[rig]}\n\n{len(made)} {kind_of(made)} seeds, {made[0]} to {made[-1]}; "
                 f"{cpu:.1f} s of CPU each; package {program[:12]}.\n\n{tables_of(found)}"
             )
     return "\n\n".join(parts)
+
+
+def _told(result: Result) -> str:
+    return f"{result['cpu_s']} s {result.get('failed', '')}"
 
 
 def whole(chosen: Namespace) -> bool:
@@ -69,8 +66,6 @@ HEADER = ["seeds", "values", "rms z", "inside 95 %", "interval", "largest z", "m
 
 
 class Coverage(NamedTuple):
-    """How the errors of some quantity compare with those stated, over seeds."""
-
     seeds: int
     count: int
     rms: float
@@ -83,8 +78,8 @@ class Coverage(NamedTuple):
     def cells(self) -> list[str]:
         interval = f"{100 * self.low:.0f} to {100 * self.high:.0f}"
         share = [number(self.rms, 3), f"{100 * self.share:.1f} %", interval]
-        return [f"{self.seeds}", f"{self.count}", *share, number(self.largest, 3),
-                f"{self.mean:+.2f}"]  # fmt: skip
+        cells = [str(self.seeds), str(self.count), *share, number(self.largest, 3)]
+        return [*cells, f"{self.mean:+.2f}"]
 
 
 def coverage(by_seed: Sequence[Array]) -> Coverage:
@@ -93,10 +88,8 @@ def coverage(by_seed: Sequence[Array]) -> Coverage:
     z = np.concatenate(kept)
     inside = [(np.abs(own) <= INSIDE).astype(float) for own in kept]
     share = float(np.mean(np.concatenate(inside)))
-    low, high = wilson(share, independent(inside))
-    return Coverage(
-        len(kept), len(z), rms(z), share, low, high, float(np.abs(z).max()), float(z.mean())
-    )
+    interval, largest = wilson(share, independent(inside)), float(np.abs(z).max())
+    return Coverage(len(kept), len(z), rms(z), share, *interval, largest, float(z.mean()))
 
 
 def independent(by_seed: Sequence[Array]) -> float:
@@ -118,10 +111,8 @@ def wilson(share: float, count: float, z: float = INSIDE) -> tuple[float, float]
 
 
 def tables_of(results: Sequence[Result]) -> str:
-    makers = [group_table, parameter_table]
-    if any("rotor_coupling" in r["traits"] for r in results):
-        makers.append(coupling_table)
-    return "\n\n".join(filter(None, (make(results) for make in (*makers, problems))))
+    makers = (group_table, parameter_table, coupling_table, problems)
+    return "\n\n".join(filter(None, (make(results) for make in makers)))
 
 
 def _errors(results: Sequence[Result], **of: str) -> list[Array]:
@@ -169,6 +160,8 @@ def relative(rows: Sequence[Row]) -> str:
 
 def coupling_table(results: Sequence[Result]) -> str:
     """What was decided about the coupling of the rotors, or that the stage left it open."""
+    if not any("rotor_coupling" in r["traits"] for r in results):
+        return ""
     found = Counter[tuple[bool, str]]()
     for result in (r for r in results if "rotor_coupling" in r):
         doubtful = any(words in note for note in result["notes"] for words in OPEN)

@@ -11,7 +11,7 @@ import hashlib
 import sys
 import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 from tests.studies.fuzz.run import Tally, fuzz
@@ -22,7 +22,7 @@ HEADER = ("file", "inputs", "read", "refused", "answers", "not well", "slowest, 
 ROUND = 250  # inputs of a target before the next has its turn
 
 
-def main(arguments: Sequence[str]) -> int:
+def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.studies.fuzz", description=__doc__)
     parser.add_argument("--count", type=int, default=10**9, help="inputs of each kind")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="of CPU time, in all")
@@ -30,7 +30,7 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--only", default="", help="kinds with this in their name")
     parser.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="folder for finds")
     parser.add_argument("--write", action="store_true", help="put the table into docs/trust.md")
-    chosen = parser.parse_args(arguments)
+    chosen = parser.parse_args()
     with tempfile.TemporaryDirectory() as name:
         made = [target for target in targets(Path(name)) if chosen.only in target.name]
         tallies = {target.name: Tally() for target in made}
@@ -42,9 +42,8 @@ def main(arguments: Sequence[str]) -> int:
                 parts = repr((target.name, chosen.seed, done)).encode()
                 seed = int.from_bytes(hashlib.sha256(parts).digest()[:6])
                 fuzz(target, folder, min(ROUND, chosen.count - done), seed, tally)
-                sys.stderr.write(
-                    f"{target.name}: {len(tally.outcomes)}, {len(tally.finds)} finds\n"
-                )
+                told = f"{len(tally.outcomes)}, {len(tally.finds)} finds"
+                sys.stderr.write(f"{target.name}: {told}\n")
             done += ROUND
     show("trust.md", "fuzz", table(HEADER, rows(tallies)), kept=chosen.write)
     return 1 if _kept(tallies, chosen.keep) else 0
@@ -75,4 +74,4 @@ def rows(tallies: Mapping[str, Tally]) -> list[list[str]]:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

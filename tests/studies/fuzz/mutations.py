@@ -24,24 +24,20 @@ def _at(data: bytearray, rng: np.random.Generator) -> int:
 
 
 def flip(data: bytearray, rng: np.random.Generator) -> None:
-    """Change a few bytes."""
     for at in rng.integers(0, max(len(data), 1), rng.integers(1, 12)):
         data[at : at + 1] = bytes([int(rng.integers(0, 256))])
 
 
 def cut(data: bytearray, rng: np.random.Generator) -> None:
-    """Lose the end."""
     del data[_at(data, rng) :]
 
 
 def lose(data: bytearray, rng: np.random.Generator) -> None:
-    """Lose a piece in the middle."""
     at = _at(data, rng)
     del data[at : at + int(rng.integers(1, 5_000))]
 
 
 def zero(data: bytearray, rng: np.random.Generator) -> None:
-    """A block that was never written."""
     at = _at(data, rng)
     size = min(int(rng.integers(1, 5_000)), len(data) - at)
     data[at : at + size] = bytes(size)
@@ -79,11 +75,9 @@ def token(data: bytearray, rng: np.random.Generator) -> None:
 
 
 def swap(data: bytearray, rng: np.random.Generator) -> None:
-    """Two pieces of a text change places."""
     found = list(_TOKEN.finditer(data))
     if len(found) > 1:
-        first, second = sorted(rng.choice(len(found), 2, replace=False))
-        one, other = found[first], found[second]
+        one, other = (found[k] for k in sorted(rng.choice(len(found), 2, replace=False)))
         left, right = bytes(one[0]), bytes(other[0])
         data[other.start() : other.end()] = left
         data[one.start() : one.end()] = right
@@ -97,8 +91,7 @@ def lines(data: bytearray, rng: np.random.Generator) -> None:
     data[:] = b"\n".join(rows)
 
 
-BYTES: tuple[Damage, ...] = (flip, cut, lose, zero, junk)
-BINARY: tuple[Damage, ...] = (*BYTES, word, word, copy)
+BINARY: tuple[Damage, ...] = (flip, cut, lose, zero, junk, word, word, copy)
 TEXT: tuple[Damage, ...] = (flip, cut, lose, junk, copy, *([token] * 12), swap, lines, lines)
 
 

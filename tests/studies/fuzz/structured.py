@@ -65,8 +65,7 @@ def _inside(damage: Callable[[bytes, np.random.Generator], bytes]) -> Damage:
 
 
 def _places(holder: Any) -> Iterator[tuple[Any, Any]]:
-    keys = holder if isinstance(holder, dict) else range(len(holder))
-    for key in keys:
+    for key in holder if isinstance(holder, dict) else range(len(holder)):
         yield holder, key
         if isinstance(holder[key], dict | list):
             yield from _places(holder[key])
@@ -103,11 +102,7 @@ def record(data: bytes, rng: np.random.Generator) -> bytes:
     setattr(one, name, _odd(getattr(one, name), rng))
     if rng.random() < 0.2:
         kept = kept * 2 if rng.random() < 0.5 else [r for r in kept if r is not one]
-    compression = _of(list(_PACKERS), rng)
-    inner = RecordBuilder()
-    for each in kept:
-        each.write(inner)
-    content = inner.end()
+    compression, content = _of(list(_PACKERS), rng), _written(*kept)
     chunk = Chunk(
         compression=compression,
         data=_PACKERS[compression](content),
@@ -116,10 +111,14 @@ def record(data: bytes, rng: np.random.Generator) -> bytes:
         uncompressed_crc=0,
         uncompressed_size=len(content),
     )
-    file = RecordBuilder()
-    for each in (Header("", "fuzz"), chunk, DataEnd(0), Footer(0, 0, 0)):
-        each.write(file)
-    return bytes(_MAGIC + file.end() + _MAGIC)
+    return _MAGIC + _written(Header("", "fuzz"), chunk, DataEnd(0), Footer(0, 0, 0)) + _MAGIC
+
+
+def _written(*records: Any) -> bytes:
+    builder = RecordBuilder()
+    for each in records:
+        each.write(builder)
+    return bytes(builder.end())
 
 
 @_inside
@@ -138,8 +137,7 @@ def column(data: bytes, rng: np.random.Generator) -> bytes:
         case 2:
             table = table.set_column(at, field.name, values.cast(_of(_TYPES, rng), safe=False))
         case 3:
-            wrap = _of(_WRAPPERS, rng)
-            some = [wrap(each) for each in values.to_pylist()]
+            some = list(map(_of(_WRAPPERS, rng), values.to_pylist()))
             table = table.set_column(at, field.name, pa.array(some))
         case _:
             table = table.set_column(at, field.name, pa.array(_spoilt(values.to_pylist(), rng)))

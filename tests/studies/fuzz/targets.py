@@ -108,7 +108,6 @@ class Target:
 
 
 def targets(work: Path) -> list[Target]:
-    """Make the sound files in a folder and return all kinds."""
     arm = _arm(work)
     dh, by_urdf = arm["robot.toml"], _ARM.format(more='urdf = "arm.urdf"', dh="").encode()
     robots = [
@@ -147,7 +146,8 @@ def _logs(work: Path) -> list[Target]:
     def made(name: str, *writers: formats.Write) -> list[bytes]:
         folder = work / name
         folder.mkdir()
-        return [_content(write(folder / str(k), _data())) for k, write in enumerate(writers)]
+        paths = [write(folder / str(k), _data()) for k, write in enumerate(writers)]
+        return [(next(p.glob("*.db3")) if p.is_dir() else p).read_bytes() for p in paths]
 
     cdr = made("mcap_cdr", formats.mcap_cdr, formats.mcap_dynamic, _with_imus)
     json = made("mcap_json", formats.mcap_json, formats.mcap_foxglove_json, formats.mcap_json_bare)
@@ -169,10 +169,6 @@ def _logs(work: Path) -> list[Target]:
     return [*found, Target(name, "bag/metadata.yaml", yaml, TEXT, lines, beside)]
 
 
-def _content(path: Path) -> bytes:
-    return (next(path.glob("*.db3")) if path.is_dir() else path).read_bytes()
-
-
 def _with_imus(path: Path, data: formats.Data) -> Path:
     motion = make_motion(data.t, n=2)
     return write_mcap(
@@ -186,8 +182,7 @@ def _with_imus(path: Path, data: formats.Data) -> Path:
 
 def _rewritten(work: Path, logs: Sequence[bytes]) -> list[bytes]:
     """The same without compression and checksums: damage gets through to the messages."""
-    source, target = work / "source.mcap", work / "target.mcap"
-    found = []
+    source, target, found = work / "source.mcap", work / "target.mcap", []
     for content in logs:
         source.write_bytes(content)
         for chunking in (True, False):
@@ -197,9 +192,8 @@ def _rewritten(work: Path, logs: Sequence[bytes]) -> list[bytes]:
 
 
 def _plain(path: Path, data: formats.Data) -> Path:
-    source = formats.parquet(path, data)
-    table = pq.read_table(source)
-    pq.write_table(table, source, compression="none", use_dictionary=False, row_group_size=16)
+    source, plain = formats.parquet(path, data), {"compression": "none", "use_dictionary": False}
+    pq.write_table(pq.read_table(source), source, row_group_size=16, **plain)
     return source
 
 
@@ -220,12 +214,8 @@ def _documents(work: Path, model: bytes) -> list[Target]:
         "parameters": ([full, model], _PARAMETERS, {"sound.json": full}),
         "prediction": ([prediction], [*_REPORT, *_BOTH], more),
     }
-    for name, content in (
-        ("diagnosis", diagnosis_file()),
-        ("payload", payload_file(used)),
-        ("plan", plan_file()),
-        ("trend", _trend(used)),
-    ):
+    others = {"diagnosis": diagnosis_file(), "payload": payload_file(used), "plan": plan_file()}
+    for name, content in (others | {"trend": _trend(used)}).items():
         documents[name] = [encode(content).encode()], _REPORT, {}
     found = [
         Target(name, "file.json", seeds, JSON, lines, beside)

@@ -1,6 +1,6 @@
 """Arms with an undeclared effect in all of their logs, whose friction trials reach less far."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,6 @@ KINDS = ("load_dependent_friction", "gear_efficiency", "thermal_friction", "torq
 KINDS += ("spring",)
 TRAVEL, SPEED = 0.85, 0.75  # of what the other logs use, in the sequential experiments
 SPEEDS, SLOWEST = 6, 0.2  # of the friction trials; the slowest as a share of the fastest
-POSTURES = 2  # in which gravity trials are run
 PERIODS = (5.626, 6.126, 6.374)  # s, of the Fourier series
 TRIAL_EVERY, EVERY = 4, 2  # control periods per row
 HELD_OUT_S = 14.0  # of a held-out log, about
@@ -24,32 +23,15 @@ SLOW = 0.12  # of the top speed: what a motor does in each turn is below the low
 PAUSE = 60.0  # s between logs
 
 
-@dataclass(frozen=True)
-class Case:
-    rig: str
-    kind: str
-    joint: int
-    seed: int
-
-    @property
-    def condition(self) -> Condition:
-        effects = ((self.kind, self.joint, 1.0),)
-        return Condition("starts", self.rig, self.seed, effects, "sequential_with")
-
-    @property
-    def key(self) -> str:
-        return f"{self.rig}/{self.kind}@{self.joint}/seed {self.seed}"
-
-
-def case_of(rig: str, kind: str, seed: int) -> Case:
+def case_of(rig: str, kind: str, seed: int) -> Condition:
     joints = declared(Condition("starts", rig, seed, (), "sequential_with")).arm.n
-    return Case(rig, kind, (seed + KINDS.index(kind)) % joints, seed)
+    effects = ((kind, (seed + KINDS.index(kind)) % joints, 1.0),)
+    return Condition("starts", rig, seed, effects, "sequential_with")
 
 
-def references(case: Case) -> list[tuple[str, Reference, int]]:
+def references(case: Condition) -> list[tuple[str, Reference, int]]:
     """Stage or part, motion, and control periods per row of every log, in the order of time."""
-    plant = declared(case.condition)
-    rng = np.random.default_rng([case.seed, 11])
+    plant, rng = declared(case), np.random.default_rng([case.seed, 11])
     middle = plant.position_limits.mean(axis=1, keepdims=True)
     small = replace(
         plant,
@@ -60,7 +42,7 @@ def references(case: Case) -> list[tuple[str, Reference, int]]:
     pairs = [(0, 1)] * 3 if case.rig == "two" else None
     trials = [
         *friction_trials(small, postures[0], speeds=SPEEDS, lowest=SLOWEST),
-        *gravity_trials(small, postures[:POSTURES], speeds=(0.3,)),
+        *gravity_trials(small, postures[:2], speeds=(0.3,)),
         *inertia_trials(small, postures, rng, pairs=pairs, seconds=5.0),
     ]
     one, two, three = (float(x) for x in rng.permutation(PERIODS))
@@ -76,12 +58,12 @@ def references(case: Case) -> list[tuple[str, Reference, int]]:
     ]
 
 
-def recorded(case: Case, cache: Path) -> Logs:
-    seed, label = 10_000 + 1000 * case.seed, f"loop|{case.rig}|{case.condition.effects!r}"
+def recorded(case: Condition, cache: Path) -> Logs:
+    seed, label = 10_000 + 1000 * case.seed, f"loop|{case.rig}|{case.effects!r}"
     plan = [
         (part, f"{label}|{part}/{k}", reference, seed + k, every)
         for k, (part, reference, every) in enumerate(references(case))
     ]
-    found = in_turn(cache, built(case.condition)[0], plan, PAUSE)
+    found = in_turn(cache, built(case)[0], plan, PAUSE)
     training, held_out = (tuple(found.pop(part)) for part in ("training", "held_out"))
-    return Logs(robot_for(case.condition), training, held_out, earlier=found)
+    return Logs(robot_for(case), training, held_out, earlier=found)

@@ -5,7 +5,6 @@ from argparse import Namespace
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from operator import attrgetter
 from pathlib import Path
 from statistics import median
 
@@ -15,10 +14,10 @@ from seqid_cli.discover.refinement.held_out import held_out_error
 from seqid_cli.discover.refinement.reidentify import Material
 from seqid_cli.discover.refinement.rounds import on_the_same_samples, refine
 from tests.plants.robots.identified import sequential
-from tests.studies.loop.logs import KINDS, Case, case_of, recorded
+from tests.studies.loop.logs import KINDS, case_of, recorded
 from tests.studies.records import results
 from tests.studies.tables import counted, grouped, number
-from tests.studies.undeclared.cases import built
+from tests.studies.undeclared.cases import Condition, built
 from tests.studies.undeclared.refine import NEAR, file_of, told_model
 
 # Nothing was set on these: of two joints 11 to 14 were looked at, of six 30.
@@ -53,10 +52,9 @@ class Result:
         return right and all(self.confirmed) and self.ratio <= NEAR
 
 
-def run_case(case: Case, cache: Path) -> Result:
-    logs = recorded(case, cache)
-    robot, options = logs.robot, DiscoverOptions()
-    stages = sequential(logs.earlier, robot)
+def run_case(case: Condition, cache: Path) -> Result:
+    logs, options = recorded(case, cache), DiscoverOptions()
+    robot, stages = logs.robot, sequential(logs.earlier, logs.robot)
     file = file_of(robot, stages, logs.earlier)
     clock = time.process_time()
     found = refine(logs.training, robot, file, earlier=logs.earlier, options=options)
@@ -64,17 +62,17 @@ def run_case(case: Case, cache: Path) -> Result:
     seconds = time.process_time() - clock
     options = on_the_same_samples(options, stages, robot)
     material = Material(logs.training, logs.earlier, robot, options)
-    told = told_model(material, stages, built(case.condition)[1], late=False)
+    told = told_model(material, stages, built(case)[1], late=False)
     error = held_out_error(logs.held_out, robot, told, options=options.motion)
-    name = robot.joint_names[case.joint]
-    after = loop.after[name]
+    kind, joint, _ = case.effects[0]
+    after = loop.after[name := robot.joint_names[joint]]
     rounds = [(f"{r.effect}@{r.joint}", r) for r in (*loop.rounds, *loop.refused)]
     return Result(
-        kind=case.kind,
+        kind=kind,
         rig=case.rig,
         before=loop.before[name].rmse,
         after=after.rmse,
-        told=float(error.rmse()[case.joint]),
+        told=float(error.rmse()[joint]),
         inside=after.rmse_inside,
         outside=after.rmse_outside,
         share=after.share_outside,
@@ -86,17 +84,15 @@ def run_case(case: Case, cache: Path) -> Result:
 
 
 def study(arguments: Namespace) -> str:
-    seeds = [(rig, seed) for rig in SEEDS for seed in SEEDS[rig]]
-    cases = [case_of(rig, kind, seed) for rig, seed in seeds for kind in KINDS]
-    found = results(
-        {case.key: case for case in cases[: 1 if arguments.quick else None]},
-        partial(run_case, cache=arguments.cache),
-        Result,
-        arguments.cache / "closed_loop.jsonl",
-        run=not arguments.tables,
-        told=lambda r: f"{', '.join(r.added) or 'nothing added'}, {r.ratio:.3f} of told",
-    )
+    every = [case_of(rig, k, seed) for rig in SEEDS for seed in SEEDS[rig] for k in KINDS]
+    cases = {case.key: case for case in every[: 1 if arguments.quick else None]}
+    work, path = partial(run_case, cache=arguments.cache), arguments.cache / "closed_loop.jsonl"
+    found = results(cases, work, Result, path, run=not arguments.tables, told=_told)
     return rendered(list(found.values()))
+
+
+def _told(r: Result) -> str:
+    return f"{', '.join(r.added) or 'nothing added'}, {r.ratio:.3f} of told"
 
 
 def rendered(found: Sequence[Result]) -> str:
@@ -106,15 +102,14 @@ def rendered(found: Sequence[Result]) -> str:
         groups |= {f"{kind}, {rig} joints": [r for r in mine if r.kind == kind] for kind in KINDS}
         groups[f"all, {rig} joints"] = mine
 
-    def middle(*names: str) -> dict[str, Callable[[Sequence[Result]], str]]:
-        medians = {name: partial(map, attrgetter(name)) for name in names}
-        return {name: lambda own, of=of: number(median(of(own))) for name, of in medians.items()}
+    def middle(name: str) -> Callable[[Sequence[Result]], str]:
+        return lambda own: number(median(getattr(r, name) for r in own))
 
     columns = {
         "cases": counted,
-        **middle("before", "after", "told"),
+        **{name: middle(name) for name in ("before", "after", "told")},
         "after over told, worst": lambda own: number(max(r.ratio for r in own), 3),
-        **middle("inside", "outside"),
+        **{name: middle(name) for name in ("inside", "outside")},
         "share outside": lambda own: f"{100 * median(r.share or 0.0 for r in own):.0f} %",
         f"confirmed and within {NEAR}": lambda own: f"{sum(r.closed for r in own)} of {len(own)}",
         "also added": lambda own: str(sum(not x.startswith(r.kind) for r in own for x in r.added)),

@@ -1,7 +1,6 @@
 """Run cases: `python -m tests.studies.outside --set tuning --seeds A:B [--cache FOLDER]`."""
 
 import argparse
-import sys
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ from tests.studies.records import results, seeds_of
 from tests.studies.tables import show
 
 
-def main(arguments: Sequence[str]) -> int:
+def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.studies.outside", description=__doc__)
     parser.add_argument("--set", choices=("tuning", "reserved"), default="tuning")
     parser.add_argument("--seeds", type=seeds_of, default="0:80", metavar="A:B")
@@ -22,21 +21,18 @@ def main(arguments: Sequence[str]) -> int:
     parser.add_argument("--coarser", type=float, default=1.0, help="counts of the encoders, times")
     parser.add_argument("--whole", action="store_true", help="published arms, all their joints")
     parser.add_argument("--write", action="store_true", help="write the tables into the document")
-    chosen = parser.parse_args(arguments)
+    chosen = parser.parse_args()
     if any((seed >= RESERVED) != (chosen.set == "reserved") for seed in chosen.seeds):
         parser.error(f"tuning seeds are below {RESERVED}, reserved ones are not")
     rows = answers(chosen.seeds, chosen.cache, coarser=chosen.coarser, whole=chosen.whole)
     name = f"outside_{chosen.set}" + "_whole" * chosen.whole
     show("outside.md", name, tables(rows), kept=chosen.write)
-    return 0
 
 
 def answers(seeds: Sequence[int], cache: Path, **drawing: Any) -> list[dict[str, Any]]:
     """Answers of the seeds' cases, drawn as `drawn` is told, from the cache where they are kept."""
-    work = partial(answered, cache=cache, **drawing)
-    cases = {str(seed): seed for seed in seeds}
-    kept = results(cases, work, dict[str, Any], cache / "outside.jsonl", told=_told)
-    return list(kept.values())
+    work, cases = partial(answered, cache=cache, **drawing), {str(seed): seed for seed in seeds}
+    return [*results(cases, work, dict[str, Any], cache / "outside.jsonl", told=_told).values()]
 
 
 def _told(row: dict[str, Any]) -> str:
@@ -45,4 +41,4 @@ def _told(row: dict[str, Any]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main()

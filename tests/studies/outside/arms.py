@@ -108,11 +108,10 @@ def published_links(name: str) -> tuple[Link, ...]:
 
 def drawn_links(rng: np.random.Generator, n: int) -> tuple[Link, ...]:
     """A chain of a size between a desktop arm and a UR10e."""
-    size = float(rng.uniform(0.3, 1.0))
+    size, links = float(rng.uniform(0.3, 1.0)), []
     axes = np.eye(3)[[1, 1 if rng.random() < 0.7 else 0, 1, 2, 1, 2]]
     if rng.random() < 0.3 and n > 1:
         axes[0] = [0.0, 0.0, 1.0]  # a turntable first
-    links = []
     for k in range(n):
         length, mass = 0.6 * size * 0.8**k, 12.0 * size**2 * 0.55**k
         radius = 0.15 * length

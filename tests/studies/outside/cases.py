@@ -68,14 +68,10 @@ class Recorder:
 
     def moves(self, count: int, seconds: float, effects: Sequence[Effect]) -> list[Path]:
         """Motions of all joints, of drawn sorts."""
-        sorts = self.rng.permutation(list(motions.MOTIONS))[:count]
-        return [
-            self.record(motions.MOTIONS[sort](self.case.arm, self.rng, seconds), effects)
-            for sort in sorts
-        ]
+        sorts = [motions.MOTIONS[x] for x in self.rng.permutation(list(motions.MOTIONS))[:count]]
+        return [self.record(sort(self.case.arm, self.rng, seconds), effects) for sort in sorts]
 
     def trials(self, speeds: Array, effects: Sequence[Effect]) -> list[Path]:
-        """Every joint by itself, the others held at a drawn posture."""
         arm = self.case.arm
         posture = self.rng.uniform(-0.6, 0.6, arm.n)
         return [self.record(motions.trial(arm, j, posture, speeds), effects) for j in range(arm.n)]
@@ -83,9 +79,9 @@ class Recorder:
     def one_step(self, logs: list[Path]) -> Path:
         """Identify everything from the same logs; returns the parameter file."""
         file, imu = self.folder / "simultaneous.json", self.folder / "imu.json"
-        if self.case.arm.imus:
-            identify.imu_calib(logs, self.robot, output=imu)
         known = [imu] if self.case.arm.imus else []
+        if known:
+            identify.imu_calib(logs, self.robot, output=imu)
         identify.simultaneous(logs, self.robot, known, output=file)
         return file
 
@@ -126,7 +122,6 @@ def prepared(case: Case, folder: Path) -> Prepared:
 
 
 def answered(seed: int, cache: Path, **drawing: Any) -> dict[str, Any]:
-    """Record, identify, record on, diagnose: what was hidden and what was found."""
     cache.mkdir(parents=True, exist_ok=True)
     case = drawn(seed, **drawing)
     start = time.process_time()
@@ -155,11 +150,10 @@ def answered(seed: int, cache: Path, **drawing: Any) -> dict[str, Any]:
 
 def poor(file: Path) -> str:
     stages = read_parameters(file).stages
-    named = ((name, getattr(stages, name)) for name in ("friction", "gravity", "imu", "inertia"))
     poor = [
         f"{name} {verdict.joint}: {verdict.reason}"
-        for name, stage in named
-        for verdict in (() if stage is None else stage.verdicts)
+        for name in ("friction", "gravity", "imu", "inertia")
+        for verdict in getattr(getattr(stages, name), "verdicts", ())
         if not verdict.good
     ]
     return "; ".join(poor) or "good"

@@ -12,17 +12,6 @@ from tests.studies.outside.robotfiles import FRICTION, STEP_S, row
 from tests.studies.outside.simulate import Effect, State
 
 Draw = Callable[[Arm, int, np.random.Generator], Effect]
-KINDS: dict[str, Draw] = {}  # in this order they come to the seeds
-
-
-def kind(draw: Draw) -> Draw:
-    """Add a kind of effect; what it draws has its name."""
-
-    def named(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
-        return replace(draw(arm, j, rng), name=draw.__name__)
-
-    KINDS[draw.__name__] = named
-    return named
 
 
 def found(root: ET.Element, path: str) -> ET.Element:
@@ -35,9 +24,7 @@ def joint_of(root: ET.Element, arm: Arm, j: int) -> ET.Element:
     return found(root, f".//joint[@name='{arm.names[j]}']")
 
 
-@kind
 def stribeck(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
-    """More dry friction at low speed."""
     slow = float(rng.uniform(0.03, 0.12)) * arm.links[j].speed
     power, size = float(rng.uniform(0.8, 2.0)), 0.8 * arm.drives[j].coulomb
     return Effect(
@@ -45,7 +32,6 @@ def stribeck(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     )
 
 
-@kind
 def spring(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A hose: the joint's own stiffness about a place of its own."""
     rest = arm.links[j].middle + float(rng.uniform(-0.8, 0.8)) * arm.links[j].reach
@@ -57,14 +43,12 @@ def spring(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     return Effect(j, xml=xml)
 
 
-@kind
 def torque_bias(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A current sensor with an offset."""
     side, level = float(rng.choice([-1.0, 1.0])), arm.drives[j].coulomb
     return Effect(j, told=lambda scale, tau, t: tau + 0.4 * side * scale * level)
 
 
-@kind
 def payload(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A body that the last link carries."""
     last = arm.links[-1]
@@ -80,13 +64,11 @@ def payload(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     return Effect(None, xml=xml, most=8.0)
 
 
-@kind
 def load_dependent_friction(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Dry friction that grows with the torque that the gear carries."""
     return Effect(j, dry=lambda scale, base, now: 0.08 * scale * abs(now.load[j]), most=3.0)
 
 
-@kind
 def torque_ripple(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Cogging, mesh or commutation: a sine of the motor's angle, or of the gear's."""
     order = arm.drives[j].ratio if rng.random() < 0.5 else float(rng.integers(6, 40))
@@ -99,18 +81,12 @@ def torque_ripple(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     return Effect(j, push=push)
 
 
-def _joint_or_all(j: int, rng: np.random.Generator) -> int | None:
-    return j if rng.random() < 0.5 else None
-
-
-@kind
 def time_skew(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Torques that are logged late, or early, against the positions."""
-    joint, side = _joint_or_all(j, rng), float(rng.choice([-1.0, 1.0]))
+    joint, side = j if rng.random() < 0.5 else None, float(rng.choice([-1.0, 1.0]))
     return Effect(joint, told=lambda c, tau, t: np.interp(t - side * 0.003 * c, t, tau), most=8.0)
 
 
-@kind
 def friction_change(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Dry and viscous friction of one joint that have become larger, or smaller."""
     dry, viscous = (1.0, 0.8) if rng.random() < 0.7 else (-0.4, 0.0)
@@ -144,7 +120,6 @@ def _geared(root: ET.Element, arm: Arm, j: int, hertz: float) -> tuple[ET.Elemen
     return tendon, float(0.1 * np.sqrt(stiffness * rotor))
 
 
-@kind
 def joint_elasticity(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A gear that twists: motor and link are two bodies with a spring between them."""
 
@@ -163,20 +138,17 @@ def _drag(arm: Arm, j: int, power: float) -> Effect:
     return Effect(j, push=push)
 
 
-@kind
 def nonlinear_viscous(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Shear-thinning grease, or worse than quadratic."""
     return _drag(arm, j, float(rng.choice([0.5, 0.6, 3.0])))
 
 
-@kind
 def torque_constant(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """More amperes per newton metre than before."""
     side = float(rng.choice([-1.0, 1.0]))
     return Effect(j, told=lambda scale, tau, t: (1.0 + 0.05 * side * scale) * tau, most=6.0)
 
 
-@kind
 def external_contact(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Somebody pushes the last body, once in every log."""
     start, seconds = float(rng.uniform(2.0, 3.0)), float(10.0 ** rng.uniform(-0.5, 0.6))
@@ -190,18 +162,15 @@ def external_contact(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     return Effect(None, flange=flange)
 
 
-@kind
 def asymmetric_friction(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
-    """More dry friction one way than the other."""
     side = float(rng.choice([-0.4, 0.4]))
-    return Effect(
-        j,
-        dry=lambda c, base, now: base * np.clip(c * side * np.sign(now.dq[j]), -0.9, 0.9),
-        most=2.0,
-    )
+
+    def dry(scale: float, base: float, state: State) -> float:
+        return base * np.clip(scale * side * np.sign(state.dq[j]), -0.9, 0.9)
+
+    return Effect(j, dry=dry, most=2.0)
 
 
-@kind
 def base_tilt(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A base that stands askew."""
     way = float(rng.uniform(0.0, 6.3))
@@ -215,14 +184,12 @@ def base_tilt(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     return Effect(None, xml=xml, most=5.0)
 
 
-@kind
 def drift(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """An offset that creeps while the drive warms up."""
     side, level = float(rng.choice([-1.0, 1.0])), arm.drives[j].coulomb
     return Effect(j, told=lambda scale, tau, t: tau + side * scale * level * t / 60.0)
 
 
-@kind
 def gear_efficiency(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Losses in proportion to the load, of their own while driving and while driven."""
     driving, driven = (0.15, 0.03) if rng.random() < 0.5 else (0.06, 0.15)
@@ -234,7 +201,6 @@ def gear_efficiency(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     return Effect(j, dry=dry, most=3.0)
 
 
-@kind
 def backlash(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A gear with a dead zone between stiff flanks."""
 
@@ -246,7 +212,6 @@ def backlash(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     return Effect(j, xml=xml, most=5.0)
 
 
-@kind
 def encoder_eccentricity(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A disc off centre, on the joint's own shaft or the motor's: the controller believes it."""
     slow = rng.random() < 0.6
@@ -255,7 +220,6 @@ def encoder_eccentricity(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     return Effect(j, angle=lambda scale, q: scale * size * np.sin(order * q + phase), most=5.0)
 
 
-@kind
 def presliding_hysteresis(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Bristles carry a part of the dry friction; they bend before they slide (Dahl)."""
     settle = float(10.0 ** rng.uniform(-2.3, -1.4))  # rad
@@ -273,7 +237,6 @@ def presliding_hysteresis(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     return Effect(j, dry=lambda scale, base, now: -part(scale), push=push, most=4.0)
 
 
-@kind
 def transmission_coupling(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A part of a joint's drive turns with the joint before it as well: a tendon over both."""
     other = j - 1 if j else 1
@@ -292,32 +255,27 @@ def transmission_coupling(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     )
 
 
-@kind
 def torque_saturation(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Iron that saturates: more and more amperes for the last newton metres."""
     rated = 10.0 * arm.drives[j].coulomb
     return Effect(j, told=lambda c, tau, t: tau * (1.0 + 0.05 * c * (tau / rated) ** 2), most=6.0)
 
 
-@kind
 def quadratic_drag(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Churning grease."""
     return _drag(arm, j, 2.0)
 
 
-@kind
 def rotor_inertia(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Another motor than before: a heavier rotor."""
 
-    rotor = arm.drives[j].rotor
-    return Effect(
-        j,
-        xml=lambda c, root: joint_of(root, arm, j).set("armature", repr((1.0 + 0.5 * c) * rotor)),
-        most=8.0,
-    )
+    def xml(scale: float, root: ET.Element) -> None:
+        rotor = (1.0 + 0.5 * scale) * arm.drives[j].rotor
+        joint_of(root, arm, j).set("armature", repr(rotor))
+
+    return Effect(j, xml=xml, most=8.0)
 
 
-@kind
 def periodic_disturbance(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """A pump, a fan or the mains in the current sensor."""
     hertz, phase = float(rng.choice([3.7, 8.3, 14.6, 29.5, 50.0])), float(rng.uniform(0.0, 6.3))
@@ -325,7 +283,6 @@ def periodic_disturbance(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     return Effect(j, told=lambda c, tau, t: tau + 0.3 * c * level * np.sin(pace * t + phase))
 
 
-@kind
 def thermal_friction(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """Grease that thins while the gear warms up: an exponential of the temperature."""
 
@@ -338,10 +295,9 @@ def thermal_friction(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     return Effect(j, dry=lambda c, base, now: 0.5 * base * less(c, now), push=push, most=5.0)
 
 
-@kind
 def actuator_lag(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     """The log holds what was commanded; the drive follows it with a lag."""
-    joint = _joint_or_all(j, rng)
+    joint = j if rng.random() < 0.5 else None
 
     def drive(scale: float, torque: Array, state: State) -> Array:
         acting = state.memory.get("acting", torque)
@@ -353,12 +309,27 @@ def actuator_lag(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
     return Effect(joint, drive=drive, most=4.0)
 
 
-@kind
 def position_dependent_friction(arm: Arm, j: int, rng: np.random.Generator) -> Effect:
-    """Dry friction that is larger at some places than at others."""
     waves, phase = float(rng.choice([1.0, 2.0, 3.0, 5.0])), float(rng.uniform(0.0, 6.3))
     return Effect(
         j,
         dry=lambda c, base, now: min(0.4 * c, 0.95) * base * np.sin(waves * now.q[j] + phase),
         most=2.3,
     )
+
+
+# In this order they come to the seeds.
+_ORDER = """
+stribeck spring torque_bias payload load_dependent_friction torque_ripple time_skew
+friction_change joint_elasticity nonlinear_viscous torque_constant external_contact
+asymmetric_friction base_tilt drift gear_efficiency backlash encoder_eccentricity
+presliding_hysteresis transmission_coupling torque_saturation quadratic_drag rotor_inertia
+periodic_disturbance thermal_friction actuator_lag position_dependent_friction
+"""
+
+
+def _named(name: str, draw: Draw) -> Draw:
+    return lambda arm, j, rng: replace(draw(arm, j, rng), name=name)
+
+
+KINDS = {name: _named(name, globals()[name]) for name in _ORDER.split()}

@@ -35,11 +35,8 @@ def fitted(arm: Arm, unit: Array) -> Array:
 def trial(arm: Arm, joint: int, posture: Array, speeds: Array) -> Array:
     """One joint to and fro at constant speeds (shares of its limit), the others held: (N, n)."""
     link = arm.links[joint]
-    knots, moments = [-1.0], [0.0]
-    for speed in speeds * link.speed / link.reach:
-        for side in (1.0, -1.0):
-            moments.append(moments[-1] + 2.0 / float(speed))
-            knots.append(side)
+    moments = np.cumsum([0.0, *np.repeat(2.0 / (speeds * link.speed / link.reach), 2)])
+    knots = np.where(np.arange(len(moments)) % 2, 1.0, -1.0)
     line = _rounded(np.interp(_times(moments[-1]), moments, knots), 301)
     middles, reaches = (np.array([getattr(x, k) for x in arm.links]) for k in ("middle", "reach"))
     q = np.tile((middles + reaches * np.resize(posture, len(arm.links)))[: arm.n], (len(line), 1))
@@ -49,10 +46,9 @@ def trial(arm: Arm, joint: int, posture: Array, speeds: Array) -> Array:
 
 def multisine(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
     """Harmonics of a tenth of a hertz with drawn phases, faded in and out."""
-    t = _times(seconds)
-    harmonics = np.arange(1, 9) * 0.1
-    size = rng.uniform(0.3, 1.0, (arm.n, 8)) / np.sqrt(np.arange(1, 9))
-    wave = np.sin(2 * np.pi * harmonics[:, None] * t + rng.uniform(0, 6.3, (arm.n, 8, 1)))
+    t, k = _times(seconds), np.arange(1, 9)
+    size = rng.uniform(0.3, 1.0, (arm.n, 8)) / np.sqrt(k)
+    wave = np.sin(2 * np.pi * (k * 0.1)[:, None] * t + rng.uniform(0, 6.3, (arm.n, 8, 1)))
     q = np.einsum("jk,jkt->tj", size, wave)
     fade = np.clip(np.minimum(t, t[-1] - t) / 1.5, 0.0, 1.0)
     fade = fade**3 * (10 - 15 * fade + 6 * fade**2)
@@ -70,8 +66,7 @@ def points(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
 
 def spline(arm: Arm, rng: np.random.Generator, seconds: float) -> Array:
     """A cubic spline through drawn points at uneven times, as a program of via points gives."""
-    gaps = rng.uniform(0.5, 1.3, int(1.2 * seconds))
-    moments = np.concatenate([[0.0], np.cumsum(gaps)])
+    moments = np.cumsum([0.0, *rng.uniform(0.5, 1.3, int(1.2 * seconds))])
     moments = moments[moments <= seconds]
     knots = rng.uniform(-0.7, 0.7, (len(moments), arm.n))
     knots[[0, -1]] = 0.0

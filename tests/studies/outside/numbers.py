@@ -26,13 +26,13 @@ from seqid_cli.robot.file import load_robot
 from tests import ROOT
 from tests.studies.outside.cases import prepared, told
 from tests.studies.outside.plan import drawn
-from tests.studies.outside.score import finding_is, label
+from tests.studies.outside.score import label, surely_wrong
+from tests.studies.outside.tabulate import LOUD
 from tests.studies.records import results, seeds_of
 from tests.studies.tables import show, table
 
 PAGE = ROOT / "docs" / "deciding_numbers.md"
 FACTORS = (0.7, 1.3)
-SURE = 0.8  # confidence above which a wrong name counts
 
 
 def numbers() -> dict[str, tuple[str, str]]:
@@ -48,7 +48,6 @@ def numbers() -> dict[str, tuple[str, str]]:
 
 @contextmanager
 def changed(name: str, where: str, factor: float) -> Iterator[None]:
-    """The package with one of its numbers multiplied by a factor."""
     module = importlib.import_module(f"seqid_cli.{where.removesuffix('.py').replace('/', '.')}")
     undo = list[tuple[Any, str, Any]]()
 
@@ -99,11 +98,9 @@ def answered(seed: int) -> dict[str, Any]:
             hidden = {"kinds": [x.name for x in case.effects], "flow": case.outline.flow}
             whole = found | hidden | {"joints": [" ".join(x) for x in case.joints], "error": ""}
             labels = [label(whole, i) for i in range(len(case.effects))]
-            names = [f"{x['effect']} {x['joint']}" for x in found["findings"]]
-            wrong = [finding_is(whole, x) == "wrong" for x in found["findings"]]
-            sure = [x["confidence"] > SURE for x in found["findings"]]
+            names = sorted(f"{x['effect']} {x['joint']}" for x in found["findings"])
             right = sum(x in ("right", "alike") for x in labels)
-            return {"names": sorted(names), "right": right, "wrong": any(map(min, wrong, sure))}
+            return {"names": names, "right": right, "wrong": surely_wrong(whole, LOUD)}
 
         rows["as it is"] = row()
         for title, (name, where) in numbers().items():
@@ -135,17 +132,16 @@ def tabulated(kept: Sequence[dict[str, Any]]) -> str:
     return first + "\n\n" + table([*head, "right ", "wrong "], lines)
 
 
-def main(arguments: Sequence[str]) -> int:
+def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.studies.outside.numbers")
     parser.add_argument("--seeds", type=seeds_of, default="1000:1200", metavar="A:B")
     parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
     parser.add_argument("--write", action="store_true", help="write the table into the document")
-    chosen = parser.parse_args(arguments)
+    chosen = parser.parse_args()
     cases = {str(seed): seed for seed in chosen.seeds}
     kept = results(cases, answered, dict[str, Any], chosen.cache / "numbers.jsonl", processes=2)
     show(PAGE.name, "numbers", tabulated(list(kept.values())), kept=chosen.write)
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main()

@@ -71,8 +71,7 @@ def kinds_of(seed: int) -> tuple[str, ...]:
 
 def outlined(seed: int, whole: bool = False) -> Outline:
     """Which sort of case a seed is; `whole` ones are published arms of which all joints move."""
-    rng = np.random.default_rng([seed, 77])
-    kinds = kinds_of(seed)
+    rng, kinds = np.random.default_rng([seed, 77]), kinds_of(seed)
     flow = FLOWS[int(rng.integers(len(FLOWS)))]
     if COMES_LATER & set(kinds):
         flow = "step_late" if flow.startswith("s") else "late"
@@ -80,8 +79,7 @@ def outlined(seed: int, whole: bool = False) -> Outline:
     if seed % 6 == 1:
         label, n = PUBLISHED[(seed // 6) % len(PUBLISHED)], int(rng.choice([2, 3, 3, MANY]))
     if whole:
-        label = PUBLISHED[seed % len(PUBLISHED)]
-        n = len(published_links(label))
+        n = len(published_links(label := PUBLISHED[seed % len(PUBLISHED)]))
     if "transmission_coupling" in kinds:
         n = max(n, 2)
     imus, mcap = bool(rng.random() < 0.5) and n < MANY, bool(rng.random() < 0.3)
@@ -92,8 +90,8 @@ def outlined(seed: int, whole: bool = False) -> Outline:
 def drawn(seed: int, coarser: float = 1.0, whole: bool = False) -> Case:
     outline, rng = outlined(seed, whole), np.random.default_rng([seed, 78])
     arm = drawn_arm(rng, outline.label, outline.n, outline.imus)
-    drives = tuple(replace(drive, count=coarser * drive.count) for drive in arm.drives)
-    arm = replace(arm, drives=drives)
+    coarse = (replace(drive, count=coarser * drive.count) for drive in arm.drives)
+    arm = replace(arm, drives=tuple(coarse))
     found = [
         sized(arm, KINDS[kind](arm, int(rng.integers(arm.n)), rng), rng) for kind in outline.kinds
     ]
@@ -107,10 +105,10 @@ def sized(arm: Arm, effect: Effect, rng: np.random.Generator) -> tuple[Effect, f
     motion = motions.multisine(arm, np.random.default_rng([int(1e6 * target), 1]), 6.0)
     plain = simulate(arm, motion, 0, start=60.0).torque
     width = max(int(0.05 * arm.rate_hz), 1)
+    window = np.ones(width) / width
 
     def share(scale: float) -> float:
         changed = simulate(arm, motion, 0, [effect.make(scale)], start=60.0).torque
-        window = np.ones(width) / width
         apart = np.array([np.convolve(x, window, "valid") for x in (changed - plain).T])
         shares = np.sqrt(np.mean(apart**2, axis=1) / np.mean(plain**2, axis=0))
         return float(shares.max() if effect.joint is None else shares[effect.joint])

@@ -5,7 +5,6 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,11 +71,11 @@ def answered(seed: int) -> dict[str, Any]:
             return {"seed": seed, "kind": "", "added": [], "error": repr(error)}
 
 
-def main(arguments: Sequence[str]) -> int:
+def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m tests.studies.outside.refined")
     parser.add_argument("--seeds", type=seeds_of, default="1000:1030", metavar="A:B")
     parser.add_argument("--cache", type=Path, default=Path("out") / "outside")
-    chosen = parser.parse_args(arguments)
+    chosen = parser.parse_args()
     cases = {str(seed): seed for seed in chosen.seeds if len(drawn(seed).effects) == 1}
     kept = results(cases, answered, dict[str, Any], chosen.cache / "refined.jsonl", told=str)
     right = [r for r in kept.values() if r["kind"] in {added[0] for added in r["added"]}]
@@ -87,8 +86,7 @@ def main(arguments: Sequence[str]) -> int:
         f"{len(kept)} cases, {len(right)} with the right name added, {len(sure)} of them with "
         f"nothing unconfirmed; {len(near)} of {len(asked)} within {NEAR} of a model that is told\n"
     )
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    main()

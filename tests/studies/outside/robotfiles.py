@@ -61,12 +61,10 @@ def urdf(arm: Arm) -> str:
         body = ET.SubElement(ET.SubElement(root, "link", name=f"l{k}"), "inertial")
         ET.SubElement(body, "origin", xyz=row(link.centre))
         ET.SubElement(body, "mass", value=repr(link.mass))
-        names = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-        values = link.inertia[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-        pairs = zip(names, values, strict=True)
-        ET.SubElement(body, "inertia", {name: repr(float(value)) for name, value in pairs})
-        moves = k < arm.n
-        name = arm.names[k] if moves else f"lock{k}"
+        upper = zip(*np.triu_indices(3), strict=True)
+        values = {f"i{'xyz'[i]}{'xyz'[k]}": repr(float(link.inertia[i, k])) for i, k in upper}
+        ET.SubElement(body, "inertia", values)
+        name = arm.names[k] if (moves := k < arm.n) else f"lock{k}"
         joint = ET.SubElement(root, "joint", name=name, type="revolute" if moves else "fixed")
         ET.SubElement(joint, "parent", link=f"l{k - 1}" if k else "base")
         ET.SubElement(joint, "child", link=f"l{k}")
@@ -80,23 +78,17 @@ def urdf(arm: Arm) -> str:
 
 
 def robot_toml(arm: Arm) -> str:
-    lines = [
-        'schema = "seqid/robot@1"',
-        'name = "outside"',
-        'urdf = "arm.urdf"',
-        f"gravity = [0.0, 0.0, {-GRAVITY}]",
-    ]
+    lines = ['schema = "seqid/robot@1"', 'name = "outside"', 'urdf = "arm.urdf"']
+    lines += [f"gravity = [0.0, 0.0, {-GRAVITY}]"]
     for name, drive in zip(arm.names, arm.drives, strict=True):
         lines += ["[[joint]]", f'name = "{name}"', f"gear_ratio = {drive.ratio!r}"]
-        lines += [f"torque_constant = {drive.constant!r}"]
-        lines += [f"encoder_resolution = {drive.count!r}"]
+        lines += [f"torque_constant = {drive.constant!r}", f"encoder_resolution = {drive.count!r}"]
     for k, imu in enumerate(arm.imus):
         lines += ["[[imu]]", f'name = "imu{k}"', f'after_joint = "{arm.names[imu.link]}"']
         lines += [f"gyro = {str(imu.gyro).lower()}", "accelerometers = ["]
         for corner in imu.corners:
-            at = [float(x) for x in corner]
-            axes = ([1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0])
-            lines += [f"  {{ position = {at}, axis = {list(map(float, a))} }}," for a in axes]
+            at = corner.tolist()
+            lines += [f"  {{ position = {at}, axis = {a} }}," for a in np.eye(3).tolist()]
         lines += ["]"]
     lines += ["[channels]", f'effort = "{"current" if arm.currents else "torque"}"']
     return "\n".join(lines) + "\n"

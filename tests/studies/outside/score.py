@@ -9,24 +9,22 @@ SURE = 0.9  # confidence from which a wrong name is stated with certainty
 LITTLE = 1.25  # noise floors: less is left at a joint where nothing is to be found
 
 # Effects of one group do nearly the same to a torque; an effect may be in several.
-FAMILIES: tuple[frozenset[str], ...] = tuple(
-    frozenset(names.split())
-    for names in (
-        "stribeck presliding_hysteresis nonlinear_viscous",
-        "quadratic_drag nonlinear_viscous",
-        "load_dependent_friction gear_efficiency torque_saturation",
-        "torque_constant torque_saturation rotor_inertia payload",
-        "friction_change thermal_friction position_dependent_friction",
-        "asymmetric_friction torque_bias drift",
-        "torque_bias spring",
-        "spring base_tilt payload",
-        "time_skew actuator_lag joint_elasticity",
-        "joint_elasticity backlash presliding_hysteresis",
-        "torque_ripple encoder_eccentricity",
-        "transmission_coupling friction_change",
-        "external_contact drift",
-    )
+_GROUPS = (
+    "stribeck presliding_hysteresis nonlinear_viscous",
+    "quadratic_drag nonlinear_viscous",
+    "load_dependent_friction gear_efficiency torque_saturation",
+    "torque_constant torque_saturation rotor_inertia payload",
+    "friction_change thermal_friction position_dependent_friction",
+    "asymmetric_friction torque_bias drift",
+    "torque_bias spring",
+    "spring base_tilt payload",
+    "time_skew actuator_lag joint_elasticity",
+    "joint_elasticity backlash presliding_hysteresis",
+    "torque_ripple encoder_eccentricity",
+    "transmission_coupling friction_change",
+    "external_contact drift",
 )
+FAMILIES = [set(names.split()) for names in _GROUPS]
 _DEPENDS = (  # what an unexplained residual may rightly be said to depend on, for which effects
     ("position", "spring base_tilt torque_ripple encoder_eccentricity position_dependent_friction"),
     ("velocity", "quadratic_drag nonlinear_viscous"),
@@ -76,11 +74,9 @@ def finding_is(
     return "family" if any(related(finding["effect"], kind) for kind in kinds) else "wrong"
 
 
-def surely_wrong(row: Row) -> bool:
-    return any(
-        finding["confidence"] >= SURE and finding_is(row, finding) == "wrong"
-        for finding in row.get("findings", ())
-    )
+def surely_wrong(row: Row, sure: float = SURE) -> bool:
+    loud = (finding for finding in row.get("findings", ()) if finding["confidence"] >= sure)
+    return any(finding_is(row, finding) == "wrong" for finding in loud)
 
 
 def _of_position(row: Row, depends_on: Sequence[str]) -> bool:

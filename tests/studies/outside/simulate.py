@@ -78,14 +78,11 @@ def built(arm: Arm, effects: Sequence[Effect] = ()) -> mujoco.MjModel:
 
 def _motors(arm: Arm, model: mujoco.MjModel) -> tuple[list[int], list[int]]:
     """Degrees of freedom of the motors and of the links that they move."""
-    kinds = mujoco.mjtObj.mjOBJ_JOINT
+    kinds, dof = mujoco.mjtObj.mjOBJ_JOINT, model.jnt_dofadr
     links = [mujoco.mj_name2id(model, kinds, name) for name in arm.names]
     motors = [mujoco.mj_name2id(model, kinds, f"{name}_motor") for name in arm.names]
-    dof = model.jnt_dofadr
-    return (
-        [int(dof[m if m >= 0 else j]) for m, j in zip(motors, links, strict=True)],
-        [int(dof[j]) for j in links],
-    )
+    moved = [m if m >= 0 else j for m, j in zip(motors, links, strict=True)]
+    return dof[moved].tolist(), dof[links].tolist()
 
 
 def _controller(arm: Arm, reference: Array, rate: Array) -> tuple[Array, Array]:
@@ -109,8 +106,7 @@ def simulate(
     arm: Arm, reference: Array, seed: int, effects: Sequence[Effect] = (), start: float = 0.0
 ) -> Log:
     """Follow a motion (N, n) at 1 kHz: PD, with most of the rigid arm's torque fed forward."""
-    model = built(arm, effects)
-    data = mujoco.MjData(model)
+    data = mujoco.MjData(model := built(arm, effects))
     motor, link = _motors(arm, model)
     for dofs in (motor, link):
         data.qpos[dofs] = reference[0]
@@ -156,8 +152,7 @@ def simulate(
 def _logged(
     arm: Arm, times: Array, truth: Sequence[Array], seed: int, effects: Sequence[Effect]
 ) -> Log:
-    rng = np.random.default_rng([seed, 5])
-    q, tau, warmth, sensed = truth
+    rng, (q, tau, warmth, sensed) = np.random.default_rng([seed, 5]), truth
     told = tau.copy()
     for e in effects:
         for k in range(arm.n) if e.told else ():
@@ -169,20 +164,15 @@ def _logged(
     accelerometers, gyros, at = {}, {}, 0  # the sensors' numbers come IMU by IMU
     for k, imu in enumerate(arm.imus):
         count = 3 * len(imu.corners)
-        clean = sensed[rows, at : at + count]
-        noisy = clean + imu.bias[:count] + imu.noise * rng.normal(size=clean.shape)
-        accelerometers[f"imu{k}"] = noisy
+        clean = sensed[rows, at : at + count] + imu.bias[:count]
+        accelerometers[f"imu{k}"] = clean + imu.noise * rng.normal(size=clean.shape)
         at += count
         if imu.gyro:
             clean = sensed[rows, at : at + 3]
             gyros[f"imu{k}"] = clean + 0.002 * rng.normal(size=clean.shape)
             at += 3
     return Log(
-        times[rows],
-        counts * np.round(q[rows] / counts),
-        told[rows] + noise,
+        *(times[rows], counts * np.round(q[rows] / counts), told[rows] + noise),
         np.round(2.0 * (25.0 + warmth[rows])) / 2.0,
-        accelerometers,
-        gyros,
-        tau[rows],
+        *(accelerometers, gyros, tau[rows]),
     )

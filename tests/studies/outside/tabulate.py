@@ -31,7 +31,7 @@ GROUPS: Mapping[str, Callable[[Row], bool]] = {
     "all": lambda row: True,
 }
 BINS = ((0.0, 0.8), (0.8, 0.9), (0.9, 0.97), (0.97, 0.99), (0.99, np.nextafter(1.0, 2.0)))
-LOUD = 0.8  # confidence above which a wrong name is counted
+LOUD = np.nextafter(0.8, 1.0)  # confidence from which a wrong name is counted: above 0.8
 NAMED = {"right", "alike"}
 Rows = Sequence[Row]
 
@@ -62,10 +62,7 @@ def asked_table(rows: Rows) -> str:
     alone = [own[0] for own in found if len(own) == 1]
     pairs = [set(own) for own in found if len(own) == 2]
     both = [own for own in pairs if "little left" not in own]
-    loud = [
-        any(f["confidence"] > LOUD and finding_is(row, f) == "wrong" for f in row["findings"])
-        for row in well
-    ]
+    loud = [surely_wrong(row, LOUD) for row in well]
     asked = {
         "clean arm: nothing told": [silent(row) for row in well if not row["kinds"]],
         "one effect that shows: its name, or told as like it": [
@@ -84,16 +81,14 @@ def asked_table(rows: Rows) -> str:
 def clean_table(rows: Rows) -> str:
     clean = [row for row in rows if not row["kinds"]]
     names = {"clean, sequential": False, "clean, one-step": True}
-    return grouped(
-        "group",
-        {name: [row for row in clean if one_step(row) is step] for name, step in names.items()},
-        {
-            "cases": counted,
-            "silent": lambda own: _share([silent(row) for row in _well(own)]),
-            "a wrong name, surely": lambda own: str(sum(map(surely_wrong, _well(own)))),
-            "failed": _failed,
-        },
-    )
+    groups = {name: [row for row in clean if one_step(row) is x] for name, x in names.items()}
+    columns = {
+        "cases": counted,
+        "silent": lambda own: _share([silent(row) for row in _well(own)]),
+        "a wrong name, surely": lambda own: str(sum(map(surely_wrong, _well(own)))),
+        "failed": _failed,
+    }
+    return grouped("group", groups, columns)
 
 
 def group_table(rows: Rows) -> str:
@@ -103,17 +98,15 @@ def group_table(rows: Rows) -> str:
         hits = [x == key for found in _found(own) for x in found]
         return _share(hits) if any(hits) else ""
 
-    return grouped(
-        "group",
-        {name: [row for row in hidden if chosen(row)] for name, chosen in GROUPS.items()},
-        {
-            "cases": counted,
-            "effects": lambda own: str(sum(map(len, _found(own)))),
-            **{name: partial(share_of, key) for key, name in LABELS.items()},
-            "a wrong name, surely": lambda own: _share([surely_wrong(row) for row in _well(own)]),
-            "failed": _failed,
-        },
-    )
+    groups = {name: [row for row in hidden if chosen(row)] for name, chosen in GROUPS.items()}
+    columns = {
+        "cases": counted,
+        "effects": lambda own: str(sum(map(len, _found(own)))),
+        **{name: partial(share_of, key) for key, name in LABELS.items()},
+        "a wrong name, surely": lambda own: _share([surely_wrong(row) for row in _well(own)]),
+        "failed": _failed,
+    }
+    return grouped("group", groups, columns)
 
 
 def effect_table(rows: Rows) -> str:
@@ -122,15 +115,13 @@ def effect_table(rows: Rows) -> str:
     def count_of(key: str, own: Sequence[tuple[Row, int]]) -> str:
         return str(sum(label(row, k) == key for row, k in own) or "")
 
-    return grouped(
-        "effect",
-        {kind: [(row, k) for row, k in every if row["kinds"][k] == kind] for kind in KINDS},
-        {
-            "times": counted,
-            "size": lambda own: percent(float(np.median([r["shares"][k] for r, k in own])), 1),
-            **{name: partial(count_of, key) for key, name in LABELS.items()},
-        },
-    )
+    groups = {kind: [(row, k) for row, k in every if row["kinds"][k] == kind] for kind in KINDS}
+    columns = {
+        "times": counted,
+        "size": lambda own: percent(float(np.median([r["shares"][k] for r, k in own])), 1),
+        **{name: partial(count_of, key) for key, name in LABELS.items()},
+    }
+    return grouped("effect", groups, columns)
 
 
 def confidence_table(rows: Rows) -> str:

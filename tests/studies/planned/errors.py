@@ -31,19 +31,16 @@ OPTIONS = PlanOptions(duration_s=150.0, ramp_s=0.2)
 
 def study(chosen: Namespace) -> str:
     """Ratios of obtained to predicted errors of every arm; there is no quick way to them."""
-    del chosen
     rows = [row for arm in range(ARMS) for row in compared(arm, DRAWS)]
     return table(["arm", "parameters", "within 25 %", "median ratio", "smallest", "largest"], rows)
 
 
 def compared(arm: int, draws: int) -> list[list[str]]:
     plant = another(six_joint(), np.random.default_rng([SEED, arm]))
-    postures = list(SIX_POSTURES)
-    slow = gravity_trials(plant, postures[:5], speeds=(0.3,))
-    trials = [*friction_trials(plant, postures[0], lowest=0.08), *slow]
+    slow = gravity_trials(plant, list(SIX_POSTURES[:5]), speeds=(0.3,))
+    trials = [*friction_trials(plant, SIX_POSTURES[0], lowest=0.08), *slow]
     experiment = run("six_joint", plant, trials, arm, every=EVERY)
-    robot = experiment.robot
-    before = before_inertia(experiment.recordings, robot)
+    robot, before = experiment.robot, before_inertia(experiment.recordings, experiment.robot)
 
     def inertia(logs: Sequence[Recording]) -> Stages:
         return with_inertia({"inertia": logs}, robot, before, InertiaOptions())

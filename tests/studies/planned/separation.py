@@ -84,15 +84,11 @@ class Outcome:
 def study(chosen: argparse.Namespace) -> str:
     sources = package_sources("plan", "discover", "model") + plant_sources()
     parts = []
+    pairs = {"-".join(pair): pair for pair in (PAIRS[:2] if chosen.quick else PAIRS)}
     for name, drawn in list(DRAWN.items())[: 1 if chosen.quick else None]:
-        seed, joint, _ = drawn
-        found = results(
-            {"-".join(pair): pair for pair in (PAIRS[:2] if chosen.quick else PAIRS)},
-            partial(outcome, drawn=drawn, cache=chosen.cache),
-            Outcome,
-            chosen.cache / "separation" / f"{seed}_{joint}.jsonl",
-            sources=sources,
-        )
+        path = chosen.cache / "separation" / f"{drawn[0]}_{drawn[1]}.jsonl"
+        work = partial(outcome, drawn=drawn, cache=chosen.cache)
+        found = results(pairs, work, Outcome, path, sources=sources)
         parts.append(f"{name}: {_table(list(found.values()))}")
     return "\n\n".join(parts)
 
@@ -101,8 +97,8 @@ def _table(found: Sequence[Outcome]) -> str:
     open_ = [o for o in found if o.log]
     right = sum(o.separated or o.told for o in open_)
     parted, promised = sum(o.separated for o in open_), [o for o in open_ if not o.told]
-    head = ["effect", "log, size", "names before", "planned against", "it reaches up to",
-            "plan: dropped with", "names after", "answer"]  # fmt: skip
+    head = ["effect", "log, size", "names before", "planned against", "it reaches up to"]
+    head += ["plan: dropped with", "names after", "answer"]
     rows = [
         [o.effect, f"{o.log}, {o.size:g}", ", ".join(o.before), o.rival, f"{o.imitated:.1%}",
          f"{o.power:.0%}", ", ".join(o.after), ANSWERS[o.separated, o.told]]
@@ -137,8 +133,7 @@ def outcome(pair: tuple[str, str], drawn: Drawn, cache: Path) -> Outcome:
         for drill in (drill for drill in plan if drill.name in LOGS):
             what = f"{case.effects}|{drill.name}"
             log = stored(cache, what, plant, drill.reference, seed, every=2, start=drill.start)
-            before = names([log])
-            if rival in before:
+            if rival in (before := names([log])):
                 belief = belief_of(robot, stages, limits_of(robot, ramp_s=0.4))
                 wanted = {"duration_s": SECONDS, "move_s": MOVE_S, "between": pair, "joint": at}
                 options = PlanOptions(**wanted, seed=seed)

@@ -35,27 +35,23 @@ def bound(plant: Plant, logs: Sequence[Log], name: str, *, friction: bool, motio
         density = noise_density(plant, len(log.t), rate, encoder=not motion)
         information += whittle(columns * sliding, density)
     # Scaled first: the columns' units differ by orders of magnitude.
-    scale = 1.0 / np.sqrt(np.diag(information))
+    scale, k = 1.0 / np.sqrt(np.diag(information)), RIGID.index(name)
     covariance = np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale)
-    k = RIGID.index(name)
     return float(np.sqrt(covariance[k, k]))
 
 
 def whittle(columns: Array, density: Array) -> Array:
     """Information (p, p) of columns (N, p) in noise of density (N // 2 + 1,) per sample."""
     count = len(columns)
-    spectrum = np.fft.rfft(columns, axis=0)
-    twice = np.full(len(density), 2.0)
-    twice[0] = 1.0
-    if count % 2 == 0:
-        twice[-1] = 1.0
+    spectrum, twice = np.fft.rfft(columns, axis=0), np.full(len(density), 2.0)
+    twice[[0, -1] if count % 2 == 0 else 0] = 1.0
     weighted = spectrum * (twice / (count * density))[:, None]
     return np.asarray((spectrum.conj().T @ weighted).real)
 
 
 def noise_density(plant: Plant, count: int, rate_hz: float, *, encoder: bool) -> Array:
     """Spectral density of the torque residual's noise, (N m)^2 per sample, joint 1."""
-    frequency: Array = np.fft.rfftfreq(count).astype(np.float64)
+    frequency = np.fft.rfftfreq(count)
     density = plant.coloured * coloured_density(frequency, rate_hz) + (1.0 - plant.coloured)
     step = float(np.broadcast_to(plant.current_step, plant.current_noise.shape)[0])
     current = float(plant.current_noise[0]) ** 2 * density + step**2 / 12.0

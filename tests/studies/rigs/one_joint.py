@@ -36,9 +36,8 @@ class Repetition(NamedTuple):
 
 def repetition(factor: int, number_of: int) -> Repetition:
     rng = np.random.default_rng([SEED, factor, number_of])
-    plant = another(one_joint(quadrature_factor=factor), rng)
-    trials, seed = one_joint_trials(plant, rng), SEED + 100 * factor + number_of
-    experiment = run("one_joint", plant, trials, seed)
+    plant, seed = another(one_joint(quadrature_factor=factor), rng), 100 * factor + number_of
+    experiment = run("one_joint", plant, one_joint_trials(plant, rng), SEED + seed)
     recordings, robot, logs = experiment.recordings, experiment.robot, experiment.logs
     stages = before_inertia(recordings, robot)
     found = {
@@ -79,12 +78,8 @@ def study(chosen: Namespace) -> str:
             sizes = (np.median(every), every.max(), np.median(sliding))
             torques.append([f"{method}, {counts}", *(number(x, 3) for x in sizes), paper])
     header = ["parameter", "std of error %", "reported std error %", "bound, friction known %"]
+    header += ["bound, its form known %", "std / bound"]
     torque = ["held-out torque RMSE, mN m", "median", "worst", "median while sliding", "paper"]
-    return "\n\n".join(
-        [
-            f"{repetitions} rigs per encoder; error in % of the true value, m r_y in % of m r_x.",
-            error_table(parameters),
-            table([*header, "bound, its form known %", "std / bound"], bounds),
-            table(torque, torques),
-        ]
-    )
+    made = f"{repetitions} rigs per encoder; error in % of the true value, m r_y in % of m r_x."
+    tables = (error_table(parameters), table(header, bounds), table(torque, torques))
+    return "\n\n".join([made, *tables])

@@ -27,9 +27,8 @@ class Repetition(NamedTuple):
 
 def repetition(number_of: int) -> Repetition:
     rng = np.random.default_rng([SEED, number_of])
-    plant = another(six_joint(), rng)
-    trials = six_joint_trials(plant, rng)
-    experiment = run("six_joint", plant, trials, SEED + number_of, every=EVERY)
+    plant, seed = another(six_joint(), rng), SEED + number_of
+    experiment = run("six_joint", plant, six_joint_trials(plant, rng), seed, every=EVERY)
     stages = sequential(experiment.recordings, experiment.robot)
     standard, mounted = true_standard(plant), stages.imu.imus
     return Repetition(
@@ -47,9 +46,7 @@ def study(chosen: Namespace) -> str:
     found = [repetition(k) for k in range(REPETITIONS)]
     ranks = ", ".join(sorted({r.rank for r in found}))
     columns = {method: [r.torque[method][0] for r in found] for method in METHODS}
-    columns |= {
-        f"{method}, sliding": [r.torque[method][1] for r in found] for method in METHODS[:2]
-    }
+    columns |= {f"{x}, sliding": [r.torque[x][1] for r in found] for x in METHODS[:2]}
     torques = [
         [name, *(number(rms(joint), 3) for joint in np.array(values).T)]
         for name, values in columns.items()
@@ -66,11 +63,7 @@ def study(chosen: Namespace) -> str:
         imus.append([name, *map(number, (rms(error), rms(told), worst, rms(error / told)))])
     base = ["base parameters", "count", "within 2 standard errors", "within 3", "rms z"]
     header = ["IMU mounting", "rms error per axis, deg", "reported std error, deg"]
-    return "\n\n".join(
-        [
-            f"{REPETITIONS} arms; rank of the inertia stage {ranks}.",
-            table(["held-out torque RMSE, N m", *six_joint().arm.names], torques),
-            table(base, honesty),
-            table([*header, "largest error angle, deg", "rms z"], imus),
-        ]
-    )
+    header += ["largest error angle, deg", "rms z"]
+    torque = table(["held-out torque RMSE, N m", *six_joint().arm.names], torques)
+    made = f"{REPETITIONS} arms; rank of the inertia stage {ranks}."
+    return "\n\n".join([made, torque, table(base, honesty), table(header, imus)])

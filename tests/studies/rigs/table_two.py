@@ -13,13 +13,8 @@ from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.params.schema import ImuCalibration, ImuStage, Stages
 from seqid_cli.robot.base_parameters import gear_ratios
 from tests.plants.arms.rigs import LINK_INERTIA, one_joint
-from tests.plants.motions.experiments import (
-    Trial,
-    friction_trials,
-    gravity_trials,
-    imu_trials,
-    inertia_trials,
-)
+from tests.plants.motions import experiments
+from tests.plants.motions.experiments import Trial
 from tests.plants.robots.identified import before_inertia, with_inertia
 from tests.plants.robots.lab import Experiment, run
 from tests.plants.sensors import Faults
@@ -52,19 +47,18 @@ def trials(plant: Plant, rng: np.random.Generator, *, short: bool = False) -> li
     home = [np.zeros(1)]
     speeds, lowest, seconds = (5, 0.2, 4.0) if short else (8, 0.08, 12.0)
     return [
-        *friction_trials(plant, home[0], speeds=speeds, lowest=lowest),
-        *gravity_trials(plant, home, speeds=(0.2, 0.3) if short else (0.1, 0.2)),
-        *imu_trials(plant, home),
-        *inertia_trials(plant, home, rng, seconds=seconds),
+        *experiments.friction_trials(plant, home[0], speeds=speeds, lowest=lowest),
+        *experiments.gravity_trials(plant, home, speeds=(0.2, 0.3) if short else (0.1, 0.2)),
+        *experiments.imu_trials(plant, home),
+        *experiments.inertia_trials(plant, home, rng, seconds=seconds),
     ]
 
 
 def errors(factor: int, seed: int, *, short: bool = False) -> dict[str, float]:
-    """Error of the inertia, % of the true one, by each way."""
     rng = np.random.default_rng([SEED, factor, seed])
     plant = rig(factor, seed, rng)
-    own = plant, trials(plant, rng, short=short)
-    experiment = run("one_joint", *own, SEED + 100 * factor + seed)
+    recorded = trials(plant, rng, short=short)
+    experiment = run("one_joint", plant, recorded, SEED + 100 * factor + seed)
     logs, robot = experiment.recordings, experiment.robot
     stages = before_inertia(logs, robot)
     cutoffs = {"raw": np.inf, "differenced": PAPER_HZ}
@@ -103,18 +97,15 @@ def differenced(experiment: Experiment, stages: Stages, cutoff_hz: float) -> flo
 
 
 def table_of(results: Mapping[int, Sequence[Mapping[str, float]]]) -> str:
-    rows = []
-    for way, label in WAYS.items():
-        cells = []
-        for found in results.values():
+    rows = {way: [label] for way, label in WAYS.items()}
+    header = ["error of the link inertia, %"]
+    for factor, found in results.items():
+        header += [f"{100 * factor} counts: median", "95 % of the rigs"]
+        for way, row in rows.items():
             values = [one[way] for one in found]
             low, high = np.quantile(values, [0.025, 0.975])
-            cells += [number(np.median(np.abs(values))), f"{number(low)} to {number(high)}"]
-        rows.append([label, *cells, PAPER.get(way, "")])
-    header = ["error of the link inertia, %"]
-    for factor in results:
-        header += [f"{100 * factor} counts: median", "95 % of the rigs"]
-    return table([*header, "paper"], rows)
+            row += [number(np.median(np.abs(values))), f"{number(low)} to {number(high)}"]
+    return table([*header, "paper"], [[*row, PAPER.get(way, "")] for way, row in rows.items()])
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -102,11 +102,6 @@ def study(chosen: Namespace) -> str:
         torques.append([method, *(number(float(x), 3) for x in cells)])
     joints = [f"{what} {joint}" for what in ("median", "worst") for joint in two_joint().arm.names]
     surface = ["friction surface", "median of RMS error %", "largest error %", "m, l"]
-    return "\n\n".join(
-        [
-            f"{len(found)} rigs; errors in % of the true value.",
-            error_table(parameters),
-            table(surface, surfaces),
-            table(["held-out torque RMSE, mN m", *joints], torques),
-        ]
-    )
+    torque = table(["held-out torque RMSE, mN m", *joints], torques)
+    made = f"{len(found)} rigs; errors in % of the true value."
+    return "\n\n".join([made, error_table(parameters), table(surface, surfaces), torque])

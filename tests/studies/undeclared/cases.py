@@ -106,8 +106,6 @@ class Condition:
 
 @dataclass(frozen=True)
 class Record:
-    """What came out of one case."""
-
     condition: Condition
     diagnosis: DiagnosisFile | None
     excess: tuple[tuple[float, ...], ...]
@@ -154,7 +152,6 @@ def declared(condition: Condition) -> Plant:
 
 
 def built(condition: Condition) -> tuple[Plant, tuple[Truth, ...]]:
-    """The plant with all effects, and what they are."""
     plant, truths = declared(condition), []
     names = plant.arm.names
     for name, joint, size in condition.effects:
@@ -181,23 +178,17 @@ def worn(plant: Plant, joint: int, size: float) -> Plant:
     return replace(plant, friction=replace(friction, coulomb=more * friction.coulomb))
 
 
-def _single(
-    group: Group, rig: str, name: str, seed: int, size: float = 1.0, start: Start = "simultaneous"
-) -> Condition:
+def _single(group: Group, rig: str, name: str, seed: int, size: float, *start: Start) -> Condition:
     """A case of one effect, at a joint that varies with the seed among those that can have it."""
     first = 0 if name == WEAR else REGISTRY[name].first
     joint = first + (seed + sum(map(ord, name))) % (JOINTS[rig] - first)
-    return Condition(group, rig, seed, ((name, joint, size),), start)
+    return Condition(group, rig, seed, ((name, joint, size),), *start)
 
 
 def _alone(group: Group, names: Iterable[str]) -> list[Condition]:
     """Every kind alone, on both rigs, with every seed, in every size."""
     every = product(SEEDS, SIZES, RIG_NAMES, names)
     return [_single(group, rig, name, seed, size) for seed, size, rig, name in every]
-
-
-def outside() -> list[Condition]:
-    return _alone("outside", OUTSIDE)
 
 
 def clean() -> Iterator[Condition]:
@@ -236,7 +227,13 @@ def starts() -> Iterator[Condition]:
 
 
 def matrix() -> tuple[Condition, ...]:
-    return (*clean(), *_alone("catalogue", CATALOGUE), *pairs(), *outside(), *starts())
+    return (
+        *clean(),
+        *_alone("catalogue", CATALOGUE),
+        *pairs(),
+        *_alone("outside", OUTSIDE),
+        *starts(),
+    )
 
 
 def in_the_model(condition: Condition, name: str) -> bool:
@@ -245,7 +242,5 @@ def in_the_model(condition: Condition, name: str) -> bool:
 
 
 def quick() -> tuple[Condition, ...]:
-    return (
-        Condition("clean", "two", CLEAN_SEED),
-        *(_single("catalogue", "two", name, 0) for name in QUICK),
-    )
+    every = (_single("catalogue", "two", name, 0, 1.0) for name in QUICK)
+    return (Condition("clean", "two", CLEAN_SEED), *every)

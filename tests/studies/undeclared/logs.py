@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -44,17 +45,15 @@ class Logs:
 
 
 def logs_of(condition: Condition, cache: Path) -> Logs:
-    sensors = SENSORS[condition.sensors]
-    plant, _ = built(condition)
+    sensors, (plant, _) = SENSORS[condition.sensors], built(condition)
     found: dict[bool, list[Recording]] = {False: [], True: []}
     plan = drills(declared(condition), condition.seed, seconds=condition.seconds)
-    for number, drill in enumerate(plan):
+    for seed, drill in enumerate(plan, start=SEED_STRIDE * condition.seed):
         if sensors.keep == "all" or (sensors.keep == "periodic") == (drill.period is not None):
-            seed = SEED_STRIDE * condition.seed + number
-            what, own = f"{_plant_label(condition)}|{drill.name}", (plant, drill.reference, seed)
-            log = stored(cache, what, *own, every=sensors.every, start=drill.start)
+            own = f"{_plant_label(condition)}|{drill.name}", plant, drill.reference, seed
+            log = stored(cache, *own, every=sensors.every, start=drill.start)
             found[drill.held_out].append(log)
-    return Logs(robot_for(condition), tuple(found[False]), tuple(found[True]))
+    return Logs(robot_for(condition), found[False], found[True])
 
 
 def robot_for(condition: Condition) -> Robot:
@@ -68,23 +67,16 @@ def _plant_label(condition: Condition) -> str:
 
 
 def stored(
-    cache: Path,
-    what: str,
-    plant: Plant,
-    reference: Reference,
-    seed: int,
-    *,
-    every: int,
-    start: float,
+    cache: Path, what: str, plant: Plant, reference: Reference, seed: int, **how: Any
 ) -> Recording:
     """Simulate a log, or read from the cache what the stages read of it; it has no IMUs."""
     motion = hashlib.sha256(np.ascontiguousarray(reference.q).tobytes()).hexdigest()
-    key = hashlib.sha256(f"{what}|{motion}|{seed}|{every}|{start!r}|{plant_sources()}".encode())
-    digest = key.hexdigest()
+    key = f"{what}|{motion}|{seed}|{how!r}|{plant_sources()}"
+    digest = hashlib.sha256(key.encode()).hexdigest()
     path = cache / "logs" / digest[:2] / f"{digest[:24]}.npz"
     name = what.rpartition("|")[2]
     if not path.is_file():
-        made = simulate(plant, reference, seed, every=every, imus=False, start=start)
+        made = simulate(plant, reference, seed, imus=False, **how)
         log = recording_of(plant, name, made)
         found = {"q": log.q, "tau": log.tau, "rate": log.rate_hz, "start": log.start}
         found |= {} if log.temperature is None else {"temperature": log.temperature}
@@ -118,8 +110,7 @@ def in_turn(
     cache: Path, plant: Plant, plan: Iterable[tuple[str, str, Reference, int, int]], pause: float
 ) -> dict[str, list[Recording]]:
     """Recordings by part, `pause` s apart; each of a part, label, motion, seed and `every`."""
-    found: dict[str, list[Recording]] = {}
-    start = FIRST_START
+    found, start = dict[str, list[Recording]](), FIRST_START
     for part, what, reference, seed, every in plan:
         log = stored(cache, what, plant, reference, seed, every=every, start=round(start, 3))
         found.setdefault(part, []).append(log)

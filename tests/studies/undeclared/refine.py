@@ -20,7 +20,6 @@ NEAR = 1.15  # of a model told the effects: that is as good
 
 
 def file_of(robot: Robot, stages: Stages, logs: Mapping[str, Sequence[Recording]]) -> ParameterFile:
-    """The parameter file of stages that were identified from logs."""
     inputs = [
         InputLog(path=str(r.path), sha256=r.sha256, samples=len(r.t), stage=stage)
         for stage, recordings in logs.items()
@@ -49,6 +48,6 @@ def told_model(
             return None
         model.add([tuner.tuned(tried[0]).candidate])
     candidates = model.candidates
-    came = frozenset(c.key for c in candidates) if late else frozenset()
+    came = frozenset(c.key for c in candidates if late)
     start = Refitted(stages, (), came)
     return with_effects(refitted(material, start, candidates, late=came, kept=late), material.robot)

@@ -34,8 +34,7 @@ def judged(record: Record) -> Judged:
     diagnosis, condition = record.diagnosis or FAILED, record.condition
     _, truths = built(condition)
     truth = truths[0] if truths else Truth("clean", None, (), ())
-    findings = diagnosis.findings
-    first = findings[:1]
+    first = (findings := diagnosis.findings)[:1]
     parts = diagnosis.unexplained if diagnosis.verdict == "unexplained" else ()
     told = [set(part.depends_on) for part in parts if part.joint in truth.joints]
     excess = [max(own, default=0.0) for own in record.excess]

@@ -23,20 +23,12 @@ PARTS = ("discover", "identify", "model", "motion", "robot")  # what a diagnosis
 
 
 def study(arguments: Namespace) -> str:
-    cases = cases_of(arguments)
+    cases, cache = {case.key: case for case in cases_of(arguments)}, arguments.cache
     sources = package_sources(*PARTS) + plant_sources()
-    found = results(
-        {case.key: case for case in cases},
-        partial(run_case, cache=arguments.cache),
-        Record,
-        arguments.cache / "undeclared.jsonl",
-        sources=sources,
-        run=not arguments.tables,
-        limit=arguments.limit,
-        processes=arguments.processes,
-        told=_told,
-        failed=lambda record: bool(record.error),
-    )
+    how = {"limit": arguments.limit, "processes": arguments.processes, "run": not arguments.tables}
+    how |= {"sources": sources, "told": _told, "failed": lambda record: bool(record.error)}
+    work = partial(run_case, cache=cache)
+    found = results(cases, work, Record, cache / "undeclared.jsonl", **how)
     made = f"Made by `python -m tests.studies --only undeclared`, sources {sources[:12]}."
     return f"{made}\n\n{tables(list(found.values()), len(cases))}"
 
@@ -57,10 +49,10 @@ def run_case(condition: Condition, cache: Path) -> Record:
 
 
 def _told(record: Record) -> str:
-    if record.diagnosis is None:
+    if (found := record.diagnosis) is None:
         return record.error
-    named = [f"{f.effect}@{f.joint} {f.confidence:.2f}" for f in record.diagnosis.findings]
-    return f"{record.diagnosis.verdict} {', '.join(named)} ({record.seconds:.0f} s)"
+    named = ", ".join(f"{f.effect}@{f.joint} {f.confidence:.2f}" for f in found.findings)
+    return f"{found.verdict} {named} ({record.seconds:.0f} s)"
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -71,8 +63,7 @@ def add_arguments(parser: ArgumentParser) -> None:
     add("--only-kind", nargs="+", metavar="NAME", help="with one of these effects")
     add("--rig", choices=list(dict.fromkeys([*RIG_NAMES, *NAMES])), help="one robot alone")
     add("--seeds", metavar="A-B", help="these seeds alone (coverage: A:B)")
-    more = "add so much to seeds: other motions, noise"
-    add("--fresh", type=int, default=0, metavar="N", help=more)
+    add("--fresh", type=int, default=0, metavar="N", help="add so much to seeds: other motions")
     add("--size", type=float, help="effects of this size alone")
     add("--groups", nargs="+", choices=get_args(Group), help="parts of the study")
     add("--limit", type=int, metavar="N", help="at most N new cases this time")
@@ -80,16 +71,15 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def cases_of(arguments: Namespace) -> list[Condition]:
-    every = quick() if arguments.quick else matrix()
-    chosen = [case for case in every if _chosen(case, arguments)]
-    return [replace(case, seed=case.seed + arguments.fresh) for case in chosen]
+    every = filter(partial(_chosen, arguments), quick() if arguments.quick else matrix())
+    return [replace(case, seed=case.seed + arguments.fresh) for case in every]
 
 
 def whole(arguments: Namespace) -> bool:
     return cases_of(arguments) == list(matrix())
 
 
-def _chosen(condition: Condition, arguments: Namespace) -> bool:
+def _chosen(arguments: Namespace, condition: Condition) -> bool:
     names, _, sizes = zip(*condition.effects, strict=True) if condition.effects else ((), (), ())
     first, _, last = (arguments.seeds or "").partition("-")
     return (

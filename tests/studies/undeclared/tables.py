@@ -77,18 +77,17 @@ def tables(records: Sequence[Record], wanted: int) -> str:
     cases = [judged(record) for record in records]
     failed = [r for r in records if r.diagnosis is None]
     sections = {
-        "Alone, by kind": kinds,
-        "Clean": clean,
-        "Two at once": pairs,
-        "Outside the catalogue": outside,
-        "Other files to start from": starts,
-        "What the stated confidence is worth": reliability,
+        "Alone, by kind": kinds(cases),
+        "Clean": clean(cases),
+        "Two at once": pairs(cases),
+        "Outside the catalogue": outside(cases),
+        "Other files to start from": starts(cases),
+        "What the stated confidence is worth": reliability(cases),
     }
-    made = {title: make(cases) for title, make in sections.items()}
     parts = [
         f"{len(records)} of {wanted} cases; {len(failed)} failed, which counts as wrong.",
         _seconds(records),
-        *(f"#### {title}\n\n{content}" for title, content in made.items() if content),
+        *(f"#### {title}\n\n{content}" for title, content in sections.items() if content),
         "\n".join(f"- failed: {r.condition.key}: {r.error}" for r in failed),
     ]
     return "\n\n".join(filter(None, parts))
@@ -111,10 +110,10 @@ def kinds(cases: Cases) -> str:
     groups["all of these"] = tight
     groups["backlash, RMSE half above"] = [c for c in loose if c.loud]
     groups["backlash, less than that"] = [c for c in loose if not c.loud]
-    columns: dict[str, Cell] = {}
-    for (rig, name), size in product(RIGS.items(), SIZES):
-        own = _where(rig=rig, size=size)
-        columns[f"{name}, size {size:g}"] = share("right", own)
+    columns = {
+        f"{name}, size {size:g}": share("right", _where(rig=rig, size=size))
+        for (rig, name), size in product(RIGS.items(), SIZES)
+    }
     columns |= {"all": share("right"), "by its own name": share("own_name")}
     columns["kind without joint"] = share("kind_right")
     content = grouped("effect", groups, columns | USUAL)

@@ -66,15 +66,12 @@ def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1
 
 
 def _one_pass(stream: Stream, warnings: list[str], *, many_steps: int = 100) -> Stream:
-    stamps = stream.stamp_ns
-    steps = np.diff(stamps)
+    steps = np.diff(stream.stamp_ns)
     forward = steps[steps > 0]
-    if not forward.size:
+    far = np.flatnonzero(steps < -gap_limit(forward, 1e9)) if forward.size else forward
+    if not 0 < far.size <= many_steps:
         return stream
     median = float(np.median(forward))
-    far = np.flatnonzero(steps < -gap_limit(forward, 1e9))
-    if far.size > many_steps:
-        return stream
     jumps = np.array([i for i in far if _overlaps(stream, int(i), median)], np.intp)
     if not len(jumps):
         return stream
@@ -82,7 +79,7 @@ def _one_pass(stream: Stream, warnings: list[str], *, many_steps: int = 100) -> 
     warnings.append(
         f"{stream.name}: the clock jumps back {len(jumps)} times (by up to "
         f"{-steps[jumps].min() * 1e-9:.3g} s) and runs twice over the same time; only the longest "
-        f"stretch is kept, {len(kept)} of {len(stamps)} samples. Use the times of logging, or "
+        f"stretch is kept, {len(kept)} of {len(stream)} samples. Use the times of logging, or "
         "split the log at the jump"
     )
     return kept

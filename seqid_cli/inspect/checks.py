@@ -66,9 +66,8 @@ class Checked:
 def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
     """Check a log: a check is left out where an earlier finding spoils it.
 
-    `imus`: whether its IMUs are checked as well. `quality`: whether it is also judged how well
-    channels are measured (steps, held values, temperature): warnings at most. Returns: findings,
-    each code once per joint and channel.
+    `quality`: whether it is also judged how well channels are measured (steps, held values,
+    temperature): warnings at most. Returns: findings, each code once per joint and channel.
     """
     breaks = positions.breaks_of(data.robot, data.t, data.joints.channels["position"])
     sound = without(data, breaks)
@@ -127,9 +126,8 @@ def _of_dynamics(
     data: LogData, own: list[InspectionFinding], following: Sequence[Following]
 ) -> Iterator[InspectionFinding]:
     """Compare torque, motion and IMUs with each other; `own` are the findings so far."""
-    spoilt = any(f.code in SPOIL for f in own)
-    uneven = any(f.code == "jitter" for f in own)  # accelerations mean nothing then
-    sample = None if uneven or spoilt else sample_of(data)
+    spoilt = {f.code for f in own} & {*SPOIL, "jitter"}  # accelerations mean nothing with jitter
+    sample = None if spoilt else sample_of(data)
     against: list[InspectionFinding] = []
     if sample is not None:
         against = geometry_findings(data, sample, [*friction_findings(data, sample)])
@@ -158,13 +156,10 @@ def _with_imus(
 
 def _unexplained(findings: list[InspectionFinding]) -> list[InspectionFinding]:
     """Leave out what another finding of the same joint already explains."""
-    codes: dict[str, set[str]] = {}
-    for finding in findings:
-        for name in finding.joint.split(", "):
-            codes.setdefault(name, set()).add(finding.code)
+    there = {(name, f.code) for f in findings for name in f.joint.split(", ")}
 
     def explained(finding: InspectionFinding) -> bool:
-        there = codes.get(finding.joint, set())
-        return any(finding.code in own and there & causes for causes, own in _EXPLAINED)
+        causes = [codes for codes, own in _EXPLAINED if finding.code in own]
+        return any((finding.joint, code) in there for codes in causes for code in codes)
 
     return [finding for finding in findings if not explained(finding)]

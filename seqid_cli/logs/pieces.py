@@ -7,7 +7,7 @@ of the pieces are kept. A piece holds all that the log has: temperatures and IMU
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -54,12 +54,11 @@ def cut(recording: Recording, ranges: Sequence[Range]) -> list[Recording]:
     the log.
     """
     whole, t = whole_of(recording), recording.t
-    known = {field.name: getattr(recording, field.name) for field in fields(Recording)}
     pieces = []
     for begin, end in ranges:
         part = slice(int(np.searchsorted(t, begin - 1e-9)), int(np.searchsorted(t, end + 1e-9)))
         own: dict[str, Any] = {}
-        for name, values in known.items():
+        for name, values in vars(recording).items():
             if isinstance(values, np.ndarray):
                 own[name] = values[part].copy()
             elif isinstance(values, dict):  # IMUs
@@ -173,12 +172,11 @@ def read_parts(
 def _parts(blocks: Iterable[RawLog], most: int, overlap_ns: int) -> Iterator[RawLog]:
     """Put blocks together to parts of `most` values; the last has half to one and a half."""
     held: list[RawLog] = []
-    ready = 0  # blocks that are enough for a part
-    size = 0
+    ready = size = 0  # `ready`: blocks that are enough for a part
     for block in blocks:
         held.append(block)
         size += _size(block)
-        ready = len(held) if size >= most and not ready else ready
+        ready = ready or (len(held) if size >= most else 0)
         if size >= 1.5 * most and ready < len(held):
             part = _following(held[:ready])
             last = int(part.joints.stamp_ns[-1])

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.kinematics import link_motion
-from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.types import Robot
+from seqid_cli.typing import Array, Index
 
 SIGMAS = 4.0
 FOLLOWS = 0.5  # of the variance: an IMU that leaves more does not follow its link
@@ -31,9 +31,9 @@ class ShiftScan:
 
     features: Array  # (N, p)
     readings: Array  # (N, K) through the motion's filter
-    rows: NDArray[np.intp]  # that count
+    rows: Index  # that count
     total: float  # mean square of their readings without the mean, all channels
-    shifts: NDArray[np.intp]
+    shifts: Index
     left: Array  # mean square that each shift leaves
 
     @property
@@ -54,10 +54,10 @@ def scan(
 ) -> ShiftScan | None:
     """Compare readings (N, K) with the motion of a link; None where it rests."""
     features = _features(robot, motion, link, gyro=gyro)
-    reach = max(1, round(max_shift_s * motion.rate_hz))
-    shifts = np.unique(np.rint(np.linspace(-reach, reach, grid)).astype(np.intp))
     if features is None:
         return None
+    reach = max(1, round(max_shift_s * motion.rate_hz))
+    shifts = np.unique(np.rint(np.linspace(-reach, reach, grid)).astype(np.intp))
     return _shifted(motion, features, motion.lowpass(values, motion.valid), shifts)
 
 
@@ -65,7 +65,7 @@ def _shifted(
     motion: Motion,
     features: Array,
     readings: Array,
-    shifts: NDArray[np.intp],
+    shifts: Index,
     *,
     max_rows: int = 4000,
     min_rows: int = 200,

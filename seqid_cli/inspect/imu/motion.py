@@ -39,11 +39,10 @@ def follow(data: LogData) -> list[Following]:
         return []
     result = []
     for imu in data.robot.imus:
-        for gyro, source in enumerate(sources):
-            values = source.get(imu.name)
-            if values is not None:
-                fit = fit_link(data.robot, data.motion, values, imu.after_joint, gyro=bool(gyro))
-                result += [] if fit is None else [Following(imu, fit, bool(gyro))]
+        for gyro, source in zip((False, True), sources, strict=True):
+            if (values := source.get(imu.name)) is not None:
+                fit = fit_link(data.robot, data.motion, values, imu.after_joint, gyro=gyro)
+                result += [] if fit is None else [Following(imu, fit, gyro)]
     return result
 
 
@@ -63,18 +62,15 @@ def motion_findings(
             continue
         if left > FOLLOWS:
             text = f"the motion of its link leaves {percent(left, 0)} of its variance unexplained"
-            yield found("imu_not_moving", text, joint=name)
+            yield found("imu_not_moving", text, name)
             continue
         least = max(min_delay_s, min_delay_samples / data.recording.rate_hz)
         delay = item.fit.delay
         error = float(np.hypot(item.fit.delay_error, _resolution_s(data, item.imu.after_joint)))
         if abs(delay) > least and abs(delay) > SIGMAS * error:
             text = f"its readings are {1e3 * delay:.1f} +- {1e3 * error:.1g} ms behind the encoders"
-            yield found("imu_delay", text, joint=name)
-        if item.gyro:
-            yield from _gyro(item)
-        else:
-            yield from _axes(data, item)
+            yield found("imu_delay", text, name)
+        yield from _gyro(item) if item.gyro else _axes(data, item)
 
 
 def _resolution_s(data: LogData, link: int) -> float:
@@ -84,8 +80,7 @@ def _resolution_s(data: LogData, link: int) -> float:
     dq, moving = data.motion.dq, data.motion.moving
     there = [j for j in range(link + 1) if moving[:, j].any()]
     speeds = [float(np.sqrt(np.mean(dq[moving[:, j], j] ** 2))) / data.step[j] for j in there]
-    uniform = 1.0 / np.sqrt(12.0)  # standard deviation of an error within one step
-    return float(uniform / max([*speeds, 1e-9]))
+    return float(1.0 / np.sqrt(12.0) / max([*speeds, 1e-9]))  # the error is even within one step
 
 
 def _better(
@@ -100,22 +95,21 @@ def _better(
     names = robot.joint_names
     tried = [(-1, k) for k in range(robot.n) if k != own]  # the joint that is reversed, the link
     tried += [(j, own) for j in range(own + 1) if data.moves(j)]
-    found_best = (max_ratio * item.fit.left, -1, own)
+    best = (max_ratio * item.fit.left, -1, own)
     for joint, link in tried:
         sign = np.where(np.arange(robot.n) == joint, -1.0, 1.0)
         moved = replace(motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign)
-        scanned = scan(robot, moved, values, link, gyro=item.gyro)
-        if scanned is not None:
-            found_best = min(found_best, (scanned.share, joint, link))
-    share, joint, link = found_best
+        if scanned := scan(robot, moved, values, link, gyro=item.gyro):
+            best = min(best, (scanned.share, joint, link))
+    share, joint, link = best
     text = f"{percent(share)} of its variance is left against {percent(item.fit.left, 0)}"
     if joint >= 0:
         text = f"by IMU {name} it turns the other way round: {text}"
-        return found("axis_flipped", text, joint=names[joint], channel="position")
+        return found("axis_flipped", text, names[joint], "position")
     if link == own:
         return None
     text = f"follows the link after {names[link]}, not the one after {names[own]}: {text}"
-    return found("imu_wrong_link", text, joint=name)
+    return found("imu_wrong_link", text, name)
 
 
 def _gyro(item: Following) -> Iterator[InspectionFinding]:
@@ -124,12 +118,12 @@ def _gyro(item: Following) -> Iterator[InspectionFinding]:
     if item.fit.left > TELLS:
         return
     if abs(size / np.degrees(1.0) - 1.0) < 0.2:
-        yield found("gyro_in_degrees", text, joint=name)
+        yield found("gyro_in_degrees", text, name)
     elif item.fit.map_error < MAPPED and np.linalg.det(item.fit.map) < 0.0:
         text = "its gyro fits the link's motion as a mirror image only"
-        yield found("imu_left_handed", text, joint=name, channel=f"{name}.g")
+        yield found("imu_left_handed", text, name, f"{name}.g")
     elif abs(size - 1.0) > 0.15:
-        yield found("gyro_scale", text, joint=name)
+        yield found("gyro_scale", text, name)
 
 
 def _axes(
@@ -150,7 +144,7 @@ def _axes(
     scale, evenness = float(np.mean(sizes)), sizes[2] / sizes[0]
     if np.linalg.det(turned) < 0.0 and evenness > 0.7:
         text = "its accelerometers fit the link's motion as a mirror image only"
-        yield found("imu_left_handed", text, joint=imu.name)
+        yield found("imu_left_handed", text, imu.name)
     elif abs(scale - 1.0) > max_scale_error and evenness > 0.9:
         text = f"reads {scale:.3g} times the link's specific force"
-        yield found("imu_gravity", text, joint=imu.name)
+        yield found("imu_gravity", text, imu.name)

@@ -69,11 +69,11 @@ def read_blocks(
         warnings = tuple(text for topic in used for text in samples[topic].warnings)
         positions = positions or any_finite(joints.channels["position"])
         if last and not positions:
-            seen = ", ".join(list(names.seen)[:_SHOWN])
+            seen = ", ".join(list(names.seen)[:_SHOWN]) or "no names at all"
             message = "the joint states hold no position of any joint of the robot "
-            message += f"({', '.join(names.joints[:_SHOWN])}); names in the log: "
+            message += f"({', '.join(names.joints[:_SHOWN])}); names in the log: {seen}"
             hint = "Give the joints of the robot file the names that the log uses."
-            raise InputError(message + (seen or "no names at all"), hint=hint, where=str(path))
+            raise InputError(message, hint=hint, where=str(path))
         delay_s = samples[log.joint_topic].delay_s
         yield RawLog(joints, imus, log.partial() if last else "", warnings, delay_s)
 
@@ -90,7 +90,7 @@ def list_topics(
 ) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
     """List the topics of a file, damaged or not, and the names in its joint states."""
     names = NameMap(())
-    log = _Log(path, names, {JOINT_STATES: "joint_state"}, scan)
+    log = _Log(path, names, {JOINT_STATES: "joint_state"}, scan, "header")
     for _ in log.batches():
         log.collectors[JOINT_STATES].drain()
     log.collectors[JOINT_STATES].drain()
@@ -101,15 +101,10 @@ class _Log:
     """A pass over a file that gathers the messages of some topics."""
 
     def __init__(
-        self,
-        path: Path,
-        names: NameMap,
-        kinds: dict[str, Kind],
-        scan: type[Scan],
-        time_source: TimeSource = "header",
+        self, path: Path, names: NameMap, kinds: dict[str, Kind], scan: type[Scan], time: TimeSource
     ) -> None:
         self.joint_topic = JOINT_STATES
-        self.collectors = {t: Collector(t, kind, names, time_source) for t, kind in kinds.items()}
+        self.collectors = {t: Collector(t, kind, names, time) for t, kind in kinds.items()}
         self._chosen = frozenset(kinds)
         self.scan = scan(path, self._wanted)
 
@@ -198,19 +193,19 @@ def _listing(scan: Scan) -> str:
 
 
 def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
-    where, faults = str(scan.path), "; ".join(_losses(scan))
     if collector.received:
         kinds = ", ".join(sorted(collector.refused))
         reason = f"its encoding {kinds!r} is not known" if kinds else "they are damaged"
         message = f"none of the {collector.received} messages on {collector.topic} can be decoded"
+        message += f": {reason}"
         hint = "Record sensor_msgs/msg/JointState as CDR, JSON or protobuf."
-        return InputError(f"{message}: {reason}", hint=hint, where=where)
-    if faults:
+    elif faults := "; ".join(_losses(scan)):
         message = f"the file is damaged and nothing can be salvaged ({faults})"
-        return InputError(message, hint=scan.remedy, where=where)
-    near = next((t.topic for t in _topics(scan) if t.schema.endswith("JointState")), "")
-    hint = f"Is it {near}? Record or remap it as {JOINT_STATES}."
-    if not near:
-        hint = f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well."
-    message = f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}"
-    return InputError(message, hint=hint, where=where)
+        hint = scan.remedy
+    else:
+        message = f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}"
+        near = next((t.topic for t in _topics(scan) if t.schema.endswith("JointState")), "")
+        hint = f"Is it {near}? Record or remap it as {JOINT_STATES}."
+        if not near:
+            hint = f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well."
+    return InputError(message, hint=hint, where=str(scan.path))

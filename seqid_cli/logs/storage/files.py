@@ -59,12 +59,10 @@ def expand(paths: Sequence[str], note: Note | None = None, *, stored: bool = Fal
     """Turn files, folders and globs into log files.
 
     `paths`: files (taken whatever their suffix), folders (searched at any depth for the suffixes of
-    logs, hidden files left out; a ROS 2 bag is such a folder) and globs (`**` for any depth). CSV
-    files met in a folder that are no logs are left out. `note`: told what was left out, and why.
-    `stored`: whether URLs of object storage are welcome as well. Returns: in the
-    natural order of their paths (`run2` before `run10`), whatever that of the arguments, so that
-    results repeat bit by bit; a file that is meant twice comes once. Raises InputError: an argument
-    stands for no file at all.
+    logs, hidden files left out; a ROS 2 bag is such a folder) and globs (`**` for any depth).
+    `note`: told what was left out, and why. `stored`: whether URLs of object storage are welcome as
+    well. Returns: in the natural order of their paths (`run2` before `run10`), so that results
+    repeat bit by bit; each once. Raises InputError: an argument stands for no file at all.
     """
     found: dict[Path, Path] = {}
     for argument in map(str, paths):
@@ -116,11 +114,7 @@ def state_of(path: Path) -> State:
 
 @contextmanager
 def unchanged(path: Path, before: State | None = None) -> Iterator[None]:
-    """Read a log that nobody writes to meanwhile.
-
-    `before`: its state when it was first read; None for that of now. Raises InputError: it cannot
-    be read, or is another file than at first when the block ends.
-    """
+    """Read a log; raises InputError if it cannot be read, or changes from its state `before`."""
     try:
         first = before or state_of(path)
         yield
@@ -195,11 +189,10 @@ def _matches(argument: str, note: Note) -> list[Path]:
         return [path]
     if not glob.has_magic(argument):
         raise InputError("does not exist", hint=_nearby(path), where=argument)
-    found = _globbed(argument, note)
-    if not found:
-        hint = "Check the folder and the suffix."
-        raise InputError("this pattern matches no file", hint=hint, where=argument)
-    return found
+    if found := _globbed(argument, note):
+        return found
+    hint = "Check the folder and the suffix."
+    raise InputError("this pattern matches no file", hint=hint, where=argument)
 
 
 def _no_logs(folder: Path, *, looked_at: int = 20) -> list[Path]:
@@ -245,11 +238,11 @@ def _is_meant(path: Path, note: Note) -> bool:
     """Tell whether a file that was not named itself is a log: CSV files are all sorts of things."""
     text = ""
     if path.suffix.lower() == ".parquet" and _holds_predictions(path):
-        text = f"{path} is left out, it is no log: seqid predict wrote it"
+        text = "seqid predict wrote it"
     elif path.suffix.lower() in CSV_SUFFIXES and (reason := _fault_of(path)[0]):
-        text = f"{path} is left out, it is no log: it {reason}; name the file itself if it is one"
+        text = f"it {reason}; name the file itself if it is one"
     if text:
-        note(text)
+        note(f"{path} is left out, it is no log: {text}")
     return not text
 
 

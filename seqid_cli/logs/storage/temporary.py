@@ -29,8 +29,7 @@ class Spool:
         self._shapes: list[tuple[int, int]] = []
         self._size = 0
         try:
-            free = shutil.disk_usage(tempfile.gettempdir()).free
-            self._most = min(most_bytes, share * free)
+            self._most = min(most_bytes, share * shutil.disk_usage(tempfile.gettempdir()).free)
             self._file = tempfile.TemporaryFile(prefix="seqid-", buffering=0)  # noqa: SIM115
             weakref.finalize(self, self._file.close)
         except OSError:

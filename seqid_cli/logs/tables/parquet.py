@@ -7,7 +7,7 @@ folders or one above its data files.
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,22 +26,6 @@ from seqid_cli.robot.types import Robot
 _LARGEST = 16 << 20  # bytes of an info.json
 _ENDINGS = ("", ".pos", ".position", "_pos", "_position", ".q")
 _NAME_COLUMNS = ("name", "names", "joint_names")
-
-
-def list_entries(
-    path: Path, file: pq.ParquetFile, lists: Mapping[str, int], joints: Sequence[str]
-) -> tuple[dict[str, int], tuple[str, ...]]:
-    """Find the place of each joint in the file's lists, where it names them all; and notes."""
-    lerobot = LEROBOT_STATE in lists
-    names = _lerobot_names(path) if lerobot else _name_column(path, file)
-    places = {name: place for place, name in reversed([*enumerate(names)])}
-    forms = {joint: [joint + end for end in _ENDINGS if joint + end in places] for joint in joints}
-    found = {joint: places[given[0]] for joint, given in forms.items() if given}
-    if len(found) == len(joints):
-        return found, ()
-    if lerobot and joints:
-        return {}, (f"{LEROBOT_STATE}: values are taken in the order of the robot file",)
-    return {}, ()
 
 
 def motors_of(path: Path) -> tuple[str, ...]:
@@ -146,7 +130,14 @@ def read_tables(
     """
     try:
         with opened_table(path, pre_buffer=False, page_checksum_verification=True) as file:
-            _refuse_texts(path, file, columns)
+            schema = file.schema_arrow
+            for name in set(columns) & set(schema.names):  # each text may be of any size
+                kind = schema.field(name).type
+                if is_text(kind):
+                    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+                    message = f"column {name!r} holds {kind}, not numbers"
+                    hint = "Write it as float64 in SI units, time in seconds or as a timestamp."
+                    raise InputError(message, hint=hint, where=str(path))
             if rows is None:
                 yield file.read(columns=list(columns))
                 return
@@ -161,17 +152,6 @@ def read_tables(
         raise damaged(path, error) from error
 
 
-def _refuse_texts(path: Path, file: pq.ParquetFile, columns: Sequence[str]) -> None:
-    """Refuse a column of texts before it is read: each of them may be of any size."""
-    for name in set(columns) & set(file.schema_arrow.names):
-        kind = file.schema_arrow.field(name).type
-        if is_text(kind):
-            kind = kind.value_type if pa.types.is_dictionary(kind) else kind
-            message = f"column {name!r} holds {kind}, not numbers"
-            hint = "Write it as float64 in SI units, time in seconds or as a timestamp."
-            raise InputError(message, hint=hint, where=str(path))
-
-
 def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
     """Read the names of columns: `parent.child`, `column[k]` of lists, which `joints` may name."""
     try:
@@ -179,12 +159,21 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
             fields = _flattened(file.schema_arrow.empty_table()).schema
             lengths = {each.name: _length(file, each.name, each.type) for each in fields}
             lists = {name: length for name, length in lengths.items() if length}
-            entries, notes = list_entries(path, file, lists, joints)
+            lerobot = LEROBOT_STATE in lists
+            named = _lerobot_names(path) if lerobot else _name_column(path, file)
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
+    # The place of each joint in the lists, where the file names them all.
+    places = {name: place for place, name in reversed([*enumerate(named)])}
+    forms = [[joint + end for end in _ENDINGS if joint + end in places] for joint in joints]
+    entries = {joint: places[f[0]] for joint, f in zip(joints, forms, strict=True) if f}
+    notes: list[str] = []
+    if len(entries) < len(joints):
+        entries = {}
+        notes += [f"{LEROBOT_STATE}: values are taken in the order of the robot file"] * lerobot
     names = fields.names
     names += [f"{name}[{k}]" for name, length in lists.items() for k in range(length)]
-    return ParquetTable(path, tuple(names), entries, notes, lists=lists)
+    return ParquetTable(path, tuple(names), entries, tuple(notes), lists=lists)
 
 
 def list_columns(path: Path) -> tuple[str, ...]:
@@ -215,18 +204,16 @@ def _length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
     for batch in file.iter_batches(batch_size=1024, columns=[name]):
         given = batch.column(0).drop_null() if batch.num_columns else []
         if len(given):
-            length = len(given[0])
-            return length if length <= _LONGEST else 0
+            return len(given[0]) if len(given[0]) <= _LONGEST else 0
     return 0
 
 
 def damaged(path: Path, error: BaseException) -> InputError:
     """Make the error for what Arrow could not read."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
+    message = f"the Parquet file is damaged or not readable ({reason})"
+    hint = "Copy it again from the source, or leave this log out."
     if isinstance(error, MemoryError):
         message = f"there is too little memory to read it ({reason})"
         hint = "Give the process more, or split the log; a damaged file may ask for too much, too."
-        return InputError(message, hint=hint, where=str(path))
-    message = f"the Parquet file is damaged or not readable ({reason})"
-    hint = "Copy it again from the source, or leave this log out."
     return InputError(message, hint=hint, where=str(path))

@@ -136,7 +136,6 @@ class Inspected(NamedTuple):
 
 
 V = TypeVar("V", InspectedLog, InspectedJoint, InspectedImu)
-Rules = Mapping[str, Callable[..., object]]
 
 
 @dataclass
@@ -160,8 +159,7 @@ class Gathered:
     def push(self, data: LogData) -> None:
         """Take the next part; `seconds` of it is where it ends in the log."""
         recording, health, end = data.recording, data.recording.health, self.end
-        if not self.parts:
-            self.begun = recording.start
+        self.begun = self.begun if self.parts else recording.start
         offset = recording.start - self.begun
         checked = check(data)
         self.findings += checked.findings
@@ -216,15 +214,14 @@ class Gathered:
         lost = (found("channel_hole", error.message) for error in self.lost)
         findings = located((*before, *map(self._told, grouped(self.findings)), *lost), path)
         samples = [part.samples for part in self.parts]
-        log = _merged(self.parts, samples, _LOG)
-        joints = [
-            _merged(own, samples, _JOINT)
-            for own in zip(*(part.joints for part in self.parts), strict=True)
-        ]
+        log = _merged(self.parts, samples)
+        by_joint = zip(*(part.joints for part in self.parts), strict=True)
+        joints = [_merged(own, samples) for own in by_joint]
         by_imu: dict[str, list[InspectedImu]] = {}
         for imu in (imu for part in self.parts for imu in part.imus):
             by_imu.setdefault(imu.name, []).append(imu)
-        imus = [_merged(own, [1] * len(own), _IMU) for own in by_imu.values()]
+        imus = [_merged(own, [1] * len(own)) for own in by_imu.values()]
+        spans = np.divide(samples, [part.rate_hz for part in self.parts])
         together = _moving_together(self.robot, np.asarray(self.together))
         serves = _serves(self.robot, self.stretches, joints, together, imus=bool(imus))
         log = structs.replace(
@@ -233,6 +230,7 @@ class Gathered:
             format=form,
             verdict=verdict_of(findings),
             seconds=self.end,
+            rate_hz=sum(samples) / float(np.sum(spans)),
             joints=joints,
             imus=imus,
             moves=[*_moves(self.robot, self.stretches)],
@@ -295,45 +293,29 @@ def _rms(values: Sequence[float], samples: Sequence[int]) -> float:
     return float(np.sqrt(np.average(np.square(values), weights=samples)))
 
 
-def _median(values: Sequence[float], samples: Sequence[int]) -> float:
-    return float(np.median(values))
-
-
-# How the fields of parts become those of the log: by their values and numbers of samples.
-_LOG: Rules = {
-    "samples": lambda counts, _: sum(counts),
-    "rate_hz": lambda rates, counts: sum(counts) / float(np.sum(np.divide(counts, rates))),
-    "jitter": _rms,
-    "gaps": lambda gaps, _: [gap for own in gaps for gap in own],
-    "non_monotonic": lambda counts, _: sum(counts),
-    "duplicates": lambda counts, _: sum(counts),
-    "log_minus_header_s": _median,
-    "partial": lambda texts, _: "; ".join(filter(None, texts)),
-}
-_JOINT: Rules = {
-    "moves": lambda moves, _: any(moves),
-    "low": lambda low, _: min(low),
-    "high": lambda high, _: max(high),
-    "top_speed": lambda speeds, _: max(speeds),
-    "encoder_step": _median,
-    "effort": lambda quantities, _: next(filter(None, quantities), ""),
-    "effort_rms": _rms,
-    "temperature": lambda spans, _: [min(s[0] for s in spans), max(s[1] for s in spans)],
-}
-_IMU: Rules = {
-    "accelerometers": lambda counts, _: max(counts),
-    "gyro": lambda there, _: any(there),
-    "rate_hz": _median,
-    "rest_norm": _median,
-    "delay_s": _median,
+# How fields of parts become those of the log, its joints and IMUs: by value and samples.
+_RULES: Mapping[str, Callable[..., object]] = {
+    **dict.fromkeys(("samples", "non_monotonic", "duplicates"), lambda own, _: sum(own)),
+    **dict.fromkeys(("high", "top_speed", "accelerometers"), lambda own, _: max(own)),
+    **dict.fromkeys(("moves", "gyro"), lambda own, _: any(own)),
+    **dict.fromkeys(
+        ("log_minus_header_s", "encoder_step", "rate_hz", "rest_norm", "delay_s"),
+        lambda own, _: float(np.median(own)),
+    ),
+    **dict.fromkeys(("jitter", "effort_rms"), _rms),
+    "low": lambda own, _: min(own),
+    "gaps": lambda own, _: [gap for gaps in own for gap in gaps],
+    "partial": lambda own, _: "; ".join(filter(None, own)),
+    "effort": lambda own, _: next(filter(None, own), ""),
+    "temperature": lambda own, _: [min(low for low, _ in own), max(high for _, high in own)],
 }
 
 
-def _merged(parts: Sequence[V], samples: Sequence[int], rules: Rules) -> V:
+def _merged(parts: Sequence[V], samples: Sequence[int]) -> V:
     """What all parts show of a log, a joint or an IMU; what a part does not know does not count."""
     fields: dict[str, object] = {}
-    for name, rule in rules.items():
+    for name in _RULES.keys() & set(parts[0].__struct_fields__):
         pairs = zip((getattr(part, name) for part in parts), samples, strict=True)
         known = [(value, count) for value, count in pairs if value is not None]
-        fields[name] = rule(*zip(*known, strict=True)) if known else None
+        fields[name] = _RULES[name](*zip(*known, strict=True)) if known else None
     return structs.replace(parts[0], **fields)

@@ -53,10 +53,8 @@ def propose(
     surveyed = survey(paths[0])
     guessed = guess(surveyed)
     reports = [inspect_log(path) for path in paths]
-    for report in reports:
-        if report.log.verdict == "unreadable":
-            first = report.findings[0]
-            raise InputError(first.message, hint=first.remedy, where=report.log.path)
+    for log, (first, *_) in (report for report in reports if report.log.verdict == "unreadable"):
+        raise InputError(first.message, hint=first.remedy, where=log.path)
     seen: dict[str, InspectedJoint] = {}  # a joint moves if it moves in any log
     for joint in (joint for report in reports for joint in report.log.joints):
         if joint.name not in seen or (joint.moves and not seen[joint.name].moves):
@@ -105,10 +103,9 @@ def _driven(
 def with_gravity(
     content: str, path: Path, logs: Sequence[Path], *, most: int = 8, apart: float = 0.1
 ) -> str:
-    """Write gravity into a robot file as its first logs tell it.
+    """Write gravity into the robot file at `path` as the median of its first logs; else nothing.
 
-    The same text where they do not, or where the file at `path` still lacks something. `apart`:
-    share of gravity by which the logs may differ; their median is written.
+    `apart`: share of gravity by which the logs may differ.
     """
     try:
         report = inspect_logs(logs[:most], load_robot(path))
@@ -124,11 +121,7 @@ def with_gravity(
 
 
 def match_names(log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6) -> dict[str, str]:
-    """Pair names of a log with those of a URDF, one to one: equal ones first, then the nearest.
-
-    Names differ in case, separators and fillers (`elbow`, `elbow_joint`); a number in both must be
-    the same.
-    """
+    """Pair names of a log with those of a URDF, one to one: equal ones first, then the nearest."""
     pairs = {name: name for name in log if name in urdf}
     left = [name for name in log if name not in pairs]
     free = [name for name in urdf if name not in pairs.values()]
@@ -140,6 +133,7 @@ def match_names(log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6) -
 
 
 def _likeness(a: str, b: str) -> float:
+    """Compare names, whatever their case, separators and fillers (`elbow`, `elbow_joint`)."""
     numbers = [re.findall(r"[0-9]+", text) for text in (a, b)]
     if numbers[0] and numbers[1] and numbers[0] != numbers[1]:
         return 0.0
@@ -186,8 +180,7 @@ def _joint(
         step = math.degrees(step) if guessed.unit == "deg" else step
     if joint is None:
         return JointTemplate(log_name, encoder_step=step, moves=seen.moves)
-    limited = joint.lower is not None and joint.upper is not None
-    limits = (joint.lower, joint.upper) if limited else None
+    limits = (joint.lower, joint.upper) if None not in (joint.lower, joint.upper) else None
     remark = "" if joint.name == log_name else f"{log_name} in the log"
     return JointTemplate(joint.name, limits, joint.velocity, step, seen.moves, remark)  # type: ignore[arg-type]
 
@@ -195,10 +188,7 @@ def _joint(
 def _channels(
     surveyed: Survey, guessed: Guess, log: Sequence[str], joints: Sequence[str]
 ) -> tuple[dict[str, Columns], list[str]]:
-    """Return `[channels]` that the log needs, and names that they cannot express.
-
-    `joints` are the names in the robot file of those that the log calls `log`.
-    """
+    """Return `[channels]` by which a robot file's joints are those of a log, and what they lack."""
     if not surveyed.columns:
         renamed = ", ".join(f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b)
         text = f"the log's joints have other names: rename them in a copy of the URDF ({renamed})"

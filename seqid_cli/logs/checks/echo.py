@@ -1,17 +1,15 @@
 """Whether a log's torque is measured, or an echo of the command while something else moves the arm.
 
 Under gravity compensation, or with a constant command, an arm that a hand or its own weight moves
-shows a torque that follows position alone. A drive's current that moves a joint also overcomes its
-friction and accelerates it. Where a joint moves both ways, the torque of a log is therefore
-compared with
+shows a torque that follows position alone. Where a joint moves both ways, the torque is compared
+with
 
     tau = G(q) phi + sum_k c_k T_k(q_j) + F_c tanh(v / v_s) + F_v v + sum_i J_i dv_i/dt,
 
 gravity of the whole arm, a smooth function of the joint's own position, its friction, and the
 accelerations of all joints. It is an echo if the first two explain it and the others have no part,
 neither in the torque nor in what the first two leave of it, but for a damping F_v < 0, which no
-friction has but a controller may. A joint that is only held is passed over: while others shake it,
-its torque follows its position by its controller's law.
+friction has but a controller may. A joint that is only held is passed over; see `driven`.
 """
 
 import numpy as np
@@ -22,7 +20,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 RCOND = 1e-8
-
 WARNING = (
     "the torque follows the position alone, though the joint moves both ways: it has no friction "
     "and no inertia in it and looks like an echo of the command while a hand, or gravity, moves "
@@ -87,15 +84,12 @@ def smooth(q: Array, terms: int) -> Array:
 
 
 def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 0.99)) -> Mask:
-    """Which joints (n,) are driven on a way of their own.
+    """Which joints (n,) of positions (N, n) are driven on a way of their own.
 
-    The others are held, and the moves of other joints shake them. In closed loop with a constant
-    reference such a joint's torque is its controller's law, -k_p (q - q_0) - k_d dq, whatever its
-    friction: nothing about friction can be told from it (Forssell and Ljung, Closed-loop
-    identification revisited, Automatica 35(7), 1999).
-
-    `q` (N, n): positions, rad (m), between whose `middle` quantiles a joint travels. `held`: share
-    of the farthest joint's travel, below which a joint is held.
+    The others are held, and other joints shake them. In closed loop with a constant reference such
+    a joint's torque is its controller's law, -k_p (q - q_0) - k_d dq, whatever its friction
+    (Forssell and Ljung, Closed-loop identification revisited, Automatica 35(7), 1999). `held`:
+    share of the farthest joint's travel between the `middle` quantiles, below which a joint is it.
     """
     low, high = np.nanquantile(q, middle, axis=0)
     return np.asarray(high - low >= held * np.max(high - low))

@@ -62,26 +62,21 @@ def with_losses(stream: Stream, losses: Losses) -> tuple[Stream, Mask]:
     joined = np.concatenate(pieces)
     order = np.argsort(joined, kind="stable")
     channels = {n: np.concatenate([part[n] for part in parts])[order] for n in stream.channels}
-    made = np.ones(len(joined), np.bool_)
-    made[: len(stream)] = False
-    return replace(stream, stamp_ns=joined[order], channels=channels), made[order]
+    return replace(stream, stamp_ns=joined[order], channels=channels), order >= len(stream)
 
 
 def _filled(name: str, values: Array, stamps: Stamps, row: int, at: Stamps) -> Array:
     """Values (K, w) of one channel in the hole behind a sample."""
-    x = (stamps - stamps[row]).astype(np.float64) * 1e-9
-    seconds = (at - stamps[row]) * 1e-9
-    reach = len(at) + 2 if name != "position" else REACH
+    x, seconds = (stamps - stamps[row]).astype(np.float64) * 1e-9, (at - stamps[row]) * 1e-9
+    reach, fit = len(at) + 2 if name != "position" else REACH, np.polynomial.polynomial.polyfit
     low, high = max(0, row + 1 - reach), min(len(x), row + 1 + reach)
-    if name == "position":
-        sides = (slice(low, row + 1), slice(row + 1, high))
-        ends, fit = x[[row, row + 1]], np.polynomial.polynomial.polyfit
-        parabolas = [fit(x[s] - end, values[s], 2) for s, end in zip(sides, ends, strict=True)]
-        slopes = [c[1] for c in parabolas]
-        curve = CubicHermiteSpline(ends, values[[row, row + 1]], np.array(slopes))
-        return np.asarray(curve(seconds))
-    line = np.polynomial.polynomial.polyfit(x[low:high], values[low:high], 1)
-    return np.asarray(line[0] + seconds[:, None] * line[1])
+    if name != "position":
+        line = fit(x[low:high], values[low:high], 1)
+        return np.asarray(line[0] + seconds[:, None] * line[1])
+    sides, ends = (slice(low, row + 1), slice(row + 1, high)), x[[row, row + 1]]
+    slopes = [fit(x[s] - end, values[s], 2)[1] for s, end in zip(sides, ends, strict=True)]
+    curve = CubicHermiteSpline(ends, values[[row, row + 1]], np.array(slopes))
+    return np.asarray(curve(seconds))
 
 
 SIDE = 6  # samples of a parabola
@@ -179,9 +174,8 @@ class _Steps:
         """Whether all joints step by the motion of the time that is lost, (K,) s."""
         seconds = lost[:, None]
         noise = self.noise * np.hypot(1.0, SLOPE * seconds / dt)
-        off = np.abs(self.gap - self.velocity * seconds)
-        alike = off < CRITERIA.sure * noise + CRITERIA.uneven * self.faster * seconds
-        return np.asarray(alike.all(axis=1))
+        most = CRITERIA.sure * noise + CRITERIA.uneven * self.faster * seconds
+        return np.asarray((np.abs(self.gap - self.velocity * seconds) < most).all(axis=1))
 
 
 def mended(joints: Stream) -> Mended:
@@ -189,8 +183,13 @@ def mended(joints: Stream) -> Mended:
     stamps, q = joints.stamp_ns, joints.channels["position"]
     losses = NONE
     if len(stamps) >= 4 * SIDE and np.isfinite(q).all():
-        noise = _noise(q)
-        rows = _sudden(np.diff(q, axis=0), noise)
+        noise, d = _noise(q), np.diff(q, axis=0)
+        # Increments that differ from those beside them by more than motion and noise: one side
+        # alone is small where the position was held before it catches up.
+        beside = CRITERIA.sudden * np.minimum(np.abs(d[:-2]), np.abs(d[2:]))
+        least = np.maximum(beside, CRITERIA.sudden_noise * noise)
+        sudden = np.abs(d[1:-1] - 0.5 * (d[:-2] + d[2:])) > least
+        rows: Rows = np.flatnonzero(sudden.any(axis=1)) + 1
         if 0 < len(rows) <= CRITERIA.many * len(stamps):
             losses = _losses(np.diff(stamps) * 1e-9, q, rows, noise)
     stream, bridged = with_losses(joints, losses)
@@ -205,17 +204,6 @@ def _noise(q: Array) -> Array:
     size = np.abs(windows[:, 1] - windows[:, 0])
     counts = [np.quantile(own[own > 0], CRITERIA.smallest) if own.any() else 0.0 for own in size.T]
     return np.asarray(np.maximum(noise, np.array(counts) / np.sqrt(12.0)) + 1e-15)
-
-
-def _sudden(d: Array, noise: Array) -> Rows:
-    """Increments (of (M, n)) that differ from those beside them by more than motion and noise."""
-    # One side alone is small where the position was held before it catches up.
-    least = np.maximum(
-        CRITERIA.sudden * np.minimum(np.abs(d[:-2]), np.abs(d[2:])), CRITERIA.sudden_noise * noise
-    )
-    found = np.abs(d[1:-1] - 0.5 * (d[:-2] + d[2:])) > least
-    rows: Rows = np.flatnonzero(found.any(axis=1)) + 1
-    return rows
 
 
 def _losses(dt: Array, q: Array, rows: Rows, noise: Array) -> Losses:
@@ -238,9 +226,7 @@ def _losses(dt: Array, q: Array, rows: Rows, noise: Array) -> Losses:
         seconds = whole * usual
     known = Losses(rows[sure], seconds)
     places = _recurring(known.rows, len(dt))
-    if not len(places):
-        return known
-    return _joined(known, _Steps.at(places, q, usual, noise), usual)
+    return _joined(known, _Steps.at(places, q, usual, noise), usual) if len(places) else known
 
 
 def _recurring(rows: Rows, count: int) -> Rows:

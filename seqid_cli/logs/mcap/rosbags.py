@@ -38,8 +38,6 @@ _REMEDY = {
     "rosbag2": "Salvage it: `sqlite3 FILE .recover | sqlite3 NEW.db3`, or copy it again from the "
     "source.",
 }
-
-
 _Message = tuple[int, int, bytes]  # number of its channel, time [ns], CDR
 _Topic = tuple[Channel, Schema, int]  # the last: its messages
 _Bag = tuple[list[_Topic], Callable[[], Iterator[_Message]]]  # an opened bag
@@ -96,8 +94,7 @@ list_topics = partial(reader.list_topics, scan=BagScan)
 
 def _together(messages: Iterator[_Message], *, most: int = 1 << 22) -> Iterator[list[_Message]]:
     """Some messages at a time, of `most` bytes, about."""
-    held: list[_Message] = []
-    size = 0
+    held, size = list[_Message](), 0
     for message in messages:
         held.append(message)
         size += _OVERHEAD + len(message[2])
@@ -198,9 +195,8 @@ def _unmerged(path: Path) -> list[str]:
     """Tell of a journal beside an SQLite file: the recorder was killed before it was merged."""
     journal = path.with_name(path.name + "-wal")
     size = journal.stat().st_size if journal.is_file() else 0
-    text = f"the bag was not closed: {size} bytes in {journal.name} are not read"
-    remedy = f"merge them: `sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
-    return [f"{text} ({remedy})"] if size else []
+    text = f"the bag was not closed: {size} bytes in {journal.name} are not read (merge them: "
+    return [f"{text}`sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`)"] if size else []
 
 
 def _module(name: str, path: Path) -> Any:

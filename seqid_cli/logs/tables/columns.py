@@ -36,9 +36,8 @@ class TimeColumn:
 def column(table: pa.Table, name: str) -> pa.ChunkedArray:
     """Return a column, dictionaries resolved."""
     found = table.column(name)
-    if pa.types.is_dictionary(found.type):
-        found = pc.cast(found, found.type.value_type)
-    return found
+    dictionary = pa.types.is_dictionary(found.type)
+    return pc.cast(found, found.type.value_type) if dictionary else found
 
 
 def numbers(where: str, table: pa.Table, name: str) -> Array:
@@ -95,8 +94,7 @@ def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, 
         else:
             warnings += _resolution(time.name, kind, values / (NS_PER["s"] / NS_PER[unit]))
             stamps, good = _from_values(values, NS_PER[unit])
-    lost = int(np.count_nonzero(~good))
-    if lost:
+    if lost := int(np.count_nonzero(~good)):
         warnings.append(f"{lost} rows without a usable time in column {time.name!r} were left out")
     return np.where(good, stamps, 0), np.flatnonzero(good), warnings
 
@@ -184,8 +182,5 @@ def opened_table(path: Path, **options: object) -> pq.ParquetFile:
 
 def readable(path: Path) -> Path | BinaryIO:
     """What Arrow opens: a file by its name, or open already where it cannot spell the name."""
-    try:
-        name = str(path).encode("utf-8")
-    except UnicodeEncodeError:
-        return path.open("rb")
-    return path if name == os.fsencode(path) else path.open("rb")
+    spelt = str(path).encode("utf-8", "replace") == os.fsencode(path)
+    return path if spelt else path.open("rb")

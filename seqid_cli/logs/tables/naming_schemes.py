@@ -17,12 +17,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from seqid_cli.robot.toml.schema import Columns
 
-# fmt: off
 QUANTITIES = (
     "position", "velocity", "torque", "current", "load", "link_position", "voltage", "pwm",
     "temperature",
-)
-# fmt: on
+)  # fmt: skip
 EFFORT = "effort"  # torque or current, whichever the robot file says
 
 # Names of time columns, the unit behind them optional: time, t_ms, timestamp [s], __time.
@@ -150,8 +148,7 @@ def find_quantities(joints: Sequence[str], known: Collection[str]) -> dict[str, 
     tries = [*((scheme, True) for scheme in SCHEMES), (DEFAULT, False)]
     for quantity in _ALL[1:]:
         tried = (_find(one, quantity, joints, known, None, whole=whole) for one, whole in tries)
-        found = next((own for own in tried if own is not None), None)
-        if found is not None:
+        if found := next(filter(None, tried), None):
             columns[quantity] = found
     return columns
 
@@ -186,8 +183,7 @@ def time_names(names: Iterable[str]) -> dict[str, str | None]:
     """List the columns that look like time, with the unit where the name says it."""
     found: dict[str, str | None] = {}
     for name in names:
-        matched = _TIME.fullmatch(name.strip())
-        if matched:
+        if matched := _TIME.fullmatch(name.strip()):
             unit = (matched["unit"] or matched["bracket"] or "").lower()
             found[name] = _SHORT[unit[:2]] if unit else None
     return found
@@ -196,10 +192,10 @@ def time_names(names: Iterable[str]) -> dict[str, str | None]:
 def stamp_parts(names: Collection[str]) -> tuple[str, str] | None:
     """Find a stamp that is written as whole seconds and nanoseconds in two columns."""
     for name in names:
-        matched = _STAMP_PARTS.fullmatch(name)
-        for word in _NANOSECONDS if matched else ():
-            if matched and matched["stem"] + word in names:
-                return name, matched["stem"] + word
+        if matched := _STAMP_PARTS.fullmatch(name):
+            for word in _NANOSECONDS:
+                if matched["stem"] + word in names:
+                    return name, matched["stem"] + word
     return None
 
 

@@ -27,10 +27,9 @@ class Tidy:
 
 
 def tidy(stream: Stream) -> Tidy:
-    """Sort a stream by stamp and merge samples of equal stamp.
+    """Sort a stream by stamp; merge samples of equal stamp, of which the first to hold it counts.
 
-    Those that hold different joints complement each other; where they hold the same one, the first
-    counts. Where the clock was set back, only the longest stretch of one pass is kept.
+    Where the clock was set back, only the longest stretch of one pass is kept.
     """
     backwards = int(np.count_nonzero(np.diff(stream.stamp_ns) < 0))
     warnings: list[str] = []
@@ -55,8 +54,7 @@ def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1
     """Return the interval from which on samples count as missing, in the unit of `steps` (M,).
 
     Five median intervals, but at least 20 ms, over which the curve itself follows an arm. Where
-    samples come in bursts, so that more than one interval in twenty is beyond that, five mean ones.
-    `second`: one second in the unit of `steps`, of which none is negative.
+    samples come in bursts, more than one interval in twenty is beyond that: then five mean ones.
     """
     least = GAP_LEAST_S * second
     limit = max(GAP_INTERVALS * float(np.median(steps)), least)
@@ -112,10 +110,7 @@ def _far_stamps_cut(
     stretch_least: int = 1000000,
     cut_ns: int = 60000000000,
 ) -> Stream:
-    """Cut away stamps so far off (a zero among epoch times, say) that no grid can span them.
-
-    It may be `stretch_limit` times longer than the samples, and by `stretch_least`.
-    """
+    """Cut away stamps so far off (a zero among epoch times, say) that no grid can span them."""
     steps = np.diff(stream.stamp_ns)
     forward = steps[steps > 0]
     if not forward.size:

@@ -3,8 +3,7 @@
 A first pass decodes the file and lays the base; every further pass yields the same samples as
 `read_recording`, from a temporary file where there is room for one (see `Spool`), without ever
 holding more than some blocks. That works for logs whose stamps increase and whose rows hold every
-joint; `open_long` returns None for others, and for logs in which samples come in bursts, or are
-lost without the stamps showing it (`lost_samples`): these have to be read as a whole.
+joint, but not where samples come in bursts or `lost_samples` finds some.
 """
 
 from collections.abc import Callable, Iterator
@@ -116,19 +115,17 @@ class LongLog:
         Raises InputError: the file has changed since the first pass.
         """
         rows = self._decoded() if self.spool is None else starmap(_as_stream, self.spool.parts())
-        blocks = self._as_logged(rows) if self.exact else self._resampled(rows)
-        return map(self._bridged, blocks) if self.bridges else blocks
+        for block in self._as_logged(rows) if self.exact else self._resampled(rows):
+            if self.bridges:
+                block = replace(block, q=block.q.copy(), valid=block.valid.copy())
+            for bridge in self.bridges:
+                bridge.laid(block)
+            yield block
 
     def _decoded(self) -> Iterator[Stream]:
         with files.unchanged(self.file, self.state):
             for _, rows in _rows(self.file, self.format, self.robot, self.time_source):
                 yield rows
-
-    def _bridged(self, block: Block) -> Block:
-        block = replace(block, q=block.q.copy(), valid=block.valid.copy())
-        for bridge in self.bridges:
-            bridge.laid(block)
-        return block
 
     def _as_logged(self, rows: Iterator[Stream]) -> Iterator[Block]:
         start, n = 0, self.robot.n
@@ -273,12 +270,11 @@ def open_long(
     time_source: TimeSource = "header",
     watch: Callable[[float, Array], None] | None = None,
 ) -> LongLog | None:
-    """Pass over a log once and lay its time base.
+    """Pass over a log once and lay its time base; None where it can only be read as a whole.
 
-    `path`, `robot`, `time_source`: as for `read_recording`. `watch`: shown what is passed over: the
-    rate [Hz] that the first rows have, and positions (M, n) as logged. They are the samples of the
-    base if the log is `exact`. Returns None where the log can only be read as a whole. Raises
-    InputError: the file cannot be read or lacks a channel.
+    `watch`: shown the rate [Hz] that the first rows have, and positions (M, n) as logged: the
+    samples of the base if the log is `exact`. Raises InputError: the file cannot be read or lacks a
+    channel.
     """
     path = Path(path)
     kind, file = files.check_log(path), files.storage_file(path)

@@ -66,10 +66,7 @@ class Recording:
 
 
 def torque_of(recording: Recording) -> Array:
-    """Measured torque (N, n) N m of a log that must have it.
-
-    Raises InputError if the log carries neither torque nor current.
-    """
+    """Measured torque (N, n) N m of a log; raises InputError if it carries none, nor current."""
     if recording.tau is None:
         raise InputError(
             "the log has neither joint torque nor motor current that can be turned into torque",

@@ -1,10 +1,9 @@
 """One uniform time base for all channels.
 
 The base runs from the first to the last sample that has every joint, at the mean rate of the joint
-states. Samples that already lie on it are taken as they are; others are interpolated, each column
-from the samples that have it, by a cubic spline between gaps and by a straight line across them;
-where the base is coarser than the samples, they are averaged over one interval of it. Where samples
-come in bursts a spline would swing, and straight lines are used throughout.
+states. Samples that already lie on it are taken as they are; others are interpolated, by a cubic
+spline between gaps and straight lines across them, or throughout where samples come in bursts and a
+spline would swing; where the base is coarser than the samples, they are averaged over an interval.
 """
 
 from dataclasses import dataclass
@@ -71,8 +70,8 @@ def make_base(joints: Stream, where: str, *, least_seconds: float = 0.5) -> Base
 def resample(stream: Stream, quantity: str, base: Base) -> Resampled:
     """Bring one channel (M, w) of a stream in the order of time to the base.
 
-    Returns: finite everywhere where a column has any value at all, NaN elsewhere; `valid` is False
-    in gaps and outside the column's time, and does not heed columns without any value.
+    Columns with any value are finite everywhere, others NaN, of which `valid` takes no heed: it is
+    False in gaps and outside a column's time.
     """
     values = stream.channels[quantity]
     if base.exact and (taken := _taken(stream, values, base)):  # it looks at the count first

@@ -86,9 +86,8 @@ def storage_file(path: Path) -> Path:
     if not path.is_dir():
         return path
     if not (path / METADATA).is_file():
-        raise InputError(
-            "is a folder, not a log", hint="Name the files in it or use a glob.", where=str(path)
-        )
+        hint = "Name the files in it or use a glob."
+        raise InputError("is a folder, not a log", hint=hint, where=str(path))
     files = _logs_in(path, lambda text: None)
     if len(files) == 1:
         return files[0]
@@ -127,10 +126,9 @@ def unchanged(path: Path, before: State | None = None) -> Iterator[None]:
 
 
 def check_log(path: Path) -> str:
-    """Tell the format of a log by its first bytes.
+    """Tell the format by the first bytes: parquet, mcap, csv, rosbag2 (an SQLite file), rosbag1.
 
-    Returns: "parquet", "mcap", "csv", "rosbag2" (an SQLite file) or "rosbag1". Raises InputError:
-    the file is missing, unreadable, empty, cut short or of another kind.
+    Raises InputError: the file is missing, unreadable, empty, cut short or of another kind.
     """
     where = str(path)
     try:
@@ -152,12 +150,9 @@ def check_log(path: Path) -> str:
         raise InputError("is empty (0 bytes)", hint="Record or copy it again.", where=where)
     kind = _format(head, where)
     if kind == "parquet" and (tail != MAGIC[kind] or size < 12):
-        raise InputError(
-            f"the Parquet file is cut short or damaged: its footer is missing ({size} bytes)",
-            hint="Parquet keeps its index at the end, so nothing can be salvaged: copy it again "
-            "from the source or record again.",
-            where=where,
-        )
+        text = f"the Parquet file is cut short or damaged: its footer is missing ({size} bytes)"
+        hint = "Parquet keeps its index at the end, so nothing can be salvaged: copy it again "
+        raise InputError(text, hint=hint + "from the source or record again.", where=where)
     try:
         if kind == "csv":
             read_form(path)

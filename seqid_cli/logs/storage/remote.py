@@ -1,10 +1,8 @@
 """Logs on object storage (whatever fsspec knows), and tables in memory (Arrow, pandas, polars).
 
-A stored log is a path like any other until it is read. Then it is copied to a temporary file, read
-from there by the same readers as local logs, and the copy is removed: memory stays flat, and one
-log at a time (per process) lies on the disk. Access is configured as the store's own tools are, by
-environment and profile; nothing of it passes through here. A table is stored the same way: whoever
-reads it gets a Parquet file, which is removed afterwards, in this process or in others.
+A stored log, or a table, is a path like any other until it is read. Then it is copied to a
+temporary file (Parquet, of a table), which goes when it is read: one log at a time (per process)
+lies on the disk. Access is configured as the store's own tools are, by environment and profile.
 """
 
 import contextlib
@@ -36,10 +34,7 @@ _REFUSED = re.compile(
 
 
 class StoredLog(_LocalPath):
-    """The URL of a log on object storage, in the place of a path.
-
-    Only its text and its names mean something; the file itself is opened through `local_copy`.
-    """
+    """The URL of a log on object storage, in the place of a path; `local_copy` opens the file."""
 
     def __str__(self) -> str:
         scheme, *rest = self.parts

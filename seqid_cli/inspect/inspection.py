@@ -104,7 +104,7 @@ def inspect_log(
         guessed = guess(surveyed)
         findings = []
         if robot is not None and problem is not None:
-            missing, findings = _lacking("joint", robot.joint_names, guessed.joints)
+            missing, findings = _lacking("joint", robot.joint_names, guessed.joints, 0.5)
             findings = findings or [found("channel_missing", problem.message)]
             findings = [structs.replace(f, remedy=problem.hint or f.remedy) for f in findings]
         try:
@@ -124,11 +124,9 @@ def _guessed(
         if nameless(names):
             raise missing_columns(str(path), [], names)
         told = ", ".join(names[:12]) or "nothing"
-        raise InputError(
-            f"no joint positions were found by the names in it: {told}",
-            hint="Write the robot file by hand, its [channels] naming the column of each joint "
-            'in chain order (position = ["...", "..."], current = [...]), and give it with -r.',
-        )
+        hint = "Write the robot file by hand, its [channels] naming the column of each joint in "
+        hint += 'chain order (position = ["...", "..."], current = [...]), and give it with -r.'
+        raise InputError(f"no joint positions were found by the names in it: {told}", hint=hint)
     try:
         return read(stand_in(guessed, source=path), findings)
     except TorqueLackingError as lacking:
@@ -170,17 +168,12 @@ def _missing_imus(
     parted = [name for name in channels if "." in name or "/" in name]
     ends = (name.strip("/").rsplit("/" if "/" in name else ".", 1) for name in parted)
     there, imus = [*dict.fromkeys(end[0] for end in ends)], [imu.name for imu in robot.imus]
-    missing, findings = _lacking("IMU", imus, there, cutoff=0.8, known=robot.joint_names)
+    missing, findings = _lacking("IMU", imus, there, 0.8, robot.joint_names)
     return missing, [finding for finding in findings if finding.channel]
 
 
 def _lacking(
-    kind: str,
-    names: Sequence[str],
-    there: Sequence[str],
-    *,
-    cutoff: float = 0.5,
-    known: Sequence[str] = (),
+    kind: str, names: Sequence[str], there: Sequence[str], cutoff: float, known: Sequence[str] = ()
 ) -> tuple[dict[str, str], list[InspectionFinding]]:
     """Find names that are not there, and the unknown one nearest to each in any case."""
     lower = {other.lower(): other for other in there if other not in {*names, *known}}

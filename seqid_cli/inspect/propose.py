@@ -24,6 +24,7 @@ from seqid_cli.robot.toml.template import JointTemplate, RobotTemplate
 from seqid_cli.robot.urdf.text import UrdfJoint, UrdfText, best_chain
 
 _FILLERS = re.compile(r"(joint|axis|link|act|actuator)")
+Pairs = list[tuple[str, UrdfJoint]]  # joints by their names in the log
 
 
 class Proposal(NamedTuple):
@@ -66,7 +67,7 @@ def propose(
     codes = {finding.code for report in reports for finding in report.findings}
     units = {"unit": "deg"} if guessed.unit == "deg" or "position_in_degrees" in codes else {}
     units |= {"length_unit": "mm"} if guessed.length_unit == "mm" else {}
-    joints = _driven([_joint(log, own, seen[log], guessed, units) for log, own in known], drives)
+    joints = _driven([_joint(own, seen[log], guessed, units) for log, own in known], drives)
     effort = next((joint.effort for joint in seen.values() if joint.effort), "")
     log_names, names = [log for log, _ in known], [joint.name for joint in joints]
     channels, todo = _channels(surveyed, guessed, log_names, names)
@@ -143,9 +144,7 @@ def _likeness(a: str, b: str) -> float:
     return difflib.SequenceMatcher(a=plain[0], b=plain[1]).ratio() if all(plain) else 0.0
 
 
-def _matched(
-    log: Sequence[str], urdf: UrdfText | None
-) -> tuple[list[tuple[str, UrdfJoint]], tuple[UrdfJoint, ...]]:
+def _matched(log: Sequence[str], urdf: UrdfText | None) -> tuple[Pairs, tuple[UrdfJoint, ...]]:
     """Pair the log's joints with those of the URDF's chain that fits best, in chain order."""
     if urdf is None:
         return [], ()
@@ -165,11 +164,7 @@ def _matched(
 
 
 def _joint(
-    log_name: str,
-    joint: UrdfJoint | None,
-    seen: InspectedJoint,
-    guessed: Guess,
-    units: Mapping[str, str],
+    joint: UrdfJoint | None, seen: InspectedJoint, guessed: Guess, units: Mapping[str, str]
 ) -> JointTemplate:
     """Describe a joint; the inspection took its positions for angles in the guessed unit."""
     step = seen.encoder_step
@@ -179,9 +174,9 @@ def _joint(
         step *= length if joint is not None and joint.kind == "prismatic" else angle
         step = math.degrees(step) if guessed.unit == "deg" else step
     if joint is None:
-        return JointTemplate(log_name, encoder_step=step, moves=seen.moves)
+        return JointTemplate(seen.name, encoder_step=step, moves=seen.moves)
     limits = (joint.lower, joint.upper) if None not in (joint.lower, joint.upper) else None
-    remark = "" if joint.name == log_name else f"{log_name} in the log"
+    remark = "" if joint.name == seen.name else f"{seen.name} in the log"
     return JointTemplate(joint.name, limits, joint.velocity, step, seen.moves, remark)  # type: ignore[arg-type]
 
 
@@ -227,10 +222,7 @@ def _mapped(pattern: Columns, log: Sequence[str], joints: Sequence[str]) -> Colu
 
 
 def _todo(
-    template: RobotTemplate,
-    guessed: Guess,
-    pairs: Sequence[tuple[str, UrdfJoint]],
-    urdf: UrdfText | None,
+    template: RobotTemplate, guessed: Guess, pairs: Pairs, urdf: UrdfText | None
 ) -> Iterator[str]:
     """Yield what is left to the user."""
     if "unit" in template.channels:

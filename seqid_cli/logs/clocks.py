@@ -43,10 +43,8 @@ def tidy(stream: Stream) -> Tidy:
     if duplicates:
         warnings.append(f"{stream.name}: {duplicates} samples repeat a stamp; dropped")
     if conflicts > 0.01 * before:
-        warnings.append(
-            f"{stream.name}: {conflicts} samples share a stamp with others but hold other values: "
-            "the clock is too coarse; use the times of logging"
-        )
+        text = f"{stream.name}: {conflicts} samples share a stamp with others but hold other values"
+        warnings.append(f"{text}: the clock is too coarse; use the times of logging")
     return Tidy(stream, backwards, duplicates, tuple(warnings))
 
 

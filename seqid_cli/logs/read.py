@@ -205,10 +205,8 @@ def with_torque(
     present: Mask = np.asarray(np.isfinite(tau).any(axis=0))
     names = np.array(robot.joint_names)
     if len(without_drive := names[np.asarray(np.isfinite(current).any(axis=0)) & ~present]):
-        warnings.append(
-            f"the current of {', '.join(without_drive)} cannot be turned into torque: give "
-            "torque_constant and gear_ratio in the robot file"
-        )
+        text = f"the current of {', '.join(without_drive)} cannot be turned into torque: give "
+        warnings.append(f"{text}torque_constant and gear_ratio in the robot file")
     elif present.all():
         return replace(joints, channels={**joints.channels, "tau": tau})
     elif present.any():

@@ -132,10 +132,8 @@ def friction_findings(
         value, error = friction[j, j], errors[j, j]
         if value < -SIGMAS * error and value < -SHARE * spread[j]:
             unit = data.robot.joints[j].unit
-            text = (
-                f"its friction is {value:.3g} +- {error:.2g} {unit('N m')} at "
-                f"{sample.rms_speeds[j]:.3g} {unit('rad/s')}: the joint would gain energy"
-            )
+            text = f"its friction is {value:.3g} +- {error:.2g} {unit('N m')} at "
+            text += f"{sample.rms_speeds[j]:.3g} {unit('rad/s')}: the joint would gain energy"
             yield found("sign_mismatch", text, names[j], "torque")
 
 

@@ -107,7 +107,12 @@ def _together(messages: Iterator[_Message], *, most: int = 1 << 22) -> Iterator[
 @contextmanager
 def _rosbag2(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
     storage = _module("rosbags.rosbag2.storage_sqlite3", path)
-    _check_tables(path)
+    address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+    with closing(sqlite3.connect(address, uri=True)) as database:
+        for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
+            # A database that computes what it seems to hold, at any cost: recorders do not.
+            if kind in ("view", "trigger") or _COMPUTED.search(str(text)):
+                raise ValueError(f"it holds a {kind} that computes values")
     reader = storage.Sqlite3Reader(path.absolute())
     reader.open()
     try:
@@ -146,15 +151,6 @@ def _topic(link: Any, definition: str) -> _Topic:
     text = definition if link.msgdef.format.name == "MSG" else ""
     schema = Schema(link.id, text.encode(), "ros2msg", link.msgtype)
     return Channel(link.id, link.topic, "cdr", {}, link.id), schema, link.msgcount
-
-
-def _check_tables(path: Path) -> None:
-    """Raise where a database computes what it seems to hold, at any cost: recorders do not."""
-    address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
-    with closing(sqlite3.connect(address, uri=True)) as database:
-        for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
-            if kind in ("view", "trigger") or _COMPUTED.search(str(text)):
-                raise ValueError(f"it holds a {kind} that computes values")
 
 
 def _bounded(usual: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
@@ -203,9 +199,7 @@ def _module(name: str, path: Path) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise InputError(
-            f"is a ROS bag; reading it needs the package rosbags, which is not installed ({error})",
-            hint='Install it: pip install "seqid[bags]"; or convert the bag to MCAP with '
-            "`ros2 bag convert`.",
-            where=str(path),
-        ) from error
+        text = "is a ROS bag; reading it needs the package rosbags, which is not installed"
+        hint = 'Install it: pip install "seqid[bags]"; or convert the bag to MCAP with '
+        hint += "`ros2 bag convert`."
+        raise InputError(f"{text} ({error})", hint=hint, where=str(path)) from error

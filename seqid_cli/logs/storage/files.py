@@ -9,7 +9,7 @@ import hashlib
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from seqid_cli.errors import InputError
@@ -232,24 +232,19 @@ def _logs_in(folder: Path, note: Note) -> list[Path]:
 def _is_meant(path: Path, note: Note) -> bool:
     """Tell whether a file that was not named itself is a log: CSV files are all sorts of things."""
     text = ""
-    if path.suffix.lower() == ".parquet" and _holds_predictions(path):
-        text = "seqid predict wrote it"
+    if path.suffix.lower() == ".parquet":
+        from seqid_cli.logs.tables.parquet import list_columns
+
+        with suppress(InputError):
+            ends = {name.rpartition(".")[2] for name in list_columns(path)}
+            # A table of `predict --torques`: its torques are of logs that count already.
+            if {"predicted", "residual", "sliding"} <= ends:
+                text = "seqid predict wrote it"
     elif path.suffix.lower() in CSV_SUFFIXES and (reason := _fault_of(path)[0]):
         text = f"it {reason}; name the file itself if it is one"
     if text:
         note(f"{path} is left out, it is no log: {text}")
     return not text
-
-
-def _holds_predictions(path: Path) -> bool:
-    """Tell a table of `predict --torques`: its filtered torques are of logs that count already."""
-    from seqid_cli.logs.tables.parquet import list_columns
-
-    try:
-        ends = {name.rpartition(".")[2] for name in list_columns(path)}
-    except InputError:
-        return False
-    return {"predicted", "residual", "sliding"} <= ends
 
 
 def _fault_of(path: Path) -> tuple[str, str]:

@@ -129,11 +129,11 @@ def find_scheme(
     """
     for scheme in SCHEMES:
         lists = all(p.endswith("[{index0}]") for p in scheme.patterns["position"])
-        places = entries if entries and lists and scheme != FRANKA else None
-        found = {
-            quantity: _find(scheme, quantity, joints, known, places, whole=quantity == "position")
-            for quantity in _ALL
-        }
+        at = [*range(len(joints))]
+        if entries and lists and scheme != FRANKA:
+            at = [entries.get(joint, -1) for joint in joints]
+        pairs = [*zip(joints, at, strict=True)]
+        found = {name: _find(scheme, name, pairs, known, name == "position") for name in _ALL}
         if found["position"] is not None:
             return Match(scheme, {name: own for name, own in found.items() if own is not None})
     return None
@@ -146,8 +146,9 @@ def find_quantities(joints: Sequence[str], known: Collection[str]) -> dict[str, 
     """
     columns: dict[str, list[str | None]] = {}
     tries = [*((scheme, True) for scheme in SCHEMES), (DEFAULT, False)]
+    pairs = [(joint, i) for i, joint in enumerate(joints)]
     for quantity in _ALL[1:]:
-        tried = (_find(one, quantity, joints, known, None, whole=whole) for one, whole in tries)
+        tried = (_find(one, quantity, pairs, known, whole) for one, whole in tries)
         if found := next(filter(None, tried), None):
             columns[quantity] = found
     return columns
@@ -163,16 +164,13 @@ def nearest_scheme(joints: Sequence[str], known: Collection[str]) -> list[str]:
 def _find(
     scheme: Scheme,
     quantity: str,
-    joints: Sequence[str],
+    joints: list[tuple[str, int]],
     known: Collection[str],
-    places: Mapping[str, int] | None,
-    *,
     whole: bool,
 ) -> list[str | None] | None:
     """Return the columns of the first pattern that gives one for every joint, or for some."""
-    at = [places.get(joint, -1) if places else i for i, joint in enumerate(joints)]
     for pattern in scheme.patterns.get(quantity, ()):
-        names = [column_name(pattern, *pair) for pair in zip(joints, at, strict=True)]
+        names = [column_name(pattern, joint, place) for joint, place in joints]
         found = [name if name in known else None for name in names]
         if all(found) or (not whole and any(found)):
             return found

@@ -99,12 +99,10 @@ class ParquetTable(TableFile):
             counts = np.asarray(pc.fill_null(pc.list_value_length(column), -1))
             wrong = np.flatnonzero((counts != length) & (counts > 0))
             if len(wrong):
-                raise InputError(
-                    f"row {wrong[0] + 1}: {name!r} holds {counts[wrong[0]]} values, the first row "
-                    f"{length} ({len(wrong)} such rows)",
-                    hint="Write one value per joint in every row, null where one is missing.",
-                    where=self.where,
-                )
+                text = f"row {wrong[0] + 1}: {name!r} holds {counts[wrong[0]]} values, the first "
+                text += f"row {length} ({len(wrong)} such rows)"
+                hint = "Write one value per joint in every row, null where one is missing."
+                raise InputError(text, hint=hint, where=self.where)
             values = np.full((len(column), length), np.nan)
             flat = pc.cast(pc.list_flatten(column), pa.float64(), safe=False)
             values[counts == length] = flat.to_numpy(zero_copy_only=False).reshape(-1, length)
@@ -142,9 +140,8 @@ def read_tables(
                 yield file.read(columns=list(columns))
                 return
             for group in range(file.num_row_groups):
-                for batch in file.iter_batches(
-                    rows, row_groups=[group], columns=list(columns), use_threads=False
-                ):
+                own = {"row_groups": [group], "columns": list(columns)}
+                for batch in file.iter_batches(rows, **own, use_threads=False):
                     yield pa.Table.from_batches([batch])
                     del batch
                 pa.default_memory_pool().release_unused()  # or it keeps some row groups' worth

@@ -88,10 +88,8 @@ def separate(
     moved = stamps.copy()
     for before, run in pairwise(runs):
         moved[run] += int(moved[before].max()) + hole - int(stamps[run].min())
-    notes.append(
-        f"{len(runs)} episodes ({name}) are read as stretches with a gap of {hole * 1e-9:.3g} s "
-        "between them"
-    )
+    text = f"{len(runs)} episodes ({name}) are read as stretches with a gap of {hole * 1e-9:.3g} s"
+    notes.append(f"{text} between them")
     return moved, keep, notes
 
 

@@ -1,7 +1,6 @@
 """The checks of one log, in their order: those of `seqid inspect` and of every stage that reads it.
 
-Samples that are known to be damaged (spikes, freezes) are taken out, and the checks that
-compare channels with each other go on without them.
+Channels are compared with each other without samples that are known to be damaged.
 """
 
 from collections.abc import Iterator, Sequence

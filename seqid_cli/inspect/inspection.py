@@ -40,10 +40,7 @@ def inspect_logs(
     time_source: TimeSource = "header",
     on_progress: Callable[[Progress], None] | None = None,
 ) -> InspectionFile:
-    """Inspect logs one after the other, and the set of them; see `inspect`.
-
-    The findings are those of the robot file and of the set of logs, then each log's.
-    """
+    """Inspect logs; findings are of robot file and set of logs, then of each log; see `inspect`."""
     logs: list[InspectedLog] = []
     own: list[InspectionFinding] = []
     for done, path in enumerate(paths):

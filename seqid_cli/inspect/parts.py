@@ -1,8 +1,7 @@
 """An inspected log, gathered part by part: what moves, which stages it serves, its faults.
 
-A short log is one part, and what is told of it is told of all its samples. Of the parts of a long
-one counts, ranges and means are merged; a finding of several parts is told once, with its first
-place and how many parts show it.
+A short log is one part. Of the parts of a long one counts, ranges and means are merged; a finding
+of several parts is told once, with its first place and how many parts show it.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -205,10 +204,7 @@ class Gathered:
                 self.stretches.append(moved)
 
     def log(self, path: object, form: str, before: Sequence[InspectionFinding]) -> Inspected:
-        """Tell what is in the log, and its faults; `before` are those that were found first.
-
-        Raises InputError: no part is of use.
-        """
+        """Tell what is in the log, and its faults; raises InputError if no part is of use."""
         if not self.parts:
             raise self.lost[0]
         lost = (found("channel_hole", error.message) for error in self.lost)

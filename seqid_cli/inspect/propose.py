@@ -42,14 +42,11 @@ def propose(
     name: str,
     drives: Mapping[str, Sequence[float]] = {},
 ) -> Proposal:
-    """Propose a robot file from logs of one robot.
+    """Propose a robot file from logs of one robot, of which the first says what channels there are.
 
-    `paths`: the first says which joints and channels there are, all of them what moves. `urdf`:
-    without it the geometry is left to be filled in. `urdf_path`: how the file is to name it.
-    `drives`: `torque_constant` and `gear_ratio`, one for all joints or one for each.
-
-    Raises UsageError: as many drives' data as there are neither joints nor one. Raises InputError:
-    a log cannot be read, or shows no joint.
+    `urdf`: without it the geometry is left to be filled in. `urdf_path`: how the file is to name
+    it. `drives`: `torque_constant` and `gear_ratio`, one for all joints or one for each; any other
+    number raises UsageError. Raises InputError: a log cannot be read, or shows no joint.
     """
     surveyed = survey(paths[0])
     guessed = guess(surveyed)
@@ -104,9 +101,9 @@ def _driven(
 def with_gravity(
     content: str, path: Path, logs: Sequence[Path], *, most: int = 8, apart: float = 0.1
 ) -> str:
-    """Write gravity into the robot file at `path` as the median of its first logs; else nothing.
+    """Return a robot file's text with gravity as its first logs tell it, or as it was.
 
-    `apart`: share of gravity by which the logs may differ.
+    `apart`: share of gravity by which the logs may differ; their median is written.
     """
     try:
         report = inspect_logs(logs[:most], load_robot(path))

@@ -1,7 +1,4 @@
-"""Stamps put right: sorted, without duplicates, from one clock.
-
-Stamps are integer nanoseconds, so sums and differences are exact.
-"""
+"""Stamps, in integer nanoseconds, put right: sorted, without duplicates, from one clock."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise

@@ -1,8 +1,7 @@
 """What a log's joint channels mean: units, torque without gravity, voltage of a servo.
 
-A servo that logs its voltage u has the current i = (u - k_e w) / R, with the motor's speed
-w = gear_ratio dq and k_e = torque_constant in SI units; a duty cycle times the supply is its
-voltage.
+A servo that logs its voltage u, or a duty cycle of its supply, has the current i = (u - k_e w) / R,
+with the motor's speed w = gear_ratio dq and k_e = torque_constant in SI units.
 """
 
 import numpy as np

@@ -110,10 +110,7 @@ class LongLog:
             return files.sha256_of(self.file)
 
     def blocks(self) -> Iterator[Block]:
-        """Pass over the samples of the base, a few ten thousand at a time.
-
-        Raises InputError: the file has changed since the first pass.
-        """
+        """Pass over the samples; raises InputError if the file has changed since the first pass."""
         rows = self._decoded() if self.spool is None else starmap(_as_stream, self.spool.parts())
         for block in self._as_logged(rows) if self.exact else self._resampled(rows):
             if self.bridges:
@@ -273,8 +270,7 @@ def open_long(
     """Pass over a log once and lay its time base; None where it can only be read as a whole.
 
     `watch`: shown the rate [Hz] that the first rows have, and positions (M, n) as logged: the
-    samples of the base if the log is `exact`. Raises InputError: the file cannot be read or lacks a
-    channel.
+    samples of the base if the log is `exact`.
     """
     path = Path(path)
     kind, file = files.check_log(path), files.storage_file(path)

@@ -33,10 +33,7 @@ def whole_of(log: Recording | LongLog) -> Whole:
 
 
 def by_log(recordings: Iterable[Recording]) -> list[list[Recording]]:
-    """Recordings, or the pieces of each log together, in the order of the first of each.
-
-    Two whole recordings are two logs even where their content is the same.
-    """
+    """Recordings, or the pieces of each log together, in the order of the first of each."""
     logs: dict[object, list[Recording]] = {}
     for number, recording in enumerate(recordings):
         whole = recording.whole

@@ -26,9 +26,8 @@ class Stream:
     """Samples that share stamps.
 
     `channels[quantity]` is (M, w), NaN where a sample lacks the value. Joint streams hold position
-    [rad], velocity [rad/s], torque [N m], current [A], load [N m], link_position [rad], temperature
-    [degC], one column per joint of the robot; IMU streams hold `accelerometers` [m/s^2] and `gyro`
-    [rad/s].
+    [rad], velocity [rad/s], torque, load [N m], current [A], link_position [rad], temperature
+    [degC] by the robot's joints; IMU streams `accelerometers` [m/s^2] and `gyro` [rad/s].
     """
 
     name: str

@@ -11,11 +11,11 @@ TURN = 2.0 * np.pi
 
 
 def in_turns(stream: Stream, robot: Robot, *, slack: float = 0.05) -> tuple[Stream, dict[str, int]]:
-    """Let the positions of revolute joints run on where they wrap, within the joints' limits.
+    """Let revolute joints run on where they wrap, within their limits; tell how often each does.
 
     `slack`: share of a turn by which a step may differ from whole ones. A log that lies within the
-    limits (half a turn, where there are none) only with a turn more or less is moved by it.
-    Returns: the stream, the same one where nothing wraps; how often each joint wraps.
+    limits (half a turn, where there are none) only with a turn more or less is moved by it. The
+    same stream is returned where nothing wraps.
     """
     position = stream.channels["position"]
     moved, found = position.copy(), dict[str, int]()

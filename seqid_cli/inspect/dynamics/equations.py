@@ -1,10 +1,9 @@
 """The robot's equations against the log: axes, zeros, order of joints, and the size of torque.
 
-Two comparisons. The structural one needs no inertial parameters: all joints share one set of base
-parameters (gravity and inertia), so a joint whose axis, zero or place is another one spoils the
-fit, and mending it restores the fit. The nominal one needs a URDF with inertials: the measured
-torque is split into s times its gravity torque, inertia and friction; s is near one where torque
-is torque.
+The structural comparison needs no inertial parameters: all joints share one set of base parameters,
+so a joint whose axis, zero or place is another one spoils the fit, and mending it restores the fit.
+The nominal one needs a URDF with inertials: the measured torque is split into s times its gravity
+torque, inertia and friction; s is near one where torque is torque.
 """
 
 import re

@@ -48,9 +48,8 @@ def echoes(
     """Return the joints whose torque follows position alone.
 
     `t`, `q`, `tau` (N,) (N, n) (N, n): s, rad (m), N m (N). `valid` (N,): samples to look at.
-    `window_s`: over which samples are averaged. `fewest`, `travel`: windows and rad (m) that a
-    joint must move each way: less is noise, or a flexing brake. `slow`: share of the top speed,
-    below which a joint does not certainly slide. `memory_s`: that the residual remembers.
+    `window_s`: of averages. `fewest`, `travel`: windows and rad (m) that a joint must move each
+    way. `slow`: share of the top speed, from which a joint slides. `memory_s`: of the residual.
     """
     width = max(1, round(window_s / float(t[1] - t[0])))
     step, count = width * float(t[1] - t[0]), len(q) // width

@@ -42,11 +42,10 @@ def read_blocks(
 ) -> Iterator[RawLog]:
     """Read an MCAP log block by block, in memory that does not grow with its length.
 
-    `rows`: messages in a block, of all topics together; a block holds a little more. None for the
-    whole log as one block. `scan`: what passes over the file. Yields: the next part of every topic,
-    in the order of the file, empty where it has none; a quantity that no sample of a block has is
-    left out of it. The last block says in `partial` what a damaged file lost. Raises InputError,
-    after the last block: no joint states, none of the robot's joints in them, nothing readable.
+    `rows`: messages in a block, of all topics together, about; None for one block. Yields: the next
+    part of every topic, empty where it has none; a quantity that no sample of a block has is left
+    out of it. The last block says in `partial` what a damaged file lost. Raises InputError, after
+    the last block: no joint states, none of the robot's joints in them, nothing readable.
     """
     names = NameMap(robot.joint_names, robot.channels.effort or "torque")
     kinds: dict[str, Kind] = {JOINT_STATES: "joint_state"}

@@ -66,10 +66,7 @@ class Scan:
     _pieces: int = 0
 
     def batches(self) -> Iterator[Batch]:
-        """Yield messages in the order of the file, those of one channel in one chunk together.
-
-        Damaged content never raises: it is noted in `losses`, and reading goes on behind it.
-        """
+        """Yield messages in the order of the file; what is damaged is noted in `losses`."""
         with self.path.open("rb") as file:
             self._size = file.seek(0, 2)
             self.summary = read_summary(file, self._size)
@@ -82,8 +79,7 @@ class Scan:
     def _record(self, file: BinaryIO, at: int) -> Generator[Batch, None, int | None]:
         """Read the record at a place, or many loose messages; returns where the next one begins.
 
-        A record is taken for damaged unless it ends where another may begin: a wrong length leads
-        into the middle of others, whose bytes make no head.
+        One is damaged unless it ends where another may begin: bytes inside of records make no head.
         """
         head = _head(file, at)
         opcode, length = head or (Opcode.FOOTER, 0)

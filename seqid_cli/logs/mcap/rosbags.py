@@ -1,7 +1,4 @@
-"""ROS bags, version 1 and the SQLite files of version 2, by the optional library rosbags.
-
-Their messages are the same as those of an MCAP file, and are read like these once they are found.
-"""
+"""ROS bags, version 1 and the SQLite files of version 2, by the optional library rosbags."""
 
 import bz2
 import importlib

@@ -18,15 +18,12 @@ _Part = tuple[Stamps, Stamps, Array]  # times of logging, stamps of headers, val
 
 
 class Samples(NamedTuple):
-    """M samples of one topic: stamps [ns], values as `Decoded`, what is to be said of the stamps.
-
-    `delay_s`: median delay from header stamp to log time; None without header stamps.
-    """
+    """M samples of one topic: stamps [ns], values as `Decoded`, what is to be said of them."""
 
     stamp_ns: Stamps
     values: Array
     warnings: list[str]
-    delay_s: float | None
+    delay_s: float | None  # median from header stamp to log time
 
 
 @dataclass

@@ -120,10 +120,7 @@ _PLAIN = frozenset((float, int, str))
 
 
 def row_of(kind: Kind, message: object, names: NameMap) -> list[object]:
-    """Return what stands in the row of a message, None where it is absent, which is not zero.
-
-    Raises ValueError: the fields do not belong together.
-    """
+    """Return the row of a message, None where absent; raises ValueError where fields do not fit."""
     if kind == "imu":
         return [field(field(message, name), axis) for name, axis in IMU_FIELDS]
     row: list[object] = [None] * names.width(kind)

@@ -28,10 +28,7 @@ _REPRESENTATIONS = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}
 
 
 class _Cursor:
-    """Reads CDR behind the stamp of a header; every read checks the bounds.
-
-    `mask` is 0xFF where a message of the same layout must have the same bytes.
-    """
+    """Reads CDR behind the stamp of a header; every read checks the bounds."""
 
     def __init__(self, data: bytes) -> None:
         if len(data) < _STAMP_END or data[0] or data[1] not in _REPRESENTATIONS:

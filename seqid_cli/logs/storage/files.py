@@ -1,7 +1,4 @@
-"""Which files are meant, and whether they can be logs at all.
-
-Runs before any heavy import, so that a wrong path fails at once: standard library only.
-"""
+"""Which files are meant, and whether they can be logs: fails before any heavy import."""
 
 import difflib
 import glob

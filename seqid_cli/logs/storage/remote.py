@@ -108,8 +108,7 @@ def stored_logs(url: str, suffixes: Sequence[str]) -> list[Path]:
 def local_copy(path: Path) -> Iterator[Path]:
     """Yield a local file with the content of a log, itself where it is local.
 
-    Problems with the copy's content are told under the name of the log. Raises SeqidError as
-    `stored_logs`, or what the block raises.
+    Problems with the copy's content are told under the name of the log.
     """
     if not isinstance(path, StoredLog):
         yield path

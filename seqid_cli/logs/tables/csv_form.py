@@ -1,7 +1,4 @@
-"""How a CSV file is written, told by its first lines, as no two loggers agree.
-
-Standard library only.
-"""
+"""How a CSV file is written, told by its first lines: standard library only."""
 
 import csv
 import re

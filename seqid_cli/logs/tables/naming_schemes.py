@@ -1,8 +1,7 @@
-"""How well-known loggers name the columns of a table.
+"""How well-known loggers name the columns of a table: standard library only.
 
 A scheme gives the pattern of each quantity; `{name}` is the joint's name in the robot file,
-`{index0}` and `{index}` its place in the chain from 0 or 1. Elements of list columns are called
-`column[k]`. Standard library only.
+`{index0}` and `{index}` its place in the chain from 0 or 1, `column[k]` an element of a list.
 
 Sources: UR RTDE, `actual_q` and its like with `_0` ... `_5` (RTDE_Python_Client_Library,
 rtde/csv_writer.py); libfranka, `state.q[0]` ... and time in ms (src/logging/robot_state_log.cpp);
@@ -140,10 +139,7 @@ def find_scheme(
 
 
 def find_quantities(joints: Sequence[str], known: Collection[str]) -> dict[str, list[str | None]]:
-    """Find the quantities that names tell where the robot file names the positions itself.
-
-    Each by the first scheme that gives all joints, else by the default names for some of them.
-    """
+    """Find quantities by the first scheme that has all joints, else by some default names."""
     columns: dict[str, list[str | None]] = {}
     tries = [*((scheme, True) for scheme in SCHEMES), (DEFAULT, False)]
     pairs = [(joint, i) for i, joint in enumerate(joints)]

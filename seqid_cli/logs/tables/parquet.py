@@ -1,8 +1,7 @@
 """Parquet logs: only the needed columns are read, one row group at a time.
 
-The elements of list columns may be named: a table made of JointState messages has a `name` column
-of string lists, a LeRobot data set names the motors of `observation.state` in `meta/info.json`, two
-folders or one above its data files.
+A table made of JointState messages has a `name` column of string lists; a LeRobot data set names
+the motors of `observation.state` in `meta/info.json`, two folders or one above its data files.
 """
 
 import json
@@ -122,10 +121,7 @@ def read_blocks(
 def read_tables(
     path: Path, columns: Sequence[str], *, rows: int | None = BLOCK_ROWS
 ) -> Iterator[pa.Table]:
-    """Read columns of a Parquet file, up to `rows` rows at a time; None for all of them.
-
-    In blocks memory stays that of one row group. Checksums of pages are checked where there are.
-    """
+    """Read columns, up to `rows` rows of a row group at a time, or all; checks checksums."""
     try:
         with opened_table(path, pre_buffer=False, page_checksum_verification=True) as file:
             schema = file.schema_arrow

@@ -130,8 +130,8 @@ class Plan:
 def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterator[RawLog]:
     """Read the channels that the robot file knows, in blocks of about `rows`, or as one.
 
-    All streams share their stamps; nulls and NaN stay missing. What was noticed of the file is told
-    by the first block. A file of several episodes is one block: they are put one behind the other.
+    All streams share their stamps; nulls and NaN stay missing. The first block tells what was
+    noticed of the file. A file of several episodes is one block.
     """
     plan = make_plan(file, robot)
     wanted: list[str | None] = [plan.time.name, plan.time.nanoseconds]

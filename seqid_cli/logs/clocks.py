@@ -97,27 +97,20 @@ def _overlaps(stream: Stream, step: int, median_ns: float) -> bool:
     return int(np.count_nonzero(~repeated)) > 1.25 * ((high - low) / median_ns + 1.0) + 1.0
 
 
-def _far_stamps_cut(
-    stream: Stream,
-    warnings: list[str],
-    *,
-    stretch_limit: int = 20,
-    stretch_least: int = 1000000,
-    cut_ns: int = 60000000000,
-) -> Stream:
+def _far_stamps_cut(stream: Stream, warnings: list[str], *, hole_s: int = 60) -> Stream:
     """Cut away stamps so far off (a zero among epoch times, say) that no grid can span them."""
     steps = np.diff(stream.stamp_ns)
     forward = steps[steps > 0]
     if not forward.size:
         return stream
     span = int(stream.stamp_ns[-1]) - int(stream.stamp_ns[0])
-    if span / np.median(forward) < stretch_limit * len(stream) + stretch_least:
+    if span / np.median(forward) < 20 * len(stream) + 1_000_000:  # samples on the grid
         return stream
-    kept = _longest(stream, np.flatnonzero(steps > cut_ns))
+    kept = _longest(stream, np.flatnonzero(steps > hole_s * 1_000_000_000))
     warnings.append(
         f"{stream.name}: the stamps span {span * 1e-9:.3g} s with only {len(stream)} samples; the "
-        f"longest stretch without a hole of {cut_ns // 1_000_000_000} s is kept, {len(kept)} "
-        "samples. Check the clock, or split the log"
+        f"longest stretch without a hole of {hole_s} s is kept, {len(kept)} samples. "
+        "Check the clock, or split the log"
     )
     return kept
 

@@ -62,14 +62,9 @@ def _of_channel(
             yield "torque_saturated", f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
 
 
-def _spikes(
-    values: Array,
-    *,
-    min_ratio: float = 10.0,  # times what the usual samples differ from their neighbours
-    min_share: float = 1.0,  # of the span of the usual values
-    max_spikes: int = 16,
-) -> Index:
+def _spikes(values: Array, *, min_ratio: float = 10.0, min_share: float = 1.0) -> Index:
     """One sample or two far from both sides; what lasts longer may be a hard acceleration."""
+    max_spikes = 16
     if len(values) <= 4 * max_spikes:
         return np.zeros(0, dtype=np.intp)
     off = np.abs(values - median_filter(values, 5, mode="nearest"))

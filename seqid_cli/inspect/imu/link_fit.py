@@ -62,23 +62,16 @@ def scan(
 
 
 def _shifted(
-    motion: Motion,
-    features: Array,
-    readings: Array,
-    shifts: Index,
-    *,
-    max_rows: int = 4000,
-    min_rows: int = 200,
-    coarse: int = 4,
+    motion: Motion, features: Array, readings: Array, shifts: Index, *, min_rows: int = 200
 ) -> ShiftScan | None:
-    """What features leave of readings at each shift, by every `coarse`-th of the rows."""
+    """What features leave of readings at each shift, by every fourth of some 4000 rows."""
     rows = np.flatnonzero(motion.usable)
     rows = rows[(rows >= shifts[-1]) & (rows < len(readings) - shifts[-1])]
-    rows = rows[:: max(1, len(rows) // max_rows)]
+    rows = rows[:: max(1, len(rows) // 4000)]
     total = float(np.sum(np.var(readings[rows], axis=0))) if len(rows) >= min_rows else 0.0
     if total == 0.0 or not np.isfinite(total):
         return None
-    few = rows[::coarse]
+    few = rows[::4]
     left = [np.sum(_left(features[few - s], readings[few])[0] ** 2, axis=1).mean() for s in shifts]
     return ShiftScan(features, readings, rows, total, shifts, np.array(left))
 

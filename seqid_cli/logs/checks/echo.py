@@ -31,31 +31,19 @@ REMEDY = (
 )
 
 
-def echoes(
-    robot: Robot,
-    t: Array,
-    q: Array,
-    tau: Array,
-    valid: Mask,
-    *,
-    window_s: float = 0.02,
-    fewest: int = 50,
-    travel: float = 0.1,
-    slow: float = 0.05,
-    most_windows: int = 4000,
-    memory_s: float = 0.5,
-) -> list[int]:
-    """Return the joints whose torque follows position alone.
+def echoes(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[int]:
+    """Return the joints whose torque follows position alone, of the samples `valid`.
 
-    `t`, `q`, `tau` (N,) (N, n) (N, n): s, rad (m), N m (N). `valid` (N,): samples to look at.
-    `window_s`: of averages. `fewest`, `travel`: windows and rad (m) that a joint must move each
-    way. `slow`: share of the top speed, from which a joint slides. `memory_s`: of the residual.
+    `t` (N,) s; `q` (N, n) rad (m); `tau` (N, n) N m (N).
     """
+    window_s, memory_s = 0.02, 0.5  # of averages, of the residual
+    fewest, travel = 50, 0.1  # windows and rad (m) each way: less is noise, or a flexing brake
+    slow = 0.05  # share of the top speed, below which a joint does not certainly slide
+    most_windows = 4000
     width = max(1, round(window_s / float(t[1] - t[0])))
     step, count = width * float(t[1] - t[0]), len(q) // width
-    Q, T, whole = (
-        x[: count * width].reshape(count, width, -1).mean(axis=1) for x in (q, tau, valid * 1.0)
-    )
+    parts = (x[: count * width].reshape(count, width, -1) for x in (q, tau, valid * 1.0))
+    Q, T, whole = (part.mean(axis=1) for part in parts)
     if len(Q) < 2 * fewest:
         return []
     v = np.gradient(Q, step, axis=0)
@@ -94,25 +82,12 @@ def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 
     return np.asarray(high - low >= held * np.max(high - low))
 
 
-def _follows(
-    y: Array,
-    law: Array,
-    friction: Array,
-    accelerations: Array,
-    memory: float,
-    *,
-    unexplained: float = 0.1,
-    exact: float = 1e-3,
-    others: float = 0.15,
-    none: float = 0.003,
-    uncertain: float = 2.0,
-) -> bool:
-    """Whether position alone makes a torque y (M,); `memory` is how many samples count as one.
-
-    Shares of the torque's RMS: `unexplained` may be left; below `exact` there is nothing to
-    explain; `none` is no friction at all. `others`: share of what position leaves, squared, for
-    friction and accelerations. `uncertain`: standard errors of the friction.
-    """
+def _follows(y: Array, law: Array, friction: Array, accelerations: Array, memory: float) -> bool:
+    """Whether position alone makes a torque y (M,); `memory` is how many samples count as one."""
+    # Shares of the torque's RMS: that may be left; with nothing to explain; that is no friction.
+    unexplained, exact, none = 0.1, 1e-3, 0.003
+    others = 0.15  # share of what position leaves, squared, for friction and accelerations
+    uncertain = 2.0  # standard errors of the friction
     scale = max(float(np.sqrt(np.mean(y**2))), 1e-300)
     X = np.hstack([law, friction, accelerations])
     X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)

@@ -59,20 +59,14 @@ def imu_columns(
 
 
 def separate(
-    stamps: Stamps,
-    keep: Rows,
-    episode: Array,
-    name: str,
-    *,
-    hole_s: float = 1.0,
-    hole_intervals: int = 50,
+    stamps: Stamps, keep: Rows, episode: Array, name: str
 ) -> tuple[Stamps, Rows, list[str]]:
     """Lay episodes (M,), of a column `name`, one behind the other; one alone stays as it is.
 
-    `stamps` (M,): of the rows [ns]. `keep` (K,): the rows that have one. `hole_s`,
-    `hole_intervals`: seconds and intervals of the hole between episodes, at least. Returns: new
-    stamps, the rows of an episode, notes.
+    `stamps` (M,): of the rows [ns]. `keep` (K,): the rows that have one. Returns: new stamps, the
+    rows of an episode, notes.
     """
+    hole_s, hole_intervals = 1.0, 50  # between episodes, at least
     numbered = np.isfinite(episode[keep])
     lost = int(np.count_nonzero(~numbered))
     notes = [f"{lost} rows without {name} were left out"] if lost else []

@@ -15,8 +15,8 @@ from seqid_cli.inspect.channels.velocities import velocity_findings
 from seqid_cli.inspect.dynamics.equations import geometry_findings
 from seqid_cli.inspect.dynamics.friction import friction_findings, sample_of
 from seqid_cli.inspect.findings import found, grouped
-from seqid_cli.inspect.imu.link_fit import FOLLOWS
-from seqid_cli.inspect.imu.motion import Following, follow, motion_findings
+from seqid_cli.inspect.imu.link_fit import FOLLOWS, LinkFit
+from seqid_cli.inspect.imu.motion import follow, motion_findings
 from seqid_cli.inspect.imu.readings import imu_findings
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.read import without_values
@@ -59,7 +59,7 @@ class Checked:
 
     data: LogData
     findings: tuple[InspectionFinding, ...]
-    following: tuple[Following, ...]
+    following: tuple[LinkFit, ...]
 
 
 def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
@@ -122,7 +122,7 @@ def _of_positions(
 
 
 def _of_dynamics(
-    data: LogData, own: list[InspectionFinding], following: Sequence[Following]
+    data: LogData, own: list[InspectionFinding], following: Sequence[LinkFit]
 ) -> Iterator[InspectionFinding]:
     """Compare torque, motion and IMUs with each other; `own` are the findings so far."""
     spoilt = {f.code for f in own} & {*SPOIL, "jitter"}  # accelerations mean nothing with jitter
@@ -141,7 +141,7 @@ def _of_dynamics(
 
 
 def _with_imus(
-    finding: InspectionFinding, data: LogData, following: Sequence[Following]
+    finding: InspectionFinding, data: LogData, following: Sequence[LinkFit]
 ) -> InspectionFinding:
     """Add to a sign that is wrong whether the IMUs blame the position."""
     names = data.robot.joint_names
@@ -149,7 +149,7 @@ def _with_imus(
     moved = [f for f in following if wrong and f.imu.after_joint >= names.index(finding.joint)]
     if not moved:
         return finding
-    blamed = "position" if any(f.fit.left > FOLLOWS for f in moved) else "torque"
+    blamed = "position" if any(f.left > FOLLOWS for f in moved) else "torque"
     return structs.replace(finding, message=f"{finding.message}; by the IMUs it is the {blamed}'s")
 
 

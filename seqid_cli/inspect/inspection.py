@@ -109,8 +109,7 @@ def inspect_log(
         except InputError as error:
             kept = [f for f in findings if f.joint]
             inspected = _unreadable(path, problem or error, surveyed.format, kept)
-    log = structs.replace(inspected.log, channels=names, missing=missing)
-    return Inspected(log, inspected.findings)
+    return inspected._replace(log=structs.replace(inspected.log, channels=names, missing=missing))
 
 
 def _guessed(

@@ -16,7 +16,7 @@ from seqid_cli.inspect.channels.positions import top_speed
 from seqid_cli.inspect.channels.values import lattice
 from seqid_cli.inspect.checks import check
 from seqid_cli.inspect.findings import found, grouped, located, verdict_of
-from seqid_cli.inspect.imu.motion import Following
+from seqid_cli.inspect.imu.link_fit import LinkFit
 from seqid_cli.inspect.imu.readings import force_of, rest_rows
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import Stream
@@ -100,9 +100,8 @@ def serve_together(logs: Sequence[InspectedLog], *, min_speeds: int = 3) -> list
     """
     alone = {m.joint for log in logs if "friction" in log.serves for m in log.moves}
     speeds: dict[str, list[float]] = {}
-    for log in logs:
-        for move in _both_ways(log):
-            speeds.setdefault(move.joint, []).extend((move.slowest, move.fastest))
+    for move in (move for log in logs for move in _both_ways(log)):
+        speeds.setdefault(move.joint, []).extend((move.slowest, move.fastest))
     added = {j for j, own in speeds.items() if j not in alone and _speeds(own) >= min_speeds}
     return [
         structs.replace(log, serves=["friction", *log.serves])
@@ -211,13 +210,13 @@ class Gathered:
         findings = located((*before, *map(self._told, grouped(self.findings)), *lost), path)
         samples = [part.samples for part in self.parts]
         log = _merged(self.parts, samples)
-        by_joint = zip(*(part.joints for part in self.parts), strict=True)
-        joints = [_merged(own, samples) for own in by_joint]
+        joints = [
+            _merged(own, samples) for own in zip(*(p.joints for p in self.parts), strict=True)
+        ]
         by_imu: dict[str, list[InspectedImu]] = {}
         for imu in (imu for part in self.parts for imu in part.imus):
             by_imu.setdefault(imu.name, []).append(imu)
         imus = [_merged(own, [1] * len(own)) for own in by_imu.values()]
-        spans = np.divide(samples, [part.rate_hz for part in self.parts])
         together = _moving_together(self.robot, np.asarray(self.together))
         serves = _serves(self.robot, self.stretches, joints, together, imus=bool(imus))
         log = structs.replace(
@@ -226,7 +225,8 @@ class Gathered:
             format=form,
             verdict=verdict_of(findings),
             seconds=self.end,
-            rate_hz=sum(samples) / float(np.sum(spans)),
+            rate_hz=sum(samples)
+            / float(np.sum(np.divide(samples, [p.rate_hz for p in self.parts]))),
             joints=joints,
             imus=imus,
             moves=[*_moves(self.robot, self.stretches)],
@@ -264,7 +264,7 @@ def _joint(data: LogData, j: int) -> InspectedJoint:
     )
 
 
-def _imus(data: LogData, following: Sequence[Following]) -> Iterator[InspectedImu]:
+def _imus(data: LogData, following: Sequence[LinkFit]) -> Iterator[InspectedImu]:
     """Describe what a part shows of each IMU."""
     for imu in data.robot.imus:
         values = data.recording.accelerometers.get(imu.name)
@@ -281,7 +281,7 @@ def _imus(data: LogData, following: Sequence[Following]) -> Iterator[InspectedIm
             gyro=gyro,
             rate_hz=1e9 / max(spans) if spans and max(spans) > 0 else 0.0,
             rest_norm=force_of(imu, rest) if len(rest) else None,
-            delay_s=next((f.fit.delay for f in following if f.imu.name == imu.name), None),
+            delay_s=next((f.delay for f in following if f.imu.name == imu.name), None),
         )
 
 

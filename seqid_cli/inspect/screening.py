@@ -66,9 +66,8 @@ def screened_long(
     """
     first = next(iter(READERS[log.format](log.file, replace(robot, imus=()), log.time_source)))
     size = min(log.samples, max(64, int(piece_s * log.rate_hz)))
-    kept: dict[int, list[Block]] = {
-        int(start): [] for start in np.linspace(0, log.samples - size, pieces)
-    }
+    starts = np.linspace(0, log.samples - size, pieces)
+    kept: dict[int, list[Block]] = {int(start): [] for start in starts}
     findings: list[InspectionFinding] = []
     bridges: list[Bridge] = []
     margin = max(16, int(overlap_s * log.rate_hz))

@@ -30,6 +30,7 @@ from seqid_cli.robot.types import Robot
 
 MARGIN = 64  # rows on either side of a block, over which a spline forgets its ends
 GROUP = 256  # rows whose distance from the base is remembered by its extremes
+_ALL = "position and torque"
 READERS: dict[str, BlockReader] = {"parquet": parquet.read_blocks, "mcap": reader.read_blocks}
 
 
@@ -158,9 +159,6 @@ class LongLog:
             found = resample(self._around(rows, low, low + count), _ALL, window)
             n = self.robot.n
             yield Block(low, found.values[:, :n], found.values[:, n:], found.valid)
-
-
-_ALL = "position and torque"
 
 
 def _as_stream(stamps: Stamps, values: Array) -> Stream:

@@ -6,7 +6,7 @@ import numpy as np
 
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.kinematics import link_motion
-from seqid_cli.robot.types import Robot
+from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array, Index
 
 SIGMAS = 4.0
@@ -17,6 +17,8 @@ FOLLOWS = 0.5  # of the variance: an IMU that leaves more does not follow its li
 class LinkFit:
     """How an IMU's readings follow a link: share of variance left, delay [s] and its error."""
 
+    imu: Imu
+    gyro: bool
     left: float
     delay: float
     delay_error: float
@@ -80,7 +82,7 @@ def fit_link(
     robot: Robot,
     motion: Motion,
     values: Array,
-    link: int,
+    imu: Imu,
     *,
     gyro: bool,
     wide: float = 0.2,
@@ -88,7 +90,7 @@ def fit_link(
     step_s: float = 0.01,
 ) -> LinkFit | None:
     """Fit readings (N, K) to the motion of a link at the shift that is best; None if it rests."""
-    tried = scan(robot, motion, values, link, gyro=gyro)
+    tried = scan(robot, motion, values, imu.after_joint, gyro=gyro)
     if tried is None:
         return None
     if tried.share > wide or int(tried.left.argmin()) in (0, len(tried.left) - 1):
@@ -99,11 +101,11 @@ def fit_link(
         far = _shifted(motion, tried.features, tried.readings, shifts)
         if far is not None and (tried.share > FOLLOWS or far.share < 0.5 * tried.share):
             tried = far
-    return _fine(motion, tried)
+    return _fine(imu, gyro, motion, tried)
 
 
 def _fine(
-    motion: Motion, scan: ShiftScan, *, rounds: int = 3, blocks: int = 8, memory_s: float = 0.1
+    imu: Imu, gyro: bool, motion: Motion, scan: ShiftScan, *, blocks: int = 8, memory_s: float = 0.1
 ) -> LinkFit:
     """Fit at the shift that is best to a fraction of a sample, by Gauss and Newton."""
     # The delay's error is the larger of what white noise leads to and of how it moves when one of
@@ -111,7 +113,7 @@ def _fine(
     rows, y = scan.rows, scan.readings[scan.rows]
     low, high = scan.shifts[[0, -1]]
     shift, slopes = float(scan.shifts[scan.left.argmin()]), np.gradient(scan.features, axis=0)
-    for _ in range(rounds):
+    for _ in range(3):
         at = rows - round(shift)
         X = scan.features[at] + (round(shift) - shift) * slopes[at]
         left, fitted = _left(X, y)
@@ -130,7 +132,8 @@ def _fine(
     X = X - X.mean(axis=0)
     gain = float(np.linalg.norm(X @ fitted.T) / max(float(np.linalg.norm(X)), 1e-12))
     share, rate = square * y.shape[1] / scan.total, motion.rate_hz
-    return LinkFit(share, shift / rate, error / rate, fitted, _map_error(X, square, memory), gain)
+    map_error = _map_error(X, square, memory)
+    return LinkFit(imu, gyro, share, shift / rate, error / rate, fitted, map_error, gain)
 
 
 def _map_error(X: Array, variance: float, memory: float) -> float:

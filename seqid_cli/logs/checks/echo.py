@@ -99,11 +99,8 @@ def _follows(y: Array, law: Array, friction: Array, accelerations: Array, memory
     rest = float(np.sqrt(np.mean(_beside(X[:, [*range(own), *held_back]], y) ** 2)))
     part = 1.0 - left / max(rest**2, 1e-300)  # friction's and accelerations'
     error = float(np.sqrt(memory * left / max(float(direction @ direction), 1e-300)))
-    return (
-        rest < unexplained * scale
-        and (part < others or rest < exact * scale)
-        and abs(float(theta[own])) < max(uncertain * error, none * scale)
-    )
+    alone = rest < unexplained * scale and (part < others or rest < exact * scale)
+    return alone and abs(float(theta[own])) < max(uncertain * error, none * scale)
 
 
 def _beside(X: Array, y: Array) -> Array:

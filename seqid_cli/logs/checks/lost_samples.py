@@ -27,6 +27,13 @@ from scipy.interpolate import CubicHermiteSpline
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
 from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough
 
+SIDE = 6  # samples of a parabola
+# A parabola over intervals from the middle of a step, the least squares for its coefficients, and
+# by how much more the velocity of two, per interval, is uncertain than the gap between them.
+BASIS = np.vander(np.arange(SIDE) + 0.5, 3, increasing=True)
+FIT = np.linalg.pinv(BASIS)
+LINE = np.linalg.pinv(BASIS[:, :2])[1]
+SLOPE = float(0.5 * np.linalg.norm(LINE) / np.linalg.norm(FIT[0]))
 REACH = 12  # samples on either side of a hole that tell the slope of the position at it
 
 
@@ -74,15 +81,6 @@ def _filled(name: str, values: Array, stamps: Stamps, row: int, at: Stamps) -> A
     slopes = [fit(x[s] - end, values[s], 2)[1] for s, end in zip(sides, ends, strict=True)]
     curve = CubicHermiteSpline(ends, values[[row, row + 1]], np.array(slopes))
     return np.asarray(curve(seconds))
-
-
-SIDE = 6  # samples of a parabola
-# A parabola over intervals from the middle of a step, the least squares for its coefficients, and
-# by how much more the velocity of two, per interval, is uncertain than the gap between them.
-BASIS = np.vander(np.arange(SIDE) + 0.5, 3, increasing=True)
-FIT = np.linalg.pinv(BASIS)
-LINE = np.linalg.pinv(BASIS[:, :2])[1]
-SLOPE = float(0.5 * np.linalg.norm(LINE) / np.linalg.norm(FIT[0]))
 
 
 @dataclass(frozen=True)
@@ -155,17 +153,11 @@ class _Steps:
         lines = np.stack([-(LINE @ behind), LINE @ ahead]) / dt
         velocity = lines.mean(axis=0)
         # At the step itself a slope is that of the parabola, give or take its error.
-        error = 2.0 * np.linalg.norm(FIT[1]) * noise
-        ends = np.stack([-u, w]) * np.sign(velocity) + error
+        ends = np.stack([-u, w]) * np.sign(velocity) + 2.0 * np.linalg.norm(FIT[1]) * noise
         shared = np.minimum((lines * np.sign(velocity)).min(axis=0), ends.min(axis=0) / dt)
-        return cls(
-            rows,
-            gap=b - a,
-            velocity=velocity,
-            shared=np.clip(shared, 0.0, np.abs(velocity)),
-            faster=np.abs(lines).max(axis=0),
-            noise=np.sqrt(2.0) * np.linalg.norm(FIT[0]) * np.maximum(own, noise),
-        )
+        shared, faster = np.clip(shared, 0.0, np.abs(velocity)), np.abs(lines).max(axis=0)
+        noise = np.sqrt(2.0) * np.linalg.norm(FIT[0]) * np.maximum(own, noise)
+        return cls(rows, b - a, velocity, shared, faster, noise)
 
     def alike(self, lost: Array, dt: float) -> Mask:
         """Whether all joints step by the motion of the time that is lost, (K,) s."""

@@ -30,11 +30,9 @@ _COMPUTED = re.compile(r"\bAS\s*\(", re.IGNORECASE)  # a generated column
 _MESSAGE_LIMIT = 1 << 24  # bytes of one unpacked message
 _OVERHEAD = 200  # bytes that a message costs beside its own
 _CHUNK_LIMIT = 1 << 28  # bytes of one unpacked chunk of a ROS 1 bag; recorders write about 1 MB
-_REMEDY = {
-    "rosbag1": "Run `rosbag reindex FILE`, or copy it again from the source.",
-    "rosbag2": "Salvage it: `sqlite3 FILE .recover | sqlite3 NEW.db3`, or copy it again from the "
-    "source.",
-}
+_AGAIN = "or copy it again from the source."
+_REMEDY1 = f"Run `rosbag reindex FILE`, {_AGAIN}"
+_REMEDY2 = f"Salvage it: `sqlite3 FILE .recover | sqlite3 NEW.db3`, {_AGAIN}"
 _Message = tuple[int, int, bytes]  # number of its channel, time [ns], CDR
 _Topic = tuple[Channel, Schema, int]  # the last: its messages
 _Bag = tuple[list[_Topic], Callable[[], Iterator[_Message]]]  # an opened bag
@@ -49,7 +47,7 @@ class BagScan(Scan):
         """Yield the messages up to a fault; those of one topic, some at a time, together."""
         with self.path.open("rb") as file:
             first = file.read(len(_ROSBAG1)) == _ROSBAG1
-        self.remedy = _REMEDY["rosbag1" if first else "rosbag2"]
+        self.remedy = _REMEDY1 if first else _REMEDY2
         self.losses.update(_unmerged(self.path))
         with ExitStack() as stack:
             try:

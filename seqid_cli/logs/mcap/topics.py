@@ -13,6 +13,8 @@ from seqid_cli.logs.messages.parsers import decoder
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Stamps, Stream, TimeSource
 from seqid_cli.robot.types import Imu, Robot
 
+JOINT_STATES = "/joint_states"
+DYNAMIC_JOINT_STATES = "/dynamic_joint_states"
 _LATEST = 1 << 62  # log times from here on are damaged
 _Part = tuple[Stamps, Stamps, Array]  # times of logging, stamps of headers, values
 
@@ -114,10 +116,6 @@ class Collector:
         self.damaged += len(good) - len(own[0])
         self.waiting += len(own[0])
         self._done.append(own)
-
-
-JOINT_STATES = "/joint_states"
-DYNAMIC_JOINT_STATES = "/dynamic_joint_states"
 
 
 def find_joint_topic(topics: Iterable[tuple[str, str]]) -> tuple[str, Kind] | None:

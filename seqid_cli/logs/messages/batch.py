@@ -20,9 +20,8 @@ Kind = Literal["joint_state", "dynamic_joint_state", "imu"]
 Decode = Callable[["Payloads"], "Decoded"]
 
 JOINT_QUANTITIES = ("position", "velocity", "effort")
-IMU_FIELDS = tuple(
-    (name, axis) for name in ("linear_acceleration", "angular_velocity") for axis in "xyz"
-)
+IMU_FIELDS = tuple((k, axis) for k in ("linear_acceleration", "angular_velocity") for axis in "xyz")
+_PLAIN = frozenset((float, int, str))
 FRONT = 8  # bytes that any buffer has before its first payload; see `Payloads.cut`
 
 
@@ -114,9 +113,6 @@ class NameMap:
                 self._pairs.clear()
             self._pairs[key] = [(entry, joint) for joint, entry in found.items()]
         return self._pairs[key]
-
-
-_PLAIN = frozenset((float, int, str))
 
 
 def row_of(kind: Kind, message: object, names: NameMap) -> list[object]:

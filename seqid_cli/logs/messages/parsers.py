@@ -20,6 +20,20 @@ from seqid_cli.logs.raw import STAMP_LIMIT_NS
 Parse = Callable[[bytes], object]
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
+# Fields by their definitions, without the packages of their types.
+_USUAL_FIELDS = {
+    "joint_state": "Header header; string[] name; float64[] position; float64[] velocity; "
+    "float64[] effort",
+    "dynamic_joint_state": "Header header; string[] joint_names; "
+    "InterfaceValue[] interface_values; MSG: control_msgs/InterfaceValue; "
+    "string[] interface_names; float64[] values",
+    "imu": "Header header; Quaternion orientation; float64[9] orientation_covariance; "
+    "Vector3 angular_velocity; float64[9] angular_velocity_covariance; "
+    "Vector3 linear_acceleration; float64[9] linear_acceleration_covariance",
+}
+_PACKAGE = re.compile("^(?:std|geometry|control)_msgs/")
+LONGEST = 1 << 18  # bytes of a message definition; those of joint states have some hundred
+_NO_JSON = re.compile(rb"(?<=[\[:,\s])(?:NaN|-?Infinity)(?=\s*[,\]}])")
 _SEC = 1_000_000_000
 
 
@@ -67,22 +81,6 @@ def _number(value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError("no number")
     return float(value)  # protobuf's JSON form writes NaN and Infinity as text
-
-
-# Fields by their definitions, without the packages of their types.
-_USUAL_FIELDS = {
-    "joint_state": "Header header; string[] name; float64[] position; float64[] velocity; "
-    "float64[] effort",
-    "dynamic_joint_state": "Header header; string[] joint_names; "
-    "InterfaceValue[] interface_values; MSG: control_msgs/InterfaceValue; "
-    "string[] interface_names; float64[] values",
-    "imu": "Header header; Quaternion orientation; float64[9] orientation_covariance; "
-    "Vector3 angular_velocity; float64[9] angular_velocity_covariance; "
-    "Vector3 linear_acceleration; float64[9] linear_acceleration_covariance",
-}
-_PACKAGE = re.compile("^(?:std|geometry|control)_msgs/")
-LONGEST = 1 << 18  # bytes of a message definition; those of joint states have some hundred
-_NO_JSON = re.compile(rb"(?<=[\[:,\s])(?:NaN|-?Infinity)(?=\s*[,\]}])")
 
 
 def decoder(encoding: str, schema: Schema | None, kind: Kind, names: NameMap) -> Decode | None:

@@ -49,6 +49,7 @@ _NAME_IT = "Name the file itself, or write *.csv, if it is a log."
 _NOTES = (".toml", ".json", ".yaml", ".urdf", ".xml", ".md", ".py")
 _TEXTS = (*CSV_SUFFIXES, ".txt", ".log", ".dat")
 
+State = tuple[int, ...]
 Note = Callable[[str], None]
 
 
@@ -97,9 +98,6 @@ def sha256_of(path: Path) -> str:
     """Digest of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-State = tuple[int, ...]
 
 
 def state_of(path: Path) -> State:

@@ -77,35 +77,30 @@ class CsvTable(TableFile):
         `ragged`: takes lines with another number of fields, which are an error without it.
         """
         places = [self.names.index(name) for name in columns]
-        count = len(self.names) + self.form.filler
         # Arrow may find out the type of time itself: seconds, counts or a calendar time.
         times = () if numeric else {*time_names(self.names), *(stamp_parts(self.names) or ())}
         source: Path | pa.BufferReader = self.path
         if self.size is not None:
             source = pa.BufferReader(pa.memory_map(str(self.path)).read_buffer(self.size))
+        reading = pc.ReadOptions(
+            use_threads=ragged is None,
+            block_size=_BLOCK,
+            skip_rows=self.form.skip,
+            column_names=[f"c{k}" for k in range(len(self.names) + self.form.filler)],
+            # Arrow hands damaged lines over as text: any byte must be some character.
+            encoding=self.form.encoding if ragged is None else "latin-1",
+        )
+        parsing = pc.ParseOptions(delimiter=self.form.delimiter, invalid_row_handler=ragged)
+        conversion = pc.ConvertOptions(
+            column_types={f"c{k}": pa.float64() for k in places if self.names[k] not in times},
+            include_columns=[f"c{k}" for k in places],
+            null_values=_MISSING,
+            quoted_strings_can_be_null=True,
+            decimal_point=self.form.decimal,
+            check_utf8=False,
+        )
         try:
-            table = pc.read_csv(
-                source,
-                pc.ReadOptions(
-                    use_threads=ragged is None,
-                    block_size=_BLOCK,
-                    skip_rows=self.form.skip,
-                    column_names=[f"c{k}" for k in range(count)],
-                    # Arrow hands damaged lines over as text: any byte must be some character.
-                    encoding=self.form.encoding if ragged is None else "latin-1",
-                ),
-                pc.ParseOptions(delimiter=self.form.delimiter, invalid_row_handler=ragged),
-                pc.ConvertOptions(
-                    column_types={
-                        f"c{k}": pa.float64() for k in places if self.names[k] not in times
-                    },
-                    include_columns=[f"c{k}" for k in places],
-                    null_values=_MISSING,
-                    quoted_strings_can_be_null=True,
-                    decimal_point=self.form.decimal,
-                    check_utf8=False,
-                ),
-            )
+            table = pc.read_csv(source, reading, parsing, conversion)
         except ARROW_ERRORS as error:
             return error
         return table.rename_columns(list(columns))

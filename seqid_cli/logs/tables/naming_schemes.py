@@ -43,25 +43,6 @@ MEASURED = frozenset({
     "measured", "meas", "act", "ist", "motor", "servo", "robot", "observation",
 })
 # fmt: on
-EPISODES = ("episode_index", "episode_id", "episode")
-
-
-@dataclass(frozen=True)
-class Scheme:
-    """Names of one kind of log."""
-
-    patterns: Mapping[str, tuple[str, ...]]  # of a quantity, tried one after the other
-    time_unit: str | None = None  # of its time column where the name does not say
-
-
-@dataclass(frozen=True)
-class Match:
-    """A scheme found in a log: the column of each joint, by quantity; None where it lacks one."""
-
-    scheme: Scheme
-    columns: dict[str, list[str | None]]
-
-
 _ALL = (*QUANTITIES, EFFORT)
 _NAMED = {
     "position": "position pos q",
@@ -89,6 +70,23 @@ _FRANKA = {"position": "q", "velocity": "dq", "torque": "tau_J"}
 _LEROBOT = {quantity: quantity for quantity in ("torque", "current", "temperature", "effort")}
 _LEROBOT |= {"position": "state", "velocity": "velocity state.velocity"}
 LEROBOT_STATE = "observation.state"
+EPISODES = ("episode_index", "episode_id", "episode")
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """Names of one kind of log."""
+
+    patterns: Mapping[str, tuple[str, ...]]  # of a quantity, tried one after the other
+    time_unit: str | None = None  # of its time column where the name does not say
+
+
+@dataclass(frozen=True)
+class Match:
+    """A scheme found in a log: the column of each joint, by quantity; None where it lacks one."""
+
+    scheme: Scheme
+    columns: dict[str, list[str | None]]
 
 
 def _scheme(form: str, words: Mapping[str, str], time_unit: str | None = None) -> Scheme:

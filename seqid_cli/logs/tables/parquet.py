@@ -22,6 +22,9 @@ from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
 from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
 
+_ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
+BLOCK_ROWS = 65_536
+_LONGEST = 256  # elements of a list column that can be one number per joint
 _LARGEST = 16 << 20  # bytes of an info.json
 _ENDINGS = ("", ".pos", ".position", "_pos", "_position", ".q")
 _NAME_COLUMNS = ("name", "names", "joint_names")
@@ -63,11 +66,6 @@ def _name_column(path: Path, file: pq.ParquetFile) -> list[str]:
             raise InputError(message, hint=hint, where=str(path))
         return [str(name) for name in given[0]] if given else []
     return []
-
-
-_ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
-BLOCK_ROWS = 65_536
-_LONGEST = 256  # elements of a list column that can be one number per joint
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,6 +24,8 @@ from seqid_cli.robot.toml.schema import Channels, Columns
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array
 
+ROWS = "the rows"
+_SHOWN = 6
 # Forms of names: of accelerometers (by number, or the axes of a triad) and of the gyro's axes.
 _FORMS = (
     *((f"{{imu}}{mark}a{{of}}", f"{{imu}}{mark}g{{of}}") for mark in "./_"),
@@ -85,10 +87,6 @@ def separate(
     text = f"{len(runs)} episodes ({name}) are read as stretches with a gap of {hole * 1e-9:.3g} s"
     notes.append(f"{text} between them")
     return moved, keep, notes
-
-
-ROWS = "the rows"
-_SHOWN = 6
 
 
 @dataclass(frozen=True)
@@ -172,14 +170,10 @@ def make_plan(file: TableFile, robot: Robot) -> Plan:
     warnings: list[str] = []
     columns = _joint_columns(file, robot, match)
     found = {imu.name: imu_columns(file.where, robot, imu, known, warnings) for imu in robot.imus}
-    used = {name for row in columns.values() for name in row}
-    return Plan(
-        _time_column(file, robot.channels, match),
-        columns,
-        {name: pair for name, pair in found.items() if pair is not None},
-        next((name for name in schemes.EPISODES if name in known and name not in used), None),
-        warnings,
-    )
+    imus = {name: pair for name, pair in found.items() if pair is not None}
+    left = known.difference(*columns.values())
+    episode = next((name for name in schemes.EPISODES if name in left), None)
+    return Plan(_time_column(file, robot.channels, match), columns, imus, episode, warnings)
 
 
 def _joint_columns(

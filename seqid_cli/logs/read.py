@@ -233,18 +233,15 @@ def _read_imus(
     valid = np.ones(base.count, np.bool_)
     for imu in robot.imus:
         tidied = [tidy(without_absurd(each, warnings)) for each in raw.imus.get(imu.name, ())]
-        streams = [
-            with_losses(each.stream, repair.losses)[0]
-            if np.array_equal(each.stream.stamp_ns, repair.stamps)  # those of the joints
-            else each.stream
-            for each in tidied
-        ]
+        streams = [each.stream for each in tidied]
+        for k, each in enumerate(streams):
+            if np.array_equal(each.stamp_ns, repair.stamps):  # those of the joints
+                streams[k], _ = with_losses(each, repair.losses)
         if not streams or not _usable(imu.name, streams, base, warnings):
             continue
         for quantity, target in found.items():
             those = [stream for stream in streams if quantity in stream.channels]
-            parts = [resample(stream, quantity, base) for stream in those]
-            if parts:
+            if parts := [resample(stream, quantity, base) for stream in those]:
                 target[imu.name] = np.hstack([part.values for part in parts])
                 valid &= np.all([part.valid for part in parts], axis=0)
         warnings += [warning for each in tidied for warning in each.warnings]

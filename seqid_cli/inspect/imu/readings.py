@@ -110,8 +110,7 @@ def _force(data: LogData, imu: Imu, values: Array, *, at_rest: bool) -> Iterator
         yield found("imu_in_g", text, imu.name)
         return
     gravity = float(np.linalg.norm(data.robot.gravity))
-    rest = rest_rows(data, values)
-    if not at_rest or not len(rest):
+    if not at_rest or not len(rest := rest_rows(data, values)):
         return
     norm, odd = force_of(imu, rest), odd_channel(imu, rest, gravity)
     if odd is not None:

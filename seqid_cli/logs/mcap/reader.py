@@ -6,19 +6,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs.mcap import topics
 from seqid_cli.logs.mcap.records import Scan, read_summary
-from seqid_cli.logs.mcap.topics import (
-    JOINT_STATES,
-    Collector,
-    any_finite,
-    data_topic,
-    find_joint_topic,
-    imu_stream,
-    joint_stream,
-    triad_topics,
-)
 from seqid_cli.logs.messages.batch import Kind, NameMap
-from seqid_cli.logs.raw import RawLog, TimeSource, partly_logged
+from seqid_cli.logs.raw import RawLog, Stream, TimeSource, partly_logged
 from seqid_cli.robot.types import Imu, Robot
 
 _SHOWN = 12  # topics or names listed in a message
@@ -48,25 +39,24 @@ def read_blocks(
     the last block: no joint states, none of the robot's joints in them, nothing readable.
     """
     names = NameMap(robot.joint_names, robot.channels.effort or "torque")
-    kinds: dict[str, Kind] = {JOINT_STATES: "joint_state"}
+    kinds: dict[str, Kind] = {topics.JOINT_STATES: "joint_state"}
     for imu in robot.imus:  # all topics on which they may be logged
-        kinds |= dict.fromkeys((data_topic(imu), *triad_topics(imu)), "imu")
+        kinds |= dict.fromkeys((topics.data_topic(imu), *topics.triad_topics(imu)), "imu")
     log = _Log(path, names, kinds, scan, time_source)
     positions = False
     for last in log.blocks(rows):
         samples = {topic: collector.drain() for topic, collector in log.collectors.items()}
         if last and not log.collectors[log.joint_topic].readable:
             raise _no_joint_states(log.scan, log.collectors[log.joint_topic])
-        joints = joint_stream(log.joint_topic, samples[log.joint_topic], robot)
-        topics = {imu.name: log.imu_topics(imu, whole=last) for imu in robot.imus}
-        imus = {
-            imu.name: tuple(imu_stream(topic, samples[topic], imu) for topic in topics[imu.name])
-            for imu in robot.imus
-            if topics[imu.name]
-        }
-        used = [log.joint_topic, *(topic for own in topics.values() for topic in own)]
+        joints = topics.joint_stream(log.joint_topic, samples[log.joint_topic], robot)
+        imus: dict[str, tuple[Stream, ...]] = {}
+        used = [log.joint_topic]
+        for imu in robot.imus:
+            if own := log.imu_topics(imu, whole=last):
+                imus[imu.name] = tuple(topics.imu_stream(t, samples[t], imu) for t in own)
+                used += own
         warnings = tuple(text for topic in used for text in samples[topic].warnings)
-        positions = positions or any_finite(joints.channels["position"])
+        positions = positions or topics.any_finite(joints.channels["position"])
         if last and not positions:
             seen = ", ".join(list(names.seen)[:_SHOWN]) or "no names at all"
             message = "the joint states hold no position of any joint of the robot "
@@ -89,10 +79,10 @@ def list_topics(
 ) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
     """List the topics of a file, damaged or not, and the names in its joint states."""
     names = NameMap(())
-    log = _Log(path, names, {JOINT_STATES: "joint_state"}, scan, "header")
+    log = _Log(path, names, {topics.JOINT_STATES: "joint_state"}, scan, "header")
     for _ in log.batches():
-        log.collectors[JOINT_STATES].drain()
-    log.collectors[JOINT_STATES].drain()
+        log.collectors[topics.JOINT_STATES].drain()
+    log.collectors[topics.JOINT_STATES].drain()
     return _topics(log.scan), tuple(names.seen)
 
 
@@ -102,8 +92,8 @@ class _Log:
     def __init__(
         self, path: Path, names: NameMap, kinds: dict[str, Kind], scan: type[Scan], time: TimeSource
     ) -> None:
-        self.joint_topic = JOINT_STATES
-        self.collectors = {t: Collector(t, kind, names, time) for t, kind in kinds.items()}
+        self.joint_topic = topics.JOINT_STATES
+        self.collectors = {t: topics.Collector(t, kind, names, time) for t, kind in kinds.items()}
         self._chosen = frozenset(kinds)
         self.scan = scan(path, self._wanted)
 
@@ -113,12 +103,12 @@ class _Log:
     def batches(self) -> Iterator[None]:
         """Pass over the file; a second time where the joint states are of the other kind."""
         yield from self._pass()
-        usual = self.collectors[JOINT_STATES]
-        found = find_joint_topic((_normal(t.topic), t.schema) for t in _topics(self.scan))
+        usual = self.collectors[topics.JOINT_STATES]
+        found = topics.find_joint_topic((_normal(t.topic), t.schema) for t in _topics(self.scan))
         if found is not None and not usual.readable:
             self.joint_topic, kind = found
             self._chosen = frozenset((self.joint_topic,))
-            own = Collector(self.joint_topic, kind, usual.names, usual.time_source)
+            own = topics.Collector(self.joint_topic, kind, usual.names, usual.time_source)
             self.collectors[self.joint_topic] = own
             first, self.scan = self.scan, type(self.scan)(self.scan.path, self._wanted)
             yield from self._pass()
@@ -148,9 +138,9 @@ class _Log:
 
     def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
         """Name the topics of an IMU; refuses a whole file that lacks only some of them."""
-        data = data_topic(imu)
+        data = topics.data_topic(imu)
         use_data = len(imu.positions) == 3 and self.collectors[data].readable
-        needed = [] if use_data else triad_topics(imu)
+        needed = [] if use_data else topics.triad_topics(imu)
         needed += [data] if use_data or imu.gyro else []
         missing = [topic for topic in needed if not self.collectors[topic].readable]
         if len(missing) == len(needed):
@@ -191,7 +181,7 @@ def _listing(scan: Scan) -> str:
     return ", ".join(shown[:_SHOWN] + more) or "no topics"
 
 
-def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
+def _no_joint_states(scan: Scan, collector: topics.Collector) -> InputError:
     if collector.received:
         kinds = ", ".join(sorted(collector.refused))
         reason = f"its encoding {kinds!r} is not known" if kinds else "they are damaged"
@@ -202,9 +192,9 @@ def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
         message = f"the file is damaged and nothing can be salvaged ({faults})"
         hint = scan.remedy
     else:
-        message = f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}"
+        message = f"no messages on {topics.JOINT_STATES}; in the file: {_listing(scan)}"
         near = next((t.topic for t in _topics(scan) if t.schema.endswith("JointState")), "")
-        hint = f"Is it {near}? Record or remap it as {JOINT_STATES}."
+        hint = f"Is it {near}? Record or remap it as {topics.JOINT_STATES}."
         if not near:
-            hint = f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well."
+            hint = f"Record {topics.JOINT_STATES} (sensor_msgs/msg/JointState) as well."
     return InputError(message, hint=hint, where=str(scan.path))

@@ -33,16 +33,14 @@ _SHORT = {"s": "s", "se": "s", "ms": "ms", "us": "us", "ns": "ns"}
 _STAMP_PARTS = re.compile(r"(?P<stem>.*stamp[./_])(?:sec|secs|seconds)")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
 # Words beside a quantity that tell what was commanded or measured, and are no joint.
-# fmt: off
 COMMANDED = frozenset({
     "target", "desired", "des", "cmd", "command", "commanded", "ref", "goal", "setpoint",
     "soll", "d", "err", "error",
-})
+})  # fmt: skip
 MEASURED = frozenset({
     "joint", "joints", "j", "a", "m", "axis", "achse", "gelenk", "state", "states", "actual",
     "measured", "meas", "act", "ist", "motor", "servo", "robot", "observation",
-})
-# fmt: on
+})  # fmt: skip
 _ALL = (*QUANTITIES, EFFORT)
 _NAMED = {
     "position": "position pos q",

@@ -108,9 +108,8 @@ def sample_of(
     moving = tuple(j for j in np.flatnonzero(driven(q) & both_ways).tolist() if data.moves(j))
     speeds = np.maximum(np.sqrt(np.mean(dq**2, axis=0)), 1e-12)
     direction = motion.filtered(np.tanh(motion.dq / (slow * speeds)), 2)[rows]
-    memory = max(1.0, memory_s / spacing)
     basis = base_parameters(data.robot, rotor=()) if data.modelled and moving else None
-    ddq, tau = motion.ddq[rows], motion.tau[rows]
+    ddq, tau, memory = motion.ddq[rows], motion.tau[rows], max(1.0, memory_s / spacing)
     return Sample(data.robot, q, dq, ddq, tau, direction, memory, moving, basis)
 
 

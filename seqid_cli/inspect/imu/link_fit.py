@@ -132,16 +132,16 @@ def _fine(
     X = X - X.mean(axis=0)
     gain = float(np.linalg.norm(X @ fitted.T) / max(float(np.linalg.norm(X)), 1e-12))
     share, rate = square * y.shape[1] / scan.total, motion.rate_hz
-    map_error = _map_error(X, square, memory)
+    map_error = _map_error(X, square * memory)
     return LinkFit(imu, gyro, share, shift / rate, error / rate, fitted, map_error, gain)
 
 
-def _map_error(X: Array, variance: float, memory: float) -> float:
+def _map_error(X: Array, variance: float) -> float:
     """Largest standard error of a map's first three columns, of features (N, p) without mean."""
     scale = np.maximum(X.std(axis=0), 1e-9)
     _, s, Vt = np.linalg.svd(X / scale, full_matrices=False)
     inverse = Vt.T / np.maximum(s, 1e-9 * s[0])  # large where the motion does not show a direction
-    spread = np.sqrt(variance * max(memory, 1.0) * np.sum(inverse**2, axis=1)) / scale
+    spread = np.sqrt(variance * np.sum(inverse**2, axis=1)) / scale
     return float(spread[:3].max())
 
 

@@ -45,16 +45,15 @@ def motion_findings(
     """Judge how the IMUs follow the encoders."""
     for item in following:
         name = item.imu.name
-        better, left = _better(data, item), item.left
-        if better is not None:
+        if better := _better(data, item):
             yield better
             continue
-        if left > FOLLOWS:
-            text = f"the motion of its link leaves {percent(left, 0)} of its variance unexplained"
+        if item.left > FOLLOWS:
+            left = percent(item.left, 0)
+            text = f"the motion of its link leaves {left} of its variance unexplained"
             yield found("imu_not_moving", text, name)
             continue
-        least = max(min_delay_s, min_delay_samples / data.recording.rate_hz)
-        delay = item.delay
+        least, delay = max(min_delay_s, min_delay_samples / data.recording.rate_hz), item.delay
         error = float(np.hypot(item.delay_error, _resolution_s(data, item.imu.after_joint)))
         if abs(delay) > least and abs(delay) > SIGMAS * error:
             text = f"its readings are {1e3 * delay:.1f} +- {1e3 * error:.1g} ms behind the encoders"
@@ -95,10 +94,8 @@ def _better(
     if joint >= 0:
         text = f"by IMU {name} it turns the other way round: {text}"
         return found("axis_flipped", text, names[joint], "position")
-    if link == own:
-        return None
     text = f"follows the link after {names[link]}, not the one after {names[own]}: {text}"
-    return found("imu_wrong_link", text, name)
+    return None if link == own else found("imu_wrong_link", text, name)
 
 
 def _gyro(item: LinkFit) -> Iterator[InspectionFinding]:

@@ -152,8 +152,7 @@ def _explained(url: str) -> Iterator[None]:
     except (SeqidError, ImportError):
         raise
     except FileNotFoundError as error:
-        hint = "Check bucket and name."
-        raise InputError("does not exist", hint=hint, where=url) from error
+        raise InputError("does not exist", hint="Check bucket and name.", where=url) from error
     except Exception as error:
         said = f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0][:200]}"
         scheme = url.partition("://")[0]

@@ -314,7 +314,7 @@ def _rows(
         values = np.concatenate([joints.channels["position"].T, joints.channels["tau"].T])
         stamps = np.concatenate([latest, joints.stamp_ns])
         sound = values.min() >= -ABSURD and values.max() <= ABSURD  # not with NaN
-        if not sound or (np.diff(stamps) <= 0).any() or len(mended(joints).losses):
+        if not sound or (np.diff(stamps) <= 0).any() or len(mended(joints).losses.rows):
             raise UnevenError
         if in_turns(joints, robot)[0] is not joints:
             raise UnevenError

@@ -44,13 +44,10 @@ class Losses:
     rows: Rows
     seconds: Array
 
-    def __len__(self) -> int:
-        return len(self.rows)
-
 
 def with_losses(stream: Stream, losses: Losses) -> tuple[Stream, Mask]:
     """Move the stamps behind losses and fill the holes; tells the samples (M',) that fill them."""
-    if not len(losses):
+    if not len(losses.rows):
         return stream, np.zeros(len(stream), np.bool_)
     shift = np.zeros(len(stream), np.int64)
     shift[losses.rows + 1] = np.rint(losses.seconds * 1e9).astype(np.int64)
@@ -118,9 +115,9 @@ class Mended:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What there is to say; nothing where nothing was mended."""
-        if not len(self.losses):
-            return ()
         seconds = self.losses.seconds
+        if not len(seconds):
+            return ()
         return (
             f"samples are lost at {len(seconds)} places, {1e3 * np.median(seconds):.3g} ms "
             f"each (median), {seconds.sum():.3g} s in all: all joints step there by the motion "

@@ -1,7 +1,6 @@
 """The checks of one log, in their order: those of `seqid inspect` and of every stage that reads it.
 
-Samples that are known to be damaged (spikes, freezes) are taken out, and the checks that
-compare channels with each other go on without them.
+Channels are compared with each other without samples that are known to be damaged.
 """
 
 from collections.abc import Iterator, Sequence
@@ -16,8 +15,8 @@ from seqid_cli.inspect.channels.velocities import velocity_findings
 from seqid_cli.inspect.dynamics.equations import geometry_findings
 from seqid_cli.inspect.dynamics.friction import friction_findings, sample_of
 from seqid_cli.inspect.findings import found, grouped
-from seqid_cli.inspect.imu.link_fit import FOLLOWS
-from seqid_cli.inspect.imu.motion import Following, follow, motion_findings
+from seqid_cli.inspect.imu.link_fit import FOLLOWS, LinkFit
+from seqid_cli.inspect.imu.motion import follow, motion_findings
 from seqid_cli.inspect.imu.readings import imu_findings
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.read import without_values
@@ -60,15 +59,14 @@ class Checked:
 
     data: LogData
     findings: tuple[InspectionFinding, ...]
-    following: tuple[Following, ...]
+    following: tuple[LinkFit, ...]
 
 
 def check(data: LogData, *, imus: bool = True, quality: bool = True) -> Checked:
     """Check a log: a check is left out where an earlier finding spoils it.
 
-    `imus`: whether its IMUs are checked as well. `quality`: whether it is also judged how well
-    channels are measured (steps, held values, temperature): warnings at most. Returns: findings,
-    each code once per joint and channel.
+    `quality`: whether it is also judged how well channels are measured (steps, held values,
+    temperature): warnings at most. Returns: findings, each code once per joint and channel.
     """
     breaks = positions.breaks_of(data.robot, data.t, data.joints.channels["position"])
     sound = without(data, breaks)
@@ -124,12 +122,11 @@ def _of_positions(
 
 
 def _of_dynamics(
-    data: LogData, own: list[InspectionFinding], following: Sequence[Following]
+    data: LogData, own: list[InspectionFinding], following: Sequence[LinkFit]
 ) -> Iterator[InspectionFinding]:
     """Compare torque, motion and IMUs with each other; `own` are the findings so far."""
-    spoilt = any(f.code in SPOIL for f in own)
-    uneven = any(f.code == "jitter" for f in own)  # accelerations mean nothing then
-    sample = None if uneven or spoilt else sample_of(data)
+    spoilt = {f.code for f in own} & {*SPOIL, "jitter"}  # accelerations mean nothing with jitter
+    sample = None if spoilt else sample_of(data)
     against: list[InspectionFinding] = []
     if sample is not None:
         against = geometry_findings(data, sample, [*friction_findings(data, sample)])
@@ -144,7 +141,7 @@ def _of_dynamics(
 
 
 def _with_imus(
-    finding: InspectionFinding, data: LogData, following: Sequence[Following]
+    finding: InspectionFinding, data: LogData, following: Sequence[LinkFit]
 ) -> InspectionFinding:
     """Add to a sign that is wrong whether the IMUs blame the position."""
     names = data.robot.joint_names
@@ -152,19 +149,16 @@ def _with_imus(
     moved = [f for f in following if wrong and f.imu.after_joint >= names.index(finding.joint)]
     if not moved:
         return finding
-    blamed = "position" if any(f.fit.left > FOLLOWS for f in moved) else "torque"
+    blamed = "position" if any(f.left > FOLLOWS for f in moved) else "torque"
     return structs.replace(finding, message=f"{finding.message}; by the IMUs it is the {blamed}'s")
 
 
 def _unexplained(findings: list[InspectionFinding]) -> list[InspectionFinding]:
     """Leave out what another finding of the same joint already explains."""
-    codes: dict[str, set[str]] = {}
-    for finding in findings:
-        for name in finding.joint.split(", "):
-            codes.setdefault(name, set()).add(finding.code)
+    there = {(name, f.code) for f in findings for name in f.joint.split(", ")}
 
     def explained(finding: InspectionFinding) -> bool:
-        there = codes.get(finding.joint, set())
-        return any(finding.code in own and there & causes for causes, own in _EXPLAINED)
+        causes = [codes for codes, own in _EXPLAINED if finding.code in own]
+        return any((finding.joint, code) in there for codes in causes for code in codes)
 
     return [finding for finding in findings if not explained(finding)]

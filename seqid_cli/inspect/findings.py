@@ -91,17 +91,12 @@ WARNINGS: Mapping[str, str] = {
 }
 
 
-def found(code: str, message: str, *, joint: str = "", channel: str = "") -> InspectionFinding:
+def found(code: str, message: str, joint: str = "", channel: str = "") -> InspectionFinding:
     """Make a finding of a known code, with the severity and remedy that belong to it."""
     severity, remedies = ("error", ERRORS) if code in ERRORS else ("warning", WARNINGS)
+    place = {"log": "", "joint": joint, "channel": channel}
     return InspectionFinding(
-        code=code,
-        severity=severity,
-        log="",
-        joint=joint,
-        channel=channel,
-        message=message,
-        remedy=remedies[code],
+        code=code, severity=severity, message=message, remedy=remedies[code], **place
     )
 
 
@@ -122,7 +117,6 @@ def verdict_of(findings: Sequence[InspectionFinding]) -> InspectionVerdict:
     """Judge by the worst finding."""
     if any(finding.code == "unreadable" for finding in findings):
         return "unreadable"
-    severities = {finding.severity for finding in findings}
-    if "error" in severities:
+    if any(finding.severity == "error" for finding in findings):
         return "faulty"
-    return "usable" if "warning" in severities else "good"
+    return "usable" if findings else "good"

@@ -74,8 +74,7 @@ def guess_channels(names: Iterable[str]) -> tuple[dict[str, Columns], tuple[str,
         forms = map(sorted, numbered["position"].values())
         numbers = max(forms, key=lambda own: (_is_range(own), len(own)))
         for quantity, found in numbered.items():
-            fitting = [own for own in found.values() if _indexed(own, numbers)]
-            if fitting:
+            if fitting := [own for own in found.values() if _indexed(own, numbers)]:
                 patterns[quantity] = _indexed(max(fitting, key=len), numbers)
         counted = range(1, len(numbers) + 1) if _is_range(numbers) else numbers
         return patterns, tuple(f"joint_{number}" for number in counted)
@@ -112,8 +111,7 @@ def _numbered(names: list[str], *, max_joints: int = 64) -> dict[str, dict[str, 
             if any(a.start() < match.start() < a.end() for a in _BRACKET.finditer(name)):
                 continue
             form = name[: match.start()] + "{#}" + name[match.end() :]
-            quantity = _quantity(_words(form))
-            if quantity:
+            if quantity := _quantity(_words(form)):
                 forms = found.setdefault(quantity, {}).setdefault(_BRACKET.sub("", form), {})
                 forms.setdefault(int(match[0]), form)
     return {

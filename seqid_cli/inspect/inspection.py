@@ -14,7 +14,7 @@ from seqid_cli.inspect.imu.readings import layout_findings
 from seqid_cli.inspect.material import LogData
 from seqid_cli.inspect.parts import Gathered, Inspected, serve_together
 from seqid_cli.inspect.progress import Progress
-from seqid_cli.logs.contents import Survey, survey
+from seqid_cli.logs.contents import survey
 from seqid_cli.logs.pieces import read_parts
 from seqid_cli.logs.raw import TimeSource
 from seqid_cli.logs.read import TorqueLackingError
@@ -30,6 +30,8 @@ from seqid_cli.params.results.inspection import (
 )
 from seqid_cli.robot.types import Robot
 
+Read = Callable[[Robot, Sequence[InspectionFinding]], Inspected]
+
 
 def inspect_logs(
     paths: Sequence[Path],
@@ -38,10 +40,7 @@ def inspect_logs(
     time_source: TimeSource = "header",
     on_progress: Callable[[Progress], None] | None = None,
 ) -> InspectionFile:
-    """Inspect logs one after the other, and the set of them; see `inspect`.
-
-    The findings are those of the robot file and of the set of logs, then each log's.
-    """
+    """Inspect logs; findings are of robot file and set of logs, then of each log; see `inspect`."""
     logs: list[InspectedLog] = []
     own: list[InspectionFinding] = []
     for done, path in enumerate(paths):
@@ -79,87 +78,67 @@ def inspect_log(
         surveyed = survey(path)
     except InputError as error:
         return _unreadable(path, error)
+
+    def read(arm: Robot, before: Sequence[InspectionFinding]) -> Inspected:
+        gathered, begun = Gathered(arm, arm is robot), None
+        for parts in read_parts(path, arm, time_source=time_source, failed=gathered.failed):
+            data = LogData(*parts, arm, arm is robot, begun)
+            begun = int(data.joints.stamp_ns[0]) if begun is None else begun
+            gathered.push(data)
+            del parts, data  # they are large, and the next ones come
+        return gathered.log(path, surveyed.format, before)
+
     names = list(surveyed.channels)
     inspected, problem = None, None
     missing: dict[str, str] = {}
     if robot is not None:
         missing, findings = _missing_imus(robot, names)
         try:
-            inspected = _read(path, robot, surveyed, findings, time_source, modelled=True)
+            inspected = read(robot, findings)
         except InputError as error:
             problem = error
     if inspected is None:
         guessed = guess(surveyed)
         findings = []
         if robot is not None and problem is not None:
-            missing, findings = _lacking("joint", robot.joint_names, guessed.joints)
+            missing, findings = _lacking("joint", robot.joint_names, guessed.joints, 0.5)
             findings = findings or [found("channel_missing", problem.message)]
             findings = [structs.replace(f, remedy=problem.hint or f.remedy) for f in findings]
         try:
-            inspected = _guessed(path, surveyed, guessed, findings, time_source)
+            inspected = _guessed(path, names, guessed, findings, read)
         except InputError as error:
             kept = [f for f in findings if f.joint]
             inspected = _unreadable(path, problem or error, surveyed.format, kept)
-    log = structs.replace(inspected.log, channels=names, missing=missing)
-    return Inspected(log, inspected.findings)
+    return inspected._replace(log=structs.replace(inspected.log, channels=names, missing=missing))
 
 
 def _guessed(
-    path: Path,
-    surveyed: Survey,
-    guessed: Guess,
-    findings: list[InspectionFinding],
-    time_source: TimeSource,
+    path: Path, names: list[str], guessed: Guess, findings: list[InspectionFinding], read: Read
 ) -> Inspected:
     """Inspect a log without a robot file, or one that it does not fit."""
     if not guessed.joints:
-        names = surveyed.channels
         if nameless(names):
             raise missing_columns(str(path), [], names)
         told = ", ".join(names[:12]) or "nothing"
-        raise InputError(
-            f"no joint positions were found by the names in it: {told}",
-            hint="Write the robot file by hand, its [channels] naming the column of each joint "
-            'in chain order (position = ["...", "..."], current = [...]), and give it with -r.',
-        )
-    alone = stand_in(guessed, source=path)
+        hint = "Write the robot file by hand, its [channels] naming the column of each joint in "
+        hint += 'chain order (position = ["...", "..."], current = [...]), and give it with -r.'
+        raise InputError(f"no joint positions were found by the names in it: {told}", hint=hint)
     try:
-        return _read(path, alone, surveyed, findings, time_source, modelled=False)
+        return read(stand_in(guessed, source=path), findings)
     except TorqueLackingError as lacking:
         if guessed.patterns:  # of columns by the joints' order
             raise
         driven = tuple(name for name in guessed.joints if name not in lacking.joints)
-        alone = stand_in(replace(guessed, joints=driven), source=path)
         text = "neither torque nor current is logged, but of other joints; it is left out"
-        findings += [found("torque_missing", text, joint=name) for name in lacking.joints]
-        return _read(path, alone, surveyed, findings, time_source, modelled=False)
-
-
-def _read(
-    path: Path,
-    robot: Robot,
-    surveyed: Survey,
-    before: Sequence[InspectionFinding],
-    time_source: TimeSource,
-    *,
-    modelled: bool,
-) -> Inspected:
-    """Inspect a log that the robot fits, part by part; a short one is one part."""
-    gathered, begun = Gathered(robot, modelled), None
-    for parts in read_parts(path, robot, time_source=time_source, failed=gathered.failed):
-        data = LogData(*parts, robot, modelled, begun)
-        begun = int(data.joints.stamp_ns[0]) if begun is None else begun
-        gathered.push(data)
-        del parts, data  # they are large, and the next ones come
-    return gathered.log(path, surveyed.format, before)
+        findings += [found("torque_missing", text, name) for name in lacking.joints]
+        return read(stand_in(replace(guessed, joints=driven), source=path), findings)
 
 
 def _unreadable(
     path: Path, error: InputError, form: str = "", known: Sequence[InspectionFinding] = ()
 ) -> Inspected:
     finding = found("unreadable", error.message)
-    if error.hint:
-        finding = structs.replace(finding, remedy=error.hint)
+    finding = structs.replace(finding, remedy=error.hint or finding.remedy)
     log = InspectedLog(path=str(path), sha256="", format=form, verdict="unreadable")
     return Inspected(log, located((*known, finding), path))
 
@@ -168,9 +147,7 @@ def _advice(
     logs: Sequence[InspectedLog], findings: Sequence[InspectionFinding], robot: Robot | None
 ) -> list[str]:
     """Return the next step: the first error's remedy, else the first stage that the logs serve."""
-    errors = [finding for finding in findings if finding.severity == "error"]
-    if errors:
-        first = errors[0]
+    if first := next((finding for finding in findings if finding.severity == "error"), None):
         place = f"{first.joint}: " if first.joint else ""
         return [f"first [{first.code}] {place}{first.remedy}"]
     if robot is None:
@@ -186,19 +163,13 @@ def _missing_imus(
     """Find IMUs that a log lacks; it need not have them, but a very near name is a finding."""
     parted = [name for name in channels if "." in name or "/" in name]
     ends = (name.strip("/").rsplit("/" if "/" in name else ".", 1) for name in parted)
-    there = [*dict.fromkeys(end[0] for end in ends)]
-    imus = [imu.name for imu in robot.imus]
-    missing, findings = _lacking("IMU", imus, there, cutoff=0.8, known=robot.joint_names)
+    there, imus = [*dict.fromkeys(end[0] for end in ends)], [imu.name for imu in robot.imus]
+    missing, findings = _lacking("IMU", imus, there, 0.8, robot.joint_names)
     return missing, [finding for finding in findings if finding.channel]
 
 
 def _lacking(
-    kind: str,
-    names: Sequence[str],
-    there: Sequence[str],
-    *,
-    cutoff: float = 0.5,
-    known: Sequence[str] = (),
+    kind: str, names: Sequence[str], there: Sequence[str], cutoff: float, known: Sequence[str] = ()
 ) -> tuple[dict[str, str], list[InspectionFinding]]:
     """Find names that are not there, and the unknown one nearest to each in any case."""
     lower = {other.lower(): other for other in there if other not in {*names, *known}}
@@ -208,5 +179,5 @@ def _lacking(
             close = difflib.get_close_matches(name.lower(), list(lower), n=1, cutoff=cutoff)
             near = missing[name] = lower[close[0]] if close else ""
             text = f"the log has no {kind} {name!r}" + (f"; nearest: {near!r}" if near else "")
-            findings.append(found("channel_missing", text, joint=name, channel=near))
+            findings.append(found("channel_missing", text, name, near))
     return missing, findings

@@ -1,8 +1,7 @@
 """An inspected log, gathered part by part: what moves, which stages it serves, its faults.
 
-A short log is one part, and what is told of it is told of all its samples. Of the parts of a long
-one counts, ranges and means are merged; a finding of several parts is told once, with its first
-place and how many parts show it.
+A short log is one part. Of the parts of a long one counts, ranges and means are merged; a finding
+of several parts is told once, with its first place and how many parts show it.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -17,7 +16,7 @@ from seqid_cli.inspect.channels.positions import top_speed
 from seqid_cli.inspect.channels.values import lattice
 from seqid_cli.inspect.checks import check
 from seqid_cli.inspect.findings import found, grouped, located, verdict_of
-from seqid_cli.inspect.imu.motion import Following
+from seqid_cli.inspect.imu.link_fit import LinkFit
 from seqid_cli.inspect.imu.readings import force_of, rest_rows
 from seqid_cli.inspect.material import LogData
 from seqid_cli.logs.raw import Stream
@@ -101,9 +100,8 @@ def serve_together(logs: Sequence[InspectedLog], *, min_speeds: int = 3) -> list
     """
     alone = {m.joint for log in logs if "friction" in log.serves for m in log.moves}
     speeds: dict[str, list[float]] = {}
-    for log in logs:
-        for move in _both_ways(log):
-            speeds.setdefault(move.joint, []).extend((move.slowest, move.fastest))
+    for move in (move for log in logs for move in _both_ways(log)):
+        speeds.setdefault(move.joint, []).extend((move.slowest, move.fastest))
     added = {j for j, own in speeds.items() if j not in alone and _speeds(own) >= min_speeds}
     return [
         structs.replace(log, serves=["friction", *log.serves])
@@ -136,7 +134,6 @@ class Inspected(NamedTuple):
 
 
 V = TypeVar("V", InspectedLog, InspectedJoint, InspectedImu)
-Rules = Mapping[str, Callable[..., object]]
 
 
 @dataclass
@@ -160,8 +157,7 @@ class Gathered:
     def push(self, data: LogData) -> None:
         """Take the next part; `seconds` of it is where it ends in the log."""
         recording, health, end = data.recording, data.recording.health, self.end
-        if not self.parts:
-            self.begun = recording.start
+        self.begun = self.begun if self.parts else recording.start
         offset = recording.start - self.begun
         checked = check(data)
         self.findings += checked.findings
@@ -207,24 +203,20 @@ class Gathered:
                 self.stretches.append(moved)
 
     def log(self, path: object, form: str, before: Sequence[InspectionFinding]) -> Inspected:
-        """Tell what is in the log, and its faults; `before` are those that were found first.
-
-        Raises InputError: no part is of use.
-        """
+        """Tell what is in the log, and its faults; raises InputError if no part is of use."""
         if not self.parts:
             raise self.lost[0]
         lost = (found("channel_hole", error.message) for error in self.lost)
         findings = located((*before, *map(self._told, grouped(self.findings)), *lost), path)
         samples = [part.samples for part in self.parts]
-        log = _merged(self.parts, samples, _LOG)
+        log = _merged(self.parts, samples)
         joints = [
-            _merged(own, samples, _JOINT)
-            for own in zip(*(part.joints for part in self.parts), strict=True)
+            _merged(own, samples) for own in zip(*(p.joints for p in self.parts), strict=True)
         ]
         by_imu: dict[str, list[InspectedImu]] = {}
         for imu in (imu for part in self.parts for imu in part.imus):
             by_imu.setdefault(imu.name, []).append(imu)
-        imus = [_merged(own, [1] * len(own), _IMU) for own in by_imu.values()]
+        imus = [_merged(own, [1] * len(own)) for own in by_imu.values()]
         together = _moving_together(self.robot, np.asarray(self.together))
         serves = _serves(self.robot, self.stretches, joints, together, imus=bool(imus))
         log = structs.replace(
@@ -233,6 +225,8 @@ class Gathered:
             format=form,
             verdict=verdict_of(findings),
             seconds=self.end,
+            rate_hz=sum(samples)
+            / float(np.sum(np.divide(samples, [p.rate_hz for p in self.parts]))),
             joints=joints,
             imus=imus,
             moves=[*_moves(self.robot, self.stretches)],
@@ -270,7 +264,7 @@ def _joint(data: LogData, j: int) -> InspectedJoint:
     )
 
 
-def _imus(data: LogData, following: Sequence[Following]) -> Iterator[InspectedImu]:
+def _imus(data: LogData, following: Sequence[LinkFit]) -> Iterator[InspectedImu]:
     """Describe what a part shows of each IMU."""
     for imu in data.robot.imus:
         values = data.recording.accelerometers.get(imu.name)
@@ -287,7 +281,7 @@ def _imus(data: LogData, following: Sequence[Following]) -> Iterator[InspectedIm
             gyro=gyro,
             rate_hz=1e9 / max(spans) if spans and max(spans) > 0 else 0.0,
             rest_norm=force_of(imu, rest) if len(rest) else None,
-            delay_s=next((f.fit.delay for f in following if f.imu.name == imu.name), None),
+            delay_s=next((f.delay for f in following if f.imu.name == imu.name), None),
         )
 
 
@@ -295,45 +289,29 @@ def _rms(values: Sequence[float], samples: Sequence[int]) -> float:
     return float(np.sqrt(np.average(np.square(values), weights=samples)))
 
 
-def _median(values: Sequence[float], samples: Sequence[int]) -> float:
-    return float(np.median(values))
-
-
-# How the fields of parts become those of the log: by their values and numbers of samples.
-_LOG: Rules = {
-    "samples": lambda counts, _: sum(counts),
-    "rate_hz": lambda rates, counts: sum(counts) / float(np.sum(np.divide(counts, rates))),
-    "jitter": _rms,
-    "gaps": lambda gaps, _: [gap for own in gaps for gap in own],
-    "non_monotonic": lambda counts, _: sum(counts),
-    "duplicates": lambda counts, _: sum(counts),
-    "log_minus_header_s": _median,
-    "partial": lambda texts, _: "; ".join(filter(None, texts)),
-}
-_JOINT: Rules = {
-    "moves": lambda moves, _: any(moves),
-    "low": lambda low, _: min(low),
-    "high": lambda high, _: max(high),
-    "top_speed": lambda speeds, _: max(speeds),
-    "encoder_step": _median,
-    "effort": lambda quantities, _: next(filter(None, quantities), ""),
-    "effort_rms": _rms,
-    "temperature": lambda spans, _: [min(s[0] for s in spans), max(s[1] for s in spans)],
-}
-_IMU: Rules = {
-    "accelerometers": lambda counts, _: max(counts),
-    "gyro": lambda there, _: any(there),
-    "rate_hz": _median,
-    "rest_norm": _median,
-    "delay_s": _median,
+# How fields of parts become those of the log, its joints and IMUs: by value and samples.
+_RULES: Mapping[str, Callable[..., object]] = {
+    **dict.fromkeys(("samples", "non_monotonic", "duplicates"), lambda own, _: sum(own)),
+    **dict.fromkeys(("high", "top_speed", "accelerometers"), lambda own, _: max(own)),
+    **dict.fromkeys(("moves", "gyro"), lambda own, _: any(own)),
+    **dict.fromkeys(
+        ("log_minus_header_s", "encoder_step", "rate_hz", "rest_norm", "delay_s"),
+        lambda own, _: float(np.median(own)),
+    ),
+    **dict.fromkeys(("jitter", "effort_rms"), _rms),
+    "low": lambda own, _: min(own),
+    "gaps": lambda own, _: [gap for gaps in own for gap in gaps],
+    "partial": lambda own, _: "; ".join(filter(None, own)),
+    "effort": lambda own, _: next(filter(None, own), ""),
+    "temperature": lambda own, _: [min(low for low, _ in own), max(high for _, high in own)],
 }
 
 
-def _merged(parts: Sequence[V], samples: Sequence[int], rules: Rules) -> V:
+def _merged(parts: Sequence[V], samples: Sequence[int]) -> V:
     """What all parts show of a log, a joint or an IMU; what a part does not know does not count."""
     fields: dict[str, object] = {}
-    for name, rule in rules.items():
+    for name in _RULES.keys() & set(parts[0].__struct_fields__):
         pairs = zip((getattr(part, name) for part in parts), samples, strict=True)
         known = [(value, count) for value, count in pairs if value is not None]
-        fields[name] = rule(*zip(*known, strict=True)) if known else None
+        fields[name] = _RULES[name](*zip(*known, strict=True)) if known else None
     return structs.replace(parts[0], **fields)

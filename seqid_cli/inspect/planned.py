@@ -11,8 +11,8 @@ so that offsets that reach over the log's ends or over gaps count by what is the
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-import msgspec
 import numpy as np
+from msgspec import structs
 from scipy.signal import correlate
 
 from seqid_cli.errors import ConfigError
@@ -57,9 +57,9 @@ def compared(plan: PlanFile, names: Sequence[str], logs: Iterable[Screened]) -> 
         for k, move in enumerate(plan.moves):
             for scale in dict.fromkeys((1.0, plan.speed_scale)):
                 part = _found(plan, move, names, q, valid, scale)
+                part.log = str(log.recording.path)
                 if part.status == "recorded" and errors:
-                    part = msgspec.structs.replace(part, status="spoiled", reason=errors[0])
-                part = msgspec.structs.replace(part, log=str(log.recording.path))
+                    part.status, part.reason = "spoiled", errors[0]
                 best[k] = max(best[k], part, key=lambda x: (ORDER.index(x.status), x.share))
     return best
 
@@ -100,16 +100,14 @@ def _found(
     seen = valid[log] > 0
     off = np.sqrt(np.mean((q[log][seen] - p[own][seen]) ** 2, axis=0))
     share, worst = float(seen.sum() / len(p)), int(np.argmax(off / unit))
+    if off[worst] > resembles * unit[worst]:
+        return missing
     reason = ""
-    if scale < 1.0:
+    if off[worst] > follows * unit[worst]:
+        reason = f"joint {names[worst]} is {off[worst]:.3g} rad (RMS) off"
+    elif scale < 1.0:
         reason = f"at {scale:.2g} of the planned speed"
     elif share < whole:
         reason = f"only {percent(share, 0)} of it is in the log"
-    if off[worst] > resembles * unit[worst]:
-        return missing
-    if off[worst] > follows * unit[worst]:
-        reason = f"joint {names[worst]} is {off[worst]:.3g} rad (RMS) off"
-    status = "spoiled" if reason else "recorded"
-    return msgspec.structs.replace(
-        missing, status=status, reason=reason, start=k / RATE_HZ, share=share
-    )
+    status, start = "spoiled" if reason else "recorded", k / RATE_HZ
+    return structs.replace(missing, status=status, reason=reason, start=start, share=share)

@@ -24,6 +24,7 @@ from seqid_cli.robot.toml.template import JointTemplate, RobotTemplate
 from seqid_cli.robot.urdf.text import UrdfJoint, UrdfText, best_chain
 
 _FILLERS = re.compile(r"(joint|axis|link|act|actuator)")
+Pairs = list[tuple[str, UrdfJoint]]  # joints by their names in the log
 
 
 class Proposal(NamedTuple):
@@ -41,22 +42,17 @@ def propose(
     name: str,
     drives: Mapping[str, Sequence[float]] = {},
 ) -> Proposal:
-    """Propose a robot file from logs of one robot.
+    """Propose a robot file from logs of one robot, of which the first says what channels there are.
 
-    `paths`: the first says which joints and channels there are, all of them what moves. `urdf`:
-    without it the geometry is left to be filled in. `urdf_path`: how the file is to name it.
-    `drives`: `torque_constant` and `gear_ratio`, one for all joints or one for each.
-
-    Raises UsageError: as many drives' data as there are neither joints nor one. Raises InputError:
-    a log cannot be read, or shows no joint.
+    `urdf`: without it the geometry is left to be filled in. `urdf_path`: how the file is to name
+    it. `drives`: `torque_constant` and `gear_ratio`, one for all joints or one for each; any other
+    number raises UsageError. Raises InputError: a log cannot be read, or shows no joint.
     """
     surveyed = survey(paths[0])
     guessed = guess(surveyed)
     reports = [inspect_log(path) for path in paths]
-    for report in reports:
-        if report.log.verdict == "unreadable":
-            first = report.findings[0]
-            raise InputError(first.message, hint=first.remedy, where=report.log.path)
+    for log, (first, *_) in (report for report in reports if report.log.verdict == "unreadable"):
+        raise InputError(first.message, hint=first.remedy, where=log.path)
     seen: dict[str, InspectedJoint] = {}  # a joint moves if it moves in any log
     for joint in (joint for report in reports for joint in report.log.joints):
         if joint.name not in seen or (joint.moves and not seen[joint.name].moves):
@@ -68,7 +64,7 @@ def propose(
     codes = {finding.code for report in reports for finding in report.findings}
     units = {"unit": "deg"} if guessed.unit == "deg" or "position_in_degrees" in codes else {}
     units |= {"length_unit": "mm"} if guessed.length_unit == "mm" else {}
-    joints = _driven([_joint(log, own, seen[log], guessed, units) for log, own in known], drives)
+    joints = _driven([_joint(own, seen[log], guessed, units) for log, own in known], drives)
     effort = next((joint.effort for joint in seen.values() if joint.effort), "")
     log_names, names = [log for log, _ in known], [joint.name for joint in joints]
     channels, todo = _channels(surveyed, guessed, log_names, names)
@@ -105,10 +101,9 @@ def _driven(
 def with_gravity(
     content: str, path: Path, logs: Sequence[Path], *, most: int = 8, apart: float = 0.1
 ) -> str:
-    """Write gravity into a robot file as its first logs tell it.
+    """Return a robot file's text with gravity as its first logs tell it, or as it was.
 
-    The same text where they do not, or where the file at `path` still lacks something. `apart`:
-    share of gravity by which the logs may differ; their median is written.
+    `apart`: share of gravity by which the logs may differ; their median is written.
     """
     try:
         report = inspect_logs(logs[:most], load_robot(path))
@@ -124,11 +119,7 @@ def with_gravity(
 
 
 def match_names(log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6) -> dict[str, str]:
-    """Pair names of a log with those of a URDF, one to one: equal ones first, then the nearest.
-
-    Names differ in case, separators and fillers (`elbow`, `elbow_joint`); a number in both must be
-    the same.
-    """
+    """Pair names of a log with those of a URDF, one to one: equal ones first, then the nearest."""
     pairs = {name: name for name in log if name in urdf}
     left = [name for name in log if name not in pairs]
     free = [name for name in urdf if name not in pairs.values()]
@@ -140,6 +131,7 @@ def match_names(log: Sequence[str], urdf: Sequence[str], *, near: float = 0.6) -
 
 
 def _likeness(a: str, b: str) -> float:
+    """Compare names, whatever their case, separators and fillers (`elbow`, `elbow_joint`)."""
     numbers = [re.findall(r"[0-9]+", text) for text in (a, b)]
     if numbers[0] and numbers[1] and numbers[0] != numbers[1]:
         return 0.0
@@ -149,9 +141,7 @@ def _likeness(a: str, b: str) -> float:
     return difflib.SequenceMatcher(a=plain[0], b=plain[1]).ratio() if all(plain) else 0.0
 
 
-def _matched(
-    log: Sequence[str], urdf: UrdfText | None
-) -> tuple[list[tuple[str, UrdfJoint]], tuple[UrdfJoint, ...]]:
+def _matched(log: Sequence[str], urdf: UrdfText | None) -> tuple[Pairs, tuple[UrdfJoint, ...]]:
     """Pair the log's joints with those of the URDF's chain that fits best, in chain order."""
     if urdf is None:
         return [], ()
@@ -171,11 +161,7 @@ def _matched(
 
 
 def _joint(
-    log_name: str,
-    joint: UrdfJoint | None,
-    seen: InspectedJoint,
-    guessed: Guess,
-    units: Mapping[str, str],
+    joint: UrdfJoint | None, seen: InspectedJoint, guessed: Guess, units: Mapping[str, str]
 ) -> JointTemplate:
     """Describe a joint; the inspection took its positions for angles in the guessed unit."""
     step = seen.encoder_step
@@ -185,20 +171,16 @@ def _joint(
         step *= length if joint is not None and joint.kind == "prismatic" else angle
         step = math.degrees(step) if guessed.unit == "deg" else step
     if joint is None:
-        return JointTemplate(log_name, encoder_step=step, moves=seen.moves)
-    limited = joint.lower is not None and joint.upper is not None
-    limits = (joint.lower, joint.upper) if limited else None
-    remark = "" if joint.name == log_name else f"{log_name} in the log"
+        return JointTemplate(seen.name, encoder_step=step, moves=seen.moves)
+    limits = (joint.lower, joint.upper) if None not in (joint.lower, joint.upper) else None
+    remark = "" if joint.name == seen.name else f"{seen.name} in the log"
     return JointTemplate(joint.name, limits, joint.velocity, step, seen.moves, remark)  # type: ignore[arg-type]
 
 
 def _channels(
     surveyed: Survey, guessed: Guess, log: Sequence[str], joints: Sequence[str]
 ) -> tuple[dict[str, Columns], list[str]]:
-    """Return `[channels]` that the log needs, and names that they cannot express.
-
-    `joints` are the names in the robot file of those that the log calls `log`.
-    """
+    """Return `[channels]` by which a robot file's joints are those of a log, and what they lack."""
     if not surveyed.columns:
         renamed = ", ".join(f"{a} -> {b}" for a, b in zip(log, joints, strict=True) if a != b)
         text = f"the log's joints have other names: rename them in a copy of the URDF ({renamed})"
@@ -237,10 +219,7 @@ def _mapped(pattern: Columns, log: Sequence[str], joints: Sequence[str]) -> Colu
 
 
 def _todo(
-    template: RobotTemplate,
-    guessed: Guess,
-    pairs: Sequence[tuple[str, UrdfJoint]],
-    urdf: UrdfText | None,
+    template: RobotTemplate, guessed: Guess, pairs: Pairs, urdf: UrdfText | None
 ) -> Iterator[str]:
     """Yield what is left to the user."""
     if "unit" in template.channels:

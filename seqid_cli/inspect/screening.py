@@ -1,8 +1,7 @@
 """The checks of `seqid inspect` on a log that a stage reads, without its damaged samples.
 
-A log that is held is checked as a whole. One that is passed over is looked through for damaged
-positions block by block; torque and motion are compared with each other in some pieces of it, so
-that memory does not grow with the log.
+A log that is passed over is looked through for damaged positions block by block; torque and motion
+are compared with each other in some pieces of it, so that memory does not grow with the log.
 """
 
 from collections.abc import Iterator
@@ -46,11 +45,7 @@ def sound(recording: Recording, raw: RawLog, robot: Robot) -> Recording:
 def read_screened(
     path: Path, robot: Robot, *, time_source: TimeSource = "header", imus: bool = True
 ) -> Screened:
-    """Read and check a log as a whole; see `read_recording`.
-
-    `imus`: whether its IMUs are used, and hence checked. Raises InputError: the file cannot be
-    read, lacks a channel or is too short.
-    """
+    """Read and check a log as a whole, its IMUs if they are used; see `read_recording`."""
     data = LogData(*read_both(path, robot, time_source=time_source), robot)
     checked = check(data, imus=imus, quality=False)
     return Screened(checked.data.recording, located(checked.findings, data.recording.path))
@@ -66,14 +61,13 @@ def screened_long(
 ) -> tuple[SurveyedLog, Findings]:
     """Check a log that is passed over; see `read_screened`.
 
-    `pieces`, `piece_s`: of the log [s], in which torque and motion are compared. `overlap_s`: time
-    on either side of a block in which breaks are looked for as well [s].
+    Torque and motion are compared in `pieces` of `piece_s`; breaks are looked for with `overlap_s`
+    on either side of a block as well [s].
     """
     first = next(iter(READERS[log.format](log.file, replace(robot, imus=()), log.time_source)))
     size = min(log.samples, max(64, int(piece_s * log.rate_hz)))
-    kept: dict[int, list[Block]] = {
-        int(start): [] for start in np.linspace(0, log.samples - size, pieces)
-    }
+    starts = np.linspace(0, log.samples - size, pieces)
+    kept: dict[int, list[Block]] = {int(start): [] for start in starts}
     findings: list[InspectionFinding] = []
     bridges: list[Bridge] = []
     margin = max(16, int(overlap_s * log.rate_hz))

@@ -1,7 +1,4 @@
-"""Stamps put right: sorted, without duplicates, from one clock.
-
-Stamps are integer nanoseconds, so sums and differences are exact.
-"""
+"""Stamps, in integer nanoseconds, put right: sorted, without duplicates, from one clock."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -27,10 +24,9 @@ class Tidy:
 
 
 def tidy(stream: Stream) -> Tidy:
-    """Sort a stream by stamp and merge samples of equal stamp.
+    """Sort a stream by stamp; merge samples of equal stamp, of which the first to hold it counts.
 
-    Those that hold different joints complement each other; where they hold the same one, the first
-    counts. Where the clock was set back, only the longest stretch of one pass is kept.
+    Where the clock was set back, only the longest stretch of one pass is kept.
     """
     backwards = int(np.count_nonzero(np.diff(stream.stamp_ns) < 0))
     warnings: list[str] = []
@@ -44,10 +40,8 @@ def tidy(stream: Stream) -> Tidy:
     if duplicates:
         warnings.append(f"{stream.name}: {duplicates} samples repeat a stamp; dropped")
     if conflicts > 0.01 * before:
-        warnings.append(
-            f"{stream.name}: {conflicts} samples share a stamp with others but hold other values: "
-            "the clock is too coarse; use the times of logging"
-        )
+        text = f"{stream.name}: {conflicts} samples share a stamp with others but hold other values"
+        warnings.append(f"{text}: the clock is too coarse; use the times of logging")
     return Tidy(stream, backwards, duplicates, tuple(warnings))
 
 
@@ -55,8 +49,7 @@ def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1
     """Return the interval from which on samples count as missing, in the unit of `steps` (M,).
 
     Five median intervals, but at least 20 ms, over which the curve itself follows an arm. Where
-    samples come in bursts, so that more than one interval in twenty is beyond that, five mean ones.
-    `second`: one second in the unit of `steps`, of which none is negative.
+    samples come in bursts, more than one interval in twenty is beyond that: then five mean ones.
     """
     least = GAP_LEAST_S * second
     limit = max(GAP_INTERVALS * float(np.median(steps)), least)
@@ -66,15 +59,12 @@ def gap_limit(steps: NDArray[np.floating] | NDArray[np.int64], second: float = 1
 
 
 def _one_pass(stream: Stream, warnings: list[str], *, many_steps: int = 100) -> Stream:
-    stamps = stream.stamp_ns
-    steps = np.diff(stamps)
+    steps = np.diff(stream.stamp_ns)
     forward = steps[steps > 0]
-    if not forward.size:
+    far = np.flatnonzero(steps < -gap_limit(forward, 1e9)) if forward.size else forward
+    if not 0 < far.size <= many_steps:
         return stream
     median = float(np.median(forward))
-    far = np.flatnonzero(steps < -gap_limit(forward, 1e9))
-    if far.size > many_steps:
-        return stream
     jumps = np.array([i for i in far if _overlaps(stream, int(i), median)], np.intp)
     if not len(jumps):
         return stream
@@ -82,7 +72,7 @@ def _one_pass(stream: Stream, warnings: list[str], *, many_steps: int = 100) -> 
     warnings.append(
         f"{stream.name}: the clock jumps back {len(jumps)} times (by up to "
         f"{-steps[jumps].min() * 1e-9:.3g} s) and runs twice over the same time; only the longest "
-        f"stretch is kept, {len(kept)} of {len(stamps)} samples. Use the times of logging, or "
+        f"stretch is kept, {len(kept)} of {len(stream)} samples. Use the times of logging, or "
         "split the log at the jump"
     )
     return kept
@@ -107,30 +97,20 @@ def _overlaps(stream: Stream, step: int, median_ns: float) -> bool:
     return int(np.count_nonzero(~repeated)) > 1.25 * ((high - low) / median_ns + 1.0) + 1.0
 
 
-def _far_stamps_cut(
-    stream: Stream,
-    warnings: list[str],
-    *,
-    stretch_limit: int = 20,
-    stretch_least: int = 1000000,
-    cut_ns: int = 60000000000,
-) -> Stream:
-    """Cut away stamps so far off (a zero among epoch times, say) that no grid can span them.
-
-    It may be `stretch_limit` times longer than the samples, and by `stretch_least`.
-    """
+def _far_stamps_cut(stream: Stream, warnings: list[str], *, hole_s: int = 60) -> Stream:
+    """Cut away stamps so far off (a zero among epoch times, say) that no grid can span them."""
     steps = np.diff(stream.stamp_ns)
     forward = steps[steps > 0]
     if not forward.size:
         return stream
     span = int(stream.stamp_ns[-1]) - int(stream.stamp_ns[0])
-    if span / np.median(forward) < stretch_limit * len(stream) + stretch_least:
+    if span / np.median(forward) < 20 * len(stream) + 1_000_000:  # samples on the grid
         return stream
-    kept = _longest(stream, np.flatnonzero(steps > cut_ns))
+    kept = _longest(stream, np.flatnonzero(steps > hole_s * 1_000_000_000))
     warnings.append(
         f"{stream.name}: the stamps span {span * 1e-9:.3g} s with only {len(stream)} samples; the "
-        f"longest stretch without a hole of {cut_ns // 1_000_000_000} s is kept, {len(kept)} "
-        "samples. Check the clock, or split the log"
+        f"longest stretch without a hole of {hole_s} s is kept, {len(kept)} samples. "
+        "Check the clock, or split the log"
     )
     return kept
 

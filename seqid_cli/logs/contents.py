@@ -22,10 +22,7 @@ class Survey:
 
 
 def survey(path: Path) -> Survey:
-    """Look through a log.
-
-    Raises InputError: it is no log or cannot be read at all.
-    """
+    """Look through a log; raises InputError if it is none or cannot be read at all."""
     kind = check_log(path)
     path = storage_file(path)
     if kind not in ("parquet", "csv"):

@@ -1,8 +1,7 @@
 """What a log's joint channels mean: units, torque without gravity, voltage of a servo.
 
-A servo that logs its voltage u has the current i = (u - k_e w) / R, with the motor's speed
-w = gear_ratio dq and k_e = torque_constant in SI units; a duty cycle times the supply is its
-voltage.
+A servo that logs its voltage u, or a duty cycle of its supply, has the current i = (u - k_e w) / R,
+with the motor's speed w = gear_ratio dq and k_e = torque_constant in SI units.
 """
 
 import numpy as np
@@ -10,21 +9,16 @@ import numpy as np
 from seqid_cli.logs.raw import Array, Stamps
 from seqid_cli.robot.types import Robot
 
-POSITIONS = ("position", "velocity", "link_position")
-
 
 def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str, Array]:
-    """Turn joint channels (M, n) into the model's: rad, N m at the joint, A on the motor side.
-
-    `channels`: by quantity, as logged. `stamps` (M,) [ns]. `robot`: `unit`, `length_unit` and
-    `effort` under its `[channels]`, and the motors' constants.
-    """
+    """Turn joint channels (M, n) into the model's: rad, N m at the joint, A on the motor side."""
     found = dict(channels)
     angle = np.pi / 180.0 if robot.channels.unit == "deg" else 1.0
     length = 1e-3 if robot.channels.length_unit == "mm" else 1.0
     if angle != 1.0 or length != 1.0:
         factor = np.array([length if joint.prismatic else angle for joint in robot.joints])
-        found |= {name: found[name] * factor for name in POSITIONS if name in found}
+        positions = ("position", "velocity", "link_position")
+        found |= {name: found[name] * factor for name in positions if name in found}
     if robot.channels.effort == "gravity_compensated" and "torque" in found:
         from seqid_cli.robot.regressor import inverse_dynamics
 
@@ -42,8 +36,7 @@ def in_si(channels: dict[str, Array], stamps: Stamps, robot: Robot) -> dict[str,
 
 
 def _constants(robot: Robot, name: str) -> Array:
-    values = [getattr(joint, name) for joint in robot.joints]
-    return np.array([np.nan if value is None else value for value in values])
+    return np.array([getattr(joint, name) for joint in robot.joints], np.float64)  # None: NaN
 
 
 def _current(voltage: Array, channels: dict[str, Array], stamps: Stamps, robot: Robot) -> Array:
@@ -51,9 +44,8 @@ def _current(voltage: Array, channels: dict[str, Array], stamps: Stamps, robot: 
     if len(stamps) > 1:
         with np.errstate(invalid="ignore", divide="ignore"):
             dq = np.gradient(channels["position"], (stamps - stamps[0]) * 1e-9, axis=0)
-    if "velocity" in channels:
-        logged = channels["velocity"]
-        dq = np.where(np.isfinite(logged), logged, dq)
+    logged = channels.get("velocity", dq)
+    dq = np.where(np.isfinite(logged), logged, dq)
     torque_constant = _constants(robot, "torque_constant")
     ratio = np.nan_to_num(_constants(robot, "gear_ratio"), nan=1.0)
     current = (voltage - torque_constant * ratio * dq) / _constants(robot, "winding_resistance")

@@ -46,11 +46,7 @@ def warn(message: str) -> None:
 
 
 def expanded(given: Sequence[Log], *, stored: bool = False) -> list[Path | Recording]:
-    """Turn files, folders, globs and tables into logs; warns of files that are left out.
-
-    `stored`: whether URLs of object storage are welcome as well. Raises InputError: an argument
-    stands for no log.
-    """
+    """Turn files, folders, globs and tables into logs; warns of what is left out; see `expand`."""
     found: list[Path | Recording] = []
     for is_path, group in groupby(given, key=is_place):
         if is_path:

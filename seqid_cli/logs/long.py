@@ -3,8 +3,7 @@
 A first pass decodes the file and lays the base; every further pass yields the same samples as
 `read_recording`, from a temporary file where there is room for one (see `Spool`), without ever
 holding more than some blocks. That works for logs whose stamps increase and whose rows hold every
-joint; `open_long` returns None for others, and for logs in which samples come in bursts, or are
-lost without the stamps showing it (`lost_samples`): these have to be read as a whole.
+joint, but not where samples come in bursts or `lost_samples` finds some.
 """
 
 from collections.abc import Callable, Iterator
@@ -13,7 +12,6 @@ from itertools import starmap
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.errors import InputError
 from seqid_cli.logs.checks.lost_samples import mended
@@ -32,6 +30,7 @@ from seqid_cli.robot.types import Robot
 
 MARGIN = 64  # rows on either side of a block, over which a spline forgets its ends
 GROUP = 256  # rows whose distance from the base is remembered by its extremes
+_ALL = "position and torque"
 READERS: dict[str, BlockReader] = {"parquet": parquet.read_blocks, "mcap": reader.read_blocks}
 
 
@@ -112,24 +111,19 @@ class LongLog:
             return files.sha256_of(self.file)
 
     def blocks(self) -> Iterator[Block]:
-        """Pass over the samples of the base, a few ten thousand at a time.
-
-        Raises InputError: the file has changed since the first pass.
-        """
+        """Pass over the samples; raises InputError if the file has changed since the first pass."""
         rows = self._decoded() if self.spool is None else starmap(_as_stream, self.spool.parts())
-        blocks = self._as_logged(rows) if self.exact else self._resampled(rows)
-        return map(self._bridged, blocks) if self.bridges else blocks
+        for block in self._as_logged(rows) if self.exact else self._resampled(rows):
+            if self.bridges:
+                block = replace(block, q=block.q.copy(), valid=block.valid.copy())
+            for bridge in self.bridges:
+                bridge.laid(block)
+            yield block
 
     def _decoded(self) -> Iterator[Stream]:
         with files.unchanged(self.file, self.state):
             for _, rows in _rows(self.file, self.format, self.robot, self.time_source):
                 yield rows
-
-    def _bridged(self, block: Block) -> Block:
-        block = replace(block, q=block.q.copy(), valid=block.valid.copy())
-        for bridge in self.bridges:
-            bridge.laid(block)
-        return block
 
     def _as_logged(self, rows: Iterator[Stream]) -> Iterator[Block]:
         start, n = 0, self.robot.n
@@ -167,11 +161,6 @@ class LongLog:
             yield Block(low, found.values[:, :n], found.values[:, n:], found.valid)
 
 
-_NONE: NDArray[np.intp] = np.zeros(0, np.intp)
-_ALL = "position and torque"
-_SOURCES = ("current", "torque")
-
-
 def _as_stream(stamps: Stamps, values: Array) -> Stream:
     """Rows of a log: `values` (M, 2 n), position and torque."""
     return Stream("joints", stamps, {_ALL: values})
@@ -193,7 +182,7 @@ class Scan:
     partial: str = ""
     warnings: list[str] = field(default_factory=list)
 
-    def push(self, stamps: Stamps, raw: RawLog) -> None:
+    def push(self, stamps: Stamps, raw: RawLog, *, most_gaps: int = 100000) -> None:
         """Take the stamps of the next rows, and what was said of them."""
         self.partial = raw.partial or self.partial
         self.warnings += [note for note in raw.warnings if note not in self.warnings]
@@ -203,7 +192,15 @@ class Scan:
             if not len(steps):
                 raise UnevenError
             self.first, self.usual = int(stamps[0]), float(np.median(steps))
-        self._note_steps(steps)
+        self.steps.push(steps)
+        far = steps > GAP_LEAST_S * 1e9
+        near = steps[~far] if far.any() else steps
+        self.beyond.append(steps[far])
+        if sum(map(len, self.beyond)) > most_gaps:
+            raise UnevenError
+        self.sums += (near.sum(), np.square(near - self.usual).sum())
+        longer = near[near > 1.5 * self.usual]
+        self.surplus += float((np.rint(longer / self.usual) - 1).sum())
         index = self.count + np.arange(len(stamps))
         off = (stamps - self.first) - index * self.usual
         starts = np.arange(0, len(off), GROUP)
@@ -212,23 +209,11 @@ class Scan:
         self.count += len(stamps)
         self.last = int(stamps[-1])
 
-    def _note_steps(self, steps: Array, *, most_gaps: int = 100000) -> None:
-        self.steps.push(steps)
-        far = steps > GAP_LEAST_S * 1e9
-        near = steps[~far] if far.any() else steps
-        if far.any():
-            self.beyond.append(steps[far])
-            if sum(map(len, self.beyond)) > most_gaps:
-                raise UnevenError
-        self.sums += (near.sum(), np.square(near - self.usual).sum())
-        longer = near[near > 1.5 * self.usual]
-        self.surplus += float((np.rint(longer / self.usual) - 1).sum())
-
     def base(self, *, stretch: float = 20.0) -> tuple[int, float, int, float, bool, int]:
         """Lay the base as `timebase.make_base` does: start, step, samples, jitter, exact, gaps."""
         if self.count < 2:
             raise UnevenError
-        beyond = np.concatenate(self.beyond) if self.beyond else np.zeros(0)
+        beyond = np.concatenate(self.beyond)
         median = float(np.median(self.steps.rows))
         limit = max(GAP_INTERVALS * median, GAP_LEAST_S * 1e9)
         gap = beyond > limit
@@ -280,12 +265,10 @@ def open_long(
     time_source: TimeSource = "header",
     watch: Callable[[float, Array], None] | None = None,
 ) -> LongLog | None:
-    """Pass over a log once and lay its time base.
+    """Pass over a log once and lay its time base; None where it can only be read as a whole.
 
-    `path`, `robot`, `time_source`: as for `read_recording`. `watch`: shown what is passed over: the
-    rate [Hz] that the first rows have, and positions (M, n) as logged. They are the samples of the
-    base if the log is `exact`. Returns None where the log can only be read as a whole. Raises
-    InputError: the file cannot be read or lacks a channel.
+    `watch`: shown the rate [Hz] that the first rows have, and positions (M, n) as logged: the
+    samples of the base if the log is `exact`.
     """
     path = Path(path)
     kind, file = files.check_log(path), files.storage_file(path)
@@ -313,14 +296,16 @@ def _rows(
     path: Path, kind: str, robot: Robot, time_source: TimeSource
 ) -> Iterator[tuple[RawLog, Stream]]:
     """Decode a log block by block; raises UnevenError where one is to be put right as a whole."""
-    latest, first_sources = _NONE, None
+    latest, first_sources = np.zeros(0, np.int64), None
     for raw in READERS[kind](path, replace(robot, imus=()), time_source):
         joints = raw.joints
         if not len(joints):
             continue
         # Which joints have what torque can be taken from must be the same all along.
-        given = {name: own for name, own in joints.channels.items() if name in _SOURCES}
-        sources = {name: np.isfinite(own).any(axis=0).tolist() for name, own in given.items()}
+        given = [(name, joints.channels.get(name)) for name in ("current", "torque")]
+        sources = [
+            (k, np.isfinite(own).any(axis=0).tolist()) for k, own in given if own is not None
+        ]
         first_sources = first_sources or sources
         if sources and sources == first_sources:
             joints = with_torque(joints, robot, raw.prefer_current, str(path), [])
@@ -329,9 +314,9 @@ def _rows(
         values = np.concatenate([joints.channels["position"].T, joints.channels["tau"].T])
         stamps = np.concatenate([latest, joints.stamp_ns])
         sound = values.min() >= -ABSURD and values.max() <= ABSURD  # not with NaN
-        if not sound or (np.diff(stamps) <= 0).any():
+        if not sound or (np.diff(stamps) <= 0).any() or len(mended(joints).losses.rows):
             raise UnevenError
-        if len(mended(joints).losses) or in_turns(joints, robot)[0] is not joints:
+        if in_turns(joints, robot)[0] is not joints:
             raise UnevenError
         latest = joints.stamp_ns[-1:]
         yield raw, _as_stream(joints.stamp_ns, values.T)

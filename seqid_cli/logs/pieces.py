@@ -1,13 +1,12 @@
 """Pieces of a log, each a recording of its own: with the stamps that it has in the log.
 
 A log that is held is cut; one that is too long for that is passed over once more, and only the rows
-of the pieces are kept. A piece holds all that the log has: temperatures and IMUs as well.
-`read_parts` reads a whole log in consecutive pieces.
+of the pieces are kept.
 """
 
 import hashlib
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,10 +33,7 @@ def whole_of(log: Recording | LongLog) -> Whole:
 
 
 def by_log(recordings: Iterable[Recording]) -> list[list[Recording]]:
-    """Recordings, or the pieces of each log together, in the order of the first of each.
-
-    Two whole recordings are two logs even where their content is the same.
-    """
+    """Recordings, or the pieces of each log together, in the order of the first of each."""
     logs: dict[object, list[Recording]] = {}
     for number, recording in enumerate(recordings):
         whole = recording.whole
@@ -47,19 +43,16 @@ def by_log(recordings: Iterable[Recording]) -> list[list[Recording]]:
 
 
 def cut(recording: Recording, ranges: Sequence[Range]) -> list[Recording]:
-    """Cut pieces out of a recording.
+    """Cut pieces out of a recording, from first to last moment, s since its first sample.
 
-    `ranges`: first and last moment of each piece, s since the first sample. Returns: in the order
-    of `ranges`; `t` begins at 0 in each, `start` is where it begins in the log. Warnings stay with
-    the log.
+    `t` begins at 0 in each, `start` is where it begins in the log. Warnings stay with the log.
     """
     whole, t = whole_of(recording), recording.t
-    known = {field.name: getattr(recording, field.name) for field in fields(Recording)}
     pieces = []
     for begin, end in ranges:
         part = slice(int(np.searchsorted(t, begin - 1e-9)), int(np.searchsorted(t, end + 1e-9)))
         own: dict[str, Any] = {}
-        for name, values in known.items():
+        for name, values in vars(recording).items():
             if isinstance(values, np.ndarray):
                 own[name] = values[part].copy()
             elif isinstance(values, dict):  # IMUs
@@ -91,9 +84,8 @@ def read_pieces(
     """Read pieces of a log without holding the rest of it.
 
     `ranges`: as of `cut`; they may overlap. `kind`: the format of a log that can be passed over; a
-    log of any other is read as a whole and cut. `sound`: takes damaged samples out of a recording,
-    given as `read_both` does. Raises InputError: the file can no longer be read, or holds too
-    little of a piece.
+    log of any other is read as a whole and cut. `sound`: takes damaged samples out of what
+    `read_both` gives. Raises InputError: the file cannot be read, or holds too little of a piece.
     """
     if kind not in READERS:
         recording, all_rows = read_both(path, robot, time_source=time_source)
@@ -144,10 +136,9 @@ def read_parts(
 ) -> Iterator[tuple[Recording, RawLog]]:
     """Read a log part by part, in memory that does not grow with its length.
 
-    `most_values`: values, samples times channels, that a part holds, about; a log of fewer is one
-    part. `overlap_s`: time at the end of a part that the next one begins with, so that nothing
-    falls between them. `failed`: told of a part that is of no use, for others to be read. Raises
-    InputError: as `read_both`.
+    `most_values`: samples times channels of a part, about; a log of fewer is one part. `overlap_s`:
+    time at the end of a part that the next one begins with, so that nothing falls between them.
+    `failed`: told of a part that is of no use, instead of an InputError as of `read_both`.
     """
     kind, file = check_log(path), storage_file(path)
     width = 3 * robot.n + sum(len(imu.positions) + 3 * imu.gyro for imu in robot.imus)
@@ -173,12 +164,11 @@ def read_parts(
 def _parts(blocks: Iterable[RawLog], most: int, overlap_ns: int) -> Iterator[RawLog]:
     """Put blocks together to parts of `most` values; the last has half to one and a half."""
     held: list[RawLog] = []
-    ready = 0  # blocks that are enough for a part
-    size = 0
+    ready = size = 0  # `ready`: blocks that are enough for a part
     for block in blocks:
         held.append(block)
         size += _size(block)
-        ready = len(held) if size >= most and not ready else ready
+        ready = ready or (len(held) if size >= most else 0)
         if size >= 1.5 * most and ready < len(held):
             part = _following(held[:ready])
             last = int(part.joints.stamp_ns[-1])

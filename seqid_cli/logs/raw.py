@@ -26,9 +26,8 @@ class Stream:
     """Samples that share stamps.
 
     `channels[quantity]` is (M, w), NaN where a sample lacks the value. Joint streams hold position
-    [rad], velocity [rad/s], torque [N m], current [A], load [N m], link_position [rad], temperature
-    [degC], one column per joint of the robot; IMU streams hold `accelerometers` [m/s^2] and `gyro`
-    [rad/s].
+    [rad], velocity [rad/s], torque, load [N m], current [A], link_position [rad], temperature
+    [degC] by the robot's joints; IMU streams `accelerometers` [m/s^2] and `gyro` [rad/s].
     """
 
     name: str
@@ -62,12 +61,10 @@ def joined(parts: Sequence[Stream]) -> Stream:
     if not there:
         return parts[0]
     widths = {name: own.shape[1] for part in there for name, own in part.channels.items()}
-    channels = {
-        name: np.concatenate(
-            [p.channels.get(name, np.broadcast_to(np.nan, (len(p), width))) for p in there]
-        )
-        for name, width in widths.items()
-    }
+    channels: dict[str, Array] = {}
+    for name, width in widths.items():
+        own = (p.channels.get(name, np.broadcast_to(np.nan, (len(p), width))) for p in there)
+        channels[name] = np.concatenate([*own])
     return Stream(there[0].name, np.concatenate([part.stamp_ns for part in there]), channels)
 
 
@@ -75,12 +72,10 @@ def partly_logged(imu: Imu, missing: Sequence[str], where: str, there: str = "")
     """Make the error for an IMU of which a log has only some channels; `there`: what it holds."""
     message = f"IMU {imu.name!r} is only partly in the log; missing: {', '.join(missing)}"
     hint = f"The robot file gives it {len(imu.positions)} accelerometers"
-    hint += " and a gyro" if imu.gyro else ""
-    hint += ": log them all, or correct the robot file."
+    hint += f"{' and a gyro' * imu.gyro}: log them all, or correct the robot file."
     return InputError(message, hint=f"{hint} {there}".strip(), where=where)
 
 
-# Reads the channels that the robot file knows, block by block: (path, robot, time source, rows in a
-# block, where the format allows it; None for the whole log as one). Raises InputError: the file is
-# damaged beyond use or lacks a channel.
+# Reads the channels that the robot file knows: (path, robot, time source, rows in a block, or None
+# for one). Raises InputError: the file is damaged beyond use or lacks a channel.
 BlockReader = Callable[..., Iterator[RawLog]]

@@ -74,10 +74,9 @@ def read_both(
 
 
 def without_values(recording: Recording, raw: RawLog, robot: Robot) -> Recording:
-    """Lay a log on its base anew after some values of its joint samples were taken out.
+    """Lay a log on its base anew after some values of its joint samples were made NaN.
 
-    `recording`: the log as it was. `raw`: its joint samples are NaN where a value is not to be
-    used: short holes are bridged by a curve, longer ones are not valid, like any missing values.
+    Short holes are bridged by a curve, longer ones are not valid, like any missing values.
     """
     again, _ = assemble(recording.path, recording.format, recording.sha256, raw, robot)
     gaps = tuple(sorted({*recording.health.gaps, *again.health.gaps}))
@@ -110,8 +109,8 @@ def assemble(
 ) -> tuple[Recording, RawLog]:
     """Lay what was logged on one time base, mended; see `read_recording`.
 
-    Returns: the recording; what was logged, with the joint samples in the order of time, `tau`
-    [N m at the joint] beside their channels, and without what no sensor reads.
+    Returns: the recording; what was logged, without what no sensor reads, its joint samples in the
+    order of time, with `tau` [N m at the joint] beside their channels.
     """
     where = str(path)
     warnings = list(raw.warnings)
@@ -127,10 +126,10 @@ def assemble(
     logged = repair.stream
     base = make_base(logged, where)
     q = resample(logged, "position", base)
-    torque = resample(logged, "tau", base) if "tau" in logged.channels else None
-    valid, gaps = q.valid, {*q.gaps, *base.gaps}
-    if torque is not None:
-        valid, gaps = valid & torque.valid, gaps.union(torque.gaps)
+    valid, gaps, tau = q.valid, {*q.gaps, *base.gaps}, None
+    if "tau" in logged.channels:
+        torque = resample(logged, "tau", base)
+        valid, gaps, tau = valid & torque.valid, gaps.union(torque.gaps), torque.values
     names = ("velocity", "load", "link_position")
     dq, load, link = (_of_all_joints(logged, name, base, warnings) for name in names)
     warnings += [*clock.warnings, *repair.warnings]
@@ -157,7 +156,7 @@ def assemble(
             mended=repair.warnings,
         ),
         dq=dq,
-        tau=None if torque is None else torque.values,
+        tau=tau,
         temperature=heat,
         load=load,
         link_position=link,
@@ -188,9 +187,8 @@ def without_absurd(stream: Stream, warnings: list[str], *, most: float = ABSURD)
         channels[name] = np.where(wrong, np.nan, values) if wrong.any() else values
     if not count:
         return stream
-    warnings.append(
-        f"{stream.name}: {count} values are infinite or beyond {most:g}; taken as missing"
-    )
+    text = f"{count} values are infinite or beyond {most:g}; taken as missing"
+    warnings.append(f"{stream.name}: {text}")
     return replace(stream, channels=channels)
 
 
@@ -206,18 +204,14 @@ def with_torque(
     tau = np.where(np.isfinite(first).any(axis=0), first, second)
     present: Mask = np.asarray(np.isfinite(tau).any(axis=0))
     names = np.array(robot.joint_names)
-    without_drive = names[np.asarray(np.isfinite(current).any(axis=0)) & ~present]
-    if len(without_drive):
-        warnings.append(
-            f"the current of {', '.join(without_drive)} cannot be turned into torque: give "
-            "torque_constant and gear_ratio in the robot file"
-        )
-        return joints
-    if not present.any():
-        return joints
-    if not present.all():
+    if len(without_drive := names[np.asarray(np.isfinite(current).any(axis=0)) & ~present]):
+        text = f"the current of {', '.join(without_drive)} cannot be turned into torque: give "
+        warnings.append(f"{text}torque_constant and gear_ratio in the robot file")
+    elif present.all():
+        return replace(joints, channels={**joints.channels, "tau": tau})
+    elif present.any():
         raise TorqueLackingError(names[~present].tolist(), where)
-    return replace(joints, channels={**joints.channels, "tau": tau})
+    return joints
 
 
 def _of_all_joints(stream: Stream, quantity: str, base: Base, warnings: list[str]) -> Array | None:
@@ -239,18 +233,15 @@ def _read_imus(
     valid = np.ones(base.count, np.bool_)
     for imu in robot.imus:
         tidied = [tidy(without_absurd(each, warnings)) for each in raw.imus.get(imu.name, ())]
-        streams = [
-            with_losses(each.stream, repair.losses)[0]
-            if np.array_equal(each.stream.stamp_ns, repair.stamps)  # those of the joints
-            else each.stream
-            for each in tidied
-        ]
+        streams = [each.stream for each in tidied]
+        for k, each in enumerate(streams):
+            if np.array_equal(each.stamp_ns, repair.stamps):  # those of the joints
+                streams[k], _ = with_losses(each, repair.losses)
         if not streams or not _usable(imu.name, streams, base, warnings):
             continue
         for quantity, target in found.items():
             those = [stream for stream in streams if quantity in stream.channels]
-            parts = [resample(stream, quantity, base) for stream in those]
-            if parts:
+            if parts := [resample(stream, quantity, base) for stream in those]:
                 target[imu.name] = np.hstack([part.values for part in parts])
                 valid &= np.all([part.valid for part in parts], axis=0)
         warnings += [warning for each in tidied for warning in each.warnings]
@@ -271,6 +262,6 @@ def _usable(name: str, streams: list[Stream], base: Base, warnings: list[str]) -
             warnings.append(f"IMU {name!r} is left out: {wrong}")
             return False
         if covered < 0.99:
-            text = f"{stream.name} covers {percent(covered, 0)} of the joints' time; samples "
-            warnings.append(text + "outside it are not valid")
+            text = f"{stream.name} covers {percent(covered, 0)} of the joints' time"
+            warnings.append(f"{text}; samples outside it are not valid")
     return True

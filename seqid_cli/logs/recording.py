@@ -66,14 +66,9 @@ class Recording:
 
 
 def torque_of(recording: Recording) -> Array:
-    """Measured torque (N, n) N m of a log that must have it.
-
-    Raises InputError if the log carries neither torque nor current.
-    """
+    """Measured torque (N, n) N m of a log; raises InputError if it carries none, nor current."""
     if recording.tau is None:
-        raise InputError(
-            "the log has neither joint torque nor motor current that can be turned into torque",
-            hint="record either; current needs torque_constant and gear_ratio in the robot file",
-            where=str(recording.path),
-        )
+        text = "the log has neither joint torque nor motor current that can be turned into torque"
+        hint = "record either; current needs torque_constant and gear_ratio in the robot file"
+        raise InputError(text, hint=hint, where=str(recording.path))
     return recording.tau

@@ -8,18 +8,15 @@ MOST = 262_144
 
 
 class Thinned:
-    """Keeps every row until there are too many, then every second one, every fourth, and so on.
+    """Keeps every row until there are more than `most`, then every second one, fourth and so on.
 
-    Up to `most` rows statistics are exact; beyond, they are those of at least half as many rows
-    spread over the whole stream. What is kept depends on the rows alone, not on how they came.
+    What is kept, at least half of `most`, depends on the rows alone, not on how they came.
     """
 
     def __init__(self, most: int = MOST) -> None:
         self._most = most
         self._parts: list[Array] = []
-        self._every = 1
-        self._seen = 0
-        self._kept = 0
+        self._every, self._seen, self._kept = 1, 0, 0
 
     def push(self, rows: Array) -> None:
         """Take the next rows (M, ...)."""

@@ -1,16 +1,14 @@
 """One uniform time base for all channels.
 
 The base runs from the first to the last sample that has every joint, at the mean rate of the joint
-states. Samples that already lie on it are taken as they are; others are interpolated, each column
-from the samples that have it, by a cubic spline between gaps and by a straight line across them;
-where the base is coarser than the samples, they are averaged over one interval of it. Where samples
-come in bursts a spline would swing, and straight lines are used throughout.
+states. Samples that already lie on it are taken as they are; others are interpolated, by a cubic
+spline between gaps and straight lines across them, or throughout where samples come in bursts and a
+spline would swing; where the base is coarser than the samples, they are averaged over an interval.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
 from seqid_cli.errors import InputError
@@ -51,7 +49,12 @@ class Resampled:
 
 def make_base(joints: Stream, where: str, *, least_seconds: float = 0.5) -> Base:
     """Lay the base through joint samples in the order of time, with `position` (M, n)."""
-    rows = _base_rows(joints)
+    present = np.isfinite(joints.channels["position"])
+    rows = np.zeros(0, np.intp)
+    if present.any(axis=0).all():  # of the joint that has most, from where all have begun
+        first = present.argmax(axis=0).max()
+        last = len(present) - present[::-1].argmax(axis=0).max()
+        rows = first + np.flatnonzero(present[first:last, present.sum(axis=0).argmax()])
     stamps = joints.stamp_ns[rows]
     span = int(stamps[-1] - stamps[0]) * 1e-9 if len(stamps) else 0.0
     if len(rows) < LEAST_SAMPLES or span < least_seconds:
@@ -67,14 +70,12 @@ def make_base(joints: Stream, where: str, *, least_seconds: float = 0.5) -> Base
 def resample(stream: Stream, quantity: str, base: Base) -> Resampled:
     """Bring one channel (M, w) of a stream in the order of time to the base.
 
-    Returns: finite everywhere where a column has any value at all, NaN elsewhere; `valid` is False
-    in gaps and outside the column's time, and does not heed columns without any value.
+    Columns with any value are finite everywhere, others NaN, of which `valid` takes no heed: it is
+    False in gaps and outside a column's time.
     """
     values = stream.channels[quantity]
-    if base.exact and len(stream) >= base.count:
-        taken = _taken(stream, values, base)
-        if taken is not None:
-            return taken
+    if base.exact and (taken := _taken(stream, values, base)):  # it looks at the count first
+        return taken
     seconds: Array = (stream.stamp_ns - base.start_ns).astype(np.float64) * 1e-9
     out = np.full((base.count, values.shape[1]), np.nan)
     valid = np.ones(base.count, np.bool_)
@@ -102,17 +103,6 @@ def overlap(stream: Stream, base: Base) -> float:
     return max(0.0, end - start) / length
 
 
-def _base_rows(joints: Stream) -> NDArray[np.intp]:
-    """Return the samples of the joint that has most, from where all joints have begun."""
-    present = np.isfinite(joints.channels["position"])
-    if not present.any(axis=0).all():
-        return np.zeros(0, np.intp)
-    first = present.argmax(axis=0).max()
-    last = len(present) - present[::-1].argmax(axis=0).max()
-    densest = present[first:last, present.sum(axis=0).argmax()]
-    return np.asarray(first + np.flatnonzero(densest))
-
-
 def _own_step(stamps: Stamps) -> tuple[float, float, tuple[tuple[float, float], ...]]:
     """Return the interval [s], its relative jitter, and the gaps."""
     steps = np.diff(stamps)
@@ -129,8 +119,8 @@ def _own_step(stamps: Stamps) -> tuple[float, float, tuple[tuple[float, float], 
 
 
 def _on_base(stamps: Stamps, step: float) -> bool:
-    ideal = np.arange(len(stamps)) * step
-    return bool(np.abs((stamps - stamps[0]) * 1e-9 - ideal).max() <= UNIFORM * step)
+    off = (stamps - stamps[0]) * 1e-9 - np.arange(len(stamps)) * step
+    return bool(np.abs(off).max() <= UNIFORM * step)
 
 
 def _taken(stream: Stream, values: Array, base: Base) -> Resampled | None:
@@ -140,10 +130,8 @@ def _taken(stream: Stream, values: Array, base: Base) -> Resampled | None:
     stamps, chosen = stream.stamp_ns[picked], values[picked]
     if len(stamps) < base.count or stamps[0] != base.start_ns or not _on_base(stamps, base.step_s):
         return None
-    empty = ~np.isfinite(values).any(axis=0)
-    if not (np.isfinite(chosen) | empty).all():
-        return None
-    return Resampled(np.array(chosen), np.ones(base.count, np.bool_))
+    sound = np.isfinite(chosen) | ~np.isfinite(values).any(axis=0)
+    return Resampled(np.array(chosen), np.ones(base.count, np.bool_)) if sound.all() else None
 
 
 def _interpolate(

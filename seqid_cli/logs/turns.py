@@ -11,21 +11,19 @@ TURN = 2.0 * np.pi
 
 
 def in_turns(stream: Stream, robot: Robot, *, slack: float = 0.05) -> tuple[Stream, dict[str, int]]:
-    """Let the positions of revolute joints run on where they wrap, within the joints' limits.
+    """Let revolute joints run on where they wrap, within their limits; tell how often each does.
 
     `slack`: share of a turn by which a step may differ from whole ones. A log that lies within the
-    limits (half a turn, where there are none) only with a turn more or less is moved by it.
-    Returns: the stream, the same one where nothing wraps; how often each joint wraps.
+    limits (half a turn, where there are none) only with a turn more or less is moved by it. The
+    same stream is returned where nothing wraps.
     """
     position = stream.channels["position"]
-    columns: list[Array] = []
-    found: dict[str, int] = {}
-    for joint, q in zip(robot.joints, position.T, strict=True):
-        run, times = (q, 0) if joint.prismatic else _unwrapped(q, slack)
-        columns.append(run if joint.prismatic else run + TURN * _turns_off(run, joint))
-        if times:
-            found[joint.name] = times
-    moved = np.column_stack(columns)
+    moved, found = position.copy(), dict[str, int]()
+    for j, joint in enumerate(robot.joints):
+        if not joint.prismatic:
+            run, times = _unwrapped(position[:, j], slack)
+            moved[:, j] = run + TURN * _turns_off(run, joint)
+            found |= {joint.name: times} if times else {}
     if np.array_equal(moved, position, equal_nan=True):
         return stream, found
     return replace(stream, channels={**stream.channels, "position": moved}), found
@@ -36,12 +34,12 @@ def _unwrapped(q: Array, slack: float) -> tuple[Array, int]:
     there = np.flatnonzero(np.isfinite(q))
     d = np.diff(q[there]) / TURN
     turns = np.where(np.abs(np.abs(d) - 1.0) < slack, np.sign(d), 0.0)
-    large = np.abs(d) > slack
-    if not 2 * np.count_nonzero(turns) > np.count_nonzero(large):
+    count = int(np.count_nonzero(turns))
+    if 2 * count <= np.count_nonzero(np.abs(d) > slack):
         return q, 0
     run = q.copy()
     run[there[1:]] -= TURN * np.cumsum(turns)
-    return run, int(np.count_nonzero(turns))
+    return run, count
 
 
 def _turns_off(q: Array, joint: Joint) -> int:
@@ -50,5 +48,4 @@ def _turns_off(q: Array, joint: Joint) -> int:
     least, most = np.nanmin(q, initial=np.inf), np.nanmax(q, initial=-np.inf)
     if least > most or (low <= least and most <= high):
         return 0
-    fits = [k for k in (-1, 1) if low <= least + TURN * k and most + TURN * k <= high]
-    return fits[0] if fits else 0
+    return next((k for k in (-1, 1) if low <= least + TURN * k and most + TURN * k <= high), 0)

@@ -30,8 +30,6 @@ _SAID: tuple[tuple[str, str], ...] = (
     (r"is left out: .* has no", "imu_missing_values"),
     (r"read as (ms|us|ns)$", ""),
 )
-
-
 # Holes that the reader lays between episodes [s].
 _EPISODES = re.compile(r"episodes .* are read as stretches with a gap of ([0-9.e+]+) s")
 
@@ -58,31 +56,27 @@ def clock_findings(
         text = f"the sample interval scatters by {percent(health.jitter, 0)} of its median"
         yield found("jitter", text + (f", with {len(health.gaps)} gaps" if health.gaps else ""))
     elif gaps := _gaps(data):
-        first, last = max(gaps, key=lambda gap: gap[1] - gap[0])
+        a, b = max(gaps, key=lambda gap: gap[1] - gap[0])
         lost = sum(end - start for start, end in gaps)
-        text = (
-            f"{len(gaps)} gaps, {lost:.3g} s in all, the longest from {first:.3f} to {last:.3f} s"
-        )
+        text = f"{len(gaps)} gaps, {lost:.3g} s in all, the longest from {a:.3f} to {b:.3f} s"
         yield found("clock_gap", text)
     delay = health.log_minus_header_s
     if delay is not None and not min_delay_s <= delay <= max_delay_s:
         yield found("header_clock", f"messages are logged {delay:.6g} s after their header stamp")
     names = (*data.robot.joint_names, *(imu.name for imu in data.robot.imus))
     for text in health.warnings:
-        code = next((code for form, code in _SAID if re.search(form, text)), "reader")
         subject, imu = text.partition(":")[0], re.search(r"IMU '([^']+)'", text)
         joint = imu[1] if imu else subject if subject in names else ""
-        if code:
-            yield found(code, text, joint=joint)
+        if code := next((code for form, code in _SAID if re.search(form, text)), "reader"):
+            yield found(code, text, joint)
 
 
 def _gaps(data: LogData) -> list[tuple[float, float]]:
     """Gaps without a row [s], but for the holes between episodes."""
-    steps = np.diff(data.t)
-    wide = np.flatnonzero(steps > gap_limit(steps)).tolist()
-    warnings = data.recording.health.warnings
-    holes = [float(m[1]) for m in map(_EPISODES.search, warnings) if m]  # to three digits
-    gaps = [(float(data.t[k]), float(data.t[k + 1])) for k in wide]
+    t, steps = data.t, np.diff(data.t)
+    said = map(_EPISODES.search, data.recording.health.warnings)
+    holes = [float(match[1]) for match in said if match]  # to three digits
+    gaps = t[np.flatnonzero(steps > gap_limit(steps))[:, None] + (0, 1)].tolist()
     return [(a, b) for a, b in gaps if all(abs(b - a - hole) > 0.01 * hole for hole in holes)]
 
 
@@ -97,9 +91,8 @@ def hole_findings(data: LogData) -> Iterator[InspectionFinding]:
                 continue
             steps, rows = np.diff(t[present]), np.diff(present)
             wide = (steps > gap_limit(steps)) & (rows > 2 * int(np.median(rows)))
-            count = np.count_nonzero(wide)
-            if count:
+            if count := np.count_nonzero(wide):
                 k = int(np.where(wide, steps, 0.0).argmax())
                 more = f" and {count - 1} more times" if count > 1 else ""
                 text = f"has no values from {t[present[k]]:.3f} to {t[present[k + 1]]:.3f} s{more}"
-                yield found("channel_hole", text, joint=name, channel=quantity)
+                yield found("channel_hole", text, name, quantity)

@@ -37,10 +37,9 @@ def breaks_of(robot: Robot, t: Array, position: Array) -> list[Break]:
         least = ALONE * _beyond_any_arm(float(np.median(np.diff(own_t))))
         if np.abs(np.diff(q, 2)).max() < least:  # no two changes differ by as much as a break makes
             continue
-        broken = _break(own_t, q, lattice(q))
-        if broken is not None:
-            finding = found(*broken[:2], joint=joint.name, channel="position")
-            breaks.append(Break(j, finding, rows[broken[2]]))
+        if broken := _break(own_t, q, lattice(q)):
+            code, text, wrong = broken
+            breaks.append(Break(j, found(code, text, joint.name, "position"), rows[wrong]))
     return breaks
 
 
@@ -67,14 +66,14 @@ def position_quality(
         declared = joint.encoder_resolution or step
         if step and np.ptp(q) > 20 * max(declared, step) and abs(step / declared - 1.0) > 0.1:
             text = f"its step is {step:.4g}, the robot file says {declared:.4g}"
-            yield found("encoder_resolution", text, joint=joint.name, channel="position")
+            yield found("encoder_resolution", text, joint.name, "position")
         if size > 1 and data.moves(j):
             text = f"the position repeats each value {size} times"
-            yield found("channel_held", text, joint=joint.name, channel="position")
+            yield found("channel_held", text, joint.name, "position")
         top, limit = top_speed(data, j), joint.velocity_limit
         if limit is not None and top > max_ratio * limit:
             text = f"reaches {top:.3g}, velocity_limit is {limit:.3g}"
-            yield found("speed_limit", text, joint=joint.name, channel="position")
+            yield found("speed_limit", text, joint.name, "position")
 
 
 def _unit(data: LogData, j: int, *, min_outside: float = 0.02) -> InspectionFinding | None:
@@ -96,9 +95,8 @@ def _unit(data: LogData, j: int, *, min_outside: float = 0.02) -> InspectionFind
     if within(1.0):
         return None
     text = f"runs from {least:.4g} to {most:.4g}, the limits are {low:.4g} to {high:.4g} {unit}"
-    choices = [("position_in_degrees", np.degrees(1.0))]
-    if joint.prismatic:
-        choices = [("position_in_mm", 1000.0)]
+    degrees, mm = ("position_in_degrees", np.degrees(1.0)), ("position_in_mm", 1000.0)
+    choices = [mm if joint.prismatic else degrees]
     if joint.gear_ratio is not None and abs(joint.gear_ratio) > 3.0:
         choices.append(("position_motor_side", joint.gear_ratio))
     if joint.encoder_resolution:  # how many times its declared step is the position's step?
@@ -108,8 +106,8 @@ def _unit(data: LogData, j: int, *, min_outside: float = 0.02) -> InspectionFind
     for code, factor in choices:
         fills = (most - least) / abs(factor) >= min_outside * span
         if beyond > span and fills and within(factor):
-            return found(code, text, joint=joint.name, channel="position")
-    return found("position_limits", text, joint=joint.name, channel="position")
+            return found(code, text, joint.name, "position")
+    return found("position_limits", text, joint.name, "position")
 
 
 def fast_in_degrees(data: LogData, *, max_speed: float = 20.0) -> Iterator[InspectionFinding]:
@@ -122,7 +120,7 @@ def fast_in_degrees(data: LogData, *, max_speed: float = 20.0) -> Iterator[Inspe
     if len(moving) >= 2 and float(np.median(speeds)) > max_speed:
         for j, speed in zip(moving, speeds, strict=True):
             text = f"moves at {speed:.3g} per second: it looks like degrees"
-            yield found("position_in_degrees", text, joint=robot.joints[j].name, channel="position")
+            yield found("position_in_degrees", text, robot.joints[j].name, "position")
 
 
 def top_speed(data: LogData, j: int) -> float:
@@ -130,8 +128,8 @@ def top_speed(data: LogData, j: int) -> float:
     half = max(1, round(0.05 * data.recording.rate_hz))
     if 2 * half + 1 >= len(data.recording.q):
         return 0.0
-    speed = np.abs(windowed_velocity(data.recording.q[:, j], data.recording.rate_hz, half))
-    return float(speed.max())
+    velocity = windowed_velocity(data.recording.q[:, j], data.recording.rate_hz, half)
+    return float(np.abs(velocity).max())
 
 
 def _break(t: Array, q: Array, step: float) -> tuple[str, str, Index] | None:
@@ -140,8 +138,7 @@ def _break(t: Array, q: Array, step: float) -> tuple[str, str, Index] | None:
     if usual <= 0.0:
         return None
     large = _least_jump(q, step, usual)
-    frozen = _frozen(t, q, large)
-    if frozen:
+    if frozen := _frozen(t, q, large):
         start, stop = frozen[0]
         text = (
             f"stands still {len(frozen)} times, first from {t[start]:.3f} s for "

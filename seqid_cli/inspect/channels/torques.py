@@ -25,7 +25,7 @@ def torque_findings(data: LogData) -> Iterator[InspectionFinding]:
     quantity, values = effort
     for j, joint in enumerate(data.robot.joints):
         for code, text in _of_channel(data, j, values[:, j], quantity):
-            yield found(code, text, joint=joint.name, channel=quantity)
+            yield found(code, text, joint.name, quantity)
     channels, joints = data.robot.channels, data.robot.joints
     drives = any(joint.torque_constant is not None for joint in joints)
     said = channels.effort == "torque" or channels.torque is not None
@@ -54,8 +54,7 @@ def _of_channel(
     elif stuck := _stuck(values, t, data.moving_samples(j)[present]):
         yield "torque_stuck", stuck
     else:
-        spikes = _spikes(values)
-        if len(spikes):
+        if len(spikes := _spikes(values)):
             text = f"is {values[spikes[0]]:.4g} for a moment at {t[spikes[0]]:.3f} s"
             more = f" and {len(spikes) - 1} more times" if len(spikes) > 1 else ""
             yield "torque_spikes", text + more
@@ -63,21 +62,16 @@ def _of_channel(
             yield "torque_saturated", f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
 
 
-def _spikes(
-    values: Array,
-    *,
-    min_ratio: float = 10.0,  # times what the usual samples differ from their neighbours
-    min_share: float = 1.0,  # of the span of the usual values
-    max_spikes: int = 16,
-) -> Index:
+def _spikes(values: Array, *, min_ratio: float = 10.0, min_share: float = 1.0) -> Index:
     """One sample or two far from both sides; what lasts longer may be a hard acceleration."""
+    max_spikes = 16
     if len(values) <= 4 * max_spikes:
         return np.zeros(0, dtype=np.intp)
     off = np.abs(values - median_filter(values, 5, mode="nearest"))
     usual = float(np.partition(off, len(off) - max_spikes)[-max_spikes - 1])
     span = float(np.ptp(np.quantile(values, (0.01, 0.99))))
-    found_at: Index = np.flatnonzero(off > max(min_ratio * usual, min_share * span))
-    return found_at if len(found_at) <= max_spikes else found_at[:0]
+    rows: Index = np.flatnonzero(off > max(min_ratio * usual, min_share * span))
+    return rows if len(rows) <= max_spikes else rows[:0]
 
 
 def torque_quality(
@@ -91,15 +85,14 @@ def torque_quality(
             continue
         present = np.isfinite(column)
         values, moving = column[present], data.moving_samples(j)[present]
-        size = held(values)
-        if size > 1:
+        if (size := held(values)) > 1:
             text = f"repeats each value {size} times"
-            yield found("channel_held", text, joint=name, channel=quantity)
+            yield found("channel_held", text, name, quantity)
         step, spread = lattice(values), float(values[moving].std()) if moving.any() else 0.0
         dithered = len(values) > 1 and np.mean(np.diff(values) != 0) > max_changing
         if step and spread and step > max_step * spread and not dithered:
             text = f"comes in steps of {step:.3g}, its spread is {spread:.3g}"
-            yield found("torque_quantised", text, joint=name, channel=quantity)
+            yield found("torque_quantised", text, name, quantity)
 
 
 def _stuck(
@@ -116,12 +109,10 @@ def _stuck(
 
 def echo_findings(data: LogData) -> Iterator[InspectionFinding]:
     """Find torques that echo a command; noise of a joint that stands makes travel, not motion."""
-    log = data.recording
-    if log.tau is None:
-        return
-    for j in echoes(data.robot, log.t, log.q, log.tau, log.valid):
+    log, tau = data.recording, data.recording.tau
+    for j in [] if tau is None else echoes(data.robot, log.t, log.q, tau, log.valid):
         if data.moves(j):
-            yield found("torque_echo", WARNING, joint=data.robot.joint_names[j])
+            yield found("torque_echo", WARNING, data.robot.joint_names[j])
 
 
 def sensor_findings(data: LogData, *, opposed: float = -0.5) -> Iterator[InspectionFinding]:
@@ -138,7 +129,7 @@ def sensor_findings(data: LogData, *, opposed: float = -0.5) -> Iterator[Inspect
             together = float(np.corrcoef(a, b)[0, 1]) if varied else 0.0
             if together < opposed:
                 text = f"runs against the motor's side: their correlation is {together:.2f}"
-                yield found("sensor_sign", text, joint=name, channel=channel)
+                yield found("sensor_sign", text, name, channel)
 
 
 def temperature_findings(data: LogData) -> Iterator[InspectionFinding]:
@@ -156,4 +147,4 @@ def temperature_findings(data: LogData) -> Iterator[InspectionFinding]:
         elif low < -40.0 or high > 200.0 or step > 20.0:
             text = f"runs from {low:.4g} to {high:.4g} degC, in steps of up to {step:.3g} K"
         if text:
-            yield found(code, text, joint=name, channel="temperature")
+            yield found(code, text, name, "temperature")

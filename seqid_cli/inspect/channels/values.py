@@ -55,8 +55,7 @@ def lattice(values: Array) -> float:
     step = float(encoder_step((values / scale)[:, None])[0]) * scale if scale else 0.0
     if not step:
         return 0.0
-    span = np.unique(values)
-    span = span - span[0]
+    span = np.unique(values) - values.min()
     # Steps are counted over ever larger spans, so that all digits of the step come out.
     for reach in np.geomspace(20.0, max(span[-1] / step, 20.0), 18) * step:
         near = span[span <= reach]
@@ -78,4 +77,4 @@ def missing(
     share = 1.0 - (len(present) - 1) * usual / float(present[-1] - present[0])
     if share > max_missing:
         text = f"{percent(share)} of the values are missing"
-        yield found("values_missing", text, joint=joint, channel=channel)
+        yield found("values_missing", text, joint, channel)

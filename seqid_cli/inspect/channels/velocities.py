@@ -9,7 +9,7 @@ from scipy.integrate import cumulative_trapezoid
 from seqid_cli.inspect.findings import found
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Array
+from seqid_cli.robot.types import Array, Joint
 from seqid_cli.shares import percent
 
 COUNTS = 10.0  # encoder steps of travel that make a window count
@@ -28,24 +28,19 @@ def velocity_findings(
     travel, integral = _windows(data, window_s)
     if not len(travel):
         return
-    counts = np.abs(travel) > COUNTS * data.step
-    moving = [
-        j for j, name in enumerate(names) if name not in broken and counts[:, j].sum() >= FEWEST
-    ]
+    counts = np.sum(np.abs(travel) > COUNTS * data.step, axis=0)
+    whole = [j for j, name in enumerate(names) if name not in broken]
+    moving = [j for j in whole if counts[j] >= FEWEST]
     sizes = [np.maximum(np.linalg.norm(x, axis=0), 1e-300) for x in (travel, integral)]
     r = (travel / sizes[0]).T @ (integral / sizes[1])  # correlations of positions with velocities
     gains, ratios = np.diag(r) * sizes[0] / sizes[1], sizes[1] / sizes[0]
     crossed = _crossed(r, moving)
     paired = {j for pair in crossed for j in pair}
     still = _still(data, travel, integral)
-    dead = [
-        j
-        for j, name in enumerate(names)
-        if still[j] >= FEWEST and j not in paired and name not in broken
-    ]
+    dead = [j for j in whole if still[j] >= FEWEST and j not in paired]
     for j in dead:
         text = f"stands still for {window_s * still[j]:.2g} s in which its velocity moves it"
-        yield found("position_stuck", text, joint=names[j], channel="position")
+        yield found("position_stuck", text, names[j], "position")
     live = [j for j in moving if j not in dead]
     clear = [gains[j] for j in live if abs(r[j, j]) > CORRELATED]
     for factor in (1e-3, 1e-6, 1e3, 1e6) if clear else ():  # by which all gains are off
@@ -55,17 +50,15 @@ def velocity_findings(
             return
     for a, b in crossed:
         text = f"the velocity of {names[a]} fits the position of {names[b]} and the other way round"
-        yield found("joints_swapped", text, joint=f"{names[a]}, {names[b]}", channel="velocity")
+        yield found("joints_swapped", text, f"{names[a]}, {names[b]}", "velocity")
     for j in live:
         if j not in paired:
-            yield from _verdict(data, j, float(gains[j]), float(r[j, j]), float(ratios[j]))
+            joint = data.robot.joints[j]
+            yield from _verdict(joint, float(gains[j]), float(r[j, j]), float(ratios[j]))
 
 
 def _still(data: LogData, travel: Array, integral: Array, *, min_share: float = 0.3) -> Array:
-    """Count the windows (n,) in which the velocity moves a joint and its position stands still.
-
-    `min_share`: of a window's usual travel, that the velocity's integral must be.
-    """
+    """Count the windows (n,) in which the velocity moves a joint and its position stands still."""
     size = np.abs(integral)
     fast = np.maximum(COUNTS * data.step, min_share * np.quantile(size, 0.9, axis=0))
     return np.asarray(np.sum((travel == 0.0) & (size > fast), axis=0))
@@ -93,8 +86,7 @@ def _windows(data: LogData, seconds: float) -> tuple[Array, Array]:
 
 
 def _verdict(
-    data: LogData,
-    j: int,
+    joint: Joint,
     gain: float,
     correlation: float,
     ratio: float,
@@ -103,10 +95,9 @@ def _verdict(
     min_gain: float = 0.8,
     max_gain: float = 1.25,
 ) -> Iterator[InspectionFinding]:
-    joint = data.robot.joints[j]
     if ratio < max_empty and abs(correlation) < CORRELATED:
         text = f"integrates to {percent(ratio)} of the position's travel"
-        yield found("velocity_zero", text, joint=joint.name, channel="velocity")
+        yield found("velocity_zero", text, joint.name, "velocity")
         return
     degrees = np.degrees(1.0)
     codes = {"position_in_degrees": degrees, "velocity_in_degrees": 1.0 / degrees}
@@ -116,8 +107,8 @@ def _verdict(
     for code, factor in {**codes, "velocity_sign": -1.0}.items():
         near = NEAR if factor > 0.0 else 0.2
         if abs(correlation) > CORRELATED and abs(gain / factor - 1.0) < near:
-            yield found(code, text, joint=joint.name, channel=code.partition("_")[0])
+            yield found(code, text, joint.name, code.partition("_")[0])
             return
     if not min_gain < gain < max_gain or correlation < CORRELATED:
         text += f", correlation {correlation:.2f}"
-        yield found("velocity_inconsistent", text, joint=joint.name, channel="velocity")
+        yield found("velocity_inconsistent", text, joint.name, "velocity")

@@ -53,10 +53,7 @@ class Cause:
 
 
 def causes_of(data: LogData, sample: Sample, *, units: bool = False) -> Iterator[Cause]:
-    """Yield the common faults of axes, zeros, signs, angles and the order of joints.
-
-    `units`: also that the effort is the other quantity, where the drives' data are given.
-    """
+    """Yield common faults of axes, zeros, signs, angles, order; of `units` of effort as well."""
     joints, every = sample.robot.joints, np.arange(sample.robot.n)
 
     def at(own: Sequence[int], value: float, usual: float = 1.0) -> Array:

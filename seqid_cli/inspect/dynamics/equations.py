@@ -1,10 +1,9 @@
 """The robot's equations against the log: axes, zeros, order of joints, and the size of torque.
 
-Two comparisons. The structural one needs no inertial parameters: all joints share one set of base
-parameters (gravity and inertia), so a joint whose axis, zero or place is another one spoils the
-fit, and mending it restores the fit. The nominal one needs a URDF with inertials: the measured
-torque is split into s times its gravity torque, inertia and friction; s is near one where torque
-is torque.
+The structural comparison needs no inertial parameters: all joints share one set of base parameters,
+so a joint whose axis, zero or place is another one spoils the fit, and mending it restores the fit.
+The nominal one needs a URDF with inertials: the measured torque is split into s times its gravity
+torque, inertia and friction; s is near one where torque is torque.
 """
 
 import re
@@ -28,29 +27,26 @@ BETTER = 0.8  # of another cause's error: less of a difference decides nothing
 HEAVY = 1e-3  # N m
 # How a finding of the mounting reads where one direction alone fits.
 GRAVITY = re.compile(r"gravity acts along (\[[^\]]*\]);")
-
-
 Measure = Callable[[Sample], float]
 
 
 def geometry_findings(
     data: LogData, sample: Sample, friction: list[InspectionFinding]
 ) -> list[InspectionFinding]:
-    """Compare a log with the robot's equations.
+    """Compare a log with the robot's equations, besides what `friction` shows.
 
-    `sample`: its filtered motion and torque. `friction`: what its friction shows. Another cause
-    that mends the equations explains that as well: a zero that is off leaves gravity in the torque,
-    which may look like friction of any sign. Returns: one cause, or those of `friction`, or what
-    the robot's weight says.
+    Another cause that mends the equations explains that as well: a zero that is off leaves gravity
+    in the torque, which may look like friction of any sign.
     """
     if not data.modelled or not sample.moving:
         return friction
     structural = [*_structural(data, sample)]
     if friction:
-        known = {(f.code, frozenset(f.joint.split(", "))) for f in friction}
         mends = [f for f in structural if f.code != "model_mismatch"]
-        agrees = any((f.code, frozenset(f.joint.split(", "))) in known for f in mends)
-        return friction if agrees or not mends else mends
+        known, told = (
+            {(f.code, *sorted(f.joint.split(", "))) for f in x} for x in (friction, mends)
+        )
+        return friction if known & told or not mends else mends
     return structural or [*_scale(data, sample.thinned())]
 
 
@@ -62,12 +58,12 @@ def _structural(
     poor: float = 0.6,
     min_steps: float = 10.0,
 ) -> Iterator[InspectionFinding]:
-    thin, moving = sample.thinned(), list(sample.moving)
+    thin = sample.thinned()
     error = _structural_error(thin)
     if error < suspicious:
         return
     mended = _mending(thin, error, _structural_error, [*causes_of(data, thin, units=True)])
-    seen = (sample.rms_speeds > min_steps * data.step)[moving].all()
+    seen = (sample.rms_speeds > min_steps * data.step)[list(sample.moving)].all()
     if mended is not None:
         yield mended
     elif error > poor and seen:
@@ -127,8 +123,7 @@ def _found(robot: Robot, alike: Sequence[Cause], fall: str) -> InspectionFinding
         if set(other.joints) != set(cause.joints)
     ]
     text = f"{cause.text}; {fall}" + (f" (as well with {'; or '.join(others)})" if others else "")
-    joint = ", ".join(names[j] for j in cause.joints)
-    return found(cause.code, text, joint=joint, channel=cause.channel)
+    return found(cause.code, text, ", ".join(names[j] for j in cause.joints), cause.channel)
 
 
 def _slanted(
@@ -174,8 +169,7 @@ def _structural_error(sample: Sample, *, min_speed: float = 0.2) -> float:
     sliding = np.abs(sample.dq) > min_speed * sample.rms_speeds
     sliding &= np.isin(np.arange(n), sample.moving)
     squares = np.where(sliding, tau, 0.0) ** 2
-    size = np.sqrt(squares.sum(axis=0) / np.maximum(sliding.sum(axis=0), 1))
-    size = np.maximum(size, 1e-12)
+    size = np.sqrt(squares.sum(axis=0) / np.maximum(sliding.sum(axis=0), 1)).clip(1e-12)
     *_, left = scaled_fit((X / size[:, None])[sliding], (tau / size)[sliding])
     return float(np.sqrt(np.mean(left**2)))
 
@@ -244,16 +238,15 @@ def _scale(
     for j, ratio, error in _weights(sample):
         low, high = ratio - sigmas * error, ratio + sigmas * error
         if high < small or max(low, -high) > large:
-            off.append((j, ratio, error, low, high))
+            off.append((j, ratio, error, high))
     if not off:
         return
     causes = [*causes_of(data, sample)]
-    mended = _mending(sample, _nominal_error(sample), _nominal_error, causes)
-    if mended is not None:
+    if mended := _mending(sample, _nominal_error(sample), _nominal_error, causes):
         yield mended
         return
     quantity, _ = data.effort() or ("torque", None)
-    for j, ratio, error, _, high in off:
+    for j, ratio, error, high in off:
         joint = data.robot.joints[j]
         text = f"the torque is {ratio:.3g} +- {error:.1g} of the expected gravity torque"
         factor = abs(joint.torque_per_ampere or 0.0)
@@ -267,4 +260,4 @@ def _scale(
             code = "effort_is_torque"
         elif quantity == "torque" and 0.4 < abs(ratio) * factor < 2.5:
             code = "effort_is_current"
-        yield found(code, text, joint=joint.name, channel=quantity)
+        yield found(code, text, joint.name, quantity)

@@ -108,9 +108,8 @@ def sample_of(
     moving = tuple(j for j in np.flatnonzero(driven(q) & both_ways).tolist() if data.moves(j))
     speeds = np.maximum(np.sqrt(np.mean(dq**2, axis=0)), 1e-12)
     direction = motion.filtered(np.tanh(motion.dq / (slow * speeds)), 2)[rows]
-    memory = max(1.0, memory_s / spacing)
     basis = base_parameters(data.robot, rotor=()) if data.modelled and moving else None
-    ddq, tau = motion.ddq[rows], motion.tau[rows]
+    ddq, tau, memory = motion.ddq[rows], motion.tau[rows], max(1.0, memory_s / spacing)
     return Sample(data.robot, q, dq, ddq, tau, direction, memory, moving, basis)
 
 
@@ -124,20 +123,17 @@ def friction_findings(
     swapped = _exchanged(friction, errors, spread, sample.moving)
     for a, b in swapped:
         text = f"the torque of {names[a]} is friction of {names[b]}, not of its own motion"
-        yield found("joints_swapped", text, joint=f"{names[a]}, {names[b]}", channel="torque")
+        yield found("joints_swapped", text, f"{names[a]}, {names[b]}", "torque")
     for j in sample.moving:
-        if any(j in pair for pair in swapped):
-            continue
-        if not data.modelled and unexplained[j] > max_unexplained:
-            continue  # gravity of the other links could pass for anything
+        unknown = not data.modelled and unexplained[j] > max_unexplained
+        if unknown or any(j in pair for pair in swapped):
+            continue  # gravity of unknown links could pass for anything
         value, error = friction[j, j], errors[j, j]
         if value < -SIGMAS * error and value < -SHARE * spread[j]:
             unit = data.robot.joints[j].unit
-            text = (
-                f"its friction is {value:.3g} +- {error:.2g} {unit('N m')} at "
-                f"{sample.rms_speeds[j]:.3g} {unit('rad/s')}: the joint would gain energy"
-            )
-            yield found("sign_mismatch", text, joint=names[j], channel="torque")
+            text = f"its friction is {value:.3g} +- {error:.2g} {unit('N m')} at "
+            text += f"{sample.rms_speeds[j]:.3g} {unit('rad/s')}: the joint would gain energy"
+            yield found("sign_mismatch", text, names[j], "torque")
 
 
 def scaled_fit(X: Array, y: Array, *, rcond: float = 1e-8) -> tuple[Array, Array, Array]:
@@ -149,10 +145,7 @@ def scaled_fit(X: Array, y: Array, *, rcond: float = 1e-8) -> tuple[Array, Array
 
 
 def _friction(sample: Sample, gravity: Array, j: int) -> tuple[Array, Array, float, float]:
-    """Friction of every moving joint (n,) in a torque, errors, the torque's spread, what is left.
-
-    The joint's own is at its RMS speed; NaN where there is none to be told.
-    """
+    """Friction of every moving joint (n,) in a torque or NaN, errors, its spread, what is left."""
     tau, moving = sample.tau[:, j], list(sample.moving)
     spread, (friction, errors) = float(tau.std()), np.full((2, sample.robot.n), np.nan)
     if spread == 0.0 or not moving:
@@ -175,18 +168,14 @@ def memory_of(residual: Array) -> float:
     """Count the samples of a residual (M,) that say as much as one: by its autocorrelation."""
     x = residual - residual.mean()
     r = correlate(x, x, method="fft")[len(x) - 1 :]
-    below = np.flatnonzero(r <= 0.0)
-    last = int(below[0]) if len(below) else len(r)
+    last = next(iter(np.flatnonzero(r <= 0.0)), len(r))
     return float(1.0 + 2.0 * r[1:last].sum() / max(r[0], 1e-300))
 
 
 def _exchanged(
     friction: Array, errors: Array, spread: Array, moving: tuple[int, ...], *, max_own: float = 0.25
 ) -> list[tuple[int, int]]:
-    """Pairs of joints whose torques show each other's friction but not their own.
-
-    `friction`, `errors` (n, n): in the torque of each joint by the motion of each.
-    """
+    """Pairs of joints whose torques show each other's friction (n, n) but not their own."""
     own, own_error = np.abs(np.diag(friction)), 2.0 * np.diag(errors)
     least = np.maximum(np.maximum(SIGMAS * errors, SHARE * spread[:, None]), own_error)
     alien = (friction > least) & (own < np.maximum(max_own * friction, own_error))

@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from seqid_cli.motion.motion import Motion
 from seqid_cli.robot.kinematics import link_motion
-from seqid_cli.robot.types import Array, Robot
+from seqid_cli.robot.types import Imu, Robot
+from seqid_cli.typing import Array, Index
 
 SIGMAS = 4.0
 FOLLOWS = 0.5  # of the variance: an IMU that leaves more does not follow its link
@@ -17,6 +17,8 @@ FOLLOWS = 0.5  # of the variance: an IMU that leaves more does not follow its li
 class LinkFit:
     """How an IMU's readings follow a link: share of variance left, delay [s] and its error."""
 
+    imu: Imu
+    gyro: bool
     left: float
     delay: float
     delay_error: float
@@ -31,9 +33,9 @@ class ShiftScan:
 
     features: Array  # (N, p)
     readings: Array  # (N, K) through the motion's filter
-    rows: NDArray[np.intp]  # that count
+    rows: Index  # that count
     total: float  # mean square of their readings without the mean, all channels
-    shifts: NDArray[np.intp]
+    shifts: Index
     left: Array  # mean square that each shift leaves
 
     @property
@@ -54,31 +56,24 @@ def scan(
 ) -> ShiftScan | None:
     """Compare readings (N, K) with the motion of a link; None where it rests."""
     features = _features(robot, motion, link, gyro=gyro)
-    reach = max(1, round(max_shift_s * motion.rate_hz))
-    shifts = np.unique(np.rint(np.linspace(-reach, reach, grid)).astype(np.intp))
     if features is None:
         return None
+    reach = max(1, round(max_shift_s * motion.rate_hz))
+    shifts = np.unique(np.rint(np.linspace(-reach, reach, grid)).astype(np.intp))
     return _shifted(motion, features, motion.lowpass(values, motion.valid), shifts)
 
 
 def _shifted(
-    motion: Motion,
-    features: Array,
-    readings: Array,
-    shifts: NDArray[np.intp],
-    *,
-    max_rows: int = 4000,
-    min_rows: int = 200,
-    coarse: int = 4,
+    motion: Motion, features: Array, readings: Array, shifts: Index, *, min_rows: int = 200
 ) -> ShiftScan | None:
-    """What features leave of readings at each shift, by every `coarse`-th of the rows."""
+    """What features leave of readings at each shift, by every fourth of some 4000 rows."""
     rows = np.flatnonzero(motion.usable)
     rows = rows[(rows >= shifts[-1]) & (rows < len(readings) - shifts[-1])]
-    rows = rows[:: max(1, len(rows) // max_rows)]
+    rows = rows[:: max(1, len(rows) // 4000)]
     total = float(np.sum(np.var(readings[rows], axis=0))) if len(rows) >= min_rows else 0.0
     if total == 0.0 or not np.isfinite(total):
         return None
-    few = rows[::coarse]
+    few = rows[::4]
     left = [np.sum(_left(features[few - s], readings[few])[0] ** 2, axis=1).mean() for s in shifts]
     return ShiftScan(features, readings, rows, total, shifts, np.array(left))
 
@@ -87,7 +82,7 @@ def fit_link(
     robot: Robot,
     motion: Motion,
     values: Array,
-    link: int,
+    imu: Imu,
     *,
     gyro: bool,
     wide: float = 0.2,
@@ -95,7 +90,7 @@ def fit_link(
     step_s: float = 0.01,
 ) -> LinkFit | None:
     """Fit readings (N, K) to the motion of a link at the shift that is best; None if it rests."""
-    tried = scan(robot, motion, values, link, gyro=gyro)
+    tried = scan(robot, motion, values, imu.after_joint, gyro=gyro)
     if tried is None:
         return None
     if tried.share > wide or int(tried.left.argmin()) in (0, len(tried.left) - 1):
@@ -106,11 +101,11 @@ def fit_link(
         far = _shifted(motion, tried.features, tried.readings, shifts)
         if far is not None and (tried.share > FOLLOWS or far.share < 0.5 * tried.share):
             tried = far
-    return _fine(motion, tried)
+    return _fine(imu, gyro, motion, tried)
 
 
 def _fine(
-    motion: Motion, scan: ShiftScan, *, rounds: int = 3, blocks: int = 8, memory_s: float = 0.1
+    imu: Imu, gyro: bool, motion: Motion, scan: ShiftScan, *, blocks: int = 8, memory_s: float = 0.1
 ) -> LinkFit:
     """Fit at the shift that is best to a fraction of a sample, by Gauss and Newton."""
     # The delay's error is the larger of what white noise leads to and of how it moves when one of
@@ -118,7 +113,7 @@ def _fine(
     rows, y = scan.rows, scan.readings[scan.rows]
     low, high = scan.shifts[[0, -1]]
     shift, slopes = float(scan.shifts[scan.left.argmin()]), np.gradient(scan.features, axis=0)
-    for _ in range(rounds):
+    for _ in range(3):
         at = rows - round(shift)
         X = scan.features[at] + (round(shift) - shift) * slopes[at]
         left, fitted = _left(X, y)
@@ -137,15 +132,16 @@ def _fine(
     X = X - X.mean(axis=0)
     gain = float(np.linalg.norm(X @ fitted.T) / max(float(np.linalg.norm(X)), 1e-12))
     share, rate = square * y.shape[1] / scan.total, motion.rate_hz
-    return LinkFit(share, shift / rate, error / rate, fitted, _map_error(X, square, memory), gain)
+    map_error = _map_error(X, square * memory)
+    return LinkFit(imu, gyro, share, shift / rate, error / rate, fitted, map_error, gain)
 
 
-def _map_error(X: Array, variance: float, memory: float) -> float:
+def _map_error(X: Array, variance: float) -> float:
     """Largest standard error of a map's first three columns, of features (N, p) without mean."""
     scale = np.maximum(X.std(axis=0), 1e-9)
     _, s, Vt = np.linalg.svd(X / scale, full_matrices=False)
     inverse = Vt.T / np.maximum(s, 1e-9 * s[0])  # large where the motion does not show a direction
-    spread = np.sqrt(variance * max(memory, 1.0) * np.sum(inverse**2, axis=1)) / scale
+    spread = np.sqrt(variance * np.sum(inverse**2, axis=1)) / scale
     return float(spread[:3].max())
 
 

@@ -7,7 +7,7 @@ linear function is fitted to each channel for a range of time shifts.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -16,40 +16,28 @@ from seqid_cli.inspect.imu.link_fit import FOLLOWS, SIGMAS, LinkFit, fit_link, s
 from seqid_cli.inspect.imu.readings import odd_channel
 from seqid_cli.inspect.material import LogData
 from seqid_cli.params.results.inspection import InspectionFinding
-from seqid_cli.robot.types import Imu
 from seqid_cli.shares import percent
 
 TELLS = 0.1  # of the variance, that may be left where a map is to tell axes
 MAPPED = 0.03  # standard error of the map that tells axes
 
 
-@dataclass(frozen=True)
-class Following:
-    """The fit of one IMU's readings to the motion of its link."""
-
-    imu: Imu
-    fit: LinkFit
-    gyro: bool
-
-
-def follow(data: LogData) -> list[Following]:
+def follow(data: LogData) -> list[LinkFit]:
     """Fit every IMU of a log to the motion of its link; empty where nothing turns."""
     sources = (data.recording.accelerometers, data.recording.gyros)
     if not data.modelled or not any(sources) or data.motion is None:
         return []
     result = []
     for imu in data.robot.imus:
-        for gyro, source in enumerate(sources):
-            values = source.get(imu.name)
-            if values is not None:
-                fit = fit_link(data.robot, data.motion, values, imu.after_joint, gyro=bool(gyro))
-                result += [] if fit is None else [Following(imu, fit, bool(gyro))]
-    return result
+        for gyro, source in zip((False, True), sources, strict=True):
+            if (values := source.get(imu.name)) is not None:
+                result.append(fit_link(data.robot, data.motion, values, imu, gyro=gyro))
+    return [fit for fit in result if fit is not None]
 
 
 def motion_findings(
     data: LogData,
-    following: list[Following],
+    following: list[LinkFit],
     *,
     min_delay_s: float = 0.005,
     min_delay_samples: float = 2.0,
@@ -57,24 +45,20 @@ def motion_findings(
     """Judge how the IMUs follow the encoders."""
     for item in following:
         name = item.imu.name
-        better, left = _better(data, item), item.fit.left
-        if better is not None:
+        if better := _better(data, item):
             yield better
             continue
-        if left > FOLLOWS:
-            text = f"the motion of its link leaves {percent(left, 0)} of its variance unexplained"
-            yield found("imu_not_moving", text, joint=name)
+        if item.left > FOLLOWS:
+            left = percent(item.left, 0)
+            text = f"the motion of its link leaves {left} of its variance unexplained"
+            yield found("imu_not_moving", text, name)
             continue
-        least = max(min_delay_s, min_delay_samples / data.recording.rate_hz)
-        delay = item.fit.delay
-        error = float(np.hypot(item.fit.delay_error, _resolution_s(data, item.imu.after_joint)))
+        least, delay = max(min_delay_s, min_delay_samples / data.recording.rate_hz), item.delay
+        error = float(np.hypot(item.delay_error, _resolution_s(data, item.imu.after_joint)))
         if abs(delay) > least and abs(delay) > SIGMAS * error:
             text = f"its readings are {1e3 * delay:.1f} +- {1e3 * error:.1g} ms behind the encoders"
-            yield found("imu_delay", text, joint=name)
-        if item.gyro:
-            yield from _gyro(item)
-        else:
-            yield from _axes(data, item)
+            yield found("imu_delay", text, name)
+        yield from _gyro(item) if item.gyro else _axes(data, item)
 
 
 def _resolution_s(data: LogData, link: int) -> float:
@@ -84,62 +68,58 @@ def _resolution_s(data: LogData, link: int) -> float:
     dq, moving = data.motion.dq, data.motion.moving
     there = [j for j in range(link + 1) if moving[:, j].any()]
     speeds = [float(np.sqrt(np.mean(dq[moving[:, j], j] ** 2))) / data.step[j] for j in there]
-    uniform = 1.0 / np.sqrt(12.0)  # standard deviation of an error within one step
-    return float(uniform / max([*speeds, 1e-9]))
+    return float(1.0 / np.sqrt(12.0) / max([*speeds, 1e-9]))  # the error is even within one step
 
 
 def _better(
-    data: LogData, item: Following, *, max_ratio: float = 0.25, min_left: float = 0.01
+    data: LogData, item: LinkFit, *, max_ratio: float = 0.25, min_left: float = 0.01
 ) -> InspectionFinding | None:
     """Find another link, or a joint reversed, that the IMU follows far better than its own link."""
     motion, robot = data.motion, data.robot
-    if item.fit.left < min_left or motion is None:
+    if item.left < min_left or motion is None:
         return None
     name, own = item.imu.name, item.imu.after_joint
     values = (data.recording.gyros if item.gyro else data.recording.accelerometers)[name]
     names = robot.joint_names
     tried = [(-1, k) for k in range(robot.n) if k != own]  # the joint that is reversed, the link
     tried += [(j, own) for j in range(own + 1) if data.moves(j)]
-    found_best = (max_ratio * item.fit.left, -1, own)
+    best = (max_ratio * item.left, -1, own)
     for joint, link in tried:
         sign = np.where(np.arange(robot.n) == joint, -1.0, 1.0)
         moved = replace(motion, q=motion.q * sign, dq=motion.dq * sign, ddq=motion.ddq * sign)
-        scanned = scan(robot, moved, values, link, gyro=item.gyro)
-        if scanned is not None:
-            found_best = min(found_best, (scanned.share, joint, link))
-    share, joint, link = found_best
-    text = f"{percent(share)} of its variance is left against {percent(item.fit.left, 0)}"
+        if scanned := scan(robot, moved, values, link, gyro=item.gyro):
+            best = min(best, (scanned.share, joint, link))
+    share, joint, link = best
+    text = f"{percent(share)} of its variance is left against {percent(item.left, 0)}"
     if joint >= 0:
         text = f"by IMU {name} it turns the other way round: {text}"
-        return found("axis_flipped", text, joint=names[joint], channel="position")
-    if link == own:
-        return None
+        return found("axis_flipped", text, names[joint], "position")
     text = f"follows the link after {names[link]}, not the one after {names[own]}: {text}"
-    return found("imu_wrong_link", text, joint=name)
+    return None if link == own else found("imu_wrong_link", text, name)
 
 
-def _gyro(item: Following) -> Iterator[InspectionFinding]:
-    size, name = item.fit.gain, item.imu.name
+def _gyro(item: LinkFit) -> Iterator[InspectionFinding]:
+    size, name = item.gain, item.imu.name
     text = f"reads {size:.3g} times the link's angular velocity"
-    if item.fit.left > TELLS:
+    if item.left > TELLS:
         return
     if abs(size / np.degrees(1.0) - 1.0) < 0.2:
-        yield found("gyro_in_degrees", text, joint=name)
-    elif item.fit.map_error < MAPPED and np.linalg.det(item.fit.map) < 0.0:
+        yield found("gyro_in_degrees", text, name)
+    elif item.map_error < MAPPED and np.linalg.det(item.map) < 0.0:
         text = "its gyro fits the link's motion as a mirror image only"
-        yield found("imu_left_handed", text, joint=name, channel=f"{name}.g")
+        yield found("imu_left_handed", text, name, f"{name}.g")
     elif abs(size - 1.0) > 0.15:
-        yield found("gyro_scale", text, joint=name)
+        yield found("gyro_scale", text, name)
 
 
 def _axes(
-    data: LogData, item: Following, *, max_scale_error: float = 0.05
+    data: LogData, item: LinkFit, *, max_scale_error: float = 0.05
 ) -> Iterator[InspectionFinding]:
     """Judge the axes by the map of specific force, which must be a rotation behind the axes."""
-    force, imu = item.fit.map[:, :3], item.imu
+    force, imu = item.map[:, :3], item.imu
     size = float(np.linalg.svd(force, compute_uv=False)[0])
     other_unit = not 0.5 < size / np.sqrt(max(len(imu.axes) / 3.0, 1.0)) < 2.0
-    if item.fit.map_error > MAPPED or item.fit.left > TELLS or other_unit:
+    if item.map_error > MAPPED or item.left > TELLS or other_unit:
         return
     gravity = float(np.linalg.norm(data.robot.gravity)) or 9.81
     if odd := odd_channel(imu, gravity * force.T, gravity):
@@ -150,7 +130,7 @@ def _axes(
     scale, evenness = float(np.mean(sizes)), sizes[2] / sizes[0]
     if np.linalg.det(turned) < 0.0 and evenness > 0.7:
         text = "its accelerometers fit the link's motion as a mirror image only"
-        yield found("imu_left_handed", text, joint=imu.name)
+        yield found("imu_left_handed", text, imu.name)
     elif abs(scale - 1.0) > max_scale_error and evenness > 0.9:
         text = f"reads {scale:.3g} times the link's specific force"
-        yield found("imu_gravity", text, joint=imu.name)
+        yield found("imu_gravity", text, imu.name)

@@ -18,7 +18,6 @@ from seqid_cli.shares import percent
 
 STANDARD_GRAVITY = 9.80665
 WRONG = 0.05  # of gravity
-AXES = "xyz"
 
 
 def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
@@ -28,7 +27,7 @@ def layout_findings(robot: Robot) -> Iterator[InspectionFinding]:
         triad = count == 3 and not imu.positions.any()
         if not (imu.gyro or triad or layout(imu).acceleration):
             text = f"its {count} accelerometers do not determine the angular acceleration"
-            yield found("imu_layout", text, joint=imu.name)
+            yield found("imu_layout", text, imu.name)
 
 
 def imu_findings(data: LogData, *, max_bias: float = 0.1) -> Iterator[InspectionFinding]:
@@ -46,14 +45,12 @@ def imu_findings(data: LogData, *, max_bias: float = 0.1) -> Iterator[Inspection
         if np.linalg.norm(bias) > max_bias:
             channel = channel_name(imu, GYRO, int(np.abs(bias).argmax()))
             text = f"reads {np.linalg.norm(bias):.3g} rad/s at rest"
-            yield found("gyro_bias", text, joint=imu.name, channel=channel)
+            yield found("gyro_bias", text, imu.name, channel)
 
 
 def channel_name(imu: Imu, quantity: str, k: int) -> str:
     """Name a channel as Parquet logs do: a1, a2, ... (ax, ay, az of a triad), gx, gy, gz."""
-    if quantity == GYRO:
-        return f"{imu.name}.g{AXES[k % 3]}"
-    return f"{imu.name}.a{k + 1}"
+    return f"{imu.name}.g{'xyz'[k % 3]}" if quantity == GYRO else f"{imu.name}.a{k + 1}"
 
 
 def _channels(
@@ -73,10 +70,10 @@ def _channels(
                 lost = [*missing(values[:, k - first[quantity]], imu.name, name)]
                 yield from lost
                 if text := "" if lost else _stuck(present, least, seconds, others=others):
-                    yield found("imu_stuck", text, joint=imu.name, channel=name)
+                    yield found("imu_stuck", text, imu.name, name)
                 elif limit := None if lost else clipped(present):
                     text = f"is at {limit[0]:.4g} in {percent(limit[1])} of the samples"
-                    yield found("imu_saturated", text, joint=imu.name, channel=name)
+                    yield found("imu_saturated", text, imu.name, name)
             first[quantity] += values.shape[1]
 
 
@@ -108,30 +105,25 @@ def _force(data: LogData, imu: Imu, values: Array, *, at_rest: bool) -> Iterator
     """Check the size of the specific force, and at rest what the channels say of gravity."""
     rows = values[data.recording.valid & np.isfinite(values).all(axis=1)]
     size = force_of(imu, rows) if len(rows) else 0.0
-    unit = next((u for u, g in (("g", 1.0), ("mg", 1e3)) if 0.8 * g < size < 1.2 * g), "")
-    if unit:
+    if unit := next((u for u, g in (("g", 1.0), ("mg", 1e3)) if 0.8 * g < size < 1.2 * g), ""):
         text = f"reads {size:.3g} in the median: it looks like {unit}, m/s^2 are expected"
-        yield found("imu_in_g", text, joint=imu.name)
+        yield found("imu_in_g", text, imu.name)
         return
     gravity = float(np.linalg.norm(data.robot.gravity))
-    rest = rest_rows(data, values)
-    if not at_rest or not len(rest):
+    if not at_rest or not len(rest := rest_rows(data, values)):
         return
     norm, odd = force_of(imu, rest), odd_channel(imu, rest, gravity)
     if odd is not None:
         yield odd
     elif abs(norm / gravity - 1.0) > WRONG:
         text = f"reads {norm:.4g} m/s^2 at rest, gravity is {gravity:.4g}"
-        yield found("imu_gravity", text, joint=imu.name)
+        yield found("imu_gravity", text, imu.name)
 
 
 def odd_channel(
     imu: Imu, rest: Array, gravity: float, *, max_left: float = 0.1
 ) -> InspectionFinding | None:
-    """Find the one change with which the accelerometers of an array agree on gravity (Eq. 29).
-
-    `rest` (R, K): readings [m/s^2] to specific force alone. `gravity`: its size [m/s^2].
-    """
+    """Find the one change with which readings (R, K) m/s^2 at rest agree on gravity (Eq. 29)."""
     every = np.arange(rest.shape[1])
     error = _disagreement(rest, imu.axes)
     if len(every) <= 3 or np.sqrt(error) < WRONG * gravity:
@@ -154,7 +146,7 @@ def odd_channel(
             names = ", ".join(channel_name(imu, ACCELEROMETERS, k) for k in channels)
             text = f"the accelerometers disagree on gravity by {np.sqrt(error):.3g} m/s^2, "
             text += f"{np.sqrt(left):.3g} once this is mended"
-            return found(code, text, joint=imu.name, channel=names)
+            return found(code, text, imu.name, names)
     return None
 
 

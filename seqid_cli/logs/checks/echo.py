@@ -1,17 +1,15 @@
 """Whether a log's torque is measured, or an echo of the command while something else moves the arm.
 
 Under gravity compensation, or with a constant command, an arm that a hand or its own weight moves
-shows a torque that follows position alone. A drive's current that moves a joint also overcomes its
-friction and accelerates it. Where a joint moves both ways, the torque of a log is therefore
-compared with
+shows a torque that follows position alone. Where a joint moves both ways, the torque is compared
+with
 
     tau = G(q) phi + sum_k c_k T_k(q_j) + F_c tanh(v / v_s) + F_v v + sum_i J_i dv_i/dt,
 
 gravity of the whole arm, a smooth function of the joint's own position, its friction, and the
 accelerations of all joints. It is an echo if the first two explain it and the others have no part,
 neither in the torque nor in what the first two leave of it, but for a damping F_v < 0, which no
-friction has but a controller may. A joint that is only held is passed over: while others shake it,
-its torque follows its position by its controller's law.
+friction has but a controller may. A joint that is only held is passed over; see `driven`.
 """
 
 import numpy as np
@@ -22,7 +20,6 @@ from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 RCOND = 1e-8
-
 WARNING = (
     "the torque follows the position alone, though the joint moves both ways: it has no friction "
     "and no inertia in it and looks like an echo of the command while a hand, or gravity, moves "
@@ -34,32 +31,19 @@ REMEDY = (
 )
 
 
-def echoes(
-    robot: Robot,
-    t: Array,
-    q: Array,
-    tau: Array,
-    valid: Mask,
-    *,
-    window_s: float = 0.02,
-    fewest: int = 50,
-    travel: float = 0.1,
-    slow: float = 0.05,
-    most_windows: int = 4000,
-    memory_s: float = 0.5,
-) -> list[int]:
-    """Return the joints whose torque follows position alone.
+def echoes(robot: Robot, t: Array, q: Array, tau: Array, valid: Mask) -> list[int]:
+    """Return the joints whose torque follows position alone, of the samples `valid`.
 
-    `t`, `q`, `tau` (N,) (N, n) (N, n): s, rad (m), N m (N). `valid` (N,): samples to look at.
-    `window_s`: over which samples are averaged. `fewest`, `travel`: windows and rad (m) that a
-    joint must move each way: less is noise, or a flexing brake. `slow`: share of the top speed,
-    below which a joint does not certainly slide. `memory_s`: that the residual remembers.
+    `t` (N,) s; `q` (N, n) rad (m); `tau` (N, n) N m (N).
     """
+    window_s, memory_s = 0.02, 0.5  # of averages, of the residual
+    fewest, travel = 50, 0.1  # windows and rad (m) each way: less is noise, or a flexing brake
+    slow = 0.05  # share of the top speed, below which a joint does not certainly slide
+    most_windows = 4000
     width = max(1, round(window_s / float(t[1] - t[0])))
     step, count = width * float(t[1] - t[0]), len(q) // width
-    Q, T, whole = (
-        x[: count * width].reshape(count, width, -1).mean(axis=1) for x in (q, tau, valid * 1.0)
-    )
+    parts = (x[: count * width].reshape(count, width, -1) for x in (q, tau, valid * 1.0))
+    Q, T, whole = (part.mean(axis=1) for part in parts)
     if len(Q) < 2 * fewest:
         return []
     v = np.gradient(Q, step, axis=0)
@@ -87,39 +71,23 @@ def smooth(q: Array, terms: int) -> Array:
 
 
 def driven(q: Array, *, held: float = 0.1, middle: tuple[float, float] = (0.01, 0.99)) -> Mask:
-    """Which joints (n,) are driven on a way of their own.
+    """Which joints (n,) of positions (N, n) are driven on a way of their own.
 
-    The others are held, and the moves of other joints shake them. In closed loop with a constant
-    reference such a joint's torque is its controller's law, -k_p (q - q_0) - k_d dq, whatever its
-    friction: nothing about friction can be told from it (Forssell and Ljung, Closed-loop
-    identification revisited, Automatica 35(7), 1999).
-
-    `q` (N, n): positions, rad (m), between whose `middle` quantiles a joint travels. `held`: share
-    of the farthest joint's travel, below which a joint is held.
+    The others are held, and other joints shake them. In closed loop with a constant reference such
+    a joint's torque is its controller's law, -k_p (q - q_0) - k_d dq, whatever its friction
+    (Forssell and Ljung, Closed-loop identification revisited, Automatica 35(7), 1999). `held`:
+    share of the farthest joint's travel between the `middle` quantiles, below which a joint is it.
     """
     low, high = np.nanquantile(q, middle, axis=0)
     return np.asarray(high - low >= held * np.max(high - low))
 
 
-def _follows(
-    y: Array,
-    law: Array,
-    friction: Array,
-    accelerations: Array,
-    memory: float,
-    *,
-    unexplained: float = 0.1,
-    exact: float = 1e-3,
-    others: float = 0.15,
-    none: float = 0.003,
-    uncertain: float = 2.0,
-) -> bool:
-    """Whether position alone makes a torque y (M,); `memory` is how many samples count as one.
-
-    Shares of the torque's RMS: `unexplained` may be left; below `exact` there is nothing to
-    explain; `none` is no friction at all. `others`: share of what position leaves, squared, for
-    friction and accelerations. `uncertain`: standard errors of the friction.
-    """
+def _follows(y: Array, law: Array, friction: Array, accelerations: Array, memory: float) -> bool:
+    """Whether position alone makes a torque y (M,); `memory` is how many samples count as one."""
+    # Shares of the torque's RMS: that may be left; with nothing to explain; that is no friction.
+    unexplained, exact, none = 0.1, 1e-3, 0.003
+    others = 0.15  # share of what position leaves, squared, for friction and accelerations
+    uncertain = 2.0  # standard errors of the friction
     scale = max(float(np.sqrt(np.mean(y**2))), 1e-300)
     X = np.hstack([law, friction, accelerations])
     X = X / np.maximum(np.sqrt(np.mean(X**2, axis=0)), 1e-12)
@@ -131,11 +99,8 @@ def _follows(
     rest = float(np.sqrt(np.mean(_beside(X[:, [*range(own), *held_back]], y) ** 2)))
     part = 1.0 - left / max(rest**2, 1e-300)  # friction's and accelerations'
     error = float(np.sqrt(memory * left / max(float(direction @ direction), 1e-300)))
-    return (
-        rest < unexplained * scale
-        and (part < others or rest < exact * scale)
-        and abs(float(theta[own])) < max(uncertain * error, none * scale)
-    )
+    alone = rest < unexplained * scale and (part < others or rest < exact * scale)
+    return alone and abs(float(theta[own])) < max(uncertain * error, none * scale)
 
 
 def _beside(X: Array, y: Array) -> Array:

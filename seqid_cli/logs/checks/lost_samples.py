@@ -1,21 +1,18 @@
 """Lost samples that the stamps do not show: found by the motion of the joints, and put right.
 
 A logger that counts its rows instead of reading a clock gives rows behind a loss stamps that are
-too early: the position then steps by the motion of the lost time, while the motion on either side
-goes on as it was. Parabolas through the positions before and behind an increment reach its middle
-at positions a and b. With the mean v of the velocities of both sides, the time L that is lost there
-is the least-squares solution of
+too early: the position steps by the motion of the lost time, while the motion on either side goes
+on as it was. Parabolas through the positions before and behind an increment reach its middle at
+positions a and b. With the mean v of the velocities of both sides, the time L that is lost there is
+the least-squares solution of
 
     (b - a)_j = v_j L,    for all joints j,
 
 each weighted by its noise, the encoder's or what the parabolas leave. A joint is a witness only by
-the speed that both sides have: one that is held and then catches up has lost no time, and of a
-spike the parabolas leave as much as it steps by.
-
-A loss counts where it is certain, longer than one and a half intervals, and the same for all joints
-that move: a step of one joint alone is damage of its position. Stamps behind a loss are moved by L;
-the hole is filled by the cubic through positions and velocities of both sides (which follows an arm
-over tens of milliseconds) and by straight lines through what else was logged around it.
+the speed that both sides have: one that is held and then catches up has lost no time. A loss counts
+where it is certain and the same for all joints that move: a step of one joint alone is damage of
+its position. Stamps behind a loss are moved by L; the hole is filled by the cubic through positions
+and velocities of both sides and by straight lines through what else was logged around it.
 
 Losses that recur at one distance tell where the next one is: at such a place, or a row beside it, a
 step at slow motion is one too if the motion of the usual lost time explains it better than no loss.
@@ -30,6 +27,13 @@ from scipy.interpolate import CubicHermiteSpline
 from seqid_cli.logs.raw import Array, Mask, Rows, Stamps, Stream
 from seqid_cli.robust import DIFFERENCES, gaussian_spread, rough
 
+SIDE = 6  # samples of a parabola
+# A parabola over intervals from the middle of a step, the least squares for its coefficients, and
+# by how much more the velocity of two, per interval, is uncertain than the gap between them.
+BASIS = np.vander(np.arange(SIDE) + 0.5, 3, increasing=True)
+FIT = np.linalg.pinv(BASIS)
+LINE = np.linalg.pinv(BASIS[:, :2])[1]
+SLOPE = float(0.5 * np.linalg.norm(LINE) / np.linalg.norm(FIT[0]))
 REACH = 12  # samples on either side of a hole that tell the slope of the position at it
 
 
@@ -40,13 +44,10 @@ class Losses:
     rows: Rows
     seconds: Array
 
-    def __len__(self) -> int:
-        return len(self.rows)
-
 
 def with_losses(stream: Stream, losses: Losses) -> tuple[Stream, Mask]:
     """Move the stamps behind losses and fill the holes; tells the samples (M',) that fill them."""
-    if not len(losses):
+    if not len(losses.rows):
         return stream, np.zeros(len(stream), np.bool_)
     shift = np.zeros(len(stream), np.int64)
     shift[losses.rows + 1] = np.rint(losses.seconds * 1e9).astype(np.int64)
@@ -62,35 +63,21 @@ def with_losses(stream: Stream, losses: Losses) -> tuple[Stream, Mask]:
     joined = np.concatenate(pieces)
     order = np.argsort(joined, kind="stable")
     channels = {n: np.concatenate([part[n] for part in parts])[order] for n in stream.channels}
-    made = np.ones(len(joined), np.bool_)
-    made[: len(stream)] = False
-    return replace(stream, stamp_ns=joined[order], channels=channels), made[order]
+    return replace(stream, stamp_ns=joined[order], channels=channels), order >= len(stream)
 
 
 def _filled(name: str, values: Array, stamps: Stamps, row: int, at: Stamps) -> Array:
     """Values (K, w) of one channel in the hole behind a sample."""
-    x = (stamps - stamps[row]).astype(np.float64) * 1e-9
-    seconds = (at - stamps[row]) * 1e-9
-    reach = len(at) + 2 if name != "position" else REACH
+    x, seconds = (stamps - stamps[row]).astype(np.float64) * 1e-9, (at - stamps[row]) * 1e-9
+    reach, fit = len(at) + 2 if name != "position" else REACH, np.polynomial.polynomial.polyfit
     low, high = max(0, row + 1 - reach), min(len(x), row + 1 + reach)
-    if name == "position":
-        sides = (slice(low, row + 1), slice(row + 1, high))
-        ends, fit = x[[row, row + 1]], np.polynomial.polynomial.polyfit
-        parabolas = [fit(x[s] - end, values[s], 2) for s, end in zip(sides, ends, strict=True)]
-        slopes = [c[1] for c in parabolas]
-        curve = CubicHermiteSpline(ends, values[[row, row + 1]], np.array(slopes))
-        return np.asarray(curve(seconds))
-    line = np.polynomial.polynomial.polyfit(x[low:high], values[low:high], 1)
-    return np.asarray(line[0] + seconds[:, None] * line[1])
-
-
-SIDE = 6  # samples of a parabola
-# A parabola over intervals from the middle of a step, the least squares for its coefficients, and
-# by how much more the velocity of two, per interval, is uncertain than the gap between them.
-BASIS = np.vander(np.arange(SIDE) + 0.5, 3, increasing=True)
-FIT = np.linalg.pinv(BASIS)
-LINE = np.linalg.pinv(BASIS[:, :2])[1]
-SLOPE = float(0.5 * np.linalg.norm(LINE) / np.linalg.norm(FIT[0]))
+    if name != "position":
+        line = fit(x[low:high], values[low:high], 1)
+        return np.asarray(line[0] + seconds[:, None] * line[1])
+    sides, ends = (slice(low, row + 1), slice(row + 1, high)), x[[row, row + 1]]
+    slopes = [fit(x[s] - end, values[s], 2)[1] for s, end in zip(sides, ends, strict=True)]
+    curve = CubicHermiteSpline(ends, values[[row, row + 1]], np.array(slopes))
+    return np.asarray(curve(seconds))
 
 
 @dataclass(frozen=True)
@@ -128,9 +115,9 @@ class Mended:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What there is to say; nothing where nothing was mended."""
-        if not len(self.losses):
-            return ()
         seconds = self.losses.seconds
+        if not len(seconds):
+            return ()
         return (
             f"samples are lost at {len(seconds)} places, {1e3 * np.median(seconds):.3g} ms "
             f"each (median), {seconds.sum():.3g} s in all: all joints step there by the motion "
@@ -163,25 +150,18 @@ class _Steps:
         lines = np.stack([-(LINE @ behind), LINE @ ahead]) / dt
         velocity = lines.mean(axis=0)
         # At the step itself a slope is that of the parabola, give or take its error.
-        error = 2.0 * np.linalg.norm(FIT[1]) * noise
-        ends = np.stack([-u, w]) * np.sign(velocity) + error
+        ends = np.stack([-u, w]) * np.sign(velocity) + 2.0 * np.linalg.norm(FIT[1]) * noise
         shared = np.minimum((lines * np.sign(velocity)).min(axis=0), ends.min(axis=0) / dt)
-        return cls(
-            rows,
-            gap=b - a,
-            velocity=velocity,
-            shared=np.clip(shared, 0.0, np.abs(velocity)),
-            faster=np.abs(lines).max(axis=0),
-            noise=np.sqrt(2.0) * np.linalg.norm(FIT[0]) * np.maximum(own, noise),
-        )
+        shared, faster = np.clip(shared, 0.0, np.abs(velocity)), np.abs(lines).max(axis=0)
+        noise = np.sqrt(2.0) * np.linalg.norm(FIT[0]) * np.maximum(own, noise)
+        return cls(rows, b - a, velocity, shared, faster, noise)
 
     def alike(self, lost: Array, dt: float) -> Mask:
         """Whether all joints step by the motion of the time that is lost, (K,) s."""
         seconds = lost[:, None]
         noise = self.noise * np.hypot(1.0, SLOPE * seconds / dt)
-        off = np.abs(self.gap - self.velocity * seconds)
-        alike = off < CRITERIA.sure * noise + CRITERIA.uneven * self.faster * seconds
-        return np.asarray(alike.all(axis=1))
+        most = CRITERIA.sure * noise + CRITERIA.uneven * self.faster * seconds
+        return np.asarray((np.abs(self.gap - self.velocity * seconds) < most).all(axis=1))
 
 
 def mended(joints: Stream) -> Mended:
@@ -189,8 +169,13 @@ def mended(joints: Stream) -> Mended:
     stamps, q = joints.stamp_ns, joints.channels["position"]
     losses = NONE
     if len(stamps) >= 4 * SIDE and np.isfinite(q).all():
-        noise = _noise(q)
-        rows = _sudden(np.diff(q, axis=0), noise)
+        noise, d = _noise(q), np.diff(q, axis=0)
+        # Increments that differ from those beside them by more than motion and noise: one side
+        # alone is small where the position was held before it catches up.
+        beside = CRITERIA.sudden * np.minimum(np.abs(d[:-2]), np.abs(d[2:]))
+        least = np.maximum(beside, CRITERIA.sudden_noise * noise)
+        sudden = np.abs(d[1:-1] - 0.5 * (d[:-2] + d[2:])) > least
+        rows: Rows = np.flatnonzero(sudden.any(axis=1)) + 1
         if 0 < len(rows) <= CRITERIA.many * len(stamps):
             losses = _losses(np.diff(stamps) * 1e-9, q, rows, noise)
     stream, bridged = with_losses(joints, losses)
@@ -205,17 +190,6 @@ def _noise(q: Array) -> Array:
     size = np.abs(windows[:, 1] - windows[:, 0])
     counts = [np.quantile(own[own > 0], CRITERIA.smallest) if own.any() else 0.0 for own in size.T]
     return np.asarray(np.maximum(noise, np.array(counts) / np.sqrt(12.0)) + 1e-15)
-
-
-def _sudden(d: Array, noise: Array) -> Rows:
-    """Increments (of (M, n)) that differ from those beside them by more than motion and noise."""
-    # One side alone is small where the position was held before it catches up.
-    least = np.maximum(
-        CRITERIA.sudden * np.minimum(np.abs(d[:-2]), np.abs(d[2:])), CRITERIA.sudden_noise * noise
-    )
-    found = np.abs(d[1:-1] - 0.5 * (d[:-2] + d[2:])) > least
-    rows: Rows = np.flatnonzero(found.any(axis=1)) + 1
-    return rows
 
 
 def _losses(dt: Array, q: Array, rows: Rows, noise: Array) -> Losses:
@@ -238,9 +212,7 @@ def _losses(dt: Array, q: Array, rows: Rows, noise: Array) -> Losses:
         seconds = whole * usual
     known = Losses(rows[sure], seconds)
     places = _recurring(known.rows, len(dt))
-    if not len(places):
-        return known
-    return _joined(known, _Steps.at(places, q, usual, noise), usual)
+    return _joined(known, _Steps.at(places, q, usual, noise), usual) if len(places) else known
 
 
 def _recurring(rows: Rows, count: int) -> Rows:

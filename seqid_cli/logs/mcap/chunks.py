@@ -1,8 +1,7 @@
 """What is inside a chunk: unpacking, and where its messages lie.
 
-The index that follows a chunk says where its messages begin. It is used as a guess only: messages
-must follow each other there without a hole and fill the chunk, otherwise the chunk is walked record
-by record. Both ways find the same messages.
+The index behind a chunk is a guess of where its messages begin: they must follow each other there
+without a hole and fill the chunk, else it is walked record by record, with the same result.
 """
 
 import struct
@@ -29,6 +28,7 @@ SMALL, MOST_TIMES = 16 << 20, 200  # bytes that any log may have; of one packed 
 _HEAD = RECORD.size + MESSAGE_SIZE
 
 Integers = NDArray[np.int64]
+Words = NDArray[np.uint64]
 
 
 def allowed(packed: int) -> int:
@@ -105,8 +105,7 @@ class Unpacker:
                 with self._zstd.stream_reader(payload) as reader:
                     return reader.read(size + 1), ""
             if name == "lz4":
-                decompressor = lz4.frame.LZ4FrameDecompressor()
-                return decompressor.decompress(payload, max_length=size + 1), ""
+                return lz4.frame.LZ4FrameDecompressor().decompress(payload, size + 1), ""
         except (zstandard.ZstdError, RuntimeError, EOFError, MemoryError, ValueError) as error:
             return b"", f"{name} data are damaged ({error})"
         raise DamageError(f"its compression {name[:20]!r} is unknown")
@@ -159,16 +158,14 @@ def by_index(data: Bytes, offsets: Integers) -> Contents | None:
     return _contents(offsets, [], len(data), heads)
 
 
-def _contents(
-    offsets: Integers, others: list[Record], end: int, heads: NDArray[np.uint64]
-) -> Contents:
+def _contents(offsets: Integers, others: list[Record], end: int, heads: Words) -> Contents:
     lengths = heads[0].astype(np.int64) - MESSAGE_SIZE
     log_ns = (heads[1] >> np.uint64(48)) | (heads[2] << np.uint64(16))
     channels = heads[1].astype(np.uint16)  # its lowest 16 bits
     return Contents(channels, log_ns.view(np.int64), offsets + _HEAD, lengths, others, end)
 
 
-def _heads(data: Bytes, offsets: Integers) -> NDArray[np.uint64]:
+def _heads(data: Bytes, offsets: Integers) -> Words:
     """Copy the heads of message records without their opcodes, (3, M) words."""
     size = 8 * _WORDS
     if not len(offsets):

@@ -6,19 +6,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from seqid_cli.errors import InputError
+from seqid_cli.logs.mcap import topics
 from seqid_cli.logs.mcap.records import Scan, read_summary
-from seqid_cli.logs.mcap.topics import (
-    JOINT_STATES,
-    Collector,
-    any_finite,
-    data_topic,
-    find_joint_topic,
-    imu_stream,
-    joint_stream,
-    triad_topics,
-)
 from seqid_cli.logs.messages.batch import Kind, NameMap
-from seqid_cli.logs.raw import RawLog, TimeSource, partly_logged
+from seqid_cli.logs.raw import RawLog, Stream, TimeSource, partly_logged
 from seqid_cli.robot.types import Imu, Robot
 
 _SHOWN = 12  # topics or names listed in a message
@@ -42,38 +33,36 @@ def read_blocks(
 ) -> Iterator[RawLog]:
     """Read an MCAP log block by block, in memory that does not grow with its length.
 
-    `rows`: messages in a block, of all topics together; a block holds a little more. None for the
-    whole log as one block. `scan`: what passes over the file. Yields: the next part of every topic,
-    in the order of the file, empty where it has none; a quantity that no sample of a block has is
-    left out of it. The last block says in `partial` what a damaged file lost. Raises InputError,
-    after the last block: no joint states, none of the robot's joints in them, nothing readable.
+    `rows`: messages in a block, of all topics together, about; None for one block. Yields: the next
+    part of every topic, empty where it has none; a quantity that no sample of a block has is left
+    out of it. The last block says in `partial` what a damaged file lost. Raises InputError, after
+    the last block: no joint states, none of the robot's joints in them, nothing readable.
     """
     names = NameMap(robot.joint_names, robot.channels.effort or "torque")
-    kinds: dict[str, Kind] = {JOINT_STATES: "joint_state"}
+    kinds: dict[str, Kind] = {topics.JOINT_STATES: "joint_state"}
     for imu in robot.imus:  # all topics on which they may be logged
-        kinds |= dict.fromkeys((data_topic(imu), *triad_topics(imu)), "imu")
+        kinds |= dict.fromkeys((topics.data_topic(imu), *topics.triad_topics(imu)), "imu")
     log = _Log(path, names, kinds, scan, time_source)
     positions = False
     for last in log.blocks(rows):
         samples = {topic: collector.drain() for topic, collector in log.collectors.items()}
         if last and not log.collectors[log.joint_topic].readable:
             raise _no_joint_states(log.scan, log.collectors[log.joint_topic])
-        joints = joint_stream(log.joint_topic, samples[log.joint_topic], robot)
-        topics = {imu.name: log.imu_topics(imu, whole=last) for imu in robot.imus}
-        imus = {
-            imu.name: tuple(imu_stream(topic, samples[topic], imu) for topic in topics[imu.name])
-            for imu in robot.imus
-            if topics[imu.name]
-        }
-        used = [log.joint_topic, *(topic for own in topics.values() for topic in own)]
+        joints = topics.joint_stream(log.joint_topic, samples[log.joint_topic], robot)
+        imus: dict[str, tuple[Stream, ...]] = {}
+        used = [log.joint_topic]
+        for imu in robot.imus:
+            if own := log.imu_topics(imu, whole=last):
+                imus[imu.name] = tuple(topics.imu_stream(t, samples[t], imu) for t in own)
+                used += own
         warnings = tuple(text for topic in used for text in samples[topic].warnings)
-        positions = positions or any_finite(joints.channels["position"])
+        positions = positions or topics.any_finite(joints.channels["position"])
         if last and not positions:
-            seen = ", ".join(list(names.seen)[:_SHOWN])
+            seen = ", ".join(list(names.seen)[:_SHOWN]) or "no names at all"
             message = "the joint states hold no position of any joint of the robot "
-            message += f"({', '.join(names.joints[:_SHOWN])}); names in the log: "
+            message += f"({', '.join(names.joints[:_SHOWN])}); names in the log: {seen}"
             hint = "Give the joints of the robot file the names that the log uses."
-            raise InputError(message + (seen or "no names at all"), hint=hint, where=str(path))
+            raise InputError(message, hint=hint, where=str(path))
         delay_s = samples[log.joint_topic].delay_s
         yield RawLog(joints, imus, log.partial() if last else "", warnings, delay_s)
 
@@ -90,10 +79,10 @@ def list_topics(
 ) -> tuple[tuple[TopicInfo, ...], tuple[str, ...]]:
     """List the topics of a file, damaged or not, and the names in its joint states."""
     names = NameMap(())
-    log = _Log(path, names, {JOINT_STATES: "joint_state"}, scan)
+    log = _Log(path, names, {topics.JOINT_STATES: "joint_state"}, scan, "header")
     for _ in log.batches():
-        log.collectors[JOINT_STATES].drain()
-    log.collectors[JOINT_STATES].drain()
+        log.collectors[topics.JOINT_STATES].drain()
+    log.collectors[topics.JOINT_STATES].drain()
     return _topics(log.scan), tuple(names.seen)
 
 
@@ -101,15 +90,10 @@ class _Log:
     """A pass over a file that gathers the messages of some topics."""
 
     def __init__(
-        self,
-        path: Path,
-        names: NameMap,
-        kinds: dict[str, Kind],
-        scan: type[Scan],
-        time_source: TimeSource = "header",
+        self, path: Path, names: NameMap, kinds: dict[str, Kind], scan: type[Scan], time: TimeSource
     ) -> None:
-        self.joint_topic = JOINT_STATES
-        self.collectors = {t: Collector(t, kind, names, time_source) for t, kind in kinds.items()}
+        self.joint_topic = topics.JOINT_STATES
+        self.collectors = {t: topics.Collector(t, kind, names, time) for t, kind in kinds.items()}
         self._chosen = frozenset(kinds)
         self.scan = scan(path, self._wanted)
 
@@ -119,12 +103,12 @@ class _Log:
     def batches(self) -> Iterator[None]:
         """Pass over the file; a second time where the joint states are of the other kind."""
         yield from self._pass()
-        usual = self.collectors[JOINT_STATES]
-        found = find_joint_topic((_normal(t.topic), t.schema) for t in _topics(self.scan))
+        usual = self.collectors[topics.JOINT_STATES]
+        found = topics.find_joint_topic((_normal(t.topic), t.schema) for t in _topics(self.scan))
         if found is not None and not usual.readable:
             self.joint_topic, kind = found
             self._chosen = frozenset((self.joint_topic,))
-            own = Collector(self.joint_topic, kind, usual.names, usual.time_source)
+            own = topics.Collector(self.joint_topic, kind, usual.names, usual.time_source)
             self.collectors[self.joint_topic] = own
             first, self.scan = self.scan, type(self.scan)(self.scan.path, self._wanted)
             yield from self._pass()
@@ -154,9 +138,9 @@ class _Log:
 
     def imu_topics(self, imu: Imu, *, whole: bool) -> list[str]:
         """Name the topics of an IMU; refuses a whole file that lacks only some of them."""
-        data = data_topic(imu)
+        data = topics.data_topic(imu)
         use_data = len(imu.positions) == 3 and self.collectors[data].readable
-        needed = [] if use_data else triad_topics(imu)
+        needed = [] if use_data else topics.triad_topics(imu)
         needed += [data] if use_data or imu.gyro else []
         missing = [topic for topic in needed if not self.collectors[topic].readable]
         if len(missing) == len(needed):
@@ -197,20 +181,20 @@ def _listing(scan: Scan) -> str:
     return ", ".join(shown[:_SHOWN] + more) or "no topics"
 
 
-def _no_joint_states(scan: Scan, collector: Collector) -> InputError:
-    where, faults = str(scan.path), "; ".join(_losses(scan))
+def _no_joint_states(scan: Scan, collector: topics.Collector) -> InputError:
     if collector.received:
         kinds = ", ".join(sorted(collector.refused))
         reason = f"its encoding {kinds!r} is not known" if kinds else "they are damaged"
         message = f"none of the {collector.received} messages on {collector.topic} can be decoded"
+        message += f": {reason}"
         hint = "Record sensor_msgs/msg/JointState as CDR, JSON or protobuf."
-        return InputError(f"{message}: {reason}", hint=hint, where=where)
-    if faults:
+    elif faults := "; ".join(_losses(scan)):
         message = f"the file is damaged and nothing can be salvaged ({faults})"
-        return InputError(message, hint=scan.remedy, where=where)
-    near = next((t.topic for t in _topics(scan) if t.schema.endswith("JointState")), "")
-    hint = f"Is it {near}? Record or remap it as {JOINT_STATES}."
-    if not near:
-        hint = f"Record {JOINT_STATES} (sensor_msgs/msg/JointState) as well."
-    message = f"no messages on {JOINT_STATES}; in the file: {_listing(scan)}"
-    return InputError(message, hint=hint, where=where)
+        hint = scan.remedy
+    else:
+        message = f"no messages on {topics.JOINT_STATES}; in the file: {_listing(scan)}"
+        near = next((t.topic for t in _topics(scan) if t.schema.endswith("JointState")), "")
+        hint = f"Is it {near}? Record or remap it as {topics.JOINT_STATES}."
+        if not near:
+            hint = f"Record {topics.JOINT_STATES} (sensor_msgs/msg/JointState) as well."
+    return InputError(message, hint=hint, where=str(scan.path))

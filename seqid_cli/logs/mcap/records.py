@@ -1,9 +1,8 @@
 """MCAP files, read once from the first record to the last, as far as a damaged one allows.
 
-Chunks are taken one at a time, so memory does not grow with the file. A cut-off recording has no
-summary: with one, chunks that hold nothing wanted are stepped over; without one, all are read.
-What is lost is counted, and the rest is used. The records themselves are read by the library mcap,
-but for messages and their indexes, of which there are too many.
+Chunks are taken one at a time, so memory does not grow with the file. With a summary, chunks that
+hold nothing wanted are stepped over. What is lost is counted, and the rest is used. Records are
+read by the library mcap, but for messages and their indexes, of which there are too many.
 """
 
 import struct
@@ -67,10 +66,7 @@ class Scan:
     _pieces: int = 0
 
     def batches(self) -> Iterator[Batch]:
-        """Yield messages in the order of the file, those of one channel in one chunk together.
-
-        Never raises on damaged content: it is noted in `losses`, and reading goes on behind it.
-        """
+        """Yield messages in the order of the file; what is damaged is noted in `losses`."""
         with self.path.open("rb") as file:
             self._size = file.seek(0, 2)
             self.summary = read_summary(file, self._size)
@@ -83,8 +79,7 @@ class Scan:
     def _record(self, file: BinaryIO, at: int) -> Generator[Batch, None, int | None]:
         """Read the record at a place, or many loose messages; returns where the next one begins.
 
-        A record is taken for damaged unless it ends where another may begin: a wrong length leads
-        into the middle of others, whose bytes make no head.
+        One is damaged unless it ends where another may begin: bytes inside of records make no head.
         """
         head = _head(file, at)
         opcode, length = head or (Opcode.FOOTER, 0)
@@ -129,10 +124,7 @@ class Scan:
 
     def _begins(self, file: BinaryIO, at: int) -> bool:
         """Tell whether a record may begin at a place: garbage is of no kind, or endless."""
-        head = _head(file, at)
-        if head is None:
-            return True  # the file is cut here
-        opcode, length = head
+        opcode, length = _head(file, at) or (Opcode.FOOTER, 0)  # without one it is cut here
         return bool(opcode and length <= (LARGEST if opcode in _HELD else self._size))
 
     @cached_property
@@ -178,8 +170,7 @@ class Scan:
         data = np.frombuffer(unpacked, np.uint8)
         contents = chunks.by_index(data, offsets) or chunks.walk(data)
         yield from self._contents(data, contents)
-        if contents.end < len(data) and whole:
-            left = len(data) - contents.end
+        if whole and (left := len(data) - contents.end):
             self.losses[f"a chunk breaks off {left} bytes before its end"] += 1
 
     def _contents(self, data: Bytes, contents: chunks.Contents) -> Iterator[Batch]:
@@ -194,8 +185,7 @@ class Scan:
         batches = np.split(order, turns) if len(order) else []
         for rows in sorted(batches, key=lambda each: int(each[0])):  # in the order of the file
             number = int(contents.channels[rows[0]])
-            channel = self.channels.get(number)
-            if channel is None:
+            if (channel := self.channels.get(number)) is None:
                 what = f"a message belongs to channel {number}, which the file lacks"
                 self.losses[what] += len(rows)
                 continue
@@ -232,10 +222,7 @@ def _head(file: BinaryIO, at: int) -> tuple[int, int] | None:
 
 
 def read_summary(file: BinaryIO, size: int, *, most: int = 1 << 28) -> Summary:
-    """Read what a file says of itself at its end: it only tells what can be left out.
-
-    A summary of more than `most` bytes, or that is damaged, is empty.
-    """
+    """Read what a file says of itself at its end; nothing if it is damaged or over `most` bytes."""
     end = size - _TAIL
     if end < len(MAGIC):
         return Summary()

@@ -1,7 +1,4 @@
-"""ROS bags, version 1 and the SQLite files of version 2, by the optional library rosbags.
-
-Their messages are the same as those of an MCAP file, and are read like these once they are found.
-"""
+"""ROS bags, version 1 and the SQLite files of version 2, by the optional library rosbags."""
 
 import bz2
 import importlib
@@ -33,13 +30,9 @@ _COMPUTED = re.compile(r"\bAS\s*\(", re.IGNORECASE)  # a generated column
 _MESSAGE_LIMIT = 1 << 24  # bytes of one unpacked message
 _OVERHEAD = 200  # bytes that a message costs beside its own
 _CHUNK_LIMIT = 1 << 28  # bytes of one unpacked chunk of a ROS 1 bag; recorders write about 1 MB
-_REMEDY = {
-    "rosbag1": "Run `rosbag reindex FILE`, or copy it again from the source.",
-    "rosbag2": "Salvage it: `sqlite3 FILE .recover | sqlite3 NEW.db3`, or copy it again from the "
-    "source.",
-}
-
-
+_AGAIN = "or copy it again from the source."
+_REMEDY1 = f"Run `rosbag reindex FILE`, {_AGAIN}"
+_REMEDY2 = f"Salvage it: `sqlite3 FILE .recover | sqlite3 NEW.db3`, {_AGAIN}"
 _Message = tuple[int, int, bytes]  # number of its channel, time [ns], CDR
 _Topic = tuple[Channel, Schema, int]  # the last: its messages
 _Bag = tuple[list[_Topic], Callable[[], Iterator[_Message]]]  # an opened bag
@@ -54,7 +47,7 @@ class BagScan(Scan):
         """Yield the messages up to a fault; those of one topic, some at a time, together."""
         with self.path.open("rb") as file:
             first = file.read(len(_ROSBAG1)) == _ROSBAG1
-        self.remedy = _REMEDY["rosbag1" if first else "rosbag2"]
+        self.remedy = _REMEDY1 if first else _REMEDY2
         self.losses.update(_unmerged(self.path))
         with ExitStack() as stack:
             try:
@@ -96,8 +89,7 @@ list_topics = partial(reader.list_topics, scan=BagScan)
 
 def _together(messages: Iterator[_Message], *, most: int = 1 << 22) -> Iterator[list[_Message]]:
     """Some messages at a time, of `most` bytes, about."""
-    held: list[_Message] = []
-    size = 0
+    held, size = list[_Message](), 0
     for message in messages:
         held.append(message)
         size += _OVERHEAD + len(message[2])
@@ -110,7 +102,12 @@ def _together(messages: Iterator[_Message], *, most: int = 1 << 22) -> Iterator[
 @contextmanager
 def _rosbag2(path: Path, wanted: _Wanted) -> Iterator[_Bag]:
     storage = _module("rosbags.rosbag2.storage_sqlite3", path)
-    _check_tables(path)
+    address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
+    with closing(sqlite3.connect(address, uri=True)) as database:
+        for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
+            # A database that computes what it seems to hold, at any cost: recorders do not.
+            if kind in ("view", "trigger") or _COMPUTED.search(str(text)):
+                raise ValueError(f"it holds a {kind} that computes values")
     reader = storage.Sqlite3Reader(path.absolute())
     reader.open()
     try:
@@ -151,15 +148,6 @@ def _topic(link: Any, definition: str) -> _Topic:
     return Channel(link.id, link.topic, "cdr", {}, link.id), schema, link.msgcount
 
 
-def _check_tables(path: Path) -> None:
-    """Raise where a database computes what it seems to hold, at any cost: recorders do not."""
-    address = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
-    with closing(sqlite3.connect(address, uri=True)) as database:
-        for kind, text in database.execute("SELECT type, sql FROM sqlite_master"):
-            if kind in ("view", "trigger") or _COMPUTED.search(str(text)):
-                raise ValueError(f"it holds a {kind} that computes values")
-
-
 def _bounded(usual: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
     """A decompressor of a chunk that stops where no recording would have so much in it."""
 
@@ -198,18 +186,15 @@ def _unmerged(path: Path) -> list[str]:
     """Tell of a journal beside an SQLite file: the recorder was killed before it was merged."""
     journal = path.with_name(path.name + "-wal")
     size = journal.stat().st_size if journal.is_file() else 0
-    text = f"the bag was not closed: {size} bytes in {journal.name} are not read"
-    remedy = f"merge them: `sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`"
-    return [f"{text} ({remedy})"] if size else []
+    text = f"the bag was not closed: {size} bytes in {journal.name} are not read (merge them: "
+    return [f"{text}`sqlite3 {path.name} 'PRAGMA wal_checkpoint(TRUNCATE)'`)"] if size else []
 
 
 def _module(name: str, path: Path) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError as error:
-        raise InputError(
-            f"is a ROS bag; reading it needs the package rosbags, which is not installed ({error})",
-            hint='Install it: pip install "seqid[bags]"; or convert the bag to MCAP with '
-            "`ros2 bag convert`.",
-            where=str(path),
-        ) from error
+        text = "is a ROS bag; reading it needs the package rosbags, which is not installed"
+        hint = 'Install it: pip install "seqid[bags]"; or convert the bag to MCAP with '
+        hint += "`ros2 bag convert`."
+        raise InputError(f"{text} ({error})", hint=hint, where=str(path)) from error

@@ -13,20 +13,19 @@ from seqid_cli.logs.messages.parsers import decoder
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, Array, Stamps, Stream, TimeSource
 from seqid_cli.robot.types import Imu, Robot
 
+JOINT_STATES = "/joint_states"
+DYNAMIC_JOINT_STATES = "/dynamic_joint_states"
 _LATEST = 1 << 62  # log times from here on are damaged
 _Part = tuple[Stamps, Stamps, Array]  # times of logging, stamps of headers, values
 
 
 class Samples(NamedTuple):
-    """M samples of one topic: stamps [ns], values as `Decoded`, what is to be said of the stamps.
-
-    `delay_s`: median delay from header stamp to log time; None without header stamps.
-    """
+    """M samples of one topic: stamps [ns], values as `Decoded`, what is to be said of them."""
 
     stamp_ns: Stamps
     values: Array
     warnings: list[str]
-    delay_s: float | None
+    delay_s: float | None  # median from header stamp to log time
 
 
 @dataclass
@@ -88,10 +87,8 @@ class Collector:
         if self._logged is None and self.time_source == "header":
             self._logged = missing == len(stamped)
             if self._logged:
-                warnings.append(
-                    f"the header stamps of {self.topic} are all zero: the times of logging are "
-                    "used instead; make the driver fill in header.stamp"
-                )
+                text = f"the header stamps of {self.topic} are all zero: the times of logging are "
+                warnings.append(text + "used instead; make the driver fill in header.stamp")
         if self.time_source == "log" or self._logged:
             stamp_ns = log_ns
         elif missing:
@@ -121,20 +118,14 @@ class Collector:
         self._done.append(own)
 
 
-JOINT_STATES = "/joint_states"
-DYNAMIC_JOINT_STATES = "/dynamic_joint_states"
-# Types that only measured states have; a JointState on another topic may as well be a command.
-_STATES = ("foxglove.JointStates",)
-_DYNAMIC = "DynamicJointState"
-
-
 def find_joint_topic(topics: Iterable[tuple[str, str]]) -> tuple[str, Kind] | None:
     """Choose the topic of the joint states, and how it is read; of two candidates none."""
     known = dict(topics)
     if DYNAMIC_JOINT_STATES in known:
         return DYNAMIC_JOINT_STATES, "dynamic_joint_state"
-    states = [topic for topic, schema in known.items() if schema in _STATES]
-    dynamic = [topic for topic, schema in known.items() if schema.endswith(_DYNAMIC)]
+    # Types that only measured states have; a JointState on another topic may as well be a command.
+    states = [topic for topic, schema in known.items() if schema == "foxglove.JointStates"]
+    dynamic = [topic for topic, schema in known.items() if schema.endswith("DynamicJointState")]
     if len(states) == 1:
         return states[0], "joint_state"
     return (dynamic[0], "dynamic_joint_state") if len(dynamic) == 1 else None
@@ -160,21 +151,17 @@ def joint_stream(topic: str, samples: Samples, robot: Robot) -> Stream:
     channels = dict(zip(JOINT_QUANTITIES, parts, strict=True))
     effort = channels.pop("effort")
     channels["current" if robot.channels.effort == "current" else "torque"] = effort
-    recorded = {
-        name: own for name, own in channels.items() if name == "position" or any_finite(own)
-    }
-    return Stream(topic, stamps, in_si(recorded, stamps, robot))
+    given = {k: own for k, own in channels.items() if k == "position" or any_finite(own)}
+    return Stream(topic, stamps, in_si(given, stamps, robot))
 
 
 def imu_stream(topic: str, samples: Samples, imu: Imu) -> Stream:
     """Make a stream of what one topic tells of an IMU."""
     count, triads = len(imu.positions), triad_topics(imu)
     channels = {}
-    if topic in triads:
-        first = 3 * triads.index(topic)
+    if topic in triads or count == 3:
+        first = 3 * triads.index(topic) if topic in triads else 0
         channels[ACCELEROMETERS] = samples.values[:, : min(3, count - first)]
-    elif count == 3:
-        channels[ACCELEROMETERS] = samples.values[:, :3]
     if topic == data_topic(imu) and imu.gyro:
         channels[GYRO] = samples.values[:, 3:]
     return Stream(topic, samples.stamp_ns, channels)

@@ -1,10 +1,9 @@
 """Batches of messages: payloads that lie in one buffer, and the rows of numbers made of them.
 
-One rule for all encodings says which number stands where in a row. A message is what its parser
-makes of it: dictionaries of JSON, objects of protobuf, and of CDR the places of its numbers. Joint
-states have the fields of sensor_msgs' JointState, of control_msgs' DynamicJointState or of
-`foxglove.JointStates`: `timestamp`, and `joints` with `name` and optional `position`, `velocity`
-and `effort`.
+A message is what its parser makes of it: dictionaries of JSON, objects of protobuf, and of CDR the
+places of its numbers. Joint states have the fields of sensor_msgs' JointState, of control_msgs'
+DynamicJointState or of `foxglove.JointStates`: `timestamp`, and `joints` with `name` and optional
+`position`, `velocity` and `effort`.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -21,9 +20,8 @@ Kind = Literal["joint_state", "dynamic_joint_state", "imu"]
 Decode = Callable[["Payloads"], "Decoded"]
 
 JOINT_QUANTITIES = ("position", "velocity", "effort")
-IMU_FIELDS = tuple(
-    (name, axis) for name in ("linear_acceleration", "angular_velocity") for axis in "xyz"
-)
+IMU_FIELDS = tuple((k, axis) for k in ("linear_acceleration", "angular_velocity") for axis in "xyz")
+_PLAIN = frozenset((float, int, str))
 FRONT = 8  # bytes that any buffer has before its first payload; see `Payloads.cut`
 
 
@@ -75,29 +73,24 @@ class Decoded:
     @classmethod
     def empty(cls, count: int, width: int) -> "Decoded":
         """Make a batch in which nothing is decoded yet."""
-        return cls(
-            np.zeros(count, np.int64), np.full((count, width), np.nan), np.zeros(count, np.bool_)
-        )
+        none = np.full((count, width), np.nan)
+        return cls(np.zeros(count, np.int64), none, np.zeros(count, np.bool_))
 
     def put(self, rows: Rows, part: "Decoded") -> None:
         """Put messages decoded by themselves into their rows of the batch."""
-        self.stamp_ns[rows] = part.stamp_ns
-        self.values[rows] = part.values
+        self.stamp_ns[rows], self.values[rows] = part.stamp_ns, part.values
         self.good[rows] = part.good
 
 
 class NameMap:
     """Which entry of a JointState belongs to which joint of the robot.
 
-    `joints`: joints of the robot. `effort` {"torque", "current"}: what effort is: an interface of
-    that name stands in for it. `most`: names of messages that are remembered, for the message that
-    none of them fits.
+    `effort` {"torque", "current"}: an interface of that name stands in for effort. `most`: names of
+    messages that are remembered, for the message that none of them fits.
     """
 
     def __init__(self, joints: Iterable[str], effort: str = "torque", *, most: int = 200) -> None:
-        self.joints = tuple(joints)
-        self.effort = effort
-        self._most = most
+        self.joints, self.effort, self._most = tuple(joints), effort, most
         self._index = {name: i for i, name in enumerate(self.joints)}
         self._pairs: dict[tuple[str, ...], list[tuple[int, int]]] = {}
         self.seen: dict[str, None] = {}
@@ -122,14 +115,8 @@ class NameMap:
         return self._pairs[key]
 
 
-_PLAIN = frozenset((float, int, str))
-
-
 def row_of(kind: Kind, message: object, names: NameMap) -> list[object]:
-    """Return what stands in the row of a message, None where it is absent, which is not zero.
-
-    Raises ValueError: the fields do not belong together.
-    """
+    """Return the row of a message, None where absent; raises ValueError where fields do not fit."""
     if kind == "imu":
         return [field(field(message, name), axis) for name, axis in IMU_FIELDS]
     row: list[object] = [None] * names.width(kind)

@@ -3,10 +3,8 @@
 Consecutive messages of a topic differ in their stamp and numbers only. One of them is parsed field
 by field, with every bound checked, into a `Layout`: which bytes carry structure (lengths, names)
 and where the numbers lie. All messages of its length with the same structure are decoded as strided
-views. What fits no layout is parsed by itself; the result is the same either way.
-
-Rows are cut into words of 8 bytes, counted from the end of the message: messages that end in
-doubles come to lie aligned in this way.
+views, with the same result. Rows are cut into words of 8 bytes from the end of the message: those
+that end in doubles come to lie aligned in this way.
 """
 
 import struct
@@ -30,10 +28,7 @@ _REPRESENTATIONS = {0: (">", 8), 1: ("<", 8), 6: (">", 4), 7: ("<", 4)}
 
 
 class _Cursor:
-    """Reads CDR behind the stamp of a header; every read checks the bounds.
-
-    `mask` is 0xFF where a message of the same layout must have the same bytes.
-    """
+    """Reads CDR behind the stamp of a header; every read checks the bounds."""
 
     def __init__(self, data: bytes) -> None:
         if len(data) < _STAMP_END or data[0] or data[1] not in _REPRESENTATIONS:
@@ -68,8 +63,7 @@ class _Cursor:
         """Read a length (uint32); it is structure."""
         self._align(4)
         start = self._advance(4, structure=4)
-        (value,) = struct.unpack_from(f"{self.order}I", self.data, start)
-        return int(value)
+        return int(struct.unpack_from(f"{self.order}I", self.data, start)[0])
 
     def text(self, *, structural: bool = True) -> str:
         """Read a string."""
@@ -124,9 +118,8 @@ class Layout:
         runs = []
         for offset, group in groupby(enumerate(row), _offset):
             if offset is not None:
-                columns = [column for column, _ in group]
-                at = offset + WORD * columns[0] + len(front)
-                runs.append((at, columns[0], len(columns)))
+                first, *others = [column for column, _ in group]
+                runs.append((offset + WORD * first + len(front), first, 1 + len(others)))
         checked = tuple(np.flatnonzero(mask).tolist())
         return cls(cursor.order, len(row), len(front), mask, reference, checked, tuple(runs))
 

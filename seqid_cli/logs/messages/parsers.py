@@ -1,11 +1,12 @@
 """Messages that are decoded one by one: JSON, protobuf, and CDR of an unusual definition.
 
-A parser (the encoding's own library) makes an object of each message, and `row_of` takes the values
-out of its fields. The faster way for CDR messages that are alike must give the same.
+The encoding's own library makes an object of each message, and `row_of` takes the values out of
+its fields. The faster way for CDR messages that are alike must give the same.
 """
 
 import contextlib
 import io
+import math
 import re
 from collections.abc import Callable
 
@@ -19,7 +20,20 @@ from seqid_cli.logs.raw import STAMP_LIMIT_NS
 Parse = Callable[[bytes], object]
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
-_NAN = float("nan")
+# Fields by their definitions, without the packages of their types.
+_USUAL_FIELDS = {
+    "joint_state": "Header header; string[] name; float64[] position; float64[] velocity; "
+    "float64[] effort",
+    "dynamic_joint_state": "Header header; string[] joint_names; "
+    "InterfaceValue[] interface_values; MSG: control_msgs/InterfaceValue; "
+    "string[] interface_names; float64[] values",
+    "imu": "Header header; Quaternion orientation; float64[9] orientation_covariance; "
+    "Vector3 angular_velocity; float64[9] angular_velocity_covariance; "
+    "Vector3 linear_acceleration; float64[9] linear_acceleration_covariance",
+}
+_PACKAGE = re.compile("^(?:std|geometry|control)_msgs/")
+LONGEST = 1 << 18  # bytes of a message definition; those of joint states have some hundred
+_NO_JSON = re.compile(rb"(?<=[\[:,\s])(?:NaN|-?Infinity)(?=\s*[,\]}])")
 _SEC = 1_000_000_000
 
 
@@ -47,6 +61,7 @@ def _stamp_ns(message: object) -> int:
     stamp = field(message, "timestamp") or field(field(message, "header"), "stamp")
     if stamp is None:
         return 0
+    rest = 0
     if isinstance(stamp, int | float):
         stamp_ns = round(stamp * _SEC)
     else:
@@ -54,36 +69,18 @@ def _stamp_ns(message: object) -> int:
             next((int(v) for key in keys if (v := field(stamp, key)) is not None), 0)  # type: ignore[call-overload]
             for keys in (SECONDS, NANOSECONDS)
         )
-        if not 0 <= rest < _SEC:
-            raise ValueError("no stamp")
         stamp_ns = seconds * _SEC + rest
-    if abs(stamp_ns) > STAMP_LIMIT_NS:
+    if not 0 <= rest < _SEC or abs(stamp_ns) > STAMP_LIMIT_NS:
         raise ValueError("no stamp")
     return stamp_ns
 
 
 def _number(value: object) -> float:
     if value is None:
-        return _NAN
+        return math.nan
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError("no number")
     return float(value)  # protobuf's JSON form writes NaN and Infinity as text
-
-
-# Fields by their definitions, without the packages of their types.
-_USUAL_FIELDS = {
-    "joint_state": "Header header; string[] name; float64[] position; float64[] velocity; "
-    "float64[] effort",
-    "dynamic_joint_state": "Header header; string[] joint_names; "
-    "InterfaceValue[] interface_values; MSG: control_msgs/InterfaceValue; "
-    "string[] interface_names; float64[] values",
-    "imu": "Header header; Quaternion orientation; float64[9] orientation_covariance; "
-    "Vector3 angular_velocity; float64[9] angular_velocity_covariance; "
-    "Vector3 linear_acceleration; float64[9] linear_acceleration_covariance",
-}
-_PACKAGE = re.compile("^(?:std|geometry|control)_msgs/")
-LONGEST = 1 << 18  # bytes of a message definition; those of joint states have some hundred
-_NO_JSON = re.compile(rb"(?<=[\[:,\s])(?:NaN|-?Infinity)(?=\s*[,\]}])")
 
 
 def decoder(encoding: str, schema: Schema | None, kind: Kind, names: NameMap) -> Decode | None:

@@ -1,7 +1,4 @@
-"""Which files are meant, and whether they can be logs at all.
-
-Runs before any heavy import, so that a wrong path fails at once: standard library only.
-"""
+"""Which files are meant, and whether they can be logs: fails before any heavy import."""
 
 import difflib
 import glob
@@ -9,7 +6,7 @@ import hashlib
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from seqid_cli.errors import InputError
@@ -52,6 +49,7 @@ _NAME_IT = "Name the file itself, or write *.csv, if it is a log."
 _NOTES = (".toml", ".json", ".yaml", ".urdf", ".xml", ".md", ".py")
 _TEXTS = (*CSV_SUFFIXES, ".txt", ".log", ".dat")
 
+State = tuple[int, ...]
 Note = Callable[[str], None]
 
 
@@ -59,12 +57,10 @@ def expand(paths: Sequence[str], note: Note | None = None, *, stored: bool = Fal
     """Turn files, folders and globs into log files.
 
     `paths`: files (taken whatever their suffix), folders (searched at any depth for the suffixes of
-    logs, hidden files left out; a ROS 2 bag is such a folder) and globs (`**` for any depth). CSV
-    files met in a folder that are no logs are left out. `note`: told what was left out, and why.
-    `stored`: whether URLs of object storage are welcome as well. Returns: in the
-    natural order of their paths (`run2` before `run10`), whatever that of the arguments, so that
-    results repeat bit by bit; a file that is meant twice comes once. Raises InputError: an argument
-    stands for no file at all.
+    logs, hidden files left out; a ROS 2 bag is such a folder) and globs (`**` for any depth).
+    `note`: told what was left out, and why. `stored`: whether URLs of object storage are welcome as
+    well. Returns: in the natural order of their paths (`run2` before `run10`), so that results
+    repeat bit by bit; each once. Raises InputError: an argument stands for no file at all.
     """
     found: dict[Path, Path] = {}
     for argument in map(str, paths):
@@ -88,9 +84,8 @@ def storage_file(path: Path) -> Path:
     if not path.is_dir():
         return path
     if not (path / METADATA).is_file():
-        raise InputError(
-            "is a folder, not a log", hint="Name the files in it or use a glob.", where=str(path)
-        )
+        hint = "Name the files in it or use a glob."
+        raise InputError("is a folder, not a log", hint=hint, where=str(path))
     files = _logs_in(path, lambda text: None)
     if len(files) == 1:
         return files[0]
@@ -105,9 +100,6 @@ def sha256_of(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-State = tuple[int, ...]
-
-
 def state_of(path: Path) -> State:
     """What tells that a file is another one than before."""
     now = path.stat()
@@ -116,11 +108,7 @@ def state_of(path: Path) -> State:
 
 @contextmanager
 def unchanged(path: Path, before: State | None = None) -> Iterator[None]:
-    """Read a log that nobody writes to meanwhile.
-
-    `before`: its state when it was first read; None for that of now. Raises InputError: it cannot
-    be read, or is another file than at first when the block ends.
-    """
+    """Read a log; raises InputError if it cannot be read, or changes from its state `before`."""
     try:
         first = before or state_of(path)
         yield
@@ -133,10 +121,9 @@ def unchanged(path: Path, before: State | None = None) -> Iterator[None]:
 
 
 def check_log(path: Path) -> str:
-    """Tell the format of a log by its first bytes.
+    """Tell the format by the first bytes: parquet, mcap, csv, rosbag2 (an SQLite file), rosbag1.
 
-    Returns: "parquet", "mcap", "csv", "rosbag2" (an SQLite file) or "rosbag1". Raises InputError:
-    the file is missing, unreadable, empty, cut short or of another kind.
+    Raises InputError: the file is missing, unreadable, empty, cut short or of another kind.
     """
     where = str(path)
     try:
@@ -158,12 +145,9 @@ def check_log(path: Path) -> str:
         raise InputError("is empty (0 bytes)", hint="Record or copy it again.", where=where)
     kind = _format(head, where)
     if kind == "parquet" and (tail != MAGIC[kind] or size < 12):
-        raise InputError(
-            f"the Parquet file is cut short or damaged: its footer is missing ({size} bytes)",
-            hint="Parquet keeps its index at the end, so nothing can be salvaged: copy it again "
-            "from the source or record again.",
-            where=where,
-        )
+        text = f"the Parquet file is cut short or damaged: its footer is missing ({size} bytes)"
+        hint = "Parquet keeps its index at the end, so nothing can be salvaged: copy it again "
+        raise InputError(text, hint=hint + "from the source or record again.", where=where)
     try:
         if kind == "csv":
             read_form(path)
@@ -195,11 +179,10 @@ def _matches(argument: str, note: Note) -> list[Path]:
         return [path]
     if not glob.has_magic(argument):
         raise InputError("does not exist", hint=_nearby(path), where=argument)
-    found = _globbed(argument, note)
-    if not found:
-        hint = "Check the folder and the suffix."
-        raise InputError("this pattern matches no file", hint=hint, where=argument)
-    return found
+    if found := _globbed(argument, note):
+        return found
+    hint = "Check the folder and the suffix."
+    raise InputError("this pattern matches no file", hint=hint, where=argument)
 
 
 def _no_logs(folder: Path, *, looked_at: int = 20) -> list[Path]:
@@ -244,24 +227,19 @@ def _logs_in(folder: Path, note: Note) -> list[Path]:
 def _is_meant(path: Path, note: Note) -> bool:
     """Tell whether a file that was not named itself is a log: CSV files are all sorts of things."""
     text = ""
-    if path.suffix.lower() == ".parquet" and _holds_predictions(path):
-        text = f"{path} is left out, it is no log: seqid predict wrote it"
+    if path.suffix.lower() == ".parquet":
+        from seqid_cli.logs.tables.parquet import list_columns
+
+        with suppress(InputError):
+            ends = {name.rpartition(".")[2] for name in list_columns(path)}
+            # A table of `predict --torques`: its torques are of logs that count already.
+            if {"predicted", "residual", "sliding"} <= ends:
+                text = "seqid predict wrote it"
     elif path.suffix.lower() in CSV_SUFFIXES and (reason := _fault_of(path)[0]):
-        text = f"{path} is left out, it is no log: it {reason}; name the file itself if it is one"
+        text = f"it {reason}; name the file itself if it is one"
     if text:
-        note(text)
+        note(f"{path} is left out, it is no log: {text}")
     return not text
-
-
-def _holds_predictions(path: Path) -> bool:
-    """Tell a table of `predict --torques`: its filtered torques are of logs that count already."""
-    from seqid_cli.logs.tables.parquet import list_columns
-
-    try:
-        ends = {name.rpartition(".")[2] for name in list_columns(path)}
-    except InputError:
-        return False
-    return {"predicted", "residual", "sliding"} <= ends
 
 
 def _fault_of(path: Path) -> tuple[str, str]:

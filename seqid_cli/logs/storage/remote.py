@@ -1,10 +1,8 @@
 """Logs on object storage (whatever fsspec knows), and tables in memory (Arrow, pandas, polars).
 
-A stored log is a path like any other until it is read. Then it is copied to a temporary file, read
-from there by the same readers as local logs, and the copy is removed: memory stays flat, and one
-log at a time (per process) lies on the disk. Access is configured as the store's own tools are, by
-environment and profile; nothing of it passes through here. A table is stored the same way: whoever
-reads it gets a Parquet file, which is removed afterwards, in this process or in others.
+A stored log, or a table, is a path like any other until it is read. Then it is copied to a
+temporary file (Parquet, of a table), which goes when it is read: one log at a time (per process)
+lies on the disk. Access is configured as the store's own tools are, by environment and profile.
 """
 
 import contextlib
@@ -36,10 +34,7 @@ _REFUSED = re.compile(
 
 
 class StoredLog(_LocalPath):
-    """The URL of a log on object storage, in the place of a path.
-
-    Only its text and its names mean something; the file itself is opened through `local_copy`.
-    """
+    """The URL of a log on object storage, in the place of a path; `local_copy` opens the file."""
 
     def __str__(self) -> str:
         scheme, *rest = self.parts
@@ -61,8 +56,18 @@ class TableLog(StoredLog):
     @classmethod
     def of(cls, data: object, name: str) -> "TableLog":
         """Take a table under the name that results give it."""
+        import pyarrow as pa
+
         log = cls(f"{name}.parquet")
-        log.content = _table(data)
+        try:
+            if isinstance(data, pa.Table):
+                log.content = data
+            else:
+                stream = hasattr(data, "__arrow_c_stream__")
+                log.content = pa.table(data) if stream else pa.Table.from_pandas(data)
+        except (TypeError, ValueError, AttributeError, pa.ArrowException) as error:
+            hint = "Give a path, a pyarrow.Table, a pandas.DataFrame or a Recording."
+            raise InputError(f"{type(data).__name__} is no log ({error})", hint=hint) from error
         return log
 
     def __reduce__(self) -> Any:
@@ -78,20 +83,6 @@ class TableLog(StoredLog):
         pq.write_table(self.content, copy)
 
 
-def _table(data: object) -> Any:
-    import pyarrow as pa
-
-    if isinstance(data, pa.Table):
-        return data
-    try:
-        if hasattr(data, "__arrow_c_stream__"):
-            return pa.table(data)
-        return pa.Table.from_pandas(data)
-    except (TypeError, ValueError, AttributeError, pa.ArrowException) as error:
-        hint = "Give a path, a pyarrow.Table, a pandas.DataFrame or a Recording."
-        raise InputError(f"{type(data).__name__} is no log ({error})", hint=hint) from error
-
-
 def is_url(text: str) -> bool:
     """Whether an argument names something on object storage."""
     return _URL.match(text) is not None and not text.startswith("file://")
@@ -101,12 +92,11 @@ def stored_logs(url: str, suffixes: Sequence[str]) -> list[Path]:
     """Return the logs that a URL means: one, those of a folder at any depth, or those of a glob."""
     system, root = _opened(url)
     with _explained(url):
-        if glob.has_magic(root):
-            found = [name for name in system.glob(root) if name.lower().endswith(tuple(suffixes))]
-        elif system.isfile(root):
+        magic = glob.has_magic(root)
+        if not magic and system.isfile(root):
             return [StoredLog(url)]
-        else:
-            found = [name for name in system.find(root) if name.lower().endswith(tuple(suffixes))]
+        found = system.glob(root) if magic else system.find(root)
+        found = [name for name in found if name.lower().endswith(tuple(suffixes))]
         logs: list[Path] = [StoredLog(system.unstrip_protocol(name)) for name in found]
     if not logs:
         hint = "Check bucket, folder and suffix."
@@ -119,8 +109,6 @@ def local_copy(path: Path) -> Iterator[Path]:
     """Yield a local file with the content of a log, itself where it is local.
 
     Problems with the copy's content are told under the name of the log.
-
-    Raises SeqidError as `stored_logs`, or what the block raises.
     """
     if not isinstance(path, StoredLog):
         yield path
@@ -148,9 +136,9 @@ def _opened(url: str) -> tuple[Any, str]:
         with _explained(url):
             system, root = url_to_fs(url)
     except ImportError as error:
-        hint = f"Install it: python -m pip install 'seqid[{_EXTRAS.get(scheme)}]'"
-        if scheme not in _EXTRAS:
-            hint = "Install fsspec and what it needs for this kind of storage."
+        hint = "Install fsspec and what it needs for this kind of storage."
+        if scheme in _EXTRAS:
+            hint = f"Install it: python -m pip install 'seqid[{_EXTRAS[scheme]}]'"
         message = f"logs on {scheme}:// need a package that is not installed ({error})"
         raise UsageError(message, where=url, hint=hint) from error
     return system, str(root)
@@ -164,17 +152,15 @@ def _explained(url: str) -> Iterator[None]:
     except (SeqidError, ImportError):
         raise
     except FileNotFoundError as error:
-        hint = "Check bucket and name."
-        raise InputError("does not exist", hint=hint, where=url) from error
+        raise InputError("does not exist", hint="Check bucket and name.", where=url) from error
     except Exception as error:
         said = f"{type(error).__name__}: {str(error).strip().partition(chr(10))[0][:200]}"
+        scheme = url.partition("://")[0]
         if isinstance(error, ValueError) and "rotocol not known" in str(error):
-            message = f"{url.partition('://')[0]}:// is no kind of storage that is known"
-            hint = "s3://, gs:// and az:// are."
-            raise UsageError(message, where=url, hint=hint) from error
+            message = f"{scheme}:// is no kind of storage that is known"
+            raise UsageError(message, where=url, hint="s3://, gs:// and az:// are.") from error
         if _REFUSED.search(f"{type(error).__name__} {error}"):
-            extra = _EXTRAS.get(url.partition("://")[0], "")
-            hint = _ACCESS.get(extra, "Check the credentials of this store.")
+            hint = _ACCESS.get(_EXTRAS.get(scheme, ""), "Check the credentials of this store.")
             message = f"the store refuses access ({said})"
             raise ConfigError(message, where=url, hint=hint) from error
         hint = "Check the network, the space for temporary files (TMPDIR) and the store."

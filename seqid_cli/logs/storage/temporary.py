@@ -1,8 +1,7 @@
 """Folders for copies of logs, which go with the run that made them, and rows set aside.
 
 Decoding a compressed column costs ten times what reading it back costs. The rows' file lies where
-temporary files do (`TMPDIR`), has no name where the system allows, and goes with whoever holds it.
-Where there is too little room, or the rows become too many, there is none.
+temporary files do (`TMPDIR`) and goes with whoever holds it.
 """
 
 import os
@@ -29,8 +28,7 @@ class Spool:
         self._shapes: list[tuple[int, int]] = []
         self._size = 0
         try:
-            free = shutil.disk_usage(tempfile.gettempdir()).free
-            self._most = min(most_bytes, share * free)
+            self._most = min(most_bytes, share * shutil.disk_usage(tempfile.gettempdir()).free)
             self._file = tempfile.TemporaryFile(prefix="seqid-", buffering=0)  # noqa: SIM115
             weakref.finalize(self, self._file.close)
         except OSError:

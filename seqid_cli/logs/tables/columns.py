@@ -17,6 +17,11 @@ from seqid_cli.logs.raw import STAMP_LIMIT_NS, Array, Mask, Rows, Stamps
 
 ARROW_ERRORS = (pa.ArrowException, OSError, ValueError, KeyError, MemoryError, OverflowError)
 ROOM, MOST_TIMES = 256 << 20, 500  # bytes in memory of any table; of one byte of a larger one
+_NUMBERS = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null)
+_TEXTS = (
+    pa.types.is_string, pa.types.is_large_string, pa.types.is_binary, pa.types.is_large_binary,
+)  # fmt: skip
+_TIMED = (pa.types.is_timestamp, pa.types.is_duration, pa.types.is_time)
 _HINT = "Write it as float64 in SI units; time also as a timestamp."
 NS_PER = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 # An epoch time of this size cannot be seconds: the largest that it can be in each unit.
@@ -36,9 +41,8 @@ class TimeColumn:
 def column(table: pa.Table, name: str) -> pa.ChunkedArray:
     """Return a column, dictionaries resolved."""
     found = table.column(name)
-    if pa.types.is_dictionary(found.type):
-        found = pc.cast(found, found.type.value_type)
-    return found
+    dictionary = pa.types.is_dictionary(found.type)
+    return pc.cast(found, found.type.value_type) if dictionary else found
 
 
 def numbers(where: str, table: pa.Table, name: str) -> Array:
@@ -95,17 +99,9 @@ def read_stamps(where: str, table: pa.Table, time: TimeColumn) -> tuple[Stamps, 
         else:
             warnings += _resolution(time.name, kind, values / (NS_PER["s"] / NS_PER[unit]))
             stamps, good = _from_values(values, NS_PER[unit])
-    lost = int(np.count_nonzero(~good))
-    if lost:
+    if lost := int(np.count_nonzero(~good)):
         warnings.append(f"{lost} rows without a usable time in column {time.name!r} were left out")
     return np.where(good, stamps, 0), np.flatnonzero(good), warnings
-
-
-_NUMBERS = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal, pa.types.is_null)
-_TEXTS = (
-    pa.types.is_string, pa.types.is_large_string, pa.types.is_binary, pa.types.is_large_binary,
-)  # fmt: skip
-_TIMED = (pa.types.is_timestamp, pa.types.is_duration, pa.types.is_time)
 
 
 def _unit(values: Array, time: TimeColumn, warnings: list[str], *, fastest_s: float = 5e-05) -> str:
@@ -184,8 +180,5 @@ def opened_table(path: Path, **options: object) -> pq.ParquetFile:
 
 def readable(path: Path) -> Path | BinaryIO:
     """What Arrow opens: a file by its name, or open already where it cannot spell the name."""
-    try:
-        name = str(path).encode("utf-8")
-    except UnicodeEncodeError:
-        return path.open("rb")
-    return path if name == os.fsencode(path) else path.open("rb")
+    spelt = str(path).encode("utf-8", "replace") == os.fsencode(path)
+    return path if spelt else path.open("rb")

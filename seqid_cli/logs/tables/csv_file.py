@@ -57,7 +57,17 @@ class CsvTable(TableFile):
             parsed = self._parse(columns, _Ragged(), numeric=True)  # the time, too, for the fault
         if not isinstance(parsed, pa.Table):
             raise self._fault(parsed)
-        yield parsed, self._partial(ragged, parsed.num_rows)
+        first, lines = ragged.first, parsed.num_rows + ragged.count
+        if first is None:
+            yield parsed, ""
+            return
+        what = "a line" if first.number is None else f"line {first.number}"
+        what += f" has {first.actual_columns} fields, the header {first.expected_columns}"
+        if ragged.count > max(1.0, _RAGGED_SHARE * lines):
+            message = f"{what}; so do {ragged.count} of {lines} lines"
+            hint = "Give every line as many fields as there are names."
+            raise InputError(message, hint=hint, where=self.where)
+        yield parsed, f"{what}; {ragged.count} of {lines} lines were left out"
 
     def _parse(
         self, columns: Sequence[str], ragged: _Ragged | None = None, *, numeric: bool = False
@@ -67,65 +77,46 @@ class CsvTable(TableFile):
         `ragged`: takes lines with another number of fields, which are an error without it.
         """
         places = [self.names.index(name) for name in columns]
-        count = len(self.names) + self.form.filler
         # Arrow may find out the type of time itself: seconds, counts or a calendar time.
         times = () if numeric else {*time_names(self.names), *(stamp_parts(self.names) or ())}
         source: Path | pa.BufferReader = self.path
         if self.size is not None:
             source = pa.BufferReader(pa.memory_map(str(self.path)).read_buffer(self.size))
+        reading = pc.ReadOptions(
+            use_threads=ragged is None,
+            block_size=_BLOCK,
+            skip_rows=self.form.skip,
+            column_names=[f"c{k}" for k in range(len(self.names) + self.form.filler)],
+            # Arrow hands damaged lines over as text: any byte must be some character.
+            encoding=self.form.encoding if ragged is None else "latin-1",
+        )
+        parsing = pc.ParseOptions(delimiter=self.form.delimiter, invalid_row_handler=ragged)
+        conversion = pc.ConvertOptions(
+            column_types={f"c{k}": pa.float64() for k in places if self.names[k] not in times},
+            include_columns=[f"c{k}" for k in places],
+            null_values=_MISSING,
+            quoted_strings_can_be_null=True,
+            decimal_point=self.form.decimal,
+            check_utf8=False,
+        )
         try:
-            table = pc.read_csv(
-                source,
-                pc.ReadOptions(
-                    use_threads=ragged is None,
-                    block_size=_BLOCK,
-                    skip_rows=self.form.skip,
-                    column_names=[f"c{k}" for k in range(count)],
-                    # Arrow hands damaged lines over as text: any byte must be some character.
-                    encoding=self.form.encoding if ragged is None else "latin-1",
-                ),
-                pc.ParseOptions(delimiter=self.form.delimiter, invalid_row_handler=ragged),
-                pc.ConvertOptions(
-                    column_types={
-                        f"c{k}": pa.float64() for k in places if self.names[k] not in times
-                    },
-                    include_columns=[f"c{k}" for k in places],
-                    null_values=_MISSING,
-                    quoted_strings_can_be_null=True,
-                    decimal_point=self.form.decimal,
-                    check_utf8=False,
-                ),
-            )
+            table = pc.read_csv(source, reading, parsing, conversion)
         except ARROW_ERRORS as error:
             return error
         return table.rename_columns(list(columns))
 
-    def _partial(self, ragged: _Ragged, rows: int) -> str:
-        first, lines = ragged.first, rows + ragged.count
-        if first is None:
-            return ""
-        what = "a line" if first.number is None else f"line {first.number}"
-        what += f" has {first.actual_columns} fields, the header {first.expected_columns}"
-        if ragged.count > max(1.0, _RAGGED_SHARE * lines):
-            message = f"{what}; so do {ragged.count} of {lines} lines"
-            hint = "Give every line as many fields as there are names."
-            raise InputError(message, hint=hint, where=self.where)
-        return f"{what}; {ragged.count} of {lines} lines were left out"
-
     def _fault(self, error: BaseException) -> InputError:
         text = " ".join(str(error).split())
+        message = f"the CSV file is not readable ({text[:200]})"
+        hint = "Export it again, numbers only, one line per sample."
         if "straddling" in text:
             message = f"a line is longer than {_BLOCK >> 20} MB: it is no table of samples"
-            return InputError(message, hint="End every sample with a line feed.", where=self.where)
-        found = _FAULT.search(text)
-        if not found:
-            message = f"the CSV file is not readable ({text[:200]})"
-            hint = "Export it again, numbers only, one line per sample."
-            return InputError(message, hint=hint, where=self.where)
-        name = self.names[int(found["column"])]
-        line = f"line {self._line(int(found['row']))}, " if found["row"] else ""
-        message = f"{line}column {name!r}: {found['value'][:40]!r} is no number"
-        hint = "Correct or delete the line; leave the field empty where a value is missing."
+            hint = "End every sample with a line feed."
+        elif found := _FAULT.search(text):
+            name = self.names[int(found["column"])]
+            line = f"line {self._line(int(found['row']))}, " if found["row"] else ""
+            message = f"{line}column {name!r}: {found['value'][:40]!r} is no number"
+            hint = "Correct or delete the line; leave the field empty where a value is missing."
         return InputError(message, hint=hint, where=self.where)
 
     def _line(self, row: int) -> int:
@@ -145,16 +136,11 @@ def read_blocks(
     """Read a CSV log as one block; see `read_table`. A line has one time."""
     del time_source
     form = read_form(path)
-    size = _whole_lines(path)
-    notes = () if size is None else (_CUT,)
-    return read_table(CsvTable(path, form.names, notes=notes, form=form, size=size), robot, rows)
-
-
-def _whole_lines(path: Path) -> int | None:
-    """Bytes before a last line that has no end, which may be cut short; None where it has one."""
     with path.open("rb") as file:
         size = file.seek(0, os.SEEK_END)
         file.seek(max(0, size - _BLOCK))
         tail = file.read()
     end = max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
-    return None if end == len(tail) else size - len(tail) + end
+    cut = end != len(tail)
+    whole, notes = size - len(tail) + end if cut else None, (_CUT,) * cut
+    return read_table(CsvTable(path, form.names, notes=notes, form=form, size=whole), robot, rows)

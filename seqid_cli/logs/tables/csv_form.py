@@ -1,8 +1,4 @@
-"""How a CSV file is written, told by its first lines: standard library only.
-
-Delimiter, decimal mark, comment lines and names of the columns are found by looking, because no two
-loggers agree on them.
-"""
+"""How a CSV file is written, told by its first lines: standard library only."""
 
 import csv
 import re
@@ -61,9 +57,8 @@ def read_form(path: Path, *, looked_at: int = 20) -> CsvForm:
     while names and not names[-1] and max(map(len, rows)) < len(names):
         names.pop()  # the header alone ends with a delimiter
     _require_numbers(rows[0], len(names), delimiter, header_at + 2, where)
-    filler = max(0, min(map(len, rows)) - len(names))
-    if any("".join(row[len(names) :]).strip() for row in rows):
-        filler = 0
+    beyond = any("".join(row[len(names) :]).strip() for row in rows)
+    filler = 0 if beyond else max(0, min(map(len, rows)) - len(names))
     decimal = _decimal(rows, delimiter)
     return CsvForm(encoding, delimiter, decimal, tuple(names), header_at + 1, filler)
 
@@ -75,11 +70,9 @@ def _lines(head: bytes, where: str) -> tuple[str, list[str]]:
         raise InputError("is UTF-16 text; CSV logs are read as UTF-8", hint=hint, where=where)
     if b"\0" in head:
         line = head[: head.index(b"\0")].count(b"\n") + 1
-        raise InputError(
-            f"line {line} holds NUL bytes: it is not text, or the recording computer lost power",
-            hint="Remove the NUL bytes: `tr -d '\\000' < FILE > NEW.csv`.",
-            where=where,
-        )
+        text = f"line {line} holds NUL bytes: it is not text, or the recording computer lost power"
+        hint = "Remove the NUL bytes: `tr -d '\\000' < FILE > NEW.csv`."
+        raise InputError(text, hint=hint, where=where)
     encoding = "utf8"
     try:
         head[: head.rfind(b"\n") + 1].decode(encoding)
@@ -102,12 +95,10 @@ def _header(lines: Sequence[str], where: str) -> tuple[int, str]:
         stripped = line.strip()
         if stripped.startswith(_COMMENTS):
             comment = stripped.lstrip("#% \t")
-            continue
-        if not stripped:
-            continue
-        if not _all_numbers(stripped):
+        elif stripped and not _all_numbers(stripped):
             return at, stripped if "\t" not in line else line.rstrip("\r\n")
-        return at - 1, "" if _all_numbers(comment or "0") else comment
+        elif stripped:
+            return at - 1, "" if _all_numbers(comment or "0") else comment
     raise InputError("the file holds no line of names", hint=_HINT, where=where)
 
 
@@ -118,7 +109,7 @@ def nameless(names: Sequence[str]) -> bool:
 
 def _all_numbers(line: str) -> bool:
     fields = [field for field in re.split(r"[,;\t ]+", line) if field]
-    return bool(fields) and all(is_number(field) for field in fields)
+    return bool(fields) and all(map(is_number, fields))
 
 
 def is_number(field: str) -> bool:
@@ -132,11 +123,8 @@ def _delimiter(names: str, data: str, where: str) -> str:
     counts = {d: min(len(_split(names, d)), len(_split(data, d))) for d in _DELIMITERS}
     best = max(_DELIMITERS, key=lambda d: counts[d])
     if counts[best] < 2:
-        raise InputError(
-            f"is text but no table: nothing separates columns in {names[:40]!r} and {data[:40]!r}",
-            hint=_HINT,
-            where=where,
-        )
+        text = f"nothing separates columns in {names[:40]!r} and {data[:40]!r}"
+        raise InputError(f"is text but no table: {text}", hint=_HINT, where=where)
     if best == " " and "  " in data.strip():
         message = "columns are separated by a varying number of spaces"
         hint = "Write one space or comma between them: `tr -s ' ' < FILE > NEW.csv`."
@@ -162,14 +150,10 @@ def _decimal(rows: Sequence[Sequence[str]], delimiter: str) -> str:
 
 def _require_numbers(row: Sequence[str], names: int, delimiter: str, line: int, where: str) -> None:
     if delimiter == "," and names < len(row) <= 2 * names and all(map(is_number, row)):
-        raise InputError(
-            f"line {line} has {len(row)} numbers for {names} names: they seem to have decimal "
-            "commas",
-            hint="Write numbers with a decimal point, or separate the columns by semicolons.",
-            where=where,
-        )
-    numeric = [field for field in row if is_number(field) or field.strip().lower() in MISSING]
-    if not any(is_number(field) for field in numeric):
+        text = f"line {line} has {len(row)} numbers for {names} names: they seem to have decimal "
+        hint = "Write numbers with a decimal point, or separate the columns by semicolons."
+        raise InputError(f"{text}commas", hint=hint, where=where)
+    if not any(map(is_number, row)):
         message = f"line {line} holds no number: it is no table of samples ({' '.join(row)[:60]!r})"
         hint = _HINT + " A line of units below the names must go."
         raise InputError(message, hint=hint, where=where)

@@ -1,8 +1,7 @@
-"""How well-known loggers name the columns of a table.
+"""How well-known loggers name the columns of a table: standard library only.
 
 A scheme gives the pattern of each quantity; `{name}` is the joint's name in the robot file,
-`{index0}` and `{index}` its place in the chain from 0 or 1. Elements of list columns are called
-`column[k]`. Standard library only.
+`{index0}` and `{index}` its place in the chain from 0 or 1, `column[k]` an element of a list.
 
 Sources: UR RTDE, `actual_q` and its like with `_0` ... `_5` (RTDE_Python_Client_Library,
 rtde/csv_writer.py); libfranka, `state.q[0]` ... and time in ms (src/logging/robot_state_log.cpp);
@@ -17,12 +16,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from seqid_cli.robot.toml.schema import Columns
 
-# fmt: off
 QUANTITIES = (
     "position", "velocity", "torque", "current", "load", "link_position", "voltage", "pwm",
     "temperature",
-)
-# fmt: on
+)  # fmt: skip
 EFFORT = "effort"  # torque or current, whichever the robot file says
 
 # Names of time columns, the unit behind them optional: time, t_ms, timestamp [s], __time.
@@ -36,35 +33,14 @@ _SHORT = {"s": "s", "se": "s", "ms": "ms", "us": "us", "ns": "ns"}
 _STAMP_PARTS = re.compile(r"(?P<stem>.*stamp[./_])(?:sec|secs|seconds)")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
 # Words beside a quantity that tell what was commanded or measured, and are no joint.
-# fmt: off
 COMMANDED = frozenset({
     "target", "desired", "des", "cmd", "command", "commanded", "ref", "goal", "setpoint",
     "soll", "d", "err", "error",
-})
+})  # fmt: skip
 MEASURED = frozenset({
     "joint", "joints", "j", "a", "m", "axis", "achse", "gelenk", "state", "states", "actual",
     "measured", "meas", "act", "ist", "motor", "servo", "robot", "observation",
-})
-# fmt: on
-EPISODES = ("episode_index", "episode_id", "episode")
-
-
-@dataclass(frozen=True)
-class Scheme:
-    """Names of one kind of log."""
-
-    patterns: Mapping[str, tuple[str, ...]]  # of a quantity, tried one after the other
-    time_unit: str | None = None  # of its time column where the name does not say
-
-
-@dataclass(frozen=True)
-class Match:
-    """A scheme found in a log: the column of each joint, by quantity; None where it lacks one."""
-
-    scheme: Scheme
-    columns: dict[str, list[str | None]]
-
-
+})  # fmt: skip
 _ALL = (*QUANTITIES, EFFORT)
 _NAMED = {
     "position": "position pos q",
@@ -92,6 +68,23 @@ _FRANKA = {"position": "q", "velocity": "dq", "torque": "tau_J"}
 _LEROBOT = {quantity: quantity for quantity in ("torque", "current", "temperature", "effort")}
 _LEROBOT |= {"position": "state", "velocity": "velocity state.velocity"}
 LEROBOT_STATE = "observation.state"
+EPISODES = ("episode_index", "episode_id", "episode")
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """Names of one kind of log."""
+
+    patterns: Mapping[str, tuple[str, ...]]  # of a quantity, tried one after the other
+    time_unit: str | None = None  # of its time column where the name does not say
+
+
+@dataclass(frozen=True)
+class Match:
+    """A scheme found in a log: the column of each joint, by quantity; None where it lacks one."""
+
+    scheme: Scheme
+    columns: dict[str, list[str | None]]
 
 
 def _scheme(form: str, words: Mapping[str, str], time_unit: str | None = None) -> Scheme:
@@ -131,27 +124,24 @@ def find_scheme(
     """
     for scheme in SCHEMES:
         lists = all(p.endswith("[{index0}]") for p in scheme.patterns["position"])
-        places = entries if entries and lists and scheme != FRANKA else None
-        found = {
-            quantity: _find(scheme, quantity, joints, known, places, whole=quantity == "position")
-            for quantity in _ALL
-        }
+        at = [*range(len(joints))]
+        if entries and lists and scheme != FRANKA:
+            at = [entries.get(joint, -1) for joint in joints]
+        pairs = [*zip(joints, at, strict=True)]
+        found = {name: _find(scheme, name, pairs, known, name == "position") for name in _ALL}
         if found["position"] is not None:
             return Match(scheme, {name: own for name, own in found.items() if own is not None})
     return None
 
 
 def find_quantities(joints: Sequence[str], known: Collection[str]) -> dict[str, list[str | None]]:
-    """Find the quantities that names tell where the robot file names the positions itself.
-
-    Each by the first scheme that gives all joints, else by the default names for some of them.
-    """
+    """Find quantities by the first scheme that has all joints, else by some default names."""
     columns: dict[str, list[str | None]] = {}
     tries = [*((scheme, True) for scheme in SCHEMES), (DEFAULT, False)]
+    pairs = [(joint, i) for i, joint in enumerate(joints)]
     for quantity in _ALL[1:]:
-        tried = (_find(one, quantity, joints, known, None, whole=whole) for one, whole in tries)
-        found = next((own for own in tried if own is not None), None)
-        if found is not None:
+        tried = (_find(one, quantity, pairs, known, whole) for one, whole in tries)
+        if found := next(filter(None, tried), None):
             columns[quantity] = found
     return columns
 
@@ -166,16 +156,13 @@ def nearest_scheme(joints: Sequence[str], known: Collection[str]) -> list[str]:
 def _find(
     scheme: Scheme,
     quantity: str,
-    joints: Sequence[str],
+    joints: list[tuple[str, int]],
     known: Collection[str],
-    places: Mapping[str, int] | None,
-    *,
     whole: bool,
 ) -> list[str | None] | None:
     """Return the columns of the first pattern that gives one for every joint, or for some."""
-    at = [places.get(joint, -1) if places else i for i, joint in enumerate(joints)]
     for pattern in scheme.patterns.get(quantity, ()):
-        names = [column_name(pattern, *pair) for pair in zip(joints, at, strict=True)]
+        names = [column_name(pattern, joint, place) for joint, place in joints]
         found = [name if name in known else None for name in names]
         if all(found) or (not whole and any(found)):
             return found
@@ -186,8 +173,7 @@ def time_names(names: Iterable[str]) -> dict[str, str | None]:
     """List the columns that look like time, with the unit where the name says it."""
     found: dict[str, str | None] = {}
     for name in names:
-        matched = _TIME.fullmatch(name.strip())
-        if matched:
+        if matched := _TIME.fullmatch(name.strip()):
             unit = (matched["unit"] or matched["bracket"] or "").lower()
             found[name] = _SHORT[unit[:2]] if unit else None
     return found
@@ -196,10 +182,10 @@ def time_names(names: Iterable[str]) -> dict[str, str | None]:
 def stamp_parts(names: Collection[str]) -> tuple[str, str] | None:
     """Find a stamp that is written as whole seconds and nanoseconds in two columns."""
     for name in names:
-        matched = _STAMP_PARTS.fullmatch(name)
-        for word in _NANOSECONDS if matched else ():
-            if matched and matched["stem"] + word in names:
-                return name, matched["stem"] + word
+        if matched := _STAMP_PARTS.fullmatch(name):
+            for word in _NANOSECONDS:
+                if matched["stem"] + word in names:
+                    return name, matched["stem"] + word
     return None
 
 

@@ -1,13 +1,12 @@
 """Parquet logs: only the needed columns are read, one row group at a time.
 
-The elements of list columns may be named: a table made of JointState messages has a `name` column
-of string lists, a LeRobot data set names the motors of `observation.state` in `meta/info.json`, two
-folders or one above its data files.
+A table made of JointState messages has a `name` column of string lists; a LeRobot data set names
+the motors of `observation.state` in `meta/info.json`, two folders or one above its data files.
 """
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -23,25 +22,12 @@ from seqid_cli.logs.tables.naming_schemes import LEROBOT_STATE
 from seqid_cli.logs.tables.table import TableFile, read_table
 from seqid_cli.robot.types import Robot
 
+_ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
+BLOCK_ROWS = 65_536
+_LONGEST = 256  # elements of a list column that can be one number per joint
 _LARGEST = 16 << 20  # bytes of an info.json
 _ENDINGS = ("", ".pos", ".position", "_pos", "_position", ".q")
 _NAME_COLUMNS = ("name", "names", "joint_names")
-
-
-def list_entries(
-    path: Path, file: pq.ParquetFile, lists: Mapping[str, int], joints: Sequence[str]
-) -> tuple[dict[str, int], tuple[str, ...]]:
-    """Find the place of each joint in the file's lists, where it names them all; and notes."""
-    lerobot = LEROBOT_STATE in lists
-    names = _lerobot_names(path) if lerobot else _name_column(path, file)
-    places = {name: place for place, name in reversed([*enumerate(names)])}
-    forms = {joint: [joint + end for end in _ENDINGS if joint + end in places] for joint in joints}
-    found = {joint: places[given[0]] for joint, given in forms.items() if given}
-    if len(found) == len(joints):
-        return found, ()
-    if lerobot and joints:
-        return {}, (f"{LEROBOT_STATE}: values are taken in the order of the robot file",)
-    return {}, ()
 
 
 def motors_of(path: Path) -> tuple[str, ...]:
@@ -82,11 +68,6 @@ def _name_column(path: Path, file: pq.ParquetFile) -> list[str]:
     return []
 
 
-_ELEMENT = re.compile(r"(?P<list>.+)\[(?P<index>[0-9]+)\]")
-BLOCK_ROWS = 65_536
-_LONGEST = 256  # elements of a list column that can be one number per joint
-
-
 @dataclass(frozen=True, kw_only=True)
 class ParquetTable(TableFile):
     """An opened Parquet file; `lists` are its list columns of numbers and how long these are."""
@@ -115,12 +96,10 @@ class ParquetTable(TableFile):
             counts = np.asarray(pc.fill_null(pc.list_value_length(column), -1))
             wrong = np.flatnonzero((counts != length) & (counts > 0))
             if len(wrong):
-                raise InputError(
-                    f"row {wrong[0] + 1}: {name!r} holds {counts[wrong[0]]} values, the first row "
-                    f"{length} ({len(wrong)} such rows)",
-                    hint="Write one value per joint in every row, null where one is missing.",
-                    where=self.where,
-                )
+                text = f"row {wrong[0] + 1}: {name!r} holds {counts[wrong[0]]} values, the first "
+                text += f"row {length} ({len(wrong)} such rows)"
+                hint = "Write one value per joint in every row, null where one is missing."
+                raise InputError(text, hint=hint, where=self.where)
             values = np.full((len(column), length), np.nan)
             flat = pc.cast(pc.list_flatten(column), pa.float64(), safe=False)
             values[counts == length] = flat.to_numpy(zero_copy_only=False).reshape(-1, length)
@@ -140,36 +119,28 @@ def read_blocks(
 def read_tables(
     path: Path, columns: Sequence[str], *, rows: int | None = BLOCK_ROWS
 ) -> Iterator[pa.Table]:
-    """Read columns of a Parquet file, up to `rows` rows at a time; None for all of them.
-
-    In blocks memory stays that of one row group. Checksums of pages are checked where there are.
-    """
+    """Read columns, up to `rows` rows of a row group at a time, or all; checks checksums."""
     try:
         with opened_table(path, pre_buffer=False, page_checksum_verification=True) as file:
-            _refuse_texts(path, file, columns)
+            schema = file.schema_arrow
+            for name in set(columns) & set(schema.names):  # each text may be of any size
+                kind = schema.field(name).type
+                if is_text(kind):
+                    kind = kind.value_type if pa.types.is_dictionary(kind) else kind
+                    message = f"column {name!r} holds {kind}, not numbers"
+                    hint = "Write it as float64 in SI units, time in seconds or as a timestamp."
+                    raise InputError(message, hint=hint, where=str(path))
             if rows is None:
                 yield file.read(columns=list(columns))
                 return
             for group in range(file.num_row_groups):
-                for batch in file.iter_batches(
-                    rows, row_groups=[group], columns=list(columns), use_threads=False
-                ):
+                own = {"row_groups": [group], "columns": list(columns)}
+                for batch in file.iter_batches(rows, **own, use_threads=False):
                     yield pa.Table.from_batches([batch])
                     del batch
                 pa.default_memory_pool().release_unused()  # or it keeps some row groups' worth
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
-
-
-def _refuse_texts(path: Path, file: pq.ParquetFile, columns: Sequence[str]) -> None:
-    """Refuse a column of texts before it is read: each of them may be of any size."""
-    for name in set(columns) & set(file.schema_arrow.names):
-        kind = file.schema_arrow.field(name).type
-        if is_text(kind):
-            kind = kind.value_type if pa.types.is_dictionary(kind) else kind
-            message = f"column {name!r} holds {kind}, not numbers"
-            hint = "Write it as float64 in SI units, time in seconds or as a timestamp."
-            raise InputError(message, hint=hint, where=str(path))
 
 
 def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
@@ -179,12 +150,21 @@ def open_table(path: Path, joints: Sequence[str] = ()) -> ParquetTable:
             fields = _flattened(file.schema_arrow.empty_table()).schema
             lengths = {each.name: _length(file, each.name, each.type) for each in fields}
             lists = {name: length for name, length in lengths.items() if length}
-            entries, notes = list_entries(path, file, lists, joints)
+            lerobot = LEROBOT_STATE in lists
+            named = _lerobot_names(path) if lerobot else _name_column(path, file)
     except ARROW_ERRORS as error:
         raise damaged(path, error) from error
+    # The place of each joint in the lists, where the file names them all.
+    places = {name: place for place, name in reversed([*enumerate(named)])}
+    forms = [[joint + end for end in _ENDINGS if joint + end in places] for joint in joints]
+    entries = {joint: places[f[0]] for joint, f in zip(joints, forms, strict=True) if f}
+    notes: list[str] = []
+    if len(entries) < len(joints):
+        entries = {}
+        notes += [f"{LEROBOT_STATE}: values are taken in the order of the robot file"] * lerobot
     names = fields.names
     names += [f"{name}[{k}]" for name, length in lists.items() for k in range(length)]
-    return ParquetTable(path, tuple(names), entries, notes, lists=lists)
+    return ParquetTable(path, tuple(names), entries, tuple(notes), lists=lists)
 
 
 def list_columns(path: Path) -> tuple[str, ...]:
@@ -215,18 +195,16 @@ def _length(file: pq.ParquetFile, name: str, kind: pa.DataType) -> int:
     for batch in file.iter_batches(batch_size=1024, columns=[name]):
         given = batch.column(0).drop_null() if batch.num_columns else []
         if len(given):
-            length = len(given[0])
-            return length if length <= _LONGEST else 0
+            return len(given[0]) if len(given[0]) <= _LONGEST else 0
     return 0
 
 
 def damaged(path: Path, error: BaseException) -> InputError:
     """Make the error for what Arrow could not read."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
+    message = f"the Parquet file is damaged or not readable ({reason})"
+    hint = "Copy it again from the source, or leave this log out."
     if isinstance(error, MemoryError):
         message = f"there is too little memory to read it ({reason})"
         hint = "Give the process more, or split the log; a damaged file may ask for too much, too."
-        return InputError(message, hint=hint, where=str(path))
-    message = f"the Parquet file is damaged or not readable ({reason})"
-    hint = "Copy it again from the source, or leave this log out."
     return InputError(message, hint=hint, where=str(path))

@@ -17,24 +17,15 @@ import pyarrow as pa
 from seqid_cli.errors import InputError
 from seqid_cli.logs.drives import in_si
 from seqid_cli.logs.raw import ACCELEROMETERS, GYRO, RawLog, Rows, Stamps, Stream, partly_logged
+from seqid_cli.logs.tables import naming_schemes as schemes
 from seqid_cli.logs.tables.columns import TimeColumn, numbers, read_stamps
 from seqid_cli.logs.tables.csv_form import nameless
-from seqid_cli.logs.tables.naming_schemes import (
-    EFFORT,
-    EPISODES,
-    QUANTITIES,
-    Match,
-    column_name,
-    find_quantities,
-    find_scheme,
-    nearest_scheme,
-    stamp_parts,
-    time_names,
-)
 from seqid_cli.robot.toml.schema import Channels, Columns
 from seqid_cli.robot.types import Imu, Robot
 from seqid_cli.typing import Array
 
+ROWS = "the rows"
+_SHOWN = 6
 # Forms of names: of accelerometers (by number, or the axes of a triad) and of the gyro's axes.
 _FORMS = (
     *((f"{{imu}}{mark}a{{of}}", f"{{imu}}{mark}g{{of}}") for mark in "./_"),
@@ -70,20 +61,14 @@ def imu_columns(
 
 
 def separate(
-    stamps: Stamps,
-    keep: Rows,
-    episode: Array,
-    name: str,
-    *,
-    hole_s: float = 1.0,
-    hole_intervals: int = 50,
+    stamps: Stamps, keep: Rows, episode: Array, name: str
 ) -> tuple[Stamps, Rows, list[str]]:
-    """Lay episodes one behind the other; one alone stays as it is.
+    """Lay episodes (M,), of a column `name`, one behind the other; one alone stays as it is.
 
-    `stamps` (M,): of the rows [ns]. `keep` (K,): the rows that have one. `episode` (M,): number,
-    NaN where missing. `name`: its column. `hole_s`, `hole_intervals`: the hole between episodes has
-    so many seconds and intervals at least. Returns: new stamps, the rows of an episode, notes.
+    `stamps` (M,): of the rows [ns]. `keep` (K,): the rows that have one. Returns: new stamps, the
+    rows of an episode, notes.
     """
+    hole_s, hole_intervals = 1.0, 50  # between episodes, at least
     numbered = np.isfinite(episode[keep])
     lost = int(np.count_nonzero(~numbered))
     notes = [f"{lost} rows without {name} were left out"] if lost else []
@@ -99,15 +84,9 @@ def separate(
     moved = stamps.copy()
     for before, run in pairwise(runs):
         moved[run] += int(moved[before].max()) + hole - int(stamps[run].min())
-    notes.append(
-        f"{len(runs)} episodes ({name}) are read as stretches with a gap of {hole * 1e-9:.3g} s "
-        "between them"
-    )
+    text = f"{len(runs)} episodes ({name}) are read as stretches with a gap of {hole * 1e-9:.3g} s"
+    notes.append(f"{text} between them")
     return moved, keep, notes
-
-
-ROWS = "the rows"
-_SHOWN = 6
 
 
 @dataclass(frozen=True)
@@ -143,8 +122,8 @@ class Plan:
 def read_table(file: TableFile, robot: Robot, rows: int | None = None) -> Iterator[RawLog]:
     """Read the channels that the robot file knows, in blocks of about `rows`, or as one.
 
-    All streams share their stamps; nulls and NaN stay missing. What was noticed of the file is told
-    by the first block. A file of several episodes is one block: they are put one behind the other.
+    All streams share their stamps; nulls and NaN stay missing. The first block tells what was
+    noticed of the file. A file of several episodes is one block.
     """
     plan = make_plan(file, robot)
     wanted: list[str | None] = [plan.time.name, plan.time.nanoseconds]
@@ -185,46 +164,39 @@ def _raw_log(
 def make_plan(file: TableFile, robot: Robot) -> Plan:
     """Decide which columns to read: what the robot file declares, else what the names tell."""
     known, joints = set(file.names), robot.joint_names
-    match = find_scheme(joints, known, file.entries)
+    match = schemes.find_scheme(joints, known, file.entries)
     if match is None and robot.channels.position is None:
-        raise missing_columns(file.where, nearest_scheme(joints, known), file.names)
+        raise missing_columns(file.where, schemes.nearest_scheme(joints, known), file.names)
     warnings: list[str] = []
     columns = _joint_columns(file, robot, match)
     found = {imu.name: imu_columns(file.where, robot, imu, known, warnings) for imu in robot.imus}
-    used = {name for row in columns.values() for name in row}
-    return Plan(
-        _time_column(file, robot.channels, match),
-        columns,
-        {name: pair for name, pair in found.items() if pair is not None},
-        next((name for name in EPISODES if name in known and name not in used), None),
-        warnings,
-    )
+    imus = {name: pair for name, pair in found.items() if pair is not None}
+    left = known.difference(*columns.values())
+    episode = next((name for name in schemes.EPISODES if name in left), None)
+    return Plan(_time_column(file, robot.channels, match), columns, imus, episode, warnings)
 
 
 def _joint_columns(
-    file: TableFile, robot: Robot, match: Match | None
+    file: TableFile, robot: Robot, match: schemes.Match | None
 ) -> dict[str, list[str | None]]:
-    known = set(file.names)
-    found = find_quantities(robot.joint_names, known) if match is None else dict(match.columns)
-    effort = found.pop(EFFORT, None)
-    kind = "current" if robot.channels.effort == "current" else "torque"
+    known, names = set(file.names), robot.joint_names
+    found = schemes.find_quantities(names, known) if match is None else dict(match.columns)
+    effort = found.pop(schemes.EFFORT, None)
     if effort is not None:
-        found.setdefault(kind, effort)
-    for quantity in QUANTITIES:
+        found.setdefault("current" if robot.channels.effort == "current" else "torque", effort)
+    for quantity in schemes.QUANTITIES:
         pattern: Columns | None = getattr(robot.channels, quantity)
-        if pattern is None:
-            continue
-        declared = [column_name(pattern, name, i) for i, name in enumerate(robot.joint_names)]
-        missing = [name for name in declared if name not in known]
-        if missing:
-            raise missing_columns(file.where, missing, file.names)
-        found[quantity] = list(declared)
-    return {quantity: found[quantity] for quantity in QUANTITIES if quantity in found}
+        if pattern is not None:
+            declared = [schemes.column_name(pattern, name, i) for i, name in enumerate(names)]
+            if missing := [name for name in declared if name not in known]:
+                raise missing_columns(file.where, missing, file.names)
+            found[quantity] = [*declared]
+    return {quantity: found[quantity] for quantity in schemes.QUANTITIES if quantity in found}
 
 
-def _time_column(file: TableFile, channels: Channels, match: Match | None) -> TimeColumn:
+def _time_column(file: TableFile, channels: Channels, match: schemes.Match | None) -> TimeColumn:
     names, unit = file.names, match.scheme.time_unit if match is not None else None
-    told = time_names(names)
+    told = schemes.time_names(names)
     if "t" in told and channels.time is None:
         return TimeColumn("t", unit)
     candidates = list(told) if channels.time is None else [str(channels.time)]
@@ -232,15 +204,14 @@ def _time_column(file: TableFile, channels: Channels, match: Match | None) -> Ti
         message = f"the time column is ambiguous: {' or '.join(candidates)}"
         hint = 'Say which in the robot file: [channels] time = "..."'
         raise InputError(message, hint=hint, where=file.where)
-    for own in candidates:
-        if own not in names:
-            raise missing_columns(file.where, [own], names, what="[channels] time")
-        said = told.get(own)
-        return TimeColumn(own, said or unit, said is not None)
-    parts = stamp_parts(names)
-    if parts is None:
-        raise missing_columns(file.where, ["t"], names, what="[channels] time")
-    return TimeColumn(parts[0], "s", True, nanoseconds=parts[1])
+    parts = schemes.stamp_parts(names)
+    if not candidates and parts is not None:
+        return TimeColumn(parts[0], "s", True, nanoseconds=parts[1])
+    own = candidates[0] if candidates else "t"
+    if own not in names:
+        raise missing_columns(file.where, [own], names, what="[channels] time")
+    said = told.get(own)
+    return TimeColumn(own, said or unit, said is not None)
 
 
 def missing_columns(
@@ -249,23 +220,18 @@ def missing_columns(
     """Make the error for columns that a log lacks; it names the nearest ones that are there."""
     names = list(dict.fromkeys(names))
     if nameless(names):
-        return InputError(
-            f"has no line of names: its columns are numbered 1 to {len(names)}",
-            hint="Say in the robot file which is which: [channels] time = 1, position = [2, 3], "
-            "current = [4, 5]; or write a first line such as time,q1,q2,i1,i2 into the file.",
-            where=where,
-        )
+        text = f"has no line of names: its columns are numbered 1 to {len(names)}"
+        hint = "Say in the robot file which is which: [channels] time = 1, position = [2, 3], "
+        hint += "current = [4, 5]; or write a first line such as time,q1,q2,i1,i2 into the file."
+        return InputError(text, hint=hint, where=where)
     close = [difflib.get_close_matches(name, names, n=3, cutoff=0.4) for name in missing[:3]]
     nearest = list(dict.fromkeys(match for matches in close for match in matches))
     listed = nearest or names[:12]
     more = "" if len(missing) <= _SHOWN else f" and {len(missing) - _SHOWN} more"
-    return InputError(
-        f"no column {', '.join(repr(name) for name in missing[:_SHOWN])}{more}; "
-        f"{'nearest' if nearest else 'there are'}: {', '.join(listed) or 'no columns at all'}",
-        hint="Joint names come from the robot file; where the log uses other column names, "
-        f'give them there: {what} = "..."',
-        where=where,
-    )
+    text = f"no column {', '.join(repr(name) for name in missing[:_SHOWN])}{more}; "
+    text += f"{'nearest' if nearest else 'there are'}: {', '.join(listed) or 'no columns at all'}"
+    hint = "Joint names come from the robot file; where the log uses other column names, "
+    return InputError(text, hint=f'{hint}give them there: {what} = "..."', where=where)
 
 
 def _columns(where: str, table: pa.Table, row: Sequence[str | None]) -> Array:

@@ -125,7 +125,7 @@ def test_a_spike_of_a_coarse_encoder_is_not_a_loss(seed: int) -> None:
     for at in range(200, len(log) - 200, 37):
         q = log.channels["position"].copy()
         q[at] += 0.3
-        assert not len(mended(having(log, position=q, velocity=None)).losses)
+        assert not len(mended(having(log, position=q, velocity=None)).losses.rows)
 
 
 def test_the_recording_says_it_and_long_logs_are_read_whole(tmp_path: Path) -> None:

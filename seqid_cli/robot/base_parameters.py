@@ -168,10 +168,9 @@ def gravity_base_regressor(robot: Robot, basis: Basis, q: Array) -> Array:
 
 
 def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
-    """Say where `base_regressor` can differ from zero.
+    """Say where (n, b) `base_regressor` can differ from zero.
 
-    Returns (n, b) bool: false where a joint lies behind all links and rotors that a base parameter
-    belongs to.
+    It cannot where a joint lies behind all links and rotors that a base parameter belongs to.
     """
     used = basis.representative != 0.0
     last = np.append(np.repeat(np.arange(robot.n), PER_LINK), np.arange(robot.n))
@@ -201,13 +200,9 @@ def base_parameters(robot: Robot, *, rotor: tuple[int, ...], zero: float = 1e-10
     for k, column in enumerate(gravity + others):
         representative[column, k] = 1.0
     representative[gravity, len(gravity) :] = -E_gravity[:, others]
-    names = standard_names(robot.n)
-    return Basis(
-        names=tuple(names[c] for c in gravity + others),
-        expression=expression,
-        representative=representative + 0.0,
-        gravity=np.arange(len(expression)) < len(gravity),
-    )
+    standard, of_gravity = standard_names(robot.n), np.arange(len(expression)) < len(gravity)
+    names = tuple(standard[c] for c in gravity + others)
+    return Basis(names, expression, representative + 0.0, of_gravity)
 
 
 def free_basis(robot: Robot) -> Basis:

@@ -67,12 +67,8 @@ def chain_from_dh(rows: Sequence[Sequence[float]], sliding: Collection[int] = ()
         tilt = rotation_about(x, alpha)
         rotations.append(tidy_rotation(tilt @ rotation_about(z, theta0)))
         positions.append(tidy_position(a * x + d * tidy_rotation(tilt)[:, 2]))
-    return Chain(
-        rotation=np.array(rotations),
-        position=np.array(positions),
-        axis=np.tile(z, (len(rows), 1)),
-        prismatic=np.isin(np.arange(len(rows)), list(sliding)),
-    )
+    axes, prismatic = np.tile(z, (len(rows), 1)), np.isin(np.arange(len(rows)), list(sliding))
+    return Chain(np.array(rotations), np.array(positions), axes, prismatic)
 
 
 @dataclass(frozen=True)
@@ -170,11 +166,7 @@ def fill_motion_matrix(H: Array, w: Array, dw: Array) -> None:
 
 
 def forward(chain: Chain, q: Array) -> Frames:
-    """Compute the frames of all links seen from the base.
-
-    `q` (N, n) [rad; m where prismatic]. Returns: `R` (N, n, 3, 3) base from link, `p` (N, n, 3)
-    origins [m], `z` (N, n, 3) unit joint axes.
-    """
+    """Compute the frames of all links seen from the base, at q (N, n) [rad; m where prismatic]."""
     R_local, p_local = (np.moveaxis(x, -1, 0) for x in joint_transforms(chain, q.T))
     R, p = np.empty(R_local.shape), np.empty(p_local.shape)
     R[:, 0], p[:, 0] = R_local[:, 0], p_local[:, 0]

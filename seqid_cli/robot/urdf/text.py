@@ -12,9 +12,10 @@ from xml.etree import ElementTree
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.toml.checks import LARGEST, LEAST_AXIS, nearest
-from seqid_cli.robot.toml.read import URDF_LIMIT, read_limited
+from seqid_cli.robot.toml.read import read_limited
 from seqid_cli.robot.toml.schema import JointEntry
 
+SIZE_LIMIT = 64 * 2**20  # bytes
 MOVABLE = frozenset({"revolute", "continuous", "prismatic"})
 _ANY, _SIZED = (-math.inf, math.inf), (-LARGEST, LARGEST)
 # How many numbers an attribute of a link or joint has, and between what they are.
@@ -63,17 +64,13 @@ class UrdfText:
 
 
 def read_urdf_text(path: Path) -> UrdfText:
-    """Read a URDF file and check it, as `parse_urdf` does; ConfigError where there is none, too."""
-    return parse_urdf(path, read_limited(path, "URDF", URDF_LIMIT))
+    """Read a URDF file and check it.
 
-
-def parse_urdf(path: Path, raw: bytes) -> UrdfText:
-    """Check the bytes of a URDF file.
-
-    Raises ConfigError naming the file `path`, the joint or link: it is a xacro file, not
+    Raises ConfigError naming the file, the joint or link: there is no file, it is a xacro file, not
     well-formed XML or not a URDF, has numbers that are none, names twice, or links that do not hang
     in one tree.
     """
+    raw = read_limited(path, "URDF", SIZE_LIMIT)
     text = re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
     problem, hint = "", ""
     try:

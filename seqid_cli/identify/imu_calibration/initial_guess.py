@@ -27,7 +27,7 @@ from seqid_cli.identify.imu_calibration.sensor_model import Constants, first_con
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, shrink
-from seqid_cli.motion.imu.array import read_angular, speed_about
+from seqid_cli.motion.imu.array import read_angular
 from seqid_cli.motion.imu.link_acceleration import axes_in_link
 from seqid_cli.motion.imu.sensor import Mounting, link_state
 from seqid_cli.motion.motion import Motion
@@ -109,7 +109,8 @@ def _axis_pair(
     axis = axes_in_link(robot, motion.q[own][:: max(1, own.sum() // 200)], imu.after_joint)[:, j]
     mean = axis.mean(axis=0)
     strongest = float(along[np.argmax(np.abs(along))])
-    fastest = float(np.max(speed_about(products[own], direction)))
+    square = np.einsum("nij,i,j->n", products[own], direction, direction)  # of w about the axis
+    fastest = float(np.max(np.sqrt(np.maximum(square, 0.0))))
     reference = AxisReference(  # Eq. 30 and 31
         axis=direction.tolist(),
         acceleration=gain * strongest,

@@ -39,10 +39,9 @@ class LinkReading(NamedTuple):
 def log_motion(
     recording: Recording, robot: Robot, options: MotionOptions, *, imu: ImuStage | None, source: str
 ) -> Motion:
-    """Motion of a log at its own rate, of the encoders or better.
+    """Motion of a log at its own rate, of the encoders or better (see `best_motion`).
 
-    With `options.kept` the motion of logs that differ in their torque alone is made once. `imu`:
-    calibrations. `source`: as of `best_motion`. Raises UsageError: it is unknown. Raises
+    With `options.kept` the motion of logs that differ in their torque alone is made once. Raises
     InputError: no stretch is long enough to filter, or the log lacks an IMU that `source` needs.
     """
     if options.kept is None:
@@ -110,15 +109,9 @@ def _from_imus(
     if not readings:
         raise _impossible("imu", recording, robot, stage, warnings)
     ddq, error = _solve(robot, motion, moving, readings)
-    return replace(
-        motion,
-        ddq=ddq,
-        source="imu",
-        imus=tuple(reading.name for reading in readings),
-        error=error,
-        encoder_error=motion.acceleration_error,
-        warnings=tuple(warnings),
-    )
+    names = tuple(reading.name for reading in readings)
+    found = replace(motion, ddq=ddq, source="imu", imus=names, error=error)
+    return replace(found, encoder_error=motion.acceleration_error, warnings=tuple(warnings))
 
 
 def _impossible(
@@ -156,9 +149,8 @@ def _link_reading(
     if offset:
         values = on_encoders_clock(values)
         gyro = None if gyro is None else on_encoders_clock(gyro)
-    dw = (
-        read_angular(imu, values, gyro, motion.lowpass, valid).dw @ np.array(calibration.rotation).T
-    )
+    reading = read_angular(imu, values, gyro, motion.lowpass, valid)
+    dw = reading.dw @ np.array(calibration.rotation).T
     noise = (calibration.noise_density or 0.0) * np.sqrt(motion.lowpass.cutoff_hz)
     size = np.sqrt(np.mean(np.sum(dw**2, axis=1)))
     return LinkReading(imu.name, imu.after_joint, dw, float(np.hypot(noise, axis_error * size)))
@@ -183,10 +175,8 @@ def _healthy(
     """Whether an IMU agrees with what the encoders say its link does."""
     own = moving[moving <= reading.link]
     noise = np.sqrt(np.sum(motion.cutoff.acceleration_noise[own] ** 2)) + reading.noise
-    error, size = (
-        np.sqrt(np.mean(np.sum(x[motion.usable] ** 2, axis=1)))
-        for x in (reading.dw - expected, expected)
-    )
+    both = (x[motion.usable] for x in (reading.dw - expected, expected))
+    error, size = (np.sqrt(np.mean(np.sum(x**2, axis=1))) for x in both)
     return bool(len(own) and error < disagreement * size + 3 * noise)  # not if it is no number
 
 

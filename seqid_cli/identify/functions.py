@@ -238,10 +238,7 @@ def predict(
 def _added(
     inputs: Inputs, find: Callable[[LogSet], Stages], *, imus: bool | None = None
 ) -> ParameterFile:
-    """Find new stages, judge them, and add them to the stages before.
-
-    `imus`: whether the readings of IMUs are used, where the stages before do not say it.
-    """
+    """Find new stages, judge them, and add them to those before; `imus` is as of `LogSet.of`."""
     from seqid_cli.identify.judging import judged
     from seqid_cli.identify.log_set import LogSet
 

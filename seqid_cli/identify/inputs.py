@@ -111,11 +111,10 @@ def prepare(
 
 def read_models(given: Sequence[Model]) -> tuple[tuple[str, ParameterFile], ...]:
     """Return parameter files with the names to use in messages."""
+    name = "the given parameters"
     return tuple(
-        ("the given parameters", model)
-        if isinstance(model, ParameterFile)
-        else (str(model), read_parameters(Path(model)))
-        for model in given
+        (name, x) if isinstance(x, ParameterFile) else (str(x), read_parameters(Path(x)))
+        for x in given
     )
 
 

@@ -13,7 +13,7 @@ and depends on the position alone, as the torque of a spring or a cable does, is
 left in, it would be friction's noise.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -161,7 +161,7 @@ def fit_gravity(
     if robot.chain.prismatic[joint] and columns.shape[1]:
         extras = [slope[:, None]]
     plain, other, extra, beyond = table.both_ways(columns, extras)
-    share, directional = _asymmetry(plain, other, extra, _usual_friction(groups[k] for k in kept))
+    share, directional = _asymmetry(plain, other, extra, [groups[k] for k in kept])
     found = other if directional else plain
     ends = np.cumsum([0, *(a[k].shape[1] for k in kept)])
     fitted = [
@@ -169,15 +169,6 @@ def fit_gravity(
         for k, (i, j) in zip(kept, pairwise(ends), strict=True)
     ]
     return GravityFit(fitted, unpaired, directional, share)
-
-
-def _usual_friction(groups: Iterable[Sequence[Trial]]) -> float:
-    """RMS [N m] of half the difference of the directions, over configurations."""
-    means = [
-        [np.mean([t.tau.mean() for t in g if t.velocity * way > 0]) for way in (1, -1)]
-        for g in groups
-    ]
-    return float(np.sqrt(np.mean((np.diff(means) / 2) ** 2)))
 
 
 class _Pairs:
@@ -229,8 +220,8 @@ class _Pairs:
     def _beyond(self, left: Array, unlike: Array) -> Chebyshev | None:
         """Torque over the position that half-sums have beyond gravity, by what is `left` (N,) N m.
 
-        None, unless a polynomial leaves of pairs that are left out less than `clear` of the squares
-        of `unlike` (N,) N m, without friction that depends on the direction.
+        None, unless it leaves of pairs that are left out less than `clear` of the squares of
+        `unlike` (N,) N m, without friction that depends on the direction.
         """
         domain = [float(self.q.min()), float(self.q.max())]
 
@@ -254,12 +245,17 @@ def _asymmetry(
     plain: Clustered,
     extended: Clustered,
     extra: Array,
-    friction: float,
+    groups: list[list[Trial]],
     *,
     min_share: float = 0.02,
     min_sigma: float = 6.0,
 ) -> tuple[float, bool]:
     """Share of friction that depends on direction, and whether it is large and significant."""
+    means = [
+        [np.mean([t.tau.mean() for t in g if t.velocity * way > 0]) for way in (1, -1)]
+        for g in groups
+    ]
+    friction = float(np.sqrt(np.mean((np.diff(means) / 2) ** 2)))  # of half the difference
     solution, errors = (x[len(plain.theta) :] for x in (extended.theta, extended.std_error))
     share = float(np.sqrt(np.mean((extra @ solution) ** 2)) / max(friction, 1e-12))
     sigma = np.abs(solution) / np.maximum(errors, 1e-300)

@@ -92,22 +92,18 @@ def _fit(
     data, asked = _friction_data(gravity, held), (options.position_order, options.velocity_order)
     levels = len({item.speed for item in data})
     if asked[1] is not None and asked[1] + 1 > levels:
-        raise QualityError(
-            f"velocity order {asked[1]} needs at least {asked[1] + 1} speeds, "
-            f"these logs hold {levels}",
-            hint=f"record more speeds or use --velocity-order {levels - 1} or less",
-            where=f"joint {robot.joints[j].name}",
-        )
+        needed = f"velocity order {asked[1]} needs at least {asked[1] + 1} speeds"
+        hint = f"record more speeds or use --velocity-order {levels - 1} or less"
+        where = f"joint {robot.joints[j].name}"
+        raise QualityError(f"{needed}, these logs hold {levels}", hint=hint, where=where)
     sides = (1, -1) if gravity.directional else (0,)
     sets = [[item for item in data if side in (0, item.direction)] for side in sides]
     scalings = _scalings(data) if near else _scalings(data)[:1]
-    parts = _fitted(sets, scalings, *asked, near=near)
-    fits, beta = [fit for _, fit in parts], options.beta
+    parts = _fitted(sets, scalings, asked, near)
+    fits, beta = [fit for _, fit in parts], options.beta or 0.0
 
     def accept(orders: reduction.Orders) -> bool:
-        return summary.errors_of(parts, orders, unseen=True).relative <= (
-            beta or summary.DEFAULT_BETA
-        )
+        return summary.errors_of(parts, orders, unseen=True).relative <= beta
 
     chosen = choose_orders(fits, *asked, accept=accept if beta else None)
     D, scaling = [fit.entries(chosen) for fit in fits], fits[0].reduced.scaling
@@ -117,26 +113,19 @@ def _fit(
     return summary.Fit(gravity, parts, chosen, surface)
 
 
-def _fitted(
-    sets: list[list[reduction.SpeedData]],
-    scalings: list[Scaling],
-    position: int | None,
-    velocity: int | None,
-    near: Sizes | None,
-    *,
-    rounds: int = 2,
-) -> list[summary.Part]:
-    """Fit on the likeliest basis; slices that do not belong lose their weight round by round.
+Asked = tuple[int | None, int | None]  # orders over position and velocity that the user fixes
 
-    Sizes of terms and errors are searched from those of the round before, first from `near`.
-    """
+
+def _fitted(
+    sets: list[list[reduction.SpeedData]], scalings: list[Scaling], asked: Asked, near: Sizes | None
+) -> list[summary.Part]:
+    """Fit on the likeliest basis; slices that do not belong lose their weight round by round."""
+    # Sizes of terms and errors are searched from those of the round before, first from `near`.
     distances = [reduction.around_medians(own) for own in sets]
-    for last in (*[False] * rounds, True):
+    for last in (False, False, True):
         data = [reduction.weighted(own, off) for own, off in zip(sets, distances, strict=True)]
         tried = [
-            fit_surfaces(
-                [reduction.reduce_trials(own, scaling) for own in data], position, velocity, near
-            )
+            fit_surfaces([reduction.reduce_trials(own, scaling) for own in data], *asked, near)
             for scaling in (scalings if last else scalings[:1])
         ]
         fits = max(tried, key=lambda each: each[1])[0]

@@ -145,9 +145,8 @@ def summarise(
     )
     verdict = _verdict(described.name, joint, unseen, surface.scaling)
     for level in joint.speeds:
-        level.std_error = float(
-            np.hypot(level.std_error, described.torque_constant_error * level.friction)
-        )
+        scaled = described.torque_constant_error * level.friction
+        level.std_error = float(np.hypot(level.std_error, scaled))
     return joint, verdict, _notes(described.name, joint, gravity.groups[0].beyond, unpaired)
 
 

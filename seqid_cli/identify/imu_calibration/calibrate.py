@@ -51,9 +51,8 @@ def calibrate_imus(
     moves a joint before an IMU that it records.
     """
     if not robot.imus:
-        raise UsageError(
-            "the robot file has no [[imu]]", hint="describe the IMU in it", where=str(robot.source)
-        )
+        where, hint = str(robot.source), "describe the IMU in it"
+        raise UsageError("the robot file has no [[imu]]", hint=hint, where=where)
     logs = reduced(recordings, partial(_held, robot, options), operator.add) or []
     imus, verdicts, notes = {}, [], []
     for imu in robot.imus:
@@ -81,10 +80,8 @@ def _held(robot: Robot, options: MotionOptions, recording: Recording, number: in
             seen = replace(imu, gyro=imu.gyro and imu.name in recording.gyros)
             own = segments_of(recording, robot, seen, motion, log=number, cutoff_hz=cutoff_hz)
             turns = layout(seen).acceleration or seen.gyro
-            pairs, density = (
-                initial_guess.axis_pairs(recording, robot, seen, motion) if turns else ([], 0.0)
-            )
-            found[imu.name] = own, pairs, density
+            given = recording, robot, seen, motion
+            found[imu.name] = own, *(initial_guess.axis_pairs(*given) if turns else ([], 0.0))
     return [(found, cutoff_hz)]
 
 
@@ -99,9 +96,8 @@ def _calibrated(
     segments = thinned([segment for segment in every if segment.channels == most])
     seen = replace(imu, gyro=most > len(imu.axes))
     guess = initial_guess.fit_rotation(pairs) if pairs else np.eye(3)
-    fit = fit_constants(
-        segments, robot, seen, initial_guess.starting_constants(segments, robot, seen, guess)
-    )
+    start = initial_guess.starting_constants(segments, robot, seen, guess)
+    fit = fit_constants(segments, robot, seen, start)
     density = float(np.median(densities)) if densities else None
     return calibration_of(robot, seen, fit, segments, pairs, density), fit.converged
 

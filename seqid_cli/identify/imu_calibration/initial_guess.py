@@ -166,7 +166,17 @@ def _delay(
 
     # No shift is believed that leaves more than the share `better` of the misfit without one.
     def misfits(delays: NDArray[Any]) -> Array:
-        return np.array([_misfit(segments, tables, float(delay)) for delay in delays])
+        """Shares of the readings' power that the best linear function leaves over."""
+        found = []
+        for delay in delays:
+            xx, xy, yy = _sums(segments, tables, float(delay))
+            scale = np.sqrt(np.maximum(np.diag(xx), 1e-12))
+            b = xy / scale[:, None]
+            solved = np.linalg.lstsq(xx / np.outer(scale, scale), b, rcond=1e-8)[0]
+            left = yy - np.sum(b * solved, axis=0)
+            power = np.maximum(yy - xy[-1] ** 2 / max(xx[-1, -1], 1.0), 1e-12)
+            found.append(np.mean(np.maximum(left, 0.0) / power))
+        return np.array(found)
 
     fine = max(segment.spacing for segment in segments)
     longest = min(segment.samples * segment.spacing for segment in segments)
@@ -203,17 +213,6 @@ def _sums(segments: list[Segment], tables: list[Array], delay: float) -> Sums:
         total.append((wx.T @ x, wx.T @ y, w @ y**2))
     xx, xy, yy = (np.sum(part, axis=0) for part in zip(*total, strict=True))
     return xx, xy, yy
-
-
-def _misfit(segments: list[Segment], tables: list[Array], delay: float) -> float:
-    """Share of the readings' power that the best linear function leaves over."""
-    xx, xy, yy = _sums(segments, tables, delay)
-    scale = np.sqrt(np.maximum(np.diag(xx), 1e-12))
-    b = xy / scale[:, None]
-    solved = np.linalg.lstsq(xx / np.outer(scale, scale), b, rcond=1e-8)[0]
-    left = yy - np.sum(b * solved, axis=0)
-    power = np.maximum(yy - xy[-1] ** 2 / max(xx[-1, -1], 1.0), 1e-12)
-    return float(np.mean(np.maximum(left, 0.0) / power))
 
 
 def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> tuple[float, Constants]:

@@ -266,15 +266,6 @@ def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
     precision = np.concatenate([drift, segment.offset_sigma]) ** -2.0
     covariance = np.asarray(np.linalg.inv(S[p:, p:] + np.diag(precision)), dtype=np.float64)
     pull, follow = g[p:] - precision * local.own, covariance @ S[p:, :p]
-    return Reduced(
-        linear,
-        g,
-        solved[:, :-1],
-        solved[:, -1],
-        covariance @ pull,
-        follow,
-        covariance,
-        precision,
-        g[:p] - follow.T @ pull,
-        S[:p, :p] - S[:p, p:] @ follow,
-    )
+    own = covariance @ pull, follow, covariance, precision
+    of_constants = g[:p] - follow.T @ pull, S[:p, :p] - S[:p, p:] @ follow
+    return Reduced(linear, g, solved[:, :-1], solved[:, -1], *own, *of_constants)

@@ -287,21 +287,12 @@ class _Log:
         parts: list[Measured] = [
             each for j in moving for each in (self._measured(j, wide, own), smooth)
         ]
-        return Segment(
-            self.number,
-            self.recording.t[nodes],
-            every / rate,
-            motion,
-            tuple(moving),
-            self.smooth[wide][:, moving],
-            *_stacked(parts, len(wide), len(moving)),
-            locked,
-            np.array([off[j] for j in locked]),
-            self.readings,
-            float(every),
-            self.lowpass.cutoff_hz,
-            self.motion.cutoff.hz,
-        )
+        about = self.number, self.recording.t[nodes], every / rate, motion, tuple(moving)
+        measured = _stacked(parts, len(wide), len(moving))
+        held = locked, np.array([off[j] for j in locked]), self.readings
+        hz = self.lowpass.cutoff_hz, self.motion.cutoff.hz
+        start = self.smooth[wide][:, moving]
+        return Segment(*about, start, *measured, *held, float(every), *hz)
 
     def _at_rest(self, j: int) -> Array:
         """What a locked joint does (3, N): no more than its encoder shows of it without noise."""

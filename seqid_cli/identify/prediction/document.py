@@ -145,9 +145,8 @@ def _verdicts(
     # A user should not rely on a prediction whose error is above `max_relative_rmse` of the RMS of
     # the measured torque.
     bare = stages.inertia is None and not free_basis(robot).gravity.all()
-    for (name, error), surface in zip(
-        joints.items(), friction_surfaces(stages, robot), strict=True
-    ):
+    surfaces = friction_surfaces(stages, robot)
+    for (name, error), surface in zip(joints.items(), surfaces, strict=True):
         share = error.relative_rmse
         left, limit = "-" if share is None else percent(share), percent(max_relative_rmse)
         faults = {

@@ -12,14 +12,8 @@ from seqid_cli.params.files import replacing, writing
 
 PARAMETERS = "seqid.parameters"  # of the metadata
 # Columns of a joint and what they are of a `LogPrediction`; bounds are null where it slides.
-_TORQUES = {
-    "torque": "tau",
-    "predicted": "predicted",
-    "residual": "residual",
-    "sliding": "sliding",
-    "low": "low",
-    "high": "high",
-}
+_KINDS = ("predicted", "residual", "sliding", "low", "high")
+_TORQUES = {"torque": "tau", **{kind: kind for kind in _KINDS}}
 _MOTION = {"position": "q", "velocity": "dq"}
 
 

@@ -25,7 +25,7 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
-from seqid_cli.robot.base_parameters import Basis, base_parameters
+from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
@@ -51,7 +51,7 @@ def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stag
         message = "no constant-velocity trial of a joint with known friction was found"
         hint = "give the logs of the friction stage again, or record single-joint moves"
         raise QualityError(message, hint=hint)
-    return _stage(robot, basis, solve(joints), cross)
+    return _stage(solve(joints), cross)
 
 
 class GravityRows:
@@ -101,9 +101,9 @@ class GravityRows:
     def _table(
         self, groups: list[SteadyGroup], surface: FrictionSurface, *, group_size: int = 8
     ) -> Array:
-        """Rows of all trials (see `_rows`), each with the numbers of its trial, log and group.
+        """Rows of all trials, means over so many slices (`group_size`).
 
-        So many slices of a trial (`group_size`) make a row.
+        H, F, where others stand, acceleration, torque, time, samples, seconds; trial, log, group.
         """
         every = [(trial, k) for k, group in enumerate(groups) for trial in group.trials]
         insides = [_settled(trial, surface) for trial, _ in every]
@@ -114,10 +114,16 @@ class GravityRows:
         places = [trial.places[insides[n]] for n, trial in zip(used, own, strict=True)]
         by_gravity = zip(self.held.means(own, places), self.held.unseen(own, places), strict=True)
         parts = []
-        for n, trial, known in zip(used, own, by_gravity, strict=True):
-            rows = _rows(trial, surface, insides[n], known, size=group_size)
-            about = np.tile([n, trial.log, every[n][1]], (len(rows), 1))
-            parts.append(np.hstack([rows, about]))
+        for n, trial, (H, stood) in zip(used, own, by_gravity, strict=True):
+            q, tau, ddq, t = (x[insides[n]] for x in (trial.q, trial.tau, trial.ddq, trial.t))
+            v = np.full(len(q), trial.velocity)
+            F, y = surface.columns(q, v), tau - surface.torque(q, v)
+            count = len(q) // group_size
+            wide = np.array_split(np.column_stack([H, F, stood, ddq, y, t]), count)
+            slices = len(q) / count
+            about = slices * trial.weight, slices * trial.seconds, n, trial.log, every[n][1]
+            means = np.stack([part.mean(axis=0) for part in wide])
+            parts.append(np.hstack([means, np.tile(about, (count, 1))]))
         return np.vstack(parts)
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
@@ -140,39 +146,11 @@ def _settled(
     return np.asarray(settled & ~surface.outside(trial.q, v))
 
 
-def _rows(
-    trial: Trial,
-    surface: FrictionSurface,
-    inside: Mask,
-    by_gravity: tuple[Array, Array],
-    *,
-    size: int,
-) -> Array:
-    """Rows of one trial: H, F, where others stand, acceleration, torque, time, samples, seconds.
-
-    `inside` (K,): slices of use, `size` of which make a row. `by_gravity`: H and the torque of
-    where others stand, at these.
-    """
-    H, stood = by_gravity
-    q, v = trial.q[inside], np.full(int(inside.sum()), trial.velocity)
-    y = trial.tau[inside] - surface.torque(q, v)
-    wide = np.column_stack([H, surface.columns(q, v), stood, trial.ddq[inside], y, trial.t[inside]])
-    count = len(q) // size
-    means = np.stack([part.mean(axis=0) for part in np.array_split(wide, count)])
-    slices = len(q) / count
-    return np.hstack([means, np.tile(slices * np.array([trial.weight, trial.seconds]), (count, 1))])
-
-
 def _stage(
-    robot: Robot,
-    basis: Basis,
-    solution: Solution,
-    rows: GravityRows,
-    *,
-    poor_condition: float = 300.0,
-    clear_sigma: float = 4.0,
+    solution: Solution, rows: GravityRows, *, poor_condition: float = 300, clear_sigma: float = 4
 ) -> RigidStage:
     """The stage; gravity shows where a parameter is `clear_sigma` standard errors from zero."""
+    robot, basis = rows.robot, rows.held.basis
     about = rows.surfaces, robot.torque_constant_errors, rows.sensitivity(solution)
     unseen = [solution.bread @ crossed / solution.sigma[j] ** 2 for j, crossed in rows.unseen]
     posterior = Posterior.of(solution, *about, known={})

@@ -118,11 +118,8 @@ def _stage(
     moves = imu_moves(robot, basis, inertia, reflected, errors)
     posterior = posterior.with_error(check.errors).with_error(moves)
     stage = _described(equations, rows, solution, posterior)
-    stage = msgspec.structs.replace(
-        stage,
-        rotor_coupling="gyroscopic" if coupling.used else "diagonal",
-        notes=[*stage.notes, *coupling.notes],
-    )
+    kind, notes = "gyroscopic" if coupling.used else "diagonal", [*stage.notes, *coupling.notes]
+    stage = msgspec.structs.replace(stage, rotor_coupling=kind, notes=notes)
     return with_cutoff_check(stage, check, basis)
 
 

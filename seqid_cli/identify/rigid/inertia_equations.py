@@ -52,13 +52,9 @@ class InertiaRows:
     def __add__(self, other: "InertiaRows") -> "InertiaRows":
         none, known = np.zeros(()), self.cross | other.cross
         cross = {j: self.cross.get(j, none) + other.cross.get(j, none) for j in known}
-        return InertiaRows(
-            [a + b for a, b in zip(self.joints, other.joints, strict=True)],
-            self.torque_squares + other.torque_squares,
-            cross,
-            self.uses + other.uses,
-            self.counts + other.counts,
-        )
+        joints = [a + b for a, b in zip(self.joints, other.joints, strict=True)]
+        squares, counts = self.torque_squares + other.torque_squares, self.counts + other.counts
+        return InertiaRows(joints, squares, cross, self.uses + other.uses, counts)
 
 
 class InertiaEquations:
@@ -102,16 +98,10 @@ class InertiaEquations:
         held = samples if isinstance(log, Recording) else 2 * size
         for motion, start, stop in overlapping(parts, held, 2 * reach):
             y = self.right_side(motion)
-            columns = filtered_regressor(
-                motion,
-                self.robot,
-                self.basis,
-                within=(start, stop),
-                chunk=size,
-                reach=reach,
-                beside=self.coupling_column,
-            )
-            for part, H in columns:
+            about, beside = (motion, self.robot, self.basis), self.coupling_column
+            for part, H in filtered_regressor(
+                *about, within=(start, stop), chunk=size, reach=reach, beside=beside
+            ):
                 low, high = max(0, part.start - reach), part.stop + reach
                 slides = sliding(motion.part(slice(low, high)), self.slowest)
                 for at in range(part.start, part.stop, CHUNK):

@@ -99,19 +99,15 @@ def made_consistent(
     parameters = [
         replace(p, value=moved[p.name].exported) if p.name in moved else p for p in stage.parameters
     ]
-    phi = np.concatenate([nearest.links.ravel(), nearest.rotor])
+    phi = _named(np.concatenate([nearest.links.ravel(), nearest.rotor]), robot.n)
     note = "physically consistent as identified: bodies with these parameters exist"
     if not nearest.exact:
         by = {name: d.std_errors or 0.0 for name, d in moved.items()}
         named = [f"{name} by {x:+.1f}" for name, x in by.items() if abs(x) >= min_move]
         text = ", ".join(named) or f"none by more than {min_move:g}"
         note = f"made physically consistent; moved, in standard errors: {text}"
-    return replace(
-        stage,
-        parameters=parameters,
-        representative=_named(phi, robot.n),
-        notes=[*stage.notes, note],
-    )
+    notes = [*stage.notes, note]
+    return replace(stage, parameters=parameters, representative=phi, notes=notes)
 
 
 def joint_verdicts(

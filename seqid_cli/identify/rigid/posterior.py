@@ -52,17 +52,13 @@ def friction_covariance(
 
 
 def constant_moves(
-    solution: Solution,
-    errors: Array,
-    known: Mapping[int, Array],
-    through: Mapping[int, Array] | None = None,
+    solution: Solution, errors: Array, known: Moves, through: Moves | None = None
 ) -> Moves:
     """What one standard error of each joint's torque constant moves a solution by.
 
-    `solution`: with the share of each joint's right side, the weights held. `errors` (n,): relative
-    standard errors of the torque constants. `known` (p,): by joint: the move by torque on the right
-    side that was computed, not measured, such as that of known rotors. It does not scale. `through`
-    (p,): by joint: the move by way of an earlier stage.
+    `errors` (n,): relative standard errors of the torque constants. `known`: the move by torque on
+    the right side that was computed, not measured, such as that of known rotors. It does not scale.
+    `through`: the move by way of an earlier stage.
     """
     inherited = through or {}
     return {
@@ -101,7 +97,7 @@ class Posterior:
         surfaces: Sequence[FrictionSurface | None],
         errors: Array,
         direct: Sensitivity,
-        known: Mapping[int, Array],
+        known: Moves,
         prior: Prior | None = None,
     ) -> "Posterior":
         """Join a solution's own errors with those that it inherits.

@@ -154,7 +154,7 @@ class SimultaneousEquations:
             motion={use.log: source_text(use) for use in uses},
             motion_use=uses,
             cutoff_hz=cutoff,
-            verdicts=self._verdicts(solution, stage.not_excited),
+            verdicts=self._verdicts(solution, len(stage.not_excited)),
             notes=[*stage.notes, *([text] if free else [])],
         )
         return friction, rigid
@@ -190,12 +190,7 @@ class SimultaneousEquations:
         )
 
     def _verdicts(
-        self,
-        solution: Solution,
-        missing: list[str],
-        *,
-        poor_share: float = 0.25,
-        clear_sigma: float = 3.0,
+        self, solution: Solution, missing: int, *, poor_share: float = 0.25, clear_sigma: float = 3
     ) -> list[schema.Verdict]:
         """A joint is poor by what is left of its torque, or where Coulomb friction is negative."""
         known, squares = (self.robot, solution, self.joints), self.torque_squares
@@ -206,7 +201,7 @@ class SimultaneousEquations:
                 text = f"Coulomb friction of {dry:.3g} {joint.unit('N m')} cannot be"
                 reason = f"{verdicts[j].reason}; {text}: record both ways"
                 verdicts[j] = replace(verdicts[j], good=False, reason=reason)
-        reason = f"condition {solution.condition:.3g}, {len(missing)} parameter(s) not excited"
+        reason = f"condition {solution.condition:.3g}, {missing} parameter(s) not excited"
         return [*verdicts, schema.Verdict(good=not missing, reason=reason)]
 
 

@@ -38,10 +38,7 @@ GRID: Array = np.geomspace(bandwidth.LOWEST_HZ, bandwidth.HIGHEST_HZ, 200)
 
 @dataclass(frozen=True)
 class LogScore:
-    """Score of every cut-off of `GRID` by one log, and the highest that it allows [Hz].
-
-    `smoothed` is the score by the log's smoothed motion.
-    """
+    """A log's score of `GRID`, and that by its smoothed motion; the highest Hz that it allows."""
 
     score: bandwidth.Score
     highest_hz: float
@@ -89,10 +86,8 @@ def identification_options(
     options: RigidOptions,
     imu: ImuStage | None = None,
 ) -> MotionOptions:
-    """How all logs of an identification are filtered, whatever their order.
-
-    A single log chooses for itself as it is read. Several are looked at first, and read again.
-    """
+    """How all logs of an identification are filtered, whatever their order."""
+    # A single log chooses for itself as it is read. Several are looked at first, and read again.
     if options.cutoff_hz is not None:
         return MotionOptions(options.cutoff_hz, origin="as given")
     found: list[LogScore] = []

@@ -58,10 +58,7 @@ def judged(
     robot: Robot,
     of_logs: Sequence[schema.Verdict] = (),
 ) -> schema.Stages:
-    """Add to the verdicts of new stages those by physics, and those `of_logs`.
-
-    Returns: a stage with a poor verdict of any joint has one as a whole (joint empty).
-    """
+    """Add to the verdicts of new stages those by physics, those `of_logs`, that of the whole."""
     before = previous.stages if previous else schema.Stages()
     friction, gravity = found.friction or before.friction, found.gravity or before.gravity
     known, stages = schema.Stages(friction=friction, gravity=gravity), {}

@@ -113,10 +113,8 @@ class LogSet:
             self.on_progress(Progress(state, count, len(self.logs), **about))
 
     def mapped(self, part: PartOf[Any, P], opens: Opens | None = None) -> Iterator[P]:
-        """Yield the parts of all logs in their order; those that fail, and may, are left out.
-
-        Raises SeqidError: a log cannot be used, the first of them in the order given; or none can.
-        """
+        """Yield the parts of all logs in their order; those that fail, and may, are left out."""
+        # Raises SeqidError: a log cannot be used, the first in the order given; or none can.
         task = _Task(self.robot, self.time_source, part, opens, self.imus, Path.cwd())
         items = list(enumerate(self.logs))
         replies: Iterator[Reply[tuple[LogNote, P]]]

@@ -113,10 +113,7 @@ class SurveyedLog(LongLog):
 def open_surveyed(
     path: Path, robot: Robot, *, time_source: TimeSource = "header"
 ) -> SurveyedLog | None:
-    """Open a log that is to be passed over, as `open_long` does, and survey it.
-
-    In one pass, if its stamps are as even as usual.
-    """
+    """Open a log to be passed over, as `open_long` does, and survey it, in one pass if it can."""
     found: list[Survey] = []
 
     def watch(rate_hz: float, q: Array) -> None:

@@ -154,10 +154,8 @@ def encoder_resolution(robot: Robot) -> Array:
 
 
 def decimated(motion: Motion, samples_per_cutoff: float = SAMPLES_PER_CUTOFF) -> Motion:
-    """Keep every k-th sample, at least `samples_per_cutoff` per period of the cut-off.
-
-    Low-passed signals lose nothing by it; the filter of computed terms runs on at the lower rate.
-    """
+    """Keep every k-th sample, at least `samples_per_cutoff` per period of the cut-off."""
+    # Low-passed signals lose nothing by it; the filter of computed terms runs on at the lower rate.
     factor = int(motion.rate_hz / (samples_per_cutoff * motion.lowpass.cutoff_hz))
     return thinned(motion, factor) if factor > 1 and motion.lowpass.active else motion
 

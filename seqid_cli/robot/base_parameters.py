@@ -168,10 +168,7 @@ def gravity_base_regressor(robot: Robot, basis: Basis, q: Array) -> Array:
 
 
 def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
-    """Say where (n, b) `base_regressor` can differ from zero.
-
-    It cannot where a joint lies behind all links and rotors that a base parameter belongs to.
-    """
+    """Say where (n, b) `base_regressor` can differ from zero: up to a parameter's last link."""
     used = basis.representative != 0.0
     last = np.append(np.repeat(np.arange(robot.n), PER_LINK), np.arange(robot.n))
     behind: NDArray[np.intp] = np.where(used, last[:, None], -1).max(axis=0)

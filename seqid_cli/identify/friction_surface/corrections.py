@@ -38,10 +38,7 @@ from seqid_cli.typing import Array
 
 
 class SteadyGroup(NamedTuple):
-    """Trials of one joint in one configuration, with the torque of acceleration taken off.
-
-    `inertia` and `std_error` are d_kk, kg m^2 (kg where prismatic), as it was used.
-    """
+    """Trials in one configuration without acceleration's torque, by d_kk `inertia`, kg m^2 (kg)."""
 
     trials: list[Trial]
     inertia: float
@@ -97,10 +94,8 @@ def _steady(
 def _inertia_of(
     robot: Robot, group: list[Trial], surface: FrictionSurface, *, min_windows: int = 6
 ) -> tuple[float, float, float, int] | None:
-    """d_kk of one configuration, None where its ramps do not determine it.
-
-    Its variance for white noise follows, that robust within trials, and the number of these.
-    """
+    """d_kk of one configuration, None where its ramps do not determine it."""
+    # Its variance for white noise follows, that robust within trials, and the number of these.
     low, high = surface.scaling.speed
     rows, windows = [], 0  # columns: ddq, a, torque, each by the root of the weight; trial
     for number, trial in enumerate(group):
@@ -176,11 +171,9 @@ class HeldJoints:
         return [replace(trial, tau=trial.tau - (H - G) @ self.theta) for trial, H, G in pairs]
 
     def doubt(self, group: Sequence[Trial]) -> list[Array]:
-        """Torque (K,) N m of one standard error of how far joints gave way, trial by trial.
-
-        The readings of both directions have errors of their own, of which friction feels half the
-        difference. Those of joints whose readings never change are no part of it.
-        """
+        """Torque (K,) N m of one standard error of how far joints gave way, trial by trial."""
+        # Readings of both directions have errors of their own, of which friction feels half the
+        # difference. Those of joints whose readings never change are no part of it.
         moved = np.ptp(np.concatenate([trial.places for trial in group]), axis=0) > 0.0
         every = self.unseen(group, [trial.places for trial in group])
         each = [own * moved / np.sqrt(2.0) for own in every]
@@ -189,10 +182,7 @@ class HeldJoints:
         return [np.copysign(np.linalg.norm(own, axis=1), own[:, k]) for own, k in signed]
 
     def unseen(self, group: Sequence[Trial], places: Sequence[Array]) -> list[Array]:
-        """Torque (K, n) N m of one standard deviation of where each other joint stands.
-
-        `group`: trials of one joint. `places` (K, n) of each: where it is asked for.
-        """
+        """Torque (K, n) N m of one standard deviation of where others stand, at `places` (K, n)."""
         joint, n = group[0].joint, self.robot.n
         about = []
         for trial, q in zip(group, places, strict=True):

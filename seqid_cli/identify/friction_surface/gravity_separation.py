@@ -29,10 +29,7 @@ from seqid_cli.typing import Array, Index, Mask
 
 @dataclass(frozen=True)
 class GravityGroup:
-    """Trials in one locked configuration with p_xi (2,) kg m and its standard errors.
-
-    `beyond` is the torque over the position that gravity does not make.
-    """
+    """Trials in one configuration with p_xi (2,) kg m; `beyond` is torque that is not gravity's."""
 
     robot: Robot
     trials: list[Trial]
@@ -108,10 +105,8 @@ def configurations(trials: list[Trial], *, same_configuration: float = 0.03) -> 
 
 
 def _half_sums(group: list[Trial]) -> list[Array]:
-    """Half-sums of forward and backward trials of one configuration (Eq. 15), pair by pair.
-
-    Columns (K, 5): position rad, half-sum N m, half the difference N m, speed, samples per slice.
-    """
+    """Half-sums of forward and backward trials of one configuration (Eq. 15), pair by pair."""
+    # Columns (K, 5): position rad, half-sum N m, half the difference N m, speed, samples per slice.
     result = []
     for level in speed_levels(group):
         back = [t for t in level if t.velocity < 0]
@@ -192,11 +187,9 @@ class _Pairs:
     def both_ways(
         self, columns: Array, extras: Sequence[Array], *, enough_pairs: int = 8
     ) -> tuple[Clustered, Clustered, Array, Chebyshev | None]:
-        """Fit what both ways have: columns (N, p) of gravity, and these with the best of `extras`.
-
-        Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up.
-        Returns: both fits, the extra one, and what is left over the position.
-        """
+        """Fit what both ways have: gravity's columns (N, p), these with the best of `extras`."""
+        # Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up.
+        # Returns both fits, the extra one, and what is left over the position.
         cut = 1 if len(self.lengths) >= enough_pairs else 4
         block = np.concatenate(
             [k * cut + np.arange(n) * cut // n for k, n in enumerate(self.lengths)]

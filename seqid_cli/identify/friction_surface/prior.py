@@ -158,10 +158,7 @@ class Normal:
 
 
 class Evidence:
-    """Marginal likelihood of sets of trials, a surface each and the sizes in common.
-
-    The sizes' usual values are shares of the friction's RMS.
-    """
+    """Marginal likelihood of sets of trials, a surface each and the sizes in common."""
 
     def __init__(
         self,
@@ -210,10 +207,7 @@ class Evidence:
         return cost, gradient
 
     def strongest(self, near: Sizes | None = None, *, limit: float = 5.0) -> tuple[Sizes, float]:
-        """The sizes of the largest marginal likelihood, and twice its logarithm.
-
-        The search starts from sizes that are `near`, else from the usual ones.
-        """
+        """The sizes of the largest marginal likelihood, from those `near`; twice its logarithm."""
         start, furthest = np.zeros(len(self.usual)), limit * self.spread
         logs = None
         if near is not None:
@@ -229,10 +223,7 @@ class Evidence:
         return self.sizes(logs), -self(logs)[0]
 
     def _polished(self, logs: Array, *, reach: float = 0.3) -> Array | None:
-        """The maximum to the last digits, by Newton's method: the likelihood is flat about it.
-
-        None where it is not within `reach` of the start.
-        """
+        """The maximum, by Newton's method: the likelihood is flat about it. None beyond `reach`."""
         slope, difference = self(logs)[1], 1e-4
         steps = difference * np.eye(len(logs))
         curvature = np.stack([(self(logs + step)[1] - slope) / difference for step in steps])

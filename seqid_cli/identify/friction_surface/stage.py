@@ -85,10 +85,8 @@ def _fit(
     held: HeldJoints | None = None,
     narrow_sign: float = 25.0,
 ) -> summary.Fit:
-    """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`.
-
-    One surface for both directions together (Eq. 15's assumption), or one for each.
-    """
+    """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`."""
+    # One surface for both directions together (Eq. 15's assumption), or one for each.
     data, asked = _friction_data(gravity, held), (options.position_order, options.velocity_order)
     levels = len({item.speed for item in data})
     if asked[1] is not None and asked[1] + 1 > levels:

@@ -77,10 +77,7 @@ class Trial:
 
 
 def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
-    """Constant-velocity trials of all logs, slowest first.
-
-    Raises InputError if a log carries neither torque nor current.
-    """
+    """Constant-velocity trials of all logs, slowest first; InputError where one has no torque."""
     found = reduced(recordings, partial(trials_of, robot), operator.add, open_if_long) or []
     return sorted(found, key=lambda trial: trial.speed)
 

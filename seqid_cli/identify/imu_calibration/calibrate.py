@@ -165,11 +165,9 @@ def _of_sensors(
     max_tilt_deg: float = 0.25,
     max_share: float = 0.5,
 ) -> tuple[dict[str, Any], list[str]]:
-    """Entries of a calibration about its channels, and in words what is left open.
-
-    Known is what has a standard error of up to so many m/s^2, rad/s, 1 and degrees, and of gains
-    and axes less than a prior of fixed width; widths of many sensors are found.
-    """
+    """Entries of a calibration about its channels, and in words what is left open."""
+    # Known is what has a standard error of up to so many m/s^2, rad/s, 1 and degrees, and of gains
+    # and axes less than a prior of fixed width; widths of many sensors are found.
     constants, k, c = fit.constants, len(imu.axes), len(fit.constants.bias)
     bias, gain, tilt = np.split(np.sqrt(np.diag(fit.covariance))[7:], [c, 2 * c])
     tilt = np.degrees(np.sqrt(np.mean(tilt.reshape(c, 2) ** 2, axis=1)))
@@ -266,11 +264,7 @@ def verdict_of(
     max_deg: float = 0.5,
     max_holdout: float = 1.5,
 ) -> schema.Verdict:
-    """Whether the mounting can be trusted, and why not.
-
-    It is known to better than `max_deg` degrees, and a log that is left out is predicted to
-    `max_holdout` times the noise.
-    """
+    """Whether a mounting is known to `max_deg` degrees and predicts a log left out; why not."""
     worst, left, bends = calibration.std_error_deg, calibration.holdout, deflecting(calibration)
     angle = [text for text in calibration.not_determined if text.startswith("the angle")]
     matters = bool(angle) and not _turns_about_one_axis(robot, imu)

@@ -51,10 +51,8 @@ class Pair:
 def axis_pairs(
     recording: Recording, robot: Robot, imu: Imu, motion: Motion, *, min_s: float = 0.2
 ) -> tuple[list[Pair], float]:
-    """Axes that one log shows: of each joint that rotates by itself for at least `min_s` s.
-
-    The noise density of the IMU's angular acceleration, rad/s^2/sqrt(Hz), comes second.
-    """
+    """Axes that one log shows: of each joint that rotates by itself for at least `min_s` s."""
+    # The noise density of the IMU's angular acceleration, rad/s^2/sqrt(Hz), comes second.
     given = imu, recording.accelerometers[imu.name], recording.gyros.get(imu.name)
     lowpass = Lowpass(motion.lowpass.cutoff_hz, recording.rate_hz)
     reading = read_angular(*given, lowpass, recording.valid)
@@ -84,11 +82,10 @@ def _axis_pair(
     min_acceleration: float = 0.1,
     clear_sigma: float = 5.0,
 ) -> Pair | None:
-    """Eq. 29/32 and 33 for one joint of one log.
-
-    None where the encoder tells less than an RMS of `min_acceleration` rad/s^2, or where the IMU
-    does not see it: the gain is less than `clear_sigma` standard errors, and the direction noise's.
-    """
+    """Eq. 29/32 and 33 for one joint of one log."""
+    # None where the encoder tells less than an RMS of `min_acceleration` rad/s^2, or where the IMU
+    # does not see it: the gain is less than `clear_sigma` standard errors, and the direction
+    # noise's.
     a, encoder = dw[own], motion.ddq[own, j]
     direction = a.T @ encoder
     if np.linalg.norm(direction) < 1e-9 or np.sqrt(np.mean(encoder**2)) < min_acceleration:
@@ -125,10 +122,7 @@ def _axis_pair(
 
 
 def fit_rotation(pairs: list[Pair]) -> Array:
-    """Proper rotation R (3, 3) least in sum |R b - m|^2 / sigma^2 (Eq. 38, Wahba's problem).
-
-    That by the smallest angle where all pairs are of one axis.
-    """
+    """Proper rotation R (3, 3) least in sum |R b - m|^2 / sigma^2 (Eq. 38, Wahba's problem)."""
     B, M = (np.array([getattr(p, side) for p in pairs]) for side in ("imu", "link"))
     if np.linalg.matrix_rank(B, tol=1e-2) == 1:
         return np.asarray(Rotation.align_vectors(M[0], B[0])[0].as_matrix())

@@ -27,10 +27,7 @@ WEIGHED = 1.0 - 6.0 / ROBUST**2 + 15.0 / ROBUST**4  # what his weights leave of 
 
 @dataclass(frozen=True)
 class Local:
-    """What is a segment's own: `trajectory` (N + 2 REACH, m), `own` (C + locked,).
-
-    These are changes of the biases, then offsets of the locked joints.
-    """
+    """A segment's `trajectory` (N + 2 REACH, m); `own` (C + locked,): bias changes, offsets."""
 
     trajectory: Array
     own: Array
@@ -244,10 +241,7 @@ def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
 
 
 def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
-    """Eliminate the trajectory, then what is the segment's own, priors on it included.
-
-    `drift` (C,): standard deviations of the priors on the changes of biases.
-    """
+    """Eliminate the trajectory, then what is the segment's own; priors `drift` (C,) on biases."""
     segment, G = linear.segment, linear.G
     rows = G.reshape(-1, G.shape[2])
     S, g = rows.T @ rows, rows.T @ linear.r.ravel()

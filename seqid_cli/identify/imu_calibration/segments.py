@@ -49,10 +49,9 @@ class Readings:
 
     @property
     def jolts(self) -> float:
-        """Variance, of all channels together, of what is rough beyond white noise.
-
-        Jolts faster than the log's rate alias: samples no longer add up to the motion between them.
-        """
+        """Variance, of all channels together, of what is rough beyond white noise."""
+        # Jolts faster than the log's rate alias: samples no longer add up to the motion between
+        # them.
         known = self.rough[np.isfinite(self.rough).all(axis=1)]
         if not len(known):
             return 0.0
@@ -96,10 +95,8 @@ def readings_of(recording: Recording, imu: Imu, lowpass: Lowpass) -> Readings:
 
 
 def cleaned(values: Array, valid: Mask, *, min_spike: float = 8.0) -> tuple[Array, Mask]:
-    """Readings (N, C) with spikes, saturation and missing values bridged, and where they were.
-
-    A spike stands out of the median of its neighbours by `min_spike` times the noise.
-    """
+    """Readings (N, C) with spikes, saturation and missing values bridged, and where they were."""
+    # A spike stands out of the median of its neighbours by `min_spike` times the noise.
     finite = np.isfinite(values)
     values = np.where(finite, values, 0.0)
     bad = ~finite | ~valid[:, None]
@@ -258,11 +255,9 @@ class _Log:
     def segment(
         self, own: slice, *, min_offset: float = 1e-4, slack: float = 3.0
     ) -> Segment | None:
-        """One stretch; offsets of locked joints below `min_offset` rad are worth no unknown.
-
-        Moving joints are given jerks of `slack` times the largest RMS, all alike: joints push each
-        other, and one that hunts within a few counts jerks whatever its encoder shows of it.
-        """
+        """One stretch; offsets of locked joints below `min_offset` rad are worth no unknown."""
+        # Moving joints are given jerks of `slack` times the largest RMS, all alike: joints push
+        # each other, and one that hunts within a few counts jerks whatever its encoder shows of it.
         rate, views = self.recording.rate_hz, self.views
         every = max(1, int(rate / (NODES_PER_CUTOFF * self.lowpass.cutoff_hz)))
         nodes = np.arange(own.start + REACH * every, own.stop - REACH * every, every)
@@ -305,10 +300,8 @@ class _Log:
         return np.stack([smooth, *differentiate(smooth, rate, valid)])
 
     def _measured(self, j: int, wide: Index, own: slice, *, repeated: float = 2.0) -> Measured:
-        """Rows of a moving joint: a coarse encoder by its edges, a fine one by low-passed codes.
-
-        Swings that repeat themselves repeat their quantisation errors, so many times.
-        """
+        """Rows of a moving joint: a coarse encoder by its edges, a fine one by low-passed codes."""
+        # Swings that repeat themselves repeat their quantisation errors, so many times.
         rate, view = self.recording.rate_hz, self.views[j]
         strongest = float(np.max(np.abs(self.motion.ddq[own, j])))
         # What the low-pass takes off a jump of the acceleration.

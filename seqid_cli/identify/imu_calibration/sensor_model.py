@@ -51,10 +51,7 @@ def next_width(
 
 @dataclass(frozen=True)
 class Constants:
-    """Everything that the calibration finds; C channels, accelerometers first, then the gyro.
-
-    `tilt` (C, 2) rad turns each axis about two directions across it.
-    """
+    """What the calibration finds of C channels, the gyro's last; `tilt` (C, 2) rad of each axis."""
 
     R: Array
     lever: Array

@@ -35,10 +35,7 @@ _DEFINITION = (
 
 @contextlib.contextmanager
 def mcap_writer(path: Path, joints: Sequence[str]) -> Iterator[Callable[[LogPrediction], None]]:
-    """Write torques to `path` in one step: an interrupted run leaves the old file or none.
-
-    Yields: appends a log, or the next part of one, all its samples.
-    """
+    """Write torques to `path` in one step; yields what appends a log, or a part of one."""
     with replacing(path) as temporary:
         with writing(path):
             stream = temporary.open("wb")

@@ -78,10 +78,7 @@ def torque_motion(
     imu: ImuStage | None = None,
     source: str = "encoder",
 ) -> Motion:
-    """Decimated motion of a log that carries torque; `imu` and `source` as of `best_motion`.
-
-    Raises InputError if it carries neither torque nor current, or not the IMU that `source` needs.
-    """
+    """Decimated motion of a log with torque; InputError without, or as of `best_motion`."""
     torque_of(recording)
     motion = log_motion(recording, robot, options, imu=imu, source=source)
     return decimated(motion, options.samples_per_cutoff)
@@ -174,10 +171,7 @@ def source_text(use: MotionUse) -> str:
 def motion_uses(
     recordings: Iterable[Recording], robot: Robot, imu: ImuStage | None, *, options: InertiaOptions
 ) -> list[MotionUse]:
-    """Describe the motion that commands with these options take from logs.
-
-    Logs from which they can take none are left out; that is for those commands to complain about.
-    """
+    """Describe the motion that commands with these options take from logs, where they can."""
     uses = []
     for recording in recordings:
         with contextlib.suppress(InputError):

@@ -25,10 +25,7 @@ from seqid_cli.typing import Array, Mask
 
 
 def triangular(rows: Array) -> Array:
-    """Triangular factor (p, p) of rows (N, p), diagonal not negative.
-
-    Columns of zeros give columns and rows of zeros, and cost nothing.
-    """
+    """Triangular factor (p, p) of rows (N, p), diagonal not negative; zero columns cost nothing."""
     alive = np.flatnonzero(rows.any(axis=0))
     R = np.asarray(np.linalg.qr(rows[:, alive], mode="r"), dtype=np.float64)
     full = np.zeros((rows.shape[1], rows.shape[1]))
@@ -218,11 +215,9 @@ def _seen(rows: Array) -> Mask:
 def _solve_scaled(
     factor: Array, seen: Mask | None = None
 ) -> tuple[Array, Array, Array, float, Mask]:
-    """Smallest solution with scaled columns, of those that are `seen` (p,).
-
-    Then B with (H'H)^+ = B B' over what is excited, the directions that are not, the condition, and
-    which parameters have no part in those directions.
-    """
+    """Smallest solution with scaled columns, of those that are `seen` (p,)."""
+    # Then B with (H'H)^+ = B B' over what is excited, the directions that are not, the condition,
+    # and which parameters have no part in those directions.
     R, z = factor[:-1, :-1], factor[:-1, -1]
     scale = np.linalg.norm(R, axis=0)
     scale[~(_seen(R) if seen is None else seen)] = np.inf

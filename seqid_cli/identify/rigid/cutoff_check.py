@@ -84,10 +84,7 @@ def _excess(d: Array, V: Array, *, flat: float = 1e-09) -> float:
 def with_cutoff_check(
     stage: RigidStage, check: CutoffCheck, basis: Basis, *, poor_sigma: float = 3.0
 ) -> RigidStage:
-    """The stage with a note on the parameters that depend on the cut-off.
-
-    Its verdict is poor where one of them does by `poor_sigma` stated standard errors.
-    """
+    """Note the parameters that depend on the cut-off; poor where one does by `poor_sigma`."""
     own = {p.name for p in stage.parameters}
     named = [(basis.names[k], at, by) for k, at, by in check.differences if basis.names[k] in own]
     text = ", ".join(f"{name} by {by:+.1f} at {factor:g} times" for name, factor, by in named)

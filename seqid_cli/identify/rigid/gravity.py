@@ -55,10 +55,7 @@ def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stag
 
 
 class GravityRows:
-    """Turns trials into rows of Eq. 19 and remembers how friction errors would enter them.
-
-    Rows are divided by the root of their noise's covariance (see `slow_noise`).
-    """
+    """Turns trials into white rows of Eq. 19 and remembers how friction errors would enter them."""
 
     def __init__(self, held: HeldJoints, surfaces: list[FrictionSurface | None]) -> None:
         self.robot, self.held, self.surfaces = held.robot, held, surfaces
@@ -135,10 +132,8 @@ class GravityRows:
 def _settled(
     trial: Trial, surface: FrictionSurface, *, settling_s: float = 0.03, most_share: float = 0.125
 ) -> Mask:
-    """Slices (K,) of a trial where friction is known and the joint keeps its speed.
-
-    Left out are `settling_s` from either end, but no more than `most_share` of the trial.
-    """
+    """Slices (K,) of a trial where friction is known and the joint keeps its speed."""
+    # Left out are `settling_s` from either end, but no more than `most_share` of the trial.
     v = np.full(len(trial.q), trial.velocity)
     middle = (trial.t[0] + trial.t[-1]) / 2.0
     half = (trial.t[-1] - trial.t[0] + trial.seconds) / 2.0

@@ -56,10 +56,7 @@ def _named(phi: Array, n: int) -> dict[str, float]:
 def rigid_stage(
     robot: Robot, basis: Basis, solution: Solution, posterior: Posterior, own: Index, rotors: Array
 ) -> RigidStage:
-    """A stage with what a solution determines of the base parameters `own` (indices).
-
-    `rotors` (n,) kg m^2 are the known rotor inertias that the representative has besides.
-    """
+    """What a solution tells of parameters `own`; known `rotors` (n,) join the representative."""
     determined, left = own[solution.determined[own]], own[~solution.determined[own]]
     missing = [basis.expression_text(int(k)) for k in left]
     theta = np.zeros(basis.size)

@@ -123,10 +123,7 @@ class Posterior:
 
 
 def gravity_prior(gravity: RigidStage | None, basis: Basis, joints: Sequence[str]) -> Prior:
-    """The gravity stage as rows of unit variance on the base parameters that it determined.
-
-    `joints`: names of the robot's. Returns: without rows where nothing is known of gravity.
-    """
+    """The gravity stage as rows of unit variance on the base parameters that it determined."""
     if gravity is None or not gravity.parameters:
         return Prior(np.zeros((0, basis.size)), np.zeros(0))
     size = int(basis.gravity.sum())

@@ -57,10 +57,7 @@ class Mounting:
         return (rows @ slopes).reshape(*rows.shape[:2], -1, 3).swapaxes(2, 3)
 
     def by_place(self, x: Array) -> tuple[Array, Array, Array]:
-        """Derivatives (N, C, 3) of readings in their own axis, in the lever and in a turn.
-
-        All in the link's frame, the turn [rad] about its axes.
-        """
+        """Derivatives (N, C, 3) in own axis, lever and a turn [rad], all in the link's frame."""
         u, k = self.axes @ self.R.T, len(self.positions)
         reach = np.zeros_like(u)
         reach[:k] = self.positions @ self.R.T

@@ -107,10 +107,8 @@ def promising(
     piece_s: float = 3.0,
     min_gain: float = 2.0,
 ) -> bool:
-    """Whether IMUs may be `needed`: what `piece_s` seconds about the fastest moment say of it.
-
-    Smoothing a whole log costs as much as all else that is done with its motion.
-    """
+    """Whether IMUs may be `needed`: what `piece_s` seconds about the fastest moment say of it."""
+    # Smoothing a whole log costs as much as all else that is done with its motion.
     if not mounted_imus(recording, robot, stage) or recording.t[-1] < 2.0 * piece_s:
         return True
     speed = np.where(encoder.usable, np.abs(encoder.dq).max(axis=1), 0.0)

@@ -161,10 +161,7 @@ def moved(x: Mounted, change: Array) -> Mounted:
 
 
 def handed_on(x: Mounted, taken: Index, covariance: Array, *, forget: float = 1.5) -> Mounted:
-    """What the next stretch is to assume: the constants of this one.
-
-    `covariance` (m, m) is of those that took part, `taken` (m,).
-    """
+    """What the next stretch is to assume; `covariance` (m, m) is of the constants `taken` (m,)."""
     own: Array = np.asarray(np.linalg.inv(x.precision), dtype=np.float64)
     own[taken], own[:, taken] = 0.0, 0.0
     own[np.ix_(taken, taken)] = covariance

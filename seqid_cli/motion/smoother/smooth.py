@@ -64,10 +64,8 @@ Part = tuple[Array, Index, Array, tuple[Mounted, ...], list[str]]
 
 
 def _smoothed(chunk: Chunk, size: Array) -> tuple[Part, Array]:
-    """Constants on coarse knots, motion on fine ones; the jerk's size (n,) on the coarse.
-
-    Of a chunk come motion (N, 3, n), variances at some places, its IMUs and what it says of them.
-    """
+    """Constants on coarse knots, motion on fine ones; the jerk's size (n,) on the coarse."""
+    # Of a chunk come motion (N, 3, n), variances at some places, its IMUs and what it says of them.
     coarse = _on_knots(chunk, COARSE_S if chunk.dt <= FINE_S else FINE_S).gathered()
     c, jerk = solve.encoder_motion(coarse, size)
     coarse, notes = believed(coarse, c)

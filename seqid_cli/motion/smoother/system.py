@@ -104,10 +104,8 @@ def normal_equations(
     told: tuple[Array, ...] | None = None,
     stretch: int = 256,
 ) -> Normal:
-    """Gradients at `c` (K, n) and information; `told` are the readings expected there.
-
-    Each interval tells of its own four coefficients. `stretch`: intervals laid out at once.
-    """
+    """Gradients at `c` (K, n) and information; `told` are the readings expected there."""
+    # Each interval tells of its own four coefficients. `stretch`: intervals laid out at once.
     m, n, count = chunk.intervals, chunk.joints, len(chunk.cells)
     own, pulls = _encoders(chunk, c)
     rise, precision = JERK / chunk.spacing**3, jerk.precision

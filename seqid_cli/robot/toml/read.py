@@ -63,10 +63,7 @@ def read_robot_file(path: Path) -> tuple[bytes, RobotFile, list[Formula | None]]
 
 
 def read_limited(path: Path, what: str, limit: int) -> bytes:
-    """Read the file `path`, called `what` in messages.
-
-    Raises ConfigError: there is none, it cannot be read, or it is larger than `limit` bytes.
-    """
+    """Read a file, called `what` in messages; ConfigError if it cannot, or is over `limit`."""
     where = str(path)
     try:
         if path.is_dir():

@@ -169,10 +169,7 @@ def _faults_of_the_tree(
 
 
 def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> None:
-    """Check that the robot file's joints are joints of the URDF that move by themselves, and how.
-
-    Raises ConfigError naming `source`, the key, the joint, and what the URDF has instead.
-    """
+    """Check that the robot file's joints are joints of the URDF that move by themselves."""
     file = urdf.path.name
     known = f"Movable joints of {file}: {', '.join(urdf.movable) or 'none'}."
     for k, entry in enumerate(joints):
@@ -198,10 +195,7 @@ def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> 
 def best_chain(
     urdf: UrdfText, worth: Callable[[UrdfJoint], float] = lambda joint: 1.0
 ) -> tuple[UrdfJoint, ...]:
-    """Return the driven joints from the root to a tip, of the largest total worth.
-
-    The first of equals in the order of the file; empty where no joint is driven.
-    """
+    """Driven joints from the root to a tip, of the largest worth; of equals the first."""
     by_child = {joint.child: joint for joint in urdf.joints.values()}
     inner = {joint.parent for joint in urdf.joints.values()}
     chains = []

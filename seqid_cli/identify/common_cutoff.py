@@ -81,10 +81,7 @@ def _summed(logs: Sequence[LogScore], scores: Sequence[bandwidth.Score]) -> tupl
 
 
 def identification_options(
-    logs: Sequence[Path | Recording],
-    robot: Robot,
-    options: RigidOptions,
-    imu: ImuStage | None = None,
+    logs: Sequence[Path | Recording], robot: Robot, options: RigidOptions, imu: ImuStage | None
 ) -> MotionOptions:
     """How all logs of an identification are filtered, whatever their order."""
     # A single log chooses for itself as it is read. Several are looked at first, and read again.

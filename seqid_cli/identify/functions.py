@@ -213,10 +213,8 @@ def predict(
     if target is not None and table is not None and target.resolve() == table.resolve():
         message = "-o and --torques name the same file"
         raise UsageError(message, where=str(target), hint="Give them different names.")
-    outputs, needs = [table] if table else [], imu_stage_for(options.source)
-    inputs = prepare(
-        logs, robot, parameters, options, more_outputs=outputs, needs=needs, **keywords
-    )
+    more, needs = [table] if table else [], imu_stage_for(options.source)
+    inputs = prepare(logs, robot, parameters, options, more_outputs=more, needs=needs, **keywords)
     if not present(inputs.stages):
         where = inputs.models[0][0] if inputs.models else ""
         raise ConfigError("holds no stage at all", where=where, hint="Run seqid friction first.")

@@ -213,10 +213,8 @@ def inertia_verdicts(stage: schema.RigidStage, robot: Robot) -> Iterator[schema.
     for p in stage.parameters:
         rotor = p.terms and all(x > 0.0 and name.startswith("Ia_") for name, x in p.terms.items())
         if rotor and p.value < -LIMITS.clear_sigma * p.std_error:
-            reason = (
-                f"{p.name} is {p.value:.3g} +- {p.std_error:.2g}: a rotor cannot have negative "
-                "inertia"
-            )
+            found = f"{p.name} is {p.value:.3g} +- {p.std_error:.2g}"
+            reason = f"{found}: a rotor cannot have negative inertia"
             yield schema.Verdict(joint=p.joint, good=False, reason=reason)
     # The inertia M_jj that joint j's drive feels, by the stage's parameters and their errors.
     basis = free_basis(robot)

@@ -128,9 +128,8 @@ def highest_orders(sets: Sequence[Reduced], position: int | None, velocity: int 
     """The orders that the data, or the user, allow at most."""
     levels = min(len(own.levels) for own in sets)
     most = min(MAX_VELOCITY_ORDER, max(levels - 1, 0))
-    return Orders(
-        MAX_POSITION_ORDER if position is None else position, most if velocity is None else velocity
-    )
+    allowed = MAX_POSITION_ORDER if position is None else position
+    return Orders(allowed, most if velocity is None else velocity)
 
 
 def fit_surfaces(

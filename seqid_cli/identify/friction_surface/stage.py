@@ -62,9 +62,8 @@ def identify_friction(
         hint = "record every speed in both directions over the same range (Eq. 15)"
         names = [robot.joint_names[j] for j, reason in reasons.items() if reason == UNPAIRED]
         raise QualityError(UNPAIRED, hint=hint, where=f"joint {names[-1]}")
-    return FrictionStage(
-        joints=joints, verdicts=verdicts, notes=[*notes, *summary.constants_note(robot)]
-    )
+    notes += summary.constants_note(robot)
+    return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
 
 
 def _steady_gravity(robot: Robot, j: int, first: summary.Fit, held: HeldJoints) -> GravityFit:

@@ -5,7 +5,6 @@ inner speeds by a surface that was fitted to the others, of the slowest and the 
 which nothing was seen, by the surface itself.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,9 +61,7 @@ class Errors:
 Part = tuple[list[SpeedData], SurfaceFit]  # of both directions, or of one
 
 
-def errors_of(
-    parts: Sequence[Part], orders: Orders, *, unseen: bool, group_size: int = 16
-) -> Errors:
+def errors_of(parts: list[Part], orders: Orders, *, unseen: bool, group_size: int = 16) -> Errors:
     """Errors of surfaces of some orders that have seen everything, over groups of slices.
 
     If `unseen`, those at inner speeds are of surfaces that have not seen them. With three speeds or

@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.identify.imu_calibration.segments import Segment
-from seqid_cli.identify.imu_calibration.sensor_model import Constants, first_constants, nominal_axes
+from seqid_cli.identify.imu_calibration.sensor_model import Constants, nominal_axes
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, shrink
@@ -222,7 +222,8 @@ def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> tuple[fl
     target = (vector[:, kept] / np.sqrt(value[kept])).T @ centred
     size = np.sqrt(np.maximum(yy / samples - y_mean**2, 1e-6))
 
-    nominal, axes = first_constants(imu), nominal_axes(imu)
+    axes = nominal_axes(imu)
+    none = np.zeros(len(axes))
 
     def placed(step: Array) -> Mounting:
         turned = Rotation.from_rotvec(step[:3]).as_matrix() @ R
@@ -235,4 +236,5 @@ def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> tuple[fl
     result = least_squares(off, np.zeros(6), method="lm")
     found = placed(result.x)
     bias = y_mean - found.matrix @ x_mean
-    return float(result.cost), replace(nominal, R=found.R, lever=found.lever, bias=bias)
+    rest = bias, none, np.zeros((len(axes), 2))
+    return float(result.cost), Constants(found.R, found.lever, 0.0, *rest)

@@ -252,9 +252,7 @@ class _Log:
         """Their rate of change (N, n)."""
         return differentiate(self.smooth, self.recording.rate_hz, self.recording.valid)[0]
 
-    def segment(
-        self, own: slice, *, min_offset: float = 1e-4, slack: float = 3.0
-    ) -> Segment | None:
+    def segment(self, own: slice, *, min_offset: float = 1e-4, slack: float = 3) -> Segment | None:
         """One stretch; offsets of locked joints below `min_offset` rad are worth no unknown."""
         # Moving joints are given jerks of `slack` times the largest RMS, all alike: joints push
         # each other, and one that hunts within a few counts jerks whatever its encoder shows of it.
@@ -279,9 +277,8 @@ class _Log:
         jerk, third = max(slack * float(np.max(jerks)), 1.0), JERK * (rate / every) ** 3
         at = np.arange(len(wide) - 3)
         smooth = at, np.tile(third, (len(at), 1)), np.zeros(len(at)), np.full(len(at), jerk**-2)
-        parts: list[Measured] = [
-            each for j in moving for each in (self._measured(j, wide, own), smooth)
-        ]
+        pairs = ((self._measured(j, wide, own), smooth) for j in moving)
+        parts: list[Measured] = [part for pair in pairs for part in pair]
         about = self.number, self.recording.t[nodes], every / rate, motion, tuple(moving)
         measured = _stacked(parts, len(wide), len(moving))
         held = locked, np.array([off[j] for j in locked]), self.readings

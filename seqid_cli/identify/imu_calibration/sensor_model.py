@@ -26,11 +26,9 @@ class Widths:
     drift: Array
 
 
-def first_widths(
-    count: int, *, gain: float = 0.02, tilt: float = 0.01, drift: float = 0.02
-) -> Widths:
-    """Widths to begin with."""
-    return Widths(*(np.full(count, width) for width in (gain, tilt, drift)))
+def first_widths(c: int, *, gain: float = 0.02, tilt: float = 0.01, drift: float = 0.02) -> Widths:
+    """Widths to begin with, of `c` channels."""
+    return Widths(*(np.full(c, width) for width in (gain, tilt, drift)))
 
 
 def prior_of(widths: Widths, *, lever: float = 1.0, delay: float = 0.3, bias: float = 3.0) -> Array:
@@ -83,12 +81,6 @@ def nominal_axes(imu: Imu) -> Array:
     """Axes (C, 3) of all channels."""
     axes = imu.axes.reshape(-1, 3)
     return np.vstack([axes, np.eye(3)]) if imu.gyro else axes
-
-
-def first_constants(imu: Imu) -> Constants:
-    """Nominal constants, mounted at the link's own frame."""
-    none = np.zeros(len(nominal_axes(imu)))
-    return Constants(np.eye(3), np.zeros(3), 0.0, none, none, np.zeros((len(none), 2)))
 
 
 def gauge_information(imu: Imu, p: int, *, hold: float = 1e-6) -> Array:

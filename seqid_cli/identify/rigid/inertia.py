@@ -80,17 +80,14 @@ def identify_inertia(
 
 
 def _rows_of(
-    equations: InertiaEquations,
-    others: InertiaEquations | None,
-    log: Recording | SurveyedLog,
-    _: int,
+    used: InertiaEquations, others: InertiaEquations | None, log: Recording | SurveyedLog, _: int
 ) -> AllRows:
     """Reduce the equations of one log, and those by its encoders where they are asked for."""
-    own, factors = equations.rows_of(log), equations.options.neighbours
+    own, factors = used.rows_of(log), used.options.neighbours
     near: list[InertiaRows | None] = [None] * len(factors)
     for k, factor in enumerate(factors if isinstance(log, Recording) else ()):
         with contextlib.suppress(InputError):  # the log is too short or too slow for it
-            near[k] = equations.at_cutoff(own.uses[0].cutoff_hz * factor).rows_of(log)
+            near[k] = used.at_cutoff(own.uses[0].cutoff_hz * factor).rows_of(log)
     return own, *near, others.rows_of(log) if others else None
 
 

@@ -59,7 +59,7 @@ class Cutoff:
         return self.alone_hz is not None and self.alone_hz < self.hz
 
 
-def differentiated_error(density: Array, hz: float | Array) -> Array:
+def differentiated_error(density: Array | float, hz: float | Array) -> Array:
     """Power of twice differentiated white noise of a density (rad^2/Hz) below a cut-off."""
     return np.asarray(density * (2 * np.pi) ** 4 * hz**5 / 5)
 
@@ -168,23 +168,3 @@ def bandwidth_of(frequency: Array, density: Array, rate_hz: float) -> float:
     floor = float(np.median(density[frequency > 0.25 * rate_hz]))
     power = np.cumsum(np.maximum(density - 2 * floor, 0.0))
     return float(frequency[np.searchsorted(power, 0.99 * power[-1])])
-
-
-def acceleration_powers(
-    frequency: Array, density: Array, rate_hz: float, step: float, cutoffs: Array
-) -> tuple[Array, Array, float]:
-    """Power of the acceleration and of its noise below each cut-off, and the noise density.
-
-    `frequency` and `density` (F,): spectrum [Hz, (rad/s^2)^2/Hz] of the second difference of the
-    position: it whitens the steep spectrum of the position before the window smears it. `step`: of
-    the encoder [rad]. `cutoffs` (C,) [Hz]. Returns (C,) (C,): [(rad/s^2)^2, (rad/s^2)^2, rad^2/Hz].
-    """
-    density = density / np.maximum(np.sinc(frequency / rate_hz) ** 4, 0.05)
-    # The position's noise: the quantisation's, or what the top of the spectrum shows.
-    top = (frequency > 0.2 * rate_hz) & (frequency < 0.4 * rate_hz)
-    above = density[top] / (2 * np.pi * frequency[top]) ** 4
-    floor = max(step**2 / 12 * 2 / rate_hz, float(np.median(above)) if top.any() else 0.0, 1e-30)
-    noise = differentiated_error(np.asarray(floor), cutoffs)
-    signal = power_below(frequency, density, cutoffs) - noise
-    # Power beyond the first point where noise takes over is noise, whatever its exact level.
-    return np.maximum.accumulate(np.maximum(signal, 1e-12)), noise, floor

@@ -180,26 +180,32 @@ class Survey:
 
     def _scored(self, joints: Index, step: Array, cutoffs: Array) -> tuple[Array, Array]:
         """Score of each cut-off (C,) by some joints, and these joints' noise densities."""
-        frequency, density = self._second.density(self.rate_hz)
-        density *= self.rate_hz**4
+        # Spectra of the second difference of the position: it whitens the steep spectrum of the
+        # position before the window smears it.
+        rate = self.rate_hz
+        frequency, density = self._second.density(rate)
+        density *= rate**4
+        density /= np.maximum(np.sinc(frequency / rate) ** 4, 0.05)
+        top = (frequency > 0.2 * rate) & (frequency < 0.4 * rate)
         score, floors = np.zeros(len(cutoffs)), np.zeros(len(joints))
         for k, j in enumerate(joints):
-            given = frequency, density[j], self.rate_hz, step[j], cutoffs
-            signal, noise, floors[k] = bandwidth.acceleration_powers(*given)
+            # The position's noise: the quantisation's, or what the top of the spectrum shows.
+            above = density[j, top] / (2 * np.pi * frequency[top]) ** 4
+            shown = float(np.median(above)) if top.any() else 0.0
+            floors[k] = max(step[j] ** 2 / 12 * 2 / rate, shown, 1e-30)
+            noise = bandwidth.differentiated_error(floors[k], cutoffs)
+            signal = bandwidth.power_below(frequency, density[j], cutoffs) - noise
+            # Power beyond the first point where noise takes over is noise, whatever its level.
+            signal = np.maximum.accumulate(np.maximum(signal, 1e-12))
             score += np.log(signal) - bandwidth.KAPPA * noise / signal
         return score, floors
 
 
 def _lengths(
-    rate_hz: float,
-    samples: int,
-    *,
-    second_s: int = 8,
-    velocity_s: int = 20,
-    least_segment: int = 256,
+    hz: float, samples: int, *, second_s: int = 8, velocity_s: int = 20, least_segment: int = 256
 ) -> tuple[int, int, list[int]]:
     """Segments of both spectra and halves of the time scales, in samples."""
-    second, velocity = (max(least_segment, int(s * rate_hz)) for s in (second_s, velocity_s))
-    halves = [max(1, round(scale * rate_hz / 2)) for scale in SCALES_S]
+    second, velocity = (max(least_segment, int(s * hz)) for s in (second_s, velocity_s))
+    halves = [max(1, round(scale * hz / 2)) for scale in SCALES_S]
     halves = [half for half in halves if 2 * half < samples]
     return min(samples - 2, second), min(samples - 1, velocity), halves

@@ -34,6 +34,7 @@ def fused_motion(
     robot: Robot,
     stage: ImuStage | None,
     encoder: Motion,
+    *,
     insist: bool = False,
 ) -> Motion:
     """Smooth a log with all its IMUs that can be believed, and filter it once.

@@ -157,11 +157,11 @@ def smoothed_motion(
         # Threads of the linear algebra only get into each other's way with matrices this narrow.
         with threadpool_limits(1):
             part, size = _smoothed(Chunk(robot, views, 1.0 / rate, 1, imus), size)
-        motion, places, variance, found, said = part
+        states, places, variance, found, said = part
         known |= {x.name: x for x in found}
         used |= {x.name for x in found}
         notes += [f"{own.start / rate:.1f} s: {x}" for x in said]
-        joined[own] += share[:, None, None] * motion
+        joined[own] += share[:, None, None] * states
         kept = share[places] >= 0.5
         at.append(places[kept] + own.start)
         variances.append(variance[kept])
@@ -170,9 +170,8 @@ def smoothed_motion(
     text = "{} reads in {} of the samples"
     notes += [text.format(name, percent(x, 0)) for name, x in shares.items() if x < mostly]
     q, dq, ddq = (np.ascontiguousarray(joined[:, d]) for d in range(3))
-    return Smoothed(
-        q, dq, ddq, np.concatenate(at), np.concatenate(variances), mounted, tuple(notes)
-    )
+    known_at = np.concatenate(at), np.concatenate(variances)
+    return Smoothed(q, dq, ddq, *known_at, mounted, tuple(notes))
 
 
 def _fading(samples: int, length: float, lap: int) -> Iterator[tuple[slice, Array]]:

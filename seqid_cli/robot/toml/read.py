@@ -55,9 +55,8 @@ def read_robot_file(path: Path) -> tuple[bytes, RobotFile, list[Formula | None]]
             formulas.append(None if text is None else parse_formula(text, joints, effect.settings))
         except FormulaError as problem:
             message = f"effect[{k}].torque {problem} (effect {effect.name!r})"
-            hint = (
-                f"Write a sum of terms as in 'c1 * sign(dq) * abs(load)'; of {', '.join(SYMBOLS)}."
-            )
+            sums = "Write a sum of terms as in 'c1 * sign(dq) * abs(load)'"
+            hint = f"{sums}; of {', '.join(SYMBOLS)}."
             raise ConfigError(message, where=str(path), hint=hint) from None
     return raw, content, formulas
 

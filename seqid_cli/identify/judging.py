@@ -71,11 +71,9 @@ def judged(
 
 
 def physics_verdicts(stages: schema.Stages, robot: Robot) -> list[schema.Verdict]:
-    """Judge stages that a command builds on as `judged` does, whatever logs they are used on.
-
-    `robot`: as it is now: its gear ratios or gravity may not be those of the identification.
-    Returns: what no arm can be, each reason once per joint.
-    """
+    """Judge stages that a command builds on as `judged` does, whatever logs they are used on."""
+    # By the robot as it is now: its gear ratios or gravity may not be those of the identification.
+    # Each reason comes once per joint.
     there = (stages.friction, stages.gravity, stages.inertia)
     found = [v for stage in there if stage is not None for v in _physics(stage, stages, robot)]
     return list({(v.joint, v.reason): v for v in found}.values())

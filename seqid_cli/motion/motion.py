@@ -137,11 +137,9 @@ def as_asked(
 def highest_bridged(
     recording: Recording, *, min_share: float = 0.05, max_periods: float = 0.2
 ) -> float:
-    """Highest cut-off [Hz] that bridged holes allow, where more than `min_share` of samples are.
-
-    A cubic across a hole of h seconds falls short of an acceleration of f Hz by (2 pi f h)^2 / 12:
-    13 percent at `max_periods` / h. A few holes are left out of the equations instead.
-    """
+    """Highest cut-off [Hz] that bridged holes allow, where more than `min_share` of samples are."""
+    # A cubic across a hole of h seconds falls short of an acceleration of f Hz by (2 pi f h)^2 /
+    # 12: 13 percent at `max_periods` / h. A few holes are left out of the equations instead.
     if recording.bridged is None or recording.bridged.mean() < min_share:
         return HIGHEST_HZ
     lengths = [stop - start for start, stop in runs(recording.bridged, len(recording.t))]

@@ -55,11 +55,8 @@ def motion_reach(rate_hz: float) -> int:
 
 
 def moving_mask(q: Array, rate_hz: float, step: Array, at: Index | None = None) -> Mask:
-    """Where (K, n) joints at positions q (N, n) rad move, on any of the time scales.
-
-    `step` (n,): encoder noise [rad], see `noise_step`. `at` (K,): samples that are asked about; all
-    by default.
-    """
+    """Where (K, n) joints at positions q (N, n) rad move, on any scale; noise `step` (n,) rad."""
+    # At the samples `at` (K,); all by default.
     at, rows = np.arange(len(q)) if at is None else at, q.T
     moving = np.zeros((len(rows), len(at)), dtype=np.bool_)
     halves = (max(1, round(scale * rate_hz / 2)) for scale in SCALES_S)
@@ -84,11 +81,7 @@ def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:
 
 
 def constant_velocity(q: Array, rate_hz: float, *, step: Array, valid: Mask) -> list[Stretch]:
-    """Every stretch in which exactly one joint moves, at constant velocity.
-
-    `q` (N, n): encoder positions [rad]. `step` (n,): encoder noise [rad]. `valid` (N,): false
-    inside gaps of the log. Returns: in time order.
-    """
+    """Every stretch in which exactly one joint moves, at constant velocity, in time order."""
     moving = moving_mask(q, rate_hz, step)
     alone = valid & (moving.sum(axis=1) == 1)
     found: list[Stretch] = []

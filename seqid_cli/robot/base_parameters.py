@@ -177,10 +177,10 @@ def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=8)
 def base_parameters(robot: Robot, *, rotor: tuple[int, ...], zero: float = 1e-10) -> Basis:
-    """Find the base parameters of the rigid body and of the rotors to identify.
+    """Find the base parameters of the rigid body and of the rotors to identify, gravity's first.
 
     `rotor`: joints (0-based) whose rotor inertia is a parameter; the others' are known and left
-    out. Returns: the same every time for the same robot; gravity parameters first.
+    out.
     """
     W_gravity, W = _random_regressors(robot)
     order = _reading_order(robot.chain)

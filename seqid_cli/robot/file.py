@@ -16,12 +16,10 @@ if TYPE_CHECKING:
 
 
 def load_robot(path: Path) -> "Robot":
-    """Read the robot file `path`, and the URDF that it names, and check both.
+    """Read the robot file `path`, and the URDF beside it that it names, and check both.
 
-    A relative `urdf` in it lies beside it. The robot's `sha256` is over the bytes of the robot file
-    followed by those of the URDF.
-
-    Raises ConfigError naming the file, the key's full path, the value and the remedy.
+    The robot's `sha256` is over the bytes of both. Raises ConfigError naming the file, the key's
+    full path, the value and the remedy.
     """
     raw, content, formulas = read_robot_file(path)
     names = tuple(joint.name for joint in content.joint)

@@ -48,11 +48,8 @@ class SteadyGroup(NamedTuple):
 def without_acceleration(
     robot: Robot, trials: Sequence[Trial], surface: FrictionSurface
 ) -> list[SteadyGroup]:
-    """Take the torque of what acceleration is left (Eq. 25) off the trials of one joint.
-
-    So is what friction differs by as the speed is not quite constant. `surface`: friction of the
-    joint, if only a first estimate. Returns: one per configuration.
-    """
+    """Take the torque of what acceleration is left (Eq. 25) off one joint's trials, by groups."""
+    # So is what friction, by a first estimate, differs by as the speed is not quite constant.
     groups = configurations(list(trials))
     found = [_inertia_of(robot, group, surface) for group in groups]
     known = np.array([one for one in found if one is not None]).reshape(-1, 4)

@@ -56,11 +56,9 @@ class SurfaceFit:
         return self._solved(self.normal.N, self.normal.b, orders)
 
     def covariance(self, orders: Orders) -> Array:
-        """Covariance of those entries, row-major.
-
-        It is scaled so that the mean variance over both ranges is that of the whole surface: what
-        is left out has an error too.
-        """
+        """Covariance of those entries, row-major."""
+        # It is scaled so that the mean variance over both ranges is that of the whole surface: what
+        # is left out has an error too.
         kept = np.flatnonzero(self._kept(orders))
         found = self.whole[1][np.ix_(kept, kept)]
         columns, error = self._grid
@@ -138,11 +136,9 @@ def fit_surfaces(
     velocity: int | None = None,
     near: Sizes | None = None,
 ) -> tuple[list[SurfaceFit], float]:
-    """Fit one surface to each set of trials, with sizes of terms and errors in common.
-
-    `position` and `velocity`: orders that the user fixes. `near`: sizes from which their search
-    starts. Twice the logarithm of the marginal likelihood of all slices comes second.
-    """
+    """Fit one surface to each set of trials, with sizes of terms and errors in common."""
+    # Sizes are searched from those `near`. Twice the logarithm of the marginal likelihood of all
+    # slices comes second.
     highest = highest_orders(sets, position, velocity)
     sizes, evidence = Evidence(sets, highest).strongest(near)
     return [SurfaceFit(own, sizes, highest) for own in sets], evidence
@@ -155,11 +151,7 @@ def choose_orders(
     *,
     accept: Callable[[Orders], bool] | None = None,
 ) -> Orders:
-    """Choose the fewest orders, the same for all, that do as well as the highest ones.
-
-    `position` and `velocity`: orders that the user fixes. `accept`: whether orders are good enough;
-    else it is asked whether the surfaces stay the same to `DEVIATION`.
-    """
+    """Choose the fewest orders that do as well as the highest, by `accept` or to `DEVIATION`."""
     highest, size = fits[0].highest, fits[0].reduced.scaling.over_position.size
     good = accept or (lambda orders: all(fit.deviation(orders) <= DEVIATION for fit in fits))
     lowest = Orders(

@@ -61,11 +61,7 @@ class GravityFit:
 
 @dataclass(frozen=True)
 class Clustered:
-    """Least squares `theta` (p,) whose rows share errors within clusters.
-
-    `left` is the residual, `bread` the inverse of the normal matrix, `moves` (G, p) what each
-    cluster pulls the estimate by.
-    """
+    """Least squares: residual `left`, inverse normal matrix `bread`, clusters' pulls `moves`."""
 
     theta: Array
     left: Array
@@ -127,12 +123,9 @@ def _half_sums(group: list[Trial]) -> list[Array]:
 def fit_gravity(
     robot: Robot, joint: int, trials: list[Trial], *, degree: int = 8, clear: float = 0.7
 ) -> GravityFit:
-    """Fit p_xi per configuration to the half-sums, with or without direction dependence.
-
-    What depends on the position is a polynomial of some `degree`; another law is clearly better
-    where it leaves less than `clear` of the squares. Returns: groups without a forward/backward
-    pair are left out and counted in `unpaired`.
-    """
+    """Fit p_xi per configuration to the half-sums, with or without direction dependence."""
+    # What depends on the position is a polynomial of some `degree`; another law is clearly better
+    # where it leaves less than `clear` of the squares.
     groups = configurations(trials)
     pairs = [_half_sums(group) for group in groups]
     places = [np.concatenate([np.zeros(0), *(pair[:, 0] for pair in own)]) for own in pairs]
@@ -211,11 +204,9 @@ class _Pairs:
         return (*(found if beyond is None else fits(self.tau - beyond(self.q))), beyond)
 
     def _beyond(self, left: Array, unlike: Array) -> Chebyshev | None:
-        """Torque over the position that half-sums have beyond gravity, by what is `left` (N,) N m.
-
-        None, unless it leaves of pairs that are left out less than `clear` of the squares of
-        `unlike` (N,) N m, without friction that depends on the direction.
-        """
+        """Torque over the position that half-sums have beyond gravity, from what is `left`."""
+        # None, unless it leaves of pairs that are left out less than `clear` of the squares of
+        # `unlike` (N,) N m, without friction that depends on the direction.
         domain = [float(self.q.min()), float(self.q.max())]
 
         def fitted(values: Array, some: Mask) -> Chebyshev:

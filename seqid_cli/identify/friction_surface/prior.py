@@ -64,11 +64,9 @@ class Sizes:
     broad: float
 
     def prior(self, scaling: Scaling, size: int, orders: Orders) -> Array:
-        """Standard deviations (size + 4, l + 1) of a surface's entries.
-
-        They are 0 above position order m, and for the ends of a trial, which the surface has not.
-        The last two are those of errors that are one and the same in all trials.
-        """
+        """Standard deviations (size + 4, l + 1) of a surface's entries."""
+        # They are 0 above position order m, and for the ends of a trial, which the surface has not.
+        # The last two are those of errors that are one and the same in all trials.
         over_position = scaling.over_position
         j = over_position.degrees(over_position.order(size))[:, None]
         r = np.arange(orders.velocity + 1.0)[None, :]

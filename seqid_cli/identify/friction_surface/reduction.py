@@ -86,13 +86,9 @@ def weighted(
     min_scatter: float = 1e-9,
     max_ratio: float = 4.685,
 ) -> list[SpeedData]:
-    """Weight the slices anew.
-
-    `distances` (K,): of every slice from the surface, N m. `min_scatter`: of the usual friction,
-    below which no scatter is believed. `max_ratio`: scales beyond which Tukey's weight is zero;
-    95 % efficient for normal errors. Returns: weights are samples of usual noise: fewer where a
-    trial has more noise than the usual one, none where a slice does not belong to its trial.
-    """
+    """Weight slices by `distances` (K,) N m: by noise, and little where they do not belong."""
+    # No scatter below `min_scatter` of the usual friction is believed. Tukey's weight is zero
+    # beyond `max_ratio` scales: 95 % efficient for normal errors.
     level = float(np.median([np.median(np.abs(item.friction)) for item in data]))
     found = [median_abs_deviation(own, scale="normal") for own in distances]
     scales = np.maximum(found, max(min_scatter * level, 1e-300))

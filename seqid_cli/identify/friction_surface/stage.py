@@ -26,11 +26,9 @@ UNPAIRED = "no pair of forward and backward trials at one speed in one configura
 def identify_friction(
     recordings: Iterable[Recording], robot: Robot, *, options: FrictionOptions
 ) -> FrictionStage:
-    """Identify the friction surface of every joint that the logs move at constant velocity.
-
-    Raises QualityError if no joint moves by itself at constant velocity, or the orders ask for more
-    speeds than there are.
-    """
+    """Identify the friction surface of every joint that the logs move at constant velocity."""
+    # Raises QualityError if no joint moves by itself at constant velocity, or the orders ask for
+    # more speeds than there are.
     trials = collect_trials(recordings, robot)
     if not trials:
         logs = [str(getattr(log, "path", log)) for log in getattr(recordings, "logs", recordings)]

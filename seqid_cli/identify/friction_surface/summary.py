@@ -62,11 +62,9 @@ Part = tuple[list[SpeedData], SurfaceFit]  # of both directions, or of one
 
 
 def errors_of(parts: list[Part], orders: Orders, *, unseen: bool, group_size: int = 16) -> Errors:
-    """Errors of surfaces of some orders that have seen everything, over groups of slices.
-
-    If `unseen`, those at inner speeds are of surfaces that have not seen them. With three speeds or
-    fewer nothing is left out.
-    """
+    """Errors of surfaces of some orders that have seen everything, over groups of slices."""
+    # If `unseen`, those at inner speeds are of surfaces that have not seen them. With three speeds
+    # or fewer nothing is left out.
     rows = []
     for data, fit in parts:
         whole, leave = fit.entries(orders), unseen and len(fit.reduced.levels) >= FEWEST_SPEEDS

@@ -30,8 +30,8 @@ NONE: Array = np.zeros(0)
 class Ramps(NamedTuple):
     """How the joint of a trial got up to speed and back: means over windows of time.
 
-    `q`, `dq`, `ddq`, `tau` (R,) rad, rad/s, rad/s^2, N m under the same window, so that
-    `tau = I ddq + ...` holds for them as it does at an instant; `weight` samples each.
+    `tau = I ddq + ...` holds for means under the same window as it does at an instant; `weight`
+    samples each.
     """
 
     q: Array = NONE

@@ -44,12 +44,9 @@ Held = tuple[dict[str, tuple[list[Segment], list[initial_guess.Pair], float]], f
 def calibrate_imus(
     recordings: Iterable[Recording], robot: Robot, *, options: MotionOptions
 ) -> schema.ImuStage:
-    """Calibrate every IMU of the robot file; name what these logs do not determine.
-
-    `recordings`: best joints before the IMUs move one at a time and fast, the others locked in
-    several configurations. Raises UsageError if the robot file has no IMU, QualityError if no log
-    moves a joint before an IMU that it records.
-    """
+    """Calibrate every IMU of the robot file; name what these logs do not determine."""
+    # Best joints before the IMUs move one at a time and fast, the others locked in several
+    # configurations.
     if not robot.imus:
         where, hint = str(robot.source), "describe the IMU in it"
         raise UsageError("the robot file has no [[imu]]", hint=hint, where=where)
@@ -113,11 +110,9 @@ def calibration_of(
     max_delay_error_s: float = 0.005,
     sampling: float = 0.01,
 ) -> schema.ImuCalibration:
-    """Calibration of one IMU as the parameter file has it.
-
-    A clock offset with a larger standard error than `max_delay_error_s` is not determined. Jolts
-    between two samples shift a clock by `sampling` of their period.
-    """
+    """Calibration of one IMU as the parameter file has it."""
+    # A clock offset with a larger standard error than `max_delay_error_s` is not determined. Jolts
+    # between two samples shift a clock by `sampling` of their period.
     constants, sigma = fit.constants, np.sqrt(np.diag(fit.covariance))
     worst, lever, missing = _of_mounting(fit.covariance)
     delay_error = float(np.hypot(sigma[6], sampling * segments[0].readings.period))

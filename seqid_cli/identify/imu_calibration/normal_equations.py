@@ -153,11 +153,8 @@ def linearise(
     sizes: Sizes | None = None,
     weights: Array | None = None,
 ) -> Linearised:
-    """Equations of one segment.
-
-    `sigma` (C,) is the noise of a residual, for robust weights; without `sizes` the noise is that
-    of raw readings, and joints are moved by jolts alone.
-    """
+    """Equations of one segment; `sigma` (C,), the noise of a residual, makes robust weights."""
+    # Without `sizes` the noise is that of raw readings, and joints are moved by jolts alone.
     r, good, motion, x = residual(segment, robot, imu, constants, local)
     place, count = mounted(imu, constants), r.shape[1]
     slopes = place.by_motion(x, link_slopes(robot, imu.after_joint, motion))

@@ -208,12 +208,7 @@ def segments_of(
     longest_s: float = 20.0,
     shortest_s: float = 0.3,
 ) -> list[Segment]:
-    """Cut one log into stretches of the calibration, up to `longest_s` s, above `shortest_s` s.
-
-    `motion`: of the same recording, for what moves and how fast. `log`: number of the log among
-    those of the calibration. `cutoff_hz`: of the low-pass on readings and encoders. Returns: empty
-    where nothing before the IMU moves long enough.
-    """
+    """Cut one log into stretches of the calibration, up to `longest_s` s, above `shortest_s` s."""
     lowpass = Lowpass(cutoff_hz, recording.rate_hz)
     steps = encoder_resolution(robot)
     steps = np.where(steps > 0, steps, encoder_step(recording.q))

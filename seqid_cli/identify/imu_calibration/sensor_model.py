@@ -117,11 +117,9 @@ def mounted(imu: Imu, constants: Constants) -> Mounting:
 
 
 def design(imu: Imu, constants: Constants, x: Array, dy: Array) -> Array:
-    """Derivatives (N, C, 7 + 4 C) of the readings in the constants; `dy` (N, C) their rate [1/s].
-
-    A delayed stamp is a later reading: the measured value at t + delay is compared with the
-    prediction at t, so the derivative in the delay is that of the reading, with its sign turned.
-    """
+    """Derivatives (N, C, 7 + 4 C) of readings in the constants; `dy` (N, C) their rate [1/s]."""
+    # A delayed stamp is a later reading: the measured value at t + delay is compared with the
+    # prediction at t, so the derivative in the delay is that of the reading, with its sign turned.
     place, c = mounted(imu, constants), dy.shape[1]
     seen, pull, turn = place.by_place(x)
     across = _tangents(nominal_axes(imu)) @ constants.R.T

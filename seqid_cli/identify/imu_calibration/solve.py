@@ -42,11 +42,7 @@ from seqid_cli.typing import Array
 
 @dataclass(frozen=True)
 class Fit:
-    """The minimum: constants and their errors.
-
-    `covariance` (p, p) of the constants in the order of `Constants.moved`; `prior` (p,) the prior
-    standard deviations; `kept`, `outliers` count readings.
-    """
+    """Constants, `covariance` (p, p) in their order, prior deviations, counts of readings."""
 
     constants: Constants
     covariance: Array

@@ -21,12 +21,10 @@ _MOTION = {"position": "q", "velocity": "dq"}
 def parquet_writer(
     path: Path, joints: Sequence[str], parameters: Sequence[str] = ()
 ) -> Iterator[Callable[[LogPrediction], None]]:
-    """Write torques to `path` in one step: an interrupted run leaves the old file or none.
-
-    The columns are `t`, `log`, torques of each joint, `used` (whether the errors count the sample),
-    then position and velocity of each joint. `parameters`: the SHA-256 of the files that the model
-    is from, kept as metadata. Yields: appends a log, or the next part of one, all its samples.
-    """
+    """Write torques to `path` in one step; yields what appends a log, or a part of one."""
+    # The columns are `t`, `log`, torques of each joint, `used` (whether the errors count the
+    # sample), then position and velocity of each joint. The SHA-256 of the model's files are
+    # metadata.
     kinds = {"t": pa.float64(), "log": pa.string()}
     kinds |= {f"{name}.{kind}": pa.float64() for name in joints for kind in _TORQUES}
     kinds |= {f"{name}.sliding": pa.bool_() for name in joints}

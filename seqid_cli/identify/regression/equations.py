@@ -42,11 +42,7 @@ def streams(stages: Stages, options: InertiaOptions) -> bool:
 def open_if_long(
     path: Path, robot: Robot, *, time_source: TimeSource = "header", least: int | None = None
 ) -> SurveyedLog | None:
-    """Open a log of at least so many samples (`LONG`) to be passed over.
-
-    Returns None where the log is shorter, or can only be read as a whole. Raises InputError: the
-    file cannot be read or lacks a channel.
-    """
+    """Open a log of `least` samples or more that need not be read as a whole, else None."""
     least = LONG if least is None else least
     if likely_rows(path) < least:
         return None

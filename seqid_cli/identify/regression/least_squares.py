@@ -52,11 +52,9 @@ class Accumulator:
     _total: Array | None = field(default=None, repr=False, compare=False)
 
     def add(self, H: Array, y: Array, where: Mask | None = None) -> None:
-        """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true.
-
-        An empty one keeps the joints' blocks in step. It is cheapest with the samples of a column
-        next to each other.
-        """
+        """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true."""
+        # An empty one keeps the joints' blocks in step. It is cheapest with the samples of a column
+        # next to each other.
         self._total = None
         rows = np.vstack([H.T, y]) if where is None else np.vstack([H.T[:, where], y[where]])
         factor, count = triangular(rows.T), rows.shape[1]
@@ -166,12 +164,10 @@ def solve(
     independent: float = 1.0,
     white_floor: float = 0.05,
 ) -> Solution:
-    """Solve for all joints together, each weighted by its own residual.
+    """Solve for all joints together, each weighted by its own residual, with a block jackknife.
 
-    `joints`: one per joint, all of the same parameters. `iterations`: rounds of reweighting by
-    residual RMS. `independent`: share of the samples that count as independent beside the prior:
-    low-passed noise does not count more where there are more samples of it. Returns: estimate with
-    block-jackknife covariance.
+    `iterations`: rounds of reweighting. `independent`: share of the samples that count beside the
+    prior: low-passed noise does not count more where there are more samples of it.
     """
     size = joints[0].size
     totals = [joint.total for joint in joints]

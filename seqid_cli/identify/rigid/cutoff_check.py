@@ -48,11 +48,7 @@ def cutoff_check(
     *,
     clear_sigma: float = 4.0,
 ) -> CutoffCheck:
-    """Compare an estimate with those of the same logs at neighbouring cut-offs.
-
-    `own`: as it is used. `near`: by multiple of the cut-off. `clear_sigma`: standard errors of a
-    difference, from which it is reported.
-    """
+    """Compare an estimate with others, `near` by multiple of the cut-off; report `clear_sigma`."""
     size = len(own[0].theta)
     stated = np.sqrt(np.maximum(np.diag(own[1].covariance), 0.0))
     excess, differences = [], []

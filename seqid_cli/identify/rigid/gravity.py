@@ -31,10 +31,7 @@ from seqid_cli.typing import Array, Mask
 
 
 def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stages) -> RigidStage:
-    """Identify the base parameters of gravity; the stage is empty where it loads no joint.
-
-    Raises UsageError if there is no friction stage, QualityError if no usable trial was found.
-    """
+    """Identify the base parameters of gravity; the stage is empty where it loads no joint."""
     if stages.friction is None:
         raise UsageError("gravity needs the friction stage", hint="run seqid friction first")
     basis = base_parameters(robot, rotor=())

@@ -47,11 +47,8 @@ def identify_inertia(
     options: InertiaOptions,
     compare: bool = False,
 ) -> RigidStage:
-    """Identify the base parameters that gravity does not show.
-
-    `compare` says whether to do it a second time with the encoders alone, for their standard
-    errors. Raises UsageError if the friction stage is missing, QualityError if no joint moves.
-    """
+    """Identify the base parameters that gravity does not show."""
+    # With `compare` a second time with the encoders alone, for their standard errors.
     if stages.friction is None:
         raise UsageError("inertia needs the friction stage", hint="run seqid friction first")
     equations, others = InertiaEquations(robot, stages, options), None

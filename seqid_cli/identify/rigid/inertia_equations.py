@@ -70,11 +70,9 @@ class InertiaEquations:
         self._scaled = (robot.torque_constant_errors > 0.0) & (self._reflected > 0.0)
 
     def rows_of(self, log: Recording | SurveyedLog, *, forgotten: float = 0.8) -> InertiaRows:
-        """The rows of one log; `forgotten`: share of the low-pass's memory that is computed beside.
-
-        The motion of a log that is held is one block, of one to be passed over it comes in many.
-        0.8 of the memory leaves 1e-10. Raises InputError if no stretch is long enough to filter.
-        """
+        """Rows of one log; `forgotten`: share of the low-pass's memory computed beside."""
+        # The motion of a log that is held is one block, of one to be passed over it comes in many.
+        # 0.8 of the memory leaves 1e-10.
         options = self.options.motion
         if isinstance(log, Recording):
             imu, source = self.stages.imu, self.options.source
@@ -169,12 +167,10 @@ class InertiaEquations:
     def solved(
         self, rows: InertiaRows, coupling: float | None, *, rounds: int = 6
     ) -> tuple[Solution, Posterior]:
-        """Solve for the base parameters, the share of coupling held, or free where it is None.
-
-        The gravity stage enters as a prior with its covariance, friction's errors as they come,
-        directly and through gravity. After six `rounds` of reweighting the weights have settled to
-        a thousandth of a standard error.
-        """
+        """Solve for the base parameters, the share of coupling held, or free where it is None."""
+        # The gravity stage enters as a prior with its covariance, friction's errors as they come,
+        # directly and through gravity. After six rounds of reweighting the weights have settled to
+        # a thousandth of a standard error.
         joints = rows.joints
         prior = gravity_prior(self.stages.gravity, self.basis, self.robot.joint_names)
         if coupling is None:  # of which the prior knows nothing

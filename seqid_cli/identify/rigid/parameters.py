@@ -84,12 +84,9 @@ def rigid_stage(
 def made_consistent(
     stage: RigidStage, stages: Stages, robot: Robot, *, min_move: float = 0.5
 ) -> RigidStage:
-    """Put the parameters of an inertia stage among those that bodies can have.
-
-    Returns: with other values, of which bodies (`representative`) exist; standard errors are those
-    of the unconstrained estimate. A note names what moved by `min_move` standard errors or more.
-    Raises QualityError if no physically consistent parameters are found.
-    """
+    """Put the parameters of an inertia stage among those that bodies can have."""
+    # Standard errors are those of the unconstrained estimate. A note names what moved by `min_move`
+    # standard errors or more.
     found = identified(Stages(gravity=stages.gravity, inertia=stage), robot)
     nearest = nearest_bodies(robot, found)
     moved = {d.name: d for d in found.deviations(nearest.links, nearest.rotor)}
@@ -116,11 +113,8 @@ def joint_verdicts(
     poor_share: float,
     idle: str,
 ) -> list[Verdict]:
-    """A joint is poor where more than `poor_share` of its torque's RMS is left, or none was used.
-
-    `squares` (n,): sums of the squared torque of the rows of `joints`, (N m)^2. `idle`: the reason
-    where there are none.
-    """
+    """A joint is poor where over `poor_share` of its torque's RMS is left, or none was used."""
+    # By sums `squares` (n,) of the squared torque of rows, (N m)^2; `idle` says why there are none.
     verdicts = []
     for j, (joint, rows) in enumerate(zip(robot.joints, joints, strict=True)):
         share, reason, sigma, square = np.inf, idle, float(solution.sigma[j]), squares[j]
@@ -159,12 +153,9 @@ def imu_moves(
 def missing_pairs(
     robot: Robot, basis: Basis, left_open: Array, *, states: int = 120
 ) -> list[list[str]]:
-    """Choose pairs greedily until every base parameter is seen, and none that the others make idle.
-
-    `left_open` (b, k): directions of the base parameters that are not determined yet. `states`:
-    random ones of two moving joints, the others at random angles. Returns: empty where no pair
-    would add anything; each pair once. An arm of one joint has that alone.
-    """
+    """Choose pairs greedily until all base parameters are seen, none that others make idle."""
+    # By random states of two moving joints, the others at random angles. Empty where no pair would
+    # add anything. An arm of one joint has that alone.
     seen: dict[tuple[int, int], Array] = {}
     for pair in list(combinations(range(robot.n), 2)) or [(0, 0)]:
         rng, moving = np.random.default_rng(0), list(pair)

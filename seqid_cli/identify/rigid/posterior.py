@@ -100,11 +100,8 @@ class Posterior:
         known: Moves,
         prior: Prior | None = None,
     ) -> "Posterior":
-        """Join a solution's own errors with those that it inherits.
-
-        `solution`: its covariance counts the prior's rows as independent of friction. `errors`,
-        `known`: see `constant_moves`. `direct`: of the solution to friction, the prior held.
-        """
+        """Join a solution's errors, `direct` ones with the prior held, with those it inherits."""
+        # Its covariance counts the prior's rows as independent of friction.
         total, covariance, through = dict(direct), solution.covariance, {}
         if prior is not None:
             gain = solution.bread @ prior.A.T

@@ -51,12 +51,7 @@ def identify_simultaneous(
     imu: schema.ImuStage | None = None,
     source: str = "auto",
 ) -> tuple[schema.FrictionStage, schema.RigidStage]:
-    """Identify rigid body and Coulomb-viscous friction together.
-
-    `offset` says whether each joint has the constant torque F_o, `source` ("auto", "encoder",
-    "imu", "fused") where motion comes from. Returns friction as surfaces of orders (0, 1) and all
-    base parameters. Raises QualityError if no joint moves.
-    """
+    """Identify rigid body and Coulomb-viscous friction, and a torque F_o if `offset`, together."""
     paths, motions = [], []
     for recording in recordings:
         paths.append(recording.path)
@@ -206,11 +201,8 @@ class SimultaneousEquations:
 
 
 def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:
-    """Entries of a friction surface, forward and backward, per Coulomb, viscous and offset.
-
-    Chebyshev over [0, fastest]: |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of motion
-    taken off. `fastest`: upper end of the surface's speed range [rad/s; m/s where prismatic].
-    `terms`: how many of the three there are. Returns: tuple of two (2, terms) arrays.
-    """
+    """Entries (2, terms) of a friction surface, ahead and back, per Coulomb, viscous and offset."""
+    # Chebyshev over [0, fastest]: |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of motion
+    # taken off.
     ahead = np.array([[1.0, fastest / 2, 1.0], [0.0, fastest / 2, 0.0]])[:, :terms]
     return ahead, ahead * np.array([1.0, 1.0, -1.0])[:terms]

@@ -102,11 +102,9 @@ class Lowpass:
                 kept[own, first:last] = self._filtered(run, times, every, first * every - start)
 
     def _filtered(self, rows: Array, times: int, every: int, first: int) -> Array:
-        """Filter (c, N), prolonged by point reflections at its ends.
-
-        Samples `first`, `first` + `every`, ... are returned. What a pass makes of the prolonged
-        signal is prolonged in the same way, so that passes at once are passes one by one.
-        """
+        """Filter (c, N), prolonged by point reflections at its ends, samples from `first` on."""
+        # What a pass makes of the prolonged signal is prolonged in the same way, so that passes at
+        # once are passes one by one.
         response = _response(self, times, every)
         samples, reach = rows.shape[1], response.reach
         hop = response.size - 2 * reach

@@ -141,11 +141,7 @@ class Survey:
     def cutoff(
         self, resolution: Array, *, highest_hz: float = bandwidth.HIGHEST_HZ
     ) -> bandwidth.Cutoff:
-        """Choose one low-pass cut-off by the joints that move; the others say nothing about it.
-
-        `resolution` (n,): encoder step [rad] of the robot file; zero where it is to be read off the
-        data. `highest_hz`: highest cut-off that may be chosen.
-        """
+        """Choose one low-pass cut-off by the joints that move; the others say nothing about it."""
         step, joints = self._steps(resolution)
         highest = min(highest_hz, self.rate_hz / 8)
         floors = step**2 / 12 * 2 / self.rate_hz

@@ -118,11 +118,8 @@ def _scaled(A: Array) -> tuple[Array, Array]:
 def calibrated(
     imu: Imu, calibration: ImuCalibration, accelerations: Array, gyro: Array | None
 ) -> tuple[Imu, Array, Array | None]:
-    """Take a calibration's biases and gains off the readings, and its axes into the layout.
-
-    `accelerations` (N, K) [m/s^2], `gyro` (N, 3) [rad/s]. What is not determined is left as the
-    robot file has it. The clock offset stays in.
-    """
+    """Take a calibration's biases and gains off the readings, and its axes into the layout."""
+    # What is not determined is left as the robot file has it. The clock offset stays in.
     bias = entries(calibration.accelerometer_bias, len(imu.axes), 0.0)
     scale = entries(calibration.accelerometer_scale, len(imu.axes), 1.0)
     axes = np.array(calibration.accelerometer_axes) if calibration.accelerometer_axes else imu.axes
@@ -144,11 +141,7 @@ def entries(values: Sequence[float | None], count: int, default: float) -> Array
 def read_angular(
     imu: Imu, accelerations: Array, gyro: Array | None, lowpass: Lowpass, valid: Mask
 ) -> AngularReading:
-    """Solve the array for angular acceleration and products of angular velocity.
-
-    `accelerations` (N, K) [m/s^2]. `gyro` (N, 3) [rad/s] is used instead of the array where it is
-    there. `valid` (N,): false in gaps. The low-pass is applied once.
-    """
+    """Angular acceleration, products of angular velocity, by the gyro (N, 3) rad/s or the array."""
     if gyro is not None:
         w = lowpass(gyro, valid)
         dw, _ = differentiate(w, lowpass.rate_hz, valid)

@@ -71,12 +71,10 @@ class EncoderView:
     def weights(
         self, speed: Array, dt: float, *, edge: float = 0.03, smallest_variance: float = 1e-16
     ) -> tuple[Array, Array]:
-        """Weights, 1/rad^2, of samples and of the edges half a sample after them.
-
-        A joint that crosses an edge was there within one sample: its position is known to
-        speed * dt / sqrt 12, which beats step / sqrt 12 below one count per sample. While a code
-        lasts its samples say the same again and again; together they count once.
-        """
+        """Weights, 1/rad^2, of samples and of the edges half a sample after them."""
+        # A joint that crosses an edge was there within one sample: its position is known to speed *
+        # dt / sqrt 12, which beats step / sqrt 12 below one count per sample. While a code lasts
+        # its samples say the same again and again; together they count once.
         uniform = self.step**2 / 12
         if not self.step or not np.isfinite(self.edge).any():
             known = self.known / max(self.white + uniform, smallest_variance)

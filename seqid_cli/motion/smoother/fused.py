@@ -90,12 +90,10 @@ def _cutoff(smoothed: Smoothed, encoder: Motion) -> bandwidth.Cutoff:
 
 
 def needed(motion: Motion, encoder: Motion, *, min_gain: float = 3.0) -> bool:
-    """Whether acceleration is so much better known than by the encoders that it pays.
-
-    What the drive and its encoder do wrong shows between encoder and torque, and a smoother that
-    believes the IMUs hides it. Who looks for such effects takes IMUs only where the encoders are
-    too coarse to show anything: acceleration must be `min_gain` times better known.
-    """
+    """Whether acceleration is `min_gain` times better known than by encoders: that pays."""
+    # What the drive and its encoder do wrong shows between encoder and torque, and a smoother that
+    # believes the IMUs hides it. Who looks for such effects takes IMUs only where the encoders are
+    # too coarse to show anything.
     return _gain(motion, encoder) > min_gain
 
 

@@ -68,11 +68,9 @@ def misfits(
 
 
 def contradiction(found: Sequence[Misfit], *, unexplained: float = 0.36) -> tuple[str, list[str]]:
-    """The IMU to be left out, if any, and what is to be said of those that fit badly.
-
-    A right model leaves noise: motion that follows an IMU takes up nearly all in which it differs
-    from the encoders' motion. Wrong geometry or an arm that bends leaves much more.
-    """
+    """The IMU to be left out, if any, and what is to be said of those that fit badly."""
+    # A right model leaves noise: motion that follows an IMU takes up nearly all in which it differs
+    # from the encoders' motion. Wrong geometry or an arm that bends leaves much more.
     texts = {
         x.name: f"it differs from the motion by {x.size:.3g}, {x.noises:.1f} times its noise and "
         f"{percent(x.share, 0)} of what it differs from the encoders'"

@@ -131,13 +131,10 @@ def smoothed_motion(
     first_jerk: float = 1000.0,
     mostly: float = 0.95,
 ) -> Smoothed:
-    """Smooth all joints of one log, by chunks that fade into each other.
-
-    `stage`: calibrations; IMUs without one take no part. `chunk_s`: length [s] of what is smoothed
-    at once, from the constants that the chunk before has found. `mostly`: share of the samples, in
-    fewer of which an IMU that reads is named. Returns: at the log's own rate. Joints that no
-    believed IMU sees rest on their encoders.
-    """
+    """Smooth all joints of one log, by chunks of `chunk_s` s that fade into each other."""
+    # A chunk begins with the constants that the one before has found. An IMU that reads in fewer
+    # than `mostly` of the samples is named. Joints that no believed IMU sees rest on their
+    # encoders.
     samples, rate = len(recording.q), recording.rate_hz
     filled = np.column_stack([bridged(x, np.isfinite(x)) for x in recording.q.T])
     step = encoder_resolution(robot)

@@ -30,11 +30,7 @@ _NUMBERS = {
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A joint between two links: limits in rad (m), rad/s (m/s), N m (N), None where not given.
-
-    `follows` names the joint that it mimics, empty where it moves by itself. `axis` (3,) is in the
-    joint's own frame.
-    """
+    """A joint: limits in rad (m), rad/s (m/s), N m (N); `follows` names the one that it mimics."""
 
     name: str
     kind: str

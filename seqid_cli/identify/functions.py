@@ -250,8 +250,7 @@ def _added(
     new = present(found)
     for name in stale_stages(inputs.previous, tuple(new)):
         warn(f"the {name} stage rested on the old result and is left out: redo it")
-    read = logs.inputs(next(iter(new)))
-    file = with_stage(inputs.previous, robot_id(inputs.robot), read, **new)
+    file = with_stage(inputs.previous, robot_id(inputs.robot), logs.inputs(next(iter(new))), **new)
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)
     return file

@@ -104,8 +104,7 @@ def _physics(
             if known.gravity is not None and known.gravity.parameters:
                 yield from _gravity_verdicts(samples, robot, known.gravity, IN_LOGS)
         elif known.friction is not None:
-            measured = _measured(known.friction, robot)
-            yield from _gravity_verdicts(measured, robot, stage, IN_TRIALS)
+            yield from _gravity_verdicts(_measured(known.friction, robot), robot, stage, IN_TRIALS)
         yield from _gravity_verdicts(samples, robot, None, NOT_NOMINAL)
 
 

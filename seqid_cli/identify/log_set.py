@@ -79,8 +79,7 @@ class LogSet:
             if isinstance(log, Recording):
                 yield log
             else:
-                clock = self.time_source
-                yield read_screened(log, self.robot, time_source=clock, imus=imus)[0]
+                yield read_screened(log, self.robot, time_source=self.time_source, imus=imus)[0]
 
     def inputs(self, stage: str = "") -> list[InputLog]:
         """Return the logs read so far, as documents list them."""

@@ -56,8 +56,7 @@ def profile(stroke: Stroke, rate_hz: float) -> tuple[Array, Array, Array]:
     way, v = abs(stroke.end - stroke.start), stroke.speed
     ramp = np.pi * v / (2.0 * stroke.acceleration)
     total = way / v + ramp
-    count = int(np.ceil(total * rate_hz))
-    t = np.minimum(np.arange(1, count + 1) / rate_hz, total)
+    t = np.minimum(np.arange(1, int(np.ceil(total * rate_hz)) + 1) / rate_hz, total)
     up, down = np.minimum(t, ramp), np.clip(t - (total - ramp), 0.0, ramp)
     pace = np.pi / ramp
     moved = v * (up / 2 - np.sin(pace * up) / (2 * pace))

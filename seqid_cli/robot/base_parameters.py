@@ -241,8 +241,7 @@ def _independent(W: Array, order: Sequence[int], *, floor: float, given: int = 0
     # each column has outside the span of those before.
     size = np.linalg.norm(W, axis=0)
     columns = [c for c in order if size[c] > floor]
-    R = np.linalg.qr(W[:, columns] / size[columns], mode="r")
-    outside = np.abs(np.diag(R))
+    outside = np.abs(np.diag(np.linalg.qr(W[:, columns] / size[columns], mode="r")))
     return [c for k, c in enumerate(columns) if k < given or outside[k] > _DEPENDENT]
 
 

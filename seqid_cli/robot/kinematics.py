@@ -117,8 +117,7 @@ def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
         chain.n, 3, 3, -1
     )
     slide = (1.0 - turning[:, 0]) * np.einsum("nab,nb->na", chain.rotation, chain.axis)
-    p = chain.position[:, :, None] + slide[:, :, None] * q[:, None, :]
-    return R, p
+    return R, chain.position[:, :, None] + slide[:, :, None] * q[:, None, :]
 
 
 def link_motion(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -> LinkMotion:
@@ -179,8 +178,7 @@ def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) ->
     """
     zero = configuration.copy()
     zero[joint] = 0.0
-    R = forward(robot.chain, zero[None]).R[0, joint]
-    g = R.T @ robot.gravity
+    g = forward(robot.chain, zero[None]).R[0, joint].T @ robot.gravity
     axis = robot.chain.axis[joint]
     if robot.chain.prismatic[joint]:
         column = np.full((len(q), 1), -float(g @ axis))

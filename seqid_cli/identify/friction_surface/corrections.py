@@ -80,8 +80,7 @@ def _steady(
     # At the ends a controller settles faster than the path follows: what is taken off is as wrong
     # there as it is large.
     mean, pushed = np.full(len(trial.q), trial.velocity), inertia * trial.ddq
-    off = pushed + surface.torque(trial.q, trial.dq) - surface.torque(trial.q, mean)
-    tau = trial.tau - off
+    tau = trial.tau - (pushed + surface.torque(trial.q, trial.dq) - surface.torque(trial.q, mean))
     noise = PER_MEDIAN * float(np.median(np.abs(np.diff(tau, 2)))) / np.sqrt(6.0)
     kept = np.abs(pushed) <= max_ratio * np.hypot(noise, float(np.median(np.abs(pushed))))
     steady = {name: getattr(trial, name)[kept] for name in ("q", "dq", "ddq", "t", "places")}
@@ -174,8 +173,7 @@ class HeldJoints:
         moved = np.ptp(np.concatenate([trial.places for trial in group]), axis=0) > 0.0
         every = self.unseen(group, [trial.places for trial in group])
         each = [own * moved / np.sqrt(2.0) for own in every]
-        most = [int(np.argmax(np.sum(own**2, axis=0))) for own in each]
-        signed = zip(each, most, strict=True)
+        signed = zip(each, [int(np.argmax(np.sum(own**2, axis=0))) for own in each], strict=True)
         return [np.copysign(np.linalg.norm(own, axis=1), own[:, k]) for own, k in signed]
 
     def unseen(self, group: Sequence[Trial], places: Sequence[Array]) -> list[Array]:

@@ -95,8 +95,7 @@ class SurfaceFit:
     def _grid(self) -> tuple[Array, Array]:
         """Basis (CELLS^2, k) over both ranges, and the whole surface's standard errors there."""
         over_position, share = self.reduced.scaling.over_position, np.linspace(0.0, 1.0, CELLS)
-        order = over_position.order(self.reduced.size)
-        X = over_position.values(over_position.at(share), order)
+        X = over_position.values(over_position.at(share), over_position.order(self.reduced.size))
         T = np.polynomial.chebyshev.chebvander(2.0 * share - 1.0, self.highest.velocity)
         X = np.hstack([X, np.zeros((CELLS, len(self.prior) - X.shape[1]))])
         columns = tensor(np.repeat(X, CELLS, axis=0), np.tile(T, (CELLS, 1)))
@@ -124,8 +123,7 @@ class SurfaceFit:
 
 def highest_orders(sets: Sequence[Reduced], position: int | None, velocity: int | None) -> Orders:
     """The orders that the data, or the user, allow at most."""
-    levels = min(len(own.levels) for own in sets)
-    most = min(MAX_VELOCITY_ORDER, max(levels - 1, 0))
+    most = min(MAX_VELOCITY_ORDER, max(min(len(own.levels) for own in sets) - 1, 0))
     allowed = MAX_POSITION_ORDER if position is None else position
     return Orders(allowed, most if velocity is None else velocity)
 

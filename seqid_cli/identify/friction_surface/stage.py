@@ -93,8 +93,7 @@ def _fit(
         raise QualityError(f"{needed}, these logs hold {levels}", hint=hint, where=where)
     sides = (1, -1) if gravity.directional else (0,)
     sets = [[item for item in data if side in (0, item.direction)] for side in sides]
-    scalings = _scalings(data) if near else _scalings(data)[:1]
-    parts = _fitted(sets, scalings, asked, near)
+    parts = _fitted(sets, _scalings(data) if near else _scalings(data)[:1], asked, near)
     fits, beta = [fit for _, fit in parts], options.beta or 0.0
 
     def accept(orders: reduction.Orders) -> bool:

@@ -171,8 +171,7 @@ def _of_sensors(
     free = accelerometers & (k >= sensor_model.FEW)
     bias_known = bias < np.where(accelerometers, max_bias, max_rate)
     gain_known = (gain < max_gain) & (free | (gain < max_share * gain_prior))
-    tilt_limit = max_share * np.degrees(tilt_prior[::2])
-    tilt_known = (tilt < max_tilt_deg) & (free | (tilt < tilt_limit))
+    tilt_known = (tilt < max_tilt_deg) & (free | (tilt < max_share * np.degrees(tilt_prior[::2])))
     nominal = sensor_model.nominal_axes(imu)
     axes = sensor_model.tilted(nominal, constants.tilt)
     axes = np.where(tilt_known[:, None], axes, nominal)
@@ -289,8 +288,7 @@ def verdict_of(
 def _turns_about_one_axis(robot: Robot, imu: Imu) -> bool:
     """Whether all joints up to the IMU turn about parallel axes, whatever their angles."""
     q = np.random.default_rng(0).uniform(-3.0, 3.0, (8, robot.n))
-    turning = ~robot.chain.prismatic[: imu.after_joint + 1]
-    axes = axes_in_link(robot, q, imu.after_joint)[:, turning]
+    axes = axes_in_link(robot, q, imu.after_joint)[:, ~robot.chain.prismatic[: imu.after_joint + 1]]
     return bool((np.abs(axes @ robot.chain.axis[imu.after_joint]) > 1 - 1e-9).all())
 
 

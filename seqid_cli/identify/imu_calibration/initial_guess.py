@@ -127,8 +127,7 @@ def fit_rotation(pairs: list[Pair]) -> Array:
     if np.linalg.matrix_rank(B, tol=1e-2) == 1:
         return np.asarray(Rotation.align_vectors(M[0], B[0])[0].as_matrix())
     U, _, Vt = np.linalg.svd((M.T * np.array([p.sigma for p in pairs]) ** -2.0) @ B)
-    proper = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
-    return np.asarray(U @ proper @ Vt)
+    return np.asarray(U @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))]) @ Vt)
 
 
 Sums = tuple[Array, Array, Array]  # x'x (16, 16) of f, H, w, one; x'y (16, C); y'y (C,)
@@ -235,6 +234,5 @@ def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> tuple[fl
 
     result = least_squares(off, np.zeros(6), method="lm")
     found = placed(result.x)
-    bias = y_mean - found.matrix @ x_mean
-    rest = bias, none, np.zeros((len(axes), 2))
+    rest = y_mean - found.matrix @ x_mean, none, np.zeros((len(axes), 2))
     return float(result.cost), Constants(found.R, found.lever, 0.0, *rest)

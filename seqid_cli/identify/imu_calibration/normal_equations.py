@@ -108,8 +108,7 @@ class Reduced:
         """What moves (cells, k) of the trajectory make of the readings, (N, C, k)."""
         linear, segment = self.linear, self.linear.segment
         shape = segment.samples, linear.J.shape[2], moves.shape[1]
-        flat = (segment.at_samples @ moves).reshape(shape)
-        return np.asarray(linear.J @ flat)
+        return np.asarray(linear.J @ (segment.at_samples @ moves).reshape(shape))
 
     def through(self, columns: Array) -> Array:
         """Columns (..., b) of the border in the constants alone, (..., p)."""
@@ -124,8 +123,7 @@ class Reduced:
         """What is the segment's own after a step of the constants."""
         change = share * self.own_free - self.follow @ step
         moved = share * self.free - self.back @ np.concatenate([step, change])
-        trajectory = local.trajectory + moved.reshape(local.trajectory.shape)
-        return Local(trajectory, local.own + change)
+        return Local(local.trajectory + moved.reshape(local.trajectory.shape), local.own + change)
 
 
 def residual(
@@ -248,8 +246,7 @@ def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
         pulls = across @ np.concatenate([G, linear.r[:, :, None]], axis=2)
         right = segment.at_samples.T @ pulls.reshape(-1, len(g) + 1)
         right[:, -1] += segment.rows.T @ (segment.information * linear.off)
-        band = segment.band(across @ linear.J)
-        factor = cholesky_banded(band, lower=True, check_finite=False)
+        factor = cholesky_banded(segment.band(across @ linear.J), lower=True, check_finite=False)
         solved = cho_solve_banded((factor, True), right, check_finite=False)
         both = right[:, :-1].T @ solved
         S, g = S - both[:, :-1], g - both[:, -1]

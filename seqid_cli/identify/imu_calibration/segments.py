@@ -187,14 +187,12 @@ class Segment:
 
 def thinned(segments: list[Segment], *, max_nodes: int = 60_000) -> list[Segment]:
     """Segments that a fit can hold at once, evenly chosen where there are too many."""
-    total = sum(segment.samples for segment in segments)
-    return segments[:: int(np.ceil(total / max_nodes))]
+    return segments[:: int(np.ceil(sum(segment.samples for segment in segments) / max_nodes))]
 
 
 def calibration_cutoff(motion: Motion, chosen_hz: float | None, *, highest_hz: float = 20) -> float:
     """Cut-off [Hz] for readings and encoders: far above the motion, far below the rate."""
-    wanted = highest_hz if chosen_hz is None else chosen_hz
-    return min(wanted, motion.rate_hz / NODES_PER_CUTOFF)
+    return min(highest_hz if chosen_hz is None else chosen_hz, motion.rate_hz / NODES_PER_CUTOFF)
 
 
 def segments_of(
@@ -212,8 +210,7 @@ def segments_of(
     lowpass = Lowpass(cutoff_hz, recording.rate_hz)
     steps = encoder_resolution(robot)
     steps = np.where(steps > 0, steps, encoder_step(recording.q))
-    joints = range(imu.after_joint + 1)
-    views = [encoder_view(recording.q[:, j], float(steps[j])) for j in joints]
+    views = [encoder_view(recording.q[:, j], float(steps[j])) for j in range(imu.after_joint + 1)]
     source = _Log(log, recording, motion, lowpass, views, readings_of(recording, imu, lowpass))
     # Ends that feel the filter's own ends are not used.
     usable = shrink(recording.valid, lowpass.settling // 2)
@@ -278,8 +275,7 @@ class _Log:
         measured = _stacked(parts, len(wide), len(moving))
         held = locked, np.array([off[j] for j in locked]), self.readings
         hz = self.lowpass.cutoff_hz, self.motion.cutoff.hz
-        start = self.smooth[wide][:, moving]
-        return Segment(*about, start, *measured, *held, float(every), *hz)
+        return Segment(*about, self.smooth[wide][:, moving], *measured, *held, float(every), *hz)
 
     def _at_rest(self, j: int) -> Array:
         """What a locked joint does (3, N): no more than its encoder shows of it without noise."""

@@ -38,8 +38,7 @@ def parquet_writer(
 
         def write(log: LogPrediction, *, rows: int = 65536) -> None:
             with writing(path):
-                table = pa.table(_columns(log), schema=schema)
-                writer.write_table(table, row_group_size=rows)
+                writer.write_table(pa.table(_columns(log), schema=schema), row_group_size=rows)
 
         yield write
         with writing(path):

@@ -34,8 +34,7 @@ def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stag
     """Identify the base parameters of gravity; the stage is empty where it loads no joint."""
     if stages.friction is None:
         raise UsageError("gravity needs the friction stage", hint="run seqid friction first")
-    basis = base_parameters(robot, rotor=())
-    size = int(basis.gravity.sum())
+    size = int(base_parameters(robot, rotor=()).gravity.sum())
     if size == 0:
         note = "gravity loads no joint of this robot: nothing to identify (Sec. 4.2)"
         return RigidStage(parameters=[], condition=0.0, rank=0, notes=[note])
@@ -86,8 +85,7 @@ class GravityRows:
                 joint.add(H[kept], y[kept, 0])
         self.cross[j] = H.T @ F
         for k, each in enumerate(groups):
-            pushed = each.std_error * accelerated[:, 0] * (group == k)
-            self.unseen.append((j, H.T @ pushed))
+            self.unseen.append((j, H.T @ (each.std_error * accelerated[:, 0] * (group == k))))
             for number in np.unique(log[group == k]):  # each with the same reading all along
                 there = (group == k) & (log == number)
                 self.unseen += [(j, H.T @ (column * there)) for column in stood.T]
@@ -147,8 +145,7 @@ def _stage(
     unseen = [solution.bread @ crossed / solution.sigma[j] ** 2 for j, crossed in rows.unseen]
     posterior = Posterior.of(solution, *about, known={})
     posterior = posterior.with_error(np.reshape(unseen, (-1, rows.size)).T)
-    own = np.arange(rows.size)
-    stage = rigid_stage(robot, basis, solution, posterior, own, np.zeros(robot.n))
+    stage = rigid_stage(robot, basis, solution, posterior, np.arange(rows.size), np.zeros(robot.n))
     remedy = "Move the joints that carry them with the others locked in other configurations"
     notes = [f"{note}. {remedy}" for note in stage.notes]
     if rows.skipped:

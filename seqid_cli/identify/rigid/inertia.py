@@ -108,8 +108,7 @@ def _stage(
     used = {name for use in rows.uses for name in use.imus}
     errors = {name: imus[name].acceleration_std_error or 0.0 for name in used if imus}
     inertia = np.where(basis.gravity & bool(stages.gravity), 0.0, solution.theta)
-    reflected = gear_ratios(robot) ** 2 * equations.rotors
-    moves = imu_moves(robot, basis, inertia, reflected, errors)
+    moves = imu_moves(robot, basis, inertia, gear_ratios(robot) ** 2 * equations.rotors, errors)
     posterior = posterior.with_error(check.errors).with_error(moves)
     stage = _described(equations, rows, solution, posterior)
     kind, notes = "gyroscopic" if coupling.used else "diagonal", [*stage.notes, *coupling.notes]

@@ -117,14 +117,12 @@ class InertiaEquations:
     def at_cutoff(self, cutoff_hz: float) -> "InertiaEquations":
         """The same equations, filtered at another cut-off."""
         motion = replace(self.options.motion, cutoff_hz=cutoff_hz, own=frozenset())
-        options = replace(self.options, motion=motion)
-        return InertiaEquations(self.robot, self.stages, options)
+        return InertiaEquations(self.robot, self.stages, replace(self.options, motion=motion))
 
     def right_side(self, motion: Motion) -> Array:
         """Torque without friction and known rotors, filtered alike (N, n) N m."""
         assert motion.tau is not None
-        friction = sampled_friction(self.surfaces, motion)
-        own = motion.tau - motion.filtered(friction, times=2)
+        own = motion.tau - motion.filtered(sampled_friction(self.surfaces, motion), times=2)
         if self.rotors.any():
             own -= motion.filtered(self._reflected * motion.ddq)
         return own
@@ -133,8 +131,7 @@ class InertiaEquations:
         """Torque (N, n) that known rotors add if they are coupled to the links that carry them."""
         if not self.rotors.any():
             return np.zeros_like(motion.q)
-        gear = gear_ratios(self.robot)
-        state = (self.robot.chain, motion.q, motion.dq, motion.ddq, gear)
+        state = (self.robot.chain, motion.q, motion.dq, motion.ddq, gear_ratios(self.robot))
         coupled = rotor_regressor(*state, "gyroscopic") - rotor_regressor(*state, "diagonal")
         return motion.filtered(coupled @ self.rotors)
 

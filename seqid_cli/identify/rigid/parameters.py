@@ -100,8 +100,7 @@ def made_consistent(
         named = [f"{name} by {x:+.1f}" for name, x in by.items() if abs(x) >= min_move]
         text = ", ".join(named) or f"none by more than {min_move:g}"
         note = f"made physically consistent; moved, in standard errors: {text}"
-    notes = [*stage.notes, note]
-    return replace(stage, parameters=parameters, representative=phi, notes=notes)
+    return replace(stage, parameters=parameters, representative=phi, notes=[*stage.notes, note])
 
 
 def joint_verdicts(
@@ -187,5 +186,4 @@ def _still_open(H: Array, left: Array, *, min_share: float = 1e-6) -> Array:
     """The part of the directions `left` (b, k), orthonormal, that rows H (N, b) do not see."""
     # Singular values below `min_share` of the largest are rounding.
     _, s, Vt = np.linalg.svd(H @ left, full_matrices=True)
-    largest = float(np.linalg.norm(H, 2))
-    return np.asarray(left @ Vt[int(np.sum(s > min_share * largest)) :].T)
+    return np.asarray(left @ Vt[int(np.sum(s > min_share * float(np.linalg.norm(H, 2)))) :].T)

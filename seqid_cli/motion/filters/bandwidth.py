@@ -144,8 +144,7 @@ def smoothed_score(dq: Array, ddq: Array, error: Array, rate_hz: float, cutoffs:
 
 def lowest_as_good(score: Array, joints: int, *, worth: float = 0.01) -> int:
     """Index of the lowest cut-off whose score of smoothed motion is nearly the best."""
-    best = score[first_maximum(score)]
-    return int(np.flatnonzero(score >= best - worth * joints)[0])
+    return int(np.flatnonzero(score >= score[first_maximum(score)] - worth * joints)[0])
 
 
 def power_below(frequency: Array, density: Array, cutoffs: Array) -> Array:

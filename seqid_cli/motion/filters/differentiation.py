@@ -21,8 +21,7 @@ def runs(mask: Mask | None, length: int) -> list[tuple[int, int]]:
 
 def shrink(mask: Mask, samples: int) -> Mask:
     """Take `samples` off both ends of every run of True."""
-    width = 2 * samples + 1
-    return minimum_filter1d(mask.view(np.uint8), width, mode="constant").view(np.bool_)
+    return minimum_filter1d(mask.view(np.uint8), 2 * samples + 1, mode="constant").view(np.bool_)
 
 
 def differentiate(values: Array, rate_hz: float, valid: Mask | None = None) -> tuple[Array, Array]:

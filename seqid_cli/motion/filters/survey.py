@@ -53,8 +53,7 @@ class Welch:
     def density(self, rate_hz: float) -> tuple[Array, Array]:
         """Return frequencies (F,) Hz and densities (c, F) of samples at a rate."""
         assert self._sum is not None  # there was a segment
-        scale = rate_hz * np.sum(self._window**2) * self._segments
-        density = self._sum / scale
+        density = self._sum / (rate_hz * np.sum(self._window**2) * self._segments)
         density[:, 1 : None if self.length % 2 else -1] *= 2
         frequency = np.arange(self.length // 2 + 1) * (rate_hz / self.length)
         return np.asarray(frequency, dtype=np.float64), density
@@ -152,8 +151,7 @@ class Survey:
         highest = min(highest, own)
         candidates = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)
         score, floors[joints] = self._scored(joints, step, candidates)
-        hz = candidates[bandwidth.first_maximum(score)]
-        return bandwidth.Cutoff(float(hz), step, floors)
+        return bandwidth.Cutoff(float(candidates[bandwidth.first_maximum(score)]), step, floors)
 
     def score(self, resolution: Array, cutoffs: Array) -> bandwidth.Score | None:
         """Score cut-offs (C,) Hz by the joints that move; None where none does."""

@@ -78,8 +78,7 @@ def layout(imu: Imu, *, min_resolution: float = 1 - 1e-6) -> ArrayLayout:
     kept = s > 1e-6 * s[0]
     own = Vt[: len(s)][kept]
     variance = np.sum((own / s[kept, None]) ** 2, axis=0) / scale**2
-    seen = np.sum(own**2, axis=0) > min_resolution
-    errors = np.where(seen, np.sqrt(variance), np.inf)
+    errors = np.where(np.sum(own**2, axis=0) > min_resolution, np.sqrt(variance), np.inf)
     return ArrayLayout(int(kept.sum()), float(s[0] / s[kept][-1]), errors)
 
 

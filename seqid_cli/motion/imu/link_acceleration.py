@@ -143,8 +143,7 @@ def _link_reading(
     if offset:
         values = on_encoders_clock(values)
         gyro = None if gyro is None else on_encoders_clock(gyro)
-    reading = read_angular(imu, values, gyro, motion.lowpass, valid)
-    dw = reading.dw @ np.array(known.rotation).T
+    dw = read_angular(imu, values, gyro, motion.lowpass, valid).dw @ np.array(known.rotation).T
     noise = (known.noise_density or 0.0) * np.sqrt(motion.lowpass.cutoff_hz)
     size = np.sqrt(np.mean(np.sum(dw**2, axis=1)))
     return LinkReading(imu.name, imu.after_joint, dw, float(np.hypot(noise, axis_error * size)))

@@ -77,8 +77,7 @@ def _head(chain: Chain, count: int) -> Chain:
 
 def link_state(robot: Robot, link: int, motion: Array) -> Array:
     """Motion (N, 15) of a link by q, dq, ddq (3, n, N) of the joints."""
-    head = _head(robot.chain, link + 1)
-    found = link_motion(head, robot.gravity, *motion[:, : link + 1])
+    found = link_motion(_head(robot.chain, link + 1), robot.gravity, *motion[:, : link + 1])
     return np.vstack([found.a[-1], found.H[-1].reshape(9, -1), found.w[-1]]).T
 
 

@@ -106,8 +106,7 @@ def encoder_view(
     white = float(white_noise(q[:, None], known)[0]) ** 2
     if step <= 0:
         return EncoderView(q, 0.0, white, nowhere, once, known)
-    code = np.round(q / step)
-    change = np.diff(code)
+    change = np.diff(np.round(q / step))
     between = known[1:] & known[:-1]
     at = np.flatnonzero((change != 0) & between)
     back = (np.diff(at) <= 3) & (change[at[1:]] * change[at[:-1]] < 0)
@@ -118,8 +117,7 @@ def encoder_view(
     edge[single] = 0.5 * (q[single] + q[single + 1])
     bounds = np.concatenate(([0], np.flatnonzero((change != 0) | ~between) + 1, [len(q)]))
     lasting = np.diff(bounds)
-    dwell = np.repeat(lasting, lasting).astype(float)
-    return EncoderView(q, step, 0.0, edge, dwell, known)
+    return EncoderView(q, step, 0.0, edge, np.repeat(lasting, lasting).astype(float), known)
 
 
 CELL_S = 0.016  # within which an arm hardly turns

@@ -153,8 +153,7 @@ def moved(x: Mounted, change: Array) -> Mounted:
     place, channels = x.place, x.place.channels
     bias, lever, turn, late, axes = np.split(change, channels + np.array([0, 3, 6, 7]))
     turned, axes = Rotation.from_rotvec(turn), place.axes + axes.reshape(-1, 3)
-    R = place.R @ turned.as_matrix()
-    place = replace(place, lever=place.lever + lever, R=R, axes=axes)
+    place = replace(place, lever=place.lever + lever, R=place.R @ turned.as_matrix(), axes=axes)
     away, turns = x.away + change, slice(channels + 3, channels + 6)
     away[turns] = (Rotation.from_rotvec(x.away[turns]) * turned).as_rotvec()
     return replace(x, place=place, bias=x.bias + bias, delay=x.delay + float(late[0]), away=away)

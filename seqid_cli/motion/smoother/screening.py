@@ -167,5 +167,4 @@ def _design(chunk: Chunk, c: Array, x: Mounted, count: int) -> tuple[Array, Arra
     G = jacobians(chunk, c, x, gains=False).by_constants[:, :, :count]
     there = np.add.reduceat(x.seen.astype(float), chunk.cells) > 0
     G = G * there[:, :, None] / noise[:, None]
-    info = np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]
-    return r, noise, G, info
+    return r, noise, G, np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]

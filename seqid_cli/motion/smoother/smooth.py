@@ -104,8 +104,7 @@ def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[solve.So
         found = list(misfits(shared.chunk, c, shared.c))
         if found:
             shared = solve.settled(*_refined(chunk, shared))
-            alone = resampled(coarse, c, shared.chunk)
-            found = list(misfits(shared.chunk, alone, shared.c))
+            found = list(misfits(shared.chunk, resampled(coarse, c, shared.chunk), shared.c))
         name, said = contradiction(found)
         notes += said
         if not name:

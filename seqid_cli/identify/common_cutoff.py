@@ -5,9 +5,6 @@ elasticity and what else a model leaves out enter it differently elsewhere. So a
 are filtered alike: the scores of `motion.filters.bandwidth`, log S - KAPPA N / S, add up over logs
 and joints, and the sum is maximised; the slowest rate of the logs limits it. The file carries the
 cut-off and later stages take it (`inherited`), unless the user gives another.
-
-Where the motion comes from the smoother its own score counts, and the lowest cut-off that scores
-nearly as well as the best, from that of the encoders on.
 """
 
 import contextlib

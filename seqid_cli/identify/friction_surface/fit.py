@@ -25,6 +25,7 @@ from seqid_cli.typing import Array, Mask
 
 DEVIATION = 0.15  # standard errors, RMS, by which a surface of fewer orders may differ
 CELLS = 17  # per axis, at which two surfaces are compared
+Asked = tuple[int | None, int | None]  # orders over position and velocity that the user fixes
 
 
 @dataclass(frozen=True)
@@ -121,41 +122,34 @@ class SurfaceFit:
         return solved[kept[both]].reshape(-1, orders.velocity + 1)
 
 
-def highest_orders(sets: Sequence[Reduced], position: int | None, velocity: int | None) -> Orders:
+def highest_orders(sets: Sequence[Reduced], asked: Asked) -> Orders:
     """The orders that the data, or the user, allow at most."""
+    position, velocity = asked
     most = min(MAX_VELOCITY_ORDER, max(min(len(own.levels) for own in sets) - 1, 0))
     allowed = MAX_POSITION_ORDER if position is None else position
     return Orders(allowed, most if velocity is None else velocity)
 
 
 def fit_surfaces(
-    sets: Sequence[Reduced],
-    position: int | None = None,
-    velocity: int | None = None,
-    near: Sizes | None = None,
+    sets: Sequence[Reduced], asked: Asked = (None, None), near: Sizes | None = None
 ) -> tuple[list[SurfaceFit], float]:
     """Fit one surface to each set of trials, with sizes of terms and errors in common."""
     # Sizes are searched from those `near`. Twice the logarithm of the marginal likelihood of all
     # slices comes second.
-    highest = highest_orders(sets, position, velocity)
+    highest = highest_orders(sets, asked)
     sizes, evidence = Evidence(sets, highest).strongest(near)
     return [SurfaceFit(own, sizes, highest) for own in sets], evidence
 
 
 def choose_orders(
-    fits: Sequence[SurfaceFit],
-    position: int | None,
-    velocity: int | None,
-    *,
-    accept: Callable[[Orders], bool] | None = None,
+    fits: Sequence[SurfaceFit], asked: Asked, *, accept: Callable[[Orders], bool] | None = None
 ) -> Orders:
     """Choose the fewest orders that do as well as the highest, by `accept` or to `DEVIATION`."""
     highest, size = fits[0].highest, fits[0].reduced.scaling.over_position.size
     good = accept or (lambda orders: all(fit.deviation(orders) <= DEVIATION for fit in fits))
-    lowest = Orders(
-        0 if position is None else position,
-        min(1, highest.velocity) if velocity is None else velocity,
-    )
+    position, velocity = asked
+    l = min(1, highest.velocity) if velocity is None else velocity
+    lowest = Orders(0 if position is None else position, l)
     steps = [
         Orders(m, l)
         for m in range(lowest.position, highest.position + 1)

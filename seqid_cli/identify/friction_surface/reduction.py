@@ -8,8 +8,6 @@ exp(-s / `edge_s`), s the time from the end. The last two have the torque that o
 the joint's inertia makes of its acceleration, and that of how far held joints gave way; their
 coefficients are the same in all trials.
 
-What the slices of a trial weigh: by their own noise, and little where they do not belong to it.
-
 A joint is still speeding up, or slows already, in the first and last slices of some trials: their
 torque is not friction alone. Slices are judged by Tukey's biweight (J. W. Tukey, in Beaton and
 Tukey, Technometrics 16(2), 1974) of their distance from the surface, in units of the median

@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface import reduction, summary
 from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
-from seqid_cli.identify.friction_surface.fit import choose_orders, fit_surfaces
+from seqid_cli.identify.friction_surface.fit import Asked, choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
 from seqid_cli.identify.friction_surface.prior import Sizes
 from seqid_cli.identify.friction_surface.trials import collect_trials, speed_levels
@@ -99,15 +99,12 @@ def _fit(
     def accept(orders: reduction.Orders) -> bool:
         return summary.errors_of(parts, orders, unseen=True).relative <= beta
 
-    chosen = choose_orders(fits, *asked, accept=accept if beta else None)
+    chosen = choose_orders(fits, asked, accept=accept if beta else None)
     D, scaling = [fit.entries(chosen) for fit in fits], fits[0].reduced.scaling
     covariance = block_diag(*(fit.covariance(chosen) for fit in fits))
     width = scaling.speed[0] / narrow_sign
     surface = FrictionSurface(scaling, width, D[0], D[-1], covariance, gravity.directional)
     return summary.Fit(gravity, parts, chosen, surface)
-
-
-Asked = tuple[int | None, int | None]  # orders over position and velocity that the user fixes
 
 
 def _fitted(
@@ -119,7 +116,7 @@ def _fitted(
     for last in (False, False, True):
         data = [reduction.weighted(own, off) for own, off in zip(sets, distances, strict=True)]
         tried = [
-            fit_surfaces([reduction.reduce_trials(own, scaling) for own in data], *asked, near)
+            fit_surfaces([reduction.reduce_trials(own, scaling) for own in data], asked, near)
             for scaling in (scalings if last else scalings[:1])
         ]
         fits = max(tried, key=lambda each: each[1])[0]

@@ -1,8 +1,4 @@
-"""Constant-velocity trials reduced to a few averages each.
-
-A stretch of constant velocity is cut into equal slices of time, hence of position; averages over a
-slice replace a low-pass. The log may be too long to be held.
-"""
+"""Constant-velocity trials: averages over equal slices of time, which replace a low-pass."""
 
 import operator
 from collections.abc import Iterable, Iterator

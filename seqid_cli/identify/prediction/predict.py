@@ -1,9 +1,4 @@
-"""Torque predicted by an identified model, log by log.
-
-A log that is held is one block. A long one is passed over at its own rate; every part of it is
-worked on with so many samples more on either side that the filters have forgotten what lies beyond,
-so that the parts together are what the log as a whole gives.
-"""
+"""Torque predicted by an identified model, log by log, a long one part by part at its own rate."""
 
 import contextlib
 import math

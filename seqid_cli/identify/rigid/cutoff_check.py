@@ -13,15 +13,14 @@ Econometrica 46(6), 1978, in the form that needs neither estimate to be efficien
 What of d is beyond its own noise, a share 1 - p / W of its square, counts as an error of theta.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.identify.regression.least_squares import Solution, spread_of
-from seqid_cli.identify.rigid.posterior import Posterior, friction_covariance
-from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.identify.rigid.posterior import Posterior, Surfaces, friction_covariance
 from seqid_cli.params.schema import RigidStage, Verdict
 from seqid_cli.robot.base_parameters import Basis
 from seqid_cli.typing import Array
@@ -42,11 +41,7 @@ class CutoffCheck(NamedTuple):
 
 
 def cutoff_check(
-    own: Result,
-    near: Mapping[float, Result],
-    surfaces: Sequence[FrictionSurface | None],
-    *,
-    clear_sigma: float = 4.0,
+    own: Result, near: Mapping[float, Result], surfaces: Surfaces, *, clear_sigma: float = 4.0
 ) -> CutoffCheck:
     """Compare an estimate with others, `near` by multiple of the cut-off; report `clear_sigma`."""
     size = len(own[0].theta)

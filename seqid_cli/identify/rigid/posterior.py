@@ -34,14 +34,12 @@ from seqid_cli.params.schema import RigidStage
 from seqid_cli.robot.base_parameters import Basis, standard_names
 from seqid_cli.typing import Array
 
+Surfaces = Sequence[FrictionSurface | None]  # of the joints, as far as they are known
 Sensitivity = dict[int, Array]  # by joint: (p, K_j), change of parameters per coefficient of c_j
-
 Moves = dict[int, Array]  # by joint: (p,), change of parameters per error of its torque constant
 
 
-def friction_covariance(
-    sensitivity: Mapping[int, Array], surfaces: Sequence[FrictionSurface | None], size: int
-) -> Array:
+def friction_covariance(sensitivity: Sensitivity, surfaces: Surfaces, size: int) -> Array:
     """Covariance (p, p) that the errors of the friction surfaces make: sum_j T_j cov(c_j) T_j'."""
     total = np.zeros((size, size))
     for j, T in sensitivity.items():
@@ -94,7 +92,7 @@ class Posterior:
     def of(
         cls,
         solution: Solution,
-        surfaces: Sequence[FrictionSurface | None],
+        surfaces: Surfaces,
         errors: Array,
         direct: Sensitivity,
         known: Moves,

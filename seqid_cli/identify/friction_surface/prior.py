@@ -200,7 +200,12 @@ class Evidence:
             slope[:3] = share[1:, 0].sum(), share[0, 2:].sum(), share[1:, 1:].sum()
             slope[3:8] = self._of_errors(own, sizes, normal, mean, covariance)
             slope[7] += beyond - rest
-            slope[8:] = _of_falls(own, sizes, share)
+            share[0, :2] = 0.0  # of broad ones, whose variances do not fall
+            degrees = own.scaling.over_position.degrees(own.scaling.over_position.order(own.size))
+            over_position = np.log(np.maximum(degrees, 1.0)) @ share[: own.size].sum(axis=1)
+            order = np.log(np.maximum(np.arange(share.shape[1]), 1.0))
+            slope[8] = -0.5 * (sizes.over_position * over_position)
+            slope[9] = -0.5 * (sizes.over_speed * (share[: own.size].sum(axis=0) @ order))
             cost, gradient = cost + more, gradient + 2.0 * slope
         return cost, gradient
 
@@ -265,13 +270,3 @@ class Evidence:
 def _products(phi: Array) -> Array:
     """Products (T, r^2) of every two functions (T, r)."""
     return (phi[:, :, None] * phi[:, None, :]).reshape(len(phi), -1)
-
-
-def _of_falls(own: Reduced, sizes: Sizes, share: Array) -> Array:
-    """Derivatives (2,) by half the logarithms of the powers; `share` by those of the entries."""
-    share = share[: own.size].copy()
-    share[0, :2] = 0.0
-    degrees = own.scaling.over_position.degrees(own.scaling.over_position.order(own.size))
-    over_position = np.log(np.maximum(degrees, 1.0)) @ share.sum(axis=1)
-    over_speed = share.sum(axis=0) @ np.log(np.maximum(np.arange(share.shape[1]), 1.0))
-    return -0.5 * np.array([sizes.over_position * over_position, sizes.over_speed * over_speed])

@@ -252,7 +252,15 @@ def _jackknife(
         white = np.trace(bread @ normals.sum(axis=0))
         designs[k] = np.sum((s[k] @ bread) * s[k]) / max(white, 1e-300)
     scores = s.sum(axis=0)
-    moves, plain = _downdated(normal, A, bread, scores), scores @ bread
+    # (A - A_b)^+ s_b within the excited directions; the plain score where that is not regular.
+    plain, left = scores @ bread, np.eye(len(bread)) - bread @ A
+    try:
+        moves = np.linalg.solve(left, plain[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        moves = (np.linalg.pinv(left) @ plain[:, :, None])[:, :, 0]
+    before, after = (np.einsum("bi,ij,bj->b", x, normal, x).clip(0.0) for x in (plain, moves))
+    regular: Mask = np.sqrt(after) <= 4.0 * np.sqrt(before)
+    moves = np.where(regular[:, None], moves, plain)
     # Few blocks: what the fit itself has taken of their residuals.
     leverage = np.sum((moves @ normal) * moves) / max(np.sum(plain * scores), 1e-300)
     return moves, designs * leverage
@@ -262,18 +270,6 @@ def spread_of(moves: Array) -> Array:
     """Covariance (p, p) by the jackknife's moves (G, p)."""
     count = len(moves)
     return np.asarray(moves.T @ moves * (max(count - 1, 1) / max(count, 1)))
-
-
-def _downdated(normal: Array, A: Array, bread: Array, s: Array) -> Array:
-    """(A - A_b)^+ s_b within the excited directions; the plain score where that is not regular."""
-    plain = s @ bread
-    try:
-        moves = np.linalg.solve(np.eye(len(bread)) - bread @ A, plain[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:
-        moves = (np.linalg.pinv(np.eye(len(bread)) - bread @ A) @ plain[:, :, None])[:, :, 0]
-    before, after = (np.einsum("bi,ij,bj->b", x, normal, x).clip(0.0) for x in (plain, moves))
-    regular: Mask = np.sqrt(after) <= 4.0 * np.sqrt(before)
-    return np.where(regular[:, None], moves, plain)
 
 
 def whitened(covariance: Array) -> Array:

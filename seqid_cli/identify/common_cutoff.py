@@ -5,9 +5,6 @@ elasticity and what else a model leaves out enter it differently elsewhere. So a
 are filtered alike: the scores of `motion.filters.bandwidth`, log S - KAPPA N / S, add up over logs
 and joints, and the sum is maximised; the slowest rate of the logs limits it. The file carries the
 cut-off and later stages take it (`inherited`), unless the user gives another.
-
-Where the motion comes from the smoother its own score counts, and the lowest cut-off that scores
-nearly as well as the best, from that of the encoders on.
 """
 
 import contextlib
@@ -38,10 +35,7 @@ GRID: Array = np.geomspace(bandwidth.LOWEST_HZ, bandwidth.HIGHEST_HZ, 200)
 
 @dataclass(frozen=True)
 class LogScore:
-    """Score of every cut-off of `GRID` by one log, and the highest that it allows [Hz].
-
-    `smoothed` is the score by the log's smoothed motion.
-    """
+    """A log's score of `GRID`, and that by its smoothed motion; the highest Hz that it allows."""
 
     score: bandwidth.Score
     highest_hz: float
@@ -84,15 +78,10 @@ def _summed(logs: Sequence[LogScore], scores: Sequence[bandwidth.Score]) -> tupl
 
 
 def identification_options(
-    logs: Sequence[Path | Recording],
-    robot: Robot,
-    options: RigidOptions,
-    imu: ImuStage | None = None,
+    logs: Sequence[Path | Recording], robot: Robot, options: RigidOptions, imu: ImuStage | None
 ) -> MotionOptions:
-    """How all logs of an identification are filtered, whatever their order.
-
-    A single log chooses for itself as it is read. Several are looked at first, and read again.
-    """
+    """How all logs of an identification are filtered, whatever their order."""
+    # A single log chooses for itself as it is read. Several are looked at first, and read again.
     if options.cutoff_hz is not None:
         return MotionOptions(options.cutoff_hz, origin="as given")
     found: list[LogScore] = []

@@ -213,10 +213,8 @@ def predict(
     if target is not None and table is not None and target.resolve() == table.resolve():
         message = "-o and --torques name the same file"
         raise UsageError(message, where=str(target), hint="Give them different names.")
-    outputs, needs = [table] if table else [], imu_stage_for(options.source)
-    inputs = prepare(
-        logs, robot, parameters, options, more_outputs=outputs, needs=needs, **keywords
-    )
+    more, needs = [table] if table else [], imu_stage_for(options.source)
+    inputs = prepare(logs, robot, parameters, options, more_outputs=more, needs=needs, **keywords)
     if not present(inputs.stages):
         where = inputs.models[0][0] if inputs.models else ""
         raise ConfigError("holds no stage at all", where=where, hint="Run seqid friction first.")
@@ -238,10 +236,7 @@ def predict(
 def _added(
     inputs: Inputs, find: Callable[[LogSet], Stages], *, imus: bool | None = None
 ) -> ParameterFile:
-    """Find new stages, judge them, and add them to the stages before.
-
-    `imus`: whether the readings of IMUs are used, where the stages before do not say it.
-    """
+    """Find new stages, judge them, and add them to those before; `imus` is as of `LogSet.of`."""
     from seqid_cli.identify.judging import judged
     from seqid_cli.identify.log_set import LogSet
 
@@ -255,8 +250,7 @@ def _added(
     new = present(found)
     for name in stale_stages(inputs.previous, tuple(new)):
         warn(f"the {name} stage rested on the old result and is left out: redo it")
-    read = logs.inputs(next(iter(new)))
-    file = with_stage(inputs.previous, robot_id(inputs.robot), read, **new)
+    file = with_stage(inputs.previous, robot_id(inputs.robot), logs.inputs(next(iter(new))), **new)
     if inputs.output is not None:
         write_json_atomic(inputs.output, file, inputs=inputs.sources)
     return file

@@ -80,11 +80,7 @@ def prepare(
     executor: Executor | None = None,
     on_progress: OnProgress | None = None,
 ) -> Inputs:
-    """Check all that can be checked before numpy is imported.
-
-    `needs`: stages that `parameters` must hold. `stored`: whether logs on object storage are
-    welcome. Raises SeqidError: a path, the robot file or a parameter file is wrong.
-    """
+    """Check all before numpy is imported; `needs` are stages that `parameters` must hold."""
     options = options or LogOptions()
     found, missing = _logs(listed(logs), go_on=options.skip_failed, stored=stored)
     target = optional(output)
@@ -111,11 +107,10 @@ def prepare(
 
 def read_models(given: Sequence[Model]) -> tuple[tuple[str, ParameterFile], ...]:
     """Return parameter files with the names to use in messages."""
+    name = "the given parameters"
     return tuple(
-        ("the given parameters", model)
-        if isinstance(model, ParameterFile)
-        else (str(model), read_parameters(Path(model)))
-        for model in given
+        (name, x) if isinstance(x, ParameterFile) else (str(x), read_parameters(Path(x)))
+        for x in given
     )
 
 

@@ -58,10 +58,7 @@ def judged(
     robot: Robot,
     of_logs: Sequence[schema.Verdict] = (),
 ) -> schema.Stages:
-    """Add to the verdicts of new stages those by physics, and those `of_logs`.
-
-    Returns: a stage with a poor verdict of any joint has one as a whole (joint empty).
-    """
+    """Add to the verdicts of new stages those by physics, those `of_logs`, that of the whole."""
     before = previous.stages if previous else schema.Stages()
     friction, gravity = found.friction or before.friction, found.gravity or before.gravity
     known, stages = schema.Stages(friction=friction, gravity=gravity), {}
@@ -74,11 +71,9 @@ def judged(
 
 
 def physics_verdicts(stages: schema.Stages, robot: Robot) -> list[schema.Verdict]:
-    """Judge stages that a command builds on as `judged` does, whatever logs they are used on.
-
-    `robot`: as it is now: its gear ratios or gravity may not be those of the identification.
-    Returns: what no arm can be, each reason once per joint.
-    """
+    """Judge stages that a command builds on as `judged` does, whatever logs they are used on."""
+    # By the robot as it is now: its gear ratios or gravity may not be those of the identification.
+    # Each reason comes once per joint.
     there = (stages.friction, stages.gravity, stages.inertia)
     found = [v for stage in there if stage is not None for v in _physics(stage, stages, robot)]
     return list({(v.joint, v.reason): v for v in found}.values())
@@ -109,8 +104,7 @@ def _physics(
             if known.gravity is not None and known.gravity.parameters:
                 yield from _gravity_verdicts(samples, robot, known.gravity, IN_LOGS)
         elif known.friction is not None:
-            measured = _measured(known.friction, robot)
-            yield from _gravity_verdicts(measured, robot, stage, IN_TRIALS)
+            yield from _gravity_verdicts(_measured(known.friction, robot), robot, stage, IN_TRIALS)
         yield from _gravity_verdicts(samples, robot, None, NOT_NOMINAL)
 
 
@@ -216,10 +210,8 @@ def inertia_verdicts(stage: schema.RigidStage, robot: Robot) -> Iterator[schema.
     for p in stage.parameters:
         rotor = p.terms and all(x > 0.0 and name.startswith("Ia_") for name, x in p.terms.items())
         if rotor and p.value < -LIMITS.clear_sigma * p.std_error:
-            reason = (
-                f"{p.name} is {p.value:.3g} +- {p.std_error:.2g}: a rotor cannot have negative "
-                "inertia"
-            )
+            found = f"{p.name} is {p.value:.3g} +- {p.std_error:.2g}"
+            reason = f"{found}: a rotor cannot have negative inertia"
             yield schema.Verdict(joint=p.joint, good=False, reason=reason)
     # The inertia M_jj that joint j's drive feels, by the stage's parameters and their errors.
     basis = free_basis(robot)

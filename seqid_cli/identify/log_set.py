@@ -79,8 +79,7 @@ class LogSet:
             if isinstance(log, Recording):
                 yield log
             else:
-                clock = self.time_source
-                yield read_screened(log, self.robot, time_source=clock, imus=imus)[0]
+                yield read_screened(log, self.robot, time_source=self.time_source, imus=imus)[0]
 
     def inputs(self, stage: str = "") -> list[InputLog]:
         """Return the logs read so far, as documents list them."""
@@ -96,10 +95,9 @@ class LogSet:
         return [*(f"left out: {text}" for text in self.left_out), *new]
 
     def verdicts(self) -> list[Verdict]:
-        """Return a poor verdict for every joint (or IMU) that an error of the logs is about.
+        """Return a poor verdict per code, channel and joint (or IMU) that errors of logs are about.
 
-        One per code, joint and channel, however many logs show it; the joint is empty where the
-        whole log is meant.
+        The joint is empty where the whole log is meant.
         """
         return [
             Verdict(joint=name, good=False, reason=f"{_text(alike)}. {alike[0].remedy}")
@@ -114,10 +112,8 @@ class LogSet:
             self.on_progress(Progress(state, count, len(self.logs), **about))
 
     def mapped(self, part: PartOf[Any, P], opens: Opens | None = None) -> Iterator[P]:
-        """Yield the parts of all logs in their order; those that fail, and may, are left out.
-
-        Raises SeqidError: a log cannot be used, the first of them in the order given; or none can.
-        """
+        """Yield the parts of all logs in their order; those that fail, and may, are left out."""
+        # Raises SeqidError: a log cannot be used, the first in the order given; or none can.
         task = _Task(self.robot, self.time_source, part, opens, self.imus, Path.cwd())
         items = list(enumerate(self.logs))
         replies: Iterator[Reply[tuple[LogNote, P]]]
@@ -212,9 +208,8 @@ def _note_of(log: Recording | SurveyedLog) -> LogNote:
     """Return the summary of a log for progress and documents."""
     if isinstance(log, SurveyedLog):
         return LogNote(log.path, log.sha256, log.samples, log.rate_hz, log.warnings, log.partial)
-    health = log.health
-    about = log.path, log.sha256, len(log.t), log.rate_hz, health.warnings, log.partial
-    return LogNote(*about, mended=health.mended)
+    about = log.path, log.sha256, len(log.t), log.rate_hz, log.health.warnings, log.partial
+    return LogNote(*about, mended=log.health.mended)
 
 
 def _itself(log: Recording, _: int) -> Recording:
@@ -239,9 +234,8 @@ class _Task(Generic[P]):
             return _note_of(given), self.part(given, number)
         # Those that pass over a log read it again and again: a stored one's copy must last.
         with local_copy(given) as file:
-            place, clock = self.folder / file, self.time_source
-            if self.folder == Path.cwd():
-                place = file
+            place = file if self.folder == Path.cwd() else self.folder / file
+            clock = self.time_source
             log: Recording | SurveyedLog
             opened = self.opens and self.opens(place, self.robot, time_source=clock)
             if opened is not None:

@@ -1,7 +1,4 @@
-"""What a user may set per stage, and arguments that functions share; free of heavy imports.
-
-Shared arguments are documented once and shown in the signature and help of each function.
-"""
+"""What a user may set per stage, and arguments that functions share; free of heavy imports."""
 
 from __future__ import annotations
 

@@ -63,7 +63,13 @@ def make_plan(rate_hz: float, cutoff: Cutoff, step: Array, *, samples_per_cutoff
 def motion_blocks(blocks: Iterable[Block], plan: Plan) -> Iterator[Motion]:
     """Filter, differentiate and decimate a log's samples; `t` counts from its first."""
     for window, start, stop in overlapping(blocks, plan.rows, plan.margin):
-        yield _motion(window, plan, start, stop)
+        t = (window.start + np.arange(window.samples)) / plan.rate_hz
+        later = np.broadcast_to(np.False_, window.q.shape)  # asked at the kept samples alone
+        motion = filtered_motion(t, window.q, window.valid, plan.rate_hz, plan.cutoff, later)
+        lowpass, valid = motion.lowpass, window.valid
+        motion = replace(motion, tau=lowpass(lowpass(window.tau, valid), valid))
+        moving = moving_mask(window.q, plan.rate_hz, plan.step, np.arange(start, stop, plan.factor))
+        yield replace(thinned(motion, plan.factor, start, stop), moving=moving)
 
 
 S = TypeVar("S", Block, Motion)
@@ -97,17 +103,6 @@ def overlapping(parts: Iterable[S], rows: int, margin: int) -> Iterator[tuple[S,
         held, before = [whole], stop
 
 
-def _motion(window: Block, plan: Plan, start: int, stop: int) -> Motion:
-    t = (window.start + np.arange(window.samples)) / plan.rate_hz
-    later = np.broadcast_to(np.False_, window.q.shape)  # asked at the kept samples alone
-    motion = filtered_motion(t, window.q, window.valid, plan.rate_hz, plan.cutoff, later)
-    lowpass, valid = motion.lowpass, window.valid
-    motion = replace(motion, tau=lowpass(lowpass(window.tau, valid), valid))
-    kept = np.arange(start, stop, plan.factor)
-    moving = moving_mask(window.q, plan.rate_hz, plan.step, kept)
-    return replace(thinned(motion, plan.factor, start, stop), moving=moving)
-
-
 @dataclass(frozen=True)
 class SurveyedLog(LongLog):
     """A long log with what there is to know of its positions."""
@@ -118,11 +113,7 @@ class SurveyedLog(LongLog):
 def open_surveyed(
     path: Path, robot: Robot, *, time_source: TimeSource = "header"
 ) -> SurveyedLog | None:
-    """Open a log that is to be passed over; in one pass, if its stamps are as even as usual.
-
-    `path`, `robot`, `time_source`: as for `open_long`. Returns None where the log can only be read
-    as a whole. Raises InputError: as for `open_long`.
-    """
+    """Open a log to be passed over, as `open_long` does, and survey it, in one pass if it can."""
     found: list[Survey] = []
 
     def watch(rate_hz: float, q: Array) -> None:

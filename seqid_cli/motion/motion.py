@@ -64,25 +64,20 @@ class Motion:
         return replace(self, **own)
 
     def filtered(self, values: Array, times: int = 1, *, every: int = 1) -> Array:
-        """Send computed terms (N, ...) through the motion's own low-pass.
-
-        With `every` samples 0, `every`, 2 `every`, ... are returned only.
-        """
+        """Send computed terms (N, ...) through the motion's own low-pass; see its call."""
         return self.lowpass(values, self.valid, times=times, every=every)
 
 
 def estimate_motion(recording: Recording, robot: Robot, options: MotionOptions) -> Motion:
     """Filter and differentiate the encoder positions of one log (Sec. 2.1, parallel filtering).
 
-    `robot`: encoder resolutions are used where its file gives them. Returns: at the log's own rate.
-    Raises InputError: no stretch of the log is long enough to filter.
+    Returns: at the log's own rate. Raises InputError: no stretch is long enough to filter.
     """
-    rate = recording.rate_hz
-    resolution = encoder_resolution(robot)
+    rate, resolution = recording.rate_hz, encoder_resolution(robot)
     survey = Survey.of(recording.q, rate)
-    chosen = survey.cutoff(resolution, highest_hz=highest_bridged(recording))
-    own = recording.sha256 in options.own
-    cutoff = chosen if own else as_asked(chosen, recording.path, rate, options)
+    cutoff = survey.cutoff(resolution, highest_hz=highest_bridged(recording))
+    if recording.sha256 not in options.own:
+        cutoff = as_asked(cutoff, recording.path, rate, options)
     moving = moving_mask(recording.q, rate, survey.noise_step(resolution))
     motion = filtered_motion(recording.t, recording.q, recording.valid, rate, cutoff, moving)
     tau, usable = filtered_torque(recording, motion.lowpass)
@@ -124,7 +119,7 @@ def as_asked(
 ) -> Cutoff:
     """The cut-off of a log: the one that it has chosen, or the user's.
 
-    Raises InputError: it has too few samples per period of the cut-off of the model to be used.
+    Raises InputError: it is too slow for the cut-off of the model to be used.
     """
     hz, highest = options.cutoff_hz, rate_hz / min_samples
     if hz is None:
@@ -142,11 +137,9 @@ def as_asked(
 def highest_bridged(
     recording: Recording, *, min_share: float = 0.05, max_periods: float = 0.2
 ) -> float:
-    """Highest cut-off [Hz] that bridged holes allow, where more than `min_share` of samples are.
-
-    A cubic across a hole of h seconds falls short of an acceleration of f Hz by (2 pi f h)^2 / 12:
-    13 percent at `max_periods` / h. A few holes are left out of the equations instead.
-    """
+    """Highest cut-off [Hz] that bridged holes allow, where more than `min_share` of samples are."""
+    # A cubic across a hole of h seconds falls short of an acceleration of f Hz by (2 pi f h)^2 /
+    # 12: 13 percent at `max_periods` / h. A few holes are left out of the equations instead.
     if recording.bridged is None or recording.bridged.mean() < min_share:
         return HIGHEST_HZ
     lengths = [stop - start for start, stop in runs(recording.bridged, len(recording.t))]
@@ -159,10 +152,8 @@ def encoder_resolution(robot: Robot) -> Array:
 
 
 def decimated(motion: Motion, samples_per_cutoff: float = SAMPLES_PER_CUTOFF) -> Motion:
-    """Keep every k-th sample, at least `samples_per_cutoff` per period of the cut-off.
-
-    Low-passed signals lose nothing by it; the filter of computed terms runs on at the lower rate.
-    """
+    """Keep every k-th sample, at least `samples_per_cutoff` per period of the cut-off."""
+    # Low-passed signals lose nothing by it; the filter of computed terms runs on at the lower rate.
     factor = int(motion.rate_hz / (samples_per_cutoff * motion.lowpass.cutoff_hz))
     return thinned(motion, factor) if factor > 1 and motion.lowpass.active else motion
 

@@ -38,7 +38,12 @@ class Shapes:
     def over(cls, seconds: float, rate_hz: float) -> Shapes:
         """Sample them from 0 to `seconds`, both ends included."""
         t = np.linspace(0.0, seconds, round(seconds * rate_hz) + 1)
-        w, dw, ddw = _window(t, seconds, seconds / (2 * HARMONICS))
+        ramp = seconds / (2 * HARMONICS)
+        up, down = np.clip(t / ramp, 0.0, 1.0), np.clip((seconds - t) / ramp, 0.0, 1.0)
+        x, sign = np.minimum(up, down), np.where(up <= down, 1.0, -1.0) / ramp
+        w = x**3 * (10 - 15 * x + 6 * x**2)
+        dw = sign * (30 * x**2 * (1 - x) ** 2)
+        ddw = 60 * x * (1 - x) * (1 - 2 * x) / ramp**2
         pace = 2 * np.pi / seconds * np.repeat(np.arange(1, HARMONICS + 1), 2)[:, None]
         lag = np.tile([0.0, np.pi / 2], HARMONICS)[:, None]
         s, ds = np.sin(pace * t + lag), pace * np.cos(pace * t + lag)
@@ -46,23 +51,12 @@ class Shapes:
         return cls(t, w * s, dw * s + w * ds, ddw * s + 2 * dw * ds + w * dds)
 
 
-def _window(t: Array, seconds: float, ramp: float) -> tuple[Array, Array, Array]:
-    up, down = np.clip(t / ramp, 0.0, 1.0), np.clip((seconds - t) / ramp, 0.0, 1.0)
-    x = np.minimum(up, down)
-    sign = np.where(up <= down, 1.0, -1.0) / ramp
-    w = x**3 * (10 - 15 * x + 6 * x**2)
-    dw = 30 * x**2 * (1 - x) ** 2
-    ddw = 60 * x * (1 - x) * (1 - 2 * x)
-    return w, sign * dw, ddw / ramp**2
-
-
 def profile(stroke: Stroke, rate_hz: float) -> tuple[Array, Array, Array]:
     """Position, speed and acceleration (N,) of a stroke, its end included, its start not."""
     way, v = abs(stroke.end - stroke.start), stroke.speed
     ramp = np.pi * v / (2.0 * stroke.acceleration)
     total = way / v + ramp
-    count = int(np.ceil(total * rate_hz))
-    t = np.minimum(np.arange(1, count + 1) / rate_hz, total)
+    t = np.minimum(np.arange(1, int(np.ceil(total * rate_hz)) + 1) / rate_hz, total)
     up, down = np.minimum(t, ramp), np.clip(t - (total - ramp), 0.0, ramp)
     pace = np.pi / ramp
     moved = v * (up / 2 - np.sin(pace * up) / (2 * pace))

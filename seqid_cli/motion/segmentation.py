@@ -55,30 +55,21 @@ def motion_reach(rate_hz: float) -> int:
 
 
 def moving_mask(q: Array, rate_hz: float, step: Array, at: Index | None = None) -> Mask:
-    """Where each joint moves.
-
-    `q` (N, n): encoder positions [rad]. `step` (n,): encoder noise [rad], see `noise_step`. `at`
-    (K,): samples that are asked about; all by default. Returns (K, n): true where a joint moves on
-    any of the time scales.
-    """
-    at = np.arange(len(q)) if at is None else at
-    moving = np.zeros((q.shape[1], len(at)), dtype=np.bool_)
-    for half in (max(1, round(scale * rate_hz / 2)) for scale in SCALES_S):
-        if 2 * half < len(q):
-            moving |= _seen_moving(q.T, step, at, half)
+    """Where (K, n) joints at positions q (N, n) rad move, on any scale; noise `step` (n,) rad."""
+    # At the samples `at` (K,); all by default.
+    at, rows = np.arange(len(q)) if at is None else at, q.T
+    moving = np.zeros((len(rows), len(at)), dtype=np.bool_)
+    halves = (max(1, round(scale * rate_hz / 2)) for scale in SCALES_S)
+    for half in (half for half in halves if 2 * half < len(q)):
+        travel = np.abs(rows[:, 2 * half :] - rows[:, : -2 * half])
+        least = np.maximum(TRAVEL_STEPS * step[:, None], SHAKEN * travel.max(axis=0))
+        changes = np.zeros((len(rows), travel.shape[1] + 1), dtype=np.int32)
+        np.cumsum(travel > least, axis=1, out=changes[:, 1:])
+        # A change within the window moves its middle and a third of a half to either side.
+        reach = -(half // 3), half // 3 + 1
+        low, high = (np.clip(at - half + side, 0, travel.shape[1]) for side in reach)
+        moving |= changes[:, high] > changes[:, low]
     return np.ascontiguousarray(moving.T)
-
-
-def _seen_moving(rows: Array, step: Array, at: Index, half: int) -> Mask:
-    """Where joints (n, K) move on one time scale."""
-    travel = np.abs(rows[:, 2 * half :] - rows[:, : -2 * half])
-    least = np.maximum(TRAVEL_STEPS * step[:, None], SHAKEN * travel.max(axis=0))
-    changes = np.zeros((len(rows), travel.shape[1] + 1), dtype=np.int32)
-    np.cumsum(travel > least, axis=1, out=changes[:, 1:])
-    # A change within the window moves its middle and a third of a half to either side.
-    reach = -(half // 3), half // 3 + 1
-    low, high = (np.clip(at - half + side, 0, travel.shape[1]) for side in reach)
-    return np.asarray(changes[:, high] > changes[:, low])
 
 
 def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:
@@ -90,11 +81,7 @@ def windowed_velocity(q: Array, rate_hz: float, half: int) -> Array:
 
 
 def constant_velocity(q: Array, rate_hz: float, *, step: Array, valid: Mask) -> list[Stretch]:
-    """Every stretch in which exactly one joint moves, at constant velocity.
-
-    `q` (N, n): encoder positions [rad]. `step` (n,): encoder noise [rad]. `valid` (N,): false
-    inside gaps of the log. Returns: in time order.
-    """
+    """Every stretch in which exactly one joint moves, at constant velocity, in time order."""
     moving = moving_mask(q, rate_hz, step)
     alone = valid & (moving.sum(axis=1) == 1)
     found: list[Stretch] = []

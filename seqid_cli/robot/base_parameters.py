@@ -168,11 +168,7 @@ def gravity_base_regressor(robot: Robot, basis: Basis, q: Array) -> Array:
 
 
 def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
-    """Say where `base_regressor` can differ from zero.
-
-    Returns (n, b) bool: false where a joint lies behind all links and rotors that a base parameter
-    belongs to.
-    """
+    """Say where (n, b) `base_regressor` can differ from zero: up to a parameter's last link."""
     used = basis.representative != 0.0
     last = np.append(np.repeat(np.arange(robot.n), PER_LINK), np.arange(robot.n))
     behind: NDArray[np.intp] = np.where(used, last[:, None], -1).max(axis=0)
@@ -181,10 +177,10 @@ def loaded_columns(robot: Robot, basis: Basis) -> NDArray[np.bool_]:
 
 @lru_cache(maxsize=8)
 def base_parameters(robot: Robot, *, rotor: tuple[int, ...], zero: float = 1e-10) -> Basis:
-    """Find the base parameters of the rigid body and of the rotors to identify.
+    """Find the base parameters of the rigid body and of the rotors to identify, gravity's first.
 
     `rotor`: joints (0-based) whose rotor inertia is a parameter; the others' are known and left
-    out. Returns: the same every time for the same robot; gravity parameters first.
+    out.
     """
     W_gravity, W = _random_regressors(robot)
     order = _reading_order(robot.chain)
@@ -201,13 +197,9 @@ def base_parameters(robot: Robot, *, rotor: tuple[int, ...], zero: float = 1e-10
     for k, column in enumerate(gravity + others):
         representative[column, k] = 1.0
     representative[gravity, len(gravity) :] = -E_gravity[:, others]
-    names = standard_names(robot.n)
-    return Basis(
-        names=tuple(names[c] for c in gravity + others),
-        expression=expression,
-        representative=representative + 0.0,
-        gravity=np.arange(len(expression)) < len(gravity),
-    )
+    standard, of_gravity = standard_names(robot.n), np.arange(len(expression)) < len(gravity)
+    names = tuple(standard[c] for c in gravity + others)
+    return Basis(names, expression, representative + 0.0, of_gravity)
 
 
 def free_basis(robot: Robot) -> Basis:
@@ -249,8 +241,7 @@ def _independent(W: Array, order: Sequence[int], *, floor: float, given: int = 0
     # each column has outside the span of those before.
     size = np.linalg.norm(W, axis=0)
     columns = [c for c in order if size[c] > floor]
-    R = np.linalg.qr(W[:, columns] / size[columns], mode="r")
-    outside = np.abs(np.diag(R))
+    outside = np.abs(np.diag(np.linalg.qr(W[:, columns] / size[columns], mode="r")))
     return [c for k, c in enumerate(columns) if k < given or outside[k] > _DEPENDENT]
 
 

@@ -8,7 +8,7 @@ from msgspec.structs import astuple
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.toml.read import read_robot_file
-from seqid_cli.robot.urdf.text import check_joints, parse_urdf
+from seqid_cli.robot.urdf.text import check_joints, read_urdf_text
 
 if TYPE_CHECKING:
     from seqid_cli.robot.toml.schema import ImuEntry
@@ -16,18 +16,15 @@ if TYPE_CHECKING:
 
 
 def load_robot(path: Path) -> "Robot":
-    """Read the robot file `path`, and the URDF that it names, and check both.
+    """Read the robot file `path`, and the URDF beside it that it names, and check both.
 
-    A relative `urdf` in it lies beside it. The robot's `sha256` is over the bytes of the robot file
-    followed by those of the URDF.
-
-    Raises ConfigError naming the file, the key's full path, the value and the remedy.
+    The robot's `sha256` is over the bytes of both. Raises ConfigError naming the file, the key's
+    full path, the value and the remedy.
     """
-    text = read_robot_file(path)
-    content, urdf = text.content, None
+    raw, content, formulas = read_robot_file(path)
     names = tuple(joint.name for joint in content.joint)
-    if text.urdf_path is not None:
-        urdf = parse_urdf(text.urdf_path, text.urdf)
+    urdf = None if content.urdf is None else read_urdf_text(path.parent / content.urdf)
+    if urdf is not None:
         check_joints(urdf, content.joint, path)
     import numpy as np
 
@@ -44,32 +41,25 @@ def load_robot(path: Path) -> "Robot":
 
         chain, nominal = chain_from_urdf(urdf, names, path)
     if content.channels.effort == "gravity_compensated" and nominal is None:
-        raise ConfigError(
-            "channels.effort is 'gravity_compensated', but the gravity that the driver subtracts "
-            "is not known",
-            where=str(path),
-            hint="Name a urdf with <inertial> that the driver uses, or log the torque as it is.",
-        )
+        unknown = "the gravity that the driver subtracts is not known"
+        message = f"channels.effort is 'gravity_compensated', but {unknown}"
+        hint = "Name a urdf with <inertial> that the driver uses, or log the torque as it is."
+        raise ConfigError(message, where=str(path), hint=hint)
     known = urdf.joints if urdf else {}
     joints = []
     for entry, slides in zip(content.joint, chain.prismatic, strict=True):
         given = {key: getattr(entry, key) for key in entry.__struct_fields__ if key != "dh"}
         joints.append(Joint(**{**given, "prismatic": bool(slides)}, urdf=known.get(entry.name)))
     effects = [
-        OwnEffect(
-            name=entry.name,
-            joint=None if entry.joint is None else names.index(entry.joint),
-            formula=formula,
-            settings=entry.settings,
-        )
-        for entry, formula in zip(content.effect, text.formulas, strict=True)
+        OwnEffect(x.name, None if x.joint is None else names.index(x.joint), formula, x.settings)
+        for x, formula in zip(content.effect, formulas, strict=True)
     ]
     return Robot(
         name=content.name,
         joints=tuple(joints),
         chain=chain,
         gravity=np.array(content.gravity, dtype=float),
-        sha256=hashlib.sha256(text.raw + text.urdf).hexdigest(),
+        sha256=hashlib.sha256(raw + (urdf.raw if urdf else b"")).hexdigest(),
         source=path,
         imus=tuple(_imu(entry, names) for entry in content.imu),
         channels=content.channels,

@@ -56,10 +56,7 @@ class Formula:
 
 
 def parse_formula(text: str, joints: int, settings: Collection[str] = ()) -> Formula:
-    """Check a formula.
-
-    `joints`: number of joints of the robot. `settings`: names of its own that stand for numbers to
-    be searched.
+    """Check a formula for an arm of so many joints; `settings` name numbers to be searched.
 
     Raises FormulaError: it is no sum of terms that are linear in one coefficient each.
     """

@@ -29,11 +29,9 @@ def rotation_about(axis: Array, angle: float) -> Array:
 
 
 def tidy_rotation(R: Array) -> Array:
-    """Make entries of a rotation (3, 3) within `ANGLE_NOISE` of 0 and +-1 exact.
-
-    Rounded quarter turns would otherwise count as geometry: axes parallel but for 4e-6 rad give
-    base parameters that no experiment can see.
-    """
+    """Make entries of a rotation (3, 3) within `ANGLE_NOISE` of 0 and +-1 exact."""
+    # Rounded quarter turns would otherwise count as geometry: axes parallel but for 4e-6 rad give
+    # base parameters that no experiment can see.
     nearest = np.round(R)
     snapped = np.where(np.abs(R - nearest) < ANGLE_NOISE, nearest, R)
     if np.array_equal(snapped, nearest):
@@ -67,12 +65,8 @@ def chain_from_dh(rows: Sequence[Sequence[float]], sliding: Collection[int] = ()
         tilt = rotation_about(x, alpha)
         rotations.append(tidy_rotation(tilt @ rotation_about(z, theta0)))
         positions.append(tidy_position(a * x + d * tidy_rotation(tilt)[:, 2]))
-    return Chain(
-        rotation=np.array(rotations),
-        position=np.array(positions),
-        axis=np.tile(z, (len(rows), 1)),
-        prismatic=np.isin(np.arange(len(rows)), list(sliding)),
-    )
+    axes, prismatic = np.tile(z, (len(rows), 1)), np.isin(np.arange(len(rows)), list(sliding))
+    return Chain(np.array(rotations), np.array(positions), axes, prismatic)
 
 
 @dataclass(frozen=True)
@@ -123,16 +117,11 @@ def joint_transforms(chain: Chain, q: Array) -> tuple[Array, Array]:
         chain.n, 3, 3, -1
     )
     slide = (1.0 - turning[:, 0]) * np.einsum("nab,nb->na", chain.rotation, chain.axis)
-    p = chain.position[:, :, None] + slide[:, :, None] * q[:, None, :]
-    return R, p
+    return R, chain.position[:, :, None] + slide[:, :, None] * q[:, None, :]
 
 
 def link_motion(chain: Chain, gravity: Array, q: Array, dq: Array, ddq: Array) -> LinkMotion:
-    """Propagate velocities and accelerations to all links, base at rest.
-
-    `gravity` (3,) [m/s^2], base frame. `q`, `dq`, `ddq` (n, N) [rad, rad/s, rad/s^2; m where
-    prismatic].
-    """
+    """Propagate motion to all links, base at rest; q, dq, ddq (n, N), `gravity` (3,) [m/s^2]."""
     R, p = joint_transforms(chain, q)
     w, dw, a = (np.empty_like(p) for _ in range(3))
     H = np.empty(R.shape)
@@ -170,11 +159,7 @@ def fill_motion_matrix(H: Array, w: Array, dw: Array) -> None:
 
 
 def forward(chain: Chain, q: Array) -> Frames:
-    """Compute the frames of all links seen from the base.
-
-    `q` (N, n) [rad; m where prismatic]. Returns: `R` (N, n, 3, 3) base from link, `p` (N, n, 3)
-    origins [m], `z` (N, n, 3) unit joint axes.
-    """
+    """Compute the frames of all links seen from the base, at q (N, n) [rad; m where prismatic]."""
     R_local, p_local = (np.moveaxis(x, -1, 0) for x in joint_transforms(chain, q.T))
     R, p = np.empty(R_local.shape), np.empty(p_local.shape)
     R[:, 0], p[:, 0] = R_local[:, 0], p_local[:, 0]
@@ -185,17 +170,15 @@ def forward(chain: Chain, q: Array) -> Frames:
 
 
 def gravity_columns(robot: Robot, joint: int, configuration: Array, q: Array) -> Array:
-    """Vector a of Eq. 13 at positions q of one joint, the others locked.
+    """Vector a (K, 2) m/s^2 of Eq. 13 at positions q (K,) of one joint, the others locked.
 
-    `configuration` (n,): positions of the joints before it [rad]. `q` (K,): positions of the joint
-    itself [rad]. Returns (K, 2): m/s^2, to be multiplied by p_xi of Eq. 14; (K, 1) for a prismatic
-    joint, whose gravity force is mass times gravity along the axis; no column where gravity has no
-    part across the axis.
+    `configuration` (n,): positions of the joints before it [rad]. (K, 1) for a prismatic joint,
+    whose gravity force is mass times gravity along the axis; no column where gravity has no part
+    across the axis.
     """
     zero = configuration.copy()
     zero[joint] = 0.0
-    R = forward(robot.chain, zero[None]).R[0, joint]
-    g = R.T @ robot.gravity
+    g = forward(robot.chain, zero[None]).R[0, joint].T @ robot.gravity
     axis = robot.chain.axis[joint]
     if robot.chain.prismatic[joint]:
         column = np.full((len(q), 1), -float(g @ axis))
@@ -219,10 +202,6 @@ def plane_across(axis: Array) -> tuple[Array, Array]:
 def link_angular_motion(
     chain: Chain, q: Array, dq: Array, ddq: Array, link: int
 ) -> tuple[Array, Array]:
-    """Compute w (N, 3) [rad/s] and dw (N, 3) [rad/s^2] of `link` in its own frame (Eq. 39).
-
-    `q`, `dq`, `ddq` (N, n) [rad, rad/s, rad/s^2; m where prismatic]. `link`: the joint that moves
-    the link, 0-based.
-    """
+    """Compute w, dw (N, 3) [rad/s, rad/s^2] of `link` in its frame (Eq. 39); q, dq, ddq (N, n)."""
     motion = link_motion(chain, np.zeros(3), q.T, dq.T, ddq.T)
     return motion.w[link].T.copy(), motion.dw[link].T.copy()

@@ -230,7 +230,12 @@ class _Walk:
             move = _slide if self.chain.prismatic[i] else _turn
             move(motion, before, axis, q[i], dq[i], ddq[i])
             link.rows[12:18] = motion[:2].reshape(6, samples)
-            _fill_load(link, motion[2])
+            (turning, moving), a = link.load, motion[2]
+            np.copyto(moving[:, 0], a)
+            fill_motion_matrix(moving[:, 1:], link.w, link.dw)
+            turning[1, 1], turning[2, 1] = -a[2], a[1]
+            turning[0, 2], turning[2, 2] = a[2], -a[0]
+            turning[0, 3], turning[1, 3] = -a[1], a[0]
             every[:, :, i] = 0.0
             every[int(self.chain.prismatic[i]), :, i] = axis[:, None]
             yield link
@@ -274,16 +279,6 @@ def _slide(motion: Array, screws: Array, axis: Array, q: Array, dq: Array, ddq: 
     faster = from_axis @ w
     a += (from_axis @ dw) * q + cross(w, faster * q) + axis[:, None] * ddq + 2.0 * faster * dq
     screws[1] += np.einsum("ab,bjn->ajn", from_axis, screws[0]) * q
-
-
-def _fill_load(link: _Link, a: Array) -> None:
-    """Fill `load` of a link from its w, dw and a (3, N)."""
-    turning, moving = link.load
-    np.copyto(moving[:, 0], a)
-    fill_motion_matrix(moving[:, 1:], link.w, link.dw)
-    turning[1, 1], turning[2, 1] = -a[2], a[1]
-    turning[0, 2], turning[2, 2] = a[2], -a[0]
-    turning[0, 3], turning[1, 3] = -a[1], a[0]
 
 
 def _fill_link(block: Array, kinds: Kinds, link: _Link, axis: Array, *, prismatic: bool) -> None:

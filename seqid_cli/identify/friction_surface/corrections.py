@@ -38,10 +38,7 @@ from seqid_cli.typing import Array
 
 
 class SteadyGroup(NamedTuple):
-    """Trials of one joint in one configuration, with the torque of acceleration taken off.
-
-    `inertia` and `std_error` are d_kk, kg m^2 (kg where prismatic), as it was used.
-    """
+    """Trials in one configuration without acceleration's torque, by d_kk `inertia`, kg m^2 (kg)."""
 
     trials: list[Trial]
     inertia: float
@@ -51,11 +48,8 @@ class SteadyGroup(NamedTuple):
 def without_acceleration(
     robot: Robot, trials: Sequence[Trial], surface: FrictionSurface
 ) -> list[SteadyGroup]:
-    """Take the torque of what acceleration is left (Eq. 25) off the trials of one joint.
-
-    So is what friction differs by as the speed is not quite constant. `surface`: friction of the
-    joint, if only a first estimate. Returns: one per configuration.
-    """
+    """Take the torque of what acceleration is left (Eq. 25) off one joint's trials, by groups."""
+    # So is what friction, by a first estimate, differs by as the speed is not quite constant.
     groups = configurations(list(trials))
     found = [_inertia_of(robot, group, surface) for group in groups]
     known = np.array([one for one in found if one is not None]).reshape(-1, 4)
@@ -86,8 +80,7 @@ def _steady(
     # At the ends a controller settles faster than the path follows: what is taken off is as wrong
     # there as it is large.
     mean, pushed = np.full(len(trial.q), trial.velocity), inertia * trial.ddq
-    off = pushed + surface.torque(trial.q, trial.dq) - surface.torque(trial.q, mean)
-    tau = trial.tau - off
+    tau = trial.tau - (pushed + surface.torque(trial.q, trial.dq) - surface.torque(trial.q, mean))
     noise = PER_MEDIAN * float(np.median(np.abs(np.diff(tau, 2)))) / np.sqrt(6.0)
     kept = np.abs(pushed) <= max_ratio * np.hypot(noise, float(np.median(np.abs(pushed))))
     steady = {name: getattr(trial, name)[kept] for name in ("q", "dq", "ddq", "t", "places")}
@@ -97,10 +90,8 @@ def _steady(
 def _inertia_of(
     robot: Robot, group: list[Trial], surface: FrictionSurface, *, min_windows: int = 6
 ) -> tuple[float, float, float, int] | None:
-    """d_kk of one configuration, None where its ramps do not determine it.
-
-    Its variance for white noise follows, that robust within trials, and the number of these.
-    """
+    """d_kk of one configuration, None where its ramps do not determine it."""
+    # Its variance for white noise follows, that robust within trials, and the number of these.
     low, high = surface.scaling.speed
     rows, windows = [], 0  # columns: ddq, a, torque, each by the root of the weight; trial
     for number, trial in enumerate(group):
@@ -176,23 +167,17 @@ class HeldJoints:
         return [replace(trial, tau=trial.tau - (H - G) @ self.theta) for trial, H, G in pairs]
 
     def doubt(self, group: Sequence[Trial]) -> list[Array]:
-        """Torque (K,) N m of one standard error of how far joints gave way, trial by trial.
-
-        The readings of both directions have errors of their own, of which friction feels half the
-        difference. Those of joints whose readings never change are no part of it.
-        """
+        """Torque (K,) N m of one standard error of how far joints gave way, trial by trial."""
+        # Readings of both directions have errors of their own, of which friction feels half the
+        # difference. Those of joints whose readings never change are no part of it.
         moved = np.ptp(np.concatenate([trial.places for trial in group]), axis=0) > 0.0
         every = self.unseen(group, [trial.places for trial in group])
         each = [own * moved / np.sqrt(2.0) for own in every]
-        most = [int(np.argmax(np.sum(own**2, axis=0))) for own in each]
-        signed = zip(each, most, strict=True)
+        signed = zip(each, [int(np.argmax(np.sum(own**2, axis=0))) for own in each], strict=True)
         return [np.copysign(np.linalg.norm(own, axis=1), own[:, k]) for own, k in signed]
 
     def unseen(self, group: Sequence[Trial], places: Sequence[Array]) -> list[Array]:
-        """Torque (K, n) N m of one standard deviation of where each other joint stands.
-
-        `group`: trials of one joint. `places` (K, n) of each: where it is asked for.
-        """
+        """Torque (K, n) N m of one standard deviation of where others stand, at `places` (K, n)."""
         joint, n = group[0].joint, self.robot.n
         about = []
         for trial, q in zip(group, places, strict=True):

@@ -25,6 +25,7 @@ from seqid_cli.typing import Array, Mask
 
 DEVIATION = 0.15  # standard errors, RMS, by which a surface of fewer orders may differ
 CELLS = 17  # per axis, at which two surfaces are compared
+Asked = tuple[int | None, int | None]  # orders over position and velocity that the user fixes
 
 
 @dataclass(frozen=True)
@@ -56,11 +57,9 @@ class SurfaceFit:
         return self._solved(self.normal.N, self.normal.b, orders)
 
     def covariance(self, orders: Orders) -> Array:
-        """Covariance of those entries, row-major.
-
-        It is scaled so that the mean variance over both ranges is that of the whole surface: what
-        is left out has an error too.
-        """
+        """Covariance of those entries, row-major."""
+        # It is scaled so that the mean variance over both ranges is that of the whole surface: what
+        # is left out has an error too.
         kept = np.flatnonzero(self._kept(orders))
         found = self.whole[1][np.ix_(kept, kept)]
         columns, error = self._grid
@@ -97,8 +96,7 @@ class SurfaceFit:
     def _grid(self) -> tuple[Array, Array]:
         """Basis (CELLS^2, k) over both ranges, and the whole surface's standard errors there."""
         over_position, share = self.reduced.scaling.over_position, np.linspace(0.0, 1.0, CELLS)
-        order = over_position.order(self.reduced.size)
-        X = over_position.values(over_position.at(share), order)
+        X = over_position.values(over_position.at(share), over_position.order(self.reduced.size))
         T = np.polynomial.chebyshev.chebvander(2.0 * share - 1.0, self.highest.velocity)
         X = np.hstack([X, np.zeros((CELLS, len(self.prior) - X.shape[1]))])
         columns = tensor(np.repeat(X, CELLS, axis=0), np.tile(T, (CELLS, 1)))
@@ -124,49 +122,34 @@ class SurfaceFit:
         return solved[kept[both]].reshape(-1, orders.velocity + 1)
 
 
-def highest_orders(sets: Sequence[Reduced], position: int | None, velocity: int | None) -> Orders:
+def highest_orders(sets: Sequence[Reduced], asked: Asked) -> Orders:
     """The orders that the data, or the user, allow at most."""
-    levels = min(len(own.levels) for own in sets)
-    most = min(MAX_VELOCITY_ORDER, max(levels - 1, 0))
-    return Orders(
-        MAX_POSITION_ORDER if position is None else position, most if velocity is None else velocity
-    )
+    position, velocity = asked
+    most = min(MAX_VELOCITY_ORDER, max(min(len(own.levels) for own in sets) - 1, 0))
+    allowed = MAX_POSITION_ORDER if position is None else position
+    return Orders(allowed, most if velocity is None else velocity)
 
 
 def fit_surfaces(
-    sets: Sequence[Reduced],
-    position: int | None = None,
-    velocity: int | None = None,
-    near: Sizes | None = None,
+    sets: Sequence[Reduced], asked: Asked = (None, None), near: Sizes | None = None
 ) -> tuple[list[SurfaceFit], float]:
-    """Fit one surface to each set of trials, with sizes of terms and errors in common.
-
-    `position` and `velocity`: orders that the user fixes. `near`: sizes from which their search
-    starts. Twice the logarithm of the marginal likelihood of all slices comes second.
-    """
-    highest = highest_orders(sets, position, velocity)
+    """Fit one surface to each set of trials, with sizes of terms and errors in common."""
+    # Sizes are searched from those `near`. Twice the logarithm of the marginal likelihood of all
+    # slices comes second.
+    highest = highest_orders(sets, asked)
     sizes, evidence = Evidence(sets, highest).strongest(near)
     return [SurfaceFit(own, sizes, highest) for own in sets], evidence
 
 
 def choose_orders(
-    fits: Sequence[SurfaceFit],
-    position: int | None,
-    velocity: int | None,
-    *,
-    accept: Callable[[Orders], bool] | None = None,
+    fits: Sequence[SurfaceFit], asked: Asked, *, accept: Callable[[Orders], bool] | None = None
 ) -> Orders:
-    """Choose the fewest orders, the same for all, that do as well as the highest ones.
-
-    `position` and `velocity`: orders that the user fixes. `accept`: whether orders are good enough;
-    else it is asked whether the surfaces stay the same to `DEVIATION`.
-    """
+    """Choose the fewest orders that do as well as the highest, by `accept` or to `DEVIATION`."""
     highest, size = fits[0].highest, fits[0].reduced.scaling.over_position.size
     good = accept or (lambda orders: all(fit.deviation(orders) <= DEVIATION for fit in fits))
-    lowest = Orders(
-        0 if position is None else position,
-        min(1, highest.velocity) if velocity is None else velocity,
-    )
+    position, velocity = asked
+    l = min(1, highest.velocity) if velocity is None else velocity
+    lowest = Orders(0 if position is None else position, l)
     steps = [
         Orders(m, l)
         for m in range(lowest.position, highest.position + 1)

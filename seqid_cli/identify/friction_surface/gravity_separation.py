@@ -13,7 +13,7 @@ and depends on the position alone, as the torque of a spring or a cable does, is
 left in, it would be friction's noise.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -29,10 +29,7 @@ from seqid_cli.typing import Array, Index, Mask
 
 @dataclass(frozen=True)
 class GravityGroup:
-    """Trials in one locked configuration with p_xi (2,) kg m and its standard errors.
-
-    `beyond` is the torque over the position that gravity does not make.
-    """
+    """Trials in one configuration with p_xi (2,) kg m; `beyond` is torque that is not gravity's."""
 
     robot: Robot
     trials: list[Trial]
@@ -64,11 +61,7 @@ class GravityFit:
 
 @dataclass(frozen=True)
 class Clustered:
-    """Least squares `theta` (p,) whose rows share errors within clusters.
-
-    `left` is the residual, `bread` the inverse of the normal matrix, `moves` (G, p) what each
-    cluster pulls the estimate by.
-    """
+    """Least squares: residual `left`, inverse normal matrix `bread`, clusters' pulls `moves`."""
 
     theta: Array
     left: Array
@@ -108,10 +101,8 @@ def configurations(trials: list[Trial], *, same_configuration: float = 0.03) -> 
 
 
 def _half_sums(group: list[Trial]) -> list[Array]:
-    """Half-sums of forward and backward trials of one configuration (Eq. 15), pair by pair.
-
-    Columns (K, 5): position rad, half-sum N m, half the difference N m, speed, samples per slice.
-    """
+    """Half-sums of forward and backward trials of one configuration (Eq. 15), pair by pair."""
+    # Columns (K, 5): position rad, half-sum N m, half the difference N m, speed, samples per slice.
     result = []
     for level in speed_levels(group):
         back = [t for t in level if t.velocity < 0]
@@ -132,12 +123,9 @@ def _half_sums(group: list[Trial]) -> list[Array]:
 def fit_gravity(
     robot: Robot, joint: int, trials: list[Trial], *, degree: int = 8, clear: float = 0.7
 ) -> GravityFit:
-    """Fit p_xi per configuration to the half-sums, with or without direction dependence.
-
-    What depends on the position is a polynomial of some `degree`; another law is clearly better
-    where it leaves less than `clear` of the squares. Returns: groups without a forward/backward
-    pair are left out and counted in `unpaired`.
-    """
+    """Fit p_xi per configuration to the half-sums, with or without direction dependence."""
+    # What depends on the position is a polynomial of some `degree`; another law is clearly better
+    # where it leaves less than `clear` of the squares.
     groups = configurations(trials)
     pairs = [_half_sums(group) for group in groups]
     places = [np.concatenate([np.zeros(0), *(pair[:, 0] for pair in own)]) for own in pairs]
@@ -161,7 +149,7 @@ def fit_gravity(
     if robot.chain.prismatic[joint] and columns.shape[1]:
         extras = [slope[:, None]]
     plain, other, extra, beyond = table.both_ways(columns, extras)
-    share, directional = _asymmetry(plain, other, extra, _usual_friction(groups[k] for k in kept))
+    share, directional = _asymmetry(plain, other, extra, [groups[k] for k in kept])
     found = other if directional else plain
     ends = np.cumsum([0, *(a[k].shape[1] for k in kept)])
     fitted = [
@@ -169,15 +157,6 @@ def fit_gravity(
         for k, (i, j) in zip(kept, pairwise(ends), strict=True)
     ]
     return GravityFit(fitted, unpaired, directional, share)
-
-
-def _usual_friction(groups: Iterable[Sequence[Trial]]) -> float:
-    """RMS [N m] of half the difference of the directions, over configurations."""
-    means = [
-        [np.mean([t.tau.mean() for t in g if t.velocity * way > 0]) for way in (1, -1)]
-        for g in groups
-    ]
-    return float(np.sqrt(np.mean((np.diff(means) / 2) ** 2)))
 
 
 class _Pairs:
@@ -201,11 +180,9 @@ class _Pairs:
     def both_ways(
         self, columns: Array, extras: Sequence[Array], *, enough_pairs: int = 8
     ) -> tuple[Clustered, Clustered, Array, Chebyshev | None]:
-        """Fit what both ways have: columns (N, p) of gravity, and these with the best of `extras`.
-
-        Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up.
-        Returns: both fits, the extra one, and what is left over the position.
-        """
+        """Fit what both ways have: gravity's columns (N, p), these with the best of `extras`."""
+        # Drift and friction errors are shared within a pair; fewer than `enough_pairs` are cut up.
+        # Returns both fits, the extra one, and what is left over the position.
         cut = 1 if len(self.lengths) >= enough_pairs else 4
         block = np.concatenate(
             [k * cut + np.arange(n) * cut // n for k, n in enumerate(self.lengths)]
@@ -227,11 +204,9 @@ class _Pairs:
         return (*(found if beyond is None else fits(self.tau - beyond(self.q))), beyond)
 
     def _beyond(self, left: Array, unlike: Array) -> Chebyshev | None:
-        """Torque over the position that half-sums have beyond gravity, by what is `left` (N,) N m.
-
-        None, unless a polynomial leaves of pairs that are left out less than `clear` of the squares
-        of `unlike` (N,) N m, without friction that depends on the direction.
-        """
+        """Torque over the position that half-sums have beyond gravity, from what is `left`."""
+        # None, unless it leaves of pairs that are left out less than `clear` of the squares of
+        # `unlike` (N,) N m, without friction that depends on the direction.
         domain = [float(self.q.min()), float(self.q.max())]
 
         def fitted(values: Array, some: Mask) -> Chebyshev:
@@ -254,12 +229,17 @@ def _asymmetry(
     plain: Clustered,
     extended: Clustered,
     extra: Array,
-    friction: float,
+    groups: list[list[Trial]],
     *,
     min_share: float = 0.02,
     min_sigma: float = 6.0,
 ) -> tuple[float, bool]:
     """Share of friction that depends on direction, and whether it is large and significant."""
+    means = [
+        [np.mean([t.tau.mean() for t in g if t.velocity * way > 0]) for way in (1, -1)]
+        for g in groups
+    ]
+    friction = float(np.sqrt(np.mean((np.diff(means) / 2) ** 2)))  # of half the difference
     solution, errors = (x[len(plain.theta) :] for x in (extended.theta, extended.std_error))
     share = float(np.sqrt(np.mean((extra @ solution) ** 2)) / max(friction, 1e-12))
     sigma = np.abs(solution) / np.maximum(errors, 1e-300)

@@ -64,11 +64,9 @@ class Sizes:
     broad: float
 
     def prior(self, scaling: Scaling, size: int, orders: Orders) -> Array:
-        """Standard deviations (size + 4, l + 1) of a surface's entries.
-
-        They are 0 above position order m, and for the ends of a trial, which the surface has not.
-        The last two are those of errors that are one and the same in all trials.
-        """
+        """Standard deviations (size + 4, l + 1) of a surface's entries."""
+        # They are 0 above position order m, and for the ends of a trial, which the surface has not.
+        # The last two are those of errors that are one and the same in all trials.
         over_position = scaling.over_position
         j = over_position.degrees(over_position.order(size))[:, None]
         r = np.arange(orders.velocity + 1.0)[None, :]
@@ -158,10 +156,7 @@ class Normal:
 
 
 class Evidence:
-    """Marginal likelihood of sets of trials, a surface each and the sizes in common.
-
-    The sizes' usual values are shares of the friction's RMS.
-    """
+    """Marginal likelihood of sets of trials, a surface each and the sizes in common."""
 
     def __init__(
         self,
@@ -205,15 +200,17 @@ class Evidence:
             slope[:3] = share[1:, 0].sum(), share[0, 2:].sum(), share[1:, 1:].sum()
             slope[3:8] = self._of_errors(own, sizes, normal, mean, covariance)
             slope[7] += beyond - rest
-            slope[8:] = _of_falls(own, sizes, share)
+            share[0, :2] = 0.0  # of broad ones, whose variances do not fall
+            degrees = own.scaling.over_position.degrees(own.scaling.over_position.order(own.size))
+            over_position = np.log(np.maximum(degrees, 1.0)) @ share[: own.size].sum(axis=1)
+            order = np.log(np.maximum(np.arange(share.shape[1]), 1.0))
+            slope[8] = -0.5 * (sizes.over_position * over_position)
+            slope[9] = -0.5 * (sizes.over_speed * (share[: own.size].sum(axis=0) @ order))
             cost, gradient = cost + more, gradient + 2.0 * slope
         return cost, gradient
 
     def strongest(self, near: Sizes | None = None, *, limit: float = 5.0) -> tuple[Sizes, float]:
-        """The sizes of the largest marginal likelihood, and twice its logarithm.
-
-        The search starts from sizes that are `near`, else from the usual ones.
-        """
+        """The sizes of the largest marginal likelihood, from those `near`; twice its logarithm."""
         start, furthest = np.zeros(len(self.usual)), limit * self.spread
         logs = None
         if near is not None:
@@ -229,10 +226,7 @@ class Evidence:
         return self.sizes(logs), -self(logs)[0]
 
     def _polished(self, logs: Array, *, reach: float = 0.3) -> Array | None:
-        """The maximum to the last digits, by Newton's method: the likelihood is flat about it.
-
-        None where it is not within `reach` of the start.
-        """
+        """The maximum, by Newton's method: the likelihood is flat about it. None beyond `reach`."""
         slope, difference = self(logs)[1], 1e-4
         steps = difference * np.eye(len(logs))
         curvature = np.stack([(self(logs + step)[1] - slope) / difference for step in steps])
@@ -276,13 +270,3 @@ class Evidence:
 def _products(phi: Array) -> Array:
     """Products (T, r^2) of every two functions (T, r)."""
     return (phi[:, :, None] * phi[:, None, :]).reshape(len(phi), -1)
-
-
-def _of_falls(own: Reduced, sizes: Sizes, share: Array) -> Array:
-    """Derivatives (2,) by half the logarithms of the powers; `share` by those of the entries."""
-    share = share[: own.size].copy()
-    share[0, :2] = 0.0
-    degrees = own.scaling.over_position.degrees(own.scaling.over_position.order(own.size))
-    over_position = np.log(np.maximum(degrees, 1.0)) @ share.sum(axis=1)
-    over_speed = share.sum(axis=0) @ np.log(np.maximum(np.arange(share.shape[1]), 1.0))
-    return -0.5 * np.array([sizes.over_position * over_position, sizes.over_speed * over_speed])

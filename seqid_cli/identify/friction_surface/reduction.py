@@ -8,8 +8,6 @@ exp(-s / `edge_s`), s the time from the end. The last two have the torque that o
 the joint's inertia makes of its acceleration, and that of how far held joints gave way; their
 coefficients are the same in all trials.
 
-What the slices of a trial weigh: by their own noise, and little where they do not belong to it.
-
 A joint is still speeding up, or slows already, in the first and last slices of some trials: their
 torque is not friction alone. Slices are judged by Tukey's biweight (J. W. Tukey, in Beaton and
 Tukey, Technometrics 16(2), 1974) of their distance from the surface, in units of the median
@@ -86,13 +84,9 @@ def weighted(
     min_scatter: float = 1e-9,
     max_ratio: float = 4.685,
 ) -> list[SpeedData]:
-    """Weight the slices anew.
-
-    `distances` (K,): of every slice from the surface, N m. `min_scatter`: of the usual friction,
-    below which no scatter is believed. `max_ratio`: scales beyond which Tukey's weight is zero;
-    95 % efficient for normal errors. Returns: weights are samples of usual noise: fewer where a
-    trial has more noise than the usual one, none where a slice does not belong to its trial.
-    """
+    """Weight slices by `distances` (K,) N m: by noise, and little where they do not belong."""
+    # No scatter below `min_scatter` of the usual friction is believed. Tukey's weight is zero
+    # beyond `max_ratio` scales: 95 % efficient for normal errors.
     level = float(np.median([np.median(np.abs(item.friction)) for item in data]))
     found = [median_abs_deviation(own, scale="normal") for own in distances]
     scales = np.maximum(found, max(min_scatter * level, 1e-300))

@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 from seqid_cli.errors import QualityError
 from seqid_cli.identify.friction_surface import reduction, summary
 from seqid_cli.identify.friction_surface.corrections import HeldJoints, without_acceleration
-from seqid_cli.identify.friction_surface.fit import choose_orders, fit_surfaces
+from seqid_cli.identify.friction_surface.fit import Asked, choose_orders, fit_surfaces
 from seqid_cli.identify.friction_surface.gravity_separation import GravityFit, fit_gravity
 from seqid_cli.identify.friction_surface.prior import Sizes
 from seqid_cli.identify.friction_surface.trials import collect_trials, speed_levels
@@ -26,11 +26,9 @@ UNPAIRED = "no pair of forward and backward trials at one speed in one configura
 def identify_friction(
     recordings: Iterable[Recording], robot: Robot, *, options: FrictionOptions
 ) -> FrictionStage:
-    """Identify the friction surface of every joint that the logs move at constant velocity.
-
-    Raises QualityError if no joint moves by itself at constant velocity, or the orders ask for more
-    speeds than there are.
-    """
+    """Identify the friction surface of every joint that the logs move at constant velocity."""
+    # Raises QualityError if no joint moves by itself at constant velocity, or the orders ask for
+    # more speeds than there are.
     trials = collect_trials(recordings, robot)
     if not trials:
         logs = [str(getattr(log, "path", log)) for log in getattr(recordings, "logs", recordings)]
@@ -62,9 +60,8 @@ def identify_friction(
         hint = "record every speed in both directions over the same range (Eq. 15)"
         names = [robot.joint_names[j] for j, reason in reasons.items() if reason == UNPAIRED]
         raise QualityError(UNPAIRED, hint=hint, where=f"joint {names[-1]}")
-    return FrictionStage(
-        joints=joints, verdicts=verdicts, notes=[*notes, *summary.constants_note(robot)]
-    )
+    notes += summary.constants_note(robot)
+    return FrictionStage(joints=joints, verdicts=verdicts, notes=notes)
 
 
 def _steady_gravity(robot: Robot, j: int, first: summary.Fit, held: HeldJoints) -> GravityFit:
@@ -85,31 +82,24 @@ def _fit(
     held: HeldJoints | None = None,
     narrow_sign: float = 25.0,
 ) -> summary.Fit:
-    """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`.
-
-    One surface for both directions together (Eq. 15's assumption), or one for each.
-    """
+    """Fit a joint's surface; on the likeliest of all bases if sizes are known that are `near`."""
+    # One surface for both directions together (Eq. 15's assumption), or one for each.
     data, asked = _friction_data(gravity, held), (options.position_order, options.velocity_order)
     levels = len({item.speed for item in data})
     if asked[1] is not None and asked[1] + 1 > levels:
-        raise QualityError(
-            f"velocity order {asked[1]} needs at least {asked[1] + 1} speeds, "
-            f"these logs hold {levels}",
-            hint=f"record more speeds or use --velocity-order {levels - 1} or less",
-            where=f"joint {robot.joints[j].name}",
-        )
+        needed = f"velocity order {asked[1]} needs at least {asked[1] + 1} speeds"
+        hint = f"record more speeds or use --velocity-order {levels - 1} or less"
+        where = f"joint {robot.joints[j].name}"
+        raise QualityError(f"{needed}, these logs hold {levels}", hint=hint, where=where)
     sides = (1, -1) if gravity.directional else (0,)
     sets = [[item for item in data if side in (0, item.direction)] for side in sides]
-    scalings = _scalings(data) if near else _scalings(data)[:1]
-    parts = _fitted(sets, scalings, *asked, near=near)
-    fits, beta = [fit for _, fit in parts], options.beta
+    parts = _fitted(sets, _scalings(data) if near else _scalings(data)[:1], asked, near)
+    fits, beta = [fit for _, fit in parts], options.beta or 0.0
 
     def accept(orders: reduction.Orders) -> bool:
-        return summary.errors_of(parts, orders, unseen=True).relative <= (
-            beta or summary.DEFAULT_BETA
-        )
+        return summary.errors_of(parts, orders, unseen=True).relative <= beta
 
-    chosen = choose_orders(fits, *asked, accept=accept if beta else None)
+    chosen = choose_orders(fits, asked, accept=accept if beta else None)
     D, scaling = [fit.entries(chosen) for fit in fits], fits[0].reduced.scaling
     covariance = block_diag(*(fit.covariance(chosen) for fit in fits))
     width = scaling.speed[0] / narrow_sign
@@ -118,25 +108,15 @@ def _fit(
 
 
 def _fitted(
-    sets: list[list[reduction.SpeedData]],
-    scalings: list[Scaling],
-    position: int | None,
-    velocity: int | None,
-    near: Sizes | None,
-    *,
-    rounds: int = 2,
+    sets: list[list[reduction.SpeedData]], scalings: list[Scaling], asked: Asked, near: Sizes | None
 ) -> list[summary.Part]:
-    """Fit on the likeliest basis; slices that do not belong lose their weight round by round.
-
-    Sizes of terms and errors are searched from those of the round before, first from `near`.
-    """
+    """Fit on the likeliest basis; slices that do not belong lose their weight round by round."""
+    # Sizes of terms and errors are searched from those of the round before, first from `near`.
     distances = [reduction.around_medians(own) for own in sets]
-    for last in (*[False] * rounds, True):
+    for last in (False, False, True):
         data = [reduction.weighted(own, off) for own, off in zip(sets, distances, strict=True)]
         tried = [
-            fit_surfaces(
-                [reduction.reduce_trials(own, scaling) for own in data], position, velocity, near
-            )
+            fit_surfaces([reduction.reduce_trials(own, scaling) for own in data], asked, near)
             for scaling in (scalings if last else scalings[:1])
         ]
         fits = max(tried, key=lambda each: each[1])[0]

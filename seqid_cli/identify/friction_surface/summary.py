@@ -5,7 +5,6 @@ inner speeds by a surface that was fitted to the others, of the slowest and the 
 which nothing was seen, by the surface itself.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,14 +61,10 @@ class Errors:
 Part = tuple[list[SpeedData], SurfaceFit]  # of both directions, or of one
 
 
-def errors_of(
-    parts: Sequence[Part], orders: Orders, *, unseen: bool, group_size: int = 16
-) -> Errors:
-    """Errors of surfaces of some orders that have seen everything, over groups of slices.
-
-    If `unseen`, those at inner speeds are of surfaces that have not seen them. With three speeds or
-    fewer nothing is left out.
-    """
+def errors_of(parts: list[Part], orders: Orders, *, unseen: bool, group_size: int = 16) -> Errors:
+    """Errors of surfaces of some orders that have seen everything, over groups of slices."""
+    # If `unseen`, those at inner speeds are of surfaces that have not seen them. With three speeds
+    # or fewer nothing is left out.
     rows = []
     for data, fit in parts:
         whole, leave = fit.entries(orders), unseen and len(fit.reduced.levels) >= FEWEST_SPEEDS
@@ -145,9 +140,8 @@ def summarise(
     )
     verdict = _verdict(described.name, joint, unseen, surface.scaling)
     for level in joint.speeds:
-        level.std_error = float(
-            np.hypot(level.std_error, described.torque_constant_error * level.friction)
-        )
+        scaled = described.torque_constant_error * level.friction
+        level.std_error = float(np.hypot(level.std_error, scaled))
     return joint, verdict, _notes(described.name, joint, gravity.groups[0].beyond, unpaired)
 
 

@@ -1,8 +1,4 @@
-"""Constant-velocity trials reduced to a few averages each.
-
-A stretch of constant velocity is cut into equal slices of time, hence of position; averages over a
-slice replace a low-pass. The log may be too long to be held.
-"""
+"""Constant-velocity trials: averages over equal slices of time, which replace a low-pass."""
 
 import operator
 from collections.abc import Iterable, Iterator
@@ -30,8 +26,8 @@ NONE: Array = np.zeros(0)
 class Ramps(NamedTuple):
     """How the joint of a trial got up to speed and back: means over windows of time.
 
-    `q`, `dq`, `ddq`, `tau` (R,) rad, rad/s, rad/s^2, N m under the same window, so that
-    `tau = I ddq + ...` holds for them as it does at an instant; `weight` samples each.
+    `tau = I ddq + ...` holds for means under the same window as it does at an instant; `weight`
+    samples each.
     """
 
     q: Array = NONE
@@ -77,10 +73,7 @@ class Trial:
 
 
 def collect_trials(recordings: Iterable[Recording], robot: Robot) -> list[Trial]:
-    """Constant-velocity trials of all logs, slowest first.
-
-    Raises InputError if a log carries neither torque nor current.
-    """
+    """Constant-velocity trials of all logs, slowest first; InputError where one has no torque."""
     found = reduced(recordings, partial(trials_of, robot), operator.add, open_if_long) or []
     return sorted(found, key=lambda trial: trial.speed)
 

@@ -44,16 +44,12 @@ Held = tuple[dict[str, tuple[list[Segment], list[initial_guess.Pair], float]], f
 def calibrate_imus(
     recordings: Iterable[Recording], robot: Robot, *, options: MotionOptions
 ) -> schema.ImuStage:
-    """Calibrate every IMU of the robot file; name what these logs do not determine.
-
-    `recordings`: best joints before the IMUs move one at a time and fast, the others locked in
-    several configurations. Raises UsageError if the robot file has no IMU, QualityError if no log
-    moves a joint before an IMU that it records.
-    """
+    """Calibrate every IMU of the robot file; name what these logs do not determine."""
+    # Best joints before the IMUs move one at a time and fast, the others locked in several
+    # configurations.
     if not robot.imus:
-        raise UsageError(
-            "the robot file has no [[imu]]", hint="describe the IMU in it", where=str(robot.source)
-        )
+        where, hint = str(robot.source), "describe the IMU in it"
+        raise UsageError("the robot file has no [[imu]]", hint=hint, where=where)
     logs = reduced(recordings, partial(_held, robot, options), operator.add) or []
     imus, verdicts, notes = {}, [], []
     for imu in robot.imus:
@@ -81,10 +77,8 @@ def _held(robot: Robot, options: MotionOptions, recording: Recording, number: in
             seen = replace(imu, gyro=imu.gyro and imu.name in recording.gyros)
             own = segments_of(recording, robot, seen, motion, log=number, cutoff_hz=cutoff_hz)
             turns = layout(seen).acceleration or seen.gyro
-            pairs, density = (
-                initial_guess.axis_pairs(recording, robot, seen, motion) if turns else ([], 0.0)
-            )
-            found[imu.name] = own, pairs, density
+            given = recording, robot, seen, motion
+            found[imu.name] = own, *(initial_guess.axis_pairs(*given) if turns else ([], 0.0))
     return [(found, cutoff_hz)]
 
 
@@ -99,9 +93,8 @@ def _calibrated(
     segments = thinned([segment for segment in every if segment.channels == most])
     seen = replace(imu, gyro=most > len(imu.axes))
     guess = initial_guess.fit_rotation(pairs) if pairs else np.eye(3)
-    fit = fit_constants(
-        segments, robot, seen, initial_guess.starting_constants(segments, robot, seen, guess)
-    )
+    start = initial_guess.starting_constants(segments, robot, seen, guess)
+    fit = fit_constants(segments, robot, seen, start)
     density = float(np.median(densities)) if densities else None
     return calibration_of(robot, seen, fit, segments, pairs, density), fit.converged
 
@@ -117,11 +110,9 @@ def calibration_of(
     max_delay_error_s: float = 0.005,
     sampling: float = 0.01,
 ) -> schema.ImuCalibration:
-    """Calibration of one IMU as the parameter file has it.
-
-    A clock offset with a larger standard error than `max_delay_error_s` is not determined. Jolts
-    between two samples shift a clock by `sampling` of their period.
-    """
+    """Calibration of one IMU as the parameter file has it."""
+    # A clock offset with a larger standard error than `max_delay_error_s` is not determined. Jolts
+    # between two samples shift a clock by `sampling` of their period.
     constants, sigma = fit.constants, np.sqrt(np.diag(fit.covariance))
     worst, lever, missing = _of_mounting(fit.covariance)
     delay_error = float(np.hypot(sigma[6], sampling * segments[0].readings.period))
@@ -169,11 +160,9 @@ def _of_sensors(
     max_tilt_deg: float = 0.25,
     max_share: float = 0.5,
 ) -> tuple[dict[str, Any], list[str]]:
-    """Entries of a calibration about its channels, and in words what is left open.
-
-    Known is what has a standard error of up to so many m/s^2, rad/s, 1 and degrees, and of gains
-    and axes less than a prior of fixed width; widths of many sensors are found.
-    """
+    """Entries of a calibration about its channels, and in words what is left open."""
+    # Known is what has a standard error of up to so many m/s^2, rad/s, 1 and degrees, and of gains
+    # and axes less than a prior of fixed width; widths of many sensors are found.
     constants, k, c = fit.constants, len(imu.axes), len(fit.constants.bias)
     bias, gain, tilt = np.split(np.sqrt(np.diag(fit.covariance))[7:], [c, 2 * c])
     tilt = np.degrees(np.sqrt(np.mean(tilt.reshape(c, 2) ** 2, axis=1)))
@@ -182,8 +171,7 @@ def _of_sensors(
     free = accelerometers & (k >= sensor_model.FEW)
     bias_known = bias < np.where(accelerometers, max_bias, max_rate)
     gain_known = (gain < max_gain) & (free | (gain < max_share * gain_prior))
-    tilt_limit = max_share * np.degrees(tilt_prior[::2])
-    tilt_known = (tilt < max_tilt_deg) & (free | (tilt < tilt_limit))
+    tilt_known = (tilt < max_tilt_deg) & (free | (tilt < max_share * np.degrees(tilt_prior[::2])))
     nominal = sensor_model.nominal_axes(imu)
     axes = sensor_model.tilted(nominal, constants.tilt)
     axes = np.where(tilt_known[:, None], axes, nominal)
@@ -270,11 +258,7 @@ def verdict_of(
     max_deg: float = 0.5,
     max_holdout: float = 1.5,
 ) -> schema.Verdict:
-    """Whether the mounting can be trusted, and why not.
-
-    It is known to better than `max_deg` degrees, and a log that is left out is predicted to
-    `max_holdout` times the noise.
-    """
+    """Whether a mounting is known to `max_deg` degrees and predicts a log left out; why not."""
     worst, left, bends = calibration.std_error_deg, calibration.holdout, deflecting(calibration)
     angle = [text for text in calibration.not_determined if text.startswith("the angle")]
     matters = bool(angle) and not _turns_about_one_axis(robot, imu)
@@ -304,8 +288,7 @@ def verdict_of(
 def _turns_about_one_axis(robot: Robot, imu: Imu) -> bool:
     """Whether all joints up to the IMU turn about parallel axes, whatever their angles."""
     q = np.random.default_rng(0).uniform(-3.0, 3.0, (8, robot.n))
-    turning = ~robot.chain.prismatic[: imu.after_joint + 1]
-    axes = axes_in_link(robot, q, imu.after_joint)[:, turning]
+    axes = axes_in_link(robot, q, imu.after_joint)[:, ~robot.chain.prismatic[: imu.after_joint + 1]]
     return bool((np.abs(axes @ robot.chain.axis[imu.after_joint]) > 1 - 1e-9).all())
 
 

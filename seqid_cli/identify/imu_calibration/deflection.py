@@ -29,16 +29,13 @@ SIGNIFICANT = 5.0  # standard deviations of a deflection's likelihood beyond the
 
 def _joined(parts: Sequence[Rows]) -> Rows:
     """Rows of all segments."""
-    columns = zip(*(vars(part).values() for part in parts), strict=True)
-    return Rows(*map(np.concatenate, columns))
+    return Rows(*map(np.concatenate, zip(*(vars(part).values() for part in parts), strict=True)))
 
 
 def renewed(linear: Sequence[Linearised], sizes: Sizes) -> Sizes:
-    """Likeliest sizes, from those that the equations were scaled by.
-
-    A trajectory that a coarse encoder hardly holds takes up jolts: they count in full, whatever is
-    left of them.
-    """
+    """Likeliest sizes, from those that the equations were scaled by."""
+    # A trajectory that a coarse encoder hardly holds takes up jolts: they count in full, whatever
+    # is left of them.
     jolts = likeliest(_joined([x.jolts for x in linear]), sizes).deflection
     return likeliest(_joined([x.deflection for x in linear]), sizes, jolts)
 
@@ -52,11 +49,9 @@ def likeliest(
     rounds: int = 40,
     done: float = 1e-12,
 ) -> Sizes:
-    """Sizes of the largest likelihood among those of at least `least` rad/s^2 of a node.
-
-    Nothing depends on sizes below `min_size`. After `rounds`, or when none changes by the share
-    `done`, they are taken.
-    """
+    """Sizes of the largest likelihood among those of at least `least` rad/s^2 of a node."""
+    # Nothing depends on sizes below `min_size`. After `rounds`, or when none changes by the share
+    # `done`, they are taken.
     least = np.maximum(least, min_size)
     noise, deflection = start.noise, np.maximum(start.deflection, least)
     for _ in range(rounds):
@@ -66,8 +61,7 @@ def likeliest(
         x = (M @ _over(rows.u, k)[:, :, None])[:, :, 0]  # the accelerations, given the residuals
         Bx = (rows.B @ x[:, None, :, None])[..., 0]
         left = rows.squares.sum(axis=0) + np.einsum("ngi,ni->g", Bx - 2.0 * rows.u, x)
-        fitted = np.einsum("ngij,nji->ng", rows.B, M) / k
-        count = rows.share @ (rows.count - fitted) / k
+        count = rows.share @ (rows.count - np.einsum("ngij,nji->ng", rows.B, M) / k) / k
         known = count > 0.0  # not a gyro's, whose raw readings hold no jolts
         ratio = np.maximum(left, 1e-300) / k**2 / np.where(known, count, 1.0)
         noise = np.maximum(noise * np.sqrt(np.where(known, ratio, 1.0)), 1e-12)

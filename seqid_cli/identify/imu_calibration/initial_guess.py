@@ -23,11 +23,11 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from seqid_cli.identify.imu_calibration.segments import Segment
-from seqid_cli.identify.imu_calibration.sensor_model import Constants, first_constants, nominal_axes
+from seqid_cli.identify.imu_calibration.sensor_model import Constants, nominal_axes
 from seqid_cli.logs.recording import Recording
 from seqid_cli.motion.filters.butterworth import Lowpass
 from seqid_cli.motion.filters.differentiation import differentiate, shrink
-from seqid_cli.motion.imu.array import read_angular, speed_about
+from seqid_cli.motion.imu.array import read_angular
 from seqid_cli.motion.imu.link_acceleration import axes_in_link
 from seqid_cli.motion.imu.sensor import Mounting, link_state
 from seqid_cli.motion.motion import Motion
@@ -51,10 +51,8 @@ class Pair:
 def axis_pairs(
     recording: Recording, robot: Robot, imu: Imu, motion: Motion, *, min_s: float = 0.2
 ) -> tuple[list[Pair], float]:
-    """Axes that one log shows: of each joint that rotates by itself for at least `min_s` s.
-
-    The noise density of the IMU's angular acceleration, rad/s^2/sqrt(Hz), comes second.
-    """
+    """Axes that one log shows: of each joint that rotates by itself for at least `min_s` s."""
+    # The noise density of the IMU's angular acceleration, rad/s^2/sqrt(Hz), comes second.
     given = imu, recording.accelerometers[imu.name], recording.gyros.get(imu.name)
     lowpass = Lowpass(motion.lowpass.cutoff_hz, recording.rate_hz)
     reading = read_angular(*given, lowpass, recording.valid)
@@ -84,11 +82,10 @@ def _axis_pair(
     min_acceleration: float = 0.1,
     clear_sigma: float = 5.0,
 ) -> Pair | None:
-    """Eq. 29/32 and 33 for one joint of one log.
-
-    None where the encoder tells less than an RMS of `min_acceleration` rad/s^2, or where the IMU
-    does not see it: the gain is less than `clear_sigma` standard errors, and the direction noise's.
-    """
+    """Eq. 29/32 and 33 for one joint of one log."""
+    # None where the encoder tells less than an RMS of `min_acceleration` rad/s^2, or where the IMU
+    # does not see it: the gain is less than `clear_sigma` standard errors, and the direction
+    # noise's.
     a, encoder = dw[own], motion.ddq[own, j]
     direction = a.T @ encoder
     if np.linalg.norm(direction) < 1e-9 or np.sqrt(np.mean(encoder**2)) < min_acceleration:
@@ -109,7 +106,8 @@ def _axis_pair(
     axis = axes_in_link(robot, motion.q[own][:: max(1, own.sum() // 200)], imu.after_joint)[:, j]
     mean = axis.mean(axis=0)
     strongest = float(along[np.argmax(np.abs(along))])
-    fastest = float(np.max(speed_about(products[own], direction)))
+    square = np.einsum("nij,i,j->n", products[own], direction, direction)  # of w about the axis
+    fastest = float(np.max(np.sqrt(np.maximum(square, 0.0))))
     reference = AxisReference(  # Eq. 30 and 31
         axis=direction.tolist(),
         acceleration=gain * strongest,
@@ -124,16 +122,12 @@ def _axis_pair(
 
 
 def fit_rotation(pairs: list[Pair]) -> Array:
-    """Proper rotation R (3, 3) least in sum |R b - m|^2 / sigma^2 (Eq. 38, Wahba's problem).
-
-    That by the smallest angle where all pairs are of one axis.
-    """
+    """Proper rotation R (3, 3) least in sum |R b - m|^2 / sigma^2 (Eq. 38, Wahba's problem)."""
     B, M = (np.array([getattr(p, side) for p in pairs]) for side in ("imu", "link"))
     if np.linalg.matrix_rank(B, tol=1e-2) == 1:
         return np.asarray(Rotation.align_vectors(M[0], B[0])[0].as_matrix())
     U, _, Vt = np.linalg.svd((M.T * np.array([p.sigma for p in pairs]) ** -2.0) @ B)
-    proper = np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))])
-    return np.asarray(U @ proper @ Vt)
+    return np.asarray(U @ np.diag([1.0, 1.0, float(np.sign(np.linalg.det(U @ Vt)))]) @ Vt)
 
 
 Sums = tuple[Array, Array, Array]  # x'x (16, 16) of f, H, w, one; x'y (16, C); y'y (C,)
@@ -165,7 +159,17 @@ def _delay(
 
     # No shift is believed that leaves more than the share `better` of the misfit without one.
     def misfits(delays: NDArray[Any]) -> Array:
-        return np.array([_misfit(segments, tables, float(delay)) for delay in delays])
+        """Shares of the readings' power that the best linear function leaves over."""
+        found = []
+        for delay in delays:
+            xx, xy, yy = _sums(segments, tables, float(delay))
+            scale = np.sqrt(np.maximum(np.diag(xx), 1e-12))
+            b = xy / scale[:, None]
+            solved = np.linalg.lstsq(xx / np.outer(scale, scale), b, rcond=1e-8)[0]
+            left = yy - np.sum(b * solved, axis=0)
+            power = np.maximum(yy - xy[-1] ** 2 / max(xx[-1, -1], 1.0), 1e-12)
+            found.append(np.mean(np.maximum(left, 0.0) / power))
+        return np.array(found)
 
     fine = max(segment.spacing for segment in segments)
     longest = min(segment.samples * segment.spacing for segment in segments)
@@ -204,17 +208,6 @@ def _sums(segments: list[Segment], tables: list[Array], delay: float) -> Sums:
     return xx, xy, yy
 
 
-def _misfit(segments: list[Segment], tables: list[Array], delay: float) -> float:
-    """Share of the readings' power that the best linear function leaves over."""
-    xx, xy, yy = _sums(segments, tables, delay)
-    scale = np.sqrt(np.maximum(np.diag(xx), 1e-12))
-    b = xy / scale[:, None]
-    solved = np.linalg.lstsq(xx / np.outer(scale, scale), b, rcond=1e-8)[0]
-    left = yy - np.sum(b * solved, axis=0)
-    power = np.maximum(yy - xy[-1] ** 2 / max(xx[-1, -1], 1.0), 1e-12)
-    return float(np.mean(np.maximum(left, 0.0) / power))
-
-
 def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> tuple[float, Constants]:
     """Least squares for turn and lever on the sums, from one start; biases follow."""
     # `hold` of the readings' noise over m holds the lever.
@@ -228,7 +221,8 @@ def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> tuple[fl
     target = (vector[:, kept] / np.sqrt(value[kept])).T @ centred
     size = np.sqrt(np.maximum(yy / samples - y_mean**2, 1e-6))
 
-    nominal, axes = first_constants(imu), nominal_axes(imu)
+    axes = nominal_axes(imu)
+    none = np.zeros(len(axes))
 
     def placed(step: Array) -> Mounting:
         turned = Rotation.from_rotvec(step[:3]).as_matrix() @ R
@@ -240,5 +234,5 @@ def _mounting(imu: Imu, sums: Sums, R: Array, *, hold: float = 1e-3) -> tuple[fl
 
     result = least_squares(off, np.zeros(6), method="lm")
     found = placed(result.x)
-    bias = y_mean - found.matrix @ x_mean
-    return float(result.cost), replace(nominal, R=found.R, lever=found.lever, bias=bias)
+    rest = y_mean - found.matrix @ x_mean, none, np.zeros((len(axes), 2))
+    return float(result.cost), Constants(found.R, found.lever, 0.0, *rest)

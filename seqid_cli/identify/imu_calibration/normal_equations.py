@@ -27,10 +27,7 @@ WEIGHED = 1.0 - 6.0 / ROBUST**2 + 15.0 / ROBUST**4  # what his weights leave of 
 
 @dataclass(frozen=True)
 class Local:
-    """What is a segment's own: `trajectory` (N + 2 REACH, m), `own` (C + locked,).
-
-    These are changes of the biases, then offsets of the locked joints.
-    """
+    """A segment's `trajectory` (N + 2 REACH, m); `own` (C + locked,): bias changes, offsets."""
 
     trajectory: Array
     own: Array
@@ -111,8 +108,7 @@ class Reduced:
         """What moves (cells, k) of the trajectory make of the readings, (N, C, k)."""
         linear, segment = self.linear, self.linear.segment
         shape = segment.samples, linear.J.shape[2], moves.shape[1]
-        flat = (segment.at_samples @ moves).reshape(shape)
-        return np.asarray(linear.J @ flat)
+        return np.asarray(linear.J @ (segment.at_samples @ moves).reshape(shape))
 
     def through(self, columns: Array) -> Array:
         """Columns (..., b) of the border in the constants alone, (..., p)."""
@@ -127,8 +123,7 @@ class Reduced:
         """What is the segment's own after a step of the constants."""
         change = share * self.own_free - self.follow @ step
         moved = share * self.free - self.back @ np.concatenate([step, change])
-        trajectory = local.trajectory + moved.reshape(local.trajectory.shape)
-        return Local(trajectory, local.own + change)
+        return Local(local.trajectory + moved.reshape(local.trajectory.shape), local.own + change)
 
 
 def residual(
@@ -156,11 +151,8 @@ def linearise(
     sizes: Sizes | None = None,
     weights: Array | None = None,
 ) -> Linearised:
-    """Equations of one segment.
-
-    `sigma` (C,) is the noise of a residual, for robust weights; without `sizes` the noise is that
-    of raw readings, and joints are moved by jolts alone.
-    """
+    """Equations of one segment; `sigma` (C,), the noise of a residual, makes robust weights."""
+    # Without `sizes` the noise is that of raw readings, and joints are moved by jolts alone.
     r, good, motion, x = residual(segment, robot, imu, constants, local)
     place, count = mounted(imu, constants), r.shape[1]
     slopes = place.by_motion(x, link_slopes(robot, imu.after_joint, motion))
@@ -244,10 +236,7 @@ def _whitener(root: Array, scaled: Array) -> Callable[[Array], Array]:
 
 
 def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
-    """Eliminate the trajectory, then what is the segment's own, priors on it included.
-
-    `drift` (C,): standard deviations of the priors on the changes of biases.
-    """
+    """Eliminate the trajectory, then what is the segment's own; priors `drift` (C,) on biases."""
     segment, G = linear.segment, linear.G
     rows = G.reshape(-1, G.shape[2])
     S, g = rows.T @ rows, rows.T @ linear.r.ravel()
@@ -257,8 +246,7 @@ def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
         pulls = across @ np.concatenate([G, linear.r[:, :, None]], axis=2)
         right = segment.at_samples.T @ pulls.reshape(-1, len(g) + 1)
         right[:, -1] += segment.rows.T @ (segment.information * linear.off)
-        band = segment.band(across @ linear.J)
-        factor = cholesky_banded(band, lower=True, check_finite=False)
+        factor = cholesky_banded(segment.band(across @ linear.J), lower=True, check_finite=False)
         solved = cho_solve_banded((factor, True), right, check_finite=False)
         both = right[:, :-1].T @ solved
         S, g = S - both[:, :-1], g - both[:, -1]
@@ -266,15 +254,6 @@ def reduced(linear: Linearised, local: Local, drift: Array) -> Reduced:
     precision = np.concatenate([drift, segment.offset_sigma]) ** -2.0
     covariance = np.asarray(np.linalg.inv(S[p:, p:] + np.diag(precision)), dtype=np.float64)
     pull, follow = g[p:] - precision * local.own, covariance @ S[p:, :p]
-    return Reduced(
-        linear,
-        g,
-        solved[:, :-1],
-        solved[:, -1],
-        covariance @ pull,
-        follow,
-        covariance,
-        precision,
-        g[:p] - follow.T @ pull,
-        S[:p, :p] - S[:p, p:] @ follow,
-    )
+    own = covariance @ pull, follow, covariance, precision
+    of_constants = g[:p] - follow.T @ pull, S[:p, :p] - S[:p, p:] @ follow
+    return Reduced(linear, g, solved[:, :-1], solved[:, -1], *own, *of_constants)

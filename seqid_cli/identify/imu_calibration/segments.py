@@ -49,10 +49,9 @@ class Readings:
 
     @property
     def jolts(self) -> float:
-        """Variance, of all channels together, of what is rough beyond white noise.
-
-        Jolts faster than the log's rate alias: samples no longer add up to the motion between them.
-        """
+        """Variance, of all channels together, of what is rough beyond white noise."""
+        # Jolts faster than the log's rate alias: samples no longer add up to the motion between
+        # them.
         known = self.rough[np.isfinite(self.rough).all(axis=1)]
         if not len(known):
             return 0.0
@@ -96,10 +95,8 @@ def readings_of(recording: Recording, imu: Imu, lowpass: Lowpass) -> Readings:
 
 
 def cleaned(values: Array, valid: Mask, *, min_spike: float = 8.0) -> tuple[Array, Mask]:
-    """Readings (N, C) with spikes, saturation and missing values bridged, and where they were.
-
-    A spike stands out of the median of its neighbours by `min_spike` times the noise.
-    """
+    """Readings (N, C) with spikes, saturation and missing values bridged, and where they were."""
+    # A spike stands out of the median of its neighbours by `min_spike` times the noise.
     finite = np.isfinite(values)
     values = np.where(finite, values, 0.0)
     bad = ~finite | ~valid[:, None]
@@ -190,14 +187,12 @@ class Segment:
 
 def thinned(segments: list[Segment], *, max_nodes: int = 60_000) -> list[Segment]:
     """Segments that a fit can hold at once, evenly chosen where there are too many."""
-    total = sum(segment.samples for segment in segments)
-    return segments[:: int(np.ceil(total / max_nodes))]
+    return segments[:: int(np.ceil(sum(segment.samples for segment in segments) / max_nodes))]
 
 
 def calibration_cutoff(motion: Motion, chosen_hz: float | None, *, highest_hz: float = 20) -> float:
     """Cut-off [Hz] for readings and encoders: far above the motion, far below the rate."""
-    wanted = highest_hz if chosen_hz is None else chosen_hz
-    return min(wanted, motion.rate_hz / NODES_PER_CUTOFF)
+    return min(highest_hz if chosen_hz is None else chosen_hz, motion.rate_hz / NODES_PER_CUTOFF)
 
 
 def segments_of(
@@ -211,17 +206,11 @@ def segments_of(
     longest_s: float = 20.0,
     shortest_s: float = 0.3,
 ) -> list[Segment]:
-    """Cut one log into stretches of the calibration, up to `longest_s` s, above `shortest_s` s.
-
-    `motion`: of the same recording, for what moves and how fast. `log`: number of the log among
-    those of the calibration. `cutoff_hz`: of the low-pass on readings and encoders. Returns: empty
-    where nothing before the IMU moves long enough.
-    """
+    """Cut one log into stretches of the calibration, up to `longest_s` s, above `shortest_s` s."""
     lowpass = Lowpass(cutoff_hz, recording.rate_hz)
     steps = encoder_resolution(robot)
     steps = np.where(steps > 0, steps, encoder_step(recording.q))
-    joints = range(imu.after_joint + 1)
-    views = [encoder_view(recording.q[:, j], float(steps[j])) for j in joints]
+    views = [encoder_view(recording.q[:, j], float(steps[j])) for j in range(imu.after_joint + 1)]
     source = _Log(log, recording, motion, lowpass, views, readings_of(recording, imu, lowpass))
     # Ends that feel the filter's own ends are not used.
     usable = shrink(recording.valid, lowpass.settling // 2)
@@ -255,14 +244,10 @@ class _Log:
         """Their rate of change (N, n)."""
         return differentiate(self.smooth, self.recording.rate_hz, self.recording.valid)[0]
 
-    def segment(
-        self, own: slice, *, min_offset: float = 1e-4, slack: float = 3.0
-    ) -> Segment | None:
-        """One stretch; offsets of locked joints below `min_offset` rad are worth no unknown.
-
-        Moving joints are given jerks of `slack` times the largest RMS, all alike: joints push each
-        other, and one that hunts within a few counts jerks whatever its encoder shows of it.
-        """
+    def segment(self, own: slice, *, min_offset: float = 1e-4, slack: float = 3) -> Segment | None:
+        """One stretch; offsets of locked joints below `min_offset` rad are worth no unknown."""
+        # Moving joints are given jerks of `slack` times the largest RMS, all alike: joints push
+        # each other, and one that hunts within a few counts jerks whatever its encoder shows of it.
         rate, views = self.recording.rate_hz, self.views
         every = max(1, int(rate / (NODES_PER_CUTOFF * self.lowpass.cutoff_hz)))
         nodes = np.arange(own.start + REACH * every, own.stop - REACH * every, every)
@@ -284,24 +269,13 @@ class _Log:
         jerk, third = max(slack * float(np.max(jerks)), 1.0), JERK * (rate / every) ** 3
         at = np.arange(len(wide) - 3)
         smooth = at, np.tile(third, (len(at), 1)), np.zeros(len(at)), np.full(len(at), jerk**-2)
-        parts: list[Measured] = [
-            each for j in moving for each in (self._measured(j, wide, own), smooth)
-        ]
-        return Segment(
-            self.number,
-            self.recording.t[nodes],
-            every / rate,
-            motion,
-            tuple(moving),
-            self.smooth[wide][:, moving],
-            *_stacked(parts, len(wide), len(moving)),
-            locked,
-            np.array([off[j] for j in locked]),
-            self.readings,
-            float(every),
-            self.lowpass.cutoff_hz,
-            self.motion.cutoff.hz,
-        )
+        pairs = ((self._measured(j, wide, own), smooth) for j in moving)
+        parts: list[Measured] = [part for pair in pairs for part in pair]
+        about = self.number, self.recording.t[nodes], every / rate, motion, tuple(moving)
+        measured = _stacked(parts, len(wide), len(moving))
+        held = locked, np.array([off[j] for j in locked]), self.readings
+        hz = self.lowpass.cutoff_hz, self.motion.cutoff.hz
+        return Segment(*about, self.smooth[wide][:, moving], *measured, *held, float(every), *hz)
 
     def _at_rest(self, j: int) -> Array:
         """What a locked joint does (3, N): no more than its encoder shows of it without noise."""
@@ -314,10 +288,8 @@ class _Log:
         return np.stack([smooth, *differentiate(smooth, rate, valid)])
 
     def _measured(self, j: int, wide: Index, own: slice, *, repeated: float = 2.0) -> Measured:
-        """Rows of a moving joint: a coarse encoder by its edges, a fine one by low-passed codes.
-
-        Swings that repeat themselves repeat their quantisation errors, so many times.
-        """
+        """Rows of a moving joint: a coarse encoder by its edges, a fine one by low-passed codes."""
+        # Swings that repeat themselves repeat their quantisation errors, so many times.
         rate, view = self.recording.rate_hz, self.views[j]
         strongest = float(np.max(np.abs(self.motion.ddq[own, j])))
         # What the low-pass takes off a jump of the acceleration.

@@ -26,11 +26,9 @@ class Widths:
     drift: Array
 
 
-def first_widths(
-    count: int, *, gain: float = 0.02, tilt: float = 0.01, drift: float = 0.02
-) -> Widths:
-    """Widths to begin with."""
-    return Widths(*(np.full(count, width) for width in (gain, tilt, drift)))
+def first_widths(c: int, *, gain: float = 0.02, tilt: float = 0.01, drift: float = 0.02) -> Widths:
+    """Widths to begin with, of `c` channels."""
+    return Widths(*(np.full(c, width) for width in (gain, tilt, drift)))
 
 
 def prior_of(widths: Widths, *, lever: float = 1.0, delay: float = 0.3, bias: float = 3.0) -> Array:
@@ -51,10 +49,7 @@ def next_width(
 
 @dataclass(frozen=True)
 class Constants:
-    """Everything that the calibration finds; C channels, accelerometers first, then the gyro.
-
-    `tilt` (C, 2) rad turns each axis about two directions across it.
-    """
+    """What the calibration finds of C channels, the gyro's last; `tilt` (C, 2) rad of each axis."""
 
     R: Array
     lever: Array
@@ -86,12 +81,6 @@ def nominal_axes(imu: Imu) -> Array:
     """Axes (C, 3) of all channels."""
     axes = imu.axes.reshape(-1, 3)
     return np.vstack([axes, np.eye(3)]) if imu.gyro else axes
-
-
-def first_constants(imu: Imu) -> Constants:
-    """Nominal constants, mounted at the link's own frame."""
-    none = np.zeros(len(nominal_axes(imu)))
-    return Constants(np.eye(3), np.zeros(3), 0.0, none, none, np.zeros((len(none), 2)))
 
 
 def gauge_information(imu: Imu, p: int, *, hold: float = 1e-6) -> Array:
@@ -128,11 +117,9 @@ def mounted(imu: Imu, constants: Constants) -> Mounting:
 
 
 def design(imu: Imu, constants: Constants, x: Array, dy: Array) -> Array:
-    """Derivatives (N, C, 7 + 4 C) of the readings in the constants; `dy` (N, C) their rate [1/s].
-
-    A delayed stamp is a later reading: the measured value at t + delay is compared with the
-    prediction at t, so the derivative in the delay is that of the reading, with its sign turned.
-    """
+    """Derivatives (N, C, 7 + 4 C) of readings in the constants; `dy` (N, C) their rate [1/s]."""
+    # A delayed stamp is a later reading: the measured value at t + delay is compared with the
+    # prediction at t, so the derivative in the delay is that of the reading, with its sign turned.
     place, c = mounted(imu, constants), dy.shape[1]
     seen, pull, turn = place.by_place(x)
     across = _tangents(nominal_axes(imu)) @ constants.R.T

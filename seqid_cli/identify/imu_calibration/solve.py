@@ -42,11 +42,7 @@ from seqid_cli.typing import Array
 
 @dataclass(frozen=True)
 class Fit:
-    """The minimum: constants and their errors.
-
-    `covariance` (p, p) of the constants in the order of `Constants.moved`; `prior` (p,) the prior
-    standard deviations; `kept`, `outliers` count readings.
-    """
+    """Constants, `covariance` (p, p) in their order, prior deviations, counts of readings."""
 
     constants: Constants
     covariance: Array
@@ -112,10 +108,7 @@ class _State:
     def moved(
         self, step: Array, share: float, found: list[Reduced], *, max_factor: float = 10.0
     ) -> "_State":
-        """The state after a step of the constants.
-
-        Raises QualityError if a gain is off by more than `max_factor`, or no number.
-        """
+        """The state after a step of constants; QualityError if a gain is off by `max_factor`."""
         constants = self.constants.moved(step)
         if not np.abs(constants.log_gain).max() < np.log(max_factor):  # NaN neither
             raise QualityError(
@@ -130,10 +123,7 @@ class _State:
 
 
 def fit_constants(segments: list[Segment], robot: Robot, imu: Imu, start: Constants) -> Fit:
-    """Refine the constants from a start nearby; once more where a joint deflects, as noise.
-
-    Raises QualityError if no constants of any such sensor explain the readings.
-    """
+    """Refine the constants from a start nearby; once more where a joint deflects, as noise."""
     found, sizes = _fitted(_State.first(segments, robot, imu, start), None)
     if not any(deflection.significance > SIGNIFICANT for deflection in found.deflections):
         return found
@@ -257,10 +247,8 @@ def _left_out(reductions: list[Reduced], information: Array) -> float | None:
 
 
 def without(information: Array, own: Array, gradient: Array, *, min_others: float = 0.1) -> Array:
-    """Step (p,) from one log's gradient by the others' information.
-
-    Directions of which the others have less than the share `min_others` stay.
-    """
+    """Step (p,) from one log's gradient by the others' information."""
+    # Directions of which the others have less than the share `min_others` stay.
     factor = np.linalg.cholesky(information)
     inner = np.linalg.solve(factor, np.linalg.solve(factor, own).T)
     share, directions = np.linalg.eigh(0.5 * (inner + inner.T))

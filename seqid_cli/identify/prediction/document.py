@@ -40,10 +40,8 @@ def prediction_file(
 ) -> PredictionFile:
     """Add up the errors of predictions, and write their torques where these are wanted.
 
-    `logs`: the logs that the predictions are of, which it reads while these are taken.
-    `predictions`: of a long log its parts, one after the other. `torques`: where the torques go: as
-    MCAP if it ends so, else Parquet. `cutoff_origin`: where the cut-off is from. `unexplained`:
-    whether smooth terms of no known cause count.
+    `logs` is read while the predictions, parts of a long log one by one, are taken. `torques` go to
+    MCAP if it ends so, else Parquet. `unexplained`: whether smooth terms of no known cause count.
     """
     robot, stages = inputs.robot, inputs.stages
     names = robot.joint_names
@@ -145,9 +143,8 @@ def _verdicts(
     # A user should not rely on a prediction whose error is above `max_relative_rmse` of the RMS of
     # the measured torque.
     bare = stages.inertia is None and not free_basis(robot).gravity.all()
-    for (name, error), surface in zip(
-        joints.items(), friction_surfaces(stages, robot), strict=True
-    ):
+    surfaces = friction_surfaces(stages, robot)
+    for (name, error), surface in zip(joints.items(), surfaces, strict=True):
         share = error.relative_rmse
         left, limit = "-" if share is None else percent(share), percent(max_relative_rmse)
         faults = {

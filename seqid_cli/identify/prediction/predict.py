@@ -1,9 +1,4 @@
-"""Torque predicted by an identified model, log by log.
-
-A log that is held is one block. A long one is passed over at its own rate; every part of it is
-worked on with so many samples more on either side that the filters have forgotten what lies beyond,
-so that the parts together are what the log as a whole gives.
-"""
+"""Torque predicted by an identified model, log by log, a long one part by part at its own rate."""
 
 import contextlib
 import math
@@ -124,21 +119,15 @@ def predict(
 
 
 def local_effects(model: TorqueModel, effects: Sequence[Fitted]) -> bool:
-    """Whether effects can be predicted part by part, as they come out of the whole log.
-
-    The speed over which the direction of motion changes must be known beforehand as well.
-    """
+    """Whether effects can be predicted part by part, as they come out of the whole log."""
+    # The speed over which the direction of motion changes must be known beforehand as well.
     known = all(surface is not None for surface in model.surfaces)
     return not effects or (known and all(effect.local for effect in effects))
 
 
 @dataclass(frozen=True)
 class Predictor:
-    """Predicts one log; parts of a long one follow as they are asked for.
-
-    A long log's `effects` must be `local_effects`. `sliding_only`: whether other samples do not
-    count.
-    """
+    """Predicts one log; parts of a long one, whose effects are local, as they are asked for."""
 
     model: TorqueModel
     stages: Stages
@@ -215,10 +204,7 @@ class Predictor:
 
 @dataclass(frozen=True)
 class LongPrediction:
-    """A long log, opened, with how it is filtered; iterating passes over it, part by part.
-
-    Sent elsewhere, it reads the file anew.
-    """
+    """A long log, opened, and how it is filtered; iterating passes over it, part by part."""
 
     rows: ClassVar[int] = 32_768  # samples of a part, and twice the margin at least
 
@@ -267,10 +253,8 @@ def encoder_notes(
     min_share: float = 0.5,
     places: int = 50,
 ) -> Iterator[str]:
-    """Say where noise of differentiated encoders makes `min_share` or more of the squared error.
-
-    Torque that noise of the acceleration makes is taken at so many `places` of the log.
-    """
+    """Say where noise of encoders makes `min_share` or more of the squared error."""
+    # Torque that noise of the acceleration makes is taken at so many `places` of the log.
     if motion.source != "encoder" or not motion.cutoff.above_own:
         return
     q = motion.q[:: max(1, motion.samples // places)]

@@ -5,8 +5,6 @@ Topics of `sensor_msgs/msg/JointState` in CDR, as ROS 2 records them: `effort` h
 and `velocity` the motion behind the prediction, `header.frame_id` the name of the log. A log
 without a clock, or one that would overlap the log before it, starts a second after that log; the
 metadata record `seqid.logs` says where each log went.
-
-Every message of one log has the same layout, so that messages are filled in as rows of bytes.
 """
 
 import contextlib
@@ -35,10 +33,7 @@ _DEFINITION = (
 
 @contextlib.contextmanager
 def mcap_writer(path: Path, joints: Sequence[str]) -> Iterator[Callable[[LogPrediction], None]]:
-    """Write torques to `path` in one step: an interrupted run leaves the old file or none.
-
-    Yields: appends a log, or the next part of one, all its samples.
-    """
+    """Write torques to `path` in one step; yields what appends a log, or a part of one."""
     with replacing(path) as temporary:
         with writing(path):
             stream = temporary.open("wb")
@@ -90,7 +85,7 @@ class _Clock:
 def _messages(
     stamps: NDArray[np.int64], log: LogPrediction, joints: Sequence[str], torque: Array
 ) -> NDArray[np.uint8]:
-    """Messages (N, bytes) of one topic, for its torque (N, n)."""
+    """Messages (N, bytes), all of one layout, of one topic, for its torque (N, n)."""
     # Encapsulation header, stamp (to be filled in), frame and joint names in CDR.
     message, places = bytearray(b"\x00\x01\x00\x00" + bytes(8) + _string(str(log.path))), []
     message += bytes(-len(message) % 4) + struct.pack("<I", len(joints))

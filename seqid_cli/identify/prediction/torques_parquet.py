@@ -12,14 +12,8 @@ from seqid_cli.params.files import replacing, writing
 
 PARAMETERS = "seqid.parameters"  # of the metadata
 # Columns of a joint and what they are of a `LogPrediction`; bounds are null where it slides.
-_TORQUES = {
-    "torque": "tau",
-    "predicted": "predicted",
-    "residual": "residual",
-    "sliding": "sliding",
-    "low": "low",
-    "high": "high",
-}
+_KINDS = ("predicted", "residual", "sliding", "low", "high")
+_TORQUES = {"torque": "tau", **{kind: kind for kind in _KINDS}}
 _MOTION = {"position": "q", "velocity": "dq"}
 
 
@@ -27,12 +21,10 @@ _MOTION = {"position": "q", "velocity": "dq"}
 def parquet_writer(
     path: Path, joints: Sequence[str], parameters: Sequence[str] = ()
 ) -> Iterator[Callable[[LogPrediction], None]]:
-    """Write torques to `path` in one step: an interrupted run leaves the old file or none.
-
-    The columns are `t`, `log`, torques of each joint, `used` (whether the errors count the sample),
-    then position and velocity of each joint. `parameters`: the SHA-256 of the files that the model
-    is from, kept as metadata. Yields: appends a log, or the next part of one, all its samples.
-    """
+    """Write torques to `path` in one step; yields what appends a log, or a part of one."""
+    # The columns are `t`, `log`, torques of each joint, `used` (whether the errors count the
+    # sample), then position and velocity of each joint. The SHA-256 of the model's files are
+    # metadata.
     kinds = {"t": pa.float64(), "log": pa.string()}
     kinds |= {f"{name}.{kind}": pa.float64() for name in joints for kind in _TORQUES}
     kinds |= {f"{name}.sliding": pa.bool_() for name in joints}
@@ -46,8 +38,7 @@ def parquet_writer(
 
         def write(log: LogPrediction, *, rows: int = 65536) -> None:
             with writing(path):
-                table = pa.table(_columns(log), schema=schema)
-                writer.write_table(table, row_group_size=rows)
+                writer.write_table(pa.table(_columns(log), schema=schema), row_group_size=rows)
 
         yield write
         with writing(path):

@@ -42,11 +42,7 @@ def streams(stages: Stages, options: InertiaOptions) -> bool:
 def open_if_long(
     path: Path, robot: Robot, *, time_source: TimeSource = "header", least: int | None = None
 ) -> SurveyedLog | None:
-    """Open a log of at least so many samples (`LONG`) to be passed over.
-
-    Returns None where the log is shorter, or can only be read as a whole. Raises InputError: the
-    file cannot be read or lacks a channel.
-    """
+    """Open a log of `least` samples or more that need not be read as a whole, else None."""
     least = LONG if least is None else least
     if likely_rows(path) < least:
         return None
@@ -78,10 +74,7 @@ def torque_motion(
     imu: ImuStage | None = None,
     source: str = "encoder",
 ) -> Motion:
-    """Decimated motion of a log that carries torque; `imu` and `source` as of `best_motion`.
-
-    Raises InputError if it carries neither torque nor current, or not the IMU that `source` needs.
-    """
+    """Decimated motion of a log with torque; InputError without, or as of `best_motion`."""
     torque_of(recording)
     motion = log_motion(recording, robot, options, imu=imu, source=source)
     return decimated(motion, options.samples_per_cutoff)
@@ -140,8 +133,7 @@ def filtered_regressor(
 def blocks(samples: int, rate_hz: float, *, block_s: float = 1.0) -> Iterator[slice]:
     """Blocks of about a second: longer than the memory of the residual, shorter than a log."""
     length = max(8, round(block_s * rate_hz))
-    count = max(1, round(samples / length))
-    edges = np.linspace(0, samples, count + 1).astype(int)
+    edges = np.linspace(0, samples, max(1, round(samples / length)) + 1).astype(int)
     for a, b in pairwise(edges):
         yield slice(int(a), int(b))
 
@@ -174,10 +166,7 @@ def source_text(use: MotionUse) -> str:
 def motion_uses(
     recordings: Iterable[Recording], robot: Robot, imu: ImuStage | None, *, options: InertiaOptions
 ) -> list[MotionUse]:
-    """Describe the motion that commands with these options take from logs.
-
-    Logs from which they can take none are left out; that is for those commands to complain about.
-    """
+    """Describe the motion that commands with these options take from logs, where they can."""
     uses = []
     for recording in recordings:
         with contextlib.suppress(InputError):

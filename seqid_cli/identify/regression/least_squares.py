@@ -25,10 +25,7 @@ from seqid_cli.typing import Array, Mask
 
 
 def triangular(rows: Array) -> Array:
-    """Triangular factor (p, p) of rows (N, p), diagonal not negative.
-
-    Columns of zeros give columns and rows of zeros, and cost nothing.
-    """
+    """Triangular factor (p, p) of rows (N, p), diagonal not negative; zero columns cost nothing."""
     alive = np.flatnonzero(rows.any(axis=0))
     R = np.asarray(np.linalg.qr(rows[:, alive], mode="r"), dtype=np.float64)
     full = np.zeros((rows.shape[1], rows.shape[1]))
@@ -55,11 +52,9 @@ class Accumulator:
     _total: Array | None = field(default=None, repr=False, compare=False)
 
     def add(self, H: Array, y: Array, where: Mask | None = None) -> None:
-        """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true.
-
-        An empty one keeps the joints' blocks in step. It is cheapest with the samples of a column
-        next to each other.
-        """
+        """Add one block of rows H (N, p), y (N,), or those of them where a mask (N,) is true."""
+        # An empty one keeps the joints' blocks in step. It is cheapest with the samples of a column
+        # next to each other.
         self._total = None
         rows = np.vstack([H.T, y]) if where is None else np.vstack([H.T[:, where], y[where]])
         factor, count = triangular(rows.T), rows.shape[1]
@@ -169,12 +164,10 @@ def solve(
     independent: float = 1.0,
     white_floor: float = 0.05,
 ) -> Solution:
-    """Solve for all joints together, each weighted by its own residual.
+    """Solve for all joints together, each weighted by its own residual, with a block jackknife.
 
-    `joints`: one per joint, all of the same parameters. `iterations`: rounds of reweighting by
-    residual RMS. `independent`: share of the samples that count as independent beside the prior:
-    low-passed noise does not count more where there are more samples of it. Returns: estimate with
-    block-jackknife covariance.
+    `iterations`: rounds of reweighting. `independent`: share of the samples that count beside the
+    prior: low-passed noise does not count more where there are more samples of it.
     """
     size = joints[0].size
     totals = [joint.total for joint in joints]
@@ -218,11 +211,9 @@ def _seen(rows: Array) -> Mask:
 def _solve_scaled(
     factor: Array, seen: Mask | None = None
 ) -> tuple[Array, Array, Array, float, Mask]:
-    """Smallest solution with scaled columns, of those that are `seen` (p,).
-
-    Then B with (H'H)^+ = B B' over what is excited, the directions that are not, the condition, and
-    which parameters have no part in those directions.
-    """
+    """Smallest solution with scaled columns, of those that are `seen` (p,)."""
+    # Then B with (H'H)^+ = B B' over what is excited, the directions that are not, the condition,
+    # and which parameters have no part in those directions.
     R, z = factor[:-1, :-1], factor[:-1, -1]
     scale = np.linalg.norm(R, axis=0)
     scale[~(_seen(R) if seen is None else seen)] = np.inf
@@ -261,7 +252,15 @@ def _jackknife(
         white = np.trace(bread @ normals.sum(axis=0))
         designs[k] = np.sum((s[k] @ bread) * s[k]) / max(white, 1e-300)
     scores = s.sum(axis=0)
-    moves, plain = _downdated(normal, A, bread, scores), scores @ bread
+    # (A - A_b)^+ s_b within the excited directions; the plain score where that is not regular.
+    plain, left = scores @ bread, np.eye(len(bread)) - bread @ A
+    try:
+        moves = np.linalg.solve(left, plain[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:
+        moves = (np.linalg.pinv(left) @ plain[:, :, None])[:, :, 0]
+    before, after = (np.einsum("bi,ij,bj->b", x, normal, x).clip(0.0) for x in (plain, moves))
+    regular: Mask = np.sqrt(after) <= 4.0 * np.sqrt(before)
+    moves = np.where(regular[:, None], moves, plain)
     # Few blocks: what the fit itself has taken of their residuals.
     leverage = np.sum((moves @ normal) * moves) / max(np.sum(plain * scores), 1e-300)
     return moves, designs * leverage
@@ -271,18 +270,6 @@ def spread_of(moves: Array) -> Array:
     """Covariance (p, p) by the jackknife's moves (G, p)."""
     count = len(moves)
     return np.asarray(moves.T @ moves * (max(count - 1, 1) / max(count, 1)))
-
-
-def _downdated(normal: Array, A: Array, bread: Array, s: Array) -> Array:
-    """(A - A_b)^+ s_b within the excited directions; the plain score where that is not regular."""
-    plain = s @ bread
-    try:
-        moves = np.linalg.solve(np.eye(len(bread)) - bread @ A, plain[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:
-        moves = (np.linalg.pinv(np.eye(len(bread)) - bread @ A) @ plain[:, :, None])[:, :, 0]
-    before, after = (np.einsum("bi,ij,bj->b", x, normal, x).clip(0.0) for x in (plain, moves))
-    regular: Mask = np.sqrt(after) <= 4.0 * np.sqrt(before)
-    return np.where(regular[:, None], moves, plain)
 
 
 def whitened(covariance: Array) -> Array:

@@ -49,12 +49,8 @@ class Rows:
 
 
 def whitener_of(rows: Rows, *, least: float = 1e-6) -> Callable[[Array], Array]:
-    """Fit the strengths of the noise of one joint's rows.
-
-    `rows`: the parameters' columns are taken out of the errors; more rows than columns. `least`:
-    strength of a part against white noise, from which on it counts. Returns: makes rows (N, ...) of
-    such whose errors are independent and of unit variance.
-    """
+    """Fit the noise of one joint's rows, more than columns; makes white rows (N, ...) of such."""
+    # A part's strength against white noise counts from `least` on.
     order = np.lexsort((rows.t, rows.log))  # of each log, in time order
     logs = np.split(order, np.flatnonzero(np.diff(rows.log[order])) + 1)
     shapes = [_shapes(rows, at) for at in logs]

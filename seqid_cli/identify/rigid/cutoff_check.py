@@ -13,15 +13,14 @@ Econometrica 46(6), 1978, in the form that needs neither estimate to be efficien
 What of d is beyond its own noise, a share 1 - p / W of its square, counts as an error of theta.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 
 from seqid_cli.identify.regression.least_squares import Solution, spread_of
-from seqid_cli.identify.rigid.posterior import Posterior, friction_covariance
-from seqid_cli.model.friction import FrictionSurface
+from seqid_cli.identify.rigid.posterior import Posterior, Surfaces, friction_covariance
 from seqid_cli.params.schema import RigidStage, Verdict
 from seqid_cli.robot.base_parameters import Basis
 from seqid_cli.typing import Array
@@ -42,17 +41,9 @@ class CutoffCheck(NamedTuple):
 
 
 def cutoff_check(
-    own: Result,
-    near: Mapping[float, Result],
-    surfaces: Sequence[FrictionSurface | None],
-    *,
-    clear_sigma: float = 4.0,
+    own: Result, near: Mapping[float, Result], surfaces: Surfaces, *, clear_sigma: float = 4.0
 ) -> CutoffCheck:
-    """Compare an estimate with those of the same logs at neighbouring cut-offs.
-
-    `own`: as it is used. `near`: by multiple of the cut-off. `clear_sigma`: standard errors of a
-    difference, from which it is reported.
-    """
+    """Compare an estimate with others, `near` by multiple of the cut-off; report `clear_sigma`."""
     size = len(own[0].theta)
     stated = np.sqrt(np.maximum(np.diag(own[1].covariance), 0.0))
     excess, differences = [], []
@@ -84,10 +75,7 @@ def _excess(d: Array, V: Array, *, flat: float = 1e-09) -> float:
 def with_cutoff_check(
     stage: RigidStage, check: CutoffCheck, basis: Basis, *, poor_sigma: float = 3.0
 ) -> RigidStage:
-    """The stage with a note on the parameters that depend on the cut-off.
-
-    Its verdict is poor where one of them does by `poor_sigma` stated standard errors.
-    """
+    """Note the parameters that depend on the cut-off; poor where one does by `poor_sigma`."""
     own = {p.name for p in stage.parameters}
     named = [(basis.names[k], at, by) for k, at, by in check.differences if basis.names[k] in own]
     text = ", ".join(f"{name} by {by:+.1f} at {factor:g} times" for name, factor, by in named)

@@ -25,20 +25,16 @@ from seqid_cli.logs.recording import Recording
 from seqid_cli.model.friction import FrictionSurface
 from seqid_cli.model.torque import friction_surfaces
 from seqid_cli.params.schema import RigidStage, Stages, Verdict
-from seqid_cli.robot.base_parameters import Basis, base_parameters
+from seqid_cli.robot.base_parameters import base_parameters
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
 
 
 def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stages) -> RigidStage:
-    """Identify the base parameters of gravity; the stage is empty where it loads no joint.
-
-    Raises UsageError if there is no friction stage, QualityError if no usable trial was found.
-    """
+    """Identify the base parameters of gravity; the stage is empty where it loads no joint."""
     if stages.friction is None:
         raise UsageError("gravity needs the friction stage", hint="run seqid friction first")
-    basis = base_parameters(robot, rotor=())
-    size = int(basis.gravity.sum())
+    size = int(base_parameters(robot, rotor=()).gravity.sum())
     if size == 0:
         note = "gravity loads no joint of this robot: nothing to identify (Sec. 4.2)"
         return RigidStage(parameters=[], condition=0.0, rank=0, notes=[note])
@@ -51,14 +47,11 @@ def identify_gravity(recordings: Iterable[Recording], robot: Robot, stages: Stag
         message = "no constant-velocity trial of a joint with known friction was found"
         hint = "give the logs of the friction stage again, or record single-joint moves"
         raise QualityError(message, hint=hint)
-    return _stage(robot, basis, solve(joints), cross)
+    return _stage(solve(joints), cross)
 
 
 class GravityRows:
-    """Turns trials into rows of Eq. 19 and remembers how friction errors would enter them.
-
-    Rows are divided by the root of their noise's covariance (see `slow_noise`).
-    """
+    """Turns trials into white rows of Eq. 19 and remembers how friction errors would enter them."""
 
     def __init__(self, held: HeldJoints, surfaces: list[FrictionSurface | None]) -> None:
         self.robot, self.held, self.surfaces = held.robot, held, surfaces
@@ -92,8 +85,7 @@ class GravityRows:
                 joint.add(H[kept], y[kept, 0])
         self.cross[j] = H.T @ F
         for k, each in enumerate(groups):
-            pushed = each.std_error * accelerated[:, 0] * (group == k)
-            self.unseen.append((j, H.T @ pushed))
+            self.unseen.append((j, H.T @ (each.std_error * accelerated[:, 0] * (group == k))))
             for number in np.unique(log[group == k]):  # each with the same reading all along
                 there = (group == k) & (log == number)
                 self.unseen += [(j, H.T @ (column * there)) for column in stood.T]
@@ -101,9 +93,9 @@ class GravityRows:
     def _table(
         self, groups: list[SteadyGroup], surface: FrictionSurface, *, group_size: int = 8
     ) -> Array:
-        """Rows of all trials (see `_rows`), each with the numbers of its trial, log and group.
+        """Rows of all trials, means over so many slices (`group_size`).
 
-        So many slices of a trial (`group_size`) make a row.
+        H, F, where others stand, acceleration, torque, time, samples, seconds; trial, log, group.
         """
         every = [(trial, k) for k, group in enumerate(groups) for trial in group.trials]
         insides = [_settled(trial, surface) for trial, _ in every]
@@ -114,10 +106,16 @@ class GravityRows:
         places = [trial.places[insides[n]] for n, trial in zip(used, own, strict=True)]
         by_gravity = zip(self.held.means(own, places), self.held.unseen(own, places), strict=True)
         parts = []
-        for n, trial, known in zip(used, own, by_gravity, strict=True):
-            rows = _rows(trial, surface, insides[n], known, size=group_size)
-            about = np.tile([n, trial.log, every[n][1]], (len(rows), 1))
-            parts.append(np.hstack([rows, about]))
+        for n, trial, (H, stood) in zip(used, own, by_gravity, strict=True):
+            q, tau, ddq, t = (x[insides[n]] for x in (trial.q, trial.tau, trial.ddq, trial.t))
+            v = np.full(len(q), trial.velocity)
+            F, y = surface.columns(q, v), tau - surface.torque(q, v)
+            count = len(q) // group_size
+            wide = np.array_split(np.column_stack([H, F, stood, ddq, y, t]), count)
+            slices = len(q) / count
+            about = slices * trial.weight, slices * trial.seconds, n, trial.log, every[n][1]
+            means = np.stack([part.mean(axis=0) for part in wide])
+            parts.append(np.hstack([means, np.tile(about, (count, 1))]))
         return np.vstack(parts)
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
@@ -129,10 +127,8 @@ class GravityRows:
 def _settled(
     trial: Trial, surface: FrictionSurface, *, settling_s: float = 0.03, most_share: float = 0.125
 ) -> Mask:
-    """Slices (K,) of a trial where friction is known and the joint keeps its speed.
-
-    Left out are `settling_s` from either end, but no more than `most_share` of the trial.
-    """
+    """Slices (K,) of a trial where friction is known and the joint keeps its speed."""
+    # Left out are `settling_s` from either end, but no more than `most_share` of the trial.
     v = np.full(len(trial.q), trial.velocity)
     middle = (trial.t[0] + trial.t[-1]) / 2.0
     half = (trial.t[-1] - trial.t[0] + trial.seconds) / 2.0
@@ -140,45 +136,16 @@ def _settled(
     return np.asarray(settled & ~surface.outside(trial.q, v))
 
 
-def _rows(
-    trial: Trial,
-    surface: FrictionSurface,
-    inside: Mask,
-    by_gravity: tuple[Array, Array],
-    *,
-    size: int,
-) -> Array:
-    """Rows of one trial: H, F, where others stand, acceleration, torque, time, samples, seconds.
-
-    `inside` (K,): slices of use, `size` of which make a row. `by_gravity`: H and the torque of
-    where others stand, at these.
-    """
-    H, stood = by_gravity
-    q, v = trial.q[inside], np.full(int(inside.sum()), trial.velocity)
-    y = trial.tau[inside] - surface.torque(q, v)
-    wide = np.column_stack([H, surface.columns(q, v), stood, trial.ddq[inside], y, trial.t[inside]])
-    count = len(q) // size
-    means = np.stack([part.mean(axis=0) for part in np.array_split(wide, count)])
-    slices = len(q) / count
-    return np.hstack([means, np.tile(slices * np.array([trial.weight, trial.seconds]), (count, 1))])
-
-
 def _stage(
-    robot: Robot,
-    basis: Basis,
-    solution: Solution,
-    rows: GravityRows,
-    *,
-    poor_condition: float = 300.0,
-    clear_sigma: float = 4.0,
+    solution: Solution, rows: GravityRows, *, poor_condition: float = 300, clear_sigma: float = 4
 ) -> RigidStage:
     """The stage; gravity shows where a parameter is `clear_sigma` standard errors from zero."""
+    robot, basis = rows.robot, rows.held.basis
     about = rows.surfaces, robot.torque_constant_errors, rows.sensitivity(solution)
     unseen = [solution.bread @ crossed / solution.sigma[j] ** 2 for j, crossed in rows.unseen]
     posterior = Posterior.of(solution, *about, known={})
     posterior = posterior.with_error(np.reshape(unseen, (-1, rows.size)).T)
-    own = np.arange(rows.size)
-    stage = rigid_stage(robot, basis, solution, posterior, own, np.zeros(robot.n))
+    stage = rigid_stage(robot, basis, solution, posterior, np.arange(rows.size), np.zeros(robot.n))
     remedy = "Move the joints that carry them with the others locked in other configurations"
     notes = [f"{note}. {remedy}" for note in stage.notes]
     if rows.skipped:

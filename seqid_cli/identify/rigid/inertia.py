@@ -47,11 +47,8 @@ def identify_inertia(
     options: InertiaOptions,
     compare: bool = False,
 ) -> RigidStage:
-    """Identify the base parameters that gravity does not show.
-
-    `compare` says whether to do it a second time with the encoders alone, for their standard
-    errors. Raises UsageError if the friction stage is missing, QualityError if no joint moves.
-    """
+    """Identify the base parameters that gravity does not show."""
+    # With `compare` a second time with the encoders alone, for their standard errors.
     if stages.friction is None:
         raise UsageError("inertia needs the friction stage", hint="run seqid friction first")
     equations, others = InertiaEquations(robot, stages, options), None
@@ -80,17 +77,14 @@ def identify_inertia(
 
 
 def _rows_of(
-    equations: InertiaEquations,
-    others: InertiaEquations | None,
-    log: Recording | SurveyedLog,
-    _: int,
+    used: InertiaEquations, others: InertiaEquations | None, log: Recording | SurveyedLog, _: int
 ) -> AllRows:
     """Reduce the equations of one log, and those by its encoders where they are asked for."""
-    own, factors = equations.rows_of(log), equations.options.neighbours
+    own, factors = used.rows_of(log), used.options.neighbours
     near: list[InertiaRows | None] = [None] * len(factors)
     for k, factor in enumerate(factors if isinstance(log, Recording) else ()):
         with contextlib.suppress(InputError):  # the log is too short or too slow for it
-            near[k] = equations.at_cutoff(own.uses[0].cutoff_hz * factor).rows_of(log)
+            near[k] = used.at_cutoff(own.uses[0].cutoff_hz * factor).rows_of(log)
     return own, *near, others.rows_of(log) if others else None
 
 
@@ -114,15 +108,11 @@ def _stage(
     used = {name for use in rows.uses for name in use.imus}
     errors = {name: imus[name].acceleration_std_error or 0.0 for name in used if imus}
     inertia = np.where(basis.gravity & bool(stages.gravity), 0.0, solution.theta)
-    reflected = gear_ratios(robot) ** 2 * equations.rotors
-    moves = imu_moves(robot, basis, inertia, reflected, errors)
+    moves = imu_moves(robot, basis, inertia, gear_ratios(robot) ** 2 * equations.rotors, errors)
     posterior = posterior.with_error(check.errors).with_error(moves)
     stage = _described(equations, rows, solution, posterior)
-    stage = msgspec.structs.replace(
-        stage,
-        rotor_coupling="gyroscopic" if coupling.used else "diagonal",
-        notes=[*stage.notes, *coupling.notes],
-    )
+    kind, notes = "gyroscopic" if coupling.used else "diagonal", [*stage.notes, *coupling.notes]
+    stage = msgspec.structs.replace(stage, rotor_coupling=kind, notes=notes)
     return with_cutoff_check(stage, check, basis)
 
 

@@ -52,13 +52,9 @@ class InertiaRows:
     def __add__(self, other: "InertiaRows") -> "InertiaRows":
         none, known = np.zeros(()), self.cross | other.cross
         cross = {j: self.cross.get(j, none) + other.cross.get(j, none) for j in known}
-        return InertiaRows(
-            [a + b for a, b in zip(self.joints, other.joints, strict=True)],
-            self.torque_squares + other.torque_squares,
-            cross,
-            self.uses + other.uses,
-            self.counts + other.counts,
-        )
+        joints = [a + b for a, b in zip(self.joints, other.joints, strict=True)]
+        squares, counts = self.torque_squares + other.torque_squares, self.counts + other.counts
+        return InertiaRows(joints, squares, cross, self.uses + other.uses, counts)
 
 
 class InertiaEquations:
@@ -74,11 +70,9 @@ class InertiaEquations:
         self._scaled = (robot.torque_constant_errors > 0.0) & (self._reflected > 0.0)
 
     def rows_of(self, log: Recording | SurveyedLog, *, forgotten: float = 0.8) -> InertiaRows:
-        """The rows of one log; `forgotten`: share of the low-pass's memory that is computed beside.
-
-        The motion of a log that is held is one block, of one to be passed over it comes in many.
-        0.8 of the memory leaves 1e-10. Raises InputError if no stretch is long enough to filter.
-        """
+        """Rows of one log; `forgotten`: share of the low-pass's memory computed beside."""
+        # The motion of a log that is held is one block, of one to be passed over it comes in many.
+        # 0.8 of the memory leaves 1e-10.
         options = self.options.motion
         if isinstance(log, Recording):
             imu, source = self.stages.imu, self.options.source
@@ -102,16 +96,10 @@ class InertiaEquations:
         held = samples if isinstance(log, Recording) else 2 * size
         for motion, start, stop in overlapping(parts, held, 2 * reach):
             y = self.right_side(motion)
-            columns = filtered_regressor(
-                motion,
-                self.robot,
-                self.basis,
-                within=(start, stop),
-                chunk=size,
-                reach=reach,
-                beside=self.coupling_column,
-            )
-            for part, H in columns:
+            about, beside = (motion, self.robot, self.basis), self.coupling_column
+            for part, H in filtered_regressor(
+                *about, within=(start, stop), chunk=size, reach=reach, beside=beside
+            ):
                 low, high = max(0, part.start - reach), part.stop + reach
                 slides = sliding(motion.part(slice(low, high)), self.slowest)
                 for at in range(part.start, part.stop, CHUNK):
@@ -129,14 +117,12 @@ class InertiaEquations:
     def at_cutoff(self, cutoff_hz: float) -> "InertiaEquations":
         """The same equations, filtered at another cut-off."""
         motion = replace(self.options.motion, cutoff_hz=cutoff_hz, own=frozenset())
-        options = replace(self.options, motion=motion)
-        return InertiaEquations(self.robot, self.stages, options)
+        return InertiaEquations(self.robot, self.stages, replace(self.options, motion=motion))
 
     def right_side(self, motion: Motion) -> Array:
         """Torque without friction and known rotors, filtered alike (N, n) N m."""
         assert motion.tau is not None
-        friction = sampled_friction(self.surfaces, motion)
-        own = motion.tau - motion.filtered(friction, times=2)
+        own = motion.tau - motion.filtered(sampled_friction(self.surfaces, motion), times=2)
         if self.rotors.any():
             own -= motion.filtered(self._reflected * motion.ddq)
         return own
@@ -145,8 +131,7 @@ class InertiaEquations:
         """Torque (N, n) that known rotors add if they are coupled to the links that carry them."""
         if not self.rotors.any():
             return np.zeros_like(motion.q)
-        gear = gear_ratios(self.robot)
-        state = (self.robot.chain, motion.q, motion.dq, motion.ddq, gear)
+        state = (self.robot.chain, motion.q, motion.dq, motion.ddq, gear_ratios(self.robot))
         coupled = rotor_regressor(*state, "gyroscopic") - rotor_regressor(*state, "diagonal")
         return motion.filtered(coupled @ self.rotors)
 
@@ -179,12 +164,10 @@ class InertiaEquations:
     def solved(
         self, rows: InertiaRows, coupling: float | None, *, rounds: int = 6
     ) -> tuple[Solution, Posterior]:
-        """Solve for the base parameters, the share of coupling held, or free where it is None.
-
-        The gravity stage enters as a prior with its covariance, friction's errors as they come,
-        directly and through gravity. After six `rounds` of reweighting the weights have settled to
-        a thousandth of a standard error.
-        """
+        """Solve for the base parameters, the share of coupling held, or free where it is None."""
+        # The gravity stage enters as a prior with its covariance, friction's errors as they come,
+        # directly and through gravity. After six rounds of reweighting the weights have settled to
+        # a thousandth of a standard error.
         joints = rows.joints
         prior = gravity_prior(self.stages.gravity, self.basis, self.robot.joint_names)
         if coupling is None:  # of which the prior knows nothing

@@ -56,10 +56,7 @@ def _named(phi: Array, n: int) -> dict[str, float]:
 def rigid_stage(
     robot: Robot, basis: Basis, solution: Solution, posterior: Posterior, own: Index, rotors: Array
 ) -> RigidStage:
-    """A stage with what a solution determines of the base parameters `own` (indices).
-
-    `rotors` (n,) kg m^2 are the known rotor inertias that the representative has besides.
-    """
+    """What a solution tells of parameters `own`; known `rotors` (n,) join the representative."""
     determined, left = own[solution.determined[own]], own[~solution.determined[own]]
     missing = [basis.expression_text(int(k)) for k in left]
     theta = np.zeros(basis.size)
@@ -87,31 +84,23 @@ def rigid_stage(
 def made_consistent(
     stage: RigidStage, stages: Stages, robot: Robot, *, min_move: float = 0.5
 ) -> RigidStage:
-    """Put the parameters of an inertia stage among those that bodies can have.
-
-    Returns: with other values, of which bodies (`representative`) exist; standard errors are those
-    of the unconstrained estimate. A note names what moved by `min_move` standard errors or more.
-    Raises QualityError if no physically consistent parameters are found.
-    """
+    """Put the parameters of an inertia stage among those that bodies can have."""
+    # Standard errors are those of the unconstrained estimate. A note names what moved by `min_move`
+    # standard errors or more.
     found = identified(Stages(gravity=stages.gravity, inertia=stage), robot)
     nearest = nearest_bodies(robot, found)
     moved = {d.name: d for d in found.deviations(nearest.links, nearest.rotor)}
     parameters = [
         replace(p, value=moved[p.name].exported) if p.name in moved else p for p in stage.parameters
     ]
-    phi = np.concatenate([nearest.links.ravel(), nearest.rotor])
+    phi = _named(np.concatenate([nearest.links.ravel(), nearest.rotor]), robot.n)
     note = "physically consistent as identified: bodies with these parameters exist"
     if not nearest.exact:
         by = {name: d.std_errors or 0.0 for name, d in moved.items()}
         named = [f"{name} by {x:+.1f}" for name, x in by.items() if abs(x) >= min_move]
         text = ", ".join(named) or f"none by more than {min_move:g}"
         note = f"made physically consistent; moved, in standard errors: {text}"
-    return replace(
-        stage,
-        parameters=parameters,
-        representative=_named(phi, robot.n),
-        notes=[*stage.notes, note],
-    )
+    return replace(stage, parameters=parameters, representative=phi, notes=[*stage.notes, note])
 
 
 def joint_verdicts(
@@ -123,11 +112,8 @@ def joint_verdicts(
     poor_share: float,
     idle: str,
 ) -> list[Verdict]:
-    """A joint is poor where more than `poor_share` of its torque's RMS is left, or none was used.
-
-    `squares` (n,): sums of the squared torque of the rows of `joints`, (N m)^2. `idle`: the reason
-    where there are none.
-    """
+    """A joint is poor where over `poor_share` of its torque's RMS is left, or none was used."""
+    # By sums `squares` (n,) of the squared torque of rows, (N m)^2; `idle` says why there are none.
     verdicts = []
     for j, (joint, rows) in enumerate(zip(robot.joints, joints, strict=True)):
         share, reason, sigma, square = np.inf, idle, float(solution.sigma[j]), squares[j]
@@ -166,12 +152,9 @@ def imu_moves(
 def missing_pairs(
     robot: Robot, basis: Basis, left_open: Array, *, states: int = 120
 ) -> list[list[str]]:
-    """Choose pairs greedily until every base parameter is seen, and none that the others make idle.
-
-    `left_open` (b, k): directions of the base parameters that are not determined yet. `states`:
-    random ones of two moving joints, the others at random angles. Returns: empty where no pair
-    would add anything; each pair once. An arm of one joint has that alone.
-    """
+    """Choose pairs greedily until all base parameters are seen, none that others make idle."""
+    # By random states of two moving joints, the others at random angles. Empty where no pair would
+    # add anything. An arm of one joint has that alone.
     seen: dict[tuple[int, int], Array] = {}
     for pair in list(combinations(range(robot.n), 2)) or [(0, 0)]:
         rng, moving = np.random.default_rng(0), list(pair)
@@ -203,5 +186,4 @@ def _still_open(H: Array, left: Array, *, min_share: float = 1e-6) -> Array:
     """The part of the directions `left` (b, k), orthonormal, that rows H (N, b) do not see."""
     # Singular values below `min_share` of the largest are rounding.
     _, s, Vt = np.linalg.svd(H @ left, full_matrices=True)
-    largest = float(np.linalg.norm(H, 2))
-    return np.asarray(left @ Vt[int(np.sum(s > min_share * largest)) :].T)
+    return np.asarray(left @ Vt[int(np.sum(s > min_share * float(np.linalg.norm(H, 2)))) :].T)

@@ -34,14 +34,12 @@ from seqid_cli.params.schema import RigidStage
 from seqid_cli.robot.base_parameters import Basis, standard_names
 from seqid_cli.typing import Array
 
+Surfaces = Sequence[FrictionSurface | None]  # of the joints, as far as they are known
 Sensitivity = dict[int, Array]  # by joint: (p, K_j), change of parameters per coefficient of c_j
-
 Moves = dict[int, Array]  # by joint: (p,), change of parameters per error of its torque constant
 
 
-def friction_covariance(
-    sensitivity: Mapping[int, Array], surfaces: Sequence[FrictionSurface | None], size: int
-) -> Array:
+def friction_covariance(sensitivity: Sensitivity, surfaces: Surfaces, size: int) -> Array:
     """Covariance (p, p) that the errors of the friction surfaces make: sum_j T_j cov(c_j) T_j'."""
     total = np.zeros((size, size))
     for j, T in sensitivity.items():
@@ -52,17 +50,13 @@ def friction_covariance(
 
 
 def constant_moves(
-    solution: Solution,
-    errors: Array,
-    known: Mapping[int, Array],
-    through: Mapping[int, Array] | None = None,
+    solution: Solution, errors: Array, known: Moves, through: Moves | None = None
 ) -> Moves:
     """What one standard error of each joint's torque constant moves a solution by.
 
-    `solution`: with the share of each joint's right side, the weights held. `errors` (n,): relative
-    standard errors of the torque constants. `known` (p,): by joint: the move by torque on the right
-    side that was computed, not measured, such as that of known rotors. It does not scale. `through`
-    (p,): by joint: the move by way of an earlier stage.
+    `errors` (n,): relative standard errors of the torque constants. `known`: the move by torque on
+    the right side that was computed, not measured, such as that of known rotors. It does not scale.
+    `through`: the move by way of an earlier stage.
     """
     inherited = through or {}
     return {
@@ -98,17 +92,14 @@ class Posterior:
     def of(
         cls,
         solution: Solution,
-        surfaces: Sequence[FrictionSurface | None],
+        surfaces: Surfaces,
         errors: Array,
         direct: Sensitivity,
-        known: Mapping[int, Array],
+        known: Moves,
         prior: Prior | None = None,
     ) -> "Posterior":
-        """Join a solution's own errors with those that it inherits.
-
-        `solution`: its covariance counts the prior's rows as independent of friction. `errors`,
-        `known`: see `constant_moves`. `direct`: of the solution to friction, the prior held.
-        """
+        """Join a solution's errors, `direct` ones with the prior held, with those it inherits."""
+        # Its covariance counts the prior's rows as independent of friction.
         total, covariance, through = dict(direct), solution.covariance, {}
         if prior is not None:
             gain = solution.bread @ prior.A.T
@@ -127,10 +118,7 @@ class Posterior:
 
 
 def gravity_prior(gravity: RigidStage | None, basis: Basis, joints: Sequence[str]) -> Prior:
-    """The gravity stage as rows of unit variance on the base parameters that it determined.
-
-    `joints`: names of the robot's. Returns: without rows where nothing is known of gravity.
-    """
+    """The gravity stage as rows of unit variance on the base parameters that it determined."""
     if gravity is None or not gravity.parameters:
         return Prior(np.zeros((0, basis.size)), np.zeros(0))
     size = int(basis.gravity.sum())

@@ -41,13 +41,9 @@ def decide(
     max_sigma: float = 3.0,
     min_log_odds: float = 5.0,
 ) -> Coupling:
-    """Compare the two hypotheses by the logs.
-
-    `rows`: of all logs; the first as they are used, the others at other cut-offs. `max_sigma`:
-    standard errors within which the free share agrees with 0 or 1. `min_log_odds`: logarithm of the
-    odds that decide: 5 are 150 to 1. Returns: not used where the logs do not decide, or not alike
-    at all cut-offs.
-    """
+    """Compare the two hypotheses by the logs; `rows` as used first, then at other cut-offs."""
+    # The free share agrees with 0 or 1 within `max_sigma` standard errors. A logarithm of the odds
+    # of 5 is 150 to 1.
     kappa = equations.basis.size
     nothing = np.zeros((kappa, 0))
     known = []  # value, standard error and log odds of the free share

@@ -51,12 +51,7 @@ def identify_simultaneous(
     imu: schema.ImuStage | None = None,
     source: str = "auto",
 ) -> tuple[schema.FrictionStage, schema.RigidStage]:
-    """Identify rigid body and Coulomb-viscous friction together.
-
-    `offset` says whether each joint has the constant torque F_o, `source` ("auto", "encoder",
-    "imu", "fused") where motion comes from. Returns friction as surfaces of orders (0, 1) and all
-    base parameters. Raises QualityError if no joint moves.
-    """
+    """Identify rigid body and Coulomb-viscous friction, and a torque F_o if `offset`, together."""
     paths, motions = [], []
     for recording in recordings:
         paths.append(recording.path)
@@ -154,7 +149,7 @@ class SimultaneousEquations:
             motion={use.log: source_text(use) for use in uses},
             motion_use=uses,
             cutoff_hz=cutoff,
-            verdicts=self._verdicts(solution, stage.not_excited),
+            verdicts=self._verdicts(solution, len(stage.not_excited)),
             notes=[*stage.notes, *([text] if free else [])],
         )
         return friction, rigid
@@ -190,12 +185,7 @@ class SimultaneousEquations:
         )
 
     def _verdicts(
-        self,
-        solution: Solution,
-        missing: list[str],
-        *,
-        poor_share: float = 0.25,
-        clear_sigma: float = 3.0,
+        self, solution: Solution, missing: int, *, poor_share: float = 0.25, clear_sigma: float = 3
     ) -> list[schema.Verdict]:
         """A joint is poor by what is left of its torque, or where Coulomb friction is negative."""
         known, squares = (self.robot, solution, self.joints), self.torque_squares
@@ -206,16 +196,13 @@ class SimultaneousEquations:
                 text = f"Coulomb friction of {dry:.3g} {joint.unit('N m')} cannot be"
                 reason = f"{verdicts[j].reason}; {text}: record both ways"
                 verdicts[j] = replace(verdicts[j], good=False, reason=reason)
-        reason = f"condition {solution.condition:.3g}, {len(missing)} parameter(s) not excited"
+        reason = f"condition {solution.condition:.3g}, {missing} parameter(s) not excited"
         return [*verdicts, schema.Verdict(good=not missing, reason=reason)]
 
 
 def surface_entries(fastest: float, terms: int) -> tuple[Array, Array]:
-    """Entries of a friction surface, forward and backward, per Coulomb, viscous and offset.
-
-    Chebyshev over [0, fastest]: |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of motion
-    taken off. `fastest`: upper end of the surface's speed range [rad/s; m/s where prismatic].
-    `terms`: how many of the three there are. Returns: tuple of two (2, terms) arrays.
-    """
+    """Entries (2, terms) of a friction surface, ahead and back, per Coulomb, viscous and offset."""
+    # Chebyshev over [0, fastest]: |v| = fastest (1 + T_1(u)) / 2; the offset has the sign of motion
+    # taken off.
     ahead = np.array([[1.0, fastest / 2, 1.0], [0.0, fastest / 2, 0.0]])[:, :terms]
     return ahead, ahead * np.array([1.0, 1.0, -1.0])[:terms]

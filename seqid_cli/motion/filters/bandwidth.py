@@ -59,7 +59,7 @@ class Cutoff:
         return self.alone_hz is not None and self.alone_hz < self.hz
 
 
-def differentiated_error(density: Array, hz: float | Array) -> Array:
+def differentiated_error(density: Array | float, hz: float | Array) -> Array:
     """Power of twice differentiated white noise of a density (rad^2/Hz) below a cut-off."""
     return np.asarray(density * (2 * np.pi) ** 4 * hz**5 / 5)
 
@@ -85,15 +85,12 @@ def smoothed_error(variance: Array, density: Array, hz: float) -> Array:
 
 
 def encoder_step(q: Array) -> Array:
-    """Smallest step of each joint's position, rad; zero where the position is not quantised.
-
-    A channel counts as quantised when nearly all of its steps are multiples of the smallest one.
-    """
+    """Smallest step of each joint's position, rad; zero where the position is not quantised."""
     return np.array([step_of(position) for position in q.T])
 
 
 def step_of(position: Array) -> float:
-    """Smallest step of one joint's position (N,), as of `encoder_step`."""
+    """Smallest step of a joint's position (N,), of which nearly all others are multiples, or 0."""
     levels = np.diff(np.unique(np.round(position, 10)))
     levels = levels[levels > 1e-9]
     if len(levels) < 3:
@@ -118,10 +115,8 @@ class Score:
 def highest_of(
     bandwidth_hz: float, joints: int = 0, seconds: float = math.inf, *, per_parameter: float = 2.0
 ) -> float:
-    """Highest cut-off [Hz] for a motion's bandwidth, and for the joints that move so long.
-
-    Low-passed noise has 2 B independent samples a second, B its bandwidth.
-    """
+    """Highest cut-off [Hz] for a motion's bandwidth, and for the joints that move so long."""
+    # Low-passed noise has 2 B independent samples a second, B its bandwidth.
     needed = per_parameter * PER_LINK * joints / (2.0 * NOISE_BANDWIDTH * max(seconds, 1e-9))
     return max(BANDWIDTHS * bandwidth_hz, 2 * LOWEST_HZ, needed)
 
@@ -149,8 +144,7 @@ def smoothed_score(dq: Array, ddq: Array, error: Array, rate_hz: float, cutoffs:
 
 def lowest_as_good(score: Array, joints: int, *, worth: float = 0.01) -> int:
     """Index of the lowest cut-off whose score of smoothed motion is nearly the best."""
-    best = score[first_maximum(score)]
-    return int(np.flatnonzero(score >= best - worth * joints)[0])
+    return int(np.flatnonzero(score >= score[first_maximum(score)] - worth * joints)[0])
 
 
 def power_below(frequency: Array, density: Array, cutoffs: Array) -> Array:
@@ -160,40 +154,16 @@ def power_below(frequency: Array, density: Array, cutoffs: Array) -> Array:
 
 
 def first_maximum(score: Array, *, clear_fall: float = 0.05) -> int:
-    """Index of the best value before the first clear fall.
-
-    A slow joint's quantisation is tones, not white noise; above the motion's bandwidth they would
-    count as signal and raise the score again.
-    """
+    """Index of the best value before the first clear fall."""
+    # A slow joint's quantisation is tones, not white noise; above the motion's bandwidth they would
+    # count as signal and raise the score again.
     fallen = np.flatnonzero(score < np.maximum.accumulate(score) - clear_fall)
     return int(np.argmax(score[: fallen[0]] if len(fallen) else score))
 
 
 def bandwidth_of(frequency: Array, density: Array, rate_hz: float) -> float:
-    """Frequency, Hz, below which 99 percent of the velocity's power lies, by its spectrum (F,).
-
-    Twice the floor at the top of the spectrum comes off: a coarse encoder is not a fast motion.
-    """
+    """Frequency, Hz, below which 99 percent of the velocity's power lies, by its spectrum (F,)."""
+    # Twice the floor at the top of the spectrum comes off: a coarse encoder is not a fast motion.
     floor = float(np.median(density[frequency > 0.25 * rate_hz]))
     power = np.cumsum(np.maximum(density - 2 * floor, 0.0))
     return float(frequency[np.searchsorted(power, 0.99 * power[-1])])
-
-
-def acceleration_powers(
-    frequency: Array, density: Array, rate_hz: float, step: float, cutoffs: Array
-) -> tuple[Array, Array, float]:
-    """Power of the acceleration and of its noise below each cut-off, and the noise density.
-
-    `frequency` and `density` (F,): spectrum [Hz, (rad/s^2)^2/Hz] of the second difference of the
-    position: it whitens the steep spectrum of the position before the window smears it. `step`: of
-    the encoder [rad]. `cutoffs` (C,) [Hz]. Returns (C,) (C,): [(rad/s^2)^2, (rad/s^2)^2, rad^2/Hz].
-    """
-    density = density / np.maximum(np.sinc(frequency / rate_hz) ** 4, 0.05)
-    # The position's noise: the quantisation's, or what the top of the spectrum shows.
-    top = (frequency > 0.2 * rate_hz) & (frequency < 0.4 * rate_hz)
-    above = density[top] / (2 * np.pi * frequency[top]) ** 4
-    floor = max(step**2 / 12 * 2 / rate_hz, float(np.median(above)) if top.any() else 0.0, 1e-30)
-    noise = differentiated_error(np.asarray(floor), cutoffs)
-    signal = power_below(frequency, density, cutoffs) - noise
-    # Power beyond the first point where noise takes over is noise, whatever its exact level.
-    return np.maximum.accumulate(np.maximum(signal, 1e-12)), noise, floor

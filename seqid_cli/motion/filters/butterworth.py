@@ -27,7 +27,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from seqid_cli.motion.filters.differentiation import runs
-from seqid_cli.typing import Array, Complex, Index, Mask
+from seqid_cli.typing import Array, Index, Mask
 
 ORDER = 4  # of one pass
 SHORTEST = 8  # samples of a run that is filtered at all
@@ -36,11 +36,7 @@ NEGLIGIBLE = 1e-14
 
 @dataclass(frozen=True)
 class Lowpass:
-    """Zero-phase low-pass at `cutoff_hz` for signals sampled at `rate_hz`.
-
-    Where they are every `every`-th sample of a log, the filter has the response that it has at the
-    log's own rate.
-    """
+    """Zero-phase low-pass; of every `every`-th sample, with the response of the log's own rate."""
 
     cutoff_hz: float
     rate_hz: float
@@ -64,9 +60,7 @@ class Lowpass:
     def __call__(
         self, values: Array, valid: Mask | None = None, *, times: int = 1, every: int = 1
     ) -> Array:
-        """Filter (N, ...) along the first axis, each run of valid samples by itself.
-
-        What is in single precision is filtered in it, in half the time.
+        """Filter (N, ...) in its precision along the first axis, each valid run by itself.
 
         `valid` (N,): false where samples must not leak into others; these are returned as they are.
         `times`: number of passes. `every`: samples 0, `every`, 2 `every`, ... are returned only.
@@ -88,11 +82,11 @@ class Lowpass:
         every: int = 1,
         tile: int = 131072,
     ) -> None:
-        """Filter signals, samples last, each run of valid samples by itself.
+        """Filter signals `rows` (c, N), each run of valid samples by itself.
 
-        `rows` (c, N). `only`: numbers of the signals to filter; all by default. `into` (c, N /
-        every): where they go, by default in place. What is not filtered stays as it is. `tile`:
-        values that are worked on at once. Others: as of a call.
+        `only`: numbers of the signals to filter; all by default. `into` (c, N / every): where they
+        go, by default in place. What is not filtered stays as it is. `tile`: values that are worked
+        on at once. Others: as of a call.
         """
         kept = rows if into is None else into
         chosen = np.arange(len(rows)) if only is None else only
@@ -108,15 +102,18 @@ class Lowpass:
                 kept[own, first:last] = self._filtered(run, times, every, first * every - start)
 
     def _filtered(self, rows: Array, times: int, every: int, first: int) -> Array:
-        """Filter (c, N), prolonged by point reflections at its ends.
-
-        Samples `first`, `first` + `every`, ... are returned. What a pass makes of the prolonged
-        signal is prolonged in the same way, so that passes at once are passes one by one.
-        """
+        """Filter (c, N), prolonged by point reflections at its ends, samples from `first` on."""
+        # What a pass makes of the prolonged signal is prolonged in the same way, so that passes at
+        # once are passes one by one.
         response = _response(self, times, every)
         samples, reach = rows.shape[1], response.reach
         hop = response.size - 2 * reach
-        wide = _prolonged(rows, reach)
+        if samples <= reach:
+            wide = np.pad(rows, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
+        else:  # the same, faster
+            before, behind = rows[:, reach:0:-1], rows[:, -2 : -reach - 2 : -1]
+            ends = 2.0 * rows[:, :1] - before, 2.0 * rows[:, -1:] - behind
+            wide = np.concatenate([ends[0], rows, ends[1]], axis=1)
         kept = np.empty((len(rows), -(-(samples - first) // every)), rows.dtype)
         for start in range(first, samples, hop):
             stop = min(start + hop, samples)
@@ -129,15 +126,6 @@ class Lowpass:
 def single(values: Array) -> Array:
     """The same values in single precision, which is enough for columns of an effect."""
     return cast(Array, values.astype(np.float32))
-
-
-def _prolonged(rows: Array, reach: int) -> Array:
-    """Signals (c, N) with `reach` samples more at either end, reflected about the last ones."""
-    if rows.shape[1] <= reach:
-        return np.pad(rows, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
-    before, behind = rows[:, reach:0:-1], rows[:, -2 : -reach - 2 : -1]
-    ends = 2.0 * rows[:, :1] - before, 2.0 * rows[:, -1:] - behind
-    return np.concatenate([ends[0], rows, ends[1]], axis=1)
 
 
 @dataclass(frozen=True)
@@ -153,22 +141,17 @@ class _Response:
         """Filter a piece (c, m), from its sample `reach` on; zeros follow it."""
         spectrum = rfft(piece, self.size)
         spectrum *= self.gain.astype(piece.dtype)
-        short = self.size // self.every
-        found = irfft(self._folded(spectrum, short), short)
-        found /= self.every
-        return np.asarray(found[:, self.reach // self.every :])
-
-    def _folded(self, spectrum: Complex, size: int) -> Complex:
-        """Spectrum of every M-th sample: what lies above half its rate comes back below."""
+        size, highest = self.size // self.every, self.size // 2
         half = size // 2 + 1
-        if self.every == 1:
-            return spectrum
-        folded, highest = spectrum[:, :half].copy(), self.size // 2
+        folded = spectrum if self.every == 1 else spectrum[:, :half].copy()
+        # Of every M-th sample: what lies above half its rate comes back below.
         for turn in range(size, highest + 1, size):
             above = spectrum[:, turn : turn + half]
             folded[:, : above.shape[1]] += above * (turn < highest)
             folded += spectrum[:, turn - half + 1 : turn + 1][:, ::-1].conj()
-        return folded
+        found = irfft(folded, size)
+        found /= self.every
+        return np.asarray(found[:, self.reach // self.every :])
 
 
 @lru_cache(maxsize=64)

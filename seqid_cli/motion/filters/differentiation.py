@@ -21,17 +21,12 @@ def runs(mask: Mask | None, length: int) -> list[tuple[int, int]]:
 
 def shrink(mask: Mask, samples: int) -> Mask:
     """Take `samples` off both ends of every run of True."""
-    width = 2 * samples + 1
-    return minimum_filter1d(mask.view(np.uint8), width, mode="constant").view(np.bool_)
+    return minimum_filter1d(mask.view(np.uint8), 2 * samples + 1, mode="constant").view(np.bool_)
 
 
 def differentiate(values: Array, rate_hz: float, valid: Mask | None = None) -> tuple[Array, Array]:
-    """First and second time derivative of band-limited samples.
-
-    `values` (N, ...): low-passed well below a fifth of the sampling rate. `valid` (N,): derivatives
-    do not reach across samples that are not valid. Returns (N, ...): per second and per second
-    squared; zero outside valid runs.
-    """
+    """First and second derivative of samples (N, ...) far below a fifth of their rate."""
+    # They do not reach across samples that are not valid, and are zero outside valid runs.
     first, second = np.zeros_like(values), np.zeros_like(values)
     width = [(SIDE, SIDE)] + [(0, 0)] * (values.ndim - 1)
     for start, stop in runs(valid, len(values)):

@@ -53,8 +53,7 @@ class Welch:
     def density(self, rate_hz: float) -> tuple[Array, Array]:
         """Return frequencies (F,) Hz and densities (c, F) of samples at a rate."""
         assert self._sum is not None  # there was a segment
-        scale = rate_hz * np.sum(self._window**2) * self._segments
-        density = self._sum / scale
+        density = self._sum / (rate_hz * np.sum(self._window**2) * self._segments)
         density[:, 1 : None if self.length % 2 else -1] *= 2
         frequency = np.arange(self.length // 2 + 1) * (rate_hz / self.length)
         return np.asarray(frequency, dtype=np.float64), density
@@ -141,11 +140,7 @@ class Survey:
     def cutoff(
         self, resolution: Array, *, highest_hz: float = bandwidth.HIGHEST_HZ
     ) -> bandwidth.Cutoff:
-        """Choose one low-pass cut-off by the joints that move; the others say nothing about it.
-
-        `resolution` (n,): encoder step [rad] of the robot file; zero where it is to be read off the
-        data. `highest_hz`: highest cut-off that may be chosen.
-        """
+        """Choose one low-pass cut-off by the joints that move; the others say nothing about it."""
         step, joints = self._steps(resolution)
         highest = min(highest_hz, self.rate_hz / 8)
         floors = step**2 / 12 * 2 / self.rate_hz
@@ -156,8 +151,7 @@ class Survey:
         highest = min(highest, own)
         candidates = np.geomspace(min(bandwidth.LOWEST_HZ, highest / 2), highest, 120)
         score, floors[joints] = self._scored(joints, step, candidates)
-        hz = candidates[bandwidth.first_maximum(score)]
-        return bandwidth.Cutoff(float(hz), step, floors)
+        return bandwidth.Cutoff(float(candidates[bandwidth.first_maximum(score)]), step, floors)
 
     def score(self, resolution: Array, cutoffs: Array) -> bandwidth.Score | None:
         """Score cut-offs (C,) Hz by the joints that move; None where none does."""
@@ -180,26 +174,32 @@ class Survey:
 
     def _scored(self, joints: Index, step: Array, cutoffs: Array) -> tuple[Array, Array]:
         """Score of each cut-off (C,) by some joints, and these joints' noise densities."""
-        frequency, density = self._second.density(self.rate_hz)
-        density *= self.rate_hz**4
+        # Spectra of the second difference of the position: it whitens the steep spectrum of the
+        # position before the window smears it.
+        rate = self.rate_hz
+        frequency, density = self._second.density(rate)
+        density *= rate**4
+        density /= np.maximum(np.sinc(frequency / rate) ** 4, 0.05)
+        top = (frequency > 0.2 * rate) & (frequency < 0.4 * rate)
         score, floors = np.zeros(len(cutoffs)), np.zeros(len(joints))
         for k, j in enumerate(joints):
-            given = frequency, density[j], self.rate_hz, step[j], cutoffs
-            signal, noise, floors[k] = bandwidth.acceleration_powers(*given)
+            # The position's noise: the quantisation's, or what the top of the spectrum shows.
+            above = density[j, top] / (2 * np.pi * frequency[top]) ** 4
+            shown = float(np.median(above)) if top.any() else 0.0
+            floors[k] = max(step[j] ** 2 / 12 * 2 / rate, shown, 1e-30)
+            noise = bandwidth.differentiated_error(floors[k], cutoffs)
+            signal = bandwidth.power_below(frequency, density[j], cutoffs) - noise
+            # Power beyond the first point where noise takes over is noise, whatever its level.
+            signal = np.maximum.accumulate(np.maximum(signal, 1e-12))
             score += np.log(signal) - bandwidth.KAPPA * noise / signal
         return score, floors
 
 
 def _lengths(
-    rate_hz: float,
-    samples: int,
-    *,
-    second_s: int = 8,
-    velocity_s: int = 20,
-    least_segment: int = 256,
+    hz: float, samples: int, *, second_s: int = 8, velocity_s: int = 20, least_segment: int = 256
 ) -> tuple[int, int, list[int]]:
     """Segments of both spectra and halves of the time scales, in samples."""
-    second, velocity = (max(least_segment, int(s * rate_hz)) for s in (second_s, velocity_s))
-    halves = [max(1, round(scale * rate_hz / 2)) for scale in SCALES_S]
+    second, velocity = (max(least_segment, int(s * hz)) for s in (second_s, velocity_s))
+    halves = [max(1, round(scale * hz / 2)) for scale in SCALES_S]
     halves = [half for half in halves if 2 * half < samples]
     return min(samples - 2, second), min(samples - 1, velocity), halves

@@ -72,17 +72,13 @@ def array_matrix(imu: Imu) -> Array:
 
 
 def layout(imu: Imu, *, min_resolution: float = 1 - 1e-6) -> ArrayLayout:
-    """Judge a layout of accelerometers.
-
-    An unknown is seen where the readings resolve at least `min_resolution` of it.
-    """
+    """Judge a layout; an unknown is seen where readings resolve `min_resolution` or more of it."""
     A, scale = _scaled(array_matrix(imu))
     _, s, Vt = np.linalg.svd(A)
     kept = s > 1e-6 * s[0]
     own = Vt[: len(s)][kept]
     variance = np.sum((own / s[kept, None]) ** 2, axis=0) / scale**2
-    seen = np.sum(own**2, axis=0) > min_resolution
-    errors = np.where(seen, np.sqrt(variance), np.inf)
+    errors = np.where(np.sum(own**2, axis=0) > min_resolution, np.sqrt(variance), np.inf)
     return ArrayLayout(int(kept.sum()), float(s[0] / s[kept][-1]), errors)
 
 
@@ -121,22 +117,17 @@ def _scaled(A: Array) -> tuple[Array, Array]:
 def calibrated(
     imu: Imu, calibration: ImuCalibration, accelerations: Array, gyro: Array | None
 ) -> tuple[Imu, Array, Array | None]:
-    """Take a calibration's biases and gains off the readings, and its axes into the layout.
-
-    `calibration`: what it does not determine is left as the robot file has it. `accelerations` (N,
-    K) [m/s^2]. `gyro` (N, 3) [rad/s]. Returns (N, K) (N, 3): readings of an instrument without
-    those faults, whose axes are those of the returned Imu. The clock offset stays in.
-    """
+    """Take a calibration's biases and gains off the readings, and its axes into the layout."""
+    # What is not determined is left as the robot file has it. The clock offset stays in.
     bias = entries(calibration.accelerometer_bias, len(imu.axes), 0.0)
     scale = entries(calibration.accelerometer_scale, len(imu.axes), 1.0)
     axes = np.array(calibration.accelerometer_axes) if calibration.accelerometer_axes else imu.axes
-    mended = replace(imu, axes=axes)
-    if gyro is None:
-        return mended, (accelerations - bias) / scale, None
-    rate = (gyro - entries(calibration.gyro_bias, 3, 0.0)) / entries(calibration.gyro_scale, 3, 1.0)
-    if calibration.gyro_axes:
-        rate = rate @ np.linalg.inv(np.array(calibration.gyro_axes)).T
-    return mended, (accelerations - bias) / scale, rate
+    if gyro is not None:
+        gyro = gyro - entries(calibration.gyro_bias, 3, 0.0)
+        gyro = gyro / entries(calibration.gyro_scale, 3, 1.0)
+        if calibration.gyro_axes:
+            gyro = gyro @ np.linalg.inv(np.array(calibration.gyro_axes)).T
+    return replace(imu, axes=axes), (accelerations - bias) / scale, gyro
 
 
 def entries(values: Sequence[float | None], count: int, default: float) -> Array:
@@ -149,11 +140,7 @@ def entries(values: Sequence[float | None], count: int, default: float) -> Array
 def read_angular(
     imu: Imu, accelerations: Array, gyro: Array | None, lowpass: Lowpass, valid: Mask
 ) -> AngularReading:
-    """Solve the array for angular acceleration and products of angular velocity.
-
-    `accelerations` (N, K) [m/s^2]. `gyro` (N, 3) [rad/s] is used instead of the array where it is
-    there. `valid` (N,): false in gaps. The low-pass is applied once.
-    """
+    """Angular acceleration, products of angular velocity, by the gyro (N, 3) rad/s or the array."""
     if gyro is not None:
         w = lowpass(gyro, valid)
         dw, _ = differentiate(w, lowpass.rate_hz, valid)
@@ -167,8 +154,3 @@ def array_inverse(imu: Imu) -> Array:
     """Map (12, K) from readings to f, dw and products of w; least in size if not seen."""
     A, scale = _scaled(array_matrix(imu))
     return np.asarray(np.linalg.pinv(A, rcond=1e-6) / scale[:, None])
-
-
-def speed_about(products: Array, axis: Array) -> Array:
-    """Magnitude (N,) rad/s of the angular velocity about a known axis, from w w'."""
-    return np.asarray(np.sqrt(np.maximum(np.einsum("nij,i,j->n", products, axis, axis), 0.0)))

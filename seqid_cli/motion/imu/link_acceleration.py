@@ -24,7 +24,7 @@ from seqid_cli.motion.smoother.fused import absent_imus, fused_motion, needed, p
 from seqid_cli.params.schema import ImuCalibration, ImuStage
 from seqid_cli.robot.kinematics import forward, link_angular_motion
 from seqid_cli.robot.types import Imu, Robot
-from seqid_cli.typing import Array, Index
+from seqid_cli.typing import Array
 
 
 class LinkReading(NamedTuple):
@@ -39,10 +39,9 @@ class LinkReading(NamedTuple):
 def log_motion(
     recording: Recording, robot: Robot, options: MotionOptions, *, imu: ImuStage | None, source: str
 ) -> Motion:
-    """Motion of a log at its own rate, of the encoders or better.
+    """Motion of a log at its own rate, of the encoders or better (see `best_motion`).
 
-    With `options.kept` the motion of logs that differ in their torque alone is made once. `imu`:
-    calibrations. `source`: as of `best_motion`. Raises UsageError: it is unknown. Raises
+    With `options.kept` the motion of logs that differ in their torque alone is made once. Raises
     InputError: no stretch is long enough to filter, or the log lacks an IMU that `source` needs.
     """
     if options.kept is None:
@@ -90,7 +89,6 @@ def best_motion(
 def _from_imus(
     recording: Recording, robot: Robot, stage: ImuStage | None, motion: Motion
 ) -> Motion:
-    moving = np.flatnonzero(motion.moving.any(axis=0))
     readings, warnings = [], [*absent_imus(recording, robot, stage)]
     for imu in robot.imus:
         calibration = stage.imus.get(imu.name) if stage else None
@@ -103,22 +101,16 @@ def _from_imus(
         expected = link_angular_motion(robot.chain, *states)[1]
         bias = (reading.dw - expected)[motion.usable].mean(axis=0)
         reading = reading._replace(dw=reading.dw - bias)
-        if _healthy(reading, expected, motion, moving):
+        if _healthy(reading, expected, motion):
             readings.append(reading)
         else:
             warnings.append(f"{imu.name} is left out: it contradicts the encoders")
     if not readings:
         raise _impossible("imu", recording, robot, stage, warnings)
-    ddq, error = _solve(robot, motion, moving, readings)
-    return replace(
-        motion,
-        ddq=ddq,
-        source="imu",
-        imus=tuple(reading.name for reading in readings),
-        error=error,
-        encoder_error=motion.acceleration_error,
-        warnings=tuple(warnings),
-    )
+    ddq, error = _solve(robot, motion, readings)
+    names = tuple(reading.name for reading in readings)
+    found = replace(motion, ddq=ddq, source="imu", imus=names, error=error)
+    return replace(found, encoder_error=motion.acceleration_error, warnings=tuple(warnings))
 
 
 def _impossible(
@@ -137,17 +129,12 @@ def _impossible(
 
 
 def _link_reading(
-    imu: Imu,
-    calibration: ImuCalibration,
-    recording: Recording,
-    motion: Motion,
-    *,
-    axis_error: float = 0.003,
+    imu: Imu, known: ImuCalibration, log: Recording, motion: Motion, *, axis_error: float = 0.003
 ) -> LinkReading:
     """One IMU's angular acceleration in its link's frame, its calibration taken off."""
-    raw = recording.accelerometers[imu.name], recording.gyros.get(imu.name)
-    imu, values, gyro = calibrated(imu, calibration, *raw)
-    t, valid, offset = recording.t, recording.valid, calibration.time_offset_s
+    raw = log.accelerometers[imu.name], log.gyros.get(imu.name)
+    imu, values, gyro = calibrated(imu, known, *raw)
+    t, valid, offset = log.t, log.valid, known.time_offset_s
 
     def on_encoders_clock(values: Array) -> Array:
         # Readings stamped t were taken at t - `offset`.
@@ -156,10 +143,8 @@ def _link_reading(
     if offset:
         values = on_encoders_clock(values)
         gyro = None if gyro is None else on_encoders_clock(gyro)
-    dw = (
-        read_angular(imu, values, gyro, motion.lowpass, valid).dw @ np.array(calibration.rotation).T
-    )
-    noise = (calibration.noise_density or 0.0) * np.sqrt(motion.lowpass.cutoff_hz)
+    dw = read_angular(imu, values, gyro, motion.lowpass, valid).dw @ np.array(known.rotation).T
+    noise = (known.noise_density or 0.0) * np.sqrt(motion.lowpass.cutoff_hz)
     size = np.sqrt(np.mean(np.sum(dw**2, axis=1)))
     return LinkReading(imu.name, imu.after_joint, dw, float(np.hypot(noise, axis_error * size)))
 
@@ -173,32 +158,21 @@ def axes_in_link(robot: Robot, q: Array, link: int) -> Array:
 
 
 def _healthy(
-    reading: LinkReading,
-    expected: Array,
-    motion: Motion,
-    moving: Index,
-    *,
-    disagreement: float = 0.5,
+    reading: LinkReading, expected: Array, motion: Motion, *, disagreement: float = 0.5
 ) -> bool:
     """Whether an IMU agrees with what the encoders say its link does."""
-    own = moving[moving <= reading.link]
+    own = np.flatnonzero(motion.moving[:, : reading.link + 1].any(axis=0))
     noise = np.sqrt(np.sum(motion.cutoff.acceleration_noise[own] ** 2)) + reading.noise
-    error, size = (
-        np.sqrt(np.mean(np.sum(x[motion.usable] ** 2, axis=1)))
-        for x in (reading.dw - expected, expected)
-    )
+    both = (x[motion.usable] for x in (reading.dw - expected, expected))
+    error, size = (np.sqrt(np.mean(np.sum(x**2, axis=1))) for x in both)
     return bool(len(own) and error < disagreement * size + 3 * noise)  # not if it is no number
 
 
 def _solve(
-    robot: Robot,
-    motion: Motion,
-    moving: Index,
-    readings: list[LinkReading],
-    *,
-    unseen: float = 1e-06,
+    robot: Robot, motion: Motion, readings: list[LinkReading], *, unseen: float = 1e-06
 ) -> tuple[Array, Array]:
     """Weighted least squares per sample for the moving joints: accelerations, their error (n,)."""
+    moving = np.flatnonzero(motion.moving.any(axis=0))
     count = len(moving)
     normal = np.zeros((motion.samples, count, count))
     right = np.zeros((motion.samples, count))

@@ -57,10 +57,7 @@ class Mounting:
         return (rows @ slopes).reshape(*rows.shape[:2], -1, 3).swapaxes(2, 3)
 
     def by_place(self, x: Array) -> tuple[Array, Array, Array]:
-        """Derivatives (N, C, 3) of readings in their own axis, in the lever and in a turn.
-
-        All in the link's frame, the turn [rad] about its axes.
-        """
+        """Derivatives (N, C, 3) in own axis, lever and a turn [rad], all in the link's frame."""
         u, k = self.axes @ self.R.T, len(self.positions)
         reach = np.zeros_like(u)
         reach[:k] = self.positions @ self.R.T
@@ -80,17 +77,14 @@ def _head(chain: Chain, count: int) -> Chain:
 
 def link_state(robot: Robot, link: int, motion: Array) -> Array:
     """Motion (N, 15) of a link by q, dq, ddq (3, n, N) of the joints."""
-    head = _head(robot.chain, link + 1)
-    found = link_motion(head, robot.gravity, *motion[:, : link + 1])
+    found = link_motion(_head(robot.chain, link + 1), robot.gravity, *motion[:, : link + 1])
     return np.vstack([found.a[-1], found.H[-1].reshape(9, -1), found.w[-1]]).T
 
 
 def link_slopes(robot: Robot, link: int, motion: Array) -> Array:
-    """Derivatives (N, 9, 3 m) of a link's f, dw, w in q, dq, ddq of one joint after the other.
-
-    `motion` (3, n, N): q, dq, ddq. From link to link the derivatives are carried on as the motion
-    itself is (`robot.kinematics.link_motion`).
-    """
+    """Derivatives (N, 9, 3 m) of a link's f, dw, w in q, dq, ddq (3, n, N), joint after joint."""
+    # From link to link they are carried on as the motion itself is
+    # (`robot.kinematics.link_motion`).
     head = _head(robot.chain, link + 1)
     own = link_motion(head, robot.gravity, *motion[:, : link + 1])
     D = np.zeros((motion.shape[2], 9, 3 * head.n))

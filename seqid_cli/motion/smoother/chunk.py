@@ -71,12 +71,10 @@ class EncoderView:
     def weights(
         self, speed: Array, dt: float, *, edge: float = 0.03, smallest_variance: float = 1e-16
     ) -> tuple[Array, Array]:
-        """Weights, 1/rad^2, of samples and of the edges half a sample after them.
-
-        A joint that crosses an edge was there within one sample: its position is known to
-        speed * dt / sqrt 12, which beats step / sqrt 12 below one count per sample. While a code
-        lasts its samples say the same again and again; together they count once.
-        """
+        """Weights, 1/rad^2, of samples and of the edges half a sample after them."""
+        # A joint that crosses an edge was there within one sample: its position is known to speed *
+        # dt / sqrt 12, which beats step / sqrt 12 below one count per sample. While a code lasts
+        # its samples say the same again and again; together they count once.
         uniform = self.step**2 / 12
         if not self.step or not np.isfinite(self.edge).any():
             known = self.known / max(self.white + uniform, smallest_variance)
@@ -108,8 +106,7 @@ def encoder_view(
     white = float(white_noise(q[:, None], known)[0]) ** 2
     if step <= 0:
         return EncoderView(q, 0.0, white, nowhere, once, known)
-    code = np.round(q / step)
-    change = np.diff(code)
+    change = np.diff(np.round(q / step))
     between = known[1:] & known[:-1]
     at = np.flatnonzero((change != 0) & between)
     back = (np.diff(at) <= 3) & (change[at[1:]] * change[at[:-1]] < 0)
@@ -120,8 +117,7 @@ def encoder_view(
     edge[single] = 0.5 * (q[single] + q[single + 1])
     bounds = np.concatenate(([0], np.flatnonzero((change != 0) | ~between) + 1, [len(q)]))
     lasting = np.diff(bounds)
-    dwell = np.repeat(lasting, lasting).astype(float)
-    return EncoderView(q, step, 0.0, edge, dwell, known)
+    return EncoderView(q, step, 0.0, edge, np.repeat(lasting, lasting).astype(float), known)
 
 
 CELL_S = 0.016  # within which an arm hardly turns

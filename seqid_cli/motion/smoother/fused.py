@@ -52,13 +52,13 @@ def fused_motion(
     if not smoothed.mounted:
         return replace(encoder, warnings=warnings)
     apart = disagreement(encoder, encoder.lowpass(smoothed.ddq, recording.valid))
-    if not apart.any():
-        return replace(_filtered(recording, encoder, smoothed), warnings=warnings)
-    names = ", ".join(robot.joint_names[j] for j in np.flatnonzero(apart))
-    doubt = f"{', '.join(smoothed.mounted)} and the encoder of {names} disagree"
-    if not insist:
-        return replace(encoder, warnings=(*warnings, f"{doubt}: encoders alone are used"))
-    return replace(_filtered(recording, encoder, smoothed), warnings=(*warnings, doubt))
+    if apart.any():
+        names = ", ".join(robot.joint_names[j] for j in np.flatnonzero(apart))
+        doubt = f"{', '.join(smoothed.mounted)} and the encoder of {names} disagree"
+        if not insist:
+            return replace(encoder, warnings=(*warnings, f"{doubt}: encoders alone are used"))
+        warnings = (*warnings, doubt)
+    return replace(_filtered(recording, encoder, smoothed), warnings=warnings)
 
 
 def score_of_smoothed(
@@ -90,12 +90,10 @@ def _cutoff(smoothed: Smoothed, encoder: Motion) -> bandwidth.Cutoff:
 
 
 def needed(motion: Motion, encoder: Motion, *, min_gain: float = 3.0) -> bool:
-    """Whether acceleration is so much better known than by the encoders that it pays.
-
-    What the drive and its encoder do wrong shows between encoder and torque, and a smoother that
-    believes the IMUs hides it. Who looks for such effects takes IMUs only where the encoders are
-    too coarse to show anything: acceleration must be `min_gain` times better known.
-    """
+    """Whether acceleration is `min_gain` times better known than by encoders: that pays."""
+    # What the drive and its encoder do wrong shows between encoder and torque, and a smoother that
+    # believes the IMUs hides it. Who looks for such effects takes IMUs only where the encoders are
+    # too coarse to show anything.
     return _gain(motion, encoder) > min_gain
 
 
@@ -108,10 +106,8 @@ def promising(
     piece_s: float = 3.0,
     min_gain: float = 2.0,
 ) -> bool:
-    """Whether IMUs may be `needed`: what `piece_s` seconds about the fastest moment say of it.
-
-    Smoothing a whole log costs as much as all else that is done with its motion.
-    """
+    """Whether IMUs may be `needed`: what `piece_s` seconds about the fastest moment say of it."""
+    # Smoothing a whole log costs as much as all else that is done with its motion.
     if not mounted_imus(recording, robot, stage) or recording.t[-1] < 2.0 * piece_s:
         return True
     speed = np.where(encoder.usable, np.abs(encoder.dq).max(axis=1), 0.0)
@@ -141,7 +137,6 @@ def disagreement(
 
     A wrong calibration, clocks apart, or a link that does not follow its encoder: elastic, loose,
     or behind an encoder that is mounted off its axis. The smoother knows nothing of any of them.
-
     `ddq` (N, n): accelerations [rad/s^2], low-passed at the encoders' cut-off. `max_noise_ratio`:
     times the encoder's noise, whose quantisation is not white in slow moves. `max_share`: share of
     the acceleration: what shakes faster than IMUs sample shows up below.
@@ -154,27 +149,22 @@ def disagreement(
     return np.asarray(seen & ~(apart <= limit))
 
 
-def _digest(recording: Recording, robot: Robot, stage: ImuStage | None) -> bytes:
-    """Digest of what a smoothed motion follows from: all but the torque."""
-    found = hashlib.sha256(
-        f"{robot.sha256} {robot.joints!r} {robot.imus!r} {recording.rate_hz!r}".encode()
-    )
-    found.update(b"" if stage is None else msgspec.json.encode(stage))
-    readings = {**recording.accelerometers, **{f"{k} w": v for k, v in recording.gyros.items()}}
-    for name, values in (("q", recording.q), ("valid", recording.valid), *readings.items()):
-        found.update(f"{name} {values.shape}".encode())
-        found.update(np.ascontiguousarray(values).tobytes())
-    return found.digest()
-
-
 _KEPT = OrderedDict[bytes, Smoothed]()
 
 
 def _smoothed(
     recording: Recording, robot: Robot, stage: ImuStage | None, *, most_values: int = 16_000_000
 ) -> Smoothed:
-    """Smooth a log; the last motions are kept by `_digest`, up to so many values in all."""
-    digest = _digest(recording, robot, stage)
+    """Smooth a log; the last motions are kept, up to so many values in all."""
+    # By a digest of what a smoothed motion follows from: all but the torque.
+    arm = f"{robot.sha256} {robot.joints!r} {robot.imus!r} {recording.rate_hz!r}"
+    follows = hashlib.sha256(arm.encode())
+    follows.update(b"" if stage is None else msgspec.json.encode(stage))
+    readings = {**recording.accelerometers, **{f"{k} w": v for k, v in recording.gyros.items()}}
+    for name, values in (("q", recording.q), ("valid", recording.valid), *readings.items()):
+        follows.update(f"{name} {values.shape}".encode())
+        follows.update(np.ascontiguousarray(values).tobytes())
+    digest = follows.digest()
     found = _KEPT.pop(digest, None) or smoothed_motion(recording, robot, stage)
     _KEPT[digest] = found
     while sum(3 * one.q.size for one in _KEPT.values()) > most_values:
@@ -212,18 +202,9 @@ def _filtered(recording: Recording, encoder: Motion, smoothed: Smoothed) -> Moti
             values[:, hidden] = own
     q, dq, ddq = motion
     tau, usable = filtered_torque(recording, lowpass)
-    own_hz = cutoff.alone_hz or cutoff.hz  # of the encoders
-    return replace(
-        encoder,
-        q=q,
-        dq=dq,
-        ddq=ddq,
-        tau=tau,
-        usable=usable,
-        lowpass=lowpass,
-        cutoff=cutoff,
-        source="fused",
-        imus=tuple(smoothed.mounted),
-        error=np.sqrt(bandwidth.smoothed_error(variance, cutoff.noise_density, cutoff.hz)),
-        encoder_error=np.sqrt(bandwidth.differentiated_error(cutoff.noise_density, own_hz)),
-    )
+    density, own_hz = cutoff.noise_density, cutoff.alone_hz or cutoff.hz  # that of the encoders
+    error = np.sqrt(bandwidth.smoothed_error(variance, density, cutoff.hz))
+    alone_error = np.sqrt(bandwidth.differentiated_error(density, own_hz))
+    made = replace(encoder, q=q, dq=dq, ddq=ddq, tau=tau, usable=usable, source="fused")
+    made = replace(made, lowpass=lowpass, cutoff=cutoff, imus=tuple(smoothed.mounted))
+    return replace(made, error=error, encoder_error=alone_error)

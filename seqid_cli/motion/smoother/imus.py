@@ -150,26 +150,17 @@ def clipped(
 
 def moved(x: Mounted, change: Array) -> Mounted:
     """Renew an IMU's constants by `change` (g,)."""
-    channels = x.place.channels
-    ends = channels + np.array([0, 3, 6, 7])
-    bias, lever, turn, late, axes = np.split(change, ends)
-    place = replace(
-        x.place,
-        lever=x.place.lever + lever,
-        R=x.place.R @ Rotation.from_rotvec(turn).as_matrix(),
-        axes=x.place.axes + axes.reshape(-1, 3),
-    )
+    place, channels = x.place, x.place.channels
+    bias, lever, turn, late, axes = np.split(change, channels + np.array([0, 3, 6, 7]))
+    turned, axes = Rotation.from_rotvec(turn), place.axes + axes.reshape(-1, 3)
+    place = replace(place, lever=place.lever + lever, R=place.R @ turned.as_matrix(), axes=axes)
     away, turns = x.away + change, slice(channels + 3, channels + 6)
-    before, after = Rotation.from_rotvec(x.away[turns]), Rotation.from_rotvec(turn)
-    away[turns] = (before * after).as_rotvec()
+    away[turns] = (Rotation.from_rotvec(x.away[turns]) * turned).as_rotvec()
     return replace(x, place=place, bias=x.bias + bias, delay=x.delay + float(late[0]), away=away)
 
 
 def handed_on(x: Mounted, taken: Index, covariance: Array, *, forget: float = 1.5) -> Mounted:
-    """What the next stretch is to assume: the constants of this one.
-
-    `covariance` (m, m) is of those that took part, `taken` (m,).
-    """
+    """What the next stretch is to assume; `covariance` (m, m) is of the constants `taken` (m,)."""
     own: Array = np.asarray(np.linalg.inv(x.precision), dtype=np.float64)
     own[taken], own[:, taken] = 0.0, 0.0
     own[np.ix_(taken, taken)] = covariance

@@ -68,11 +68,9 @@ def misfits(
 
 
 def contradiction(found: Sequence[Misfit], *, unexplained: float = 0.36) -> tuple[str, list[str]]:
-    """The IMU to be left out, if any, and what is to be said of those that fit badly.
-
-    A right model leaves noise: motion that follows an IMU takes up nearly all in which it differs
-    from the encoders' motion. Wrong geometry or an arm that bends leaves much more.
-    """
+    """The IMU to be left out, if any, and what is to be said of those that fit badly."""
+    # A right model leaves noise: motion that follows an IMU takes up nearly all in which it differs
+    # from the encoders' motion. Wrong geometry or an arm that bends leaves much more.
     texts = {
         x.name: f"it differs from the motion by {x.size:.3g}, {x.noises:.1f} times its noise and "
         f"{percent(x.share, 0)} of what it differs from the encoders'"
@@ -169,5 +167,4 @@ def _design(chunk: Chunk, c: Array, x: Mounted, count: int) -> tuple[Array, Arra
     G = jacobians(chunk, c, x, gains=False).by_constants[:, :, :count]
     there = np.add.reduceat(x.seen.astype(float), chunk.cells) > 0
     G = G * there[:, :, None] / noise[:, None]
-    info = np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]
-    return r, noise, G, info
+    return r, noise, G, np.tensordot(G, G, ([0, 1], [0, 1])) + x.precision[:count, :count]

@@ -64,10 +64,8 @@ Part = tuple[Array, Index, Array, tuple[Mounted, ...], list[str]]
 
 
 def _smoothed(chunk: Chunk, size: Array) -> tuple[Part, Array]:
-    """Constants on coarse knots, motion on fine ones; the jerk's size (n,) on the coarse.
-
-    Of a chunk come motion (N, 3, n), variances at some places, its IMUs and what it says of them.
-    """
+    """Constants on coarse knots, motion on fine ones; the jerk's size (n,) on the coarse."""
+    # Of a chunk come motion (N, 3, n), variances at some places, its IMUs and what it says of them.
     coarse = _on_knots(chunk, COARSE_S if chunk.dt <= FINE_S else FINE_S).gathered()
     c, jerk = solve.encoder_motion(coarse, size)
     coarse, notes = believed(coarse, c)
@@ -106,8 +104,7 @@ def _agreed(chunk: Chunk, coarse: Chunk, c: Array, jerk: Jerk) -> tuple[solve.So
         found = list(misfits(shared.chunk, c, shared.c))
         if found:
             shared = solve.settled(*_refined(chunk, shared))
-            alone = resampled(coarse, c, shared.chunk)
-            found = list(misfits(shared.chunk, alone, shared.c))
+            found = list(misfits(shared.chunk, resampled(coarse, c, shared.chunk), shared.c))
         name, said = contradiction(found)
         notes += said
         if not name:
@@ -133,13 +130,10 @@ def smoothed_motion(
     first_jerk: float = 1000.0,
     mostly: float = 0.95,
 ) -> Smoothed:
-    """Smooth all joints of one log, by chunks that fade into each other.
-
-    `stage`: calibrations; IMUs without one take no part. `chunk_s`: length [s] of what is smoothed
-    at once, from the constants that the chunk before has found. `mostly`: share of the samples, in
-    fewer of which an IMU that reads is named. Returns: at the log's own rate. Joints that no
-    believed IMU sees rest on their encoders.
-    """
+    """Smooth all joints of one log, by chunks of `chunk_s` s that fade into each other."""
+    # A chunk begins with the constants that the one before has found. An IMU that reads in fewer
+    # than `mostly` of the samples is named. Joints that no believed IMU sees rest on their
+    # encoders.
     samples, rate = len(recording.q), recording.rate_hz
     filled = np.column_stack([bridged(x, np.isfinite(x)) for x in recording.q.T])
     step = encoder_resolution(robot)
@@ -159,11 +153,11 @@ def smoothed_motion(
         # Threads of the linear algebra only get into each other's way with matrices this narrow.
         with threadpool_limits(1):
             part, size = _smoothed(Chunk(robot, views, 1.0 / rate, 1, imus), size)
-        motion, places, variance, found, said = part
+        states, places, variance, found, said = part
         known |= {x.name: x for x in found}
         used |= {x.name for x in found}
         notes += [f"{own.start / rate:.1f} s: {x}" for x in said]
-        joined[own] += share[:, None, None] * motion
+        joined[own] += share[:, None, None] * states
         kept = share[places] >= 0.5
         at.append(places[kept] + own.start)
         variances.append(variance[kept])
@@ -172,9 +166,8 @@ def smoothed_motion(
     text = "{} reads in {} of the samples"
     notes += [text.format(name, percent(x, 0)) for name, x in shares.items() if x < mostly]
     q, dq, ddq = (np.ascontiguousarray(joined[:, d]) for d in range(3))
-    return Smoothed(
-        q, dq, ddq, np.concatenate(at), np.concatenate(variances), mounted, tuple(notes)
-    )
+    known_at = np.concatenate(at), np.concatenate(variances)
+    return Smoothed(q, dq, ddq, *known_at, mounted, tuple(notes))
 
 
 def _fading(samples: int, length: float, lap: int) -> Iterator[tuple[slice, Array]]:

@@ -38,8 +38,7 @@ class Solution:
         """Independent deviations (Kn, r) of the coefficients by which constants move them."""
         half = np.linalg.inv(np.linalg.cholesky(self.schur))
         size, along = np.linalg.eigh(half @ (self.border.T @ self.border) @ half.T)
-        kept = half.T @ along[:, size > felt]
-        return halved(self.factor, self.border @ kept, transposed=True)
+        return halved(self.factor, self.border @ (half.T @ along[:, size > felt]), transposed=True)
 
 
 def halved(factor: Array, right: Array, *, transposed: bool = False) -> Array:

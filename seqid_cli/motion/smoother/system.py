@@ -65,8 +65,7 @@ def jacobians(chunk: Chunk, c: Array, x: Mounted, *, gains: bool) -> Cells:
     amid = np.where(count > 0, mean.astype(int), np.minimum(starts + size // 2, m - 1))
     motion = mean_motion(chunk, c[:, :head], x.fraction, amid)
     state = link_state(chunk.robot, x.place.link, motion)
-    slopes = link_slopes(chunk.robot, x.place.link, motion)
-    by_motion = x.place.by_motion(state, slopes)
+    by_motion = x.place.by_motion(state, link_slopes(chunk.robot, x.place.link, motion))
     seen, lever, turn = x.place.by_place(state)
     late = -np.einsum("nkdm,dmn->nk", by_motion, _rate(chunk, c[:, :head], x.fraction))
     channels = np.eye(x.place.channels)
@@ -104,10 +103,8 @@ def normal_equations(
     told: tuple[Array, ...] | None = None,
     stretch: int = 256,
 ) -> Normal:
-    """Gradients at `c` (K, n) and information; `told` are the readings expected there.
-
-    Each interval tells of its own four coefficients. `stretch`: intervals laid out at once.
-    """
+    """Gradients at `c` (K, n) and information; `told` are the readings expected there."""
+    # Each interval tells of its own four coefficients. `stretch`: intervals laid out at once.
     m, n, count = chunk.intervals, chunk.joints, len(chunk.cells)
     own, pulls = _encoders(chunk, c)
     rise, precision = JERK / chunk.spacing**3, jerk.precision

@@ -9,13 +9,7 @@ from typing import Any
 
 import msgspec
 
-from seqid_cli.robot.formula import (
-    Formula,
-    FormulaError,
-    is_coefficient,
-    parse_formula,
-    symbol_of,
-)
+from seqid_cli.robot.formula import is_coefficient, symbol_of
 from seqid_cli.robot.toml.schema import EffectEntry, ImuEntry, JointEntry, RobotFile
 
 Problem = tuple[str, str]  # fault, hint
@@ -49,22 +43,6 @@ def nearest(word: str, known: Iterable[str]) -> str:
     """Offer the known name nearest to `word` in a sentence, empty where none is near."""
     found = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
     return f"Did you mean '{found[0]}'? " if found else ""
-
-
-def formulas_of(robot: RobotFile) -> tuple[Formula | None, ...]:
-    """Return the formula of each effect; None where an installed package offers the effect.
-
-    Raises FormulaError naming the key.
-    """
-    found: list[Formula | None] = []
-    for k, effect in enumerate(robot.effect):
-        text, joints = effect.torque, len(robot.joint)
-        try:
-            found.append(None if text is None else parse_formula(text, joints, effect.settings))
-        except FormulaError as problem:
-            message = f"effect[{k}].torque {problem} (effect {effect.name!r})"
-            raise FormulaError(message) from None
-    return tuple(found)
 
 
 def problems(robot: RobotFile) -> Iterator[Problem]:

@@ -1,4 +1,4 @@
-"""Reading `robot.toml` and the URDF it names: every failure names file and full path of the key.
+"""Reading `robot.toml`: every failure names file and full path of the key.
 
 Imports neither numpy nor Pinocchio, so that a wrong file is reported at once.
 """
@@ -6,42 +6,27 @@ Imports neither numpy nor Pinocchio, so that a wrong file is reported at once.
 import glob
 import re
 import tomllib
-from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
 import msgspec
 
 from seqid_cli.errors import ConfigError
-from seqid_cli.robot.formula import SYMBOLS, Formula, FormulaError
-from seqid_cli.robot.toml.checks import formulas_of, nearest, problems
+from seqid_cli.robot.formula import SYMBOLS, Formula, FormulaError, parse_formula
+from seqid_cli.robot.toml.checks import nearest, problems
 from seqid_cli.robot.toml.schema import SCHEMA, SCHEMA_VERSION, TABLES, RobotFile
 
-SIZE_LIMIT, URDF_LIMIT = 4 * 2**20, 64 * 2**20  # bytes
+SIZE_LIMIT = 4 * 2**20  # bytes
 MOST_PARTS = 32  # of a dotted key
 _PART = r"(?:[\w-]+|\"[^\"\n]*\"|'[^'\n]*')"
 _DEEP_KEY = re.compile(rf"(?<![\w\-\"'.]){_PART}(?:[ \t]*\.[ \t]*{_PART}){{{MOST_PARTS}}}")
 
 
-@dataclass(frozen=True)
-class RobotText:
-    """A robot file that passed its own checks, and the URDF that it names.
+def read_robot_file(path: Path) -> tuple[bytes, RobotFile, list[Formula | None]]:
+    """Read a robot file and check all that needs neither a URDF nor geometry.
 
-    `raw` and `urdf` are the bytes of the two. `formulas` are those of its effects, None where an
-    installed package offers the effect. `urdf_path` is None, and `urdf` empty, where none is named.
-    """
-
-    raw: bytes
-    content: RobotFile
-    formulas: tuple[Formula | None, ...]
-    urdf_path: Path | None
-    urdf: bytes
-
-
-def read_robot_file(path: Path) -> RobotText:
-    """Read a robot file and its URDF, and check all that needs no geometry.
-
-    Raises ConfigError naming the file and the key's full path.
+    Returns its bytes, its content, and the formulas of its effects: None where an installed package
+    offers the effect. Raises ConfigError naming the file and the key's full path.
     """
     raw = read_limited(path, "robot file", SIZE_LIMIT)
     document = _parse(path, raw)
@@ -63,21 +48,21 @@ def read_robot_file(path: Path) -> RobotText:
         raise ConfigError(message, where=str(path), hint=hint) from None
     for message, hint in problems(content):
         raise ConfigError(message, where=str(path), hint=hint)
-    try:
-        formulas = formulas_of(content)
-    except FormulaError as problem:
-        hint = f"Write a sum of terms as in 'c1 * sign(dq) * abs(load)'; of {', '.join(SYMBOLS)}."
-        raise ConfigError(str(problem), where=str(path), hint=hint) from None
-    urdf_path = None if content.urdf is None else path.parent / content.urdf
-    urdf = b"" if urdf_path is None else read_limited(urdf_path, "URDF", URDF_LIMIT)
-    return RobotText(raw, content, formulas, urdf_path, urdf)
+    formulas: list[Formula | None] = []
+    for k, effect in enumerate(content.effect):
+        text, joints = effect.torque, len(content.joint)
+        try:
+            formulas.append(None if text is None else parse_formula(text, joints, effect.settings))
+        except FormulaError as problem:
+            message = f"effect[{k}].torque {problem} (effect {effect.name!r})"
+            sums = "Write a sum of terms as in 'c1 * sign(dq) * abs(load)'"
+            hint = f"{sums}; of {', '.join(SYMBOLS)}."
+            raise ConfigError(message, where=str(path), hint=hint) from None
+    return raw, content, formulas
 
 
 def read_limited(path: Path, what: str, limit: int) -> bytes:
-    """Read the file `path`, called `what` in messages.
-
-    Raises ConfigError: there is none, it cannot be read, or it is larger than `limit` bytes.
-    """
+    """Read a file, called `what` in messages; ConfigError if it cannot, or is over `limit`."""
     where = str(path)
     try:
         if path.is_dir():

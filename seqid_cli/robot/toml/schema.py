@@ -62,8 +62,7 @@ class ImuEntry(Table, frozen=True):
 class Channels(Table, frozen=True):
     """`[channels]`: names that a log uses instead of the default ones; None means the default.
 
-    `effort` says what it is; torque where it is not said. `unit` is that of the angles,
-    `length_unit` that of sliding joints' positions.
+    `effort` says what it is, else torque. `unit` is of angles, `length_unit` of sliding joints.
     """
 
     time: str | int | None = None

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class JointTemplate:
-    """Known values of a joint, else None. `seen` names the source of the encoder step."""
+    """Known values of a joint, else None."""
 
     name: str
     limits: tuple[float, float] | None = None

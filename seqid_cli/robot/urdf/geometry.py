@@ -82,9 +82,8 @@ def geometry_of(
         low, high = np.array(box[:3]), np.array(box[3:])
         place = pin.SE3(np.eye(3), (low + high) / 2)
         solid = coal.Box(*np.abs(high - low))
-        number = shapes.addGeometryObject(
-            pin.GeometryObject(f"box_{shapes.ngeoms}", 0, place, solid)
-        )
+        whole_box = pin.GeometryObject(f"box_{shapes.ngeoms}", 0, place, solid)
+        number = shapes.addGeometryObject(whole_box)
         for a in range(count):
             if parents[a] > 0:
                 shapes.addCollisionPair(pin.CollisionPair(a, number))

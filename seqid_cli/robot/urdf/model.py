@@ -28,9 +28,9 @@ def chain_from_urdf(
 ) -> tuple[Chain, Array | None]:
     """Build the chain of the joints `names`, all other joints locked at zero and merged.
 
-    `names`: movable joints of the URDF, in the order of the robot file. `source`: the robot file,
-    for messages. Returns: quarter turns and zeros that it rounds are exact (see `tidy_rotation`).
-    Raises ConfigError: the URDF is inconsistent, or `names` is not a serial chain in this order.
+    Quarter turns and zeros that it rounds are exact (see `tidy_rotation`). Raises ConfigError, of
+    the robot file `source`: the URDF is inconsistent, or `names` is not a serial chain in this
+    order.
     """
     whole = whole_model(urdf)
     others = [k for k in range(1, whole.njoints) if whole.names[k] not in names]
@@ -55,19 +55,13 @@ def whole_model(urdf: UrdfText) -> pin.Model:
             return pin.buildModelFromXML(readable(urdf))
     except (ValueError, RuntimeError) as problem:
         reason = str(problem).strip().splitlines()[0] if str(problem).strip() else "no reason given"
-        raise ConfigError(
-            f"not a usable URDF: {reason}",
-            where=str(urdf.path),
-            hint="Check it with `check_urdf` (liburdfdom-tools).",
-        ) from None
+        hint = "Check it with `check_urdf` (liburdfdom-tools)."
+        message = f"not a usable URDF: {reason}"
+        raise ConfigError(message, where=str(urdf.path), hint=hint) from None
 
 
 def readable(urdf: UrdfText) -> str:
-    """Repair parts that Pinocchio refuses and that play no part in the dynamics.
-
-    Every revolute and prismatic joint that lacks part of its <limit> gets a wide one; a link that
-    shares its name with a joint is renamed.
-    """
+    """Give joints that lack part of their <limit> a wide one; rename links named like a joint."""
     root = copy.deepcopy(urdf.root)
     for joint in root.findall("joint"):
         if joint.get("type") in ("revolute", "prismatic"):
@@ -107,12 +101,10 @@ def _check_chain(model: pin.Model, names: tuple[str, ...], urdf: UrdfText, sourc
     before = str(model.names[0])
     while children := [name for name, of in parent.items() if of == before]:
         if len(children) > 1:
-            raise ConfigError(
-                f"joints {' and '.join(map(repr, children))} are on different branches of "
-                f"{urdf.path.name}",
-                where=str(source),
-                hint="Name the joints of one serial chain only; the others are locked at zero.",
-            )
+            apart = " and ".join(map(repr, children))
+            message = f"joints {apart} are on different branches of {urdf.path.name}"
+            hint = "Name the joints of one serial chain only; the others are locked at zero."
+            raise ConfigError(message, where=str(source), hint=hint)
         before = children[0]
         order.append(before)
     if tuple(order) != names:

@@ -12,9 +12,10 @@ from xml.etree import ElementTree
 
 from seqid_cli.errors import ConfigError
 from seqid_cli.robot.toml.checks import LARGEST, LEAST_AXIS, nearest
-from seqid_cli.robot.toml.read import URDF_LIMIT, read_limited
+from seqid_cli.robot.toml.read import read_limited
 from seqid_cli.robot.toml.schema import JointEntry
 
+SIZE_LIMIT = 64 * 2**20  # bytes
 MOVABLE = frozenset({"revolute", "continuous", "prismatic"})
 _ANY, _SIZED = (-math.inf, math.inf), (-LARGEST, LARGEST)
 # How many numbers an attribute of a link or joint has, and between what they are.
@@ -29,11 +30,7 @@ _NUMBERS = {
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A joint between two links: limits in rad (m), rad/s (m/s), N m (N), None where not given.
-
-    `follows` names the joint that it mimics, empty where it moves by itself. `axis` (3,) is in the
-    joint's own frame.
-    """
+    """A joint: limits in rad (m), rad/s (m/s), N m (N); `follows` names the one that it mimics."""
 
     name: str
     kind: str
@@ -63,17 +60,13 @@ class UrdfText:
 
 
 def read_urdf_text(path: Path) -> UrdfText:
-    """Read a URDF file and check it, as `parse_urdf` does; ConfigError where there is none, too."""
-    return parse_urdf(path, read_limited(path, "URDF", URDF_LIMIT))
+    """Read a URDF file and check it.
 
-
-def parse_urdf(path: Path, raw: bytes) -> UrdfText:
-    """Check the bytes of a URDF file.
-
-    Raises ConfigError naming the file `path`, the joint or link: it is a xacro file, not
+    Raises ConfigError naming the file, the joint or link: there is no file, it is a xacro file, not
     well-formed XML or not a URDF, has numbers that are none, names twice, or links that do not hang
     in one tree.
     """
+    raw = read_limited(path, "URDF", SIZE_LIMIT)
     text = re.sub(rb"<!--.*?-->", b"", raw, flags=re.DOTALL)
     problem, hint = "", ""
     try:
@@ -172,10 +165,7 @@ def _faults_of_the_tree(
 
 
 def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> None:
-    """Check that the robot file's joints are joints of the URDF that move by themselves, and how.
-
-    Raises ConfigError naming `source`, the key, the joint, and what the URDF has instead.
-    """
+    """Check that the robot file's joints are joints of the URDF that move by themselves."""
     file = urdf.path.name
     known = f"Movable joints of {file}: {', '.join(urdf.movable) or 'none'}."
     for k, entry in enumerate(joints):
@@ -201,10 +191,7 @@ def check_joints(urdf: UrdfText, joints: Sequence[JointEntry], source: Path) -> 
 def best_chain(
     urdf: UrdfText, worth: Callable[[UrdfJoint], float] = lambda joint: 1.0
 ) -> tuple[UrdfJoint, ...]:
-    """Return the driven joints from the root to a tip, of the largest total worth.
-
-    The first of equals in the order of the file; empty where no joint is driven.
-    """
+    """Driven joints from the root to a tip, of the largest worth; of equals the first."""
     by_child = {joint.child: joint for joint in urdf.joints.values()}
     inner = {joint.parent for joint in urdf.joints.values()}
     chains = []

@@ -53,7 +53,7 @@ def robot(tmp_path: Path) -> Robot:
 
 def test_the_order_of_the_logs_does_not_matter() -> None:
     arm, options = load_robot(SAMPLES / "robot.toml"), RigidOptions(source="encoder")
-    first, other = (identification_options(x, arm, options) for x in (LOGS[:3], LOGS[2::-1]))
+    first, other = (identification_options(x, arm, options, None) for x in (LOGS[:3], LOGS[2::-1]))
     assert first == other
     assert "3 logs together" in first.origin
 

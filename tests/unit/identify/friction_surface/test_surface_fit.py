@@ -54,7 +54,7 @@ def surface_fit(data: list[SpeedData]) -> SurfaceFit:
 
 
 def chosen(fit: SurfaceFit) -> Orders:
-    return choose_orders([fit], position=None, velocity=None)
+    return choose_orders([fit], (None, None))
 
 
 def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, Array]:
@@ -82,7 +82,7 @@ def direct(data: list[SpeedData], sizes: Sizes, orders: Orders) -> tuple[Array, 
 def test_both_steps_together_are_the_generalised_least_squares(m: int, l: int) -> None:
     data = data_of(COEFFICIENTS, np.random.default_rng(0), TRUE, doubt=0.05)
     reduced, orders = reduce_trials(data, SCALING), Orders(m, l)
-    fit = SurfaceFit(reduced, TRUE, fitting.highest_orders([reduced], None, None))
+    fit = SurfaceFit(reduced, TRUE, fitting.highest_orders([reduced], (None, None)))
     entries, covariance = direct(data, TRUE, orders)
     np.testing.assert_allclose(fit.entries(orders).ravel(), entries, atol=1e-8)
     if m == HIGHEST:  # that of fewer orders allows for what they leave out
@@ -148,8 +148,8 @@ def test_high_orders_do_not_swing_between_the_speeds() -> None:
 def test_orders_that_the_user_fixes_are_kept() -> None:
     reduced = reduce_trials(data_of(COEFFICIENTS, np.random.default_rng(5)), SCALING)
     for position, velocity in ((10, 11), (1, 2), (0, 0), (1, None)):
-        fits, _ = fit_surfaces([reduced], position=position, velocity=velocity)
-        found = choose_orders(fits, position=position, velocity=velocity)
+        fits, _ = fit_surfaces([reduced], (position, velocity))
+        found = choose_orders(fits, (position, velocity))
         assert found.position == position
         assert found.velocity == velocity or velocity is None
     assert found.velocity >= 2

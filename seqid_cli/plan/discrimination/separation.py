@@ -35,7 +35,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from seqid_cli.discover.select.naming import BEHIND, tempered
-from seqid_cli.model.effects.scene import Scene, sign_widths
+from seqid_cli.model.effects.scene import Scene, Scenes, sign_widths
 from seqid_cli.model.torque import TorqueModel
 from seqid_cli.motion.filters.bandwidth import Cutoff
 from seqid_cli.motion.filters.butterworth import Lowpass
@@ -173,11 +173,7 @@ def scenes_of(belief: Belief, stages: Stages, moves: Sequence[PlannedMove]) -> l
 
 
 def separation_of(
-    belief: Belief,
-    question: Question,
-    scenes: Sequence[Scene],
-    size: float,
-    have: Sequence[Scene] = (),
+    belief: Belief, question: Question, scenes: Scenes, size: float, have: Scenes = ()
 ) -> Separation:
     """Gram matrices of all moves, of which logs that there are already count as known.
 

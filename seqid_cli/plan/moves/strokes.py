@@ -12,7 +12,9 @@ from seqid_cli.params.results.plan import PlannedMove, Stroke
 from seqid_cli.plan.belief import Belief
 from seqid_cli.plan.limits import Limits
 from seqid_cli.plan.moves.fourier import Moves
-from seqid_cli.robot.types import Array
+from seqid_cli.typing import Array
+
+Ends = tuple[float, float]  # of one joint's way, rad; m where prismatic
 
 
 def top_speed(limits: Limits, j: int, span: float, *, steady: float = 0.5) -> float:
@@ -50,12 +52,7 @@ def seconds_of(strokes: Sequence[Stroke]) -> float:
 
 
 def stroke_move(
-    belief: Belief,
-    name: str,
-    j: int,
-    posture: Array,
-    ends: tuple[float, float],
-    speeds: Sequence[float],
+    belief: Belief, name: str, j: int, posture: Array, ends: Ends, speeds: Sequence[float]
 ) -> PlannedMove:
     """A move of joint j there and back between two ends at each speed, all others at `posture`."""
     names = belief.robot.joint_names

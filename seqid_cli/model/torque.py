@@ -164,8 +164,7 @@ def known_rotors(robot: Robot) -> Array:
 def sliding(motion: Motion, slowest: Array) -> Mask:
     """Samples (N, n) at which a joint certainly slides, so that friction opposes its motion.
 
-    At rest friction takes any value up to stiction; such samples, and those that the filter mixes
-    with them, say nothing about the model.
+    At rest, and where the filter mixes rest in, friction is anything up to stiction.
     """
     near = slowest_near(motion, np.where(motion.moving, motion.dq, 0.0))
     return np.asarray((near >= slowest) & (near > 0.0) & motion.usable[:, None])
@@ -188,11 +187,7 @@ def slowest_near(motion: Motion, velocity: Array, *, per_period: float = 80.0) -
 def sampled_friction(
     surfaces: list[FrictionSurface | None], motion: Motion, *, dense: float = 80.0
 ) -> Array:
-    """Friction torque of a motion, its step at reversals kept below half of the rate.
-
-    Returns (N, n) [N m; N where prismatic]: before the motion's own low-pass; zero for a joint
-    whose friction is not known.
-    """
+    """Friction torque (N, n) before the motion's low-pass, steps kept below half of the rate."""
     torque = friction_torque(surfaces, motion.q, motion.dq)
     if motion.rate_hz >= dense * motion.lowpass.cutoff_hz:
         return torque

@@ -34,9 +34,7 @@ class Backlash(Effect):
     name = "backlash"
     family = "transmission"
     settings = (
-        Setting(
-            "trial_gap", "rad", low=SMALLEST, high=LARGEST, continuous=False, agreement=AGREEMENT
-        ),
+        Setting("trial_gap", "rad", SMALLEST, LARGEST, continuous=False, agreement=AGREEMENT),
     )
     needs = ("load",)
     apart = True

@@ -65,8 +65,7 @@ class Profile:
         cross = float(self.mm @ (sin * cos))
         A = np.array([[self.mm @ (sin * sin), cross], [cross, self.mm @ (cos * cos)]])
         b = np.array([self.rm @ sin, self.rm @ cos])
-        trace = float(np.trace(A))
-        if np.linalg.det(A) < 1e-3 * trace**2:
+        if np.linalg.det(A) < 1e-3 * float(np.trace(A)) ** 2:
             return 0.0
         return float(b @ np.linalg.solve(A, b))
 
@@ -132,11 +131,9 @@ def _without_trend(x: Array, rm: Array, mm: Array) -> Array:
 
 def _floor(power: Array) -> Array:
     """Level of the spectrum around each value: medians of windows, joined by lines."""
-    window = min(FLOOR_WINDOW, len(power))
-    count = max(1, len(power) // window)
+    count = len(power) // min(FLOOR_WINDOW, len(power))
     parts = np.array_split(np.arange(len(power)), count)
-    at = np.array([part.mean() for part in parts])
-    level = np.array([np.median(power[part]) for part in parts])
+    at, level = zip(*((part.mean(), np.median(power[part])) for part in parts), strict=True)
     floor: Array = np.interp(np.arange(len(power)), at, level)
     return floor
 

@@ -161,10 +161,8 @@ class SmoothTerm:
     def to_stage(self, robot: Robot) -> EffectOfJoint:
         """Write the term down; its coefficients have no errors."""
         name = robot.joint_names[self.joint]
-        settings: dict[str, str | float | int | bool] = {
-            "depends_on": " ".join(self.quantities),
-            "factor": self.factor,
-        }
+        settings: dict[str, str | float | int | bool]
+        settings = {"depends_on": " ".join(self.quantities), "factor": self.factor}
         for number, axis in enumerate(self.axes, start=1):
             settings[f"axis_{number}"] = axis.measure
             settings[f"axis_{number}_joint"] = robot.joint_names[axis.joint]

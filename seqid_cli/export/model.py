@@ -83,12 +83,9 @@ def export_model(
     joint [N m] on new logs; those of the inertia stage if left out.
     """
     if stages.inertia is None and robot.nominal is None:
-        raise ConfigError(
-            "the file holds no inertia stage, and the robot file names no URDF with inertials that "
-            "could stand in",
-            where=str(robot.source),
-            hint="Run seqid inertia first and export its result.",
-        )
+        message = "the file holds no inertia stage, and the robot file names no URDF with inertials"
+        hint = "Run seqid inertia first and export its result."
+        raise ConfigError(f"{message} that could stand in", where=str(robot.source), hint=hint)
     rigid = stages.inertia or stages.gravity
     coupled = rigid is not None and rigid.rotor_coupling == "gyroscopic"
     coupling: Coupling = "gyroscopic" if coupled else "diagonal"

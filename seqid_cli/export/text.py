@@ -32,13 +32,9 @@ def _row(values: Array) -> str:
 def rendered(template: str, model: ExportModel, **content: object) -> str:
     """Fill in a template; names of a robot are written by `e` or `tojson_ascii` there."""
     filters = {"real": real, "spaced": reals, "row": _row, "tojson_ascii": json.dumps}
-    own = {
-        "joints": model.robot.joint_names,
-        "gravity": model.robot.gravity,
-        "armature": model.armature,
-        "friction": model.friction,
-        "remarks": remarks(model),
-    }
+    robot = model.robot
+    own = {"joints": robot.joint_names, "gravity": robot.gravity, "remarks": remarks(model)}
+    own |= {"armature": model.armature, "friction": model.friction}
     return filled("seqid_cli.export", template, own | content, filters=filters)
 
 

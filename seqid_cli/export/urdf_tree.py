@@ -39,9 +39,8 @@ def bodies_of_urdf(urdf: UrdfText, joints: Sequence[str]) -> tuple[UrdfBody, ...
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))
     elements = urdf.root.findall("joint")
-    fixed = {
-        link_of(x, "child"): link_of(x, "parent") for x in elements if x.get("type") == "fixed"
-    }
+    welds = (x for x in elements if x.get("type") == "fixed")
+    fixed = {link_of(x, "child"): link_of(x, "parent") for x in welds}
     found = []
     for name in joints:
         first = next(link_of(x, "child") for x in elements if x.get("name") == name)
@@ -50,8 +49,7 @@ def bodies_of_urdf(urdf: UrdfText, joints: Sequence[str]) -> tuple[UrdfBody, ...
             merged += [child for child, parent in fixed.items() if parent == link]
         at, kept = model.getJointId(name), np.zeros(PER_LINK)
         for k in _behind(model, at, joints):
-            placement = data.oMi[at].actInv(data.oMi[k])
-            kept += placement.act(model.inertias[k]).toDynamicParameters()
+            kept += data.oMi[at].actInv(data.oMi[k]).act(model.inertias[k]).toDynamicParameters()
         found.append(UrdfBody(first, tuple(merged[1:]), kept))
     return tuple(found)
 

@@ -107,8 +107,7 @@ class Fourier:
 
     def degrees(self, order: int) -> Array:
         """Return twice the harmonic: T_2k has k waves over its range, as harmonic k over a turn."""
-        harmonic: Array = np.ceil(np.arange(2 * order + 1) / 2.0)
-        return 2.0 * harmonic
+        return np.asarray(2.0 * np.ceil(np.arange(2 * order + 1) / 2.0))
 
     def mean(self, order: int) -> Array:
         """Return 1 for the constant, 0 for the waves."""

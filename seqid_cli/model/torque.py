@@ -94,16 +94,14 @@ class TorqueModel:
         """Rigid-body, gravity and rotor torque (N, n) N m."""
         if self.phi is None or self.rotor is None:
             return np.zeros_like(q)
-        chain = self.robot.chain
-        torque = inverse_dynamics(chain, self.robot.gravity, self.phi, q, dq, ddq)
+        torque = inverse_dynamics(self.robot.chain, self.robot.gravity, self.phi, q, dq, ddq)
         return torque + self.rotors(q, dq, ddq) if self.rotor.any() else torque
 
     def rotors(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Torque (N, n) N m that turns the motors' rotors."""
         if self.rotor is None or not self.rotor.any():
             return np.zeros_like(q)
-        ratios = gear_ratios(self.robot)
-        Y = rotor_regressor(self.robot.chain, q, dq, ddq, ratios, self.coupling)
+        Y = rotor_regressor(self.robot.chain, q, dq, ddq, gear_ratios(self.robot), self.coupling)
         return Y @ self.rotor
 
     def predict(self, motion: Motion) -> Array:
@@ -227,8 +225,7 @@ def _interpolation() -> Array:
     """Lagrange's weights (6, PARTS) of the knots for the points from a sample to the next."""
     powers = np.arange(len(KNOTS))[:, None]
     at = (np.arange(PARTS) / PARTS) ** powers
-    weights = np.linalg.solve(KNOTS.astype(float) ** powers, at)
-    return np.asarray(weights, dtype=np.float64)
+    return np.asarray(np.linalg.solve(KNOTS.astype(float) ** powers, at), dtype=np.float64)
 
 
 @lru_cache(maxsize=1)

@@ -110,10 +110,6 @@ def _imu(key: str, imu: schema.ImuCalibration) -> Iterator[_Problem]:
             yield f"{key}.rotation", f"is no rotation: rows {i + 1} and {j + 1} give {product:.6g}"
 
 
-def _effect(key: str, effect: schema.EffectOfJoint) -> Iterator[_Problem]:
-    yield from _square(key, effect.covariance, len(effect.coefficients))
-
-
 def _session(key: str, session: schema.EffectSession) -> Iterator[_Problem]:
     if session.starts and len(session.starts) != len(session.logs):
         yield f"{key}.starts", f"must be {len(session.logs)} times, one per log"
@@ -149,7 +145,7 @@ _CHECKS: Mapping[type, Callable[[str, Any], Iterator[_Problem]]] = {
     schema.FrictionJoint: _friction,
     schema.RigidStage: _rigid,
     schema.ImuCalibration: _imu,
-    schema.EffectOfJoint: _effect,
+    schema.EffectOfJoint: lambda key, own: _square(key, own.covariance, len(own.coefficients)),
     schema.EffectSession: _session,
     schema.ClosedLoop: _closed_loop,
     EvidenceEntry: _evidence,

@@ -102,8 +102,7 @@ def _content(
     newest = PARAMS_VERSION if kind == "params" else 1
     if version > newest:
         message = f"is of the newer version {schema}; this seqid reads up to seqid/{kind}@{newest}"
-        upgrade = "Upgrade seqid: pip install --upgrade seqid."
-        raise ConfigError(message, where=where, hint=upgrade)
+        raise ConfigError(message, where=where, hint="Upgrade seqid: pip install --upgrade seqid.")
     try:
         for older in range(version, newest):
             document = PARAMS_MIGRATIONS[older](document)

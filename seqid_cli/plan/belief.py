@@ -67,8 +67,7 @@ class Belief:
         """Rows H (M, N, n, b) of the base parameters."""
         M, N, n = moves.q.shape
         states = (x.reshape(-1, n) for x in (moves.q, moves.dq, moves.ddq))
-        H = base_regressor(self.robot, self.basis, *states)
-        return H.reshape(M, N, n, self.basis.size)
+        return base_regressor(self.robot, self.basis, *states).reshape(M, N, n, self.basis.size)
 
     def weights(self, moves: Moves) -> Array:
         """What samples (M, N, n) tell, per (N m)^2: those that slide, by the noise."""

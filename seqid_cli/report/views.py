@@ -43,13 +43,8 @@ class Table:
     @cached_property
     def rows(self) -> Sequence[Sequence[str]]:
         """The values as text."""
-        return self.values.cells(
-            words.number,
-            words.percent,
-            effect=words.effect_words,
-            path=words.short_path,
-            unit=words.unit_text,
-        )
+        forms = {"effect": words.effect_words, "path": words.short_path, "unit": words.unit_text}
+        return self.values.cells(words.number, words.percent, **forms)
 
 
 def table(

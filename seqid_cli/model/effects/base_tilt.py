@@ -115,12 +115,10 @@ def first_joint_upright(robot: Robot) -> bool:
 
 def first_link_moments(robot: Robot, gravity: Array, q: Array) -> Array:
     """Torque (N, 2) at the first joint of two first moments square to its axis, of unit weight."""
-    axis = robot.chain.axis[0]
-    square = np.linalg.svd(axis[None, :])[2][1:].T  # (3, 2)
+    square = np.linalg.svd(robot.chain.axis[:1])[2][1:].T  # (3, 2)
     moments = slice(STANDARD.index("mx"), STANDARD.index("mz") + 1)
     Y = gravity_regressor(robot.chain, gravity, q)[:, 0, moments]
-    torque: Array = Y @ square / np.linalg.norm(gravity)
-    return torque
+    return np.asarray(Y @ square / np.linalg.norm(gravity))
 
 
 def tilt_axes(gravity: Array) -> tuple[Array, Array]:

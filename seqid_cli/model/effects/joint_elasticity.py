@@ -97,8 +97,7 @@ class JointElasticity(Effect):
         """Return the stiffness 1 / c, its error by the delta method."""
         compliance = max(float(c[0]), 1e-12)
         error = float(np.sqrt(max(covariance[0, 0], 0.0))) / compliance**2
-        unit = robot.joints[joint].unit("N m/rad")
-        return [Value("stiffness", 1.0 / compliance, error, unit)]
+        return [Value("stiffness", 1.0 / compliance, error, robot.joints[joint].unit("N m/rad"))]
 
     def plausible(self, scenes: Scenes, joint: int, settings: Settings, c: Array) -> bool:
         """The compliance agrees with the stiffness that shaped it, where that shows in the band."""
@@ -139,8 +138,7 @@ def _oscillator(load: Array, mass: Array, damping: Array, rate_hz: float) -> Arr
     band[2, :-2] = a - d + 0.25
     right = -load
     right[2:] = -0.25 * (load[2:] + 2.0 * load[1:-1] + load[:-2])
-    solved: Array = dtbsv(2, band, right, lower=1)
-    return solved
+    return np.asarray(dtbsv(2, band, right, lower=1))
 
 
 def _of_the_motor(scene: Scene, joint: int, stiffness: float) -> Columns:

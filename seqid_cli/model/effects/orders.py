@@ -71,8 +71,7 @@ class Profile:
 
     def spectrum(self) -> tuple[Array, Array]:
         """Orders and the gain that a well spread range of positions would give there."""
-        size = PADDING * len(self.rm)
-        lines = np.abs(np.fft.rfft(self.rm, size)) ** 2
+        lines = np.abs(np.fft.rfft(self.rm, PADDING * len(self.rm))) ** 2
         orders = np.arange(len(lines)) / (PADDING * self.span)
         return orders, 2.0 * lines / max(float(self.mm.sum()), 1e-300)
 
@@ -95,8 +94,7 @@ def peaks(profile: Profile, lowest: float, count: int) -> list[float]:
             if all(abs(k - other) > 2 * PADDING for other in chosen):
                 chosen.append(int(k))
                 found += 1
-    width = 1.0 / profile.span / PADDING
-    return [_refined(profile, float(orders[k]), width) for k in chosen]
+    return [_refined(profile, float(orders[k]), 1.0 / profile.span / PADDING) for k in chosen]
 
 
 def clearest(profile: Profile, lowest: float) -> float:
@@ -125,8 +123,7 @@ def _without_trend(x: Array, rm: Array, mm: Array) -> Array:
     basis = chebvander(x, TREND - 1)
     weighted = basis * mm[:, None]
     c = np.linalg.lstsq(weighted.T @ basis, basis.T @ rm, rcond=1e-10)[0]
-    left: Array = rm - weighted @ c
-    return left
+    return np.asarray(rm - weighted @ c)
 
 
 def _floor(power: Array) -> Array:
@@ -134,8 +131,7 @@ def _floor(power: Array) -> Array:
     count = len(power) // min(FLOOR_WINDOW, len(power))
     parts = np.array_split(np.arange(len(power)), count)
     at, level = zip(*((part.mean(), np.median(power[part])) for part in parts), strict=True)
-    floor: Array = np.interp(np.arange(len(power)), at, level)
-    return floor
+    return np.asarray(np.interp(np.arange(len(power)), at, level))
 
 
 def _refined(profile: Profile, order: float, width: float) -> float:

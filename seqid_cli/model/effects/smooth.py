@@ -101,8 +101,7 @@ class Axis:
 def splines(x: Array, knots: Sequence[float]) -> Array:
     """Cubic B-splines (N, len(knots) + 2) of x (N,), held beyond the first and the last knot."""
     each, held = np.eye(len(knots) + DEGREE - 1), np.clip(x, knots[0], knots[-1])
-    basis: Array = BSpline(_padded(knots), each, DEGREE)(held)
-    return basis
+    return np.asarray(BSpline(_padded(knots), each, DEGREE)(held))
 
 
 def greville(knots: Sequence[float]) -> Array:
@@ -189,8 +188,7 @@ class SmoothTerm:
 
         def one_of(name: str, value: object, known: Sequence[str]) -> str:
             if value not in known:
-                what = f"must be one of {', '.join(known)}, is {value!r}"
-                raise damaged(f"{key}.{name}", what)
+                raise damaged(f"{key}.{name}", f"must be one of {', '.join(known)}, is {value!r}")
             return str(value)
 
         def axis(name: str) -> Axis:

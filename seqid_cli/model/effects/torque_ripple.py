@@ -134,8 +134,7 @@ def _profiles(
 
 def _angle(scene: Scene, joint: int, lag: float) -> Array:
     """Angle (N,) rad of a joint as it was `lag` seconds before."""
-    before: Array = scene.angle[:, joint] - lag * scene.motion.dq[:, joint]
-    return before
+    return np.asarray(scene.angle[:, joint] - lag * scene.motion.dq[:, joint])
 
 
 def multiplier(scene: Scene, joint: int, law: int) -> Array:

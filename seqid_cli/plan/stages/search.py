@@ -147,8 +147,7 @@ def refine(
         for k in range(len(drawn)):
             rest = total - information[k]
             drawn[k] = _improved(belief, goal, shapes, rest, drawn[k])
-            moves = placed(shapes, drawn[[k]], belief.limits)
-            information[k] = assess(belief, goal, moves)[0][0]
+            information[k] = assess(belief, goal, placed(shapes, drawn[[k]], belief.limits))[0][0]
             total = rest + information[k]
     return drawn
 

@@ -197,8 +197,7 @@ def _notes_on_friction(
 def simple_friction(surface: FrictionSurface) -> ExportedFriction:
     """Fit coulomb sign(v) + viscous v to a surface, uniformly over its positions and speeds.
 
-    Neither is negative. The offset is the mean part that does not flip with the direction, which
-    the two cannot say.
+    Neither is negative; the offset is the mean part that does not flip with the direction.
     """
     low, high = surface.scaling.speed
     low = min(max(low, SLIDES * surface.sign_width), high)

@@ -31,10 +31,7 @@ class UrdfBody:
 
 
 def bodies_of_urdf(urdf: UrdfText, joints: Sequence[str]) -> tuple[UrdfBody, ...]:
-    """Find the body of each of the identified `joints`, in chain order.
-
-    Raises ConfigError: the URDF is inconsistent.
-    """
+    """Find the body of each identified joint; raises ConfigError where the URDF is inconsistent."""
     model = whole_model(urdf)
     data = model.createData()
     pin.forwardKinematics(model, data, pin.neutral(model))

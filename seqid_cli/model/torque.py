@@ -169,13 +169,11 @@ def sliding(motion: Motion, slowest: Array) -> Mask:
 
 
 def slowest_near(motion: Motion, velocity: Array, *, per_period: float = 80.0) -> Array:
-    """Least of velocities (N, k) within a quarter of a period of the cut-off, without sign.
-
-    Taken as straight between samples, so that thinning does not hide a reversal between two.
-    """
+    """Least of velocities (N, k) within a quarter of a period of the cut-off, without sign."""
     cutoff = motion.lowpass.cutoff_hz
     parts = max(1, math.ceil(per_period * cutoff / motion.rate_hz))
     share = (np.arange(parts) / parts)[:, None]
+    # Straight between samples, so that thinning does not hide a reversal between two.
     ahead = np.concatenate([velocity[1:], velocity[-1:]])[:, None]
     fine = np.abs(velocity[:, None] * (1.0 - share) + ahead * share).reshape(-1, velocity.shape[1])
     size = 2 * max(1, int(REACH * motion.rate_hz * parts / cutoff)) + 1

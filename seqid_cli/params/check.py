@@ -24,10 +24,7 @@ _NEVER_NEGATIVE = ("std_error", "rmse")
 
 
 def check_consistency(document: schema.OfRobot, where: str) -> None:
-    """Check a decoded document about a robot.
-
-    Raises ConfigError: two parts of the document contradict each other; the message names the key.
-    """
+    """Raise ConfigError where two parts of a document about a robot contradict each other."""
     for key, what in _problems(document):
         hint = "The file was edited or damaged: run the command again that wrote it."
         raise ConfigError(f"{key}: {what}", where=where, hint=hint)

@@ -42,11 +42,7 @@ def make_plan(
     have: Iterable[Recording] = (),
     geometry: Geometry | None = None,
 ) -> PlanFile:
-    """Plan the moves of one stage, or of all in the order of the work.
-
-    `have` are logs that inertia stage or diagnosis will get as well: only what they lack is
-    planned.
-    """
+    """Plan one stage, or all in the order of the work: what the logs `have` do not tell."""
     belief = belief_of(robot, stages, limits, geometry=geometry)
     if what == "discriminate":
         found = {what: plan_discriminate(belief, stages, options, list(have))}

@@ -240,10 +240,7 @@ def figure(
     name: str = "",
     note: str = "",
 ) -> Figure:
-    """Return a drawing of panels with its values; `name` is its short title.
-
-    The keyboard can reach it if it has panels to read.
-    """
+    """Return a drawing of panels with its values; `name` is its short title."""
     box = panels[-1].box
     wide, readable = box.right + _RIGHT > SMALL, any(panel.hover for panel in panels)
     svg = element(

@@ -200,8 +200,7 @@ def text_chart(
 ) -> list[str]:
     """Draw y (`*`) and what it is `after` something (`o`) over x, with the ranges at the axes.
 
-    Nothing below two points. Points that fall into one column are averaged; x need not be even or
-    sorted.
+    Nothing below two points. Those in one column are averaged; x need not be even or sorted.
     """
     if len(x) < 2 or min(x) == max(x):
         return []

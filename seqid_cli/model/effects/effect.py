@@ -246,10 +246,7 @@ class Effect(abc.ABC):
         return {one.name: float(np.clip(c[0], one.low, one.high)) for one in own} or None
 
     def guessed(self, scene: Scene, joint: AnyJoint, settings: Settings) -> Mapping[int, Mask]:
-        """Return, by joint, samples (N,) at which nobody can say what torque the effect has.
-
-        Where something sticks that slides only with this effect, say.
-        """
+        """Return, by joint, samples (N,) of unknown torque: where something sticks, say."""
         return {}
 
     def reported(
@@ -285,10 +282,7 @@ class Effect(abc.ABC):
         )
 
     def plausible(self, scenes: Scenes, joint: AnyJoint, settings: Settings, c: Array) -> bool:
-        """Return whether coefficients c (k,) are physical; the default asks their bounds.
-
-        And that a setting which is the effect's size agrees with it.
-        """
+        """Return whether coefficients c (k,) are physical: in bounds, and of the size set."""
         specs = self.coefficients(settings)
         bounded = all(spec.low <= x <= spec.high for spec, x in zip(specs, c, strict=True))
         size, own = float(c[0]) if len(c) else 0.0, self.settings

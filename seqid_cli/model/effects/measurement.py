@@ -24,10 +24,7 @@ class MeasurementEffect(Effect):
     def restored(
         self, recording: Recording, robot: Robot, joint: AnyJoint, settings: Settings, c: Array
     ) -> Recording:
-        """Return a recording with torque as it would be without the effect.
-
-        Coefficients c (k,) of a joint, or of all where it is None.
-        """
+        """Return a recording without the effect of coefficients c (k,) of a joint, or of all."""
 
 
 class TorqueMeasurement(MeasurementEffect):

@@ -37,10 +37,7 @@ class Profile:
     def of(
         cls, x: Sequence[Array], r: Sequence[Array], m: Sequence[Array], highest: float
     ) -> Self | None:
-        """Sum up samples x (N,) turns, r and m (N,) of all logs; None if there are none.
-
-        Samples whose residual is exactly zero do not count.
-        """
+        """Sum up samples x (N,) turns, r and m (N,) where r is not 0; None where they are few."""
         X, R, M = (np.concatenate(list(parts)) for parts in (x, r, m))
         counts = R != 0.0
         X, R, M = X[counts], R[counts], M[counts]
@@ -77,10 +74,7 @@ class Profile:
 
 
 def peaks(profile: Profile, lowest: float, count: int) -> list[float]:
-    """Orders of the strongest lines and of those clearest above their surroundings.
-
-    In cycles per turn, from `lowest` on; at most `count`, half of them by each rule.
-    """
+    """At most `count` orders from `lowest` on: half the strongest lines, half the clearest ones."""
     orders, power, clear = _lines(profile, lowest)
     if len(power) < 3:
         return []

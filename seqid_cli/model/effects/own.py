@@ -114,10 +114,7 @@ class FormulaEffect(Effect):
         }
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
-        """Evaluate every term.
-
-        Raises ConfigError if a term is no finite number somewhere.
-        """
+        """Evaluate every term; raises ConfigError where one is no finite number."""
         names = self.formula.coefficients
         X = np.empty((scene.samples, len(names)))
         with np.errstate(all="ignore"):

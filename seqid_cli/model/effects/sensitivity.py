@@ -80,10 +80,7 @@ def _slope(motion: tuple[Array, Array, Array], which: int, joint: int, torque: T
 
 
 def link_deviation(scene: Scene, joint: int, deviation: Array) -> Array:
-    """Torque (N, n) per unit of a small deviation (N,) of a joint's link from its encoder.
-
-    The motors stay where they are: rotors do not feel it.
-    """
+    """Torque (N, n) of a small deviation (N,) of a joint's link; rotors do not feel it."""
     speed, acceleration = differentiate(deviation, scene.motion.rate_hz, scene.motion.valid)
     by_place, by_speed, by_acceleration = link_slopes(scene, joint)
     steady = by_place * deviation[:, None] + by_speed * speed[:, None]

@@ -99,10 +99,7 @@ def _coherence(z: Complex, t: Array, weight: Array, offsets: Array) -> Array:
 
 
 def _demodulated(signal: Signal, frequency: float) -> tuple[Complex, Array, Array]:
-    """Means of the signal, turned back by the frequency, over equal pieces.
-
-    Over the values that count, with their mean times and numbers.
-    """
+    """Means of a signal, turned back by a frequency, in equal pieces; their times and numbers."""
     counts = np.flatnonzero(signal.values)
     time = signal.time[counts]
     turned = signal.values[counts] * np.exp(-2j * np.pi * frequency * time)

@@ -25,19 +25,13 @@ class Value:
 
 
 def smooth_in_words(coefficients: Sized, settings: Mapping[str, str | float | int | bool]) -> str:
-    """Say on what a smooth term that no effect explains depends; its numbers tell a person nothing.
-
-    `coefficients` and `settings` are those of its entry in a parameter file.
-    """
+    """Say on what a smooth term that no effect explains depends; its numbers tell nobody more."""
     quantities = ", ".join(str(settings.get("depends_on", "")).split())
     return f"a smooth function of {quantities}, {len(coefficients)} coefficients without errors"
 
 
 def amplitude_and_phase(c: Array, covariance: Array, unit: str, *, name: str) -> list[Value]:
-    """Turn c_0 sin(p) + c_1 cos(p) into A sin(p + phase), errors by the delta method.
-
-    `unit` is that of c (2,) with its covariance (2, 2), `name` what the amplitude is of.
-    """
+    """Turn c_0 sin(p) + c_1 cos(p) into A sin(p + phase), errors by the delta method."""
     import numpy as np  # help of commands names units
 
     amplitude = float(np.hypot(c[0], c[1]))

@@ -104,12 +104,10 @@ class Separation:
     size: float
 
     def effects(self, total: Array, *, ridge: float = 1e-12) -> Array:
-        """Gram matrix of the effects' columns with the base free, (..., k, k).
-
-        The ridge, of columns of unit length, is for parts of the base that no move shows.
-        """
+        """Gram matrix of the effects' columns with the base free, (..., k, k)."""
         G, b = total + self.prior, self.question.base
         size = np.sqrt(np.maximum(np.diagonal(G, axis1=-2, axis2=-1)[..., :b], 1e-300))[..., None]
+        # The ridge, of columns of unit length, is for parts of the base that no move shows.
         base = G[..., :b, :b] / size / np.swapaxes(size, -1, -2) + ridge * np.eye(b)
         gain = np.linalg.solve(base, G[..., :b, b:] / size) / size
         return np.asarray(G[..., b:, b:] - np.swapaxes(G[..., :b, b:], -1, -2) @ gain)

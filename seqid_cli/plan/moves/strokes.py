@@ -116,8 +116,7 @@ def sweeps(
 ) -> Moves:
     """Joint j at `points` positions in each of `postures` (P, n), both ways.
 
-    They lie between `ends` (P, 2), by default those of its range. The times share out `seconds`, so
-    that information is that of so long a way.
+    Between `ends` (P, 2), by default of its range; their information is that of `seconds` of it.
     """
     limits = belief.limits
     low, high = (limits.lower[j], limits.upper[j]) if ends is None else (ends[:, :1], ends[:, 1:])

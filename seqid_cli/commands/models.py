@@ -92,9 +92,8 @@ def diagnose(
     if file.verdict != "nothing_missing":
         smooth = "" if file.findings else " --with-unexplained"
         given = " ".join(f"-p {path}" for path in parameters) + smooth
-        told.screen.note(
-            f"next: seqid refine LOG... --holdout LOG... -r {robot} {given} -o refined.json"
-        )
+        refine = f"seqid refine LOG... --holdout LOG... -r {robot} {given} -o refined.json"
+        told.screen.note(f"next: {refine}")
     return told.ended(file.verdicts, untrusted=file.verdict != "nothing_missing")
 
 

@@ -45,18 +45,13 @@ def bodies_of_urdf(urdf: UrdfText, joints: Sequence[str]) -> tuple[UrdfBody, ...
         for link in merged:  # grows until nothing is fixed to any of them
             merged += [child for child, parent in fixed.items() if parent == link]
         at, kept = model.getJointId(name), np.zeros(PER_LINK)
-        for k in _behind(model, at, joints):
+        behind = [at]  # grows by the joints that are not identified, up to those that are
+        for k in behind:
+            behind += [j for j in model.children[k] if model.names[j] not in joints]
+        for k in behind[1:]:
             kept += data.oMi[at].actInv(data.oMi[k]).act(model.inertias[k]).toDynamicParameters()
         found.append(UrdfBody(first, tuple(merged[1:]), kept))
     return tuple(found)
-
-
-def _behind(model: pin.Model, joint: int, joints: Sequence[str]) -> list[int]:
-    """Joints that are not identified between a joint and the next identified ones."""
-    behind = [joint]
-    for k in behind:
-        behind += [j for j in model.children[k] if model.names[j] not in joints]
-    return behind[1:]
 
 
 def root_link(urdf: UrdfText) -> str:

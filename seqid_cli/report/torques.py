@@ -94,7 +94,7 @@ class TorqueTable:
         return cls(where, prediction, joints, rows, frozenset(columns))
 
     def series(self, joint: str) -> list[Series]:
-        """Read a joint, log by log; raises InputError for an infinite value or a time going back."""
+        """Read a joint, log by log; raises InputError for infinite values, or time going back."""
         names = {"t": "t", "used": "used", **{k: f"{joint}.{k}" for k in (*_KINDS, *_MORE)}}
         there = {kind: name for kind, name in names.items() if name in self.columns}
         with _readable(self.path, "is damaged"):

@@ -174,11 +174,9 @@ class Page:
             f"script-src 'sha256-{own['script']}'; "
             "img-src data:; base-uri 'none'; form-action 'none'"
         )
-        content = {"page": self, "version": __version__, "policy": policy, "created": now()}
+        content = {"page": self, "version": __version__, "policy": policy, "created": now()} | parts
         filters = {"unit": words.unit_text, "short": words.short_path}
-        return filled(
-            "seqid_cli.report", "report.html.j2", content | parts, filters=filters, markup=True
-        )
+        return filled("seqid_cli.report", "report.html.j2", content, filters=filters, markup=True)
 
 
 def resource(name: str) -> str:

@@ -89,11 +89,9 @@ def identified(
     known = np.array([joint.rotor_inertia is not None for joint in robot.joints])
     first = PER_LINK * robot.n
     if not (np.abs(phi) < largest).all():
-        raise ConfigError(
-            f"a standard parameter of the file is {np.abs(phi).max():.3g}, above {largest:g}",
-            where=str(robot.source),
-            hint="The file was edited or damaged: run the stage again that wrote it.",
-        )
+        message = f"a standard parameter of the file is {np.abs(phi).max():.3g}, above {largest:g}"
+        hint = "The file was edited or damaged: run the stage again that wrote it."
+        raise ConfigError(message, where=str(robot.source), hint=hint)
     values = basis.expression @ phi
     seen = basis.expression[list(rows)][:, first:].any(axis=0) & ~known
     return Identified(
@@ -117,12 +115,10 @@ def _determined(stages: Stages, basis: Basis, robot: Robot) -> tuple[list[Parame
             continue
         alien = next((p.name for p in stage.parameters if p.name not in basis.names), None)
         if alien is not None:
-            raise ConfigError(
-                f"$.stages.{name}: {alien!r} is no base parameter of this robot",
-                where=str(robot.source),
-                hint="The robot file has changed since: geometry, gravity or known rotor inertias."
-                " Give the one that the parameters were identified with, or identify again.",
-            )
+            message = f"$.stages.{name}: {alien!r} is no base parameter of this robot"
+            hint = "The robot file has changed since: geometry, gravity or known rotor inertias."
+            hint += " Give the one that the parameters were identified with, or identify again."
+            raise ConfigError(message, where=str(robot.source), hint=hint)
         taken = {parameter.name for parameter in found}
         own = [k for k, parameter in enumerate(stage.parameters) if parameter.name not in taken]
         errors = np.array([parameter.std_error for parameter in stage.parameters])

@@ -87,7 +87,7 @@ def effect_torque(scene: Scene, fitted: Sequence[Fitted]) -> Array:
 def added_torque(
     scene: Scene, recording: Recording, fitted: Sequence[Fitted], slowest: Array
 ) -> Predicted:
-    """What effects add to a log's prediction; at rest, what friction has at `slowest` speeds (n,)."""
+    """What effects add to a log's prediction; at rest up to friction's at `slowest` (n,)."""
     torque, low, high = (np.zeros_like(scene.motion.q) for _ in range(3))
     for place, items in _by_session(scene, recording, fitted):
         for passes in {item.passes for item in items}:

@@ -17,7 +17,7 @@ from typing import Any, Literal, cast
 
 import numpy as np
 
-from seqid_cli.model.effects.scene import Scene, Scenes, has_rigid_body, moves
+from seqid_cli.model.effects.scene import Scene, Scenes, moves
 from seqid_cli.model.effects.smooth import MEASURES, Axis, Measure
 from seqid_cli.model.effects.units import Value, amplitude_and_phase
 from seqid_cli.robot.base_parameters import free_basis
@@ -197,7 +197,8 @@ class Effect(abc.ABC):
     def available(self, scenes: Scenes, joint: AnyJoint) -> bool:
         """Return whether robot file and channels allow to look for it; by default `needs`."""
         moving = "motion" not in self.needs or (joint is not None and moves(scenes, joint))
-        return moving and ("load" not in self.needs or has_rigid_body(scenes))
+        known = all(scene.model.phi is not None for scene in scenes)  # the load of the gears
+        return moving and ("load" not in self.needs or known)
 
     def possible(self, scenes: Scenes, joint: AnyJoint) -> bool:
         """Return whether it may be there though it cannot be looked for: a channel is lacking."""

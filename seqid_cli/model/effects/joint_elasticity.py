@@ -84,8 +84,11 @@ class JointElasticity(Effect):
 
     def columns(self, scene: Scene, joint: int, settings: Settings) -> Columns:
         """Torque per unit compliance, on all joints (link's side: on its own)."""
-        if settings["encoder_side"] > 0.5:
-            return _of_the_motor(scene, joint, settings["trial_stiffness"])
+        if settings["encoder_side"] > 0.5:  # rotor and friction on the motor's motion
+            motion = scene.motion
+            speed, acceleration = differentiate(scene.load[:, joint], motion.rate_hz, motion.valid)
+            slope = scene.friction_slope(joint, speed / settings["trial_stiffness"])
+            return {joint: (scene.rotor[joint] * acceleration + slope * speed)[:, None]}
         damping = settings.get("damping_ratio", BLUNT)
         bent = twist(scene, joint, settings["trial_stiffness"], damping)
         torque = link_deviation(scene, joint, bent)
@@ -139,11 +142,3 @@ def _oscillator(load: Array, mass: Array, damping: Array, rate_hz: float) -> Arr
     right = -load
     right[2:] = -0.25 * (load[2:] + 2.0 * load[1:-1] + load[:-2])
     return np.asarray(dtbsv(2, band, right, lower=1))
-
-
-def _of_the_motor(scene: Scene, joint: int, stiffness: float) -> Columns:
-    """Rotor inertia and friction on the motor's motion, per unit compliance."""
-    motion = scene.motion
-    speed, acceleration = differentiate(scene.load[:, joint], motion.rate_hz, motion.valid)
-    slope = scene.friction_slope(joint, speed / stiffness)
-    return {joint: (scene.rotor[joint] * acceleration + slope * speed)[:, None]}

@@ -52,7 +52,10 @@ class Profile:
         mm = np.bincount(at, weights=M * M, minlength=bins).astype(np.float64)
         rm = np.bincount(at, weights=R * M, minlength=bins).astype(np.float64)
         position = np.where(number > 0, mean, centre)
-        rm = _without_trend(2 * (position - start) / span - 1, rm, mm)
+        # A smooth dependence on position, scaled to [-1, 1], is taken out of r first.
+        basis = chebvander(2 * (position - start) / span - 1, TREND - 1)
+        weighted = basis * mm[:, None]
+        rm = rm - weighted @ np.linalg.lstsq(weighted.T @ basis, basis.T @ rm, rcond=1e-10)[0]
         return cls(position, rm, mm, span, min(highest, bins / (BINS_PER_CYCLE * span)))
 
     def gain(self, order: float) -> float:
@@ -109,23 +112,11 @@ def _lines(profile: Profile, lowest: float) -> tuple[Array, Array, Array]:
     orders, power = orders[inside], power[inside]
     if len(power) == 0:
         return orders, power, power
-    return orders, power, power / np.maximum(_floor(power), 1e-300)
-
-
-def _without_trend(x: Array, rm: Array, mm: Array) -> Array:
-    """Take a smooth dependence on position out of r; x is scaled to [-1, 1]."""
-    basis = chebvander(x, TREND - 1)
-    weighted = basis * mm[:, None]
-    c = np.linalg.lstsq(weighted.T @ basis, basis.T @ rm, rcond=1e-10)[0]
-    return np.asarray(rm - weighted @ c)
-
-
-def _floor(power: Array) -> Array:
-    """Level of the spectrum around each value: medians of windows, joined by lines."""
-    count = len(power) // min(FLOOR_WINDOW, len(power))
-    parts = np.array_split(np.arange(len(power)), count)
+    # Their level: medians of windows, joined by lines.
+    parts = np.array_split(np.arange(len(power)), len(power) // min(FLOOR_WINDOW, len(power)))
     at, level = zip(*((part.mean(), np.median(power[part])) for part in parts), strict=True)
-    return np.asarray(np.interp(np.arange(len(power)), at, level))
+    floor = np.interp(np.arange(len(power)), at, level)
+    return orders, power, power / np.maximum(floor, 1e-300)
 
 
 def _refined(profile: Profile, order: float, width: float) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 from seqid_cli.errors import ConfigError
 from seqid_cli.model.effects.effect import Coefficient, Columns, Effect, Over, Setting, Settings
 from seqid_cli.model.effects.scene import Joint, Scene, Scenes
-from seqid_cli.robot.formula import FUNCTIONS, Formula, Symbol, symbol_of
+from seqid_cli.robot.formula import FUNCTIONS, Formula, symbol_of
 from seqid_cli.robot.types import OwnEffect, Robot
 from seqid_cli.typing import Array
 
@@ -81,7 +81,10 @@ class FormulaEffect(Effect):
         calls = (node for node in ast.walk(formula.tree) if isinstance(node, ast.Call))
         self.sided = any(ast.unparse(call) == "sign(dq)" for call in calls)
         self.family = "friction" if self.sided else "transmission"
-        self.over = _shown_over(formula.symbols)
+        # Over the one quantity of its own joint that it depends on beside the direction.
+        some = names - {"dq"} or names
+        alone = len(some) == 1 and all(symbol.joint is None for symbol in formula.symbols)
+        self.over = _MEASURE.get(next(iter(some)), "torque") if alone else "torque"
         self.steady = self.sided and names <= STEADY
         self.settings = tuple(
             Setting(name, "", low=low, high=high, logarithmic=low > 0.0)
@@ -167,11 +170,3 @@ def _quantity(scene: Scene, joint: int, name: str) -> Array:
     holder = scene.motion if symbol.name in {"q", "dq", "ddq"} else scene
     held = getattr(holder, "modelled" if symbol.name == "tau" else symbol.name)
     return np.asarray(held[:, own])
-
-
-def _shown_over(symbols: frozenset[Symbol]) -> Over:
-    """The one quantity of its own joint that it depends on beside the direction, if it is one."""
-    names = {symbol.name for symbol in symbols}
-    some = names - {"dq"} or names
-    alone = len(some) == 1 and all(symbol.joint is None for symbol in symbols)
-    return _MEASURE.get(next(iter(some)), "torque") if alone else "torque"

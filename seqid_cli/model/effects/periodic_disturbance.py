@@ -62,9 +62,8 @@ class PeriodicDisturbance(Effect):
         shared = all(scene.shared_clock for scene in scenes)
         ends = [scene.time[[0, -1]] for scene in scenes]
         fixed = {"clocks": 0.0 if shared else float(len(scenes)), "span": float(np.ptp(ends))}
-        residual = [
-            _without_peaks(r, s.slides, joint) for r, s in zip(residual, scenes, strict=True)
-        ]
+        pairs = zip(residual, scenes, strict=True)
+        residual = [_without_peaks(r, scene.slides, joint) for r, scene in pairs]
         whole = _signals(scenes, joint, residual)
         made = _signals(scenes, joint, [scene.modelled for scene in scenes])
         for near in strongest_lines(whole, LOWEST_HZ, LINES):

@@ -195,11 +195,6 @@ def travel(scenes: Scenes, joint: int) -> float:
     return max(float(np.ptp(positions)) if len(positions) else 0.0, 1e-6)
 
 
-def has_rigid_body(scenes: Scenes) -> bool:
-    """Return whether the model knows the load of the gears: it has a rigid-body stage."""
-    return all(scene.model.phi is not None for scene in scenes)
-
-
 def session(scenes: Scenes) -> float:
     """Return the time [s] on the clock at which the last log ends."""
     return max(float(scene.time[-1]) for scene in scenes)

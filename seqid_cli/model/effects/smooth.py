@@ -168,13 +168,11 @@ class SmoothTerm:
             for k, knot in enumerate(axis.knots):
                 settings[f"axis_{number}_knot_{k}"] = float(knot)
         unit = robot.joints[self.joint].unit("N m")
-        parameters = [
+        terms = [
             Parameter(name=f"c_{k}", value=float(c), std_error=0.0, unit=unit, joint=name)
             for k, c in enumerate(self.coefficients)
         ]
-        return EffectOfJoint(
-            effect=UNEXPLAINED, joint=name, parameters=parameters, settings=settings
-        )
+        return EffectOfJoint(effect=UNEXPLAINED, joint=name, parameters=terms, settings=settings)
 
     @classmethod
     def from_stage(

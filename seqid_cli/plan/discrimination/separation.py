@@ -209,9 +209,8 @@ def _seen(slots: Sequence[Slot], E: Array, moment: Array, *, draws: int = 64) ->
     """
     rng = np.random.default_rng(0)
     fits = [_fit(E[one.at, one.at], moment[one.at]) for one in slots]
-    gains = np.array(
-        [gain if one.fits(c) else 0.0 for one, (c, _, gain) in zip(slots, fits, strict=True)]
-    )
+    pairs = zip(slots, fits, strict=True)
+    gains = np.array([gain if one.fits(c) else 0.0 for one, (c, _, gain) in pairs])
     scale = float(tempered(gains.max()))
     chance = np.exp((gains - gains.max()) / scale)
     counts = rng.multinomial(draws, chance / chance.sum())

@@ -237,10 +237,8 @@ def within_limits(
         coefficients = drawn[k, j, :COEFFICIENTS]
         y = coefficients @ shapes.y
         centre = float(moves.q[k, 0, j])  # the window is zero at the ends
-        scaled = float(y @ (moves.q[k, :, j] - centre) / (y @ y)) * coefficients
-        return FourierMotion(
-            centre=centre, sine=scaled[0::2].tolist(), cosine=scaled[1::2].tolist()
-        )
+        own = float(y @ (moves.q[k, :, j] - centre) / (y @ y)) * coefficients
+        return FourierMotion(centre=centre, sine=own[0::2].tolist(), cosine=own[1::2].tolist())
 
     found = []
     for number, k in enumerate(kept.tolist(), start=1):

@@ -211,9 +211,8 @@ def plan_imu(belief: Belief, options: PlanOptions, *, pool: int = 300) -> Planne
         others = [k for k in range(len(postures)) if k not in chosen]
         least = [float(_least_information(directions[:, [*chosen, k]]).min()) for k in others]
         chosen.append(others[int(np.argmax(least))])
-    moves = [
-        _swing(reduced, first, postures[k], ends[k], f"_{i}") for i, k in enumerate(chosen, start=1)
-    ]
+    numbered = enumerate(chosen, start=1)
+    moves = [_swing(reduced, first, postures[k], ends[k], f"_{i}") for i, k in numbered]
     # No IMU rides behind later joints.
     for j in (j for j in belief.limits.moving[1:] if j <= max(links)):
         own, posture, span = lightest_posture(belief, j, rng, share=SPAN)

@@ -13,11 +13,8 @@ from seqid_cli.params.evidence_schema import EvidenceEntry
 SMALLEST = 1e-12  # what is divided by: smaller numbers overflow
 _Problem = tuple[str, str]  # key, fault
 # Fields that name joints, themselves or by their keys; a verdict may be about an IMU.
-_OF_JOINTS = {"joint", "joints", "of", "before", "after", "torque_constant_moves"} | {
-    "noise_floor",
-    "noise_floor_interval",
-    "gain_interval",
-}
+_OF_JOINTS = {"joint", "joints", "of", "before", "after", "torque_constant_moves", "noise_floor"}
+_OF_JOINTS |= {"noise_floor_interval", "gain_interval"}
 _RANGES = ("position_range", "speed_range")
 _INTERVALS = ("interval", "training_interval", "gain_interval", "noise_floor_interval")  # or empty
 _NEVER_NEGATIVE = ("std_error", "rmse")

@@ -19,7 +19,7 @@ import numpy as np
 
 from seqid_cli.model.effects.scene import Scene, Scenes, moves
 from seqid_cli.model.effects.smooth import MEASURES, Axis, Measure
-from seqid_cli.model.effects.units import Value, amplitude_and_phase
+from seqid_cli.model.effects.units import Value
 from seqid_cli.robot.base_parameters import free_basis
 from seqid_cli.robot.types import Robot
 from seqid_cli.typing import Array, Mask
@@ -264,9 +264,16 @@ class Effect(abc.ABC):
         """Return the physical parameters of coefficients c (k,) with their covariance (k, k)."""
         specs = self.coefficients(settings)
         slides = joint is not None and robot.joints[joint].prismatic
-        if self.wave:
+        if self.wave:  # c_0 sin(p) + c_1 cos(p) = A sin(p + phase), errors by the delta method
+            amplitude, phase = float(np.hypot(c[0], c[1])), float(np.arctan2(c[1], c[0]))
+            scale = max(amplitude, 1e-300)
+            slopes = np.array([[c[0], c[1]], [-c[1] / scale, c[0] / scale]]) / scale
+            error = np.sqrt(np.maximum(np.diag(slopes @ covariance @ slopes.T), 0.0))
             unit = unit_of(specs[0].unit, slides)
-            return amplitude_and_phase(c, covariance, unit, name=self.wave)
+            return [
+                Value(f"{self.wave}_amplitude", amplitude, float(error[0]), unit),
+                Value(f"{self.wave}_phase", phase, float(error[1]), "rad"),
+            ]
         errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return [
             Value(spec.name, float(x), float(e), unit_of(spec.unit, slides))

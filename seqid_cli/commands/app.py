@@ -1,7 +1,5 @@
 """The command group: commands are imported when chosen, errors become messages and exit codes."""
 
-from __future__ import annotations
-
 import difflib
 import importlib
 import json

@@ -10,14 +10,12 @@ stands in a parameter file,
 it predicts and says nothing of a cause.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from itertools import pairwise, takewhile
 from math import isfinite, prod
-from typing import ClassVar, Literal, cast, get_args
+from typing import ClassVar, Literal, Self, cast, get_args
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -175,9 +173,7 @@ class SmoothTerm:
         return EffectOfJoint(effect=UNEXPLAINED, joint=name, parameters=terms, settings=settings)
 
     @classmethod
-    def from_stage(
-        cls, entry: EffectOfJoint, robot: Robot, key: str = "$.stages.effects"
-    ) -> SmoothTerm:
+    def from_stage(cls, entry: EffectOfJoint, robot: Robot, key: str = "$.stages.effects") -> Self:
         """Restore a term from a parameter file, in which its entry stands under `key`.
 
         Raises ConfigError if a key is missing or contradicts another; the message names it.
